@@ -1,0 +1,176 @@
+# IMU9 CANopen gateway. `make help` lists the targets.
+#
+#   CC=clang        another compiler            BUILD=DIR       where everything is built (default build)
+#   DEPS=no         do not install packages     SAN=FLAGS       e.g. -fsanitize=thread
+#   PREFIX, DESTDIR where `make install` puts things
+
+VERSION := 0.1.0
+BUILD ?= build
+PREFIX ?= /usr/local
+DEPS ?= yes
+FUZZ_SECONDS ?= 30
+SAN ?=
+
+CFLAGS ?= -O2 -g
+WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Werror
+# -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
+ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
+	-MMD -MP $(CFLAGS) $(SAN)
+LDLIBS := -linih -lmpack -lm -pthread
+
+# ---- what is built from what ---------------------------------------------------------------------------------------
+sources = $(sort $(wildcard $(1)))
+objects = $(patsubst %.c,$(BUILD)/obj/%.o,$(1))
+GEN := $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md $(BUILD)/gen/imu9-gateway.dbc
+
+MODEL_SRC := $(call sources,model/*.c)
+OD_SRC := $(call sources,od/*.c)
+DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c)
+CANOPEN_SRC := $(call sources,gateway/canopen/*.c)
+GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
+TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c))
+PROGRAM_SRC := $(call sources,tools/imu9_*.c)
+
+MODEL_LIB := $(BUILD)/libmodel.a
+LIBS := $(BUILD)/libtools.a $(BUILD)/libgateway.a $(BUILD)/libcanopen.a $(BUILD)/libdrivers.a $(BUILD)/libod.a $(MODEL_LIB)
+TOOLS := $(patsubst tools/%.c,$(BUILD)/%,$(subst _,-,$(PROGRAM_SRC)))
+PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
+TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c))
+BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
+FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
+# what the tests of one folder share
+TEST_HELPERS = $(call objects,$(filter-out $(dir $<)test_% $(dir $<)bench_%,$(wildcard $(dir $<)*.c)))
+
+.PHONY: all
+all: $(PROGRAMS) $(GEN) ## build the programs, the object table and the DBC
+
+$(BUILD)/obj/%.o: %.c | $(BUILD)/gen/od_values.h
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
+
+$(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
+
+# the generator is built before anything that needs what it generates
+GEN_OD_SRC := tools/gen_od.c tools/eds.c $(OD_SRC)
+$(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds.h)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(filter-out -MMD -MP,$(ALL_CFLAGS)) -o $@ $(GEN_OD_SRC) $(LDLIBS)
+
+$(GEN) &: eds/imu9-gateway.eds $(BUILD)/gen-od
+	@mkdir -p $(BUILD)/gen
+	$(Q)$(BUILD)/gen-od $< $(BUILD)/gen
+
+define archive =
+	@rm -f $@
+	$(Q)$(AR) rcs $@ $^
+endef
+$(MODEL_LIB): $(call objects,$(MODEL_SRC)); $(archive)
+$(BUILD)/libod.a: $(call objects,$(OD_SRC)) $(BUILD)/obj/gen/od_table.o; $(archive)
+$(BUILD)/libdrivers.a: $(call objects,$(DRIVERS_SRC)); $(archive)
+$(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
+$(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
+$(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
+
+$(BUILD)/imu9-gateway: $(BUILD)/obj/gateway/main.o $(LIBS)
+	$(Q)$(CC) $(CFLAGS) $(SAN) $(LDFLAGS) -o $@ $^ $(LDLIBS)
+
+define program =
+$$(BUILD)/$(subst _,-,$(notdir $(1))): $$(BUILD)/obj/$(1).o $$(LIBS)
+	$$(Q)$$(CC) $$(CFLAGS) $$(SAN) $$(LDFLAGS) -o $$@ $$^ $$(LDLIBS)
+endef
+$(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
+
+$(BUILD)/tests/%: tests/%.c $(LIBS) | $(BUILD)/gen/od_values.h
+	@mkdir -p $(@D)
+	@$(MAKE) --no-print-directory $(TEST_HELPERS)
+	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(TEST_HELPERS) $(LIBS) -lcmocka $(LDLIBS)
+
+Q := $(if $(V),,@echo "  build   $$@";)
+
+# ---- the two commands of the README --------------------------------------------------------------------------------
+.PHONY: demo test
+demo: ## install what is missing, build, and show the gateway at work (no hardware needed)
+	@DEPS=$(DEPS) tools/deps build
+	@$(MAKE) --no-print-directory -j2 all
+	@BUILD=$(BUILD) tools/demo
+
+test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
+	@DEPS=$(DEPS) tools/deps build test
+	@$(MAKE) --no-print-directory -j2 all tests check-layers
+	@BUILD=$(BUILD) tests/run unit scenario interop
+
+# ---- for developers ------------------------------------------------------------------------------------------------
+.PHONY: tests check asan ubsan tsan fuzz bench lint cov format check-format check-layers
+tests: $(TESTS) ## build the tests only
+
+check: all tests ## unit and scenario tests only (seconds, no rig)
+	@BUILD=$(BUILD) tests/run unit scenario
+
+asan: ## unit and scenario tests with AddressSanitizer and UBSan
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/asan SAN="-fsanitize=address,undefined -fno-sanitize-recover=all" check
+
+ubsan: ## unit and scenario tests with UBSan alone
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/ubsan SAN="-fsanitize=undefined -fno-sanitize-recover=all" check
+
+tsan: ## unit and scenario tests with ThreadSanitizer
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/tsan SAN="-fsanitize=thread" check
+
+fuzz: ## run each libFuzzer target for FUZZ_SECONDS (needs clang)
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/fuzz CC=clang \
+		SAN="-fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all" fuzzers
+	@for f in $(patsubst $(BUILD)/%,$(BUILD)/fuzz/%,$(FUZZERS)); do \
+		echo "  fuzz    $$f"; mkdir -p $$f.corpus; \
+		$$f -max_total_time=$(FUZZ_SECONDS) -print_final_stats=0 -verbosity=0 -artifact_prefix=$$f. $$f.corpus || exit 1; done
+
+.PHONY: fuzzers
+fuzzers: $(FUZZERS)
+$(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c $(LIBS)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
+
+bench: all $(BENCHES) ## print the measured figures
+	@for b in $(BENCHES); do echo "== $$(basename $$b)"; $$b || exit 1; done
+
+lint: $(BUILD)/gen/od_values.h ## clang-tidy and cppcheck
+	clang-tidy --quiet $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) -- \
+		$(filter-out -MMD -MP,$(ALL_CFLAGS))
+	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
+		--suppress=missingIncludeSystem -I. -I$(BUILD)/gen model od drivers gateway tools
+
+cov: ## line coverage of the unit and scenario tests
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/cov CFLAGS="-O0 -g --coverage" check
+	@cd $(BUILD)/cov && find obj -name '*.gcda' | xargs gcov -n 2>/dev/null | \
+		awk "/^File '[a-z]/ {f = \$$2} /^Lines executed/ && f != \"\" {split(\$$0, p, \":\"); print p[2], f; f = \"\"}" | \
+		grep -v "'/usr" | sort -n
+
+FORMATTED = $(shell git ls-files '*.c' '*.h')
+format: ## apply .clang-format
+	clang-format -i $(FORMATTED)
+
+check-format: ## fail when a file is not formatted
+	@clang-format --dry-run --Werror $(FORMATTED)
+
+check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must not
+	@tests/check-layers $(MODEL_LIB)
+
+# ---- installing ----------------------------------------------------------------------------------------------------
+.PHONY: install uninstall clean help
+install: all ## install programs and EDS under $(DESTDIR)$(PREFIX)
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/imu9-gateway
+	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
+	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
+		$(DESTDIR)$(PREFIX)/share/imu9-gateway
+
+uninstall: ## remove what install put there
+	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(PROGRAMS)))
+	rm -rf $(DESTDIR)$(PREFIX)/share/imu9-gateway
+
+clean: ## remove everything built
+	rm -rf $(BUILD)
+
+help: ## this list
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' Makefile
+
+-include $(shell find $(BUILD) -name '*.d' 2>/dev/null)

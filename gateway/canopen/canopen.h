@@ -1,0 +1,69 @@
+/* gateway/canopen/canopen.h
+ * A CANopen device (CiA 301 V4.2) as a passive core: frames and time go in, frames come out through the CAN port. It
+ * never reads a clock, sleeps, allocates or touches a file, so the same code runs in the daemon and, in simulated time,
+ * in the scenario tests. One file a service: nmt.c, sdo_server.c, pdo.c, sync.c, emcy.c, store.c (1010h/1011h).
+ *
+ * Use: canopen_init(), canopen_start(), then canopen_receive() for each frame, canopen_tick() whenever the deadline it
+ * returned has come, canopen_sample() after each new sample was published in the dictionary. */
+#ifndef GATEWAY_CANOPEN_CANOPEN_H
+#define GATEWAY_CANOPEN_CANOPEN_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "drivers/ports/can.h"
+#include "od/od.h"
+
+enum nmt_state { /* the values that the heartbeat carries */
+	NMT_INITIALISING = 0x00,
+	NMT_STOPPED = 0x04,
+	NMT_OPERATIONAL = 0x05,
+	NMT_PRE_OPERATIONAL = 0x7F,
+};
+
+/** What the core asks of the device around it. All may be NULL in tests that do not need them. */
+struct canopen_device {
+	void *ctx;
+	/** 1010h: keep one group (or OD_GROUP_ALL) for good. OD_OK: kept; OD_PENDING: canopen_store_done() will tell,
+	 * the SDO answer waits for it; OD_CANNOT_STORE. */
+	enum od_status (*store)(void *ctx, enum od_group group);
+	/** 1011h: forget what was kept of a group; the defaults hold after the next reset. Same answers. */
+	enum od_status (*restore)(void *ctx, enum od_group group);
+	/** NMT reset: bring the dictionary back to its power-on values (defaults, then what was stored) for the
+	 * communication group (reset communication) or for all (reset node, which also restarts the application). */
+	void (*reset)(void *ctx, enum od_group group);
+	/** For the log. */
+	void (*nmt_changed)(void *ctx, enum nmt_state state);
+};
+
+struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fields are the core's */
+
+/** Attaches to the dictionary and checks its communication objects. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory
+ * object is missing from the dictionary (a fault of the EDS). */
+int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
+	const struct canopen_device *device, uint8_t node_id);
+/** Sends boot-up and enters pre-operational. */
+void canopen_start(struct canopen_node *node, uint64_t now_us);
+void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us);
+/** Returns when it must be called again at the latest (UINT64_MAX: never). */
+uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us);
+/** A new sample stands in the dictionary: event-driven TPDOs may go out. */
+void canopen_sample(struct canopen_node *node, uint64_t now_us);
+
+/** Raises an error: EMCY with `code`, the error register's bits (1001h; bit 0 is added), manufacturer field `info`
+ * (5 bytes, or NULL for zeros). An error that stands already is not sent again. */
+void canopen_error_set(struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info,
+	uint64_t now_us);
+/** The error is over: when it was the last, EMCY 0000h. */
+void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
+
+/** Ends a store or restore that answered OD_PENDING. */
+void canopen_store_done(struct canopen_node *node, enum od_status status, uint64_t now_us);
+
+enum nmt_state canopen_nmt_state(const struct canopen_node *node);
+
+/** The SDO abort code of a dictionary status (CiA 301 table 22); 0 for OD_OK and OD_PENDING. */
+uint32_t canopen_abort_code(enum od_status status);
+
+#endif

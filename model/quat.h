@@ -1,0 +1,59 @@
+/* model/quat.h
+ * Unit quaternions of Hamilton, w first, by value. q_nb turns a vector of the object frame b into the global frame n
+ * (ENU): v_n = quat_rotate(q_nb, v_b). Products compose from right to left, as matrices do. */
+#ifndef MODEL_QUAT_H
+#define MODEL_QUAT_H
+
+#include "model/vec3.h"
+
+struct quat {
+	double w, x, y, z;
+};
+
+#define QUAT_IDENTITY ((struct quat){1, 0, 0, 0})
+
+static inline struct quat quat_multiply(struct quat a, struct quat b)
+{
+	return (struct quat){
+		a.w * b.w - a.x * b.x - a.y * b.y - a.z * b.z,
+		a.w * b.x + a.x * b.w + a.y * b.z - a.z * b.y,
+		a.w * b.y - a.x * b.z + a.y * b.w + a.z * b.x,
+		a.w * b.z + a.x * b.y - a.y * b.x + a.z * b.w,
+	};
+}
+
+static inline struct quat quat_conjugate(struct quat q)
+{
+	return (struct quat){q.w, -q.x, -q.y, -q.z};
+}
+
+static inline struct quat quat_normalize(struct quat q)
+{
+	double k = 1 / sqrt(q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z);
+
+	return (struct quat){k * q.w, k * q.x, k * q.y, k * q.z};
+}
+
+static inline struct vec3 quat_rotate(struct quat q, struct vec3 v)
+{
+	struct vec3 u = {q.x, q.y, q.z};
+	struct vec3 t = vec3_scale(2, vec3_cross(u, v));
+
+	return vec3_add(v, vec3_add(vec3_scale(q.w, t), vec3_cross(u, t)));
+}
+
+/** The inverse rotation: global to object. */
+static inline struct vec3 quat_rotate_inverse(struct quat q, struct vec3 v)
+{
+	return quat_rotate(quat_conjugate(q), v);
+}
+
+/** The rotation by the vector `angle_rad` (axis times angle): exact, and safe at zero. */
+static inline struct quat quat_from_rotation_vector(struct vec3 angle_rad)
+{
+	double a = vec3_norm(angle_rad), k = a > 1e-9 ? sin(a / 2) / a : 0.5 - a * a / 48;
+
+	return (struct quat){cos(a / 2), k * angle_rad.x, k * angle_rad.y, k * angle_rad.z};
+}
+
+#endif

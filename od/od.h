@@ -1,0 +1,197 @@
+/* od/od.h
+ * The object dictionary: typed, bounded, named values (CiA 301, 7.4), and nothing else. It knows neither CAN nor
+ * Modbus; both write through od_write() and so meet the same checks.
+ *
+ * The table (struct od_table) is generated from eds/imu9-gateway.eds and is constant; the values are one struct owned
+ * by the caller (struct od_values of the generated od_values.h), so that C code reads `values.lever_arm.l` directly.
+ * Values are in host order inside and little-endian ("wire", as CiA 301 transmits them) at od_read()/od_write().
+ * Nothing here allocates, blocks or has globals. */
+#ifndef OD_OD_H
+#define OD_OD_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+/** Data types by their CiA 301 index (table 44). */
+enum od_type {
+	OD_BOOLEAN = 0x01,
+	OD_INTEGER8 = 0x02,
+	OD_INTEGER16 = 0x03,
+	OD_INTEGER32 = 0x04,
+	OD_UNSIGNED8 = 0x05,
+	OD_UNSIGNED16 = 0x06,
+	OD_UNSIGNED32 = 0x07,
+	OD_REAL32 = 0x08,
+	OD_VISIBLE_STRING = 0x09, /* held NUL-padded in a field of od_entry.size bytes */
+	OD_OCTET_STRING = 0x0A,   /* fixed length: od_entry.size bytes */
+	OD_DOMAIN = 0x0F,         /* no value of its own: see od_set_domain() */
+	OD_REAL64 = 0x11,
+	OD_INTEGER64 = 0x15,
+	OD_UNSIGNED64 = 0x1B,
+};
+
+/** Bits of od_entry.access. */
+enum {
+	OD_READ = 1 << 0,
+	OD_WRITE = 1 << 1,
+	OD_CONST = 1 << 2,    /* never changes after start-up */
+	OD_TPDO = 1 << 3,     /* mappable into a TPDO */
+	OD_RPDO = 1 << 4,     /* mappable into an RPDO */
+	OD_STORED = 1 << 5,   /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set */
+	OD_NODE_ID = 1 << 6,  /* the default value is $NODEID + default */
+	OD_LIMIT_LOW = 1 << 7,
+	OD_LIMIT_HIGH = 1 << 8,
+};
+
+/** Storage groups: the sub-indices of 1010h/1011h (CiA 301, 7.5.2.13). Sub-index 1 means all of them. */
+enum od_group {
+	OD_GROUP_ALL = 1,
+	OD_GROUP_COMMUNICATION = 2, /* 1000h-1FFFh */
+	OD_GROUP_APPLICATION = 3,   /* 6000h-9FFFh */
+	OD_GROUP_MANUFACTURER = 4,  /* 2000h-5FFFh */
+};
+
+/** What a request to the dictionary comes to. SDO abort codes and Modbus exceptions are exhaustive switches over it. */
+enum od_status {
+	OD_OK = 0,
+	OD_CONSUMED,          /* from a hook only: a command, carried out; no value is kept. od_write() returns OD_OK */
+	OD_PENDING,           /* accepted, completes later (a store waiting for the disk) */
+	OD_NO_OBJECT,         /* index not in the dictionary */
+	OD_NO_SUBINDEX,
+	OD_WRITE_ONLY,        /* read of a write-only entry */
+	OD_READ_ONLY,         /* write of a read-only or constant entry */
+	OD_UNSUPPORTED_ACCESS,
+	OD_TOO_LONG,
+	OD_TOO_SHORT,
+	OD_TOO_HIGH,
+	OD_TOO_LOW,
+	OD_BAD_VALUE,         /* inside the limits, yet not allowed (NaN, a reserved bit, a bad signature) */
+	OD_NOT_MAPPABLE,
+	OD_PDO_LENGTH,        /* the mapping would exceed 8 bytes */
+	OD_INCOMPATIBLE,      /* parameter incompatibility */
+	OD_CANNOT_STORE,      /* storage failed */
+	OD_LOCAL_CONTROL,     /* refused because of local control */
+	OD_DEVICE_STATE,      /* refused in the present device state */
+	OD_NO_DATA,           /* nothing there to be read yet */
+	OD_GENERAL,           /* internal failure */
+	OD_STATUS_COUNT
+};
+
+union od_number {
+	uint64_t u; /* BOOLEAN, UNSIGNEDx */
+	int64_t i;  /* INTEGERx */
+	double f;   /* REALx */
+};
+
+/** One sub-index. */
+struct od_entry {
+	uint16_t index;
+	uint8_t sub;
+	uint8_t type;      /* enum od_type */
+	uint16_t access;   /* OD_READ | ... */
+	uint16_t size;     /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
+	uint32_t offset;   /* into the values struct */
+	union od_number low, high; /* valid with OD_LIMIT_LOW, OD_LIMIT_HIGH */
+	double factor;     /* physical = raw * factor at default resolution; 1 when the EDS says nothing */
+	const char *name;  /* "lever_arm.l", normalised from the EDS: lower case, runs of other characters as '_' */
+	const char *unit;  /* "m", or "" */
+	const char *description; /* one line, or "" */
+};
+
+struct od_table {
+	const struct od_entry *entries; /* sorted by index, then sub-index */
+	size_t count;
+	const void *defaults; /* a values struct; entries with OD_NODE_ID still lack the node-ID */
+	size_t values_size;
+};
+
+/** Longest value of any entry but a DOMAIN, in bytes; a buffer of this size always suffices for od_read(). */
+enum { OD_VALUE_MAX = 64 };
+
+/** A domain's bytes: owned by whoever set them, which must outlive the dictionary. */
+struct od_domain {
+	struct od_domain *next;
+	uint16_t index;
+	uint8_t sub;
+	const uint8_t *data;
+	size_t size;
+};
+
+/** Someone who cares about writes to a range of indices. `before` sees the new value (wire form, type and limits
+ * already checked) and may refuse it, consume it (OD_CONSUMED) or take it to be finished later (OD_PENDING, the value
+ * is not kept); `after` runs when the value is in place. Either may be NULL. Hooks run in the order of attachment. */
+struct od_hook {
+	struct od_hook *next;
+	uint16_t first, last; /* indices, inclusive */
+	enum od_status (*before)(void *ctx, const struct od_entry *entry, const void *wire, size_t size);
+	void (*after)(void *ctx, const struct od_entry *entry);
+	void *ctx;
+};
+
+struct od {
+	const struct od_table *table;
+	void *values; /* table->values_size bytes, owned by the caller */
+	struct od_hook *hooks;
+	struct od_domain *domains;
+};
+
+/** Binds the table to the caller's values and fills them with the defaults for that node-ID (1..127, or 255: none). */
+void od_init(struct od *od, const struct od_table *table, void *values, uint8_t node_id);
+
+/** Back to the defaults, for the stored entries (OD_STORED) of one group or of all. No hook runs. */
+void od_reset(struct od *od, enum od_group group, uint8_t node_id);
+
+void od_attach(struct od *od, struct od_hook *hook);
+void od_set_domain(struct od *od, struct od_domain *domain);
+
+/** The entry, or NULL. `status` (may be NULL) tells OD_NO_OBJECT from OD_NO_SUBINDEX. */
+const struct od_entry *od_find(const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status);
+
+/** By name ("lever_arm.l", any case, spaces as '_'), by index ("0x2000:1", "2000h:1", "0x2000" for sub-index 0). */
+const struct od_entry *od_find_name(const struct od_table *table, const char *name);
+
+enum od_group od_group_of(uint16_t index);
+
+/** Reads in wire form, honouring access. A VISIBLE_STRING comes without its padding. OD_UNSUPPORTED_ACCESS for a
+ * DOMAIN: use od_find_domain(). */
+enum od_status od_read(const struct od *od, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size);
+
+/** Like od_read() without the access check, for an entry already found. */
+size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, size_t capacity);
+
+const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub);
+
+/** A write from outside: access, size, limits (NaN and infinity refused), hooks, and only then the value. When it is
+ * refused the old value stands. */
+enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *wire, size_t size);
+
+/** A write from the device itself (a default from a file, a stored value): size and limits are checked, access is
+ * not, and no hook runs. Constants are refused. */
+enum od_status od_put(struct od *od, const struct od_entry *entry, const void *wire, size_t size);
+
+/** Pointer to the value in host order, for code that looks an object up by number (the CANopen core). NULL if absent
+ * or of another size. */
+void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size);
+
+/** Text to wire form and back. Accepts decimal, 0x hex, floats, true/false, and strings as they are. Prints integers
+ * in decimal, REALs so that they read back to the same bits, OCTET_STRING in hex. */
+enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
+int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
+
+/** One line for people: "value above its high limit". */
+const char *od_status_text(enum od_status status);
+
+/** The stored entries of a group that differ from their defaults, as a concise DCF (CiA 302-3: u32 count, then per
+ * entry u16 index, u8 sub, u32 size, data, all little-endian). Returns the length, or -ENOSPC. */
+long od_encode(const struct od *od, enum od_group group, uint8_t node_id, uint8_t *out, size_t capacity);
+
+/** Applies a concise DCF with od_put(). Entries that this dictionary does not have, does not store or refuses are
+ * skipped and counted in *skipped. Returns the number applied, or -EINVAL when the bytes are not a concise DCF (then
+ * nothing was applied). */
+long od_decode(struct od *od, const uint8_t *in, size_t size, size_t *skipped);
+
+/** CRC-32 (IEEE 802.3, reflected) of stored files. */
+uint32_t od_crc32(uint32_t crc, const void *data, size_t size);
+
+#endif
