@@ -1,0 +1,349 @@
+/* The command byte of each frame: CiA 301, 7.2.4.3.3-7.2.4.3.17; bits 7..5 are the command
+ * specifier. */
+#include "gateway/canopen/sdo_client.h"
+
+#include <string.h>
+
+enum { /* client command specifiers, in place */
+	CCS_DOWNLOAD_SEGMENT = 0 << 5,
+	CCS_DOWNLOAD = 1 << 5,
+	CCS_UPLOAD = 2 << 5,
+	CCS_UPLOAD_SEGMENT = 3 << 5,
+	CS_ABORT = 4 << 5,
+};
+
+enum { /* server command specifiers, in place */
+	SCS_UPLOAD_SEGMENT = 0 << 5,
+	SCS_DOWNLOAD_SEGMENT = 1 << 5,
+	SCS_UPLOAD = 2 << 5,
+	SCS_DOWNLOAD = 3 << 5,
+};
+
+enum {
+	CS_MASK = 7 << 5,
+	EXPEDITED = 1 << 1,
+	SIZE_INDICATED = 1 << 0,
+	TOGGLE = 1 << 4,
+	LAST_SEGMENT = 1 << 0,
+	SEGMENT_BYTES = 7,
+	EXPEDITED_BYTES = 4,
+};
+
+void sdo_client_init(
+	struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us)
+{
+	*client = (struct sdo_client){
+		.bus = bus,
+		.node_id = node_id,
+		.timeout_us = timeout_us,
+	};
+}
+
+static void put_u32(uint8_t *to, uint32_t value)
+{
+	for (int i = 0; i < 4; i++)
+		to[i] = (uint8_t)(value >> 8 * i);
+}
+
+static uint32_t get_u32(const uint8_t *from)
+{
+	return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
+}
+
+/* `payload` are bytes 1 to 7; shorter ones are filled with zeros. */
+static void send_request(struct sdo_client *client, unsigned int command, const uint8_t *payload,
+	size_t size, uint64_t now_us)
+{
+	struct can_msg msg = {.id = 0x600u + client->node_id, .len = 8};
+
+	msg.data[0] = (uint8_t)command;
+	if (size)
+		memcpy(&msg.data[1], payload, size);
+	client->deadline_us = now_us + client->timeout_us;
+	int rc = can_send(client->bus, &msg, now_us);
+	if (rc < 0) {
+		client->result = SDO_UNSENT;
+		client->send_error = rc;
+	}
+}
+
+/* A request that names the object: its multiplexer and four bytes. */
+static void send_start(
+	struct sdo_client *client, unsigned int command, const uint8_t tail[4], uint64_t now_us)
+{
+	uint8_t payload[7] = {(uint8_t)client->index, (uint8_t)(client->index >> 8), client->sub};
+
+	memcpy(&payload[3], tail, 4);
+	send_request(client, command, payload, sizeof(payload), now_us);
+}
+
+static void abort_transfer(
+	struct sdo_client *client, enum sdo_result result, uint32_t code, uint64_t now_us)
+{
+	uint8_t tail[4];
+
+	put_u32(tail, code);
+	send_start(client, CS_ABORT, tail, now_us);
+	client->result = result;
+	client->abort_code = code;
+	client->aborted_by_server = false;
+}
+
+static void start(struct sdo_client *client, uint16_t index, uint8_t sub)
+{
+	client->result = SDO_RUNNING;
+	client->size = 0;
+	client->abort_code = 0;
+	client->aborted_by_server = false;
+	client->send_error = 0;
+	client->index = index;
+	client->sub = sub;
+	client->toggle = false;
+}
+
+void sdo_client_upload(struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer,
+	size_t capacity, uint64_t now_us)
+{
+	start(client, index, sub);
+	client->phase = SDO_UPLOAD_START;
+	client->in = buffer;
+	client->capacity = capacity;
+	client->total = SIZE_MAX;
+	send_start(client, CCS_UPLOAD, (const uint8_t[4]){0}, now_us);
+}
+
+void sdo_client_download(struct sdo_client *client, uint16_t index, uint8_t sub, const void *data,
+	size_t size, uint64_t now_us)
+{
+	uint8_t tail[4] = {0};
+	unsigned int command = CCS_DOWNLOAD | SIZE_INDICATED;
+
+	start(client, index, sub);
+	client->phase = SDO_DOWNLOAD_START;
+	client->out = data;
+	client->total = size;
+	if (size >= 1 && size <= EXPEDITED_BYTES) {
+		command |= EXPEDITED | (unsigned int)(EXPEDITED_BYTES - size) << 2;
+		memcpy(tail, data, size);
+		client->segment = size;
+	} else {
+		put_u32(tail, (uint32_t)size);
+		client->segment = 0;
+	}
+	send_start(client, command, tail, now_us);
+}
+
+static void request_segment(struct sdo_client *client, uint64_t now_us)
+{
+	send_request(client, CCS_UPLOAD_SEGMENT | (client->toggle ? TOGGLE : 0u), NULL, 0, now_us);
+}
+
+static void send_segment(struct sdo_client *client, uint64_t now_us)
+{
+	size_t left = client->total - client->size;
+	size_t n = left < SEGMENT_BYTES ? left : SEGMENT_BYTES;
+	unsigned int command = CCS_DOWNLOAD_SEGMENT | (unsigned int)(SEGMENT_BYTES - n) << 1;
+
+	if (client->toggle)
+		command |= TOGGLE;
+	if (n == left)
+		command |= LAST_SEGMENT;
+	client->segment = n;
+	send_request(client, command, n ? client->out + client->size : NULL, n, now_us);
+}
+
+/* False, and the transfer is aborted, when more comes than was announced or than fits. */
+static bool take(struct sdo_client *client, const uint8_t *data, size_t n, uint64_t now_us)
+{
+	if (n > client->total - client->size) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
+		return false;
+	}
+	if (n > client->capacity - client->size) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
+		return false;
+	}
+	if (n)
+		memcpy(client->in + client->size, data, n);
+	client->size += n;
+	return true;
+}
+
+static void upload_started(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
+{
+	bool sized = data[0] & SIZE_INDICATED;
+
+	if (data[0] & EXPEDITED) {
+		size_t unused = sized ? data[0] >> 2 & 3 : 0;
+
+		if (take(client, &data[4], EXPEDITED_BYTES - unused, now_us))
+			client->result = SDO_DONE;
+		return;
+	}
+	if (sized)
+		client->total = get_u32(&data[4]);
+	if (sized && client->total > client->capacity) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
+		return;
+	}
+	client->phase = SDO_UPLOAD_SEGMENT;
+	request_segment(client, now_us);
+}
+
+static void upload_segment(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
+{
+	size_t unused = data[0] >> 1 & 7;
+	bool last = data[0] & LAST_SEGMENT;
+
+	if (unused == SEGMENT_BYTES && !last) { /* it could go on like that for ever */
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
+		return;
+	}
+	if (!take(client, &data[1], SEGMENT_BYTES - unused, now_us))
+		return;
+	if (!last) {
+		client->toggle = !client->toggle;
+		request_segment(client, now_us);
+		return;
+	}
+	if (client->total != SIZE_MAX && client->size != client->total) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
+		return;
+	}
+	client->result = SDO_DONE;
+}
+
+static void download_started(struct sdo_client *client, uint64_t now_us)
+{
+	if (client->segment) { /* expedited: all was in the request */
+		client->size = client->segment;
+		client->result = SDO_DONE;
+		return;
+	}
+	client->phase = SDO_DOWNLOAD_SEGMENT;
+	send_segment(client, now_us);
+}
+
+static void download_segment(struct sdo_client *client, uint64_t now_us)
+{
+	client->size += client->segment;
+	if (client->size == client->total) {
+		client->result = SDO_DONE;
+		return;
+	}
+	client->toggle = !client->toggle;
+	send_segment(client, now_us);
+}
+
+static bool is_answer(const struct sdo_client *client, const struct can_msg *msg)
+{
+	return client->result == SDO_RUNNING && msg->id == 0x580u + client->node_id &&
+	       !msg->extended && !msg->remote && msg->len == 8;
+}
+
+static bool names_our_object(const struct sdo_client *client, const uint8_t *data)
+{
+	return data[1] == (uint8_t)client->index && data[2] == client->index >> 8 &&
+	       data[3] == client->sub;
+}
+
+void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, uint64_t now_us)
+{
+	static const uint8_t expected[] = {
+		[SDO_UPLOAD_START] = SCS_UPLOAD,
+		[SDO_UPLOAD_SEGMENT] = SCS_UPLOAD_SEGMENT,
+		[SDO_DOWNLOAD_START] = SCS_DOWNLOAD,
+		[SDO_DOWNLOAD_SEGMENT] = SCS_DOWNLOAD_SEGMENT,
+	};
+	const uint8_t *data = msg->data;
+	bool starting = client->phase == SDO_UPLOAD_START || client->phase == SDO_DOWNLOAD_START;
+	bool aborted = (data[0] & CS_MASK) == CS_ABORT;
+
+	if (!is_answer(client, msg))
+		return;
+	if ((starting || aborted) && !names_our_object(client, data))
+		return; /* a late answer to a request that timed out, or to another client */
+	if (aborted) {
+		client->result = SDO_ABORTED;
+		client->abort_code = get_u32(&data[4]);
+		client->aborted_by_server = true;
+		return;
+	}
+	if ((data[0] & CS_MASK) != expected[client->phase]) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
+		return;
+	}
+	if (!starting && client->toggle != !!(data[0] & TOGGLE)) {
+		abort_transfer(client, SDO_ABORTED, SDO_ABORT_TOGGLE, now_us);
+		return;
+	}
+	switch (client->phase) {
+	case SDO_UPLOAD_START:
+		upload_started(client, data, now_us);
+		break;
+	case SDO_UPLOAD_SEGMENT:
+		upload_segment(client, data, now_us);
+		break;
+	case SDO_DOWNLOAD_START:
+		download_started(client, now_us);
+		break;
+	case SDO_DOWNLOAD_SEGMENT:
+		download_segment(client, now_us);
+		break;
+	}
+}
+
+uint64_t sdo_client_tick(struct sdo_client *client, uint64_t now_us)
+{
+	if (client->result != SDO_RUNNING)
+		return UINT64_MAX;
+	if (now_us < client->deadline_us)
+		return client->deadline_us;
+	abort_transfer(client, SDO_TIMEOUT, SDO_ABORT_TIMEOUT, now_us);
+	return UINT64_MAX;
+}
+
+const char *sdo_abort_text(uint32_t abort_code)
+{
+	static const struct {
+		uint32_t code;
+		const char *text;
+	} texts[] = {
+		{0x05030000, "the toggle bit did not alternate"},
+		{0x05040000, "the SDO transfer timed out"},
+		{0x05040001, "unknown SDO command"},
+		{0x05040002, "wrong block size"},
+		{0x05040003, "wrong sequence number in a block"},
+		{0x05040004, "wrong CRC of a block transfer"},
+		{0x05040005, "out of memory: the value is too large"},
+		{0x06010000, "this kind of access is not supported"},
+		{0x06010001, "the object can only be written"},
+		{0x06010002, "the object can only be read"},
+		{0x06020000, "no such object in the node"},
+		{0x06040041, "the object cannot be mapped into a PDO"},
+		{0x06040042, "the mapped objects are longer than a PDO"},
+		{0x06040043, "the parameters do not fit together"},
+		{0x06040047, "incompatible inside the device"},
+		{0x06060000, "hardware error"},
+		{0x06070010, "the length does not match the type of the object"},
+		{0x06070012, "the value is too long for the type of the object"},
+		{0x06070013, "the value is too short for the type of the object"},
+		{0x06090011, "the object has no such sub-index"},
+		{0x06090030, "this value is not allowed"},
+		{0x06090031, "the value is above the high limit"},
+		{0x06090032, "the value is below the low limit"},
+		{0x06090036, "the maximum is below the minimum"},
+		{0x060A0023, "the SDO connection is not available"},
+		{0x08000000, "general error"},
+		{0x08000020, "the data cannot be transferred or stored"},
+		{0x08000021, "the data cannot be transferred or stored: local control"},
+		{0x08000022, "not in the present state of the device"},
+		{0x08000023, "the node has no object dictionary, or could not build it"},
+		{0x08000024, "no data available"},
+	};
+
+	for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
+		if (texts[i].code == abort_code)
+			return texts[i].text;
+	return "unknown abort code";
+}
