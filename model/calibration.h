@@ -1,10 +1,11 @@
 /* model/calibration.h
- * From the sensor's raw axes to the object frame: bias, scale factors and cross-axis terms of each triad, then the
- * mounting rotation, the same for all three. corrected = R_mount * M * (raw - bias). */
+ * From the sensor's raw axes to the object frame: bias, scale factors and cross-axis terms of each
+ * triad, then the mounting rotation, the same for all three. corrected = R_mount * M * (raw -
+ * bias). */
 #ifndef MODEL_CALIBRATION_H
 #define MODEL_CALIBRATION_H
 
-#include "model/quat.h"
+#include "model/rotation.h"
 #include "model/sample.h"
 
 struct triad_calibration {
@@ -14,17 +15,19 @@ struct triad_calibration {
 
 struct calibration_config {
 	struct triad_calibration gyro, accel, mag;
-	struct vec3 mounting_rad; /* roll, pitch, yaw (z-y'-x'') that turn sensor axes into the object frame */
+	struct vec3 mounting_rad; /* roll, pitch, yaw (z-y'-x'') that turn sensor axes into the
+				     object frame */
 };
 
 struct calibration {
 	struct calibration_config config;
-	double gyro[3][3], accel[3][3], mag[3][3]; /* R_mount * M, worked out once */
+	struct mat3 gyro, accel, mag; /* R_mount * M, worked out once */
 };
 
 /** 0, or -EINVAL: a value not finite, or a matrix singular (|det| < 1e-3). */
 int calibration_init(struct calibration *cal, const struct calibration_config *config);
-/** The sample with its three triads corrected and in the object frame; time and flags as they were. */
+/** The sample with its three triads corrected and in the object frame; time and flags as they were.
+ */
 struct imu_sample calibration_apply(const struct calibration *cal, const struct imu_sample *raw);
 
 #endif

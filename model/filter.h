@@ -1,7 +1,8 @@
 /* model/filter.h
- * Causal low-pass filters for three channels at once: Butterworth (bilinear transform, pre-warped, cascaded second-order
- * sections) and the seed's FIR (order 10, Chebyshev window of 30 dB, cut-off 0.6 of the Nyquist frequency, unit gain at
- * DC). Primed with the first sample: no start-up transient. */
+ * Causal low-pass filters for three channels at once: Butterworth (bilinear transform, pre-warped,
+ * cascaded second-order sections) and the seed's FIR (order 10, Chebyshev window of 30 dB, cut-off
+ * 0.6 of the Nyquist frequency, unit gain at DC). Primed with the first sample: no start-up
+ * transient. */
 #ifndef MODEL_FILTER_H
 #define MODEL_FILTER_H
 
@@ -13,8 +14,9 @@ enum { FILTER_ORDER_MAX = 8, FILTER_SEED_FIR_ORDER = 10 };
 
 struct filter_config {
 	enum filter_type type;
-	unsigned order;   /* Butterworth: 1..8; the FIR's is fixed */
-	double cutoff_hz; /* Butterworth: -3 dB; the FIR's is fixed. At or above 0.45 of the sampling rate it passes all */
+	unsigned order;	  /* Butterworth: 1..8; the FIR's is fixed */
+	double cutoff_hz; /* Butterworth: -3 dB; the FIR's is fixed. At or above 0.45 of the
+			     sampling rate it passes all */
 };
 
 struct filter3 {
@@ -25,6 +27,7 @@ struct filter3 {
 	double h[FILTER_SEED_FIR_ORDER + 1];
 	struct vec3 x[FILTER_SEED_FIR_ORDER + 1];
 	int next, primed;
+	struct vec3 out; /* the last output */
 };
 
 /** 0, or -EINVAL: unknown type, order not 1..8, cut-off not above 0, rate not above 0. */

@@ -1,4 +1,17 @@
-/* model/fusion.h — H1 completes: state struct, init, step */
+/* model/fusion.h
+ * Attitude from gyro, accelerometer and magnetometer: the two filters of the seed's time.
+ *
+ * Both integrate the gyro and turn the attitude a little each sample so that gravity and magnetic
+ * north, as predicted in the object frame, come closer to the measured directions. The error both
+ * use is the small rotation e = a x v_up (+ m x v_field),   a, m unit measurements, v the
+ * predictions, which is also minus the gradient of Madgwick's objective in the tangent space of the
+ * unit quaternions. They differ in the step: Madgwick's has a fixed length, Mahony's is
+ * proportional to e, with an integral part that learns gyro bias.
+ *
+ * Sources: S. Madgwick, "An efficient orientation filter for inertial and inertial/magnetic sensor
+ * arrays", 2010, and Madgwick et al., ICORR 2011 (the seed's [10]); R. Mahony et al., "Nonlinear
+ * complementary filters on the special orthogonal group", IEEE TAC 53(5), 2008. Frames: q_nb turns
+ * the object frame b into ENU n, y = magnetic north. */
 #ifndef MODEL_FUSION_H
 #define MODEL_FUSION_H
 
@@ -9,8 +22,48 @@ enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1 };
 
 struct fusion_config {
 	enum fusion_algorithm algorithm;
-	int use_magnetometer;  /* 0: 6D, heading free; 1: 9D */
-	double madgwick_beta;  /* rad/s: gradient step */
-	double mahony_kp_rad_s, mahony_ki_rad_s2;
+	int use_magnetometer;	 /* 0: 6D, heading free, 0 at the start; 1: 9D */
+	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned */
+	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
+	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error; 0: none, and any bias learnt
+				    is dropped */
 };
+
+struct fusion {
+	struct fusion_config config;
+	struct quat q_nb;
+	struct vec3 gyro_bias_b_rad_s; /* learnt so far; 0 unless Mahony with ki */
+	/* PRIVATE */
+	bool started, heading_known, mag_used;
+};
+
+/** 0, or -EINVAL with *f untouched: a field out of its range. */
+int fusion_init(struct fusion *f, const struct fusion_config *config);
+/** The same for a filter that runs: the attitude stays. With the magnetometer newly in use and
+ * north never seen before, the heading is set by the next measurement of it. */
+int fusion_configure(struct fusion *f, const struct fusion_config *config);
+
+/** The next sample finds the attitude anew: tilt from the accelerometer, heading from the
+ * magnetometer or, without it, the one held before. The gyro bias stays. */
+void fusion_restart(struct fusion *f);
+/** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
+void fusion_turn_object(struct fusion *f, struct quat turn);
+
+/** One calibrated sample, dt_s > 0 after the one before (any value for the first). The first sample
+ * with a usable accelerometer (length not 0) starts the filter. A measurement that shows no
+ * direction (no magnetometer, length 0, field along the vertical) is left out of that step. */
+void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s);
+
+/** q_nb is an attitude, not the identity it holds before the first usable sample. */
+static inline bool fusion_started(const struct fusion *f)
+{
+	return f->started;
+}
+
+/** The last step used a magnetometer measurement. */
+static inline bool fusion_mag_used(const struct fusion *f)
+{
+	return f->mag_used;
+}
+
 #endif

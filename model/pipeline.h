@@ -1,10 +1,11 @@
 /* model/pipeline.h
- * The straight line of one sample: calibrate -> low-pass -> fuse (attitude) -> estimate (acceleration of the reference
- * point) -> integrate (velocity, position). One function a step, each in a file of its own; this one composes them.
- * Pure: the same samples and configuration give the same bits, in the gateway and in imu9-replay.
+ * The straight line of one sample: calibrate -> low-pass -> fuse (attitude) -> estimate
+ * (acceleration of the reference point) -> integrate (velocity, position). One function a step,
+ * each in a file of its own; this one composes them. Pure: the same samples and configuration give
+ * the same bits, in the gateway and in imu9-replay.
  *
- * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n = global (ENU: x
- * east, y magnetic north, z up). q_nb turns b into n. */
+ * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n
+ * = global (ENU: x east, y magnetic north, z up). q_nb turns b into n. */
 #ifndef MODEL_PIPELINE_H
 #define MODEL_PIPELINE_H
 
@@ -13,13 +14,15 @@
 #include "model/filter.h"
 #include "model/fusion.h"
 #include "model/position.h"
+#include "model/rates.h"
 #include "model/rest.h"
 #include "model/sample.h"
 
 struct pipeline_config { /* start from PIPELINE_DEFAULTS */
 	struct calibration_config calibration;
 	struct filter_config accel_filter; /* on the measured specific force (2010h) */
-	struct filter_config rate_filter;  /* on the rates, or on the angles before they are differentiated (2011h) */
+	struct filter_config rate_filter;  /* on the rates, or on the angles before they are
+					      differentiated (2011h) */
 	struct fusion_config fusion;
 	struct estimator_config estimator;
 	struct rest_config rest;
@@ -30,23 +33,28 @@ extern const struct pipeline_config PIPELINE_DEFAULTS;
 
 /** Bits of pipeline_output.status, as published in the status word (210Fh:3). */
 enum {
-	PIPELINE_VALID = 1 << 0,      /* attitude and acceleration are usable */
-	PIPELINE_REST = 1 << 1,       /* the sensor stands still */
-	PIPELINE_MAG_USED = 1 << 2,   /* the magnetometer took part in this sample's heading, or lately */
-	PIPELINE_TIME_LIMIT = 1 << 3, /* the longest integration time has passed: position is held */
-	PIPELINE_GAP = 1 << 4,        /* samples were missing just before this one */
+	PIPELINE_VALID = 1 << 0, /* attitude and acceleration are usable */
+	PIPELINE_REST = 1 << 1,	 /* the sensor stands still */
+	PIPELINE_MAG_USED =
+		1 << 2, /* the magnetometer took part in this sample's heading, or lately */
+	PIPELINE_TIME_LIMIT =
+		1 << 3,	       /* the longest integration time has passed: position is held */
+	PIPELINE_GAP = 1 << 4, /* samples were missing just before this one */
 };
 
 struct pipeline_output {
 	uint64_t t_us;
 	struct vec3 force_b_m_s2;   /* calibrated, unfiltered specific force */
-	struct vec3 mag_b_uT;       /* calibrated field, the last one known */
-	struct vec3 rate_b_rad_s;   /* calibrated, filtered, less the fusion's gyro bias */
-	struct vec3 alpha_b_rad_s2; /* angular acceleration used for the lever arm */
+	struct vec3 mag_b_uT;	    /* calibrated field, the last one known */
+	struct vec3 rate_b_rad_s;   /* angular rate and acceleration as used for the lever arm:
+				       filtered, from */
+	struct vec3 alpha_b_rad_s2; /* the gyro (less the fusion's bias) or from the attitude, as
+				       configured */
 	struct quat q_nb;
-	struct vec3 angles_rad;     /* roll, pitch, yaw: aerospace z-y'-x'' of q_nb, yaw from east, counter-clockwise */
-	struct vec3 accel_b_m_s2;   /* of the reference point, gravity removed, object frame */
-	struct vec3 accel_n_m_s2;   /* the same, global frame */
+	struct vec3 angles_rad;	  /* roll, pitch, yaw: aerospace z-y'-x'' of q_nb, yaw from east,
+				     counter-clockwise */
+	struct vec3 accel_b_m_s2; /* of the reference point, gravity removed, object frame */
+	struct vec3 accel_n_m_s2; /* the same, global frame */
 	struct vec3 velocity_n_m_s;
 	struct vec3 position_n_m;
 	unsigned status;
@@ -57,28 +65,39 @@ struct pipeline {
 	double rate_hz;
 	/* PRIVATE: the state of each step */
 	struct calibration calibration;
-	struct filter3 accel_filter, rate_filter;
+	struct filter3 accel_filter;
 	struct fusion fusion;
-	struct estimator estimator;
+	struct rates rates;
 	struct rest rest;
 	struct position position;
 	uint64_t last_t_us;
-	int started;
+	bool started; /* there is a sample before this one */
+	bool primed;  /* .. and the filters may go on from it */
 	struct vec3 mag_b_uT;
-	uint32_t gaps;    /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
-	uint32_t refused; /* samples with a non-finite value or a time that does not increase: not used */
+	double since_mag_s;
+	uint32_t gaps;	  /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
+	uint32_t refused; /* samples not used: see pipeline_step() */
 };
 
 enum { PIPELINE_GAP_INTERVALS = 10 };
 
-/** 0, or -EINVAL with *p untouched when a field of the configuration is out of range (see each step's header). */
+/** 0, or -EINVAL with *p untouched when a field of the configuration is out of range (see each
+ * step's header). */
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz);
 
-/** Takes a new configuration between two samples. What physics allows to keep is kept: attitude, velocity, position;
- * a filter starts anew (primed with its last output, without a step) only when its own parameters changed. */
+/** Takes a new configuration between two samples. What physics allows to keep is kept: attitude,
+ * velocity, position; a filter starts anew (primed with its last output, without a step) only when
+ * its own parameters changed. */
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config);
 
-/** One sample. 0, or -EINVAL when the sample was refused (counted; *out untouched). */
+/** One sample. 0, or -EINVAL when the sample was refused (counted; *out untouched): a value not
+ * finite or beyond what any sensor measures (1000 rad/s, 100 km/s^2, 1 T), or a time that does not
+ * increase.
+ *
+ * After a gap, the filters start anew from this sample, velocity and position stay as they were
+ * before it, and the attitude is carried over by the gyro, or, after more than a second, found anew
+ * from this sample (without a magnetometer with the old heading). A sample marked
+ * SAMPLE_DISCONTINUITY starts everything over. */
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out);
 
 /** Velocity and position to zero (2040h reset command). */

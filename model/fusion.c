@@ -1,0 +1,145 @@
+#include "model/fusion.h"
+
+#include <errno.h>
+
+#include "model/rotation.h"
+
+/* The least horizontal part of the field, as a share of it, that shows a heading. */
+static const double LEAST_HORIZONTAL = 1e-3;
+
+static bool within(double value, double high)
+{
+	return value >= 0 && value <= high;
+}
+
+static bool config_valid(const struct fusion_config *c)
+{
+	return (c->algorithm == FUSION_MADGWICK || c->algorithm == FUSION_MAHONY) &&
+	       (c->use_magnetometer == 0 || c->use_magnetometer == 1) &&
+	       within(c->madgwick_beta, 10) && within(c->mahony_kp_rad_s, 100) &&
+	       within(c->mahony_ki_rad_s2, 100);
+}
+
+int fusion_init(struct fusion *f, const struct fusion_config *config)
+{
+	if (!config_valid(config))
+		return -EINVAL;
+	*f = (struct fusion){.config = *config, .q_nb = QUAT_IDENTITY};
+	return 0;
+}
+
+int fusion_configure(struct fusion *f, const struct fusion_config *config)
+{
+	if (!config_valid(config))
+		return -EINVAL;
+	f->config = *config;
+	if (config->algorithm != FUSION_MAHONY || config->mahony_ki_rad_s2 == 0)
+		f->gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
+	return 0;
+}
+
+void fusion_restart(struct fusion *f)
+{
+	f->started = false;
+	f->heading_known = false;
+}
+
+void fusion_turn_object(struct fusion *f, struct quat turn)
+{
+	f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
+	f->gyro_bias_b_rad_s = quat_rotate(turn, f->gyro_bias_b_rad_s);
+}
+
+/* The unit vector along v; false when v has no direction. */
+static bool direction(struct vec3 v, struct vec3 *unit)
+{
+	double norm = vec3_norm(v);
+
+	if (!(norm > 1e-9) || !isfinite(norm))
+		return false;
+	*unit = vec3_scale(1 / norm, v);
+	return true;
+}
+
+static void start(struct fusion *f, struct vec3 up_b)
+{
+	double heading = aerospace_from_quat(f->q_nb).z;
+	double roll = atan2(up_b.y, up_b.z), pitch = atan2(-up_b.x, hypot(up_b.y, up_b.z));
+
+	f->q_nb = quat_from_aerospace((struct vec3){roll, pitch, heading});
+	f->started = true;
+}
+
+/* Turns the attitude about the vertical until the measured field, of direction h_n now, points
+ * north. */
+static void set_heading(struct fusion *f, struct vec3 h_n)
+{
+	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y)};
+
+	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
+	f->heading_known = true;
+}
+
+/* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010,
+ * section 3.4), so that the field bears on the heading more than on the tilt. 0 where there is no
+ * measurement to use. */
+static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample)
+{
+	struct vec3 m, h_n, none = {0, 0, 0};
+	double horizontal;
+
+	f->mag_used = false;
+	if (!f->config.use_magnetometer || !(sample->flags & SAMPLE_MAG) ||
+		!direction(sample->mag_uT, &m))
+		return none;
+	h_n = quat_rotate(f->q_nb, m);
+	horizontal = hypot(h_n.x, h_n.y);
+	if (horizontal < LEAST_HORIZONTAL)
+		return none;
+	f->mag_used = true;
+	if (!f->heading_known) {
+		set_heading(f, h_n);
+		return none;
+	}
+	return vec3_cross(m, quat_rotate_inverse(f->q_nb, (struct vec3){0, horizontal, h_n.z}));
+}
+
+/* A step of fixed length against the gradient, but never beyond the minimum: half the error keeps
+ * clear of it whether one or two directions were measured. */
+static struct vec3 madgwick_turn(const struct fusion *f, struct vec3 error, double dt_s)
+{
+	double norm = vec3_norm(error);
+
+	if (norm == 0)
+		return error;
+	return vec3_scale(fmin(2 * f->config.madgwick_beta, norm / (2 * dt_s)) / norm, error);
+}
+
+static struct vec3 mahony_turn(struct fusion *f, struct vec3 error, double dt_s)
+{
+	f->gyro_bias_b_rad_s = vec3_sub(
+		f->gyro_bias_b_rad_s, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
+	return vec3_scale(fmin(f->config.mahony_kp_rad_s, 1 / (2 * dt_s)), error);
+}
+
+void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
+{
+	struct vec3 up, error = {0, 0, 0}, turn;
+	bool up_known = direction(sample->accel_m_s2, &up);
+
+	if (!f->started) {
+		if (!up_known)
+			return;
+		start(f, up);
+		field_error(f, sample);
+		return;
+	}
+	if (up_known)
+		error = vec3_cross(up, quat_rotate_inverse(f->q_nb, (struct vec3){0, 0, 1}));
+	error = vec3_add(error, field_error(f, sample));
+	turn = f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s)
+						      : mahony_turn(f, error, dt_s);
+	turn = vec3_add(turn, vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s));
+	f->q_nb = quat_normalize(
+		quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, turn))));
+}

@@ -1,0 +1,234 @@
+#include "model/pipeline.h"
+
+#include <errno.h>
+#include <string.h>
+
+#define DEG (3.14159265358979323846 / 180)
+#define IDENTITY_TRIAD                                        \
+	{                                                     \
+		.matrix = { {1, 0, 0}, {0, 1, 0}, {0, 0, 1} } \
+	}
+
+const struct pipeline_config PIPELINE_DEFAULTS = {
+	.calibration = {.gyro = IDENTITY_TRIAD, .accel = IDENTITY_TRIAD, .mag = IDENTITY_TRIAD},
+	.accel_filter = {.type = FILTER_OFF, .order = 2, .cutoff_hz = 40},
+	.rate_filter = {.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 30},
+	.fusion =
+		{
+			.algorithm = FUSION_MADGWICK,
+			.use_magnetometer = 1,
+			.madgwick_beta = 0.1,
+			.mahony_kp_rad_s = 0.5,
+			.mahony_ki_rad_s2 = 0,
+		},
+	.estimator =
+		{
+			.model = LEVER_ARM_RIGID_BODY,
+			.rates_from = RATES_FROM_GYRO,
+			.gravity_m_s2 = 9.81,
+		},
+	.rest =
+		{
+			.gyro_threshold_rad_s = 2 * DEG,
+			.accel_threshold_m_s2 = 0.5,
+			.time_s = 1.5,
+		},
+	.position =
+		{
+			.mode = POSITION_ZERO_VELOCITY_AT_REST,
+			.longest_integration_s = 60,
+		},
+};
+
+static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
+/* A gap longer than this leaves nothing of the attitude but the heading. */
+static const double ATTITUDE_HOLD_S = 1;
+/* A magnetometer slower than the samples still counts as used between its measurements. */
+static const double MAG_LATELY_S = 1;
+
+int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
+{
+	struct pipeline fresh;
+
+	memset(&fresh, 0, sizeof(fresh));
+	fresh.config = *config;
+	fresh.rate_hz = rate_hz;
+	fresh.since_mag_s = INFINITY;
+	if (calibration_init(&fresh.calibration, &config->calibration) < 0 ||
+		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
+		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
+		fusion_init(&fresh.fusion, &config->fusion) < 0 ||
+		estimator_check(&config->estimator) < 0 ||
+		rest_init(&fresh.rest, &config->rest) < 0 ||
+		position_init(&fresh.position, &config->position) < 0)
+		return -EINVAL;
+	*p = fresh;
+	return 0;
+}
+
+static bool same_filter(const struct filter_config *a, const struct filter_config *b)
+{
+	return a->type == b->type && a->order == b->order && a->cutoff_hz == b->cutoff_hz;
+}
+
+static int configure_filters(struct pipeline *p, const struct pipeline_config *config)
+{
+	if (!same_filter(&p->config.accel_filter, &config->accel_filter)) {
+		struct vec3 last = p->accel_filter.out;
+
+		if (filter3_init(&p->accel_filter, &config->accel_filter, p->rate_hz) < 0)
+			return -EINVAL;
+		filter3_prime(&p->accel_filter, last);
+	}
+	if (!same_filter(&p->config.rate_filter, &config->rate_filter))
+		return rates_configure(&p->rates, &config->rate_filter, p->rate_hz);
+	return 0;
+}
+
+/* A new mounting turns the object frame, not the sensor: the attitude goes with it. What the
+ * filters hold belongs to the old calibration. */
+static int configure_calibration(struct pipeline *p, const struct calibration_config *config)
+{
+	struct quat old = quat_from_aerospace(p->config.calibration.mounting_rad);
+	struct quat new = quat_from_aerospace(config->mounting_rad);
+
+	if (memcmp(&p->config.calibration, config, sizeof(*config)) == 0)
+		return 0;
+	if (calibration_init(&p->calibration, config) < 0)
+		return -EINVAL;
+	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
+	p->primed = false;
+	return 0;
+}
+
+int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
+{
+	struct pipeline next = *p;
+
+	if (configure_calibration(&next, &config->calibration) < 0 ||
+		configure_filters(&next, config) < 0 ||
+		fusion_configure(&next.fusion, &config->fusion) < 0 ||
+		estimator_check(&config->estimator) < 0 ||
+		rest_configure(&next.rest, &config->rest) < 0 ||
+		position_configure(&next.position, &config->position) < 0)
+		return -EINVAL;
+	next.config = *config;
+	*p = next;
+	return 0;
+}
+
+void pipeline_reset_position(struct pipeline *p)
+{
+	position_reset(&p->position);
+}
+
+static void start_over(struct pipeline *p)
+{
+	fusion_restart(&p->fusion);
+	p->fusion.q_nb = QUAT_IDENTITY;
+	p->fusion.gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
+	position_reset(&p->position);
+	p->since_mag_s = INFINITY;
+	p->started = p->primed = false;
+}
+
+static bool plausible(struct vec3 v, double max)
+{
+	return fabs(v.x) <= max && fabs(v.y) <= max && fabs(v.z) <= max; /* false for NaN */
+}
+
+static bool usable(const struct pipeline *p, const struct imu_sample *s)
+{
+	if (!plausible(s->gyro_rad_s, RATE_MAX_RAD_S) || !plausible(s->accel_m_s2, FORCE_MAX_M_S2))
+		return false;
+	if ((s->flags & SAMPLE_MAG) && !plausible(s->mag_uT, FIELD_MAX_UT))
+		return false;
+	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
+}
+
+static void fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
+{
+	if (s->flags & SAMPLE_MAG)
+		p->mag_b_uT = s->mag_uT;
+	if (dt_s > ATTITUDE_HOLD_S)
+		fusion_restart(&p->fusion);
+	fusion_step(&p->fusion, s, dt_s);
+	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
+}
+
+/* Filters, differentiators, rest and position take one sample; after a gap they begin from it.
+ * Returns rest. */
+static bool advance(struct pipeline *p, const struct imu_sample *s, double dt_s, struct vec3 *force)
+{
+	struct vec3 gyro = vec3_sub(s->gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+
+	if (!p->primed) {
+		filter3_prime(&p->accel_filter, s->accel_m_s2);
+		rates_prime(&p->rates, gyro, p->fusion.q_nb);
+		rest_restart(&p->rest);
+	} else {
+		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
+	}
+	*force = filter3_step(&p->accel_filter, s->accel_m_s2);
+	return rest_step(&p->rest, gyro, s->accel_m_s2, dt_s);
+}
+
+static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
+{
+	return (fusion_started(&p->fusion) ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
+	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
+	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) |
+	       (gap ? PIPELINE_GAP : 0u);
+}
+
+int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
+{
+	struct imu_sample s = calibration_apply(&p->calibration, sample);
+	const struct estimator_config *estimator = &p->config.estimator;
+	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
+	struct vec3 force, accel_b, accel_n;
+	bool gap, rest;
+	double dt_s;
+
+	if (!usable(p, &s)) {
+		p->refused++;
+		return -EINVAL;
+	}
+	if (s.flags & SAMPLE_DISCONTINUITY)
+		start_over(p);
+	dt_s = p->started ? (double)(s.t_us - p->last_t_us) * 1e-6 : 1 / p->rate_hz;
+	gap = dt_s * p->rate_hz > PIPELINE_GAP_INTERVALS;
+	if (gap) {
+		p->gaps++;
+		p->primed = false;
+	}
+
+	fuse(p, &s, dt_s);
+	rest = advance(p, &s, dt_s, &force);
+	accel_b = estimator_accel_b(estimator, force, p->fusion.q_nb, rates);
+	if (!fusion_started(&p->fusion))
+		accel_b = (struct vec3){0, 0, 0};
+	accel_n = quat_rotate(p->fusion.q_nb, accel_b);
+	if (gap || !p->started)
+		position_skip(&p->position, accel_n, p->started ? dt_s : 0);
+	else
+		position_step(&p->position, accel_n, rest, dt_s);
+	p->last_t_us = s.t_us;
+	p->started = p->primed = true;
+
+	*out = (struct pipeline_output){
+		.t_us = s.t_us,
+		.force_b_m_s2 = s.accel_m_s2,
+		.mag_b_uT = p->mag_b_uT,
+		.rate_b_rad_s = rates->omega_b_rad_s,
+		.alpha_b_rad_s2 = rates->alpha_b_rad_s2,
+		.q_nb = p->fusion.q_nb,
+		.angles_rad = aerospace_from_quat(p->fusion.q_nb),
+		.accel_b_m_s2 = accel_b,
+		.accel_n_m_s2 = accel_n,
+		.velocity_n_m_s = p->position.velocity_n_m_s,
+		.position_n_m = p->position.position_n_m,
+		.status = status_of(p, rest, gap),
+	};
+	return 0;
+}

@@ -1,0 +1,66 @@
+#include "model/rates.h"
+
+#include <errno.h>
+#include <string.h>
+
+int rates_init(struct rates *r, const struct filter_config *config, double rate_hz)
+{
+	struct filter3 filter;
+
+	if (filter3_init(&filter, config, rate_hz) < 0)
+		return -EINVAL;
+	memset(r, 0, sizeof(*r));
+	for (int i = 0; i < RATE_SOURCES; i++)
+		r->filter[i] = filter;
+	r->q_nb = QUAT_IDENTITY;
+	return 0;
+}
+
+int rates_configure(struct rates *r, const struct filter_config *config, double rate_hz)
+{
+	struct filter3 filter;
+
+	if (filter3_init(&filter, config, rate_hz) < 0)
+		return -EINVAL;
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		r->filter[i] = filter;
+		filter3_prime(&r->filter[i], r->out[i].omega_b_rad_s);
+	}
+	return 0;
+}
+
+void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb)
+{
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		filter3_prime(&r->filter[i], gyro_b_rad_s);
+		r->out[i] = (struct body_rates){.omega_b_rad_s = gyro_b_rad_s};
+	}
+	r->q_nb = q_nb;
+}
+
+/* The rotation vector of q. */
+static struct vec3 rotation_vector(struct quat q)
+{
+	struct vec3 u = {q.x, q.y, q.z};
+	double s = vec3_norm(u), half = atan2(s, fabs(q.w));
+
+	return vec3_scale((q.w < 0 ? -2 : 2) * (s > 1e-9 ? half / s : 1), u);
+}
+
+void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s)
+{
+	struct quat turn = quat_multiply(quat_conjugate(r->q_nb), q_nb);
+	const struct vec3 in[RATE_SOURCES] = {
+		[RATES_FROM_GYRO] = gyro_b_rad_s,
+		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, rotation_vector(turn)),
+	};
+
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		struct body_rates *out = &r->out[i];
+		struct vec3 last = out->omega_b_rad_s;
+
+		out->omega_b_rad_s = filter3_step(&r->filter[i], in[i]);
+		out->alpha_b_rad_s2 = vec3_scale(1 / dt_s, vec3_sub(out->omega_b_rad_s, last));
+	}
+	r->q_nb = q_nb;
+}

@@ -1,0 +1,36 @@
+/* model/rates.h
+ * Angular rate and angular acceleration of the object, from the gyro and, beside it, from the
+ * change of attitude (the seed's way: its filtered angles differentiated). Both always run, so that
+ * a switch between them (2002h) shows no transient. Filtering and differentiating commute, so the
+ * attitude is differentiated before the low-pass: the rotation between two samples has no wrap and
+ * no gimbal lock. */
+#ifndef MODEL_RATES_H
+#define MODEL_RATES_H
+
+#include "model/filter.h"
+#include "model/quat.h"
+
+enum rate_source { RATES_FROM_GYRO = 0, RATES_FROM_ANGLES = 1 };
+enum { RATE_SOURCES = 2 };
+
+struct body_rates {
+	struct vec3 omega_b_rad_s, alpha_b_rad_s2;
+};
+
+struct rates {
+	struct body_rates out[RATE_SOURCES];
+	/* PRIVATE */
+	struct filter3 filter[RATE_SOURCES];
+	struct quat q_nb;
+};
+
+/** 0, or -EINVAL as filter3_init(). */
+int rates_init(struct rates *r, const struct filter_config *config, double rate_hz);
+/** A new filter goes on from the last output. */
+int rates_configure(struct rates *r, const struct filter_config *config, double rate_hz);
+/** As if the object had turned at this constant rate for ever. */
+void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb);
+/** One sample, dt_s > 0 after the one before. */
+void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s);
+
+#endif
