@@ -1,0 +1,215 @@
+#include "gateway/config.h"
+
+#include <errno.h>
+#include <ini.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+void config_init(struct config *config, const struct od_table *table)
+{
+	*config = (struct config){.imu = "sim", .can = "vcan0", .node_id = 1, .table = table};
+}
+
+/* ---- the process's own keys
+ * ---------------------------------------------------------------------------------------- */
+
+static int set_text(char *out, const char *key, const char *value, char *error)
+{
+	if (value[0] == '\0' || strlen(value) >= CONFIG_TEXT_MAX) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s: needs a value of 1 to %d characters", key,
+			CONFIG_TEXT_MAX - 1);
+		return -EINVAL;
+	}
+	strcpy(out, value);
+	return 0;
+}
+
+static int set_number(
+	unsigned *out, const char *key, const char *value, unsigned low, unsigned high, char *error)
+{
+	char *end;
+
+	errno = 0;
+	unsigned long n = strtoul(value, &end, 0);
+	if (end == value || *end != '\0' || value[0] == '-' || errno != 0 || n < low || n > high) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s: '%s' is not a number from %u to %u", key,
+			value, low, high);
+		return -EINVAL;
+	}
+	*out = (unsigned)n;
+	return 0;
+}
+
+int config_option(struct config *c, const char *key, const char *value, char *error)
+{
+	if (strcmp(key, "imu") == 0)
+		return set_text(c->imu, key, value, error);
+	if (strcmp(key, "can") == 0)
+		return set_text(c->can, key, value, error);
+	if (strcmp(key, "store") == 0)
+		return set_text(c->store, key, value, error);
+	if (strcmp(key, "node_id") == 0)
+		return set_number(&c->node_id, key, value, 1, 127, error);
+	if (strcmp(key, "bitrate") == 0)
+		return set_number(&c->bitrate, key, value, 10000, 1000000, error);
+	if (strcmp(key, "realtime") == 0)
+		return set_number(&c->realtime, key, value, 0, 99, error);
+	snprintf(error, CONFIG_ERROR_MAX,
+		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store and realtime are "
+		"known",
+		key);
+	return -ENOENT;
+}
+
+/* ---- objects
+ * -------------------------------------------------------------------------------------------------------
+ */
+
+static int refuse(char *error, const struct od_entry *e, const char *value, enum od_status status)
+{
+	int n = snprintf(
+		error, CONFIG_ERROR_MAX, "%s = %s: %s", e->name, value, od_status_text(status));
+
+	if (status == OD_TOO_HIGH || status == OD_TOO_LOW) {
+		bool real = e->type == OD_REAL32 || e->type == OD_REAL64;
+		bool is_signed = e->type == OD_INTEGER8 || e->type == OD_INTEGER16 ||
+				 e->type == OD_INTEGER32;
+		double low = real ? e->low.f : is_signed ? (double)e->low.i : (double)e->low.u;
+		double high = real ? e->high.f : is_signed ? (double)e->high.i : (double)e->high.u;
+
+		if ((e->access & OD_LIMIT_LOW) && (e->access & OD_LIMIT_HIGH))
+			snprintf(error + n, CONFIG_ERROR_MAX - (size_t)n, " (%g to %g %s)", low,
+				high, e->unit);
+	}
+	return -EINVAL;
+}
+
+static int set_object(struct config *c, const char *name, const char *value, char *error)
+{
+	const struct od_entry *e = od_find_name(c->table, name);
+	size_t size = 0;
+
+	if (!e) {
+		snprintf(error, CONFIG_ERROR_MAX,
+			"no object is called '%s': the names stand in eds/imu9-gateway.eds "
+			"(imu9-sdo dump lists them)",
+			name);
+		return -ENOENT;
+	}
+	if (!(e->access & OD_STORED)) {
+		snprintf(error, CONFIG_ERROR_MAX,
+			"%s is not a configuration object: it cannot be set here", e->name);
+		return -EACCES;
+	}
+	if (c->object_count == CONFIG_OBJECTS_MAX) {
+		snprintf(error, CONFIG_ERROR_MAX, "more than %d objects set", CONFIG_OBJECTS_MAX);
+		return -E2BIG;
+	}
+	struct config_object *o = &c->objects[c->object_count];
+	enum od_status status = od_parse(e, value, o->wire, sizeof(o->wire), &size);
+	if (status != OD_OK)
+		return refuse(error, e, value, status);
+	o->index = e->index;
+	o->sub = e->sub;
+	o->size = (uint8_t)size;
+	c->object_count++;
+	return 0;
+}
+
+int config_set(struct config *config, const char *assignment, char *error)
+{
+	char name[CONFIG_TEXT_MAX];
+	const char *equals = strchr(assignment, '=');
+
+	if (!equals || equals == assignment || (size_t)(equals - assignment) >= sizeof(name)) {
+		snprintf(error, CONFIG_ERROR_MAX,
+			"--set %s: write NAME=VALUE, for example lever_arm.l=0.05", assignment);
+		return -EINVAL;
+	}
+	snprintf(name, sizeof(name), "%.*s", (int)(equals - assignment), assignment);
+	return set_object(config, name, equals + 1, error);
+}
+
+void config_apply(const struct config *config, struct od *od)
+{
+	for (size_t i = 0; i < config->object_count; i++) {
+		const struct config_object *o = &config->objects[i];
+
+		/* od_parse() has checked the value against the same entry */
+		od_put(od, od_find(config->table, o->index, o->sub, NULL), o->wire, o->size);
+	}
+}
+
+/* ---- the file
+ * ------------------------------------------------------------------------------------------------------
+ */
+
+struct reading {
+	struct config *config;
+	FILE *file;
+	const char *path;
+	char *error;
+	int line;
+	int rc;
+};
+
+/* inih's reader, counting lines so that an error can name its own. */
+static char *next_line(char *text, int size, void *stream)
+{
+	struct reading *r = stream;
+
+	if (r->rc < 0 || !fgets(text, size, r->file))
+		return NULL;
+	r->line++;
+	if (!strchr(text, '\n') && !feof(r->file)) {
+		snprintf(r->error, CONFIG_ERROR_MAX, "%s:%d: the line is longer than %d characters",
+			r->path, r->line, size - 2);
+		r->rc = -EINVAL;
+		return NULL;
+	}
+	return text;
+}
+
+static int on_key(void *user, const char *section, const char *key, const char *value)
+{
+	struct reading *r = user;
+	char name[CONFIG_TEXT_MAX], why[CONFIG_ERROR_MAX];
+
+	if (r->rc < 0)
+		return 0;
+	if (strcasecmp(section, "gateway") == 0) {
+		r->rc = config_option(r->config, key, value, why);
+	} else {
+		snprintf(name, sizeof(name), "%s%s%s", section, section[0] ? "." : "", key);
+		r->rc = set_object(r->config, name, value, why);
+	}
+	if (r->rc < 0)
+		snprintf(r->error, CONFIG_ERROR_MAX, "%s:%d: %.300s", r->path, r->line, why);
+	return r->rc == 0;
+}
+
+int config_file(struct config *config, const char *path, char *error)
+{
+	struct reading r = {
+		.config = config, .path = path, .error = error, .file = fopen(path, "re")};
+
+	if (!r.file) {
+		int rc = -errno;
+
+		snprintf(error, CONFIG_ERROR_MAX, "%s: %s", path, strerror(errno));
+		return rc;
+	}
+	int line = ini_parse_stream(next_line, &r, on_key, &r);
+	if (r.rc == 0 && ferror(r.file)) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s: cannot be read", path);
+		r.rc = -EIO;
+	} else if (r.rc == 0 && line != 0) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s:%d: neither a [section] nor NAME = VALUE",
+			path, line);
+		r.rc = -EINVAL;
+	}
+	fclose(r.file);
+	return r.rc;
+}

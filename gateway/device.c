@@ -1,0 +1,362 @@
+#include "gateway/device.h"
+
+#include <errno.h>
+#include <string.h>
+
+#include "gateway/log.h"
+#include "gateway/publish.h"
+#include "gateway/settings.h"
+
+/* ERROR REGISTER bits (1001h); the core adds the generic bit */
+enum { REGISTER_COMMUNICATION = 1 << 4, REGISTER_MANUFACTURER = 1 << 7 };
+
+enum { OVERRUN_OVER_US = 1000000 };
+
+static const enum od_group groups[STORE_GROUPS] = {
+	OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
+
+/* ---- configuration: objects to pipeline
+ * ---------------------------------------------------------------------------- */
+
+static void on_configuration_changed(void *ctx, const struct od_entry *entry)
+{
+	struct device *d = ctx;
+
+	(void)entry;
+	d->configuration_changed = true;
+}
+
+/* Between two samples: the new configuration whole, or the old one still. */
+static void take_configuration(struct device *d)
+{
+	struct pipeline_config config = settings_pipeline(&d->values);
+
+	d->configuration_changed = false;
+	if (pipeline_configure(&d->pipeline, &config) == 0)
+		canopen_error_clear(&d->canopen, EMCY_CONFIGURATION, d->now_us);
+	else
+		canopen_error_set(
+			&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
+}
+
+/* 2040h:6 is written with 1: velocity and position begin anew at zero. */
+static enum od_status on_command(
+	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	struct device *d = ctx;
+	const struct od_entry *reset = od_find(d->od.table, 0x2040, 6, NULL);
+
+	if (entry != reset)
+		return OD_OK;
+	if (size != 1 || *(const uint8_t *)wire != 1)
+		return OD_BAD_VALUE;
+	pipeline_reset_position(&d->pipeline);
+	return OD_CONSUMED;
+}
+
+static enum od_status on_resolution(
+	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	const uint8_t *bytes = wire;
+
+	(void)ctx;
+	if (entry->index != 0x6000 || size != 2)
+		return OD_OK;
+	unsigned value = bytes[0] | (unsigned)bytes[1] << 8;
+	return value == 1 || value == 10 || value == 100 || value == 1000 ? OD_OK : OD_BAD_VALUE;
+}
+
+static void on_preset(void *ctx, const struct od_entry *entry)
+{
+	struct device *d = ctx;
+
+	publish_preset(&d->values, entry->index);
+}
+
+/* ---- storage
+ * -------------------------------------------------------------------------------------------------------
+ */
+
+static enum od_status storage_result(struct device *d, int rc)
+{
+	if (rc == 0)
+		d->stored = d->saving;
+	return rc == 0 ? OD_OK : rc == -EINPROGRESS ? OD_PENDING : OD_CANNOT_STORE;
+}
+
+static enum od_status save(struct device *d)
+{
+	uint8_t bytes[STORE_FILE_MAX];
+
+	if (!d->storage.save)
+		return OD_CANNOT_STORE;
+	return storage_result(
+		d, d->storage.save(d->storage.ctx, bytes, store_encode(&d->saving, bytes)));
+}
+
+static enum od_status on_store(void *ctx, enum od_group group)
+{
+	struct device *d = ctx;
+
+	d->saving = d->stored;
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		if (group != OD_GROUP_ALL && group != groups[i])
+			continue;
+		struct store_group *g = store_group(&d->saving, groups[i]);
+		long size = od_encode(&d->od, groups[i], &d->base, g->dcf, sizeof(g->dcf));
+		if (size < 0)
+			return OD_CANNOT_STORE;
+		g->size = (size_t)size;
+	}
+	return save(d);
+}
+
+static enum od_status on_restore(void *ctx, enum od_group group)
+{
+	struct device *d = ctx;
+
+	d->saving = d->stored;
+	for (int i = 0; i < STORE_GROUPS; i++)
+		if (group == OD_GROUP_ALL || group == groups[i])
+			store_group(&d->saving, groups[i])->size = 0;
+	return save(d);
+}
+
+void device_saved(struct device *d, int result, uint64_t now_us)
+{
+	if (result < 0)
+		log_line("the values could not be stored: %s", strerror(-result));
+	canopen_store_done(&d->canopen, storage_result(d, result), now_us);
+}
+
+static void apply_stored(struct device *d, enum od_group group)
+{
+	size_t skipped = 0;
+
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		if (group != OD_GROUP_ALL && group != groups[i])
+			continue;
+		struct store_group *g = store_group(&d->stored, groups[i]);
+		size_t refused = 0;
+		if (g->size > 0)
+			od_decode(&d->od, g->dcf, g->size, &refused);
+		skipped += refused;
+	}
+	if (skipped > 0)
+		log_line("%zu stored values do not fit this version and were left out", skipped);
+}
+
+/* NMT reset: power-on values, and for reset node a new beginning of the application. */
+static void on_reset(void *ctx, enum od_group group)
+{
+	struct device *d = ctx;
+
+	od_reset(&d->od, group, &d->base);
+	apply_stored(d, group);
+	if (group != OD_GROUP_ALL)
+		return;
+	struct pipeline_config config = settings_pipeline(&d->values);
+	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
+		d->configuration_changed =
+			true; /* the contradiction is reported with the next sample */
+}
+
+static void on_nmt_changed(void *ctx, enum nmt_state state)
+{
+	(void)ctx;
+	log_line("NMT state: %s", state == NMT_OPERATIONAL	 ? "operational"
+				  : state == NMT_PRE_OPERATIONAL ? "pre-operational"
+				  : state == NMT_STOPPED	 ? "stopped"
+								 : "initialising");
+}
+
+/* ---- life
+ * ----------------------------------------------------------------------------------------------------------
+ */
+
+static void attach_hooks(struct device *d)
+{
+	d->configuration_hook = (struct od_hook){
+		.first = 0x2000, .last = 0x20FF, .after = on_configuration_changed, .ctx = d};
+	d->command_hook =
+		(struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
+	d->resolution_hook = (struct od_hook){
+		.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
+	d->preset_hook =
+		(struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
+	od_attach(&d->od, &d->command_hook);
+	od_attach(&d->od, &d->configuration_hook);
+	od_attach(&d->od, &d->resolution_hook);
+	od_attach(&d->od, &d->preset_hook);
+	d->eds = (struct od_domain){
+		.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
+	od_set_domain(&d->od, &d->eds);
+}
+
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu,
+	const struct device_storage *storage, const struct store_image *stored, uint8_t node_id)
+{
+	const struct canopen_device callbacks = {.ctx = d,
+		.store = on_store,
+		.restore = on_restore,
+		.reset = on_reset,
+		.nmt_changed = on_nmt_changed};
+
+	d->bus = bus;
+	d->imu = imu;
+	d->storage = storage ? *storage : (struct device_storage){0};
+	d->stored = stored ? *stored : (struct store_image){0};
+	d->base = d->values;
+	d->bus_seen = CAN_STATE_ACTIVE;
+	apply_stored(d, OD_GROUP_ALL);
+
+	struct pipeline_config config = settings_pipeline(&d->values);
+	int rc = pipeline_init(&d->pipeline, &config, imu->rate_hz);
+	if (rc < 0)
+		return rc;
+	attach_hooks(d);
+	return canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
+}
+
+void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
+{
+	d->now_us = d->last_sample_us = now_us;
+	canopen_start(&d->canopen, now_us);
+	if (stored_damaged)
+		canopen_error_set(
+			&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
+}
+
+/* ---- samples
+ * -------------------------------------------------------------------------------------------------------
+ */
+
+static void sensor_lost(struct device *d)
+{
+	if (d->sensor_lost)
+		return;
+	d->sensor_lost = true;
+	log_line("no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name,
+		EMCY_SENSOR_LOST);
+	publish_sensor_lost(&d->values);
+	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, NULL, d->now_us);
+	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
+}
+
+static void sensor_back(struct device *d)
+{
+	if (!d->sensor_lost)
+		return;
+	d->sensor_lost = false;
+	log_line("samples from %s again", d->imu->name);
+	canopen_error_clear(&d->canopen, EMCY_SENSOR_LOST, d->now_us);
+}
+
+static void publish_sensor_counters(struct device *d)
+{
+	d->values.sensor_counters.samples = d->imu->counters.samples;
+	d->values.sensor_counters.skipped = d->imu->counters.skipped;
+	d->values.sensor_counters.late = d->imu->counters.late;
+	d->values.sensor_counters.gaps = d->pipeline.gaps;
+}
+
+void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us)
+{
+	struct pipeline_output out;
+
+	d->now_us = now_us;
+	if (read < 0) {
+		sensor_lost(d);
+		return;
+	}
+	if (d->configuration_changed)
+		take_configuration(d);
+	uint16_t counter = (uint16_t)d->samples++;
+	if (pipeline_step(&d->pipeline, sample, &out) < 0)
+		return;
+	d->last_sample_us = now_us;
+	sensor_back(d);
+	publish_sample(&d->values, &out, counter);
+	publish_sensor_counters(d);
+	canopen_sample(&d->canopen, now_us);
+}
+
+/* ---- the bus
+ * -------------------------------------------------------------------------------------------------------
+ */
+
+void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us)
+{
+	d->now_us = now_us;
+	canopen_receive(&d->canopen, msg, now_us);
+}
+
+static void watch_bus_state(struct device *d)
+{
+	enum can_state state = d->bus->state, seen = d->bus_seen;
+
+	if (state == seen)
+		return;
+	d->bus_seen = state;
+	log_line("%s: %s", d->bus->name,
+		state == CAN_STATE_ACTIVE    ? "error active"
+		: state == CAN_STATE_WARNING ? "error warning"
+		: state == CAN_STATE_PASSIVE
+			? "error passive (is another node on the bus? cable, termination, bit rate)"
+		: state == CAN_STATE_BUS_OFF ? "bus-off"
+					     : "down (ip link set up?)");
+	if (state == CAN_STATE_PASSIVE)
+		canopen_error_set(
+			&d->canopen, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, d->now_us);
+	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
+		canopen_error_clear(&d->canopen, EMCY_ERROR_PASSIVE, d->now_us);
+	if (seen == CAN_STATE_BUS_OFF) {
+		canopen_error_set(
+			&d->canopen, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, d->now_us);
+		canopen_error_clear(&d->canopen, EMCY_BUS_OFF_OVER, d->now_us);
+	}
+}
+
+/* Lost frames are one error as long as more are lost within a second of the last. */
+static void watch_lost_frames(struct device *d)
+{
+	uint32_t dropped = d->bus->counters.tx_dropped;
+
+	if (dropped != d->dropped_seen && d->bus->state != CAN_STATE_DOWN) {
+		d->overrun = true;
+		d->overrun_us = d->now_us;
+		canopen_error_set(
+			&d->canopen, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, d->now_us);
+	} else if (d->overrun && d->now_us - d->overrun_us > OVERRUN_OVER_US) {
+		d->overrun = false;
+		canopen_error_clear(&d->canopen, EMCY_CAN_OVERRUN, d->now_us);
+	}
+	d->dropped_seen = dropped;
+}
+
+static void publish_bus_counters(struct device *d)
+{
+	const struct can_counters *c = &d->bus->counters;
+
+	d->values.bus_counters.tx_frames = c->tx;
+	d->values.bus_counters.rx_frames = c->rx;
+	d->values.bus_counters.tx_retries = c->tx_retries;
+	d->values.bus_counters.tx_dropped = c->tx_dropped;
+	d->values.bus_counters.rx_dropped = c->rx_dropped;
+	d->values.bus_counters.error_frames = c->errors;
+	d->values.bus_counters.bus_off = c->bus_off;
+}
+
+uint64_t device_tick(struct device *d, uint64_t now_us)
+{
+	d->now_us = now_us;
+	if (now_us - d->last_sample_us >= d->imu->silence_us)
+		sensor_lost(d);
+	watch_bus_state(d);
+	watch_lost_frames(d);
+	publish_bus_counters(d);
+
+	uint64_t next = canopen_tick(&d->canopen, now_us);
+	uint64_t silent = d->last_sample_us + d->imu->silence_us;
+	return d->sensor_lost || next < silent ? next : silent;
+}

@@ -1,0 +1,78 @@
+/* gateway/device.h
+ * The whole device, passive: samples, CAN frames and time go in, CAN frames and files to be stored
+ * come out through ports. The daemon (loop.c) and the scenario tests in simulated time run this
+ * same code.
+ *
+ * Use: od_init() and config_apply() on device.od, then device_init(), device_start(). */
+#ifndef GATEWAY_DEVICE_H
+#define GATEWAY_DEVICE_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "drivers/ports/can.h"
+#include "drivers/ports/imu.h"
+#include "gateway/canopen/node.h"
+#include "gateway/store.h"
+#include "model/pipeline.h"
+#include "od_values.h"
+
+/** EMCY codes of the device itself; those of the protocol are in gateway/canopen. */
+enum {
+	EMCY_CAN_OVERRUN = 0x8110, /* frames were lost: the bus took none for too long */
+	EMCY_ERROR_PASSIVE = 0x8120,
+	EMCY_BUS_OFF_OVER = 0x8140,
+	EMCY_SENSOR_LOST = 0x5030,   /* no sample arrives */
+	EMCY_STORE_DAMAGED = 0x5530, /* the stored values could not be read: defaults are in use */
+	EMCY_CONFIGURATION = 0x6320, /* the configuration objects contradict each other: the last
+					good set stays in use */
+};
+
+/** Where the stored values go. save() returns 0: kept; -EINPROGRESS: device_saved() will tell;
+ * other -errno: failed. NULL: this device cannot store (1010h answers 08000020h). */
+struct device_storage {
+	void *ctx;
+	int (*save)(void *ctx, const uint8_t *bytes, size_t size);
+};
+
+struct device {
+	struct od od;
+	struct od_values values;
+
+	/* PRIVATE */
+	struct od_values base;	   /* defaults < file < command line: where a reset begins */
+	struct store_image stored; /* what the storage holds */
+	struct store_image saving; /* what it will hold when the save under way has ended */
+	struct device_storage storage;
+	struct pipeline pipeline;
+	struct canopen_node canopen;
+	struct can_port *bus;
+	struct imu_port *imu;
+	struct od_hook configuration_hook, command_hook, resolution_hook, preset_hook;
+	struct od_domain eds;
+	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
+	uint32_t samples;	 /* taken since the start */
+	uint32_t dropped_seen;	 /* bus->counters.tx_dropped at the last look */
+	uint64_t overrun_us;	 /* the last look that found frames lost */
+	enum can_state bus_seen;
+	bool configuration_changed, sensor_lost, overrun;
+	uint64_t now_us; /* the time of the call that is running */
+};
+
+/** `values` hold the configuration of file and command line. `stored`: what store_read() gave, or
+ * NULL. 0; -EINVAL: the configuration is contradictory (a singular calibration matrix, say) or
+ * node_id is not 1..127; else canopen_init()'s. */
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu,
+	const struct device_storage *storage, const struct store_image *stored, uint8_t node_id);
+/** `stored_damaged`: store_read() found a broken file. */
+void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
+
+/** Takes what imu_read() returned: 1 and the sample, or a negative errno (the sensor has failed or
+ * ended). */
+void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us);
+void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us);
+void device_saved(struct device *d, int result, uint64_t now_us);
+/** Time-driven work. Returns when to call again at the latest. */
+uint64_t device_tick(struct device *d, uint64_t now_us);
+
+#endif

@@ -1,0 +1,24 @@
+#include "gateway/log.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <unistd.h>
+
+void log_line(const char *format, ...)
+{
+	char text[512] = "imu9-gateway: ";
+	const size_t prefix = sizeof("imu9-gateway: ") - 1;
+	va_list args;
+
+	va_start(args, format);
+	int n = vsnprintf(text + prefix, sizeof(text) - prefix - 1, format, args);
+	va_end(args);
+	if (n < 0)
+		return;
+	size_t size = prefix + (size_t)n;
+	if (size > sizeof(text) - 2)
+		size = sizeof(text) - 2;
+	text[size++] = '\n';
+	if (write(STDERR_FILENO, text, size) < 0)
+		return; /* nobody listens: not worth a fault */
+}

@@ -1,0 +1,229 @@
+#include "gateway/loop.h"
+
+#include <errno.h>
+#include <signal.h>
+#include <sys/epoll.h>
+#include <sys/signalfd.h>
+#include <sys/timerfd.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "gateway/log.h"
+
+/* No source may keep the others waiting: so many of its events are taken per wake, the rest in the
+ * next. */
+enum { SAMPLES_PER_WAKE = 16, FRAMES_PER_WAKE = 64 };
+
+enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_COUNT };
+
+struct loop {
+	struct device *device;
+	struct can_port *bus;
+	struct imu_port *imu;
+	struct store_writer *writer;
+	int epoll, timer, signals;
+	int bus_fd;	   /* bus->fd as it is registered now */
+	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
+	uint32_t last_skipped;
+	uint64_t skip_logged_us;
+	bool quit;
+};
+
+uint64_t loop_now_us(void)
+{
+	struct timespec t;
+
+	clock_gettime(CLOCK_MONOTONIC, &t);
+	return (uint64_t)t.tv_sec * 1000000 + (uint64_t)t.tv_nsec / 1000;
+}
+
+static int watch(struct loop *l, int fd, enum source source)
+{
+	struct epoll_event event = {.events = EPOLLIN, .data.u32 = source};
+
+	return epoll_ctl(l->epoll, EPOLL_CTL_ADD, fd, &event) < 0 ? -errno : 0;
+}
+
+/* ---- what the sources bring
+ * ---------------------------------------------------------------------------------------- */
+
+/* A log with bad rows says so, once a second at most. */
+static void log_skips(struct loop *l, uint64_t now_us)
+{
+	uint32_t skipped = l->imu->counters.skipped;
+
+	if (skipped == l->last_skipped ||
+		(l->skip_logged_us && now_us - l->skip_logged_us < 1000000))
+		return;
+	log_line("%u samples skipped, the last one: %s", skipped - l->last_skipped,
+		l->imu->last_skip);
+	l->last_skipped = skipped;
+	l->skip_logged_us = now_us;
+}
+
+static void on_sensor(struct loop *l, uint64_t now_us)
+{
+	struct imu_sample sample;
+
+	for (int i = 0; i < SAMPLES_PER_WAKE; i++) {
+		int read = imu_read(l->imu, &sample);
+
+		if (read == 0)
+			break;
+		device_sample(l->device, read, &sample, now_us);
+		if (read == -ENODATA) {
+			log_line("%s has ended", l->imu->name);
+			epoll_ctl(l->epoll, EPOLL_CTL_DEL, l->imu->fd, NULL);
+		}
+		if (read < 0)
+			break;
+	}
+	log_skips(l, now_us);
+}
+
+static void on_bus(struct loop *l, uint64_t now_us)
+{
+	struct can_msg msg;
+
+	for (int i = 0; i < FRAMES_PER_WAKE; i++) {
+		int rc = can_receive(l->bus, &msg, now_us);
+
+		if (rc <= 0)
+			break;
+		device_receive(l->device, &msg, now_us);
+	}
+}
+
+static void on_signal(struct loop *l)
+{
+	struct signalfd_siginfo info;
+
+	if (read(l->signals, &info, sizeof(info)) == sizeof(info)) {
+		log_line("stopping on %s", info.ssi_signo == SIGINT ? "SIGINT" : "SIGTERM");
+		l->quit = true;
+	}
+}
+
+static void on_store(struct loop *l, uint64_t now_us)
+{
+	int rc = store_writer_result(l->writer);
+
+	if (rc != -EAGAIN)
+		device_saved(l->device, rc, now_us);
+}
+
+static void on_event(struct loop *l, enum source source, uint64_t now_us)
+{
+	switch (source) {
+	case SOURCE_SENSOR:
+		on_sensor(l, now_us);
+		break;
+	case SOURCE_BUS:
+		on_bus(l, now_us);
+		break;
+	case SOURCE_TIMER:
+		l->armed_us = UINT64_MAX; /* expired: re-arming it clears the descriptor */
+		break;
+	case SOURCE_SIGNAL:
+		on_signal(l);
+		break;
+	case SOURCE_STORE:
+		on_store(l, now_us);
+		break;
+	case SOURCE_COUNT:
+		break;
+	}
+}
+
+/* ---- the deadline
+ * --------------------------------------------------------------------------------------------------
+ */
+
+static void arm(struct loop *l, uint64_t deadline_us)
+{
+	struct itimerspec t = {0};
+
+	if (deadline_us == l->armed_us)
+		return;
+	l->armed_us = deadline_us;
+	if (deadline_us != UINT64_MAX) {
+		t.it_value.tv_sec = (time_t)(deadline_us / 1000000);
+		t.it_value.tv_nsec = (long)(deadline_us % 1000000 * 1000) + 1; /* 0 would disarm */
+	}
+	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
+}
+
+/* A re-opened bus may have another descriptor. */
+static void follow_bus_fd(struct loop *l)
+{
+	if (l->bus->fd == l->bus_fd)
+		return;
+	l->bus_fd = l->bus->fd; /* the old one was closed, and with that left the epoll set */
+	if (l->bus_fd >= 0)
+		watch(l, l->bus_fd, SOURCE_BUS);
+}
+
+static void wake(struct loop *l)
+{
+	struct epoll_event events[SOURCE_COUNT];
+	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, -1);
+	uint64_t now_us = loop_now_us();
+
+	for (int i = 0; i < n; i++)
+		on_event(l, (enum source)events[i].data.u32, now_us);
+	uint64_t next_us = device_tick(l->device, now_us);
+	uint64_t bus_us = can_service(l->bus, now_us);
+	follow_bus_fd(l);
+	arm(l, bus_us < next_us ? bus_us : next_us);
+}
+
+static int open_descriptors(struct loop *l)
+{
+	sigset_t stop;
+	int rc;
+
+	sigemptyset(&stop);
+	sigaddset(&stop, SIGINT);
+	sigaddset(&stop, SIGTERM);
+	sigprocmask(SIG_BLOCK, &stop, NULL);
+	signal(SIGPIPE, SIG_IGN);
+	l->signals = signalfd(-1, &stop, SFD_NONBLOCK | SFD_CLOEXEC);
+	l->timer = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
+	l->epoll = epoll_create1(EPOLL_CLOEXEC);
+	if (l->signals < 0 || l->timer < 0 || l->epoll < 0)
+		return -errno;
+	if ((rc = watch(l, l->signals, SOURCE_SIGNAL)) < 0 ||
+		(rc = watch(l, l->timer, SOURCE_TIMER)) < 0 ||
+		(rc = watch(l, l->imu->fd, SOURCE_SENSOR)) < 0 ||
+		(rc = watch(l, l->bus->fd, SOURCE_BUS)) < 0)
+		return rc;
+	return l->writer ? watch(l, l->writer->fd, SOURCE_STORE) : 0;
+}
+
+int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu,
+	struct store_writer *writer, bool stored_damaged)
+{
+	struct loop l = {.device = device,
+		.bus = bus,
+		.imu = imu,
+		.writer = writer,
+		.epoll = -1,
+		.timer = -1,
+		.signals = -1,
+		.bus_fd = bus->fd,
+		.armed_us = UINT64_MAX};
+	int rc = open_descriptors(&l);
+
+	if (rc == 0) {
+		uint64_t now_us = loop_now_us();
+
+		device_start(device, stored_damaged, now_us);
+		arm(&l, now_us);
+		while (!l.quit)
+			wake(&l);
+	}
+	close(l.epoll);
+	close(l.timer);
+	close(l.signals);
+	return rc;
+}

@@ -1,0 +1,257 @@
+/* gateway/main.c
+ * imu9-gateway: reads its configuration, opens the ports, composes the device and runs the loop. */
+#include <errno.h>
+#include <getopt.h>
+#include <sched.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "gateway/config.h"
+#include "gateway/device.h"
+#include "gateway/log.h"
+#include "gateway/loop.h"
+#include "od_values.h"
+
+enum { EXIT_USAGE = 2 };
+
+static const char usage[] =
+	"usage: imu9-gateway [OPTION]...\n"
+	"Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
+	"\n"
+	"  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
+	"      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
+	"sim)\n"
+	"      --can BUS         a CAN interface, or udp[:GROUP[:PORT]]                    "
+	"(default vcan0)\n"
+	"      --node-id N       1 to 127                                                  "
+	"(default 1)\n"
+	"      --bitrate B       bit/s; set it with `ip link`, this only says what is expected\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+	"      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
+	"                        ~/.local/state/imu9-gateway when not root)\n"
+	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
+	"      --help, --version\n"
+	"\n"
+	"Precedence: defaults < FILE < command line < values stored by 1010h.\n"
+	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
+
+enum {
+	OPT_IMU = 256,
+	OPT_CAN,
+	OPT_NODE_ID,
+	OPT_BITRATE,
+	OPT_SET,
+	OPT_STORE,
+	OPT_REALTIME,
+	OPT_HELP,
+	OPT_VERSION
+};
+
+static const struct option options[] = {
+	{"config", required_argument, NULL, 'c'},
+	{"imu", required_argument, NULL, OPT_IMU},
+	{"can", required_argument, NULL, OPT_CAN},
+	{"node-id", required_argument, NULL, OPT_NODE_ID},
+	{"bitrate", required_argument, NULL, OPT_BITRATE},
+	{"set", required_argument, NULL, OPT_SET},
+	{"store", required_argument, NULL, OPT_STORE},
+	{"realtime", required_argument, NULL, OPT_REALTIME},
+	{"help", no_argument, NULL, OPT_HELP},
+	{"version", no_argument, NULL, OPT_VERSION},
+	{0},
+};
+
+static int usage_error(const char *why)
+{
+	log_line("%s (imu9-gateway --help)", why);
+	return EXIT_USAGE;
+}
+
+/* One option of the command line, but for --config, which was read before them all. -1: go on. */
+static int take_option(struct config *config, int option)
+{
+	char why[CONFIG_ERROR_MAX];
+	int rc = 0;
+
+	switch (option) {
+	case 'c':
+		return -1;
+	case OPT_IMU:
+		rc = config_option(config, "imu", optarg, why);
+		break;
+	case OPT_CAN:
+		rc = config_option(config, "can", optarg, why);
+		break;
+	case OPT_NODE_ID:
+		rc = config_option(config, "node_id", optarg, why);
+		break;
+	case OPT_BITRATE:
+		rc = config_option(config, "bitrate", optarg, why);
+		break;
+	case OPT_STORE:
+		rc = config_option(config, "store", optarg, why);
+		break;
+	case OPT_REALTIME:
+		rc = config_option(config, "realtime", optarg, why);
+		break;
+	case OPT_SET:
+		rc = config_set(config, optarg, why);
+		break;
+	case OPT_HELP:
+		fputs(usage, stdout);
+		return EXIT_SUCCESS;
+	case OPT_VERSION:
+		puts("imu9-gateway " IMU9_VERSION);
+		return EXIT_SUCCESS;
+	default:
+		return EXIT_USAGE; /* getopt_long() has said why */
+	}
+	return rc < 0 ? usage_error(why) : -1;
+}
+
+/* -1: run; else the exit status. The file first, whatever the order on the command line. */
+static int read_configuration(struct config *config, int argc, char **argv)
+{
+	char why[CONFIG_ERROR_MAX];
+	int option, status = -1;
+
+	opterr = 0;
+	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
+		if (option == 'c' && config_file(config, optarg, why) < 0)
+			return usage_error(why);
+	opterr = 1;
+	optind = 0; /* glibc: scan anew */
+	while (status < 0 && (option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
+		status = take_option(config, option);
+	if (status < 0 && optind < argc) {
+		snprintf(why, sizeof(why), "'%.100s' is not an option", argv[optind]);
+		return usage_error(why);
+	}
+	return status;
+}
+
+static void store_path(char *path, size_t size, const struct config *config)
+{
+	const char *state = getenv("XDG_STATE_HOME"), *home = getenv("HOME");
+	char folder[CONFIG_TEXT_MAX * 2];
+
+	if (config->store[0])
+		snprintf(folder, sizeof(folder), "%s", config->store);
+	else if (geteuid() == 0 || (!state && !home))
+		snprintf(folder, sizeof(folder), "/var/lib/imu9-gateway");
+	else if (state)
+		snprintf(folder, sizeof(folder), "%.400s/imu9-gateway", state);
+	else
+		snprintf(folder, sizeof(folder), "%.400s/.local/state/imu9-gateway", home);
+	snprintf(path, size, "%s/node-%u.store", folder, config->node_id);
+}
+
+static void go_realtime(unsigned priority)
+{
+	struct sched_param param = {.sched_priority = (int)priority};
+
+	if (priority == 0)
+		return;
+	if (mlockall(MCL_CURRENT | MCL_FUTURE) < 0)
+		log_line("memory cannot be locked: %s (ulimit -l, or CAP_IPC_LOCK)",
+			strerror(errno));
+	if (sched_setscheduler(0, SCHED_FIFO, &param) < 0)
+		log_line("no real-time priority %u: %s (ulimit -r, or CAP_SYS_NICE)", priority,
+			strerror(errno));
+}
+
+static int save_through_writer(void *ctx, const uint8_t *bytes, size_t size)
+{
+	int rc = store_writer_submit(ctx, bytes, size);
+
+	return rc < 0 ? rc : -EINPROGRESS;
+}
+
+static struct device device;
+static struct store_image stored;
+static struct store_writer writer;
+
+/* Reads what was stored and starts the thread that stores. Without a place to store, the gateway
+ * runs all the same. */
+static struct store_writer *open_store(const struct config *config, bool *damaged)
+{
+	char path[512];
+
+	store_path(path, sizeof(path), config);
+	int rc = store_read(&stored, path);
+	*damaged = rc < 0;
+	if (rc < 0)
+		log_line("%s: stored values not used: %s", path,
+			rc == -EBADMSG	 ? "damaged; kept as .bad"
+			: rc == -ENOTSUP ? "of another version; kept as .bad"
+					 : strerror(-rc));
+	rc = store_writer_open(&writer, path);
+	if (rc < 0) {
+		log_line("%s: %s: 1010h cannot store; give a folder with --store", path,
+			strerror(-rc));
+		return NULL;
+	}
+	log_line("1010h stores in %s", path);
+	return &writer;
+}
+
+static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
+{
+	struct device_storage storage = {.ctx = &writer, .save = save_through_writer};
+	bool damaged;
+
+	od_init(&device.od, &imu9_od_table, &device.values, (uint8_t)config->node_id);
+	config_apply(config, &device.od);
+	struct store_writer *store = open_store(config, &damaged);
+	int rc = device_init(
+		&device, bus, imu, store ? &storage : NULL, &stored, (uint8_t)config->node_id);
+	if (rc == -EINVAL)
+		log_line("the configuration contradicts itself: is a calibration matrix singular, "
+			 "or a filter order 0?");
+	else if (rc < 0)
+		log_line("cannot start the device: %s", strerror(-rc));
+	if (rc == 0) {
+		log_line("node %u on %s, sensor %s at %.1f Hz", config->node_id, bus->name,
+			imu->name, imu->rate_hz);
+		go_realtime(config->realtime);
+		rc = loop_run(&device, bus, imu, store, damaged);
+		if (rc < 0)
+			log_line("cannot run: %s", strerror(-rc));
+	}
+	if (store)
+		store_writer_close(store);
+	return rc < 0 ? EXIT_FAILURE : EXIT_SUCCESS;
+}
+
+int main(int argc, char **argv)
+{
+	static struct config config;
+	struct imu_port *imu;
+	struct can_port *bus;
+	char why[CONFIG_ERROR_MAX];
+
+	config_init(&config, &imu9_od_table);
+	int status = read_configuration(&config, argc, argv);
+	if (status >= 0)
+		return status;
+	if (imu_open(config.imu, &imu, why, sizeof(why)) < 0) {
+		log_line("%s", why);
+		return EXIT_FAILURE;
+	}
+	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
+		log_line("%s", why);
+		imu_close(imu);
+		return EXIT_FAILURE;
+	}
+	if (config.bitrate)
+		log_line("%u bit/s expected: a CAN interface gets it by `ip link set %s type can "
+			 "bitrate %u`",
+			config.bitrate, config.can, config.bitrate);
+	status = run(&config, bus, imu);
+	can_close(bus);
+	imu_close(imu);
+	return status;
+}

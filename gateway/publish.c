@@ -1,0 +1,176 @@
+#include "gateway/publish.h"
+
+#include <limits.h>
+#include <math.h>
+
+#define DEG_PER_RAD (180 / 3.14159265358979323846)
+
+/* The value in units of `lsb`, rounded to the nearest; saturated, and then said so in *saturated.
+ */
+static int32_t scaled(double value, double lsb, int32_t limit, bool *saturated)
+{
+	double n = round(value / lsb);
+
+	if (n > limit || n < -(double)limit - 1 || isnan(n)) {
+		*saturated = true;
+		return n < 0 ? -limit - 1 : limit;
+	}
+	return (int32_t)n;
+}
+
+static int16_t scaled16(double value, double lsb, bool *saturated)
+{
+	return (int16_t)scaled(value, lsb, INT16_MAX, saturated);
+}
+
+/* ---- CiA 410: slopes with inversion, offset and preset
+ * ------------------------------------------------------------ */
+
+enum { SLOPE_INVERSION = 1 << 0, SLOPE_SCALING = 1 << 1 };
+
+static int32_t clamp(int64_t value, int64_t limit, bool *saturated)
+{
+	if (value > limit || value < -limit - 1) {
+		*saturated = true;
+		return (int32_t)(value < 0 ? -limit - 1 : limit);
+	}
+	return (int32_t)value;
+}
+
+/* Slope as 6011h (operating parameter) asks: +-physical, and with scaling on the two offsets. */
+static int64_t slope(int32_t physical, uint8_t operating, int32_t offset, int32_t differential)
+{
+	int64_t value = operating & SLOPE_INVERSION ? -(int64_t)physical : physical;
+
+	return operating & SLOPE_SCALING ? value + offset + differential : value;
+}
+
+static double slope_lsb_rad(const struct od_values *v)
+{
+	return v->angle_resolution * 0.001 / DEG_PER_RAD;
+}
+
+/* The longitudinal slope is the rotation about the side axis (pitch), the lateral one that about
+ * the longitudinal. */
+static int32_t physical_slope(const struct od_values *v, double angle_deg, bool *saturated)
+{
+	return scaled(angle_deg / DEG_PER_RAD, slope_lsb_rad(v), INT32_MAX, saturated);
+}
+
+static void publish_slopes(struct od_values *v, bool *saturated)
+{
+	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, saturated);
+	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, saturated);
+
+	v->slope_long16 =
+		(int16_t)clamp(slope(lon, v->slope_long16_operating_parameter,
+				       v->slope_long16_offset, v->slope_long16_differential_offset),
+			INT16_MAX, saturated);
+	v->slope_lateral16 = (int16_t)clamp(
+		slope(lat, v->slope_lateral16_operating_parameter, v->slope_lateral16_offset,
+			v->slope_lateral16_differential_offset),
+		INT16_MAX, saturated);
+	v->slope_long32 =
+		clamp(slope(lon, v->slope_long32_operating_parameter, v->slope_long32_offset,
+			      v->slope_long32_differential_offset),
+			INT32_MAX, saturated);
+	v->slope_lateral32 =
+		clamp(slope(lat, v->slope_lateral32_operating_parameter, v->slope_lateral32_offset,
+			      v->slope_lateral32_differential_offset),
+			INT32_MAX, saturated);
+}
+
+void publish_preset(struct od_values *v, uint16_t index)
+{
+	bool saturated = false;
+	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, &saturated);
+	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, &saturated);
+	/* offset = preset - (+-physical) - differential offset */
+	switch (index) {
+	case 0x6012:
+		v->slope_long16_offset = (int16_t)clamp(
+			(int64_t)v->slope_long16_preset_value -
+				slope(lon, v->slope_long16_operating_parameter & SLOPE_INVERSION, 0,
+					0) -
+				v->slope_long16_differential_offset,
+			INT16_MAX, &saturated);
+		break;
+	case 0x6022:
+		v->slope_lateral16_offset = (int16_t)clamp(
+			(int64_t)v->slope_lateral16_preset_value -
+				slope(lat, v->slope_lateral16_operating_parameter & SLOPE_INVERSION,
+					0, 0) -
+				v->slope_lateral16_differential_offset,
+			INT16_MAX, &saturated);
+		break;
+	case 0x6112:
+		v->slope_long32_offset = clamp(
+			(int64_t)v->slope_long32_preset_value -
+				slope(lon, v->slope_long32_operating_parameter & SLOPE_INVERSION, 0,
+					0) -
+				v->slope_long32_differential_offset,
+			INT32_MAX, &saturated);
+		break;
+	case 0x6122:
+		v->slope_lateral32_offset = clamp(
+			(int64_t)v->slope_lateral32_preset_value -
+				slope(lat, v->slope_lateral32_operating_parameter & SLOPE_INVERSION,
+					0, 0) -
+				v->slope_lateral32_differential_offset,
+			INT32_MAX, &saturated);
+		break;
+	}
+}
+
+/* ---- the sample
+ * ----------------------------------------------------------------------------------------------------
+ */
+
+#define PUBLISH_REAL32(record, vector, a, b, c)                          \
+	((record).a = (float)(vector).x, (record).b = (float)(vector).y, \
+		(record).c = (float)(vector).z)
+
+#define PUBLISH_SCALED(record, vector, lsb, a, b, c)                \
+	((record).a = scaled16((vector).x, lsb, &saturated),        \
+		(record).b = scaled16((vector).y, lsb, &saturated), \
+		(record).c = scaled16((vector).z, lsb, &saturated))
+
+void publish_sample(struct od_values *v, const struct pipeline_output *out, uint16_t counter)
+{
+	const double acceleration_lsb_m_s2 = v->resolution.acceleration * 0.001;
+	const double position_lsb_m = v->resolution.position * 0.001;
+	const struct vec3 angles_deg = vec3_scale(DEG_PER_RAD, out->angles_rad);
+	bool saturated = false;
+
+	v->quaternion.w = (float)out->q_nb.w;
+	v->quaternion.x = (float)out->q_nb.x;
+	v->quaternion.y = (float)out->q_nb.y;
+	v->quaternion.z = (float)out->q_nb.z;
+	PUBLISH_REAL32(v->velocity, out->velocity_n_m_s, x, y, z);
+	PUBLISH_REAL32(v->angular_rate, out->rate_b_rad_s, l, s, t);
+	PUBLISH_REAL32(v->angular_acceleration, out->alpha_b_rad_s2, l, s, t);
+	PUBLISH_REAL32(v->specific_force, out->force_b_m_s2, l, s, t);
+	PUBLISH_REAL32(v->magnetic_field, out->mag_b_uT, l, s, t);
+	PUBLISH_REAL32(v->acceleration_object, out->accel_b_m_s2, l, s, t);
+	PUBLISH_REAL32(v->acceleration_global, out->accel_n_m_s2, x, y, z);
+	PUBLISH_REAL32(v->angles_deg, angles_deg, roll, pitch, yaw);
+	PUBLISH_REAL32(v->position_m, out->position_n_m, x, y, z);
+
+	PUBLISH_SCALED(v->acceleration, out->accel_b_m_s2, acceleration_lsb_m_s2, l, s, t);
+	PUBLISH_SCALED(v->angles, out->angles_rad, slope_lsb_rad(v), roll, pitch, yaw);
+	PUBLISH_SCALED(v->position_output, out->position_n_m, position_lsb_m, x, y, z);
+	v->position_output.x32 = scaled(out->position_n_m.x, position_lsb_m, INT32_MAX, &saturated);
+	v->position_output.y32 = scaled(out->position_n_m.y, position_lsb_m, INT32_MAX, &saturated);
+	v->position_output.z32 = scaled(out->position_n_m.z, position_lsb_m, INT32_MAX, &saturated);
+	publish_slopes(v, &saturated);
+
+	v->sample.counter = counter;
+	v->sample.time = (uint32_t)out->t_us;
+	v->sample.status = (uint16_t)(out->status | (saturated ? STATUS_SATURATED : 0u));
+}
+
+void publish_sensor_lost(struct od_values *v)
+{
+	v->sample.status =
+		(uint16_t)((v->sample.status & ~(unsigned)PIPELINE_VALID) | STATUS_SENSOR_LOST);
+}

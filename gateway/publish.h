@@ -1,0 +1,30 @@
+/* gateway/publish.h
+ * From the pipeline's output to the objects that PDOs and SDO clients see: units, scaling,
+ * saturation; and the CiA 410 inclinometer objects. */
+#ifndef GATEWAY_PUBLISH_H
+#define GATEWAY_PUBLISH_H
+
+#include <stdint.h>
+
+#include "model/pipeline.h"
+#include "od_values.h"
+
+/** Bits of the status word 210Fh:3 beside those of PIPELINE_... */
+enum {
+	STATUS_SATURATED =
+		1 << 8, /* a scaled output exceeds its integer: raise the resolution object */
+	STATUS_SENSOR_LOST = 1 << 9, /* no sample arrives; the values are those of the last one */
+};
+
+/** Writes everything that one sample says, at once. `counter`: 0 for the first sample, wraps at
+ * 65536. */
+void publish_sample(struct od_values *values, const struct pipeline_output *out, uint16_t counter);
+
+/** The sensor has stopped: the values stand, the status says that they are old. */
+void publish_sensor_lost(struct od_values *values);
+
+/** CiA 410: 6012h, 6022h, 6112h or 6122h (`index`) was written: the offset that makes the slope
+ * read the preset now. */
+void publish_preset(struct od_values *values, uint16_t index);
+
+#endif

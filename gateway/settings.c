@@ -1,0 +1,52 @@
+#include "gateway/settings.h"
+
+#define RAD_PER_DEG (3.14159265358979323846 / 180)
+
+/* the three calibration records have the same members, but generated structs of their own */
+#define TRIAD(record)                                                                          \
+	((struct triad_calibration){.bias = {(double)(record).bias_x, (double)(record).bias_y, \
+					    (double)(record).bias_z},                          \
+		.matrix = {{(double)(record).xx, (double)(record).xy, (double)(record).xz},    \
+			{(double)(record).yx, (double)(record).yy, (double)(record).yz},       \
+			{(double)(record).zx, (double)(record).zy, (double)(record).zz}}})
+
+#define LOW_PASS(record)                                 \
+	((struct filter_config){                         \
+		.type = (enum filter_type)(record).type, \
+		.order = (record).order,                 \
+		.cutoff_hz = (double)(record).cutoff,    \
+	})
+
+struct pipeline_config settings_pipeline(const struct od_values *v)
+{
+	struct pipeline_config c = PIPELINE_DEFAULTS;
+
+	c.calibration.gyro = TRIAD(v->gyro_calibration);
+	c.calibration.accel = TRIAD(v->accelerometer_calibration);
+	c.calibration.mag = TRIAD(v->magnetometer_calibration);
+	c.calibration.mounting_rad = (struct vec3){(double)v->mounting.roll * RAD_PER_DEG,
+		(double)v->mounting.pitch * RAD_PER_DEG, (double)v->mounting.yaw * RAD_PER_DEG};
+
+	c.accel_filter = LOW_PASS(v->acceleration_filter);
+	c.rate_filter = LOW_PASS(v->rate_filter);
+
+	c.fusion.algorithm = (enum fusion_algorithm)v->fusion.algorithm;
+	c.fusion.use_magnetometer = v->fusion.use_magnetometer;
+	c.fusion.madgwick_beta = (double)v->fusion.madgwick_beta;
+	c.fusion.mahony_kp_rad_s = (double)v->fusion.mahony_kp;
+	c.fusion.mahony_ki_rad_s2 = (double)v->fusion.mahony_ki;
+
+	c.estimator.lever_arm_b_m = (struct vec3){
+		(double)v->lever_arm.l, (double)v->lever_arm.s, (double)v->lever_arm.t};
+	c.estimator.model = (enum lever_arm_model)v->lever_arm_model;
+	c.estimator.rates_from = (enum rate_source)v->rates_from;
+	c.estimator.gravity_m_s2 = (double)v->gravity;
+
+	c.rest.gyro_threshold_rad_s = (double)v->position.rest_gyro_threshold * RAD_PER_DEG;
+	c.rest.accel_threshold_m_s2 = (double)v->position.rest_acceleration_threshold;
+	c.rest.time_s = (double)v->position.rest_time;
+
+	c.position.mode = (enum position_mode)v->position.mode;
+	c.position.longest_integration_s = (double)v->position.longest_integration_time;
+	return c;
+}

@@ -1,0 +1,263 @@
+#include "gateway/store.h"
+
+#include <assert.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/eventfd.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
+enum { VERSION = 1, HEADER_SIZE = sizeof(magic) + 8, CRC_SIZE = 4 };
+
+struct store_group *store_group(struct store_image *image, enum od_group group)
+{
+	assert(group >= OD_GROUP_COMMUNICATION && group <= OD_GROUP_MANUFACTURER);
+	return &image->groups[group - OD_GROUP_COMMUNICATION];
+}
+
+static void put_u32(uint8_t *out, size_t value)
+{
+	for (int i = 0; i < 4; i++)
+		out[i] = (uint8_t)(value >> 8 * i);
+}
+
+static uint32_t get_u32(const uint8_t *in)
+{
+	return (uint32_t)in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 |
+	       (uint32_t)in[3] << 24;
+}
+
+size_t store_encode(const struct store_image *image, uint8_t *out)
+{
+	size_t n = HEADER_SIZE;
+
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		const struct store_group *g = &image->groups[i];
+
+		put_u32(out + n, g->size);
+		memcpy(out + n + 4, g->dcf, g->size);
+		n += 4 + g->size;
+	}
+	memcpy(out, magic, sizeof(magic));
+	put_u32(out + 8, VERSION);
+	put_u32(out + 12, n - HEADER_SIZE);
+	put_u32(out + n, od_crc32(0, out, n));
+	return n + CRC_SIZE;
+}
+
+/* The groups between header and CRC: false when they do not fill `size` exactly. */
+static bool decode_groups(struct store_image *image, const uint8_t *in, size_t size)
+{
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		if (size < 4)
+			return false;
+		size_t n = get_u32(in);
+		if (n > STORE_GROUP_MAX || n > size - 4)
+			return false;
+		memcpy(image->groups[i].dcf, in + 4, n);
+		image->groups[i].size = n;
+		in += 4 + n;
+		size -= 4 + n;
+	}
+	return size == 0;
+}
+
+int store_decode(struct store_image *image, const uint8_t *in, size_t size)
+{
+	*image = (struct store_image){0};
+	if (size < HEADER_SIZE + CRC_SIZE || memcmp(in, magic, sizeof(magic)) != 0)
+		return -EBADMSG;
+	if (get_u32(in + size - CRC_SIZE) != od_crc32(0, in, size - CRC_SIZE))
+		return -EBADMSG;
+	if (get_u32(in + 8) != VERSION)
+		return -ENOTSUP;
+	if (get_u32(in + 12) != size - HEADER_SIZE - CRC_SIZE ||
+		!decode_groups(image, in + HEADER_SIZE, size - HEADER_SIZE - CRC_SIZE)) {
+		*image = (struct store_image){0};
+		return -EBADMSG;
+	}
+	return 0;
+}
+
+/* ---- the file
+ * ------------------------------------------------------------------------------------------------------
+ */
+
+int store_read(struct store_image *image, const char *path)
+{
+	uint8_t bytes[STORE_FILE_MAX + 1];
+	char bad[600];
+
+	*image = (struct store_image){0};
+	FILE *f = fopen(path, "rbe");
+	if (!f)
+		return errno == ENOENT ? 0 : -errno;
+	size_t size = fread(bytes, 1, sizeof(bytes), f);
+	int rc = ferror(f) ? -EIO : 0;
+	fclose(f);
+	if (rc == 0)
+		rc = store_decode(image, bytes, size);
+	if (rc == -EBADMSG || rc == -ENOTSUP) {
+		snprintf(bad, sizeof(bad), "%s.bad", path);
+		rename(path, bad);
+	}
+	return rc;
+}
+
+static int write_all(int fd, const uint8_t *bytes, size_t size)
+{
+	while (size > 0) {
+		ssize_t n = write(fd, bytes, size);
+
+		if (n < 0 && errno == EINTR)
+			continue;
+		if (n <= 0)
+			return n < 0 ? -errno : -ENOSPC;
+		bytes += n;
+		size -= (size_t)n;
+	}
+	return fsync(fd) < 0 ? -errno : 0;
+}
+
+/* A rename is kept for good only when its folder is, too. */
+static int sync_folder_of(const char *path)
+{
+	char folder[512];
+	const char *slash = strrchr(path, '/');
+
+	snprintf(folder, sizeof(folder), "%.*s", slash ? (int)(slash - path + 1) : 1,
+		slash ? path : ".");
+	int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+	if (fd < 0)
+		return -errno;
+	int rc = fsync(fd) < 0 ? -errno : 0;
+	close(fd);
+	return rc;
+}
+
+int store_write(const char *path, const uint8_t *bytes, size_t size)
+{
+	char temp[600];
+
+	snprintf(temp, sizeof(temp), "%s.new", path);
+	int fd = open(temp, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+	if (fd < 0)
+		return -errno;
+	int rc = write_all(fd, bytes, size);
+	if (close(fd) < 0 && rc == 0)
+		rc = -errno;
+	if (rc == 0 && rename(temp, path) < 0)
+		rc = -errno;
+	if (rc == 0)
+		return sync_folder_of(path);
+	unlink(temp);
+	return rc;
+}
+
+/* ---- the thread
+ * ----------------------------------------------------------------------------------------------------
+ */
+
+static void *writer_main(void *arg)
+{
+	struct store_writer *w = arg;
+
+	pthread_mutex_lock(&w->lock);
+	for (;;) {
+		while (!w->busy && !w->quit)
+			pthread_cond_wait(&w->wake, &w->lock);
+		if (!w->busy)
+			break;
+		pthread_mutex_unlock(&w->lock);
+		int rc = store_write(
+			w->path, w->bytes, w->size); /* submit() leaves both alone while busy */
+		pthread_mutex_lock(&w->lock);
+		w->result = rc;
+		w->busy = false;
+		eventfd_write(w->fd, 1);
+	}
+	pthread_mutex_unlock(&w->lock);
+	return NULL;
+}
+
+static int make_folders(const char *path)
+{
+	char folder[512];
+
+	snprintf(folder, sizeof(folder), "%s", path);
+	for (char *p = folder + 1; (p = strchr(p, '/')) != NULL; *p++ = '/') {
+		*p = '\0';
+		if (mkdir(folder, 0755) < 0 && errno != EEXIST)
+			return -errno;
+	}
+	return 0;
+}
+
+int store_writer_open(struct store_writer *w, const char *path)
+{
+	*w = (struct store_writer){.fd = -1};
+	if (strlen(path) >= sizeof(w->path))
+		return -ENAMETOOLONG;
+	strcpy(w->path, path);
+	int rc = make_folders(path);
+	if (rc < 0)
+		return rc;
+	w->fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
+	if (w->fd < 0)
+		return -errno;
+	pthread_mutex_init(&w->lock, NULL);
+	pthread_cond_init(&w->wake, NULL);
+	rc = pthread_create(&w->thread, NULL, writer_main, w);
+	if (rc != 0) {
+		close(w->fd);
+		w->fd = -1;
+	}
+	return -rc;
+}
+
+int store_writer_submit(struct store_writer *w, const uint8_t *bytes, size_t size)
+{
+	int rc = -EBUSY;
+
+	assert(size <= sizeof(w->bytes));
+	pthread_mutex_lock(&w->lock);
+	if (!w->busy) {
+		memcpy(w->bytes, bytes, size);
+		w->size = size;
+		w->busy = true;
+		pthread_cond_signal(&w->wake);
+		rc = 0;
+	}
+	pthread_mutex_unlock(&w->lock);
+	return rc;
+}
+
+int store_writer_result(struct store_writer *w)
+{
+	eventfd_t ended;
+
+	if (eventfd_read(w->fd, &ended) < 0)
+		return -EAGAIN;
+	pthread_mutex_lock(&w->lock);
+	int rc = w->result;
+	pthread_mutex_unlock(&w->lock);
+	return rc;
+}
+
+void store_writer_close(struct store_writer *w)
+{
+	if (w->fd < 0)
+		return;
+	pthread_mutex_lock(&w->lock);
+	w->quit = true;
+	pthread_cond_signal(&w->wake);
+	pthread_mutex_unlock(&w->lock);
+	pthread_join(w->thread, NULL);
+	pthread_mutex_destroy(&w->lock);
+	pthread_cond_destroy(&w->wake);
+	close(w->fd);
+	w->fd = -1;
+}

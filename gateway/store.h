@@ -1,0 +1,69 @@
+/* gateway/store.h
+ * What 1010h keeps, through power cuts. The codec is pure; the file is written whole beside the old
+ * one, synced, and renamed over it, so that at any moment either the old or the new values are
+ * there in full.
+ *
+ * File: "IMU9STOR", u32 version, u32 size of what follows up to the CRC, then for each group 2..4 a
+ * u32 size and a concise DCF (od_encode()), u32 CRC-32 of all before. Little-endian. */
+#ifndef GATEWAY_STORE_H
+#define GATEWAY_STORE_H
+
+#include <pthread.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "od/od.h"
+
+enum {
+	STORE_GROUPS = 3,
+	STORE_GROUP_MAX = 8192,
+	STORE_FILE_MAX = 64 + STORE_GROUPS * (4 + STORE_GROUP_MAX)
+};
+
+struct store_image {
+	struct store_group {
+		uint8_t dcf[STORE_GROUP_MAX];
+		size_t size; /* 0: nothing stored */
+	} groups[STORE_GROUPS];
+};
+
+/** The group's place in the image; group is OD_GROUP_COMMUNICATION, _APPLICATION or _MANUFACTURER.
+ */
+struct store_group *store_group(struct store_image *image, enum od_group group);
+
+/** Bytes written into out[STORE_FILE_MAX]. */
+size_t store_encode(const struct store_image *image, uint8_t *out);
+/** 0; -EBADMSG: truncated, CRC or lay-out wrong; -ENOTSUP: another version. *image is then empty.
+ */
+int store_decode(struct store_image *image, const uint8_t *in, size_t size);
+
+/** 0 and the image (empty when there is no file yet); -EBADMSG or -ENOTSUP: the file is damaged,
+ * and has been renamed to PATH.bad so that nothing is lost; other -errno: it cannot be read. */
+int store_read(struct store_image *image, const char *path);
+/** Blocks until the disk has it. 0 or -errno; then the old file stands. */
+int store_write(const char *path, const uint8_t *bytes, size_t size);
+
+/** A thread that does the blocking store_write(); `fd` becomes readable when one has ended. */
+struct store_writer {
+	int fd;
+	char path[512];
+	pthread_t thread;
+	pthread_mutex_t lock;
+	pthread_cond_t wake;
+	bool busy, quit;
+	int result;
+	uint8_t bytes[STORE_FILE_MAX];
+	size_t size;
+};
+
+/** Makes the folder of `path` where it lacks. 0 or -errno. */
+int store_writer_open(struct store_writer *w, const char *path);
+/** 0: under way; -EBUSY: one is under way already. Copies the bytes. */
+int store_writer_submit(struct store_writer *w, const uint8_t *bytes, size_t size);
+/** After fd became readable: the result of store_write(). -EAGAIN: none has ended. */
+int store_writer_result(struct store_writer *w);
+/** Waits for a write under way. */
+void store_writer_close(struct store_writer *w);
+
+#endif

@@ -1,0 +1,208 @@
+/* tools/imu9_replay.c
+ * imu9-replay: the gateway's pipeline over a recorded log, as fast as it can; one output row per
+ * sample. */
+#include <errno.h>
+#include <getopt.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "drivers/imu/imu_log.h"
+#include "gateway/config.h"
+#include "gateway/settings.h"
+#include "model/pipeline.h"
+#include "od_values.h"
+
+enum { EXIT_USAGE = 2 };
+
+static const char usage[] =
+	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... LOG.imu.csv >OUT.csv\n"
+	"Runs a recorded IMU log through the gateway's pipeline; `-` reads the log from standard "
+	"input.\n"
+	"\n"
+	"  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+	"      --help, --version\n"
+	"\n"
+	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be "
+	"empty.\n"
+	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the "
+	"reference point in\n"
+	"     object (al..at) and global frame (awx..awz), velocity, position (ENU), the rest "
+	"flag, the sample counter\n"
+	"     as the PDOs carry it (here not wrapped), angular rate wl..wt and acceleration "
+	"dwl..dwt, the status word.\n"
+	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
+
+static const char header[] =
+	"t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
+	"wl,ws,wt,dwl,dws,dwt,status\n";
+
+/* ---- a row of text
+ * -------------------------------------------------------------------------------------------------
+ */
+
+/* Rows are most of the run time with printf(): numbers are written as fixed-point integers instead.
+ */
+static char *put_u64(char *p, uint64_t n, int digits)
+{
+	char text[20];
+	int i = 0;
+
+	while (n > 0 || i < digits) {
+		text[i++] = (char)('0' + n % 10);
+		n /= 10;
+	}
+	while (i > 0)
+		*p++ = text[--i];
+	return p;
+}
+
+/* ",-12.345678": six or more decimals are beyond what the sensor tells */
+static char *put_fixed(char *p, double value, int decimals)
+{
+	static const double scale[] = {1, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9};
+	const uint64_t unit = (uint64_t)scale[decimals];
+
+	*p++ = ',';
+	if (!(fabs(value) < 1e9)) /* cannot be a physical value; keep the row readable */
+		return p + sprintf(p, "%.9g", value);
+	uint64_t n = (uint64_t)(fabs(value) * scale[decimals] + 0.5);
+	if (value < 0 && n > 0)
+		*p++ = '-';
+	p = put_u64(p, n / unit, 1);
+	*p++ = '.';
+	return put_u64(p, n % unit, decimals);
+}
+
+static char *put_vec3(char *p, struct vec3 v, int decimals)
+{
+	p = put_fixed(p, v.x, decimals);
+	p = put_fixed(p, v.y, decimals);
+	return put_fixed(p, v.z, decimals);
+}
+
+static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
+{
+	const double deg_per_rad = 180 / 3.14159265358979323846;
+	char row[1024], *p = row;
+
+	p = put_u64(p, t_us / 1000000, 1);
+	*p++ = '.';
+	p = put_u64(p, t_us % 1000000, 6);
+	p = put_fixed(p, o->q_nb.w, 8);
+	p = put_vec3(p, (struct vec3){o->q_nb.x, o->q_nb.y, o->q_nb.z}, 8);
+	p = put_vec3(p, o->accel_b_m_s2, 6);
+	p = put_vec3(p, o->accel_n_m_s2, 6);
+	p = put_vec3(p, o->velocity_n_m_s, 6);
+	p = put_vec3(p, o->position_n_m, 6);
+	*p++ = ',';
+	*p++ = o->status & PIPELINE_REST ? '1' : '0';
+	*p++ = ',';
+	p = put_u64(p, sample, 1);
+	p = put_vec3(p, vec3_scale(deg_per_rad, o->angles_rad), 5);
+	p = put_vec3(p, o->rate_b_rad_s, 7);
+	p = put_vec3(p, o->alpha_b_rad_s2, 5);
+	*p++ = ',';
+	p = put_u64(p, o->status, 1);
+	*p++ = '\n';
+	fwrite(row, 1, (size_t)(p - row), stdout);
+}
+
+/* ---- the run
+ * -------------------------------------------------------------------------------------------------------
+ */
+
+static int fail(int status, const char *why)
+{
+	fprintf(stderr, "imu9-replay: %s\n", why);
+	return status;
+}
+
+static int replay(const struct config *config, struct imu_log *log)
+{
+	static struct pipeline pipeline;
+	static struct od_values values;
+	struct od od;
+	struct imu_sample sample;
+	struct pipeline_output out;
+	uint64_t samples = 0, rows = 0;
+	int rc;
+
+	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
+	config_apply(config, &od);
+	const struct pipeline_config settings = settings_pipeline(&values);
+	if (pipeline_init(&pipeline, &settings, log->rate_hz) < 0)
+		return fail(EXIT_USAGE,
+			"the configuration contradicts itself: is a calibration matrix singular?");
+
+	fputs(header, stdout);
+	for (; (rc = imu_log_next(log, &sample)) > 0; samples++) {
+		if (pipeline_step(&pipeline, &sample, &out) < 0)
+			continue;
+		print_row(&out, sample.t_us, samples);
+		rows++;
+	}
+	if (rc < 0)
+		return fail(EXIT_FAILURE, "the log cannot be read to its end");
+	if (log->skipped > 0)
+		fprintf(stderr, "imu9-replay: %u rows skipped, the last one: %s\n", log->skipped,
+			log->last_skip);
+	if (rows == 0)
+		return fail(EXIT_FAILURE, "the log has no usable row");
+	if (fflush(stdout) != 0 || ferror(stdout))
+		return fail(EXIT_FAILURE, "the output cannot be written: is the disk full?");
+	return EXIT_SUCCESS;
+}
+
+/* -1: run; else the exit status. As in the gateway, the file comes first whatever the order. */
+static int read_configuration(struct config *config, int argc, char **argv)
+{
+	static const struct option options[] = {{"config", required_argument, NULL, 'c'},
+		{"set", required_argument, NULL, 's'}, {"help", no_argument, NULL, 'h'},
+		{"version", no_argument, NULL, 'v'}, {0}};
+	char why[CONFIG_ERROR_MAX];
+	int option;
+
+	opterr = 0;
+	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
+		if (option == 'c' && config_file(config, optarg, why) < 0)
+			return fail(EXIT_USAGE, why);
+	opterr = 1;
+	optind = 0; /* glibc: scan anew */
+	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1) {
+		if (option == 'h') {
+			fputs(usage, stdout);
+			return EXIT_SUCCESS;
+		}
+		if (option == 'v') {
+			puts("imu9-replay " IMU9_VERSION);
+			return EXIT_SUCCESS;
+		}
+		if (option == '?')
+			return EXIT_USAGE;
+		if (option == 's' && config_set(config, optarg, why) < 0)
+			return fail(EXIT_USAGE, why);
+	}
+	if (optind != argc - 1)
+		return fail(
+			EXIT_USAGE, "give one log, or - for standard input (imu9-replay --help)");
+	return -1;
+}
+
+int main(int argc, char **argv)
+{
+	static struct config config;
+	struct imu_log log;
+	char why[CONFIG_ERROR_MAX];
+
+	config_init(&config, &imu9_od_table);
+	int status = read_configuration(&config, argc, argv);
+	if (status >= 0)
+		return status;
+	if (imu_log_open(&log, argv[optind], why, sizeof(why)) < 0)
+		return fail(EXIT_FAILURE, why);
+	status = replay(&config, &log);
+	imu_log_close(&log);
+	return status;
+}
