@@ -1,7 +1,8 @@
 /* drivers/imu/imu_log.h
- * Reads an IMU log: header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; s, rad/s, m/s^2, uT; magnetometer fields may be empty (all
- * three). Further columns are ignored, the order is free (the header names it). Bad rows (wrong count, not a number,
- * NaN or infinity, time not increasing) are skipped and counted; a bad header is an error. */
+ * Reads an IMU log: header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; s, rad/s, m/s^2, uT; magnetometer fields
+ * may be empty (all three). Further columns are ignored, the order is free (the header names it).
+ * Bad rows (wrong count, not a number, NaN or infinity, time not increasing) are skipped and
+ * counted; a bad header is an error. */
 #ifndef DRIVERS_IMU_IMU_LOG_H
 #define DRIVERS_IMU_IMU_LOG_H
 
@@ -10,26 +11,31 @@
 
 #include "model/sample.h"
 
-enum { IMU_LOG_COLUMNS = 10, IMU_LOG_LINE_MAX = 512 };
+enum { IMU_LOG_COLUMNS = 10, IMU_LOG_LINE_MAX = 512, IMU_LOG_HEAD = 200 };
 
 struct imu_log {
 	FILE *file;
 	char path[256];
-	long line;             /* number of the line read last, from 1 */
-	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. mz; -1: column absent (magnetometer) */
+	long line;		       /* number of the line read last, from 1 */
+	int fields;		       /* in the header */
+	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. mz; -1: column
+					  absent (magnetometer) */
 	uint64_t last_t_us;
 	int started;
 	uint32_t skipped;
-	double rate_hz;        /* from the median interval of the first rows, known after open */
-	char last_skip[128];   /* "file:line: what" of the row skipped last */
+	double rate_hz;	     /* from the median interval of the first rows, known after open */
+	char last_skip[128]; /* "file:line: what" of the row skipped last */
+	/* open() has read these already, for the rate; next() begins with them, so a pipe loses
+	 * none */
+	struct imu_sample head[IMU_LOG_HEAD];
+	int head_count, head_next;
 };
 
-/** "-" is standard input. 0, or -errno and one line in `error` with file:line. */
+/** "-" is standard input. 0, or -errno and one line in `error` with file:line; fewer than two good
+ * rows are an error. */
 int imu_log_open(struct imu_log *log, const char *path, char *error, size_t error_size);
 /** 1 and a sample, 0 at the end of the file, -EIO when reading fails. */
 int imu_log_next(struct imu_log *log, struct imu_sample *sample);
-/** Back to the first row. -ESPIPE where the file cannot seek. */
-int imu_log_rewind(struct imu_log *log);
 void imu_log_close(struct imu_log *log);
 
 #endif

@@ -30,14 +30,15 @@ struct imu_ops {
 struct imu_port {
 	const struct imu_ops *ops;
 	int fd;
-	double rate_hz; /* nominal sampling rate, known when open() returns */
+	double rate_hz;      /* nominal sampling rate of the samples' own time, known when open() returns */
+	uint64_t silence_us; /* no sample for that long: the sensor has failed */
 	char name[64];  /* "replay:09.imu.csv" */
 	char last_skip[128]; /* the last skip, for the log: "file:line: what" */
 	struct imu_counters counters;
 };
 
-/** Opens SRC: `sim[:SCENARIO]` or `replay:FILE.imu.csv[,loop][,speed=X]`. 0 and *port (close with imu_close()), or
- * -errno and one line in `error` that says what to do. */
+/** Opens SRC: `sim[:SCENARIO[,rate=HZ]]` or `replay:FILE.imu.csv[,loop][,speed=X]`. 0 and *port (close with
+ * imu_close()), or -errno and one line in `error` that says what to do. */
 int imu_open(const char *src, struct imu_port **port, char *error, size_t error_size);
 int imu_read(struct imu_port *port, struct imu_sample *sample);
 void imu_close(struct imu_port *port);

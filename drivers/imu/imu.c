@@ -1,0 +1,67 @@
+#include "drivers/ports/imu.h"
+
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "drivers/imu/source.h"
+
+static const struct source {
+	const char *name;
+	int (*open)(char *args, struct imu_port **port, char *error, size_t error_size);
+} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}};
+
+int source_positive(const char *text, double *value)
+{
+	char *end;
+
+	*value = strtod(text, &end);
+	return end != text && *end == '\0' && isfinite(*value) && *value > 0 ? 0 : -EINVAL;
+}
+
+static const struct source *find(const char *name)
+{
+	for (size_t i = 0; i < sizeof SOURCES / sizeof *SOURCES; i++)
+		if (strcmp(name, SOURCES[i].name) == 0)
+			return &SOURCES[i];
+	return NULL;
+}
+
+int imu_open(const char *src, struct imu_port **port, char *error, size_t error_size)
+{
+	char text[4096], *args = text, *name;
+	const struct source *source;
+	int result;
+
+	if ((size_t)snprintf(text, sizeof text, "%s", src) >= sizeof text) {
+		snprintf(error, error_size, "IMU source longer than %zu characters",
+			sizeof text - 1);
+		return -EINVAL;
+	}
+	name = strsep(&args, ":");
+	source = find(name);
+	if (!source) {
+		snprintf(error, error_size,
+			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ]] or "
+			"replay:FILE.imu.csv[,loop][,speed=X]",
+			name);
+		return -EINVAL;
+	}
+	result = source->open(args, port, error, error_size);
+	if (result == -ENOMEM)
+		snprintf(error, error_size, "%s: out of memory", name);
+	return result;
+}
+
+int imu_read(struct imu_port *port, struct imu_sample *sample)
+{
+	return port->ops->read(port, sample);
+}
+
+void imu_close(struct imu_port *port)
+{
+	if (port)
+		port->ops->close(port);
+}

@@ -1,0 +1,15 @@
+/* drivers/imu/source.h
+ * What imu_open() chooses from. `args` is what follows the colon of SRC, NULL without one; results
+ * as imu_open()'s. */
+#ifndef DRIVERS_IMU_SOURCE_H
+#define DRIVERS_IMU_SOURCE_H
+
+#include "drivers/ports/imu.h"
+
+int replay_open(char *args, struct imu_port **port, char *error, size_t error_size);
+int sim_open(char *args, struct imu_port **port, char *error, size_t error_size);
+
+/** A number above 0 and nothing after it. 0 or -EINVAL. */
+int source_positive(const char *text, double *value);
+
+#endif

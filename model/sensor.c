@@ -1,0 +1,294 @@
+#include "model/sensor.h"
+
+#include <errno.h>
+#include <math.h>
+#include <string.h>
+
+#define PI    3.14159265358979323846
+#define DPS   (PI / 180)
+#define G     9.80665
+#define GAUSS 100.0 /* uT */
+
+/* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8, ..
+ * 4096 s. */
+static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.0794415416798357;
+
+/* Densities, offsets, digits and ranges are the datasheets' typical values; bandwidths what the
+ * chips offer at about 100 Hz. For bias instability and random walk the datasheets have no figure:
+ * usual ones of this class of chips. */
+#define L3G4200D_ERRORS                                                                   \
+	{                                                                                 \
+		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS,                    \
+		.random_walk = 0.0002 * DPS, .bias_sigma = 10 * DPS, .scale_sigma = 0.02, \
+		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = 0.07 * DPS,         \
+		.range = 2000 * DPS                                                       \
+	}
+
+const struct sensor_config SENSOR_PRESETS[] = {
+	{.name = "lsm303dlhc_l3gd20",
+		.about = "Pololu IMU 9 v2: LSM303DLHC at 8 g and 1.3 gauss, L3GD20 at 2000 deg/s",
+		.gyro = L3G4200D_ERRORS,
+		.accel = {.density = 220e-6 * G,
+			.bias_instability = 0.1e-3 * G,
+			.random_walk = 2e-6 * G,
+			.bias_sigma = 0.06 * G,
+			.scale_sigma = 0.02,
+			.cross_axis_sigma = 0.01,
+			.bandwidth_hz = 50,
+			.step = 0.004 * G,
+			.range = 8 * G},
+		.mag = {.density = 0.02,
+			.bias_sigma = 10,
+			.scale_sigma = 0.05,
+			.cross_axis_sigma = 0.02,
+			.step = GAUSS / 1100,
+			.range = 1.3 * GAUSS},
+		.mag_rate_hz = 75,
+		.rate_hz = 100,
+		.gravity_m_s2 = 9.81,
+		.field_n_uT = {0, 20, -45}},
+	{.name = "lsm303dlh_l3g4200d",
+		.about = "Pololu IMU 9 v0, the seed's: LSM303DLH at 8 g and 1.3 gauss, L3G4200D at "
+			 "2000 deg/s",
+		.gyro = L3G4200D_ERRORS,
+		.accel = {.density = 218e-6 * G,
+			.bias_instability = 0.1e-3 * G,
+			.random_walk = 2e-6 * G,
+			.bias_sigma = 0.02 * G,
+			.scale_sigma = 0.02,
+			.cross_axis_sigma = 0.01,
+			.bandwidth_hz = 74,
+			.step = 0.0039 * G,
+			.range = 8 * G},
+		.mag = {.density = 0.1,
+			.bias_sigma = 10,
+			.scale_sigma = 0.05,
+			.cross_axis_sigma = 0.02,
+			.step = GAUSS / 1055,
+			.range = 1.3 * GAUSS},
+		.mag_rate_hz = 75,
+		.rate_hz = 100,
+		.gravity_m_s2 = 9.81,
+		.field_n_uT = {0, 20, -45}},
+	{.name = "ideal",
+		.about = "no errors",
+		.rate_hz = 100,
+		.gravity_m_s2 = 9.81,
+		.field_n_uT = {0, 20, -45}},
+	{0},
+};
+
+const struct sensor_config *sensor_preset(const char *name)
+{
+	for (const struct sensor_config *preset = SENSOR_PRESETS; preset->name; preset++)
+		if (strcmp(preset->name, name) == 0)
+			return preset;
+	return NULL;
+}
+
+void sensor_calibrate(struct sensor_config *config)
+{
+	struct triad_errors *triads[] = {&config->gyro, &config->accel, &config->mag};
+
+	for (int i = 0; i < 3; i++) {
+		triads[i]->bias_sigma = 0;
+		triads[i]->scale_sigma = 0;
+		triads[i]->cross_axis_sigma = 0;
+	}
+}
+
+static int errors_valid(const struct triad_errors *e)
+{
+	const double all[] = {e->density, e->bias_instability, e->random_walk, e->bias_sigma,
+		e->scale_sigma, e->cross_axis_sigma, e->bandwidth_hz, e->step, e->range};
+
+	for (size_t i = 0; i < sizeof all / sizeof *all; i++)
+		if (!(all[i] >= 0 && isfinite(all[i])))
+			return 0;
+	return 1;
+}
+
+/* Processes of equal variance v, time constants a factor k apart: one-sided spectrum v / (ln k *
+ * f), and flicker noise of bias instability B has B^2 / (pi f). */
+static void flicker_init(struct triad *triad, double interval_s)
+{
+	double sigma = triad->errors.bias_instability * sqrt(LOG_FLICKER_RATIO / PI);
+	double tau_s = FLICKER_TAU_S;
+
+	for (int k = 0; k < SENSOR_FLICKER_POLES; k++, tau_s *= FLICKER_RATIO) {
+		double decay = exp(-interval_s / tau_s);
+
+		triad->flicker_decay[k] = decay;
+		triad->flicker_drive[k] = sigma * sqrt(1 - decay * decay);
+		for (int axis = 0; axis < 3; axis++)
+			triad->flicker[axis][k] = sigma * rng_gauss(&triad->rng);
+	}
+}
+
+static void lag_init(struct triad *triad, double interval_s)
+{
+	double a = 2 * PI * triad->errors.bandwidth_hz * interval_s;
+
+	triad->lag_decay = exp(-a);
+	triad->lag_new = 1 - (1 - triad->lag_decay) / a;
+	triad->lag_old = (1 - triad->lag_decay) / a - triad->lag_decay;
+}
+
+static void triad_init(
+	struct triad *triad, const struct triad_errors *errors, double rate_hz, uint64_t seed)
+{
+	*triad = (struct triad){.errors = *errors};
+	rng_init(&triad->rng, seed);
+	triad->bias.x = errors->bias_sigma * rng_gauss(&triad->rng);
+	triad->bias.y = errors->bias_sigma * rng_gauss(&triad->rng);
+	triad->bias.z = errors->bias_sigma * rng_gauss(&triad->rng);
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++) {
+			double g = rng_gauss(&triad->rng);
+
+			triad->matrix[i][j] =
+				i == j ? 1 + errors->scale_sigma * g : errors->cross_axis_sigma * g;
+		}
+	triad->white_sigma = errors->density * sqrt(rate_hz / 2);
+	triad->walk_sigma = errors->random_walk / sqrt(rate_hz);
+	flicker_init(triad, 1 / rate_hz);
+	if (errors->bandwidth_hz > 0)
+		lag_init(triad, 1 / rate_hz);
+}
+
+int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint64_t seed)
+{
+	const double rate_hz = config->rate_hz;
+	struct rng seeds;
+
+	if (!(rate_hz > 0 && isfinite(rate_hz)) || !(config->jitter_s >= 0) ||
+		config->jitter_s * rate_hz > 0.1 || !(config->mag_rate_hz >= 0) ||
+		!errors_valid(&config->gyro) || !errors_valid(&config->accel) ||
+		!errors_valid(&config->mag))
+		return -EINVAL;
+	rng_init(&seeds, seed);
+	*sensor = (struct sensor){.config = *config};
+	triad_init(&sensor->gyro, &config->gyro, rate_hz, rng_u64(&seeds));
+	triad_init(&sensor->accel, &config->accel, rate_hz, rng_u64(&seeds));
+	triad_init(&sensor->mag, &config->mag, rate_hz, rng_u64(&seeds));
+	rng_init(&sensor->jitter, rng_u64(&seeds));
+	return 0;
+}
+
+static struct vec3 low_pass(struct triad *triad, struct vec3 in, int first)
+{
+	struct vec3 out = in;
+
+	if (triad->errors.bandwidth_hz <= 0)
+		return in;
+	if (!first)
+		out = vec3_add(vec3_scale(triad->lag_decay, triad->lag_out),
+			vec3_add(vec3_scale(triad->lag_new, in),
+				vec3_scale(triad->lag_old, triad->lag_in)));
+	triad->lag_in = in;
+	triad->lag_out = out;
+	return out;
+}
+
+static double noise(struct triad *triad, int axis)
+{
+	double sum = triad->white_sigma * rng_gauss(&triad->rng);
+
+	if (triad->errors.bias_instability > 0)
+		for (int k = 0; k < SENSOR_FLICKER_POLES; k++) {
+			double *x = &triad->flicker[axis][k];
+
+			*x = triad->flicker_decay[k] * *x +
+			     triad->flicker_drive[k] * rng_gauss(&triad->rng);
+			sum += *x;
+		}
+	if (triad->errors.random_walk > 0) {
+		triad->walk[axis] += triad->walk_sigma * rng_gauss(&triad->rng);
+		sum += triad->walk[axis];
+	}
+	return sum;
+}
+
+static double digitise(const struct triad_errors *errors, double value)
+{
+	if (errors->step > 0)
+		value = errors->step * floor(value / errors->step + 0.5);
+	if (errors->range > 0)
+		value = fmax(-errors->range, fmin(errors->range, value));
+	return value;
+}
+
+static struct vec3 triad_measure(struct triad *triad, struct vec3 in, int first)
+{
+	double(*m)[3] = triad->matrix;
+	struct vec3 v = low_pass(triad, in, first);
+	struct vec3 out = {
+		m[0][0] * v.x + m[0][1] * v.y + m[0][2] * v.z + triad->bias.x,
+		m[1][0] * v.x + m[1][1] * v.y + m[1][2] * v.z + triad->bias.y,
+		m[2][0] * v.x + m[2][1] * v.y + m[2][2] * v.z + triad->bias.z,
+	};
+
+	out.x = digitise(&triad->errors, out.x + noise(triad, 0));
+	out.y = digitise(&triad->errors, out.y + noise(triad, 1));
+	out.z = digitise(&triad->errors, out.z + noise(triad, 2));
+	return out;
+}
+
+double sensor_instant_s(struct sensor *sensor)
+{
+	double t_s = (double)sensor->taken / sensor->config.rate_hz;
+
+	return fmax(0, t_s + sensor->config.jitter_s * rng_gauss(&sensor->jitter));
+}
+
+struct vec3 sensor_specific_force(
+	const struct signal_truth *truth, struct vec3 lever_arm_b_m, double gravity_m_s2)
+{
+	const struct vec3 up = {0, 0, gravity_m_s2}, w = truth->omega_b_rad_s, r = lever_arm_b_m;
+	struct vec3 force = quat_rotate_inverse(truth->q_nb, vec3_add(truth->accel_n_m_s2, up));
+
+	force = vec3_add(force, vec3_cross(truth->alpha_b_rad_s2, r));
+	return vec3_add(force, vec3_cross(w, vec3_cross(w, r)));
+}
+
+/* The magnetometer has a new value when its own sample number changed. */
+static int mag_is_new(const struct sensor *sensor)
+{
+	double ratio = sensor->config.mag_rate_hz / sensor->config.rate_hz;
+	double k = (double)sensor->taken;
+
+	return sensor->taken == 0 || ratio <= 0 || ratio >= 1 ||
+	       floor(k * ratio) > floor((k - 1) * ratio);
+}
+
+void sensor_measure(
+	struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample)
+{
+	const struct sensor_config *config = &sensor->config;
+	const int first = sensor->taken == 0, mag = mag_is_new(sensor);
+	struct vec3 force =
+		sensor_specific_force(truth, config->lever_arm_b_m, config->gravity_m_s2);
+	struct vec3 field = quat_rotate_inverse(truth->q_nb, config->field_n_uT);
+
+	*sample = (struct imu_sample){
+		.t_us = (uint64_t)floor((double)sensor->taken * 1e6 / config->rate_hz + 0.5),
+		.gyro_rad_s = triad_measure(&sensor->gyro, truth->omega_b_rad_s, first),
+		.accel_m_s2 = triad_measure(&sensor->accel, force, first),
+		.mag_uT = triad_measure(&sensor->mag, field, first),
+		.flags = mag ? SAMPLE_MAG : 0,
+	};
+	if (!mag)
+		sample->mag_uT = (struct vec3){0, 0, 0};
+	sensor->taken++;
+}
+
+void sensor_next(struct sensor *sensor, const struct signal *signal, struct imu_sample *sample,
+	struct signal_truth *truth)
+{
+	struct signal_truth own;
+
+	if (!truth)
+		truth = &own;
+	signal_at(signal, sensor_instant_s(sensor), truth);
+	sensor_measure(sensor, truth, sample);
+}

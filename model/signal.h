@@ -1,0 +1,48 @@
+/* model/signal.h
+ * Test signals: motions of a rigid body in continuous time, for simulated sensors. Each is a
+ * formula, so attitude, rate, angular acceleration, position, velocity and acceleration belong
+ * together exactly, at every instant. The seed's three (section V: roll step, boat on a large wave,
+ * robot on a manoeuvring square) and some with textbook answers.
+ *
+ * What the seed leaves open (how large, how fast) are the parameters of struct signal: copy one,
+ * change it, sweep it. */
+#ifndef MODEL_SIGNAL_H
+#define MODEL_SIGNAL_H
+
+#include "model/quat.h"
+
+struct signal_truth {
+	double t_s;
+	struct vec3 angles_rad;	      /* roll, pitch, yaw: the seed's phi, theta, psi */
+	struct vec3 angles_dot_rad_s; /* their derivatives: not body rates */
+	struct vec3 angles_ddot_rad_s2;
+	struct quat q_nb;
+	struct vec3 omega_b_rad_s;  /* what an ideal gyro shows */
+	struct vec3 alpha_b_rad_s2; /* derivative of omega_b */
+	struct vec3 position_n_m;   /* of the reference point */
+	struct vec3 velocity_n_m_s;
+	struct vec3 accel_n_m_s2;
+};
+
+struct motion;
+
+struct signal {
+	const char *name;
+	const char *about;
+	void (*motion)(const struct signal *signal, double t_s, struct motion *motion);
+	double angle_rad; /* size of the largest quick rotation (turntable: the whole turn) */
+	double change_s;  /* time of one quick change: rise of the step, period of the wave, of a
+			     bump */
+	double period_s;  /* the motion repeats for ever */
+};
+
+/** All signals; ends with a NULL name. The first is the default of simulations. */
+extern const struct signal SIGNALS[];
+
+/** NULL where there is none of that name. */
+const struct signal *signal_find(const char *name);
+
+/** The motion at t_s >= 0. */
+void signal_at(const struct signal *signal, double t_s, struct signal_truth *truth);
+
+#endif
