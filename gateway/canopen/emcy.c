@@ -1,0 +1,236 @@
+/* Emergency: error register 1001h, history 1003h, COB-ID 1014h, inhibit time 1015h (CiA
+ * 301, 7.2.7). */
+#include "gateway/canopen/service.h"
+
+#include <string.h>
+
+static bool enabled(const struct emcy *emcy)
+{
+	return emcy->cob_id && !(*emcy->cob_id & COB_ID_INVALID);
+}
+
+static enum od_status before_cob_id(
+	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	uint32_t old = *((struct canopen_node *)ctx)->emcy.cob_id;
+	uint32_t new = get_u32(wire);
+
+	(void)entry;
+	(void)size;
+	if (new &COB_ID_INVALID)
+		return new & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
+	if (new &COB_ID_NO_RTR || !cob_id_usable(new))
+		return OD_BAD_VALUE;
+	return !(old & COB_ID_INVALID) && new != old ? OD_BAD_VALUE
+						     : OD_OK; /* not while it is in use */
+}
+
+/* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
+static enum od_status before_history(
+	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	(void)ctx;
+	(void)entry;
+	(void)size;
+	return *(const uint8_t *)wire == 0 ? OD_OK : OD_BAD_VALUE;
+}
+
+static void clear_history(struct emcy *emcy)
+{
+	if (!emcy->history_count)
+		return;
+	*emcy->history_count = 0;
+	for (size_t i = 0; i < emcy->history_size; i++)
+		*emcy->history[i] = 0;
+}
+
+static void after_history(void *ctx, const struct od_entry *entry)
+{
+	(void)entry;
+	clear_history(&((struct canopen_node *)ctx)->emcy);
+}
+
+void emcy_init(struct canopen_node *node)
+{
+	struct emcy *emcy = &node->emcy;
+
+	emcy->error_register = od_value(node->od, 0x1001, 0, sizeof(uint8_t));
+	emcy->cob_id = od_value(node->od, 0x1014, 0, sizeof(uint32_t));
+	emcy->inhibit_100us = node_value(node, 0x1015, 0, sizeof(uint16_t));
+	emcy->history_count = od_value(node->od, 0x1003, 0, sizeof(uint8_t));
+	for (uint8_t i = 0; i < EMCY_HISTORY; i++) {
+		emcy->history[i] = od_value(node->od, 0x1003, (uint8_t)(i + 1), sizeof(uint32_t));
+		if (!emcy->history[i])
+			break;
+		emcy->history_size++;
+	}
+	emcy->cob_id_hook = (struct od_hook){
+		.first = 0x1014, .last = 0x1014, .before = before_cob_id, .ctx = node};
+	emcy->history_hook = (struct od_hook){.first = 0x1003,
+		.last = 0x1003,
+		.before = before_history,
+		.after = after_history,
+		.ctx = node};
+	od_attach(node->od, &emcy->cob_id_hook);
+	od_attach(node->od, &emcy->history_hook);
+}
+
+bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub)
+{
+	return index == 0x1003 && node->emcy.history_count && sub > *node->emcy.history_count;
+}
+
+static void update_register(struct emcy *emcy)
+{
+	uint8_t bits = 0;
+
+	for (size_t i = 0; i < emcy->error_count; i++)
+		bits |= emcy->errors[i].bits | ERROR_GENERIC;
+	*emcy->error_register = bits;
+}
+
+/* Index of a standing error, or error_count. */
+static size_t find_error(const struct emcy *emcy, uint16_t code)
+{
+	size_t i = 0;
+
+	while (i < emcy->error_count && emcy->errors[i].code != code)
+		i++;
+	return i;
+}
+
+static bool remove_error(struct emcy *emcy, uint16_t code)
+{
+	size_t i = find_error(emcy, code);
+
+	if (i == emcy->error_count)
+		return false;
+	emcy->error_count--;
+	memmove(&emcy->errors[i], &emcy->errors[i + 1],
+		(emcy->error_count - i) * sizeof(emcy->errors[0]));
+	update_register(emcy);
+	return true;
+}
+
+/* Reset communication ends only the errors that the core found itself; the others are the
+ * application's to end. */
+void emcy_reset(struct canopen_node *node, enum od_group group)
+{
+	struct emcy *emcy = &node->emcy;
+
+	emcy->queue_count = 0;
+	emcy->inhibited_until_us = 0;
+	if (group == OD_GROUP_ALL) {
+		emcy->error_count = 0;
+		update_register(emcy);
+		clear_history(emcy);
+	} else {
+		remove_error(emcy, EMCY_DATA_SET);
+		remove_error(emcy, EMCY_SYNC_LENGTH);
+	}
+}
+
+void emcy_check(struct canopen_node *node)
+{
+	struct emcy *emcy = &node->emcy;
+
+	if (!enabled(emcy) || (!(*emcy->cob_id & COB_ID_NO_RTR) && cob_id_usable(*emcy->cob_id)))
+		return;
+	*emcy->cob_id |= COB_ID_INVALID;
+	node_bad_data(node, 0x1014);
+}
+
+static void record(struct emcy *emcy, uint16_t code, const uint8_t *info)
+{
+	if (emcy->history_size == 0)
+		return;
+	for (size_t i = emcy->history_size - 1; i > 0; i--)
+		*emcy->history[i] = *emcy->history[i - 1];
+	*emcy->history[0] = code | (uint32_t)get_u16(info) << 16;
+	if (*emcy->history_count < emcy->history_size)
+		(*emcy->history_count)++;
+}
+
+static void enqueue(struct canopen_node *node, uint16_t code, const uint8_t *info)
+{
+	struct emcy *emcy = &node->emcy;
+	struct emcy_message *message;
+
+	if (emcy->queue_count == EMCY_QUEUE) {
+		emcy->lost++;
+		return;
+	}
+	message = &emcy->queue[emcy->queue_count++];
+	message->code = code;
+	put_u16(message->data, code);
+	message->data[2] = *emcy->error_register;
+	memcpy(message->data + 3, info, 5);
+}
+
+uint64_t emcy_tick(struct canopen_node *node)
+{
+	struct emcy *emcy = &node->emcy;
+
+	if (!enabled(emcy))
+		emcy->queue_count = 0;
+	while (emcy->queue_count && nmt_communicates(node)) {
+		if (node->now_us < emcy->inhibited_until_us)
+			return emcy->inhibited_until_us;
+		node_send(node, *emcy->cob_id & COB_ID_MASK, emcy->queue[0].data, 8);
+		emcy->queue_count--;
+		memmove(&emcy->queue[0], &emcy->queue[1],
+			emcy->queue_count * sizeof(emcy->queue[0]));
+		emcy->inhibited_until_us = node->now_us + *emcy->inhibit_100us * 100u;
+	}
+	return UINT64_MAX;
+}
+
+/* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA
+ * 301, 7.3.2.2.4), or that all is over. */
+void emcy_leave_stopped(struct canopen_node *node)
+{
+	struct emcy *emcy = &node->emcy;
+	size_t keep = emcy->queue_count;
+
+	while (keep > 0 && find_error(emcy, emcy->queue[keep - 1].code) == emcy->error_count)
+		keep--;
+	if (keep > 0)
+		emcy->queue[0] = emcy->queue[keep - 1];
+	else if (emcy->queue_count)
+		emcy->queue[0] = emcy->queue[emcy->queue_count - 1];
+	emcy->queue_count = emcy->queue_count ? 1 : 0;
+	emcy_tick(node);
+}
+
+void canopen_error_set(struct canopen_node *node, uint16_t code, uint8_t register_bits,
+	const uint8_t *info, uint64_t now_us)
+{
+	static const uint8_t no_info[5];
+	struct emcy *emcy = &node->emcy;
+
+	node->now_us = now_us;
+	if (find_error(emcy, code) < emcy->error_count)
+		return;
+	if (emcy->error_count == EMCY_ERRORS) {
+		emcy->lost++;
+		return;
+	}
+	emcy->errors[emcy->error_count].code = code;
+	emcy->errors[emcy->error_count].bits = register_bits;
+	emcy->error_count++;
+	update_register(emcy);
+	record(emcy, code, info ? info : no_info);
+	enqueue(node, code, info ? info : no_info);
+	emcy_tick(node);
+}
+
+void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us)
+{
+	static const uint8_t no_info[5];
+
+	node->now_us = now_us;
+	if (!remove_error(&node->emcy, code) || node->emcy.error_count)
+		return;
+	enqueue(node, EMCY_NO_ERROR, no_info);
+	emcy_tick(node);
+}

@@ -1,0 +1,137 @@
+#include "gateway/canopen/service.h"
+
+#include <errno.h>
+#include <string.h>
+
+void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len)
+{
+	struct can_msg msg = {.id = id, .len = len};
+
+	memcpy(msg.data, data, len);
+	(void)can_send(
+		node->bus, &msg, node->now_us); /* a frame that is lost there is counted there */
+}
+
+const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t sub, size_t size)
+{
+	static const uint64_t absent;
+	const void *value = od_value(node->od, index, sub, size);
+
+	return value ? value : &absent;
+}
+
+void node_filter(struct canopen_node *node)
+{
+	uint32_t ids[] = {0x000, node->sdo.request_id, node->sync.id};
+	size_t n = node->sync.id == CAN_ID_NONE ? 2 : 3;
+
+	(void)can_filter(node->bus, ids,
+		n); /* best effort: canopen_receive() looks at the identifier again */
+}
+
+bool cob_id_usable(uint32_t cob_id)
+{
+	static const struct {
+		uint16_t first, last;
+	} restricted[] = {{0x000, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF}, {0x601, 0x67F},
+		{0x6E0, 0x6FF}, {0x701, 0x7FF}};
+	uint32_t id = cob_id & 0x3FFFFFFF;
+
+	for (size_t i = 0; i < sizeof(restricted) / sizeof(restricted[0]); i++)
+		if (id >= restricted[i].first && id <= restricted[i].last)
+			return false;
+	return id <= COB_ID_MASK;
+}
+
+void node_bad_data(struct canopen_node *node, uint16_t index)
+{
+	uint8_t info[5] = {0};
+
+	put_u16(info, index);
+	canopen_error_set(node, EMCY_DATA_SET, 0, info, node->now_us);
+}
+
+/* Brings every service in line with the dictionary's values. */
+static void reset_services(struct canopen_node *node)
+{
+	emcy_check(node);
+	sdo_server_reset(node);
+	sync_reset(node);
+	pdo_reset(node);
+	node_filter(node);
+}
+
+int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
+	const struct canopen_device *device, uint8_t node_id)
+{
+	static const uint16_t mandatory[] = {0x1000, 0x1001, 0x1017, 0x1018};
+
+	if (node_id < 1 || node_id > 127)
+		return -EINVAL;
+	for (size_t i = 0; i < sizeof(mandatory) / sizeof(mandatory[0]); i++)
+		if (!od_find(od->table, mandatory[i], 0, NULL))
+			return -ENOENT;
+
+	*node = (struct canopen_node){.od = od, .bus = bus, .id = node_id};
+	if (device)
+		node->device = *device;
+	nmt_init(node);
+	sdo_server_init(node);
+	sync_init(node);
+	emcy_init(node);
+	store_init(node);
+	int err = pdo_init(node);
+	if (err)
+		return err;
+	reset_services(node);
+	return 0;
+}
+
+void canopen_start(struct canopen_node *node, uint64_t now_us)
+{
+	node->now_us = now_us;
+	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
+	node->nmt.last_heartbeat_us = now_us;
+	nmt_enter(node, NMT_PRE_OPERATIONAL);
+	emcy_tick(node);
+}
+
+void node_reset(struct canopen_node *node, enum od_group group)
+{
+	nmt_enter(node, NMT_INITIALISING);
+	emcy_reset(node, group);
+	if (node->device.reset)
+		node->device.reset(node->device.ctx, group);
+	reset_services(node);
+	canopen_start(node, node->now_us);
+}
+
+void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us)
+{
+	node->now_us = now_us;
+	if (node->nmt.state == NMT_INITIALISING || msg->extended || msg->remote || msg->len > 8)
+		return;
+	if (msg->id == 0x000)
+		nmt_receive(node, msg);
+	else if (msg->id == node->sdo.request_id)
+		sdo_server_receive(node, msg);
+	else if (msg->id == node->sync.id)
+		sync_receive(node, msg);
+}
+
+uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
+{
+	uint64_t deadline;
+
+	node->now_us = now_us;
+	deadline = nmt_tick(node);
+	deadline = earlier(deadline, pdo_tick(node));
+	deadline = earlier(deadline, emcy_tick(node));
+	return earlier(deadline, sdo_server_tick(node));
+}
+
+void canopen_sample(struct canopen_node *node, uint64_t now_us)
+{
+	node->now_us = now_us;
+	pdo_sample(node);
+}

@@ -1,0 +1,121 @@
+/* gateway/canopen/node.h
+ * The state of one CANopen device. It stands in a header only so that the caller can own it: the
+ * fields are the core's, each struct belongs to the file named after its service. Pointers into the
+ * dictionary's values are looked up once, in canopen_init(), so that the way from SYNC to PDO is
+ * short. */
+#ifndef GATEWAY_CANOPEN_NODE_H
+#define GATEWAY_CANOPEN_NODE_H
+
+#include "gateway/canopen/canopen.h"
+
+enum {
+	TPDO_MAX = 8,	  /* PDOs looked for in 1800h..19FFh */
+	PDO_MAP_MAX = 8,  /* mapped objects in one PDO: bytes at the smallest */
+	EMCY_ERRORS = 16, /* errors standing at a time */
+	EMCY_QUEUE = 16, /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
+	EMCY_HISTORY = 8, /* entries of 1003h */
+};
+
+struct nmt {
+	const uint16_t *heartbeat_ms;
+	enum nmt_state state;
+	uint64_t last_heartbeat_us; /* boot-up counts as one (CiA 301, 7.2.8.3.2.2) */
+};
+
+enum sdo_server_state {
+	SDO_SERVER_IDLE,
+	SDO_SERVER_DOWNLOAD,
+	SDO_SERVER_UPLOAD,
+	SDO_SERVER_PENDING, /* all is received; the answer waits for canopen_store_done() */
+};
+
+struct sdo_server {
+	uint32_t request_id, response_id;
+	enum sdo_server_state state;
+	uint16_t index; /* of the transfer under way */
+	uint8_t sub;
+	uint8_t toggle;	     /* expected in the next segment: 0 or 10h */
+	bool size_indicated; /* download: the client said `size`; otherwise that is the most it may
+				send */
+	const uint8_t *data; /* upload: the buffer, or a domain's memory */
+	size_t size, done;   /* bytes */
+	uint64_t deadline_us;
+	uint8_t buffer[OD_VALUE_MAX];
+	uint8_t response[8]; /* the one that waits in SDO_SERVER_PENDING */
+};
+
+struct tpdo {
+	uint16_t index; /* 1800h + number */
+	uint32_t *cob_id;
+	const uint8_t *type, *sync_start, *map_count;
+	const uint16_t *inhibit_100us, *event_ms;
+	const uint32_t *map[PDO_MAP_MAX];
+
+	const struct od_entry
+		*mapped[PDO_MAP_MAX]; /* the first *map_count of `map`, checked and found */
+	bool active;		      /* valid, and something is mapped */
+	bool event;		      /* a sample came that this PDO has not carried yet */
+	bool await_start;	      /* no SYNC had the start value yet */
+	uint8_t syncs;		      /* SYNCs since the last transmission */
+	uint64_t inhibited_until_us;
+	uint64_t timer_start_us; /* the event timer runs from here */
+};
+
+struct pdo {
+	struct od_hook communication_hook, mapping_hook;
+	struct tpdo tpdo[TPDO_MAX];
+	size_t tpdo_count;
+};
+
+struct sync {
+	struct od_hook hook; /* 1005h, 1019h */
+	const uint32_t *cob_id, *window_us;
+	const uint8_t *counter_overflow;
+	uint32_t id;   /* that is listened to; CAN_ID_NONE */
+	uint32_t late; /* SYNCs whose window had passed before the PDOs could be sent */
+};
+
+struct emcy_message {
+	uint16_t code;
+	uint8_t data[8];
+};
+
+struct emcy {
+	struct od_hook cob_id_hook, history_hook;
+	uint32_t *cob_id; /* NULL: no 1014h, so no EMCY */
+	const uint16_t *inhibit_100us;
+	uint8_t *error_register;
+	uint8_t *history_count;
+	uint32_t *history[EMCY_HISTORY];
+	size_t history_size;
+	struct {
+		uint16_t code;
+		uint8_t bits;
+	} errors[EMCY_ERRORS]; /* that stand, oldest first */
+	size_t error_count;
+	struct emcy_message queue[EMCY_QUEUE]; /* oldest first */
+	size_t queue_count;
+	uint32_t lost; /* errors or messages that did not fit */
+	uint64_t inhibited_until_us;
+};
+
+struct store {
+	struct od_hook hook; /* 1010h, 1011h */
+	bool pending;
+};
+
+struct canopen_node {
+	struct od *od;
+	struct can_port *bus;
+	struct canopen_device device;
+	uint8_t id;
+	uint64_t now_us; /* the time of the last call: what a hook goes by */
+	struct nmt nmt;
+	struct sdo_server sdo;
+	struct pdo pdo;
+	struct sync sync;
+	struct emcy emcy;
+	struct store store;
+};
+
+#endif

@@ -1,0 +1,122 @@
+/* gateway/canopen/service.h
+ * What the service files of the core call of one another. Nobody else includes this. Each service
+ * has X_init(), once, which looks its objects up and attaches its hook; X_reset(), whenever the
+ * dictionary was brought back to its power-on values; X_tick(), which does what is due and returns
+ * the next deadline. All of them take the time from node->now_us. */
+#ifndef GATEWAY_CANOPEN_SERVICE_H
+#define GATEWAY_CANOPEN_SERVICE_H
+
+#include "gateway/canopen/node.h"
+
+#define COB_ID_MASK    0x7FFu
+#define COB_ID_INVALID (1u << 31)
+#define COB_ID_NO_RTR  (1u << 30)
+#define CAN_ID_NONE    0xFFFFFFFFu /* no frame has it */
+
+/* SDO abort codes that no dictionary status stands for (CiA 301, table 22). */
+#define ABORT_TOGGLE  0x05030000u
+#define ABORT_TIMEOUT 0x05040000u
+#define ABORT_COMMAND 0x05040001u
+
+/* EMCY codes that the core itself raises (CiA 301, table 26). */
+enum {
+	EMCY_NO_ERROR = 0x0000,
+	EMCY_DATA_SET =
+		0x6300, /* a stored communication parameter is not usable; info: its index */
+	EMCY_SYNC_LENGTH = 0x8240,
+};
+enum {
+	ERROR_GENERIC = 1 << 0,
+	ERROR_COMMUNICATION = 1 << 4,
+};
+
+/* node.c */
+void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len);
+/** The value in the dictionary, or zeros where an optional object is absent: its feature is off. */
+const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t sub, size_t size);
+/** Tells the bus which identifiers this node listens to. */
+void node_filter(struct canopen_node *node);
+/** NMT reset: the dictionary, then every service, then boot-up. */
+void node_reset(struct canopen_node *node, enum od_group group);
+/** EMCY_DATA_SET: the object at `index` holds what no SDO client could have written. */
+void node_bad_data(struct canopen_node *node, uint16_t index);
+/** False for 29-bit identifiers and those that CiA 301, 7.3.5 restricts. Bits 30 and 31 are not
+ * looked at. */
+bool cob_id_usable(uint32_t cob_id);
+
+/* nmt.c */
+void nmt_init(struct canopen_node *node);
+void nmt_receive(struct canopen_node *node, const struct can_msg *msg);
+uint64_t nmt_tick(struct canopen_node *node);
+void nmt_enter(struct canopen_node *node, enum nmt_state state);
+/** SDO, SYNC and EMCY live in these two states (CiA 301, table 37). */
+bool nmt_communicates(const struct canopen_node *node);
+
+/* sdo_server.c */
+void sdo_server_init(struct canopen_node *node);
+void sdo_server_reset(struct canopen_node *node);
+void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg);
+uint64_t sdo_server_tick(struct canopen_node *node);
+/** Gives the answer that waited for the device. */
+void sdo_server_done(struct canopen_node *node, enum od_status status);
+
+/* pdo.c */
+int pdo_init(struct canopen_node *node);
+void pdo_reset(struct canopen_node *node);
+void pdo_start(struct canopen_node *node); /* operational begins */
+void pdo_sample(struct canopen_node *node);
+/** `counter` is 0 for a SYNC without one. Nothing is sent when it is `late`. */
+void pdo_sync(struct canopen_node *node, uint8_t counter, bool late);
+uint64_t pdo_tick(struct canopen_node *node);
+
+/* sync.c */
+void sync_init(struct canopen_node *node);
+void sync_reset(struct canopen_node *node);
+void sync_receive(struct canopen_node *node, const struct can_msg *msg);
+
+/* emcy.c */
+void emcy_init(struct canopen_node *node);
+void emcy_reset(struct canopen_node *node,
+	enum od_group group);		    /* before the dictionary is reset: it may raise some */
+void emcy_check(struct canopen_node *node); /* after it */
+void emcy_leave_stopped(struct canopen_node *node);
+uint64_t emcy_tick(struct canopen_node *node);
+/** 1003h: nothing was recorded at this sub-index yet. */
+bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);
+
+/* store.c */
+void store_init(struct canopen_node *node);
+
+static inline uint16_t get_u16(const uint8_t *wire)
+{
+	return (uint16_t)(wire[0] | wire[1] << 8);
+}
+
+static inline uint32_t get_u32(const uint8_t *wire)
+{
+	return get_u16(wire) | (uint32_t)get_u16(wire + 2) << 16;
+}
+
+static inline void put_u16(uint8_t *wire, uint16_t value)
+{
+	wire[0] = (uint8_t)value;
+	wire[1] = (uint8_t)(value >> 8);
+}
+
+static inline void put_u32(uint8_t *wire, uint32_t value)
+{
+	put_u16(wire, (uint16_t)value);
+	put_u16(wire + 2, (uint16_t)(value >> 16));
+}
+
+static inline uint64_t earlier(uint64_t a, uint64_t b)
+{
+	return a < b ? a : b;
+}
+
+static inline uint64_t later(uint64_t a, uint64_t b)
+{
+	return a > b ? a : b;
+}
+
+#endif

@@ -1,0 +1,36 @@
+/* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14. */
+#include "gateway/canopen/service.h"
+
+#include <string.h>
+
+static enum od_status before_write(
+	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	struct canopen_node *node = ctx;
+	const struct canopen_device *device = &node->device;
+	bool restore = entry->index == 0x1011;
+	enum od_status (*action)(void *, enum od_group) = restore ? device->restore : device->store;
+	enum od_status status;
+
+	if (memcmp(wire, restore ? "load" : "save", size) != 0 || !action)
+		return OD_CANNOT_STORE;
+	if (node->store.pending)
+		return OD_DEVICE_STATE;
+	status = action(device->ctx, (enum od_group)entry->sub);
+	node->store.pending = status == OD_PENDING;
+	return status == OD_OK ? OD_CONSUMED : status;
+}
+
+void store_init(struct canopen_node *node)
+{
+	node->store.hook = (struct od_hook){
+		.first = 0x1010, .last = 0x1011, .before = before_write, .ctx = node};
+	od_attach(node->od, &node->store.hook);
+}
+
+void canopen_store_done(struct canopen_node *node, enum od_status status, uint64_t now_us)
+{
+	node->now_us = now_us;
+	node->store.pending = false;
+	sdo_server_done(node, status);
+}
