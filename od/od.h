@@ -139,8 +139,9 @@ struct od {
 /** Binds the table to the caller's values and fills them with the defaults for that node-ID (1..127, or 255: none). */
 void od_init(struct od *od, const struct od_table *table, void *values, uint8_t node_id);
 
-/** Back to the defaults, for the stored entries (OD_STORED) of one group or of all. No hook runs. */
-void od_reset(struct od *od, enum od_group group, uint8_t node_id);
+/** The stored entries (OD_STORED) of one group, or of all, back to what they are in `base`: a values struct, for example
+ * a copy taken at start-up. No hook runs. */
+void od_reset(struct od *od, enum od_group group, const void *base);
 
 void od_attach(struct od *od, struct od_hook *hook);
 void od_set_domain(struct od *od, struct od_domain *domain);
@@ -182,9 +183,9 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 /** One line for people: "value above its high limit". */
 const char *od_status_text(enum od_status status);
 
-/** The stored entries of a group that differ from their defaults, as a concise DCF (CiA 302-3: u32 count, then per
- * entry u16 index, u8 sub, u32 size, data, all little-endian). Returns the length, or -ENOSPC. */
-long od_encode(const struct od *od, enum od_group group, uint8_t node_id, uint8_t *out, size_t capacity);
+/** The stored entries of a group that differ from those in `base` (a values struct), as a concise DCF (CiA 302-3: u32
+ * count, then per entry u16 index, u8 sub, u32 size, data, all little-endian). Returns the length, or -ENOSPC. */
+long od_encode(const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity);
 
 /** Applies a concise DCF with od_put(). Entries that this dictionary does not have, does not store or refuses are
  * skipped and counted in *skipped. Returns the number applied, or -EINVAL when the bytes are not a concise DCF (then
