@@ -1,0 +1,124 @@
+#include "drivers/ports/can.h"
+
+#include <assert.h>
+#include <errno.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "drivers/can/socketcan.h"
+#include "drivers/can/udp.h"
+
+/* One full frame takes 0.25 ms at 500 kbit/s and 12 ms at 10 kbit/s. */
+enum { BACKOFF_MIN_US = 500, BACKOFF_MAX_US = 20000 };
+
+int can_open(const char *bus, struct can_port **port, char *error, size_t error_size)
+{
+	if (strcmp(bus, "udp") == 0)
+		return can_udp_open("", port, error, error_size);
+	if (strncmp(bus, "udp:", 4) == 0)
+		return can_udp_open(bus + 4, port, error, error_size);
+	if (bus[0] == '\0' || strpbrk(bus, ":/ ") != NULL) {
+		snprintf(error, error_size,
+			"unknown bus '%s': use an interface name (vcan0) or udp[:GROUP[:PORT]]",
+			bus);
+		return -EINVAL;
+	}
+	return can_socketcan_open(bus, port, error, error_size);
+}
+
+void can_close(struct can_port *port)
+{
+	port->ops->close(port);
+}
+
+static bool bus_is_full(int result)
+{
+	return result == -ENOBUFS || result == -EAGAIN;
+}
+
+/* Sends one frame. -ENOBUFS or -EAGAIN leaves it to the caller; the next attempt is due at
+ * retry_at_us. */
+static int send_now(struct can_port *port, const struct can_msg *msg, uint64_t now_us)
+{
+	int result = port->ops->send(port, msg);
+
+	if (bus_is_full(result)) {
+		uint32_t wait_us = port->backoff_us == 0 ? BACKOFF_MIN_US : port->backoff_us * 2;
+
+		port->backoff_us = wait_us < BACKOFF_MAX_US ? wait_us : BACKOFF_MAX_US;
+		port->retry_at_us = now_us + port->backoff_us;
+		port->counters.tx_retries++;
+		return result;
+	}
+	port->backoff_us = 0;
+	if (result < 0)
+		port->counters.tx_dropped++;
+	else
+		port->counters.tx++;
+	return result;
+}
+
+static void drop_oldest(struct can_port *port)
+{
+	port->queue_head = (port->queue_head + 1) % CAN_QUEUE_LEN;
+	port->queue_count--;
+}
+
+static void enqueue(struct can_port *port, const struct can_msg *msg)
+{
+	if (port->queue_count == CAN_QUEUE_LEN) {
+		drop_oldest(port);
+		port->counters.tx_dropped++;
+	}
+	port->queue[(port->queue_head + port->queue_count) % CAN_QUEUE_LEN] = *msg;
+	port->queue_count++;
+}
+
+static void flush(struct can_port *port, uint64_t now_us)
+{
+	if (port->queue_count > 0 && now_us < port->retry_at_us)
+		return;
+	while (port->queue_count > 0) {
+		if (bus_is_full(send_now(port, &port->queue[port->queue_head], now_us)))
+			return;
+		drop_oldest(port);
+	}
+}
+
+int can_send(struct can_port *port, const struct can_msg *msg, uint64_t now_us)
+{
+	assert(msg->len <= 8);
+	flush(port, now_us);
+	if (port->queue_count == 0) {
+		int result = send_now(port, msg, now_us);
+
+		if (!bus_is_full(result))
+			return result;
+	}
+	enqueue(port, msg);
+	return 0;
+}
+
+int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
+{
+	int result = port->ops->receive(port, msg, now_us);
+
+	if (result > 0)
+		port->counters.rx++;
+	return result;
+}
+
+int can_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	return port->ops->filter(port, ids, n);
+}
+
+uint64_t can_service(struct can_port *port, uint64_t now_us)
+{
+	uint64_t next = port->ops->service == NULL ? UINT64_MAX : port->ops->service(port, now_us);
+
+	flush(port, now_us);
+	if (port->queue_count > 0 && port->retry_at_us < next)
+		next = port->retry_at_us;
+	return next;
+}

@@ -1,0 +1,293 @@
+#include "drivers/can/socketcan.h"
+
+#include <errno.h>
+#include <linux/can.h>
+#include <linux/can/error.h>
+#include <linux/can/raw.h>
+#include <net/if.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/epoll.h>
+#include <sys/ioctl.h>
+#include <unistd.h>
+
+#include "drivers/can/rx_batch.h"
+
+enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
+
+struct socketcan {
+	struct can_port port; /* port.fd is an epoll descriptor: it outlives the sockets */
+	int socket;
+	int interface; /* the index that `socket` is bound to; 0: it lost its interface */
+	uint64_t look_at_us;
+	struct can_filter filters[CAN_RAW_FILTER_MAX];
+	size_t filter_count; /* 0: all */
+	struct rx_batch batch;
+};
+
+static struct socketcan *of(struct can_port *port)
+{
+	return (struct socketcan *)(void *)port;
+}
+
+/* An interface that went away is not a failure of ours: service() looks for it. Returns -error. */
+static int note(struct socketcan *can, int error)
+{
+	if (error == ENETDOWN || error == ENODEV || error == ENXIO)
+		can->port.state = CAN_STATE_DOWN;
+	if (error == ENODEV || error == ENXIO)
+		can->interface = 0;
+	return -error;
+}
+
+static int socketcan_send(struct can_port *port, const struct can_msg *msg)
+{
+	struct can_frame frame = {.can_id = msg->id, .can_dlc = msg->len};
+
+	if (msg->extended)
+		frame.can_id |= CAN_EFF_FLAG;
+	if (msg->remote)
+		frame.can_id |= CAN_RTR_FLAG;
+	else
+		memcpy(frame.data, msg->data, msg->len);
+	if (write(of(port)->socket, &frame, sizeof(frame)) < 0)
+		return note(of(port), errno);
+	return 0;
+}
+
+static void set_bus_off(struct can_port *port)
+{
+	if (port->state != CAN_STATE_BUS_OFF)
+		port->counters.bus_off++;
+	port->state = CAN_STATE_BUS_OFF;
+}
+
+static void take_error_frame(struct can_port *port, const struct can_frame *frame)
+{
+	port->counters.errors++;
+	if ((frame->can_id & CAN_ERR_CRTL) != 0) {
+		uint8_t controller = frame->data[1];
+
+		if ((controller & CAN_ERR_CRTL_RX_OVERFLOW) != 0)
+			port->counters.rx_dropped++;
+		if ((controller & (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)) != 0)
+			port->state = CAN_STATE_PASSIVE;
+		else if ((controller & (CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING)) != 0)
+			port->state = CAN_STATE_WARNING;
+		else if ((controller & CAN_ERR_CRTL_ACTIVE) != 0)
+			port->state = CAN_STATE_ACTIVE;
+	}
+	if ((frame->can_id & CAN_ERR_RESTARTED) != 0)
+		port->state = CAN_STATE_ACTIVE;
+	if ((frame->can_id & CAN_ERR_BUSOFF) != 0)
+		set_bus_off(port);
+}
+
+static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
+{
+	struct socketcan *can = of(port);
+	struct rx_datagram datagram;
+	struct can_frame frame;
+	int result;
+
+	(void)now_us;
+	for (;;) {
+		result = rx_batch_next(
+			&can->batch, can->socket, &datagram, &port->counters.rx_dropped);
+		if (result < 0)
+			return note(can, -result);
+		if (result == 0)
+			return 0;
+		memcpy(&frame, datagram.data, sizeof(frame)); /* the buffer is longer */
+		if (datagram.size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN)
+			port->counters.rx_dropped++;
+		else if ((frame.can_id & CAN_ERR_FLAG) != 0)
+			take_error_frame(port, &frame);
+		else
+			break;
+	}
+	msg->extended = (frame.can_id & CAN_EFF_FLAG) != 0;
+	msg->remote = (frame.can_id & CAN_RTR_FLAG) != 0;
+	msg->id = frame.can_id & (msg->extended ? CAN_EFF_MASK : CAN_SFF_MASK);
+	msg->len = frame.can_dlc;
+	memcpy(msg->data, frame.data, sizeof(msg->data));
+	msg->t_us = datagram.t_us;
+	return 1;
+}
+
+static int apply_filters(const struct socketcan *can, int fd)
+{
+	static const struct can_filter all = {0, 0};
+	const struct can_filter *filters = can->filter_count > 0 ? can->filters : &all;
+	size_t count = can->filter_count > 0 ? can->filter_count : 1;
+
+	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters,
+		    (socklen_t)(count * sizeof(*filters))) != 0)
+		return -errno;
+	return 0;
+}
+
+static int socketcan_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	struct socketcan *can = of(port);
+
+	can->filter_count = n <= CAN_RAW_FILTER_MAX ? n : 0;
+	for (size_t i = 0; i < can->filter_count; i++) {
+		can->filters[i].can_id = ids[i];
+		can->filters[i].can_mask = CAN_SFF_MASK | CAN_EFF_FLAG; /* data and remote frames */
+	}
+	return apply_filters(can, can->socket);
+}
+
+/* The index of an interface that is up, or -ENODEV, -ENETDOWN. */
+static int find_interface(const char *name, int fd)
+{
+	struct ifreq request = {0};
+
+	snprintf(request.ifr_name, sizeof(request.ifr_name), "%s", name);
+	if (ioctl(fd, SIOCGIFFLAGS, &request) != 0)
+		return -errno;
+	if ((request.ifr_flags & IFF_UP) == 0)
+		return -ENETDOWN;
+	if (ioctl(fd, SIOCGIFINDEX, &request) != 0)
+		return -errno;
+	return request.ifr_ifindex;
+}
+
+/* Sets the socket up, binds it and lets the port poll it. */
+static int attach(const struct socketcan *can, int fd, int interface)
+{
+	const can_err_mask_t errors = CAN_ERR_MASK;
+	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = interface};
+	struct epoll_event event = {.events = EPOLLIN};
+	int result = rx_batch_prepare(fd);
+
+	if (result == 0)
+		result = apply_filters(can, fd);
+	if (result < 0)
+		return result;
+	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof(errors)) != 0 ||
+		bind(fd, (struct sockaddr *)&address, sizeof(address)) != 0 ||
+		epoll_ctl(can->port.fd, EPOLL_CTL_ADD, fd, &event) != 0)
+		return -errno;
+	return 0;
+}
+
+/* Replaces the socket by one that is bound to the interface of that name as it is now. 0 or -errno.
+ */
+static int reopen(struct socketcan *can)
+{
+	int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
+	int interface, result;
+
+	if (fd < 0)
+		return -errno;
+	interface = find_interface(can->port.name, fd);
+	result = interface < 0 ? interface : attach(can, fd, interface);
+	if (result < 0) {
+		close(fd);
+		return result;
+	}
+	if (can->socket >= 0)
+		close(can->socket); /* leaves the epoll set by itself */
+	can->socket = fd;
+	can->interface = interface;
+	memset(&can->batch, 0, sizeof(can->batch));
+	return 0;
+}
+
+static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
+{
+	struct socketcan *can = of(port);
+
+	if (port->state != CAN_STATE_DOWN)
+		return UINT64_MAX;
+	if (now_us >= can->look_at_us) {
+		can->look_at_us = now_us + LOOK_AGAIN_US;
+		if (find_interface(port->name, can->socket) == can->interface || reopen(can) == 0) {
+			port->state = CAN_STATE_ACTIVE;
+			return UINT64_MAX;
+		}
+	}
+	return can->look_at_us;
+}
+
+static void socketcan_close(struct can_port *port)
+{
+	struct socketcan *can = of(port);
+
+	if (can->socket >= 0)
+		close(can->socket);
+	if (port->fd >= 0)
+		close(port->fd);
+	free(can);
+}
+
+static const struct can_ops socketcan_ops = {
+	.send = socketcan_send,
+	.receive = socketcan_receive,
+	.filter = socketcan_filter,
+	.service = socketcan_service,
+	.close = socketcan_close,
+};
+
+static void explain(int result, const char *name, char *error, size_t error_size)
+{
+	switch (result) {
+	case -ENODEV:
+		snprintf(error, error_size,
+			"no CAN interface %s: create it with `ip link add dev %s type vcan && "
+			"ip link set %s up`, or use the bus `udp`",
+			name, name, name);
+		break;
+	case -ENETDOWN:
+		snprintf(error, error_size,
+			"interface %s is down: `ip link set %s up` (a real bus: `ip link set %s up "
+			"type can bitrate 500000`)",
+			name, name, name);
+		break;
+	case -EAFNOSUPPORT:
+	case -EPROTONOSUPPORT:
+		snprintf(error, error_size,
+			"cannot open %s: this kernel has no SocketCAN: `modprobe can_raw`, or use "
+			"the "
+			"bus `udp`",
+			name);
+		break;
+	default:
+		snprintf(error, error_size, "cannot open CAN interface %s: %s", name,
+			strerror(-result));
+	}
+}
+
+int can_socketcan_open(
+	const char *interface, struct can_port **port, char *error, size_t error_size)
+{
+	struct socketcan *can;
+	int result;
+
+	if (strlen(interface) >= IFNAMSIZ) {
+		snprintf(error, error_size,
+			"'%s' is too long for an interface name: at most %d characters", interface,
+			IFNAMSIZ - 1);
+		return -EINVAL;
+	}
+	can = calloc(1, sizeof(*can));
+	if (can == NULL) {
+		snprintf(error, error_size, "out of memory");
+		return -ENOMEM;
+	}
+	can->port.ops = &socketcan_ops;
+	snprintf(can->port.name, sizeof(can->port.name), "%s", interface);
+	can->socket = -1;
+	can->port.fd = epoll_create1(EPOLL_CLOEXEC);
+	result = can->port.fd < 0 ? -errno : reopen(can);
+	if (result < 0) {
+		explain(result, interface, error, error_size);
+		socketcan_close(&can->port);
+		return result;
+	}
+	*port = &can->port;
+	return 0;
+}

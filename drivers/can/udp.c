@@ -1,0 +1,331 @@
+#include "drivers/can/udp.h"
+
+#include <arpa/inet.h>
+#include <errno.h>
+#include <linux/filter.h>
+#include <net/if.h>
+#include <netinet/in.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "drivers/can/rx_batch.h"
+#include "drivers/can/udp_codec.h"
+
+#define DEFAULT_GROUP "239.74.163.2"
+
+enum { DEFAULT_PORT = 43113, STANDARD_IDS = 0x800 };
+
+union address {
+	struct sockaddr any;
+	struct sockaddr_in v4;
+	struct sockaddr_in6 v6;
+};
+
+struct udp {
+	struct can_port port; /* port.fd receives */
+	int sender; /* of its own, so that its source port tells our datagrams from others' */
+	union address group;
+	bool filtered;
+	uint32_t wanted[STANDARD_IDS / 32]; /* one bit an identifier */
+	struct rx_batch batch;
+};
+
+static struct udp *of(struct can_port *port)
+{
+	return (struct udp *)(void *)port;
+}
+
+static socklen_t address_size(const union address *address)
+{
+	return address->any.sa_family == AF_INET ? sizeof(address->v4) : sizeof(address->v6);
+}
+
+static int udp_send(struct can_port *port, const struct can_msg *msg)
+{
+	const struct udp *udp = of(port);
+	char datagram[CAN_UDP_MAX];
+	size_t size = can_udp_encode(msg, datagram);
+
+	if (sendto(udp->sender, datagram, size, MSG_DONTWAIT, &udp->group.any,
+		    address_size(&udp->group)) < 0) {
+		int error = errno;
+
+		if (error == ENETUNREACH || error == ENETDOWN || error == ENODEV)
+			port->state = CAN_STATE_DOWN;
+		return -error;
+	}
+	port->state = CAN_STATE_ACTIVE;
+	return 0;
+}
+
+static bool is_wanted(const struct udp *udp, const struct can_msg *msg)
+{
+	if (!udp->filtered)
+		return true;
+	return !msg->extended && (udp->wanted[msg->id / 32] >> msg->id % 32 & 1) != 0;
+}
+
+static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
+{
+	struct udp *udp = of(port);
+	struct rx_datagram datagram;
+	int result;
+
+	(void)now_us;
+	for (;;) {
+		result =
+			rx_batch_next(&udp->batch, port->fd, &datagram, &port->counters.rx_dropped);
+		if (result <= 0)
+			return result;
+		if (can_udp_decode(datagram.data, datagram.size, msg) < 0)
+			port->counters.rx_dropped++;
+		else if (is_wanted(udp, msg))
+			break;
+	}
+	msg->t_us = datagram.t_us;
+	return 1;
+}
+
+static int udp_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	struct udp *udp = of(port);
+
+	memset(udp->wanted, 0, sizeof(udp->wanted));
+	for (size_t i = 0; i < n; i++)
+		udp->wanted[ids[i] % STANDARD_IDS / 32] |= 1u << ids[i] % 32;
+	udp->filtered = n > 0;
+	return 0;
+}
+
+static void udp_close(struct can_port *port)
+{
+	struct udp *udp = of(port);
+
+	if (udp->sender >= 0)
+		close(udp->sender);
+	if (port->fd >= 0)
+		close(port->fd);
+	free(udp);
+}
+
+static const struct can_ops udp_ops = {
+	.send = udp_send,
+	.receive = udp_receive,
+	.filter = udp_filter,
+	.close = udp_close,
+};
+
+/* "GROUP", "GROUP:PORT", "[GROUP6]:PORT", "GROUP6", "" */
+static bool split(const char *text, char group[INET6_ADDRSTRLEN], const char **port)
+{
+	const char *start = text, *end;
+
+	if (text[0] == '[') {
+		start = text + 1;
+		end = strchr(start, ']');
+		if (end == NULL || (end[1] != '\0' && end[1] != ':'))
+			return false;
+		*port = end[1] == ':' ? end + 2 : NULL;
+	} else {
+		const char *colon = strchr(text, ':');
+		bool v6 = colon != NULL && strchr(colon + 1, ':') != NULL;
+
+		end = colon == NULL || v6 ? text + strlen(text) : colon;
+		*port = colon == NULL || v6 ? NULL : colon + 1;
+	}
+	if (end - start >= INET6_ADDRSTRLEN)
+		return false;
+	snprintf(group, INET6_ADDRSTRLEN, "%.*s", (int)(end - start), start);
+	return true;
+}
+
+static bool parse_port(const char *text, uint16_t *port)
+{
+	char *end;
+	unsigned long value;
+
+	if (text == NULL)
+		return true;
+	value = strtoul(text, &end, 10);
+	if (text[0] < '0' || text[0] > '9' || *end != '\0' || value == 0 || value > 65535)
+		return false;
+	*port = (uint16_t)value;
+	return true;
+}
+
+static bool parse(const char *text, union address *address)
+{
+	char group[INET6_ADDRSTRLEN];
+	const char *port_text;
+	uint16_t port = DEFAULT_PORT;
+
+	if (!split(text, group, &port_text) || !parse_port(port_text, &port))
+		return false;
+	memset(address, 0, sizeof(*address));
+	if (group[0] == '\0')
+		snprintf(group, sizeof(group), "%s", DEFAULT_GROUP);
+	if (inet_pton(AF_INET, group, &address->v4.sin_addr) == 1) {
+		address->v4.sin_family = AF_INET;
+		address->v4.sin_port = htons(port);
+		return IN_MULTICAST(ntohl(address->v4.sin_addr.s_addr));
+	}
+	address->v6.sin6_family = AF_INET6;
+	address->v6.sin6_port = htons(port);
+	return inet_pton(AF_INET6, group, &address->v6.sin6_addr) == 1 &&
+	       IN6_IS_ADDR_MULTICAST(&address->v6.sin6_addr);
+}
+
+static int set(int fd, int level, int option, const void *value, size_t size)
+{
+	return setsockopt(fd, level, option, value, (socklen_t)size) == 0 ? 0 : -errno;
+}
+
+static int set_int(int fd, int level, int option, int value)
+{
+	return set(fd, level, option, &value, sizeof(value));
+}
+
+/* Interface 0: the one the kernel routes the group to. */
+static int join(int fd, const union address *group, unsigned interface)
+{
+	struct group_req request = {.gr_interface = interface};
+	int level = group->any.sa_family == AF_INET ? IPPROTO_IP : IPPROTO_IPV6;
+
+	memcpy(&request.gr_group, group, sizeof(*group));
+	return set(fd, level, MCAST_JOIN_GROUP, &request, sizeof(request));
+}
+
+static int send_through(int fd, const union address *group, unsigned interface)
+{
+	struct ip_mreqn request = {.imr_ifindex = (int)interface};
+
+	if (group->any.sa_family == AF_INET)
+		return set(fd, IPPROTO_IP, IP_MULTICAST_IF, &request, sizeof(request));
+	return set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, (int)interface);
+}
+
+/* A socket of the group's family that sends one hop far and to this host, from a port of its own.
+ */
+static int open_sender(const union address *group)
+{
+	union address own = {.any.sa_family = group->any.sa_family};
+	bool v4 = group->any.sa_family == AF_INET;
+	int level = v4 ? IPPROTO_IP : IPPROTO_IPV6;
+	int fd = socket(own.any.sa_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+	int result;
+
+	if (fd < 0)
+		return -errno;
+	result = set_int(fd, level, v4 ? IP_MULTICAST_TTL : IPV6_MULTICAST_HOPS, 1);
+	if (result == 0)
+		result = set_int(fd, level, v4 ? IP_MULTICAST_LOOP : IPV6_MULTICAST_LOOP, 1);
+	if (result == 0 && bind(fd, &own.any, address_size(&own)) != 0)
+		result = -errno;
+	if (result < 0) {
+		close(fd);
+		return result;
+	}
+	return fd;
+}
+
+/* Makes the kernel discard what came back from `sender`: of its source port, and sent by this host.
+ * A datagram that never left the host is either a looped copy (PACKET_LOOPBACK) or came through the
+ * loopback interface. */
+static int discard_own(int fd, int sender)
+{
+	union address own;
+	socklen_t size = sizeof(own);
+	struct sock_filter code[] = {
+		BPF_STMT(BPF_LD | BPF_H | BPF_ABS, 0), /* source port: the UDP header comes first */
+		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 0, 0, 4),
+		BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)(SKF_AD_OFF + SKF_AD_PKTTYPE)),
+		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, 5 /* PACKET_LOOPBACK */, 3, 0),
+		BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)(SKF_AD_OFF + SKF_AD_IFINDEX)),
+		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, if_nametoindex("lo"), 1, 0),
+		BPF_STMT(BPF_RET | BPF_K, UINT32_MAX), /* keep */
+		BPF_STMT(BPF_RET | BPF_K, 0),
+	};
+	const struct sock_fprog program = {sizeof(code) / sizeof(code[0]), code};
+
+	if (getsockname(sender, &own.any, &size) != 0)
+		return -errno;
+	code[1].k = ntohs(own.any.sa_family == AF_INET ? own.v4.sin_port : own.v6.sin6_port);
+	return set(fd, SOL_SOCKET, SO_ATTACH_FILTER, &program, sizeof(program));
+}
+
+/* Bound to the group, so that datagrams of other groups and unicast ones do not arrive. */
+static int open_receiver(const union address *group, int sender)
+{
+	int fd = socket(group->any.sa_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
+	int result;
+
+	if (fd < 0)
+		return -errno;
+	result = rx_batch_prepare(fd);
+	if (result == 0)
+		result = discard_own(fd, sender);
+	if (result == 0)
+		result = set_int(fd, SOL_SOCKET, SO_REUSEADDR, 1);
+	if (result == 0 && bind(fd, &group->any, address_size(group)) != 0)
+		result = -errno;
+	if (result < 0) {
+		close(fd);
+		return result;
+	}
+	return fd;
+}
+
+static int open_sockets(struct udp *udp)
+{
+	unsigned loopback = if_nametoindex("lo");
+	int result;
+
+	udp->sender = open_sender(&udp->group);
+	if (udp->sender < 0)
+		return udp->sender;
+	udp->port.fd = open_receiver(&udp->group, udp->sender);
+	if (udp->port.fd < 0)
+		return udp->port.fd;
+	result = join(udp->port.fd, &udp->group, 0);
+	if (result == 0)
+		return 0;
+	/* no route to the group: a host, or a container, without network */
+	result = join(udp->port.fd, &udp->group, loopback);
+	return result < 0 ? result : send_through(udp->sender, &udp->group, loopback);
+}
+
+int can_udp_open(const char *address, struct can_port **port, char *error, size_t error_size)
+{
+	union address group;
+	struct udp *udp;
+	int result;
+
+	if (!parse(address, &group)) {
+		snprintf(error, error_size,
+			"bad bus 'udp:%s': use udp[:GROUP[:PORT]] with a multicast group, e.g. "
+			"udp:" DEFAULT_GROUP ":%d or udp:[ff15::1]:%d",
+			address, DEFAULT_PORT, DEFAULT_PORT);
+		return -EINVAL;
+	}
+	udp = calloc(1, sizeof(*udp));
+	if (udp == NULL) {
+		snprintf(error, error_size, "out of memory");
+		return -ENOMEM;
+	}
+	udp->port.ops = &udp_ops;
+	udp->port.fd = udp->sender = -1;
+	udp->group = group;
+	snprintf(udp->port.name, sizeof(udp->port.name), address[0] == '\0' ? "udp" : "udp:%s",
+		address);
+	result = open_sockets(udp);
+	if (result < 0) {
+		snprintf(error, error_size, "cannot open bus '%s': %s", udp->port.name,
+			strerror(-result));
+		udp_close(&udp->port);
+		return result;
+	}
+	*port = &udp->port;
+	return 0;
+}

@@ -1,0 +1,15 @@
+/* drivers/can/udp.h
+ * A CAN bus made of multicast datagrams, in the wire format of python-can's udp_multicast bus: no
+ * CAN hardware or kernel support needed. Several programs of one host, and hosts one hop away,
+ * share the bus. Own frames are not received. */
+#ifndef DRIVERS_CAN_UDP_H
+#define DRIVERS_CAN_UDP_H
+
+#include "drivers/ports/can.h"
+
+/** `address` is [GROUP[:PORT]]; an IPv6 group with a port is written [GROUP]:PORT. Otherwise as
+ * can_open(). Interface: the one the kernel routes the group to (as python-can does); loopback when
+ * there is no route. */
+int can_udp_open(const char *address, struct can_port **port, char *error, size_t error_size);
+
+#endif
