@@ -87,7 +87,7 @@ $(BUILD)/tests/%: tests/%.c $(LIBS) | $(BUILD)/gen/od_values.h
 	@$(MAKE) --no-print-directory $(TEST_HELPERS)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(TEST_HELPERS) $(LIBS) -lcmocka $(LDLIBS)
 
-Q := $(if $(V),,@echo "  build   $$@";)
+Q = $(if $(V),,@echo "  build   $@";)
 
 # ---- the two commands of the README --------------------------------------------------------------------------------
 .PHONY: demo test
