@@ -1,0 +1,34 @@
+/* Any bytes as an IMU log: no crash, and whatever comes out is finite and in order. */
+#include <assert.h>
+#include <stdio.h>
+#include <sys/mman.h>
+#include <unistd.h>
+
+#include "drivers/imu/imu_log.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+	static int fd = -1;
+	struct imu_sample sample;
+	uint64_t last_us = 0;
+	struct imu_log log;
+	char path[32], error[256];
+
+	if (fd < 0)
+		fd = memfd_create("log", 0);
+	if (ftruncate(fd, 0) < 0 || pwrite(fd, data, size, 0) != (ssize_t)size)
+		return 0;
+	snprintf(path, sizeof path, "/proc/self/fd/%d", fd);
+	if (imu_log_open(&log, path, error, sizeof error) < 0)
+		return 0;
+	assert(log.rate_hz > 0);
+	for (int n = 0; imu_log_next(&log, &sample) == 1; n++) {
+		assert(n == 0 || sample.t_us > last_us);
+		assert(vec3_finite(sample.gyro_rad_s) && vec3_finite(sample.accel_m_s2) && vec3_finite(sample.mag_uT));
+		last_us = sample.t_us;
+	}
+	imu_log_close(&log);
+	return 0;
+}

@@ -1,0 +1,331 @@
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "drivers/imu/imu_log.h"
+
+#define HEADER "t,gx,gy,gz,ax,ay,az,mx,my,mz\n"
+#define ROW(t) t ",1,2,3,4,5,6,7,8,9\n"
+
+static char path[64];
+
+static void write_file(const void *text, size_t size)
+{
+	int fd;
+
+	strcpy(path, "/tmp/imu9_log_XXXXXX");
+	fd = mkstemp(path);
+	assert_true(fd >= 0);
+	assert_int_equal(write(fd, text, size), size);
+	close(fd);
+}
+
+static struct imu_log opened(const void *text, size_t size)
+{
+	struct imu_log log;
+	char error[256];
+
+	write_file(text, size);
+	if (imu_log_open(&log, path, error, sizeof error) != 0)
+		fail_msg("%s", error);
+	unlink(path);
+	return log;
+}
+
+static void assert_refused(const char *text, int result, const char *word)
+{
+	struct imu_log log;
+	char error[256] = "";
+
+	write_file(text, strlen(text));
+	assert_int_equal(imu_log_open(&log, path, error, sizeof error), result);
+	unlink(path);
+	if (!strstr(error, word))
+		fail_msg("'%s' does not say '%s'", error, word);
+}
+
+/* Reads all; the number of good rows. */
+static int count(struct imu_log *log)
+{
+	struct imu_sample sample;
+	int n = 0, got;
+
+	while ((got = imu_log_next(log, &sample)) == 1)
+		n++;
+	assert_int_equal(got, 0);
+	imu_log_close(log);
+	return n;
+}
+
+/* Two good rows around a bad one: it must be skipped, and said with its line and the word. */
+static void assert_skipped(const char *row, const char *word)
+{
+	char text[2048];
+	struct imu_log log;
+	int size = snprintf(text, sizeof text, HEADER ROW("0.00") "%s\n" ROW("0.02"), row);
+
+	log = opened(text, (size_t)size);
+	assert_int_equal(count(&log), 2);
+	assert_int_equal(log.skipped, 1);
+	if (!strstr(log.last_skip, ":3: ") || !strstr(log.last_skip, word))
+		fail_msg("'%s' does not say ':3:' and '%s'", log.last_skip, word);
+}
+
+static void test_a_row_becomes_a_sample_in_si_units(void **state)
+{
+	const char text[] = HEADER "0.5,0.1,-0.2,3e-1,4,5,+9.81,7,8,-45.25\n" ROW("0.51");
+	struct imu_log log = opened(text, strlen(text));
+	struct imu_sample s;
+
+	(void)state;
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	imu_log_close(&log);
+	assert_int_equal(s.t_us, 500000);
+	assert_true(s.gyro_rad_s.x == 0.1 && s.gyro_rad_s.y == -0.2 && s.gyro_rad_s.z == 0.3);
+	assert_true(s.accel_m_s2.x == 4 && s.accel_m_s2.y == 5 && s.accel_m_s2.z == 9.81);
+	assert_true(s.mag_uT.x == 7 && s.mag_uT.y == 8 && s.mag_uT.z == -45.25);
+	assert_int_equal(s.flags, SAMPLE_MAG);
+}
+
+static void test_empty_magnetometer_fields_mean_no_measurement(void **state)
+{
+	const char text[] = HEADER "0,1,2,3,4,5,6,,,\n" ROW("0.01");
+	struct imu_log log = opened(text, strlen(text));
+	struct imu_sample s;
+
+	(void)state;
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_int_equal(s.flags, 0);
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_int_equal(s.flags, SAMPLE_MAG);
+	imu_log_close(&log);
+}
+
+static void test_the_header_may_leave_the_magnetometer_out(void **state)
+{
+	const char text[] = "t,gx,gy,gz,ax,ay,az\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n";
+	struct imu_log log = opened(text, strlen(text));
+	struct imu_sample s;
+
+	(void)state;
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_int_equal(s.flags, 0);
+	imu_log_close(&log);
+}
+
+static void test_the_header_names_the_order_and_other_columns_are_ignored(void **state)
+{
+	const char text[] = "temperature,az,ay,ax,gz,gy,gx,t,note\n21.5,6,5,4,3,2,1,0,hello\n,6,5,4,3,2,1,1,\n";
+	struct imu_log log = opened(text, strlen(text));
+	struct imu_sample s;
+
+	(void)state;
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_true(s.gyro_rad_s.x == 1 && s.gyro_rad_s.z == 3 && s.accel_m_s2.x == 4 && s.accel_m_s2.z == 6);
+	assert_int_equal(count(&log), 1);
+	assert_int_equal(log.skipped, 0);
+}
+
+static void test_windows_line_ends_blanks_and_a_byte_order_mark_do_no_harm(void **state)
+{
+	const char text[] = "\xef\xbb\xbft, gx, gy, gz, ax, ay, az\r\n 0 ,1,2,3,4,5, 6\r\n1,1,2,3,4,5,6\r\n";
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_int_equal(count(&log), 2);
+	assert_int_equal(log.skipped, 0);
+}
+
+static void test_the_last_line_needs_no_newline(void **state)
+{
+	const char text[] = HEADER ROW("0") "1,1,2,3,4,5,6,7,8,9";
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_int_equal(count(&log), 2);
+}
+
+static void test_a_row_with_too_few_or_too_many_fields_is_skipped(void **state)
+{
+	(void)state;
+	assert_skipped("0.01,1,2,3,4,5", "6 fields, the header has 10");
+	assert_skipped("0.01,1,2,3,4,5,6,7,8,9,10", "11 fields");
+	assert_skipped("", "1 fields");
+}
+
+static void test_a_row_with_what_is_no_finite_number_is_skipped(void **state)
+{
+	(void)state;
+	assert_skipped("0.01,nan,2,3,4,5,6,7,8,9", "gx");
+	assert_skipped("0.01,1,2,3,inf,5,6,7,8,9", "ax");
+	assert_skipped("0.01,1,2,3,4,1e999,6,7,8,9", "ay");
+	assert_skipped("0.01,1,2,3,4,5,0x10,7,8,9", "az");
+	assert_skipped("0.01,1,2,,4,5,6,7,8,9", "gz");
+	assert_skipped("0.01,1,2,3.0.1,4,5,6,7,8,9", "gz");
+	assert_skipped("abc,1,2,3,4,5,6,7,8,9", "t is no finite number: 'abc'");
+	assert_skipped("-1,1,2,3,4,5,6,7,8,9", "out of range");
+	assert_skipped("1e15,1,2,3,4,5,6,7,8,9", "out of range");
+}
+
+static void test_a_row_with_half_a_magnetometer_is_skipped(void **state)
+{
+	(void)state;
+	assert_skipped("0.01,1,2,3,4,5,6,7,,9", "my");
+}
+
+static void test_a_row_whose_time_does_not_increase_is_skipped(void **state)
+{
+	(void)state;
+	assert_skipped("0.00,1,2,3,4,5,6,7,8,9", "time does not increase: '0.00'");
+	assert_skipped("0.0000001,1,2,3,4,5,6,7,8,9", "time does not increase");
+}
+
+static void test_after_a_skipped_row_time_is_compared_with_the_last_good_one(void **state)
+{
+	const char text[] = HEADER ROW("5") ROW("1") ROW("2") ROW("6");
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_int_equal(count(&log), 2);
+	assert_int_equal(log.skipped, 2);
+}
+
+static void test_a_line_longer_than_the_limit_is_skipped_whole(void **state)
+{
+	char row[1200];
+
+	(void)state;
+	memset(row, '1', sizeof row - 1);
+	row[sizeof row - 1] = '\0';
+	assert_skipped(row, "line too long");
+}
+
+static void test_a_line_with_a_nul_byte_is_skipped(void **state)
+{
+	const char text[] = HEADER ROW("0") "1,1,2,3,4\0,5,6,7,8,9\n" ROW("2");
+	struct imu_log log = opened(text, sizeof text - 1);
+
+	(void)state;
+	assert_int_equal(count(&log), 2);
+	assert_int_equal(log.skipped, 1);
+	assert_non_null(strstr(log.last_skip, "NUL"));
+}
+
+static void test_a_log_without_a_usable_header_is_refused(void **state)
+{
+	(void)state;
+	assert_refused("", -EINVAL, ":1: empty");
+	assert_refused("0,1,2,3,4,5,6,7,8,9\n", -EINVAL, ":1: no column t");
+	assert_refused("t,gx,gy,gz,ax,ay\n", -EINVAL, "no column az");
+	assert_refused("t,gx,gy,gz,ax,ay,az,mx\n", -EINVAL, "no column my");
+	assert_refused("t,gx,gy,gz,ax,ay,az,gx\n", -EINVAL, "column gx twice");
+}
+
+static void test_a_log_without_two_good_rows_is_refused_and_the_last_skip_said(void **state)
+{
+	(void)state;
+	assert_refused(HEADER ROW("0"), -EINVAL, "fewer than two good rows");
+	assert_refused(HEADER ROW("0") "1,x,2,3,4,5,6,7,8,9\n", -EINVAL, ":3: gx is no finite number: 'x'");
+}
+
+static void test_a_missing_file_and_a_directory_are_refused(void **state)
+{
+	struct imu_log log;
+	char error[256];
+
+	(void)state;
+	assert_int_equal(imu_log_open(&log, "/nonexistent.csv", error, sizeof error), -ENOENT);
+	assert_non_null(strstr(error, "/nonexistent.csv: No such file"));
+	assert_int_equal(imu_log_open(&log, "/tmp", error, sizeof error), -EIO);
+}
+
+static void test_the_rate_is_that_of_the_median_interval(void **state)
+{
+	const char text[] = HEADER ROW("0") ROW("0.004") ROW("0.008") ROW("3") ROW("3.004") ROW("3.008");
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_true(log.rate_hz == 250);
+	imu_log_close(&log);
+}
+
+static void test_a_pipe_loses_no_row(void **state)
+{
+	char error[256], name[32];
+	struct imu_log log;
+	int fd[2];
+
+	(void)state;
+	assert_int_equal(pipe(fd), 0);
+	if (fork() == 0) {
+		FILE *out = fdopen(fd[1], "w");
+
+		fprintf(out, HEADER);
+		for (int i = 0; i < 5000; i++)
+			fprintf(out, "%d.5,1,2,3,4,5,6,7,8,9\n", i);
+		fclose(out);
+		_exit(0);
+	}
+	close(fd[1]);
+	snprintf(name, sizeof name, "/dev/fd/%d", fd[0]);
+	assert_int_equal(imu_log_open(&log, name, error, sizeof error), 0);
+	close(fd[0]);
+	assert_int_equal(count(&log), 5000);
+}
+
+static void test_three_minutes_of_log_are_read_in_well_under_a_second(void **state)
+{
+	char *text = malloc(8 << 20);
+	struct timespec start, end;
+	struct imu_log log;
+	size_t n = 0;
+	double s;
+
+	(void)state;
+	n += (size_t)sprintf(text, HEADER);
+	for (int i = 0; i < 54000; i++)
+		n += (size_t)sprintf(text + n,
+			"%.6f,0.00213,-0.00320,0.12345,0.0488,0.0600,9.7836,0.628,15.100,-40.758\n", i * 0.0035);
+	log = opened(text, n);
+	clock_gettime(CLOCK_MONOTONIC, &start);
+	assert_int_equal(count(&log), 54000);
+	clock_gettime(CLOCK_MONOTONIC, &end);
+	free(text);
+	s = (double)(end.tv_sec - start.tv_sec) + 1e-9 * (double)(end.tv_nsec - start.tv_nsec);
+	print_message("54,000 rows in %.3f s\n", s);
+	assert_true(s < 1.5); /* 0.03 s measured; sanitizers and a busy machine may take their share */
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_row_becomes_a_sample_in_si_units),
+		cmocka_unit_test(test_empty_magnetometer_fields_mean_no_measurement),
+		cmocka_unit_test(test_the_header_may_leave_the_magnetometer_out),
+		cmocka_unit_test(test_the_header_names_the_order_and_other_columns_are_ignored),
+		cmocka_unit_test(test_windows_line_ends_blanks_and_a_byte_order_mark_do_no_harm),
+		cmocka_unit_test(test_the_last_line_needs_no_newline),
+		cmocka_unit_test(test_a_row_with_too_few_or_too_many_fields_is_skipped),
+		cmocka_unit_test(test_a_row_with_what_is_no_finite_number_is_skipped),
+		cmocka_unit_test(test_a_row_with_half_a_magnetometer_is_skipped),
+		cmocka_unit_test(test_a_row_whose_time_does_not_increase_is_skipped),
+		cmocka_unit_test(test_after_a_skipped_row_time_is_compared_with_the_last_good_one),
+		cmocka_unit_test(test_a_line_longer_than_the_limit_is_skipped_whole),
+		cmocka_unit_test(test_a_line_with_a_nul_byte_is_skipped),
+		cmocka_unit_test(test_a_log_without_a_usable_header_is_refused),
+		cmocka_unit_test(test_a_log_without_two_good_rows_is_refused_and_the_last_skip_said),
+		cmocka_unit_test(test_a_missing_file_and_a_directory_are_refused),
+		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
+		cmocka_unit_test(test_a_pipe_loses_no_row),
+		cmocka_unit_test(test_three_minutes_of_log_are_read_in_well_under_a_second),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

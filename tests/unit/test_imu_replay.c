@@ -1,0 +1,221 @@
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <errno.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "drivers/ports/imu.h"
+
+enum { ROWS = 20 };
+
+static char path[64];
+
+static double now_s(void)
+{
+	struct timespec now;
+
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* Rows at 100.00 s, 100.01 s ..; gx counts them. One bad row after the first. */
+static int write_log(void **state)
+{
+	FILE *file;
+
+	(void)state;
+	strcpy(path, "/tmp/imu9_replay_XXXXXX");
+	file = fdopen(mkstemp(path), "w");
+	fprintf(file, "t,gx,gy,gz,ax,ay,az\n");
+	for (int i = 0; i < ROWS; i++) {
+		fprintf(file, "%.2f,%d,0,0,0,0,9.81\n", 100 + i * 0.01, i);
+		if (i == 0)
+			fprintf(file, "100,bad\n");
+	}
+	return fclose(file);
+}
+
+static int remove_log(void **state)
+{
+	(void)state;
+	return unlink(path);
+}
+
+static struct imu_port *opened(const char *options)
+{
+	struct imu_port *port;
+	char src[128], error[256];
+
+	snprintf(src, sizeof src, "replay:%s%s", path, options);
+	if (imu_open(src, &port, error, sizeof error) != 0)
+		fail_msg("%s", error);
+	return port;
+}
+
+static int wait_and_read(struct imu_port *port, struct imu_sample *sample)
+{
+	struct pollfd fd = {port->fd, POLLIN, 0};
+	int got;
+
+	do {
+		assert_int_equal(poll(&fd, 1, 2000), 1);
+		got = imu_read(port, sample);
+	} while (got == 0);
+	return got;
+}
+
+static void test_every_row_comes_in_order_and_not_before_its_time(void **state)
+{
+	double start = now_s();
+	struct imu_port *port = opened("");
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < ROWS; i++) {
+		assert_int_equal(wait_and_read(port, &sample), 1);
+		assert_true(now_s() - start >= i * 0.01);
+		assert_true(sample.gyro_rad_s.x == i);
+		assert_int_equal(sample.t_us, 100000000 + i * 10000);
+		assert_int_equal(sample.flags, 0);
+	}
+	assert_true(now_s() - start < ROWS * 0.01 + 0.5);
+	assert_int_equal(port->counters.samples, ROWS);
+	imu_close(port);
+}
+
+static void test_the_end_of_the_log_is_said_at_once_and_stays(void **state)
+{
+	struct imu_port *port = opened(",speed=1000");
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < ROWS; i++)
+		assert_int_equal(wait_and_read(port, &sample), 1);
+	assert_int_equal(wait_and_read(port, &sample), -ENODATA);
+	assert_int_equal(imu_read(port, &sample), -ENODATA);
+	imu_close(port);
+}
+
+static void test_speed_divides_the_waiting_and_leaves_the_time_stamps(void **state)
+{
+	double start = now_s();
+	struct imu_port *port = opened(",speed=0.5");
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < 5; i++)
+		assert_int_equal(wait_and_read(port, &sample), 1);
+	assert_true(now_s() - start >= 4 * 0.02);
+	assert_int_equal(sample.t_us, 100040000);
+	assert_true(port->rate_hz == 100);
+	imu_close(port);
+}
+
+static void test_a_loop_begins_anew_with_a_discontinuity_and_time_goes_on(void **state)
+{
+	struct imu_port *port = opened(",loop,speed=100");
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < 5 * ROWS; i++) {
+		assert_int_equal(wait_and_read(port, &sample), 1);
+		assert_true(sample.gyro_rad_s.x == i % ROWS);
+		assert_int_equal(sample.t_us, 100000000 + i * 10000);
+		assert_int_equal(sample.flags, i > 0 && i % ROWS == 0 ? SAMPLE_DISCONTINUITY : 0);
+	}
+	imu_close(port);
+}
+
+static void test_when_nothing_is_due_nothing_is_readable(void **state)
+{
+	struct imu_port *port = opened(",speed=0.001");
+	struct pollfd fd = {port->fd, POLLIN, 0};
+	struct imu_sample sample;
+
+	(void)state;
+	assert_int_equal(wait_and_read(port, &sample), 1);
+	assert_int_equal(imu_read(port, &sample), 0);
+	assert_int_equal(poll(&fd, 1, 0), 0);
+	imu_close(port);
+}
+
+static void test_after_a_pause_all_due_samples_come_one_by_one_and_are_counted_late(void **state)
+{
+	struct imu_port *port = opened("");
+	struct pollfd fd = {port->fd, POLLIN, 0};
+	struct imu_sample sample;
+
+	(void)state;
+	usleep(125000);
+	for (int i = 0; i < 12; i++) {
+		assert_int_equal(poll(&fd, 1, 0), 1);
+		assert_int_equal(imu_read(port, &sample), 1);
+		assert_true(sample.gyro_rad_s.x == i);
+	}
+	assert_in_range(port->counters.late, 10, 12);
+	imu_close(port);
+}
+
+static void test_skipped_rows_are_counted_and_the_last_is_named(void **state)
+{
+	struct imu_port *port = opened("");
+
+	(void)state;
+	assert_int_equal(port->counters.skipped, 1);
+	assert_non_null(strstr(port->last_skip, ":3: 2 fields"));
+	imu_close(port);
+}
+
+static void assert_refused(const char *src, const char *word)
+{
+	struct imu_port *port;
+	char error[256] = "";
+
+	assert_true(imu_open(src, &port, error, sizeof error) < 0);
+	if (!strstr(error, word))
+		fail_msg("%s: '%s' does not say '%s'", src, error, word);
+}
+
+static void test_a_source_that_cannot_be_is_refused_with_what_can(void **state)
+{
+	(void)state;
+	assert_refused("", "unknown IMU source '': use sim");
+	assert_refused("i2c:/dev/i2c-1", "use sim[:SCENARIO[,rate=HZ]] or replay:FILE");
+	assert_refused("replay", "no file");
+	assert_refused("replay:", "no file");
+	assert_refused("replay:/nonexistent.csv", "/nonexistent.csv: No such file");
+	assert_refused("replay:x.csv,lop", "unknown option 'lop': use loop, speed=X");
+	assert_refused("replay:x.csv,speed=0", "factor from 0.001");
+	assert_refused("replay:x.csv,speed=fast", "factor from 0.001");
+	assert_refused("replay:x.csv,", "unknown option ''");
+}
+
+static void test_a_close_of_nothing_does_nothing(void **state)
+{
+	(void)state;
+	imu_close(NULL);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_every_row_comes_in_order_and_not_before_its_time),
+		cmocka_unit_test(test_the_end_of_the_log_is_said_at_once_and_stays),
+		cmocka_unit_test(test_speed_divides_the_waiting_and_leaves_the_time_stamps),
+		cmocka_unit_test(test_a_loop_begins_anew_with_a_discontinuity_and_time_goes_on),
+		cmocka_unit_test(test_when_nothing_is_due_nothing_is_readable),
+		cmocka_unit_test(test_after_a_pause_all_due_samples_come_one_by_one_and_are_counted_late),
+		cmocka_unit_test(test_skipped_rows_are_counted_and_the_last_is_named),
+		cmocka_unit_test(test_a_source_that_cannot_be_is_refused_with_what_can),
+		cmocka_unit_test(test_a_close_of_nothing_does_nothing),
+	};
+
+	return cmocka_run_group_tests(tests, write_log, remove_log);
+}

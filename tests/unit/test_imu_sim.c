@@ -1,0 +1,111 @@
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <poll.h>
+#include <string.h>
+#include <time.h>
+
+#include "drivers/ports/imu.h"
+
+static double now_s(void)
+{
+	struct timespec now;
+
+	clock_gettime(CLOCK_MONOTONIC, &now);
+	return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+static struct imu_port *opened(const char *src)
+{
+	struct imu_port *port;
+	char error[256];
+
+	if (imu_open(src, &port, error, sizeof error) != 0)
+		fail_msg("%s", error);
+	return port;
+}
+
+static void wait_and_read(struct imu_port *port, struct imu_sample *sample)
+{
+	struct pollfd fd = {port->fd, POLLIN, 0};
+
+	do
+		assert_int_equal(poll(&fd, 1, 2000), 1);
+	while (imu_read(port, sample) == 0);
+}
+
+static void test_the_default_is_the_robot_on_the_square_at_100_hz(void **state)
+{
+	struct imu_port *port = opened("sim");
+
+	(void)state;
+	assert_string_equal(port->name, "sim:square");
+	assert_true(port->rate_hz == 100);
+	imu_close(port);
+}
+
+static void test_samples_come_in_real_time_at_the_rate_asked_for(void **state)
+{
+	double start = now_s();
+	struct imu_port *port = opened("sim:rest,rate=200");
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < 30; i++) {
+		wait_and_read(port, &sample);
+		assert_true(now_s() - start >= i * 0.005);
+		assert_int_equal(sample.t_us, i * 5000);
+	}
+	assert_true(now_s() - start < 30 * 0.005 + 0.5);
+	imu_close(port);
+}
+
+static void test_at_rest_the_sensor_shows_g_and_its_noise(void **state)
+{
+	struct imu_port *port = opened("sim:rest,rate=10000");
+	struct vec3 gyro = {0, 0, 0}, accel = {0, 0, 0};
+	double squares = 0;
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < 1000; i++) {
+		wait_and_read(port, &sample);
+		gyro = vec3_add(gyro, vec3_scale(1e-3, sample.gyro_rad_s));
+		accel = vec3_add(accel, vec3_scale(1e-3, sample.accel_m_s2));
+		squares += vec3_dot(sample.gyro_rad_s, sample.gyro_rad_s);
+	}
+	assert_true(vec3_norm(gyro) < 0.01);
+	assert_true(vec3_norm(vec3_sub(accel, (struct vec3){0, 0, 9.81})) < 0.05);
+	assert_true(squares > 0);
+	imu_close(port);
+}
+
+static void test_an_unknown_scenario_or_option_is_refused_with_what_can(void **state)
+{
+	const char *const bad[][2] = {{"sim:circle", "use one of square, boat, roll_step, rest"},
+		{"sim:boat,speed=2", "use rate=HZ"}, {"sim:boat,rate=0", "1 to 10000"},
+		{"sim:boat,rate=100x", "1 to 10000"}, {"sim:boat,rate=1e9", "1 to 10000"}};
+	struct imu_port *port;
+	char error[256];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
+		assert_true(imu_open(bad[i][0], &port, error, sizeof error) < 0);
+		if (!strstr(error, bad[i][1]))
+			fail_msg("%s: '%s' does not say '%s'", bad[i][0], error, bad[i][1]);
+	}
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_default_is_the_robot_on_the_square_at_100_hz),
+		cmocka_unit_test(test_samples_come_in_real_time_at_the_rate_asked_for),
+		cmocka_unit_test(test_at_rest_the_sensor_shows_g_and_its_noise),
+		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_can),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

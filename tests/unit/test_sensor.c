@@ -1,0 +1,382 @@
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <errno.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "model/sensor.h"
+
+#define PI 3.14159265358979323846
+
+static struct sensor_config ideal(void)
+{
+	return *sensor_preset("ideal");
+}
+
+static void start(struct sensor *sensor, const struct sensor_config *config)
+{
+	assert_int_equal(sensor_init(sensor, config, 1), 0);
+}
+
+static void assert_near(struct vec3 a, struct vec3 b, double tolerance)
+{
+	if (!(vec3_norm(vec3_sub(a, b)) <= tolerance))
+		fail_msg("(%.12g %.12g %.12g), expected (%.12g %.12g %.12g)", a.x, a.y, a.z, b.x, b.y, b.z);
+}
+
+/* n samples of the gyro's x axis, from a sensor at rest. */
+static double *gyro_at_rest(const struct triad_errors *errors, double rate_hz, int n)
+{
+	double *x = malloc((size_t)n * sizeof *x);
+	struct sensor_config config = ideal();
+	struct imu_sample sample;
+	struct sensor sensor;
+
+	config.gyro = *errors;
+	config.rate_hz = rate_hz;
+	start(&sensor, &config);
+	for (int i = 0; i < n; i++) {
+		sensor_next(&sensor, signal_find("rest"), &sample, NULL);
+		x[i] = sample.gyro_rad_s.x;
+	}
+	return x;
+}
+
+/* Allan deviation over m samples, clusters side by side. */
+static double allan(const double *x, int n, int m)
+{
+	double sum = 0, last = 0;
+	int clusters = n / m;
+
+	for (int k = 0; k < clusters; k++) {
+		double mean = 0;
+
+		for (int i = 0; i < m; i++)
+			mean += x[k * m + i] / m;
+		if (k > 0)
+			sum += (mean - last) * (mean - last);
+		last = mean;
+	}
+	return sqrt(sum / (2 * (clusters - 1)));
+}
+
+static void assert_within(double value, double expected, double share)
+{
+	if (!(fabs(value - expected) <= share * fabs(expected)))
+		fail_msg("%g, expected %g within %g %%", value, expected, 100 * share);
+}
+
+static void test_at_rest_the_ideal_sensor_shows_g_upwards_no_rate_and_the_field(void **state)
+{
+	struct sensor_config config = ideal();
+	struct imu_sample sample;
+	struct sensor sensor;
+
+	(void)state;
+	start(&sensor, &config);
+	sensor_next(&sensor, signal_find("rest"), &sample, NULL);
+	assert_near(sample.accel_m_s2, (struct vec3){0, 0, 9.81}, 0);
+	assert_near(sample.gyro_rad_s, (struct vec3){0, 0, 0}, 0);
+	assert_near(sample.mag_uT, (struct vec3){0, 20, -45}, 0);
+	assert_int_equal(sample.t_us, 0);
+	assert_int_equal(sample.flags, SAMPLE_MAG);
+}
+
+/* The oracle is the path of the accelerometer itself: its position p + R r, differentiated twice. */
+static void test_the_force_at_the_lever_arm_is_that_of_the_accelerometers_own_path(void **state)
+{
+	const struct vec3 r = {0.03, -0.05, 0.11}, g = {0, 0, 9.81};
+	const double h = 1e-3, weight[4] = {-490, 270, -27, 2}; /* seven points, divided by 180 h^2 */
+
+	(void)state;
+	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
+		for (double t = 0.02; t < 40; t += 0.35) {
+			struct vec3 a = {0, 0, 0};
+			struct signal_truth truth;
+
+			for (int k = -3; k <= 3; k++) {
+				signal_at(signal, t + k * h, &truth);
+				a = vec3_add(a, vec3_scale(weight[abs(k)] / (180 * h * h),
+							vec3_add(truth.position_n_m, quat_rotate(truth.q_nb, r))));
+			}
+			signal_at(signal, t, &truth);
+			a = quat_rotate_inverse(truth.q_nb, vec3_add(a, g));
+			assert_near(sensor_specific_force(&truth, r, 9.81), a, 1e-5);
+		}
+	}
+}
+
+static void test_white_noise_has_the_density_through_half_the_sampling_rate(void **state)
+{
+	const struct triad_errors errors = {.density = 0.01};
+	double *x = gyro_at_rest(&errors, 200, 200000), sum = 0;
+
+	(void)state;
+	for (int i = 0; i < 200000; i++)
+		sum += x[i] * x[i];
+	assert_within(sqrt(sum / 200000), 0.01 * sqrt(100), 0.01);
+	free(x);
+}
+
+static void test_the_allan_deviation_of_white_noise_falls_with_the_root_of_time(void **state)
+{
+	const struct triad_errors errors = {.density = 0.01};
+	double *x = gyro_at_rest(&errors, 100, 500000);
+
+	(void)state;
+	assert_within(allan(x, 500000, 10), 0.01 / sqrt(2 * 0.1), 0.02);
+	assert_within(allan(x, 500000, 1000), 0.01 / sqrt(2 * 10.0), 0.1);
+	free(x);
+}
+
+/* Flicker noise of B: flat at B sqrt(2 ln 2 / pi), from some times the shortest to below the longest time constant. */
+static void test_the_allan_deviation_of_bias_instability_is_flat(void **state)
+{
+	const struct triad_errors errors = {.bias_instability = 0.5};
+	double *x = gyro_at_rest(&errors, 2, 1000000);
+
+	(void)state;
+	for (int m = 10; m <= 2000; m *= 3)
+		assert_within(allan(x, 1000000, m), 0.664 * 0.5, 0.12);
+	free(x);
+}
+
+static void test_the_allan_deviation_of_a_random_walk_rises_with_the_root_of_time(void **state)
+{
+	const struct triad_errors errors = {.random_walk = 0.1};
+	double *x = gyro_at_rest(&errors, 10, 1000000);
+
+	(void)state;
+	assert_within(allan(x, 1000000, 100), 0.1 * sqrt(10 / 3.0), 0.05);
+	assert_within(allan(x, 1000000, 1000), 0.1 * sqrt(100 / 3.0), 0.15);
+	free(x);
+}
+
+static void test_values_are_multiples_of_the_step_and_end_at_the_range(void **state)
+{
+	const struct triad_errors errors = {.density = 0.1, .step = 0.25, .range = 1};
+	double *x = gyro_at_rest(&errors, 100, 10000);
+	int at_range = 0;
+
+	(void)state;
+	for (int i = 0; i < 10000; i++) {
+		assert_true(fmod(x[i], 0.25) == 0);
+		assert_true(fabs(x[i]) <= 1);
+		at_range += fabs(x[i]) == 1;
+	}
+	assert_true(at_range > 100);
+	free(x);
+}
+
+static void test_constant_errors_are_those_the_sensor_says_it_has(void **state)
+{
+	struct sensor_config config = ideal();
+	struct signal_truth truth;
+	struct imu_sample sample;
+	struct sensor sensor;
+	struct vec3 w, expected;
+
+	(void)state;
+	config.gyro = (struct triad_errors){.bias_sigma = 1, .scale_sigma = 0.1, .cross_axis_sigma = 0.1};
+	start(&sensor, &config);
+	for (int i = 0; i < 50; i++)
+		sensor_next(&sensor, signal_find("tumble"), &sample, &truth);
+	w = truth.omega_b_rad_s;
+	expected.x = vec3_dot(
+		(struct vec3){sensor.gyro.matrix[0][0], sensor.gyro.matrix[0][1], sensor.gyro.matrix[0][2]}, w);
+	expected.y = vec3_dot(
+		(struct vec3){sensor.gyro.matrix[1][0], sensor.gyro.matrix[1][1], sensor.gyro.matrix[1][2]}, w);
+	expected.z = vec3_dot(
+		(struct vec3){sensor.gyro.matrix[2][0], sensor.gyro.matrix[2][1], sensor.gyro.matrix[2][2]}, w);
+	assert_near(sample.gyro_rad_s, vec3_add(expected, sensor.gyro.bias), 1e-12);
+	assert_true(vec3_norm(sensor.gyro.bias) > 0.1);
+}
+
+static void test_constant_errors_differ_from_seed_to_seed_with_their_sigma(void **state)
+{
+	struct sensor_config config = ideal();
+	double squares = 0;
+	struct sensor sensor;
+
+	(void)state;
+	config.accel.bias_sigma = 0.6;
+	for (uint64_t seed = 0; seed < 2000; seed++) {
+		assert_int_equal(sensor_init(&sensor, &config, seed), 0);
+		squares += vec3_dot(sensor.accel.bias, sensor.accel.bias);
+	}
+	assert_within(sqrt(squares / 6000), 0.6, 0.03);
+}
+
+static void test_calibration_takes_the_constant_errors_away_and_leaves_the_noise(void **state)
+{
+	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+	struct sensor sensor;
+
+	(void)state;
+	sensor_calibrate(&config);
+	start(&sensor, &config);
+	assert_near(sensor.gyro.bias, (struct vec3){0, 0, 0}, 0);
+	assert_true(sensor.accel.matrix[0][0] == 1 && sensor.accel.matrix[0][1] == 0);
+	assert_true(config.gyro.density > 0 && config.accel.density > 0 && config.mag.density > 0);
+}
+
+/* Amplitude of a sine through a first-order low-pass: 1 / sqrt(1 + (f / f_c)^2). */
+static void test_the_bandwidth_is_where_a_sine_has_lost_3_db(void **state)
+{
+	struct sensor_config config = ideal();
+	struct signal pendulum = *signal_find("pendulum");
+	double in = 0, out = 0;
+	struct imu_sample sample;
+	struct signal_truth truth;
+	struct sensor sensor;
+
+	(void)state;
+	pendulum.period_s = pendulum.change_s = 0.1;
+	config.rate_hz = 1000;
+	config.gyro.bandwidth_hz = 10;
+	start(&sensor, &config);
+	for (int i = 0; i < 3000; i++) {
+		sensor_next(&sensor, &pendulum, &sample, &truth);
+		if (i >= 1000) {
+			in += truth.omega_b_rad_s.x * truth.omega_b_rad_s.x;
+			out += sample.gyro_rad_s.x * sample.gyro_rad_s.x;
+		}
+	}
+	assert_within(sqrt(out / in), 1 / sqrt(2), 0.005);
+}
+
+/* A turntable's angle is its time: jitter shows as error of the heading, and the time stamp hides it. */
+static void test_jitter_moves_the_instant_and_not_the_time_stamp(void **state)
+{
+	struct sensor_config config = ideal();
+	struct signal turntable = *signal_find("turntable");
+	double squares = 0;
+	struct signal_truth truth;
+	struct imu_sample sample;
+	struct sensor sensor;
+
+	(void)state;
+	turntable.angle_rad = 1e4;
+	turntable.period_s = 1e4;
+	config.jitter_s = 1e-3;
+	start(&sensor, &config);
+	for (int i = 0; i < 20000; i++) {
+		sensor_next(&sensor, &turntable, &sample, &truth);
+		assert_int_equal(sample.t_us, (uint64_t)i * 10000);
+		squares += pow(truth.angles_rad.z - i * 0.01, 2);
+	}
+	assert_within(sqrt(squares / 20000), 1e-3, 0.03);
+}
+
+static void test_the_magnetometer_measures_at_its_own_rate(void **state)
+{
+	struct sensor_config config = ideal();
+	struct imu_sample sample;
+	struct sensor sensor;
+	int measured = 0;
+
+	(void)state;
+	config.mag_rate_hz = 75;
+	start(&sensor, &config);
+	for (int i = 0; i < 1000; i++) {
+		sensor_next(&sensor, signal_find("rest"), &sample, NULL);
+		measured += (sample.flags & SAMPLE_MAG) != 0;
+	}
+	assert_int_equal(measured, 750);
+}
+
+static void test_one_error_more_leaves_the_other_triads_noise_as_it_was(void **state)
+{
+	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+	struct imu_sample a, b;
+	struct sensor sensor;
+
+	(void)state;
+	start(&sensor, &config);
+	sensor_next(&sensor, signal_find("rest"), &a, NULL);
+	config.gyro.random_walk = 0;
+	config.jitter_s = 1e-4;
+	start(&sensor, &config);
+	sensor_next(&sensor, signal_find("rest"), &b, NULL);
+	assert_near(a.accel_m_s2, b.accel_m_s2, 0);
+	assert_near(a.mag_uT, b.mag_uT, 0);
+}
+
+static uint64_t mix(uint64_t hash, double x)
+{
+	uint64_t bits;
+
+	memcpy(&bits, &x, sizeof bits);
+	return (hash ^ bits) * 0x9e3779b97f4a7c15u + (hash >> 29);
+}
+
+static uint64_t hash_of(uint64_t seed)
+{
+	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+	struct imu_sample s;
+	struct sensor sensor;
+	uint64_t hash = 0;
+
+	assert_int_equal(sensor_init(&sensor, &config, seed), 0);
+	for (int i = 0; i < 1000; i++) {
+		sensor_next(&sensor, signal_find("square"), &s, NULL);
+		hash = mix(mix(mix(hash, s.gyro_rad_s.x), s.gyro_rad_s.y), s.gyro_rad_s.z);
+		hash = mix(mix(mix(hash, s.accel_m_s2.x), s.accel_m_s2.y), s.accel_m_s2.z);
+		hash = mix(mix(mix(hash, s.mag_uT.x), s.mag_uT.y), s.mag_uT.z);
+	}
+	return hash;
+}
+
+static void test_one_seed_gives_one_sequence_another_seed_another(void **state)
+{
+	(void)state;
+	assert_true(hash_of(1) == hash_of(1));
+	assert_true(hash_of(1) != hash_of(2));
+}
+
+static void test_a_configuration_that_cannot_be_is_refused(void **state)
+{
+	struct sensor_config config = ideal();
+	struct sensor sensor;
+
+	(void)state;
+	config.rate_hz = 0;
+	assert_int_equal(sensor_init(&sensor, &config, 1), -EINVAL);
+	config = ideal();
+	config.accel.density = -1;
+	assert_int_equal(sensor_init(&sensor, &config, 1), -EINVAL);
+	config = ideal();
+	config.mag.range = NAN;
+	assert_int_equal(sensor_init(&sensor, &config, 1), -EINVAL);
+	config = ideal();
+	config.jitter_s = 0.002;
+	assert_int_equal(sensor_init(&sensor, &config, 1), -EINVAL);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_at_rest_the_ideal_sensor_shows_g_upwards_no_rate_and_the_field),
+		cmocka_unit_test(test_the_force_at_the_lever_arm_is_that_of_the_accelerometers_own_path),
+		cmocka_unit_test(test_white_noise_has_the_density_through_half_the_sampling_rate),
+		cmocka_unit_test(test_the_allan_deviation_of_white_noise_falls_with_the_root_of_time),
+		cmocka_unit_test(test_the_allan_deviation_of_bias_instability_is_flat),
+		cmocka_unit_test(test_the_allan_deviation_of_a_random_walk_rises_with_the_root_of_time),
+		cmocka_unit_test(test_values_are_multiples_of_the_step_and_end_at_the_range),
+		cmocka_unit_test(test_constant_errors_are_those_the_sensor_says_it_has),
+		cmocka_unit_test(test_constant_errors_differ_from_seed_to_seed_with_their_sigma),
+		cmocka_unit_test(test_calibration_takes_the_constant_errors_away_and_leaves_the_noise),
+		cmocka_unit_test(test_the_bandwidth_is_where_a_sine_has_lost_3_db),
+		cmocka_unit_test(test_jitter_moves_the_instant_and_not_the_time_stamp),
+		cmocka_unit_test(test_the_magnetometer_measures_at_its_own_rate),
+		cmocka_unit_test(test_one_error_more_leaves_the_other_triads_noise_as_it_was),
+		cmocka_unit_test(test_one_seed_gives_one_sequence_another_seed_another),
+		cmocka_unit_test(test_a_configuration_that_cannot_be_is_refused),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,360 @@
+/* The oracle is numerical differentiation: what signal_at() says of rates and accelerations must be the derivative of what
+ * it says of attitude and position. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <math.h>
+
+#include "model/rng.h"
+#include "model/sensor.h"
+#include "model/signal.h"
+
+#define PI 3.14159265358979323846
+
+enum { INSTANTS = 300 };
+
+/* Seven-point central difference: the error is of the order h^6. */
+static const double STEP_S = 5e-4;
+static const double WEIGHT[4] = {0, 45.0 / 60, -9.0 / 60, 1.0 / 60};
+
+static double difference(const struct signal *signal, double t, double (*value)(const struct signal_truth *))
+{
+	double sum = 0;
+
+	for (int k = 1; k <= 3; k++) {
+		struct signal_truth after, before;
+
+		signal_at(signal, t + k * STEP_S, &after);
+		signal_at(signal, t - k * STEP_S, &before);
+		sum += WEIGHT[k] * (value(&after) - value(&before));
+	}
+	return sum / STEP_S;
+}
+
+static double px(const struct signal_truth *s)
+{
+	return s->position_n_m.x;
+}
+static double py(const struct signal_truth *s)
+{
+	return s->position_n_m.y;
+}
+static double pz(const struct signal_truth *s)
+{
+	return s->position_n_m.z;
+}
+static double vx(const struct signal_truth *s)
+{
+	return s->velocity_n_m_s.x;
+}
+static double vy(const struct signal_truth *s)
+{
+	return s->velocity_n_m_s.y;
+}
+static double vz(const struct signal_truth *s)
+{
+	return s->velocity_n_m_s.z;
+}
+static double qw(const struct signal_truth *s)
+{
+	return s->q_nb.w;
+}
+static double qx(const struct signal_truth *s)
+{
+	return s->q_nb.x;
+}
+static double qy(const struct signal_truth *s)
+{
+	return s->q_nb.y;
+}
+static double qz(const struct signal_truth *s)
+{
+	return s->q_nb.z;
+}
+static double wx(const struct signal_truth *s)
+{
+	return s->omega_b_rad_s.x;
+}
+static double wy(const struct signal_truth *s)
+{
+	return s->omega_b_rad_s.y;
+}
+static double wz(const struct signal_truth *s)
+{
+	return s->omega_b_rad_s.z;
+}
+static double ax(const struct signal_truth *s)
+{
+	return s->angles_rad.x;
+}
+static double ay(const struct signal_truth *s)
+{
+	return s->angles_rad.y;
+}
+static double az(const struct signal_truth *s)
+{
+	return s->angles_rad.z;
+}
+static double dx(const struct signal_truth *s)
+{
+	return s->angles_dot_rad_s.x;
+}
+static double dy(const struct signal_truth *s)
+{
+	return s->angles_dot_rad_s.y;
+}
+static double dz(const struct signal_truth *s)
+{
+	return s->angles_dot_rad_s.z;
+}
+
+static void assert_near(struct vec3 a, struct vec3 b, double tolerance)
+{
+	double error = vec3_norm(vec3_sub(a, b));
+
+	if (!(error <= tolerance * (1 + vec3_norm(b))))
+		fail_msg("(%.12g %.12g %.12g), expected (%.12g %.12g %.12g)", a.x, a.y, a.z, b.x, b.y, b.z);
+}
+
+static struct vec3 derivative(const struct signal *signal, double t, double (*x)(const struct signal_truth *),
+	double (*y)(const struct signal_truth *), double (*z)(const struct signal_truth *))
+{
+	return (struct vec3){difference(signal, t, x), difference(signal, t, y), difference(signal, t, z)};
+}
+
+/* omega_b = 2 q* dq/dt */
+static struct vec3 rate_from_attitude(const struct signal *signal, double t)
+{
+	struct quat dq = {difference(signal, t, qw), difference(signal, t, qx), difference(signal, t, qy),
+		difference(signal, t, qz)};
+	struct signal_truth truth;
+
+	signal_at(signal, t, &truth);
+	dq = quat_multiply(quat_conjugate(truth.q_nb), dq);
+	return (struct vec3){2 * dq.x, 2 * dq.y, 2 * dq.z};
+}
+
+/* Instants off the joints of piecewise motions, which all lie on multiples of 0.05 s. */
+static double instant(struct rng *rng)
+{
+	return 0.05 * (double)(rng_u64(rng) % 800) + 0.01 + 0.03 * rng_uniform(rng);
+}
+
+static void for_all(void (*check)(const struct signal *, double t))
+{
+	struct rng rng;
+
+	rng_init(&rng, 3);
+	for (const struct signal *signal = SIGNALS; signal->name; signal++)
+		for (int i = 0; i < INSTANTS; i++)
+			check(signal, instant(&rng));
+}
+
+static void check_translation(const struct signal *signal, double t)
+{
+	struct signal_truth truth;
+
+	signal_at(signal, t, &truth);
+	assert_near(truth.velocity_n_m_s, derivative(signal, t, px, py, pz), 1e-9);
+	assert_near(truth.accel_n_m_s2, derivative(signal, t, vx, vy, vz), 1e-9);
+}
+
+static void test_velocity_and_acceleration_are_the_derivatives_of_the_position(void **state)
+{
+	(void)state;
+	for_all(check_translation);
+}
+
+static void check_angles(const struct signal *signal, double t)
+{
+	struct signal_truth truth;
+
+	signal_at(signal, t, &truth);
+	assert_near(truth.angles_dot_rad_s, derivative(signal, t, ax, ay, az), 1e-9);
+	assert_near(truth.angles_ddot_rad_s2, derivative(signal, t, dx, dy, dz), 1e-9);
+}
+
+static void test_the_angles_have_their_derivatives(void **state)
+{
+	(void)state;
+	for_all(check_angles);
+}
+
+static void check_rotation(const struct signal *signal, double t)
+{
+	struct signal_truth truth;
+
+	signal_at(signal, t, &truth);
+	assert_near(truth.omega_b_rad_s, rate_from_attitude(signal, t), 1e-9);
+	assert_near(truth.alpha_b_rad_s2, derivative(signal, t, wx, wy, wz), 1e-9);
+}
+
+static void test_rate_and_angular_acceleration_are_the_derivatives_of_the_attitude(void **state)
+{
+	(void)state;
+	for_all(check_rotation);
+}
+
+/* Turns about z, y, x, one after the other, each of them a quaternion of its own. */
+static void check_attitude(const struct signal *signal, double t)
+{
+	struct signal_truth truth;
+	struct vec3 a;
+	struct quat q;
+
+	signal_at(signal, t, &truth);
+	a = truth.angles_rad;
+	q = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, a.z}),
+		quat_multiply(quat_from_rotation_vector((struct vec3){0, a.y, 0}),
+			quat_from_rotation_vector((struct vec3){a.x, 0, 0})));
+	q = quat_multiply(quat_conjugate(q), truth.q_nb);
+	assert_true(fabs(fabs(q.w) - 1) < 1e-12);
+	assert_near((struct vec3){q.x, q.y, q.z}, (struct vec3){0, 0, 0}, 1e-12);
+}
+
+static void test_the_attitude_is_yaw_then_pitch_then_roll(void **state)
+{
+	(void)state;
+	for_all(check_attitude);
+}
+
+static void check_period(const struct signal *signal, double t)
+{
+	struct signal_truth now, later;
+
+	signal_at(signal, t, &now);
+	signal_at(signal, t + 100 * signal->period_s, &later);
+	assert_near(later.position_n_m, now.position_n_m, 1e-9);
+	assert_near(later.accel_n_m_s2, now.accel_n_m_s2, 1e-7);
+	assert_near(later.alpha_b_rad_s2, now.alpha_b_rad_s2, 1e-7);
+}
+
+static void test_every_motion_repeats(void **state)
+{
+	(void)state;
+	for_all(check_period);
+}
+
+static void test_every_motion_closes_without_a_jump(void **state)
+{
+	(void)state;
+	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
+		struct signal_truth first, last;
+		struct quat turn;
+
+		signal_at(signal, 0, &first);
+		signal_at(signal, signal->period_s * (1 - 1e-12), &last);
+		turn = quat_multiply(quat_conjugate(first.q_nb), last.q_nb);
+		assert_near(last.position_n_m, first.position_n_m, 1e-9);
+		assert_near(last.velocity_n_m_s, first.velocity_n_m_s, 1e-9);
+		assert_near(last.accel_n_m_s2, first.accel_n_m_s2, 1e-9);
+		assert_near(last.alpha_b_rad_s2, first.alpha_b_rad_s2, 1e-8);
+		assert_true(fabs(fabs(turn.w) - 1) < 1e-9);
+	}
+}
+
+static void test_the_robot_stands_still_at_the_corners_of_its_square(void **state)
+{
+	const struct vec3 corner[4] = {{2, 0, 0}, {2, 2, 0}, {0, 2, 0}, {0, 0, 0}};
+
+	(void)state;
+	for (int side = 0; side < 4; side++) {
+		struct signal_truth truth;
+
+		signal_at(signal_find("square"), 10 * side + 7.5, &truth);
+		assert_near(truth.position_n_m, corner[side], 1e-12);
+		assert_near(truth.velocity_n_m_s, (struct vec3){0, 0, 0}, 1e-12);
+		assert_near(truth.omega_b_rad_s, (struct vec3){0, 0, 0}, 1e-12);
+		signal_at(signal_find("square"), 10 * side + 4.5, &truth);
+		assert_true(vec3_norm(truth.velocity_n_m_s) > 0.5);
+		assert_true(vec3_norm(truth.omega_b_rad_s) > 0.05);
+	}
+}
+
+static void test_the_robot_drives_forward_along_its_longitudinal_axis(void **state)
+{
+	(void)state;
+	for (int side = 0; side < 4; side++) {
+		struct signal_truth truth;
+		struct vec3 v;
+
+		signal_at(signal_find("square"), 10 * side + 4.5, &truth);
+		v = quat_rotate_inverse(truth.q_nb, truth.velocity_n_m_s);
+		assert_true(v.x > 0.5 && fabs(v.y) < 0.1);
+	}
+}
+
+/* The seed, section V A and VI: p^2 r above 0.5 g, up to 0.8 g, at r = 5 cm. */
+static void test_the_roll_step_gives_the_seeds_correction_of_0_8_g_at_5_cm(void **state)
+{
+	double peak = 0;
+
+	(void)state;
+	for (double t = 0; t < 4; t += 1e-4) {
+		struct signal_truth truth;
+
+		signal_at(signal_find("roll_step"), t, &truth);
+		peak = fmax(peak, truth.omega_b_rad_s.x * truth.omega_b_rad_s.x * 0.05);
+	}
+	assert_true(peak > 0.8 * 9.81 && peak < 0.82 * 9.81);
+}
+
+static void test_a_turntable_pulls_inwards_by_rate_squared_times_radius(void **state)
+{
+	struct signal turntable = *signal_find("turntable");
+	struct signal_truth truth;
+	struct vec3 force;
+
+	(void)state;
+	turntable.angle_rad = 10;
+	turntable.period_s = 1;
+	signal_at(&turntable, 0.3, &truth);
+	force = sensor_specific_force(&truth, (struct vec3){0.1, 0, 0}, 9.81);
+	assert_near(force, (struct vec3){-10, 0, 9.81}, 1e-12);
+}
+
+/* At the turning point, only the tangential part: A w^2 r; at the lowest point, only the centripetal one: A^2 w^2 r. */
+static void test_a_pendulum_shows_the_textbook_forces(void **state)
+{
+	const struct signal *pendulum = signal_find("pendulum");
+	const double a = pendulum->angle_rad, w = 2 * PI / pendulum->change_s, r = 0.2, g = 9.81;
+	struct signal_truth truth;
+	struct vec3 force;
+
+	(void)state;
+	signal_at(pendulum, 0, &truth);
+	force = sensor_specific_force(&truth, (struct vec3){0, 0, -r}, g);
+	assert_near(force, (struct vec3){0, 0, g + a * a * w * w * r}, 1e-12);
+	signal_at(pendulum, pendulum->change_s / 4, &truth);
+	force = sensor_specific_force(&truth, (struct vec3){0, 0, -r}, g);
+	assert_near(force, (struct vec3){0, g * sin(a) - a * w * w * r, g * cos(a)}, 1e-12);
+}
+
+static void test_an_unknown_name_is_no_signal(void **state)
+{
+	(void)state;
+	assert_null(signal_find("squar"));
+	assert_null(signal_find(""));
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_velocity_and_acceleration_are_the_derivatives_of_the_position),
+		cmocka_unit_test(test_the_angles_have_their_derivatives),
+		cmocka_unit_test(test_rate_and_angular_acceleration_are_the_derivatives_of_the_attitude),
+		cmocka_unit_test(test_the_attitude_is_yaw_then_pitch_then_roll),
+		cmocka_unit_test(test_every_motion_repeats),
+		cmocka_unit_test(test_every_motion_closes_without_a_jump),
+		cmocka_unit_test(test_the_robot_stands_still_at_the_corners_of_its_square),
+		cmocka_unit_test(test_the_robot_drives_forward_along_its_longitudinal_axis),
+		cmocka_unit_test(test_the_roll_step_gives_the_seeds_correction_of_0_8_g_at_5_cm),
+		cmocka_unit_test(test_a_turntable_pulls_inwards_by_rate_squared_times_radius),
+		cmocka_unit_test(test_a_pendulum_shows_the_textbook_forces),
+		cmocka_unit_test(test_an_unknown_name_is_no_signal),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
