@@ -12,8 +12,7 @@ enum {
 	HEAD_SIZE = 2 + 1 + 4, /* index, sub-index, size of the data */
 };
 
-long od_encode(
-	const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity)
+long od_encode(const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity)
 {
 	const uint8_t *values = od->values, *base_values = base;
 	uint8_t value[OD_VALUE_MAX];
@@ -26,12 +25,11 @@ long od_encode(
 		const struct od_entry *entry = &od->table->entries[i];
 		size_t size;
 
-		if (!(entry->access & OD_STORED) ||
-			(group != OD_GROUP_ALL && group != od_group_of(entry->index)))
+		if (!(entry->access & OD_STORED) || (group != OD_GROUP_ALL && group != od_group_of(entry->index)))
 			continue;
 		if (!memcmp(values + entry->offset, base_values + entry->offset, entry->size))
 			continue;
-		size = od_get(od, entry, value, sizeof value);
+		size = od_get(od, entry, value, sizeof(value));
 		if (capacity - used < HEAD_SIZE + size)
 			return -ENOSPC;
 		wire_put(out + used, entry->index, 2);
@@ -78,8 +76,7 @@ long od_decode(struct od *od, const uint8_t *in, size_t size, size_t *skipped)
 		const struct od_entry *entry = od_find(od->table, index, in[used + 2], NULL);
 
 		used += HEAD_SIZE;
-		if (entry && (entry->access & OD_STORED) &&
-			od_put(od, entry, in + used, length) == OD_OK)
+		if (entry && (entry->access & OD_STORED) && od_put(od, entry, in + used, length) == OD_OK)
 			applied++;
 		else
 			(*skipped)++;

@@ -78,8 +78,7 @@ void od_reset(struct od *od, enum od_group group, const void *base)
 		if (!(entry->access & OD_STORED))
 			continue;
 		if (group == OD_GROUP_ALL || group == od_group_of(entry->index))
-			memcpy(place_of(od, entry), (const uint8_t *)base + entry->offset,
-				entry->size);
+			memcpy(place_of(od, entry), (const uint8_t *)base + entry->offset, entry->size);
 	}
 }
 
@@ -99,8 +98,7 @@ void od_set_domain(struct od *od, struct od_domain *domain)
 	od->domains = domain;
 }
 
-const struct od_entry *od_find(
-	const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status)
+const struct od_entry *od_find(const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status)
 {
 	uint32_t key = (uint32_t)index << 8 | sub;
 	size_t low = 0, high = table->count;
@@ -115,8 +113,7 @@ const struct od_entry *od_find(
 		else
 			high = middle;
 	}
-	if (low < table->count && table->entries[low].index == index &&
-		table->entries[low].sub == sub) {
+	if (low < table->count && table->entries[low].index == index && table->entries[low].sub == sub) {
 		if (status)
 			*status = OD_OK;
 		return &table->entries[low];
@@ -138,8 +135,7 @@ enum od_group od_group_of(uint16_t index)
 size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, size_t capacity)
 {
 	const uint8_t *from = place_of(od, entry);
-	size_t size = entry->type == OD_VISIBLE_STRING ? strnlen((const char *)from, entry->size)
-						       : entry->size;
+	size_t size = entry->type == OD_VISIBLE_STRING ? strnlen((const char *)from, entry->size) : entry->size;
 
 	if (size == 0 || size > capacity)
 		return 0;
@@ -150,8 +146,7 @@ size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, siz
 	return size;
 }
 
-enum od_status od_read(
-	const struct od *od, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size)
+enum od_status od_read(const struct od *od, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size)
 {
 	enum od_status status;
 	const struct od_entry *entry = od_find(od->table, index, sub, &status);
@@ -221,10 +216,10 @@ static enum od_status check(const struct od_entry *entry, const uint8_t *wire, s
 	switch ((enum od_type)entry->type) {
 	case OD_REAL32:
 		low = (uint32_t)raw;
-		memcpy(&real32, &low, sizeof real32);
+		memcpy(&real32, &low, sizeof(real32));
 		return check_real(entry, (double)real32);
 	case OD_REAL64:
-		memcpy(&real64, &raw, sizeof real64);
+		memcpy(&real64, &raw, sizeof(real64));
 		return check_real(entry, real64);
 	case OD_INTEGER8:
 	case OD_INTEGER16:

@@ -36,8 +36,7 @@ static bool names_match(const char *typed, const char *name)
 }
 
 /* "0x2000", "2000h" in hex, the sub-index also plain decimal. Returns what follows, or NULL. */
-static const char *parse_index(
-	const char *text, bool plain, unsigned long most, unsigned long *value)
+static const char *parse_index(const char *text, bool plain, unsigned long most, unsigned long *value)
 {
 	bool prefixed = text[0] == '0' && (text[1] == 'x' || text[1] == 'X');
 	char *end;
@@ -121,11 +120,11 @@ static enum od_status parse_real(const char *text, enum od_type type, uint64_t *
 	if (fabs(number) > most)
 		return number > 0 ? OD_TOO_HIGH : OD_TOO_LOW;
 	if (type == OD_REAL64) {
-		memcpy(value, &number, sizeof number);
+		memcpy(value, &number, sizeof(number));
 		return OD_OK;
 	}
 	real32 = (float)number;
-	memcpy(&bits, &real32, sizeof bits);
+	memcpy(&bits, &real32, sizeof(bits));
 	*value = bits;
 	return OD_OK;
 }
@@ -161,7 +160,7 @@ static enum od_status parse_number(const struct od_entry *entry, const char *tex
 	length = strlen(text);
 	while (length && strchr(" \t\r\n", text[length - 1]))
 		length--;
-	if (length >= sizeof word)
+	if (length >= sizeof(word))
 		return OD_BAD_VALUE;
 	memcpy(word, text, length);
 	word[length] = '\0';
@@ -182,8 +181,7 @@ static enum od_status parse_number(const struct od_entry *entry, const char *tex
 	}
 }
 
-enum od_status od_parse(
-	const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size)
+enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size)
 {
 	size_t most = entry->size < capacity ? entry->size : capacity;
 	enum od_status status;
@@ -220,8 +218,8 @@ static void print_real(uint64_t raw, enum od_type type, char *text, size_t capac
 	float real32;
 	double real64;
 
-	memcpy(&real32, &bits, sizeof real32);
-	memcpy(&real64, &raw, sizeof real64);
+	memcpy(&real32, &bits, sizeof(real32));
+	memcpy(&real64, &raw, sizeof(real64));
 	if (type == OD_REAL32) {
 		for (int digits = 6; digits <= FLT_DECIMAL_DIG; digits++) {
 			snprintf(text, capacity, "%.*g", digits, (double)real32);
@@ -243,8 +241,7 @@ static char printable(uint8_t c)
 	return c < 0x20 || c == 0x7F ? '?' : (char)c;
 }
 
-static int print_string(
-	const struct od_entry *entry, const uint8_t *wire, size_t size, char *text, size_t capacity)
+static int print_string(const struct od_entry *entry, const uint8_t *wire, size_t size, char *text, size_t capacity)
 {
 	bool hex = entry->type == OD_OCTET_STRING;
 
@@ -263,15 +260,13 @@ static int print_string(
 	return (int)size;
 }
 
-int od_format(
-	const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity)
+int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity)
 {
 	char number[32];
 	uint64_t raw;
 	size_t length;
 
-	if (entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING ||
-		entry->type == OD_DOMAIN)
+	if (entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING || entry->type == OD_DOMAIN)
 		return print_string(entry, wire, size, text, capacity);
 	if (size != entry->size)
 		return -EINVAL;
@@ -279,17 +274,17 @@ int od_format(
 	switch (entry->type) {
 	case OD_REAL32:
 	case OD_REAL64:
-		print_real(raw, entry->type, number, sizeof number);
+		print_real(raw, entry->type, number, sizeof(number));
 		break;
 	case OD_INTEGER8:
 	case OD_INTEGER16:
 	case OD_INTEGER32:
 	case OD_INTEGER64:
-		snprintf(number, sizeof number, "%lld",
+		snprintf(number, sizeof(number), "%lld",
 			(long long)((int64_t)(raw << (64 - 8 * size)) >> (64 - 8 * size)));
 		break;
 	default:
-		snprintf(number, sizeof number, "%llu", (unsigned long long)raw);
+		snprintf(number, sizeof(number), "%llu", (unsigned long long)raw);
 	}
 	length = strlen(number);
 	if (length >= capacity)

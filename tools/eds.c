@@ -61,8 +61,7 @@ struct loader {
 	size_t draft_count, draft_capacity;
 };
 
-static int fail(struct loader *l, unsigned line, const char *format, ...)
-	__attribute__((format(printf, 3, 4)));
+static int fail(struct loader *l, unsigned line, const char *format, ...) __attribute__((format(printf, 3, 4)));
 
 static int fail(struct loader *l, unsigned line, const char *format, ...)
 {
@@ -96,7 +95,7 @@ static bool strict(const struct loader *l)
 /* Zeroed, and NULL only after fail_memory(). */
 static void *allocate(struct loader *l, size_t size)
 {
-	struct block *block = calloc(1, sizeof *block + size);
+	struct block *block = calloc(1, sizeof(*block) + size);
 
 	if (!block) {
 		fail_memory(l);
@@ -183,7 +182,7 @@ static int take_item(void *ctx, const char *section, const char *key, const char
 	item.value = copy_string(l, value);
 	if (!item.section || !item.key || !item.value)
 		return 0;
-	if (!grow(l, (void **)&l->items, l->item_count, &l->item_capacity, sizeof item))
+	if (!grow(l, (void **)&l->items, l->item_count, &l->item_capacity, sizeof(item)))
 		return 0;
 	l->items[l->item_count++] = item;
 	return 1;
@@ -219,7 +218,7 @@ static int read_items(struct loader *l)
 		return fail(l, (unsigned)line, "is no [section], no key=value and no ; comment");
 	if (!l->item_count)
 		return fail(l, 0, "has no content; is it an EDS file?");
-	qsort(l->items, l->item_count, sizeof *l->items, compare_items_and_lines);
+	qsort(l->items, l->item_count, sizeof(*l->items), compare_items_and_lines);
 	for (size_t i = 1; i < l->item_count; i++) {
 		const struct item *a = &l->items[i - 1], *b = &l->items[i];
 
@@ -227,8 +226,8 @@ static int read_items(struct loader *l)
 			return fail(l, a->header > b->header ? a->header : b->header,
 				"section [%s] is there twice; merge them", b->section);
 		if (!compare_items(a, b))
-			return fail(l, b->line, "[%s] has %s already in line %u; remove one",
-				b->section, b->key, a->line);
+			return fail(
+				l, b->line, "[%s] has %s already in line %u; remove one", b->section, b->key, a->line);
 	}
 	return 0;
 }
@@ -237,7 +236,7 @@ static const struct item *find(const struct loader *l, const char *section, cons
 {
 	struct item wanted = {.section = section, .key = key};
 
-	return bsearch(&wanted, l->items, l->item_count, sizeof wanted, compare_items);
+	return bsearch(&wanted, l->items, l->item_count, sizeof(wanted), compare_items);
 }
 
 /* The first item of the first section at or after this name. */
@@ -312,7 +311,7 @@ static const struct type_info TYPES[] = {
 
 static const struct type_info *find_type(uint64_t code)
 {
-	for (size_t i = 0; i < sizeof TYPES / sizeof *TYPES; i++)
+	for (size_t i = 0; i < sizeof(TYPES) / sizeof(*TYPES); i++)
 		if (TYPES[i].code == code)
 			return &TYPES[i];
 	return NULL;
@@ -367,8 +366,8 @@ static bool parse_real(const char *text, enum od_type type, union od_number *out
 		if (!parse_integer(text, bits, false, &raw))
 			return false;
 		low = (uint32_t)raw.u;
-		memcpy(&single, &low, sizeof single);
-		memcpy(&out->f, &raw.u, sizeof out->f);
+		memcpy(&single, &low, sizeof(single));
+		memcpy(&out->f, &raw.u, sizeof(out->f));
 		if (type == OD_REAL32)
 			out->f = (double)single;
 		return isfinite(out->f);
@@ -402,7 +401,7 @@ static bool is_above(const struct type_info *type, union od_number a, union od_n
 static bool split_node_id(const char *text, char *rest, size_t capacity)
 {
 	static const char NODE_ID[] = "$NODEID";
-	const size_t length = sizeof NODE_ID - 1;
+	const size_t length = sizeof(NODE_ID) - 1;
 	size_t n = 0;
 
 	for (; *text && n + 1 < capacity; text++)
@@ -475,8 +474,7 @@ static int take_u32(struct loader *l, const char *section, const char *key, uint
 	if (!item)
 		return 0;
 	if (!parse_integer(item->value, 32, false, &number))
-		return fail(l, item->line, "[%s] %s=%s is no number of 32 bits", section, key,
-			item->value);
+		return fail(l, item->line, "[%s] %s=%s is no number of 32 bits", section, key, item->value);
 	*out = (uint32_t)number.u;
 	return 0;
 }
@@ -492,8 +490,8 @@ static const char *take_text(const struct loader *l, const char *section, const 
 
 /* The human name of a section and its normalised form. A name that says nothing is replaced, except
  * in our own file. */
-static int take_name(struct loader *l, const char *section, const struct item *item,
-	const char *substitute, const char **label, const char **name, unsigned *line)
+static int take_name(struct loader *l, const char *section, const struct item *item, const char *substitute,
+	const char **label, const char **name, unsigned *line)
 {
 	char normalised[INI_MAX_LINE];
 	const struct item *header = header_of(l, section);
@@ -502,12 +500,11 @@ static int take_name(struct loader *l, const char *section, const struct item *i
 	*label = item ? item->value : substitute;
 	if (!item && strict(l))
 		return fail(l, *line, "[%s] has no ParameterName; add it", section);
-	eds_normalise(*label, normalised, sizeof normalised);
+	eds_normalise(*label, normalised, sizeof(normalised));
 	if (strict(l) && !isalpha((unsigned char)normalised[0]))
-		return fail(l, *line, "[%s] ParameterName=%s must begin with a letter", section,
-			*label);
+		return fail(l, *line, "[%s] ParameterName=%s must begin with a letter", section, *label);
 	if (!normalised[0])
-		eds_normalise(substitute, normalised, sizeof normalised);
+		eds_normalise(substitute, normalised, sizeof(normalised));
 	*label = copy_string(l, *label);
 	*name = copy_string(l, normalised);
 	return l->result;
@@ -540,25 +537,24 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 	uint32_t mappable = 0, flags = 0;
 
 	if (!item && strict(l))
-		return fail(l, header_of(l, source->section)->header,
-			"[%s] has no AccessType; add it", source->section);
-	if (take_u32(l, source->section, "PDOMapping", &mappable) ||
-		take_u32(l, source->section, "ObjFlags", &flags))
+		return fail(
+			l, header_of(l, source->section)->header, "[%s] has no AccessType; add it", source->section);
+	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags))
 		return l->result;
 	flags |= source->inherited_flags;
-	for (size_t i = 0; i < sizeof ACCESS / sizeof *ACCESS; i++) {
+	for (size_t i = 0; i < sizeof(ACCESS) / sizeof(*ACCESS); i++) {
 		if (strcasecmp(text, ACCESS[i].text))
 			continue;
 		entry->access = ACCESS[i].access;
 		if (mappable)
 			entry->access |= ACCESS[i].pdo;
-		if ((entry->access & OD_READ) && (entry->access & OD_WRITE) &&
-			entry->type != OD_DOMAIN && !(flags & OBJ_FLAG_NOT_DOWNLOADED))
+		if ((entry->access & OD_READ) && (entry->access & OD_WRITE) && entry->type != OD_DOMAIN &&
+			!(flags & OBJ_FLAG_NOT_DOWNLOADED))
 			entry->access |= OD_STORED;
 		return 0;
 	}
-	return fail(l, item->line, "[%s] AccessType=%s is not one of ro, wo, rw, rwr, rww, const",
-		source->section, text);
+	return fail(
+		l, item->line, "[%s] AccessType=%s is not one of ro, wo, rw, rwr, rww, const", source->section, text);
 }
 
 /* One limit, of the key for REALs if that is there. */
@@ -572,24 +568,21 @@ static int take_limit(struct loader *l, const char *section, const char *key, co
 	if (!item || (!type->bits && !is_real(type)))
 		return 0;
 	if (!parse_number(item->value, type, limit))
-		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X", section,
-			item->key, item->value, type->code);
+		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X", section, item->key,
+			item->value, type->code);
 	entry->access |= flag;
 	return 0;
 }
 
-static int take_number(struct loader *l, const struct source *source, const struct type_info *type,
-	struct draft *draft)
+static int take_number(struct loader *l, const struct source *source, const struct type_info *type, struct draft *draft)
 {
 	struct od_entry *entry = &draft->entry;
 	const struct item *item = is_real(type) ? find(l, source->section, "RealDefault") : NULL;
 	char rest[INI_MAX_LINE];
 	const char *text;
 
-	if (take_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry,
-		    &entry->low) ||
-		take_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH,
-			entry, &entry->high))
+	if (take_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry, &entry->low) ||
+		take_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH, entry, &entry->high))
 		return l->result;
 	if (!item)
 		item = source->initial;
@@ -597,26 +590,25 @@ static int take_number(struct loader *l, const struct source *source, const stru
 		return 0;
 	draft->default_line = item->line;
 	text = item->value;
-	if (type->bits && split_node_id(text, rest, sizeof rest)) {
+	if (type->bits && split_node_id(text, rest, sizeof(rest))) {
 		text = rest;
 		entry->access |= OD_NODE_ID;
 	}
 	if (!parse_number(text, type, &draft->number))
-		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X",
-			source->section, item->key, item->value, type->code);
+		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X", source->section, item->key,
+			item->value, type->code);
 	if (!strict(l))
 		return 0;
 	if ((entry->access & OD_LIMIT_LOW) && is_above(type, entry->low, draft->number))
-		return fail(l, item->line, "[%s] %s=%s is below the low limit", source->section,
-			item->key, item->value);
+		return fail(
+			l, item->line, "[%s] %s=%s is below the low limit", source->section, item->key, item->value);
 	if ((entry->access & OD_LIMIT_HIGH) && is_above(type, draft->number, entry->high))
-		return fail(l, item->line, "[%s] %s=%s is above the high limit", source->section,
-			item->key, item->value);
+		return fail(
+			l, item->line, "[%s] %s=%s is above the high limit", source->section, item->key, item->value);
 	return 0;
 }
 
-static int take_string(struct loader *l, const struct source *source, const struct type_info *type,
-	struct draft *draft)
+static int take_string(struct loader *l, const struct source *source, const struct type_info *type, struct draft *draft)
 {
 	const struct item *item = type->foreign ? NULL : source->initial;
 	const struct item *size_item = find(l, source->section, "StringSize");
@@ -626,20 +618,17 @@ static int take_string(struct loader *l, const struct source *source, const stru
 	if (take_u32(l, source->section, "StringSize", &size))
 		return l->result;
 	if (size_item && (size < 1 || size > OD_VALUE_MAX))
-		return fail(l, size_item->line, "[%s] StringSize=%s is not 1 to %d",
-			source->section, size_item->value, OD_VALUE_MAX);
+		return fail(l, size_item->line, "[%s] StringSize=%s is not 1 to %d", source->section, size_item->value,
+			OD_VALUE_MAX);
 	if (item) {
 		draft->default_line = item->line;
 		draft->text = item->value;
-		length = type->type == OD_OCTET_STRING ? parse_octets(item->value, NULL, 0)
-						       : (int)strlen(item->value);
+		length = type->type == OD_OCTET_STRING ? parse_octets(item->value, NULL, 0) : (int)strlen(item->value);
 		if (length < 0)
-			return fail(l, item->line,
-				"[%s] DefaultValue=%s is not made of pairs of hex digits",
+			return fail(l, item->line, "[%s] DefaultValue=%s is not made of pairs of hex digits",
 				source->section, item->value);
 		if (size && (uint32_t)length > size)
-			return fail(l, item->line,
-				"[%s] the default has %d bytes, more than StringSize=%u",
+			return fail(l, item->line, "[%s] the default has %d bytes, more than StringSize=%u",
 				source->section, length, size);
 	}
 	if (!size && type->type == OD_OCTET_STRING)
@@ -659,14 +648,12 @@ static int take_factor(struct loader *l, const char *section, double *factor)
 	if (!item)
 		return 0;
 	if (!parse_real(item->value, OD_REAL64, &number) || number.f == 0)
-		return fail(l, item->line, "[%s] Factor=%s is no number other than 0", section,
-			item->value);
+		return fail(l, item->line, "[%s] Factor=%s is no number other than 0", section, item->value);
 	*factor = number.f;
 	return 0;
 }
 
-static const struct type_info *take_type(
-	struct loader *l, const char *section, uint32_t object_type)
+static const struct type_info *take_type(struct loader *l, const char *section, uint32_t object_type)
 {
 	const struct item *item = find(l, section, "DataType");
 	const struct type_info *type;
@@ -680,15 +667,14 @@ static const struct type_info *take_type(
 	}
 	type = parse_integer(item->value, 32, false, &code) ? find_type(code.u) : NULL;
 	if (!type || (type->foreign && strict(l)))
-		fail(l, item->line,
-			"[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007",
+		fail(l, item->line, "[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007",
 			section, item->value);
 	return l->result ? NULL : type;
 }
 
 /* Appends one entry of `object`; for a VAR `name` is NULL. */
-static int take_entry(struct loader *l, const struct eds_object *object, uint8_t sub,
-	const char *name, const struct source *source, struct draft draft)
+static int take_entry(struct loader *l, const struct eds_object *object, uint8_t sub, const char *name,
+	const struct source *source, struct draft draft)
 {
 	uint32_t object_type = OBJECT_TYPE_VAR;
 	const struct type_info *type;
@@ -704,7 +690,7 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 	entry->sub = sub;
 	entry->type = type->type;
 	entry->size = type->size;
-	snprintf(full, sizeof full, "%s%s%s", object->name, name ? "." : "", name ? name : "");
+	snprintf(full, sizeof(full), "%s%s%s", object->name, name ? "." : "", name ? name : "");
 	entry->name = copy_string(l, full);
 	draft.default_line = draft.label_line;
 	entry->unit = take_text(l, source->section, "Unit");
@@ -715,34 +701,30 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 		take_number(l, source, type, &draft);
 	else if (type->type != OD_DOMAIN)
 		take_string(l, source, type, &draft);
-	if (l->result ||
-		!grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof draft))
+	if (l->result || !grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof(draft)))
 		return l->result;
 	l->drafts[l->draft_count++] = draft;
 	return 0;
 }
 
-static int take_sub(
-	struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
+static int take_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
 {
 	struct draft draft = {0};
 	const char *name;
-	char substitute[sizeof "Sub 255"];
+	char substitute[sizeof("Sub 255")];
 
-	snprintf(substitute, sizeof substitute, "Sub %d", sub);
-	if (take_name(l, source->section, source->label, substitute, &draft.label, &name,
-		    &draft.label_line))
+	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
+	if (take_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
 		return l->result;
 	return take_entry(l, object, sub, name, source, draft);
 }
 
 /* CompactSubObj: sub-index 0 is implied, the others share the facts of the object's own section. */
-static int take_compact(
-	struct loader *l, const struct eds_object *object, const char *section, uint8_t count)
+static int take_compact(struct loader *l, const struct eds_object *object, const char *section, uint8_t count)
 {
 	static const char LABEL[] = "NrOfObjects";
-	char names[sizeof "FFFFValue"], values[sizeof "FFFFValue"], number[sizeof "255"];
-	char full[INI_MAX_LINE + sizeof number];
+	char names[sizeof("FFFFValue")], values[sizeof("FFFFValue")], number[sizeof("255")];
+	char full[INI_MAX_LINE + sizeof(number)];
 	struct draft zero = {.label = LABEL, .label_line = object->line, .number.u = count};
 
 	zero.entry = (struct od_entry){.index = object->index,
@@ -752,20 +734,19 @@ static int take_compact(
 		.factor = 1,
 		.unit = "",
 		.description = ""};
-	snprintf(full, sizeof full, "%s.nrofobjects", object->name);
+	snprintf(full, sizeof(full), "%s.nrofobjects", object->name);
 	zero.entry.name = copy_string(l, full);
-	if (!zero.entry.name ||
-		!grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof zero))
+	if (!zero.entry.name || !grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof(zero)))
 		return l->result;
 	l->drafts[l->draft_count++] = zero;
-	snprintf(names, sizeof names, "%XName", object->index);
-	snprintf(values, sizeof values, "%XValue", object->index);
+	snprintf(names, sizeof(names), "%XName", object->index);
+	snprintf(values, sizeof(values), "%XValue", object->index);
 	for (unsigned sub = 1; sub <= count; sub++) {
 		struct source source = {.section = section};
 		struct item label = {.value = full, .line = object->line};
 
-		snprintf(number, sizeof number, "%u", sub);
-		snprintf(full, sizeof full, "%.150s%u", object->label, sub);
+		snprintf(number, sizeof(number), "%u", sub);
+		snprintf(full, sizeof(full), "%.150s%u", object->label, sub);
 		source.label = find(l, names, number);
 		source.initial = find(l, values, number);
 		if (!source.label)
@@ -789,8 +770,8 @@ static int compare_subs(const void *a, const void *b)
 /* All [1018subN] of an object, whatever the order in the file. */
 static int take_subs(struct loader *l, const struct eds_object *object, const char *section)
 {
-	char prefix[sizeof "FFFFsub"];
-	size_t length = (size_t)snprintf(prefix, sizeof prefix, "%Xsub", object->index);
+	char prefix[sizeof("FFFFsub")];
+	size_t length = (size_t)snprintf(prefix, sizeof(prefix), "%Xsub", object->index);
 	uint32_t flags = 0;
 
 	if (take_u32(l, section, "ObjFlags", &flags))
@@ -805,15 +786,13 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 			break;
 		sub = strtoul(name + length, &end, 16);
 		if (!isxdigit((unsigned char)name[length]) || *end || sub > 0xFF)
-			return fail(
-				l, l->items[i].header, "[%s] names no sub-index of 0 to FF", name);
+			return fail(l, l->items[i].header, "[%s] names no sub-index of 0 to FF", name);
 		source.label = find(l, name, "ParameterName");
 		source.initial = find(l, name, "DefaultValue");
 		if (take_sub(l, object, (uint8_t)sub, &source))
 			return l->result;
 	}
-	qsort(l->drafts + object->first, l->draft_count - object->first, sizeof *l->drafts,
-		compare_subs);
+	qsort(l->drafts + object->first, l->draft_count - object->first, sizeof(*l->drafts), compare_subs);
 	return 0;
 }
 
@@ -825,21 +804,19 @@ static int check_subs(struct loader *l, const struct eds_object *object, const c
 
 	for (size_t i = 1; i < object->count; i++)
 		if (subs[i].entry.sub == subs[i - 1].entry.sub)
-			return fail(l, subs[i].label_line,
-				"[%s] has sub-index %X twice; remove one", section,
+			return fail(l, subs[i].label_line, "[%s] has sub-index %X twice; remove one", section,
 				subs[i].entry.sub);
 	if (take_u32(l, section, "SubNumber", &count) || !strict(l))
 		return l->result;
 	if (!item)
 		return fail(l, object->line, "[%s] has no SubNumber; add it", section);
 	if (count != object->count)
-		return fail(l, item->line, "[%s] SubNumber=%s, but %zu sub-indices are described",
-			section, item->value, object->count);
+		return fail(l, item->line, "[%s] SubNumber=%s, but %zu sub-indices are described", section, item->value,
+			object->count);
 	if (subs[0].entry.sub != 0)
 		return fail(l, item->line, "[%s] has no sub-index 0; add it", section);
 	if ((subs[0].entry.access & OD_CONST) && subs[0].number.u != subs[count - 1].entry.sub)
-		return fail(l, subs[0].default_line,
-			"[%s] sub-index 0 is not %d, the highest sub-index", section,
+		return fail(l, subs[0].default_line, "[%s] sub-index 0 is not %d, the highest sub-index", section,
 			subs[count - 1].entry.sub);
 	return 0;
 }
@@ -848,28 +825,25 @@ static int check_subs(struct loader *l, const struct eds_object *object, const c
 
 static int take_object(struct loader *l, struct eds_object *object, const struct item *listed)
 {
-	char section[sizeof "FFFF"], substitute[sizeof "Object FFFF"];
+	char section[sizeof("FFFF")], substitute[sizeof("Object FFFF")];
 	uint32_t object_type = OBJECT_TYPE_VAR, compact = 0;
 	const struct item *item;
 
-	snprintf(section, sizeof section, "%X", object->index);
-	snprintf(substitute, sizeof substitute, "Object %X", object->index);
+	snprintf(section, sizeof(section), "%X", object->index);
+	snprintf(substitute, sizeof(substitute), "Object %X", object->index);
 	if (!header_of(l, section))
-		return fail(l, listed->line,
-			"object %s is listed, but has no section [%s]; add it or unlist it",
+		return fail(l, listed->line, "object %s is listed, but has no section [%s]; add it or unlist it",
 			listed->value, section);
-	if (take_name(l, section, find(l, section, "ParameterName"), substitute, &object->label,
-		    &object->name, &object->line) ||
-		take_u32(l, section, "ObjectType", &object_type) ||
-		take_u32(l, section, "CompactSubObj", &compact))
+	if (take_name(l, section, find(l, section, "ParameterName"), substitute, &object->label, &object->name,
+		    &object->line) ||
+		take_u32(l, section, "ObjectType", &object_type) || take_u32(l, section, "CompactSubObj", &compact))
 		return l->result;
 	object->description = take_text(l, section, "Description");
 	object->first = l->draft_count;
 	switch (object_type) {
 	case OBJECT_TYPE_DOMAIN:
 	case OBJECT_TYPE_VAR: {
-		struct source source = {
-			.section = section, .initial = find(l, section, "DefaultValue")};
+		struct source source = {.section = section, .initial = find(l, section, "DefaultValue")};
 		struct draft draft = {.label = object->label, .label_line = object->line};
 
 		object->kind = EDS_VAR;
@@ -881,8 +855,7 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 		object->kind = object_type == OBJECT_TYPE_ARRAY ? EDS_ARRAY : EDS_RECORD;
 		item = find(l, section, "CompactSubObj");
 		if (compact > 0xFE)
-			fail(l, item->line, "[%s] CompactSubObj=%s is above 254", section,
-				item->value);
+			fail(l, item->line, "[%s] CompactSubObj=%s is above 254", section, item->value);
 		else if (compact)
 			take_compact(l, object, section, (uint8_t)compact);
 		else
@@ -891,16 +864,14 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 	default: /* NULL, DEFTYPE, DEFSTRUCT: nothing to be read or written */
 		item = find(l, section, "ObjectType");
 		if (strict(l))
-			fail(l, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9",
-				section, item->value);
+			fail(l, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9", section, item->value);
 		return l->result;
 	}
 	object->count = l->draft_count - object->first;
 	if (l->result || object->kind == EDS_VAR || compact)
 		return l->result;
 	if (!object->count)
-		return fail(
-			l, object->line, "[%s] has no sub-index; add [%ssub0]", section, section);
+		return fail(l, object->line, "[%s] has no sub-index; add [%ssub0]", section, section);
 	return check_subs(l, object, section);
 }
 
@@ -944,23 +915,20 @@ static int take_list(struct loader *l, const char *list, struct listing *listing
 		return fail(l, supported ? supported->line : l->items[from].header,
 			"[%s] SupportedObjects=%u, but %zu are listed", list, n, present);
 	for (uint32_t i = 1; i <= n && i <= 0xFFFF; i++) {
-		char key[sizeof "65535"];
+		char key[sizeof("65535")];
 		const struct item *item;
 		union od_number index;
 
-		snprintf(key, sizeof key, "%u", i);
+		snprintf(key, sizeof(key), "%u", i);
 		item = find(l, list, key);
 		if (!item && strict(l))
-			return fail(l, supported->line, "[%s] has no entry %u; number them 1 to %u",
-				list, i, n);
+			return fail(l, supported->line, "[%s] has no entry %u; number them 1 to %u", list, i, n);
 		if (!item)
 			continue;
 		if (!parse_integer(item->value, 16, false, &index))
-			return fail(l, item->line, "[%s] %s is no index of 16 bits, such as 0x1000",
-				list, item->value);
+			return fail(l, item->line, "[%s] %s is no index of 16 bits, such as 0x1000", list, item->value);
 		if (strict(l) && !belongs_to_list(list, (uint16_t)index.u))
-			return fail(l, item->line, "object %s does not belong in [%s]; move it",
-				item->value, list);
+			return fail(l, item->line, "object %s does not belong in [%s]; move it", item->value, list);
 		if (index.u < 0x1000)
 			continue; /* data types, no objects */
 		listings[(*count)++] = (struct listing){item, (uint16_t)index.u};
@@ -970,7 +938,7 @@ static int take_list(struct loader *l, const char *list, struct listing *listing
 
 static int take_objects(struct loader *l)
 {
-	struct listing *listings = allocate(l, l->item_count * sizeof *listings);
+	struct listing *listings = allocate(l, l->item_count * sizeof(*listings));
 	struct eds *eds = l->eds;
 	size_t count = 0;
 
@@ -980,16 +948,15 @@ static int take_objects(struct loader *l)
 		return l->result;
 	if (!count)
 		return fail(l, 0, "lists no objects; is it an EDS file?");
-	qsort(listings, count, sizeof *listings, compare_listings);
-	eds->objects = allocate(l, count * sizeof *eds->objects);
+	qsort(listings, count, sizeof(*listings), compare_listings);
+	eds->objects = allocate(l, count * sizeof(*eds->objects));
 	if (!eds->objects)
 		return l->result;
 	for (size_t i = 0; i < count; i++) {
 		struct eds_object *object = &eds->objects[eds->object_count];
 
 		if (i && listings[i].index == listings[i - 1].index)
-			return fail(l, listings[i].item->line,
-				"object %s is listed in line %u already; remove one",
+			return fail(l, listings[i].item->line, "object %s is listed in line %u already; remove one",
 				listings[i].item->value, listings[i - 1].item->line);
 		object->index = listings[i].index;
 		if (take_object(l, object, listings[i].item))
@@ -1004,8 +971,7 @@ static int take_objects(struct loader *l)
 
 static size_t alignment(const struct od_entry *entry)
 {
-	if (entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING ||
-		entry->type == OD_DOMAIN)
+	if (entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING || entry->type == OD_DOMAIN)
 		return 1;
 	return entry->size;
 }
@@ -1059,20 +1025,20 @@ static void place_default(const struct draft *draft, uint8_t *values)
 		break;
 	case OD_INTEGER16:
 	case OD_UNSIGNED16:
-		memcpy(to, &u16, sizeof u16);
+		memcpy(to, &u16, sizeof(u16));
 		break;
 	case OD_INTEGER32:
 	case OD_UNSIGNED32:
-		memcpy(to, &u32, sizeof u32);
+		memcpy(to, &u32, sizeof(u32));
 		break;
 	case OD_INTEGER64:
 	case OD_UNSIGNED64:
 	case OD_REAL64:
-		memcpy(to, &draft->number, sizeof draft->number);
+		memcpy(to, &draft->number, sizeof(draft->number));
 		break;
 	case OD_REAL32:
 		real32 = (float)draft->number.f;
-		memcpy(to, &real32, sizeof real32);
+		memcpy(to, &real32, sizeof(real32));
 		break;
 	case OD_VISIBLE_STRING:
 		if (draft->text)
@@ -1091,10 +1057,10 @@ static int build_table(struct loader *l)
 {
 	struct eds *eds = l->eds;
 	size_t values_size = lay_out(l);
-	struct od_entry *entries = allocate(l, l->draft_count * sizeof *entries);
+	struct od_entry *entries = allocate(l, l->draft_count * sizeof(*entries));
 	uint8_t *defaults = allocate(l, values_size);
 
-	eds->entries = allocate(l, l->draft_count * sizeof *eds->entries);
+	eds->entries = allocate(l, l->draft_count * sizeof(*eds->entries));
 	if (l->result)
 		return l->result;
 	for (size_t i = 0; i < l->draft_count; i++) {
@@ -1122,7 +1088,7 @@ static int take_info(struct loader *l)
 		{"DeviceInfo", "NrOfTXPDO", &info->tpdo_count},
 	};
 
-	for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++)
+	for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
 		if (take_u32(l, numbers[i].section, numbers[i].key, numbers[i].value))
 			return l->result;
 	info->file_name = take_text(l, "FileInfo", "FileName");
@@ -1174,8 +1140,7 @@ static int check_sections(struct loader *l)
 			continue;
 		for (size_t k = 0; k <= l->eds->object_count; k++) {
 			if (k == l->eds->object_count)
-				return fail(l, l->items[i].header,
-					"[%s] belongs to no listed object; list it",
+				return fail(l, l->items[i].header, "[%s] belongs to no listed object; list it",
 					l->items[i].section);
 			if (l->eds->objects[k].index == index)
 				break;
@@ -1195,24 +1160,22 @@ static int check_mapping(struct loader *l, const struct eds_object *object, uint
 
 		if (!mapped && subs[i].entry.sub > subs[0].number.u)
 			continue;
-		target = od_find(
-			&l->eds->table, (uint16_t)(mapped >> 16), (uint8_t)(mapped >> 8), NULL);
+		target = od_find(&l->eds->table, (uint16_t)(mapped >> 16), (uint8_t)(mapped >> 8), NULL);
 		if (!target)
-			return fail(l, subs[i].default_line,
-				"maps %04X:%02X, which is not in the file", mapped >> 16,
+			return fail(l, subs[i].default_line, "maps %04X:%02X, which is not in the file", mapped >> 16,
 				mapped >> 8 & 0xFF);
 		if (!(target->access & direction))
-			return fail(l, subs[i].default_line,
-				"maps %s, which is not mappable into this PDO", target->name);
+			return fail(
+				l, subs[i].default_line, "maps %s, which is not mappable into this PDO", target->name);
 		if ((mapped & 0xFF) != 8u * target->size)
-			return fail(l, subs[i].default_line, "maps %u bits of %s, which has %u",
-				mapped & 0xFF, target->name, 8u * target->size);
+			return fail(l, subs[i].default_line, "maps %u bits of %s, which has %u", mapped & 0xFF,
+				target->name, 8u * target->size);
 		if (subs[i].entry.sub <= subs[0].number.u)
 			bits += mapped & 0xFF;
 	}
 	if (bits > PDO_BITS_MAX)
-		return fail(l, subs[0].default_line,
-			"the default mapping has %u bits, a PDO at most %d", bits, PDO_BITS_MAX);
+		return fail(l, subs[0].default_line, "the default mapping has %u bits, a PDO at most %d", bits,
+			PDO_BITS_MAX);
 	return 0;
 }
 
@@ -1235,12 +1198,10 @@ static int check_pdos(struct loader *l)
 	}
 	item = find(l, "DeviceInfo", "NrOfRXPDO");
 	if (eds->info.rpdo_count != rpdos)
-		return fail(l, item ? item->line : 0,
-			"[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
+		return fail(l, item ? item->line : 0, "[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
 	item = find(l, "DeviceInfo", "NrOfTXPDO");
 	if (eds->info.tpdo_count != tpdos)
-		return fail(l, item ? item->line : 0,
-			"[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
+		return fail(l, item ? item->line : 0, "[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
 	return l->result;
 }
 
@@ -1248,16 +1209,15 @@ static int check_identity(struct loader *l)
 {
 	static const char *const KEYS[] = {"VendorNumber", "ProductNumber", "RevisionNumber"};
 	const struct eds_info *info = &l->eds->info;
-	const uint32_t numbers[] = {
-		info->vendor_number, info->product_number, info->revision_number};
+	const uint32_t numbers[] = {info->vendor_number, info->product_number, info->revision_number};
 
 	for (uint8_t i = 0; i < 3; i++) {
 		const struct od_entry *entry = od_find(&l->eds->table, 0x1018, i + 1, NULL);
 		const struct item *item = find(l, "DeviceInfo", KEYS[i]);
 
 		if (entry && l->drafts[entry - l->eds->table.entries].number.u != numbers[i])
-			return fail(l, item ? item->line : 0,
-				"[DeviceInfo] %s differs from [1018sub%u]", KEYS[i], i + 1u);
+			return fail(
+				l, item ? item->line : 0, "[DeviceInfo] %s differs from [1018sub%u]", KEYS[i], i + 1u);
 	}
 	return 0;
 }
@@ -1273,8 +1233,8 @@ static int build(struct loader *l)
 	return check_identity(l);
 }
 
-int eds_parse(struct eds *eds, const char *path, const char *text, size_t size,
-	enum eds_rules rules, char *error, size_t error_size)
+int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, enum eds_rules rules, char *error,
+	size_t error_size)
 {
 	struct loader l = {.eds = eds,
 		.rules = rules,
@@ -1284,7 +1244,7 @@ int eds_parse(struct eds *eds, const char *path, const char *text, size_t size,
 		.text = text,
 		.end = text + size};
 
-	memset(eds, 0, sizeof *eds);
+	memset(eds, 0, sizeof(*eds));
 	build(&l);
 	free(l.items);
 	free(l.drafts);
@@ -1308,14 +1268,13 @@ static long read_file(const char *path, char *text)
 	return error ? -error : (long)size;
 }
 
-int eds_load(
-	struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size)
+int eds_load(struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size)
 {
 	char *text = malloc(FILE_SIZE_MAX);
 	long size = text ? read_file(path, text) : -ENOMEM;
 	int result = (int)size;
 
-	memset(eds, 0, sizeof *eds);
+	memset(eds, 0, sizeof(*eds));
 	if (size < 0)
 		snprintf(error, error_size, "%s: %s", path, strerror(-result));
 	else
@@ -1332,5 +1291,5 @@ void eds_free(struct eds *eds)
 		next = block->next;
 		free(block);
 	}
-	memset(eds, 0, sizeof *eds);
+	memset(eds, 0, sizeof(*eds));
 }

@@ -59,12 +59,11 @@ struct eds {
 
 /** 0 with *eds to be freed by eds_free(), or -errno with "file:line: what, and what to do" in
  * `error`: -EINVAL a fault in the file, -ENOMEM, or why the file could not be read. */
-int eds_load(
-	struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size);
+int eds_load(struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size);
 
 /** The same for text in memory; `path` is only for the error text. */
-int eds_parse(struct eds *eds, const char *path, const char *text, size_t size,
-	enum eds_rules rules, char *error, size_t error_size);
+int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, enum eds_rules rules, char *error,
+	size_t error_size);
 
 void eds_free(struct eds *eds);
 

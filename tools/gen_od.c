@@ -119,8 +119,8 @@ static bool is_string(const struct od_entry *entry)
 
 static bool is_signed(const struct od_entry *entry)
 {
-	return entry->type == OD_INTEGER8 || entry->type == OD_INTEGER16 ||
-	       entry->type == OD_INTEGER32 || entry->type == OD_INTEGER64;
+	return entry->type == OD_INTEGER8 || entry->type == OD_INTEGER16 || entry->type == OD_INTEGER32 ||
+	       entry->type == OD_INTEGER64;
 }
 
 static bool is_real(const struct od_entry *entry)
@@ -136,13 +136,11 @@ static const char *member_name(const struct od_entry *entry)
 }
 
 /* The default without node-ID as text. */
-static void format_default(
-	const struct eds *eds, const struct od_entry *entry, char *text, size_t capacity)
+static void format_default(const struct eds *eds, const struct od_entry *entry, char *text, size_t capacity)
 {
-	const struct od od = {
-		.table = &eds->table, .values = (void *)(uintptr_t)eds->table.defaults};
+	const struct od od = {.table = &eds->table, .values = (void *)(uintptr_t)eds->table.defaults};
 	uint8_t wire[OD_VALUE_MAX];
-	size_t size = od_get(&od, entry, wire, sizeof wire);
+	size_t size = od_get(&od, entry, wire, sizeof(wire));
 
 	if (od_format(entry, wire, size, text, capacity) < 0)
 		text[0] = '\0';
@@ -153,13 +151,12 @@ static uint32_t default_u32(const struct eds *eds, const struct od_entry *entry)
 	const uint8_t *at = (const uint8_t *)eds->table.defaults + entry->offset;
 	uint32_t value = *at;
 
-	if (entry->size == sizeof value)
-		memcpy(&value, at, sizeof value);
+	if (entry->size == sizeof(value))
+		memcpy(&value, at, sizeof(value));
 	return value;
 }
 
-static void format_limit(
-	const struct od_entry *entry, union od_number limit, char *text, size_t capacity)
+static void format_limit(const struct od_entry *entry, union od_number limit, char *text, size_t capacity)
 {
 	if (is_real(entry))
 		snprintf(text, capacity, "%.7g", limit.f);
@@ -248,7 +245,7 @@ static void print_access(FILE *out, uint16_t access)
 	};
 	const char *separator = "";
 
-	for (size_t i = 0; i < sizeof BITS / sizeof *BITS; i++) {
+	for (size_t i = 0; i < sizeof(BITS) / sizeof(*BITS); i++) {
 		if (!(access & BITS[i].bit))
 			continue;
 		fprintf(out, "%s%s", separator, BITS[i].name);
@@ -270,12 +267,11 @@ static void print_c_number(FILE *out, const struct od_entry *entry, union od_num
 
 static void print_entry(FILE *out, const struct od_entry *entry)
 {
-	fprintf(out, "\t{.index = 0x%04X, .sub = %u, .type = OD_%s, .access = ", entry->index,
-		entry->sub, type_name(entry));
+	fprintf(out, "\t{.index = 0x%04X, .sub = %u, .type = OD_%s, .access = ", entry->index, entry->sub,
+		type_name(entry));
 	print_access(out, entry->access);
 	if (entry->type != OD_DOMAIN)
-		fprintf(out, ",\n\t .size = %u, .offset = offsetof(struct od_values, %s)",
-			entry->size, entry->name);
+		fprintf(out, ",\n\t .size = %u, .offset = offsetof(struct od_values, %s)", entry->size, entry->name);
 	if (entry->access & OD_LIMIT_LOW) {
 		fputs(", .low = ", out);
 		print_c_number(out, entry, entry->low);
@@ -303,7 +299,7 @@ static void print_default(FILE *out, const struct eds *eds, const struct od_entr
 		used++;
 	if (used == entry->size)
 		return; /* zero, as is what no initialiser names */
-	format_default(eds, entry, text, sizeof text);
+	format_default(eds, entry, text, sizeof(text));
 	fprintf(out, "\t.%s = ", entry->name);
 	if (entry->type == OD_OCTET_STRING) {
 		for (size_t i = 0; i < entry->size; i++)
@@ -314,8 +310,7 @@ static void print_default(FILE *out, const struct eds *eds, const struct od_entr
 	} else if (is_real(entry)) {
 		fprintf(out, "(%s)%s", c_type(entry), text);
 	} else if (is_signed(entry)) {
-		fprintf(out, strcmp(text, "-9223372036854775808") ? "INT64_C(%s)" : "INT64_MIN",
-			text);
+		fprintf(out, strcmp(text, "-9223372036854775808") ? "INT64_C(%s)" : "INT64_MIN", text);
 	} else {
 		fprintf(out, "UINT64_C(%s)", text);
 	}
@@ -334,14 +329,14 @@ static void print_table(FILE *out, const struct eds *eds, const uint8_t *file, s
 	fputs("};\n\n"
 	      "const struct od_table imu9_od_table = {\n"
 	      "\t.entries = ENTRIES,\n"
-	      "\t.count = sizeof ENTRIES / sizeof *ENTRIES,\n"
+	      "\t.count = sizeof(ENTRIES) / sizeof(*ENTRIES),\n"
 	      "\t.defaults = &DEFAULTS,\n"
-	      "\t.values_size = sizeof DEFAULTS,\n"
+	      "\t.values_size = sizeof(DEFAULTS),\n"
 	      "};\n\nconst uint8_t imu9_eds[] = {",
 		out);
 	for (size_t i = 0; i < file_size; i++)
 		fprintf(out, "%s%u,", i % BYTES_A_LINE ? " " : "\n\t", file[i]);
-	fputs("\n};\n\nconst size_t imu9_eds_size = sizeof imu9_eds;\n", out);
+	fputs("\n};\n\nconst size_t imu9_eds_size = sizeof(imu9_eds);\n", out);
 }
 
 /* ---- objects.md ---- */
@@ -378,7 +373,7 @@ static void print_default_cell(FILE *out, const struct eds *eds, const struct od
 	else if (entry->type == OD_DOMAIN)
 		fputs("| ", out);
 	else {
-		format_default(eds, entry, text, sizeof text);
+		format_default(eds, entry, text, sizeof(text));
 		print_cell(out, text);
 	}
 }
@@ -388,9 +383,9 @@ static void print_limits_cell(FILE *out, const struct od_entry *entry)
 	char low[32] = "", high[32] = "";
 
 	if (entry->access & OD_LIMIT_LOW)
-		format_limit(entry, entry->low, low, sizeof low);
+		format_limit(entry, entry->low, low, sizeof(low));
 	if (entry->access & OD_LIMIT_HIGH)
-		format_limit(entry, entry->high, high, sizeof high);
+		format_limit(entry, entry->high, high, sizeof(high));
 	if (*low && *high)
 		fprintf(out, "%s to %s", low, high);
 	else if (*low || *high)
@@ -408,13 +403,12 @@ static void print_unit_cell(FILE *out, const struct od_entry *entry)
 
 static void print_row(FILE *out, const struct eds *eds, const struct od_entry *entry)
 {
-	fprintf(out, "| %04Xh | %u | `%s` | %s | %s | ", entry->index, entry->sub, entry->name,
-		type_name(entry), access_text(entry));
+	fprintf(out, "| %04Xh | %u | `%s` | %s | %s | ", entry->index, entry->sub, entry->name, type_name(entry),
+		access_text(entry));
 	print_default_cell(out, eds, entry);
 	print_limits_cell(out, entry);
 	print_unit_cell(out, entry);
-	fprintf(out, "%s | %s | ", entry->access & OD_TPDO ? "yes" : "",
-		entry->access & OD_STORED ? "yes" : "");
+	fprintf(out, "%s | %s | ", entry->access & OD_TPDO ? "yes" : "", entry->access & OD_STORED ? "yes" : "");
 	print_cell(out, entry->description);
 	fputc('\n', out);
 }
@@ -442,7 +436,7 @@ static void print_markdown(FILE *out, const struct eds *eds)
 	for (size_t i = 0; i < eds->object_count; i++) {
 		const struct eds_object *object = &eds->objects[i];
 
-		while (area < sizeof AREAS / sizeof *AREAS && object->index >= AREAS[area].first)
+		while (area < sizeof(AREAS) / sizeof(*AREAS) && object->index >= AREAS[area].first)
 			fprintf(out,
 				"\n## %s\n\n"
 				"| Index | Sub | Name | Type | Access | Default | Range | Unit | "
@@ -476,16 +470,14 @@ static double raw_limit(const struct od_entry *entry, bool high)
 	return high ? ldexp(1, bits) - 1 : 0;
 }
 
-static void signal_name(
-	const struct eds *eds, const char *path, const struct od_entry *entry, char *name)
+static void signal_name(const struct eds *eds, const char *path, const struct od_entry *entry, char *name)
 {
 	size_t length = strlen(entry->name);
 
 	if (length > DBC_NAME_MAX)
 		die("%s:%u: \"%s\" is longer than the %d characters of a signal in a DBC; shorten "
 		    "the ParameterName",
-			path, eds->entries[entry - eds->table.entries].line, entry->name,
-			DBC_NAME_MAX);
+			path, eds->entries[entry - eds->table.entries].line, entry->name, DBC_NAME_MAX);
 	memcpy(name, entry->name, length + 1);
 	for (char *c = name; *c; c++)
 		if (*c == '.')
@@ -519,8 +511,7 @@ static uint32_t can_id(const struct eds *eds, uint16_t index, uint8_t sub)
 	return cob_id & CAN_ID_MASK;
 }
 
-static void print_message(
-	FILE *out, FILE *comments, const struct eds *eds, const char *path, unsigned number)
+static void print_message(FILE *out, FILE *comments, const struct eds *eds, const char *path, unsigned number)
 {
 	uint16_t mapping = (uint16_t)(0x1A00 + number);
 	uint32_t id = can_id(eds, (uint16_t)(0x1800 + number), 1);
@@ -535,10 +526,9 @@ static void print_message(
 	fprintf(out, "BO_ %u TPDO%u: %u IMU9\n", id, number + 1, bytes);
 	for (uint8_t sub = 1; (entry = mapped_entry(eds, mapping, sub)); sub++) {
 		signal_name(eds, path, entry, name);
-		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" Vector__XXX\n",
-			name, bit, 8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+',
-			entry->factor, entry->factor * raw_limit(entry, false),
-			entry->factor * raw_limit(entry, true), entry->unit);
+		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" Vector__XXX\n", name, bit,
+			8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+', entry->factor,
+			entry->factor * raw_limit(entry, false), entry->factor * raw_limit(entry, true), entry->unit);
 		bit += 8u * entry->size;
 		if (*entry->description) {
 			fprintf(comments, "CM_ SG_ %u %s ", id, name);
@@ -546,8 +536,7 @@ static void print_message(
 			fputs(";\n", comments);
 		}
 		if (is_real(entry))
-			fprintf(comments, "SIG_VALTYPE_ %u %s : %d;\n", id, name,
-				entry->type == OD_REAL32 ? 1 : 2);
+			fprintf(comments, "SIG_VALTYPE_ %u %s : %d;\n", id, name, entry->type == OD_REAL32 ? 1 : 2);
 	}
 	fputc('\n', out);
 }
@@ -577,8 +566,7 @@ static void print_dbc(FILE *out, const struct eds *eds, const char *path)
 		" SG_ nmt_state : 0|7@1+ (1,0) [0|127] \"\" Vector__XXX\n\n",
 		heartbeat);
 	fclose(comments);
-	fprintf(out, "CM_ \"%s Node-ID %d, default mapping and resolution.\";\n%s", NOTICE,
-		DBC_NODE_ID, text);
+	fprintf(out, "CM_ \"%s Node-ID %d, default mapping and resolution.\";\n%s", NOTICE, DBC_NODE_ID, text);
 	fprintf(out,
 		"VAL_ %u nmt_state 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 "
 		"\"pre-operational\" ;\n",
@@ -625,7 +613,7 @@ static void write_outputs(const char *directory, const struct output *outputs, s
 		FILE *file;
 		int error = 0;
 
-		output_path(path, sizeof path, directory, outputs[i].name);
+		output_path(path, sizeof(path), directory, outputs[i].name);
 		file = fopen(path, "wb");
 		if (!file || fwrite(outputs[i].text, 1, outputs[i].size, file) != outputs[i].size)
 			error = errno;
@@ -635,7 +623,7 @@ static void write_outputs(const char *directory, const struct output *outputs, s
 			continue;
 		fprintf(stderr, "gen-od: cannot write %s: %s\n", path, strerror(error));
 		for (size_t k = 0; k <= i; k++) {
-			output_path(path, sizeof path, directory, outputs[k].name);
+			output_path(path, sizeof(path), directory, outputs[k].name);
 			unlink(path);
 		}
 		exit(1);
@@ -651,7 +639,7 @@ static void check_identifiers(const struct eds *eds, const char *path)
 	char word[256];
 
 	for (size_t i = 0; i < eds->table.count; i++) {
-		snprintf(word, sizeof word, " %s ", member_name(&eds->table.entries[i]));
+		snprintf(word, sizeof(word), " %s ", member_name(&eds->table.entries[i]));
 		if (strstr(KEYWORDS, word))
 			die("%s:%u: the name%sis a word of the C language; choose another "
 			    "ParameterName",
@@ -661,9 +649,9 @@ static void check_identifiers(const struct eds *eds, const char *path)
 
 int main(int argc, char **argv)
 {
-	struct output outputs[] = {{.name = "od_values.h"}, {.name = "od_table.c"},
-		{.name = "objects.md"}, {.name = "imu9-gateway.dbc"}};
-	enum { COUNT = sizeof outputs / sizeof *outputs };
+	struct output outputs[] = {
+		{.name = "od_values.h"}, {.name = "od_table.c"}, {.name = "objects.md"}, {.name = "imu9-gateway.dbc"}};
+	enum { COUNT = sizeof(outputs) / sizeof(*outputs) };
 	FILE *streams[COUNT];
 	char error[512] = "";
 	struct eds eds;
@@ -674,7 +662,7 @@ int main(int argc, char **argv)
 		fputs("usage: gen-od EDS OUTDIR\n", stderr);
 		return 2;
 	}
-	if (eds_load(&eds, argv[1], EDS_STRICT, error, sizeof error))
+	if (eds_load(&eds, argv[1], EDS_STRICT, error, sizeof(error)))
 		die("%s", error);
 	check_identifiers(&eds, argv[1]);
 	file = read_bytes(argv[1], &file_size);
