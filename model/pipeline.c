@@ -18,8 +18,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.algorithm = FUSION_MADGWICK,
 			.use_magnetometer = 1,
 			.madgwick_beta = 0.1,
-			.mahony_kp_rad_s = 0.5,
-			.mahony_ki_rad_s2 = 0,
+			.mahony_kp_rad_s = 0.74,
+			.mahony_ki_rad_s2 = 0.0012,
 		},
 	.estimator =
 		{
@@ -57,10 +57,8 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 	if (calibration_init(&fresh.calibration, &config->calibration) < 0 ||
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
-		fusion_init(&fresh.fusion, &config->fusion) < 0 ||
-		estimator_check(&config->estimator) < 0 ||
-		rest_init(&fresh.rest, &config->rest) < 0 ||
-		position_init(&fresh.position, &config->position) < 0)
+		fusion_init(&fresh.fusion, &config->fusion) < 0 || estimator_check(&config->estimator) < 0 ||
+		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &config->position) < 0)
 		return -EINVAL;
 	*p = fresh;
 	return 0;
@@ -105,10 +103,8 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
 	struct pipeline next = *p;
 
-	if (configure_calibration(&next, &config->calibration) < 0 ||
-		configure_filters(&next, config) < 0 ||
-		fusion_configure(&next.fusion, &config->fusion) < 0 ||
-		estimator_check(&config->estimator) < 0 ||
+	if (configure_calibration(&next, &config->calibration) < 0 || configure_filters(&next, config) < 0 ||
+		fusion_configure(&next.fusion, &config->fusion) < 0 || estimator_check(&config->estimator) < 0 ||
 		rest_configure(&next.rest, &config->rest) < 0 ||
 		position_configure(&next.position, &config->position) < 0)
 		return -EINVAL;
@@ -177,8 +173,7 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 {
 	return (fusion_started(&p->fusion) ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
-	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) |
-	       (gap ? PIPELINE_GAP : 0u);
+	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u);
 }
 
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)

@@ -3,6 +3,14 @@
 #include <errno.h>
 #include <string.h>
 
+static void tune(struct rates *r, const struct filter_config *config, double rate_hz)
+{
+	double cutoff_hz = config->type == FILTER_BUTTERWORTH ? config->cutoff_hz : rate_hz;
+
+	for (int i = 0; i < RATE_SOURCES; i++)
+		differentiator3_tune(&r->differentiator[i], cutoff_hz, rate_hz);
+}
+
 int rates_init(struct rates *r, const struct filter_config *config, double rate_hz)
 {
 	struct filter3 filter;
@@ -12,6 +20,7 @@ int rates_init(struct rates *r, const struct filter_config *config, double rate_
 	memset(r, 0, sizeof(*r));
 	for (int i = 0; i < RATE_SOURCES; i++)
 		r->filter[i] = filter;
+	tune(r, config, rate_hz);
 	r->q_nb = QUAT_IDENTITY;
 	return 0;
 }
@@ -26,6 +35,7 @@ int rates_configure(struct rates *r, const struct filter_config *config, double 
 		r->filter[i] = filter;
 		filter3_prime(&r->filter[i], r->out[i].omega_b_rad_s);
 	}
+	tune(r, config, rate_hz);
 	return 0;
 }
 
@@ -33,6 +43,7 @@ void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb)
 {
 	for (int i = 0; i < RATE_SOURCES; i++) {
 		filter3_prime(&r->filter[i], gyro_b_rad_s);
+		differentiator3_prime(&r->differentiator[i], gyro_b_rad_s);
 		r->out[i] = (struct body_rates){.omega_b_rad_s = gyro_b_rad_s};
 	}
 	r->q_nb = q_nb;
@@ -55,12 +66,10 @@ void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, dou
 		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, rotation_vector(turn)),
 	};
 
-	for (int i = 0; i < RATE_SOURCES; i++) {
-		struct body_rates *out = &r->out[i];
-		struct vec3 last = out->omega_b_rad_s;
-
-		out->omega_b_rad_s = filter3_step(&r->filter[i], in[i]);
-		out->alpha_b_rad_s2 = vec3_scale(1 / dt_s, vec3_sub(out->omega_b_rad_s, last));
-	}
+	for (int i = 0; i < RATE_SOURCES; i++)
+		r->out[i] = (struct body_rates){
+			.omega_b_rad_s = filter3_step(&r->filter[i], in[i]),
+			.alpha_b_rad_s2 = differentiator3_step(&r->differentiator[i], in[i], dt_s),
+		};
 	r->q_nb = q_nb;
 }

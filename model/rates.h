@@ -7,6 +7,7 @@
 #ifndef MODEL_RATES_H
 #define MODEL_RATES_H
 
+#include "model/differentiator.h"
 #include "model/filter.h"
 #include "model/quat.h"
 
@@ -21,12 +22,13 @@ struct rates {
 	struct body_rates out[RATE_SOURCES];
 	/* PRIVATE */
 	struct filter3 filter[RATE_SOURCES];
+	struct differentiator3 differentiator[RATE_SOURCES];
 	struct quat q_nb;
 };
 
 /** 0, or -EINVAL as filter3_init(). */
 int rates_init(struct rates *r, const struct filter_config *config, double rate_hz);
-/** A new filter goes on from the last output. */
+/** A new filter goes on from the last output, the differentiator from its state. */
 int rates_configure(struct rates *r, const struct filter_config *config, double rate_hz);
 /** As if the object had turned at this constant rate for ever. */
 void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb);

@@ -1,0 +1,35 @@
+#include "model/differentiator.h"
+
+static const double PI = 3.14159265358979323846, CUTOFF_MOST = 0.3;
+
+/* The characteristic polynomial z^3 + p1 z^2 + p2 z + p3 of the wanted poles, compared with that of the observer. */
+void differentiator3_tune(struct differentiator3 *d, double cutoff_hz, double rate_hz)
+{
+	double w = 2 * PI * fmin(cutoff_hz / rate_hz, CUTOFF_MOST);
+	double real = exp(-w), radius = exp(-w / 2), pair = 2 * radius * cos(w * sqrt(3) / 2);
+	double p1 = -(pair + real), p2 = radius * radius + pair * real;
+	double p3 = -radius * radius * real;
+
+	d->gain[0] = 1 + p3;
+	d->gain[2] = 1 + p1 + p2 + p3;
+	d->gain[1] = 3 + p1 - d->gain[0] - d->gain[2] / 2;
+}
+
+void differentiator3_prime(struct differentiator3 *d, struct vec3 value)
+{
+	d->value = value;
+	d->first = d->second = (struct vec3){0, 0, 0};
+}
+
+struct vec3 differentiator3_step(struct differentiator3 *d, struct vec3 value, double dt_s)
+{
+	struct vec3 first = vec3_add(d->first, vec3_scale(dt_s, d->second));
+	struct vec3 middle = vec3_add(d->first, vec3_scale(dt_s / 2, d->second));
+	struct vec3 predicted = vec3_add(d->value, vec3_scale(dt_s, middle));
+	struct vec3 error = vec3_sub(value, predicted);
+
+	d->value = vec3_add(predicted, vec3_scale(d->gain[0], error));
+	d->first = vec3_add(first, vec3_scale(d->gain[1] / dt_s, error));
+	d->second = vec3_add(d->second, vec3_scale(d->gain[2] / (dt_s * dt_s), error));
+	return d->first;
+}
