@@ -87,8 +87,7 @@ long cli_integer_option(const char *option, const char *text, long low, long hig
 	long value;
 
 	if (!cli_integer(text, low, high, &value))
-		cli_usage_error(
-			"%s %s: not a whole number from %ld to %ld", option, text, low, high);
+		cli_usage_error("%s %s: not a whole number from %ld to %ld", option, text, low, high);
 	return value;
 }
 
@@ -161,8 +160,7 @@ bool cli_wait(struct can_port *bus, int signal_fd, uint64_t deadline_us)
 		.tv_sec = (time_t)(wait_us / 1000000),
 		.tv_nsec = (long)(wait_us % 1000000) * 1000,
 	};
-	struct pollfd fds[] = {
-		{.fd = bus->fd, .events = POLLIN}, {.fd = signal_fd, .events = POLLIN}};
+	struct pollfd fds[] = {{.fd = bus->fd, .events = POLLIN}, {.fd = signal_fd, .events = POLLIN}};
 
 	ppoll(fds, 2, until_us == UINT64_MAX ? NULL : &timeout, NULL);
 	return fds[1].revents & POLLIN;
@@ -180,7 +178,6 @@ int cli_flush(struct can_port *bus)
 			return 0;
 		if (now_us >= end_us)
 			return -ETIMEDOUT;
-		usleep(next_us > now_us && next_us - now_us < 10000 ? (useconds_t)(next_us - now_us)
-								    : 1000);
+		usleep(next_us > now_us && next_us - now_us < 10000 ? (useconds_t)(next_us - now_us) : 1000);
 	}
 }

@@ -30,16 +30,14 @@ bool cli_address(const char *text, uint16_t *index, uint8_t *sub)
 	const char *rest = text[length] ? text + length + 1 : "0";
 	long i, s;
 
-	if (!object_number(text, length, false, 0xFFFF, &i) ||
-		!object_number(rest, strlen(rest), true, 0xFF, &s))
+	if (!object_number(text, length, false, 0xFFFF, &i) || !object_number(rest, strlen(rest), true, 0xFF, &s))
 		return false;
 	*index = (uint16_t)i;
 	*sub = (uint8_t)s;
 	return true;
 }
 
-void cli_address_text(
-	uint16_t index, uint8_t sub, const struct od_entry *entry, char *text, size_t capacity)
+void cli_address_text(uint16_t index, uint8_t sub, const struct od_entry *entry, char *text, size_t capacity)
 {
 	if (entry)
 		snprintf(text, capacity, "%s (%04Xh:%02X)", entry->name, index, sub);
@@ -54,14 +52,13 @@ static bool is_real(const struct od_entry *entry)
 
 static bool is_signed(const struct od_entry *entry)
 {
-	return entry->type == OD_INTEGER8 || entry->type == OD_INTEGER16 ||
-	       entry->type == OD_INTEGER32 || entry->type == OD_INTEGER64;
+	return entry->type == OD_INTEGER8 || entry->type == OD_INTEGER16 || entry->type == OD_INTEGER32 ||
+	       entry->type == OD_INTEGER64;
 }
 
 static bool is_number(const struct od_entry *entry)
 {
-	return entry->type != OD_VISIBLE_STRING && entry->type != OD_OCTET_STRING &&
-	       entry->type != OD_DOMAIN;
+	return entry->type != OD_VISIBLE_STRING && entry->type != OD_OCTET_STRING && entry->type != OD_DOMAIN;
 }
 
 static double limit(const struct od_entry *entry, union od_number number)
@@ -79,13 +76,12 @@ void cli_limits_text(const struct od_entry *entry, char *text, size_t capacity)
 
 	text[0] = '\0';
 	if (low && high)
-		snprintf(text, capacity, "%.9g to %.9g%s%s", limit(entry, entry->low),
-			limit(entry, entry->high), space, unit);
+		snprintf(text, capacity, "%.9g to %.9g%s%s", limit(entry, entry->low), limit(entry, entry->high), space,
+			unit);
 	else if (low)
 		snprintf(text, capacity, "%.9g%s%s or more", limit(entry, entry->low), space, unit);
 	else if (high)
-		snprintf(
-			text, capacity, "%.9g%s%s or less", limit(entry, entry->high), space, unit);
+		snprintf(text, capacity, "%.9g%s%s or less", limit(entry, entry->high), space, unit);
 }
 
 const struct od_entry *cli_resolution(const struct od_table *table, const struct od_entry *entry)
@@ -94,9 +90,8 @@ const struct od_entry *cli_resolution(const struct od_table *table, const struct
 		uint16_t first, last;
 		const char *name;
 	} rules[] = {
-		{0x2100, 0x2100, "resolution.acceleration"},
-		{0x2102, 0x2102, "resolution.position"}, {0x2101, 0x2101, "0x6000"},
-		{0x6010, 0x6FFF, "0x6000"}, /* CiA 410: slopes, presets and offsets */
+		{0x2100, 0x2100, "resolution.acceleration"}, {0x2102, 0x2102, "resolution.position"},
+		{0x2101, 0x2101, "0x6000"}, {0x6010, 0x6FFF, "0x6000"}, /* CiA 410: slopes, presets and offsets */
 	};
 
 	if (entry->unit[0] == '\0' || entry->factor == 1)
@@ -147,20 +142,18 @@ void cli_hex_text(const void *wire, size_t size, char *text, size_t capacity)
 			snprintf(text + used, capacity - used, " ...");
 			return;
 		}
-		used += (size_t)snprintf(
-			text + used, capacity - used, i ? " %02X" : "%02X", bytes[i]);
+		used += (size_t)snprintf(text + used, capacity - used, i ? " %02X" : "%02X", bytes[i]);
 	}
 }
 
-void cli_value_text(const struct od_entry *entry, double step, const void *wire, size_t size,
-	char *text, size_t capacity)
+void cli_value_text(
+	const struct od_entry *entry, double step, const void *wire, size_t size, char *text, size_t capacity)
 {
 	char plain[CLI_VALUE_TEXT_MAX];
 
 	if (is_number(entry) && size != entry->size) {
 		cli_hex_text(wire, size, plain, sizeof(plain));
-		snprintf(text, capacity, "%s (%zu bytes where the EDS says %u)", plain, size,
-			entry->size);
+		snprintf(text, capacity, "%s (%zu bytes where the EDS says %u)", plain, size, entry->size);
 		return;
 	}
 	if (od_format(entry, wire, size, plain, sizeof(plain)) < 0)
@@ -171,8 +164,7 @@ void cli_value_text(const struct od_entry *entry, double step, const void *wire,
 	else if (entry->unit[0])
 		snprintf(text, capacity, "%s %s", plain, entry->unit);
 	else if (entry->type == OD_UNSIGNED32 && entry->index < 0x2000)
-		snprintf(text, capacity, "%s (0x%08X)", plain,
-			(unsigned int)cli_number(entry, wire));
+		snprintf(text, capacity, "%s (0x%08X)", plain, (unsigned int)cli_number(entry, wire));
 	else
 		snprintf(text, capacity, "%s", plain);
 }
@@ -225,8 +217,7 @@ enum od_status cli_typed_value(const char *text, void *wire, size_t capacity, si
 
 		entry.name = entry.unit = entry.description = "";
 		entry.factor = 1;
-		if (strlen(types[i].prefix) == length &&
-			strncmp(text, types[i].prefix, length) == 0)
+		if (strlen(types[i].prefix) == length && strncmp(text, types[i].prefix, length) == 0)
 			return od_parse(&entry, value, wire, capacity, size);
 	}
 	return OD_BAD_VALUE;

@@ -20,37 +20,36 @@ enum { STORE_TIMEOUT_MS = 5000 }; /* a disk may take its time */
 #define PDO_INVALID   (1u << 31)
 #define ABORT_NO_DATA 0x08000024
 
-static const char help[] =
-	"Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
-	"Reads and writes the objects of a CANopen node over SDO.\n"
-	"\n"
-	"  read OBJECT...        print values; OBJECT is a name (lever_arm.l), a whole record\n"
-	"                        (lever_arm) or an index (0x2000:1, 2000h:1, 0x1017);\n"
-	"                        a DOMAIN goes to standard output as it is\n"
-	"  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float or text.\n"
-	"                        For an object that the EDS does not have, with its type:\n"
-	"                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
-	"  dump                  print all readable objects of the EDS\n"
-	"  save FILE             keep the configuration in FILE ('-': standard output), in the\n"
-	"                        form that 'load' and 'imu9-gateway -c' read\n"
-	"  load FILE             bring the node to the configuration in FILE; writes only what\n"
-	"                        differs, PDOs by the mapping procedure\n"
-	"  store [GROUP]         let the node keep its configuration over a power cut (1010h)\n"
-	"  restore [GROUP]       let the node forget what it kept (1011h)\n"
-	"                        GROUP: all (default), communication, application, manufacturer\n"
-	"  nmt COMMAND           start, stop, preop, reset or reset-comm; with -n 0 to all nodes\n"
-	"\n"
-	"  -i, --bus BUS         interface name or udp[:GROUP[:PORT]] (default: $IMU9_CAN or "
-	"vcan0)\n"
-	"  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
-	"  -e, --eds EDS         the node's EDS (default: the one of the IMU9 gateway, built in)\n"
-	"  -t, --timeout MS      wait so long for each answer (default: 500)\n"
-	"  -q, --quiet           print bare values, without names and units\n"
-	"  -h, --help            this text\n"
-	"  -V, --version         the version\n"
-	"\n"
-	"Exit codes: 0 done, 1 failed, 2 wrong usage.\n"
-	"Example: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
+static const char help[] = "Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
+			   "Reads and writes the objects of a CANopen node over SDO.\n"
+			   "\n"
+			   "  read OBJECT...        print values; OBJECT is a name (lever_arm.l), a whole record\n"
+			   "                        (lever_arm) or an index (0x2000:1, 2000h:1, 0x1017);\n"
+			   "                        a DOMAIN goes to standard output as it is\n"
+			   "  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float or text.\n"
+			   "                        For an object that the EDS does not have, with its type:\n"
+			   "                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
+			   "  dump                  print all readable objects of the EDS\n"
+			   "  save FILE             keep the configuration in FILE ('-': standard output), in the\n"
+			   "                        form that 'load' and 'imu9-gateway -c' read\n"
+			   "  load FILE             bring the node to the configuration in FILE; writes only what\n"
+			   "                        differs, PDOs by the mapping procedure\n"
+			   "  store [GROUP]         let the node keep its configuration over a power cut (1010h)\n"
+			   "  restore [GROUP]       let the node forget what it kept (1011h)\n"
+			   "                        GROUP: all (default), communication, application, manufacturer\n"
+			   "  nmt COMMAND           start, stop, preop, reset or reset-comm; with -n 0 to all nodes\n"
+			   "\n"
+			   "  -i, --bus BUS         interface name or udp[:GROUP[:PORT]] (default: $IMU9_CAN or "
+			   "vcan0)\n"
+			   "  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+			   "  -e, --eds EDS         the node's EDS (default: the one of the IMU9 gateway, built in)\n"
+			   "  -t, --timeout MS      wait so long for each answer (default: 500)\n"
+			   "  -q, --quiet           print bare values, without names and units\n"
+			   "  -h, --help            this text\n"
+			   "  -V, --version         the version\n"
+			   "\n"
+			   "Exit codes: 0 done, 1 failed, 2 wrong usage.\n"
+			   "Example: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
 
 struct session {
 	const char *bus;
@@ -65,8 +64,7 @@ struct session {
 	double step;
 };
 
-/* ---- objects named on the command line --------------------------------------------------------
- */
+/* ---- objects named on the command line ---- */
 
 struct target {
 	uint16_t index;
@@ -87,16 +85,14 @@ static bool find_target(const struct session *s, const char *text, struct target
 }
 
 /* All sub-indices of a record but the highest one supported. */
-static size_t find_record(
-	const struct session *s, const char *name, struct target *targets, size_t capacity)
+static size_t find_record(const struct session *s, const char *name, struct target *targets, size_t capacity)
 {
 	size_t length = strlen(name), n = 0;
 
 	for (size_t i = 0; i < s->table->count && n < capacity; i++) {
 		const struct od_entry *entry = &s->table->entries[i];
 
-		if (entry->sub > 0 && strncasecmp(entry->name, name, length) == 0 &&
-			entry->name[length] == '.')
+		if (entry->sub > 0 && strncasecmp(entry->name, name, length) == 0 && entry->name[length] == '.')
 			targets[n++] = (struct target){entry->index, entry->sub, entry};
 	}
 	return n;
@@ -111,8 +107,7 @@ static _Noreturn void unknown_object(const struct session *s, const char *text)
 		text, s->eds_path ? s->eds_path : "the EDS of the IMU9 gateway");
 }
 
-/* ---- values -----------------------------------------------------------------------------------
- */
+/* ---- values ---- */
 
 static uint64_t get_number(const uint8_t *wire, size_t size)
 {
@@ -147,8 +142,8 @@ static double step_of(struct session *s, const struct od_entry *entry)
 	return s->step;
 }
 
-static void value_text(struct session *s, const struct target *target, const uint8_t *wire,
-	size_t size, char *text, size_t capacity)
+static void value_text(
+	struct session *s, const struct target *target, const uint8_t *wire, size_t size, char *text, size_t capacity)
 {
 	size_t n;
 
@@ -156,19 +151,16 @@ static void value_text(struct session *s, const struct target *target, const uin
 		cli_hex_text(wire, size, text, capacity);
 		n = strlen(text);
 		if (size == 1 || size == 2 || size == 4 || size == 8)
-			snprintf(text + n, capacity - n, " (%llu)",
-				(unsigned long long)get_number(wire, size));
+			snprintf(text + n, capacity - n, " (%llu)", (unsigned long long)get_number(wire, size));
 	} else if (s->quiet) {
 		if (od_format(target->entry, wire, size, text, capacity) < 0)
 			cli_hex_text(wire, size, text, capacity);
 	} else {
-		cli_value_text(
-			target->entry, step_of(s, target->entry), wire, size, text, capacity);
+		cli_value_text(target->entry, step_of(s, target->entry), wire, size, text, capacity);
 	}
 }
 
-/* ---- read, write, dump ------------------------------------------------------------------------
- */
+/* ---- read, write, dump ---- */
 
 static void print_value(struct session *s, const struct target *target, const uint8_t *wire)
 {
@@ -219,8 +211,7 @@ static int command_read(struct session *s, int argc, char **argv)
 	return exit_code;
 }
 
-static void parse_value(
-	const struct target *target, const char *text, uint8_t *wire, size_t capacity, size_t *size)
+static void parse_value(const struct target *target, const char *text, uint8_t *wire, size_t capacity, size_t *size)
 {
 	const struct od_entry *entry = target->entry;
 	enum od_status status = OD_BAD_VALUE;
@@ -233,16 +224,15 @@ static void parse_value(
 	if (status == OD_OK)
 		return;
 	if (!entry)
-		cli_usage_error(
-			"%s: the EDS does not have this object; give the value with its type, "
-			"for example u16:5, r32:0.5 or hex:0102",
+		cli_usage_error("%s: the EDS does not have this object; give the value with its type, "
+				"for example u16:5, r32:0.5 or hex:0102",
 			text);
 	status = od_parse(entry, text, wire, capacity, size);
 	if (status == OD_OK)
 		return;
 	cli_limits_text(entry, limits, sizeof(limits));
-	cli_usage_error("%s = %s: %s%s%s", entry->name, text, od_status_text(status),
-		limits[0] ? "; allowed: " : "", limits);
+	cli_usage_error(
+		"%s = %s: %s%s%s", entry->name, text, od_status_text(status), limits[0] ? "; allowed: " : "", limits);
 }
 
 static int command_write(struct session *s, int argc, char **argv)
@@ -265,8 +255,7 @@ static int command_write(struct session *s, int argc, char **argv)
 
 static bool is_highest_subindex(const struct od_entry *entry)
 {
-	return entry->sub == 0 && (entry->access & OD_CONST) && entry->type == OD_UNSIGNED8 &&
-	       strchr(entry->name, '.');
+	return entry->sub == 0 && (entry->access & OD_CONST) && entry->type == OD_UNSIGNED8 && strchr(entry->name, '.');
 }
 
 static int command_dump(struct session *s, int argc, char **argv)
@@ -284,14 +273,13 @@ static int command_dump(struct session *s, int argc, char **argv)
 		if (!(entry->access & OD_READ) || is_highest_subindex(entry))
 			continue;
 		if (entry->type == OD_DOMAIN) {
-			snprintf(text, sizeof(text), "(a file: imu9-sdo read %s >FILE)",
-				entry->name);
+			snprintf(text, sizeof(text), "(a file: imu9-sdo read %s >FILE)", entry->name);
 		} else if (cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
 			value_text(s, &target, wire, s->node.sdo.size, text, sizeof(text));
 		} else if (s->node.sdo.result == SDO_ABORTED) {
 			failed += s->node.sdo.abort_code != ABORT_NO_DATA;
-			snprintf(text, sizeof(text), "(%s, abort %08Xh)",
-				sdo_abort_text(s->node.sdo.abort_code), s->node.sdo.abort_code);
+			snprintf(text, sizeof(text), "(%s, abort %08Xh)", sdo_abort_text(s->node.sdo.abort_code),
+				s->node.sdo.abort_code);
 		} else {
 			cli_node_explain(&s->node, entry);
 			cli_node_close(&s->node);
@@ -301,13 +289,11 @@ static int command_dump(struct session *s, int argc, char **argv)
 	}
 	cli_node_close(&s->node);
 	if (failed)
-		cli_error("%d objects of the EDS could not be read: is it the EDS of this node?",
-			failed);
+		cli_error("%d objects of the EDS could not be read: is it the EDS of this node?", failed);
 	return failed ? CLI_FAILED : CLI_OK;
 }
 
-/* ---- save -------------------------------------------------------------------------------------
- */
+/* ---- save ---- */
 
 static bool is_pdo_parameter(uint16_t index)
 {
@@ -417,8 +403,7 @@ static int command_save(struct session *s, int argc, char **argv)
 	return failed ? CLI_FAILED : CLI_OK;
 }
 
-/* ---- load: the file ---------------------------------------------------------------------------
- */
+/* ---- load: the file ---- */
 
 struct setting {
 	const struct od_entry *entry;
@@ -468,8 +453,7 @@ static int on_setting(void *user, const char *section, const char *key, const ch
 
 	if (settings->failed)
 		return false;
-	if (strcasecmp(section, "gateway") ==
-		0) { /* of the process; only its node-ID matters here */
+	if (strcasecmp(section, "gateway") == 0) { /* of the process; only its node-ID matters here */
 		if (strcmp(key, "node_id") == 0 && !cli_integer(text, 1, 127, &settings->node_id))
 			return bad_line(settings, text, "not a node-ID from 1 to 127");
 		return true;
@@ -482,8 +466,7 @@ static int on_setting(void *user, const char *section, const char *key, const ch
 		return bad_line(settings, name, "not a configuration object");
 	if (settings->count == SETTINGS_MAX - 1)
 		return bad_line(settings, name, "too many values in one file");
-	enum od_status status = od_parse(
-		setting->entry, text, setting->wire, sizeof(setting->wire), &setting->size);
+	enum od_status status = od_parse(setting->entry, text, setting->wire, sizeof(setting->wire), &setting->size);
 	if (status != OD_OK)
 		return bad_line(settings, name, od_status_text(status));
 	settings->count++;
@@ -527,8 +510,7 @@ static void move_to_node(struct settings *settings, long node_id)
 	}
 }
 
-static const struct setting *find_setting(
-	const struct settings *settings, unsigned int index, unsigned int sub)
+static const struct setting *find_setting(const struct settings *settings, unsigned int index, unsigned int sub)
 {
 	for (size_t i = settings->count; i-- > 0;) /* the last one holds */
 		if (settings->list[i].entry->index == index && settings->list[i].entry->sub == sub)
@@ -536,8 +518,7 @@ static const struct setting *find_setting(
 	return NULL;
 }
 
-/* ---- load: to the node ------------------------------------------------------------------------
- */
+/* ---- load: to the node ---- */
 
 struct load {
 	struct session *session;
@@ -554,13 +535,11 @@ static bool load_failed(struct load *load, const struct od_entry *entry)
 	return false;
 }
 
-static bool load_write(
-	struct load *load, const struct od_entry *entry, const void *wire, size_t size)
+static bool load_write(struct load *load, const struct od_entry *entry, const void *wire, size_t size)
 {
 	if (load->lost)
 		return false;
-	return cli_node_write(&load->session->node, entry->index, entry->sub, wire, size) ||
-	       load_failed(load, entry);
+	return cli_node_write(&load->session->node, entry->index, entry->sub, wire, size) || load_failed(load, entry);
 }
 
 static bool load_read_u32(struct load *load, const struct od_entry *entry, uint32_t *value)
@@ -581,9 +560,7 @@ static bool is_same(struct load *load, const struct setting *setting)
 	uint8_t wire[OD_VALUE_MAX];
 	struct cli_node *node = &load->session->node;
 
-	return !load->lost &&
-	       cli_node_read(
-		       node, setting->entry->index, setting->entry->sub, wire, sizeof(wire)) &&
+	return !load->lost && cli_node_read(node, setting->entry->index, setting->entry->sub, wire, sizeof(wire)) &&
 	       node->sdo.size == setting->size && memcmp(wire, setting->wire, setting->size) == 0;
 }
 
@@ -681,8 +658,7 @@ static void load_all(struct load *load)
 
 	for (size_t i = 0; i < load->session->table->count && !load->lost; i++) {
 		const struct od_entry *entry = &load->session->table->entries[i];
-		const struct setting *setting =
-			find_setting(load->settings, entry->index, entry->sub);
+		const struct setting *setting = find_setting(load->settings, entry->index, entry->sub);
 
 		if (!is_pdo_parameter(entry->index)) {
 			if (setting)
@@ -708,31 +684,24 @@ static int command_load(struct session *s, int argc, char **argv)
 	load_all(&load);
 	cli_node_close(&s->node);
 	if (!s->quiet)
-		fprintf(stderr,
-			"imu9-sdo: node %ld: %d values written, %d were so already, %d failed%s\n",
-			s->node_id, load.written, load.same, load.failed,
-			load.written ? "; 'imu9-sdo store' keeps them" : "");
+		fprintf(stderr, "imu9-sdo: node %ld: %d values written, %d were so already, %d failed%s\n", s->node_id,
+			load.written, load.same, load.failed, load.written ? "; 'imu9-sdo store' keeps them" : "");
 	return load.failed ? CLI_FAILED : CLI_OK;
 }
 
-/* ---- store, restore, nmt ----------------------------------------------------------------------
- */
+/* ---- store, restore, nmt ---- */
 
-static int write_signature(
-	struct session *s, uint16_t index, const char *signature, const char *group)
+static int write_signature(struct session *s, uint16_t index, const char *signature, const char *group)
 {
 	static const char *const groups[] = {"all", "communication", "application", "manufacturer"};
-	unsigned int timeout_ms =
-		s->timeout_ms < STORE_TIMEOUT_MS ? STORE_TIMEOUT_MS : s->timeout_ms;
+	unsigned int timeout_ms = s->timeout_ms < STORE_TIMEOUT_MS ? STORE_TIMEOUT_MS : s->timeout_ms;
 	uint8_t sub = 0;
 
 	for (uint8_t i = 0; i < 4; i++)
 		if (strcmp(groups[i], group) == 0)
 			sub = (uint8_t)(i + 1);
 	if (sub == 0)
-		cli_usage_error(
-			"%s: not a group; use all, communication, application or manufacturer",
-			group);
+		cli_usage_error("%s: not a group; use all, communication, application or manufacturer", group);
 	cli_node_open(&s->node, s->bus, (uint8_t)s->node_id, timeout_ms);
 	bool done = cli_node_write(&s->node, index, sub, signature, 4);
 	if (!done)
@@ -751,8 +720,7 @@ static int command_restore(struct session *s, int argc, char **argv)
 	int exit_code = write_signature(s, 0x1011, "load", argc ? argv[0] : "all");
 
 	if (exit_code == CLI_OK && !s->quiet)
-		fprintf(stderr,
-			"imu9-sdo: the defaults hold after the next reset: imu9-sdo nmt reset\n");
+		fprintf(stderr, "imu9-sdo: the defaults hold after the next reset: imu9-sdo nmt reset\n");
 	return exit_code;
 }
 
@@ -762,8 +730,7 @@ static int command_nmt(struct session *s, int argc, char **argv)
 	static const struct {
 		const char *name;
 		uint8_t command;
-	} commands[] = {
-		{"start", 1}, {"stop", 2}, {"preop", 0x80}, {"reset", 0x81}, {"reset-comm", 0x82}};
+	} commands[] = {{"start", 1}, {"stop", 2}, {"preop", 0x80}, {"reset", 0x81}, {"reset-comm", 0x82}};
 	struct can_msg msg = {.len = 2, .data = {0, (uint8_t)s->node_id}};
 
 	for (size_t i = 0; i < sizeof(commands) / sizeof(commands[0]); i++)
@@ -777,13 +744,11 @@ static int command_nmt(struct session *s, int argc, char **argv)
 		rc = cli_flush(bus);
 	can_close(bus);
 	if (rc < 0)
-		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?",
-			s->bus, strerror(-rc));
+		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", s->bus, strerror(-rc));
 	return rc < 0 ? CLI_FAILED : CLI_OK;
 }
 
-/* ---- the command line -------------------------------------------------------------------------
- */
+/* ---- the command line ---- */
 
 static const struct command {
 	const char *name;
@@ -856,8 +821,7 @@ static void parse_options(struct session *s, int argc, char **argv)
 
 int main(int argc, char **argv)
 {
-	struct session s = {
-		.bus = cli_default_bus(), .node_id = cli_default_node(), .timeout_ms = 500};
+	struct session s = {.bus = cli_default_bus(), .node_id = cli_default_node(), .timeout_ms = 500};
 	struct eds eds;
 	char error[512];
 
@@ -865,9 +829,8 @@ int main(int argc, char **argv)
 	argc -= optind;
 	argv += optind;
 	if (argc == 0)
-		cli_usage_error(
-			"what shall be done? Commands: read, write, dump, save, load, store, "
-			"restore, nmt");
+		cli_usage_error("what shall be done? Commands: read, write, dump, save, load, store, "
+				"restore, nmt");
 	const struct command *command = find_command(argv[0]);
 	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
 		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);
