@@ -178,7 +178,7 @@ static struct store_writer writer;
  * runs all the same. */
 static struct store_writer *open_store(const struct config *config, bool *damaged)
 {
-	char path[512];
+	char path[STORE_PATH_MAX];
 
 	store_path(path, sizeof(path), config);
 	int rc = store_read(&stored, path);

@@ -89,7 +89,7 @@ int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 int store_read(struct store_image *image, const char *path)
 {
 	uint8_t bytes[STORE_FILE_MAX + 1];
-	char bad[600];
+	char bad[STORE_PATH_MAX + 8];
 
 	*image = (struct store_image){0};
 	FILE *f = fopen(path, "rbe");
@@ -125,7 +125,7 @@ static int write_all(int fd, const uint8_t *bytes, size_t size)
 /* A rename is kept for good only when its folder is, too. */
 static int sync_folder_of(const char *path)
 {
-	char folder[512];
+	char folder[STORE_PATH_MAX];
 	const char *slash = strrchr(path, '/');
 
 	snprintf(folder, sizeof(folder), "%.*s", slash ? (int)(slash - path + 1) : 1,
@@ -140,7 +140,7 @@ static int sync_folder_of(const char *path)
 
 int store_write(const char *path, const uint8_t *bytes, size_t size)
 {
-	char temp[600];
+	char temp[STORE_PATH_MAX + 8];
 
 	snprintf(temp, sizeof(temp), "%s.new", path);
 	int fd = open(temp, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
@@ -185,7 +185,7 @@ static void *writer_main(void *arg)
 
 static int make_folders(const char *path)
 {
-	char folder[512];
+	char folder[STORE_PATH_MAX];
 
 	snprintf(folder, sizeof(folder), "%s", path);
 	for (char *p = folder + 1; (p = strchr(p, '/')) != NULL; *p++ = '/') {

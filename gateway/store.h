@@ -18,7 +18,8 @@
 enum {
 	STORE_GROUPS = 3,
 	STORE_GROUP_MAX = 8192,
-	STORE_FILE_MAX = 64 + STORE_GROUPS * (4 + STORE_GROUP_MAX)
+	STORE_FILE_MAX = 64 + STORE_GROUPS * (4 + STORE_GROUP_MAX),
+	STORE_PATH_MAX = 600,
 };
 
 struct store_image {
@@ -47,7 +48,7 @@ int store_write(const char *path, const uint8_t *bytes, size_t size);
 /** A thread that does the blocking store_write(); `fd` becomes readable when one has ended. */
 struct store_writer {
 	int fd;
-	char path[512];
+	char path[STORE_PATH_MAX];
 	pthread_t thread;
 	pthread_mutex_t lock;
 	pthread_cond_t wake;

@@ -1,0 +1,204 @@
+/* Where the configuration comes from, and what a mistake in it is told. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "gateway/config.h"
+#include "od_values.h"
+
+static struct config config;
+static struct od od;
+static struct od_values values;
+static char why[CONFIG_ERROR_MAX];
+static char file[64];
+
+static int set_up(void **state)
+{
+	(void)state;
+	config_init(&config, &imu9_od_table);
+	od_init(&od, &imu9_od_table, &values, 1);
+	why[0] = '\0';
+	return 0;
+}
+
+static int read_file(const char *text)
+{
+	strcpy(file, "/tmp/imu9-config-XXXXXX");
+	int fd = mkstemp(file);
+	assert_true(fd >= 0);
+	assert_int_equal(write(fd, text, strlen(text)), strlen(text));
+	close(fd);
+	int rc = config_file(&config, file, why);
+	unlink(file);
+	return rc;
+}
+
+/* "FILE:LINE: " begins the error. */
+static void assert_error_at(int line)
+{
+	char place[80];
+
+	snprintf(place, sizeof(place), "%s:%d: ", file, line);
+	assert_memory_equal(why, place, strlen(place));
+}
+
+static void test_objects_are_set_by_name_with_or_without_a_section(void **state)
+{
+	(void)state;
+	assert_int_equal(
+		read_file("lever_arm.l = 0.05\nlever_arm_model = 1\n[lever_arm]\ns = -0.25\n"), 0);
+	config_apply(&config, &od);
+	assert_float_equal(values.lever_arm.l, 0.05, 1e-9);
+	assert_float_equal(values.lever_arm.s, -0.25, 1e-9);
+	assert_int_equal(values.lever_arm_model, 1);
+}
+
+static void test_the_gateway_section_holds_the_process_keys(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[gateway]\nimu = replay:a.csv,loop\ncan = udp\nnode_id = "
+				   "16\nbitrate=250000\n"),
+		0);
+	assert_string_equal(config.imu, "replay:a.csv,loop");
+	assert_string_equal(config.can, "udp");
+	assert_int_equal(config.node_id, 16);
+	assert_int_equal(config.bitrate, 250000);
+}
+
+static void test_a_later_setting_wins(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("lever_arm.l = 1\n"), 0);
+	assert_int_equal(config_set(&config, "lever_arm.l=2", why), 0);
+	config_apply(&config, &od);
+	assert_float_equal(values.lever_arm.l, 2, 1e-9);
+}
+
+static void test_an_index_serves_as_a_name(void **state)
+{
+	(void)state;
+	assert_int_equal(config_set(&config, "0x2000:2=0.5", why), 0);
+	config_apply(&config, &od);
+	assert_float_equal(values.lever_arm.s, 0.5, 1e-9);
+}
+
+static void test_an_unknown_object_names_its_line(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("# comment\nlever_arm.l = 1\nlever_arm.q = 1\n"), -ENOENT);
+	assert_error_at(3);
+	assert_non_null(strstr(why, "lever_arm.q"));
+}
+
+static void test_an_unknown_gateway_key_names_its_line_and_the_known_ones(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[gateway]\nnodeid = 5\n"), -ENOENT);
+	assert_error_at(2);
+	assert_non_null(strstr(why, "node_id"));
+}
+
+static void test_a_value_out_of_limits_names_line_and_limits(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[lever_arm]\nl = 11\n"), -EINVAL);
+	assert_error_at(2);
+	assert_non_null(strstr(why, "-10 to 10 m"));
+}
+
+static void test_a_value_that_is_no_number_is_refused(void **state)
+{
+	static const char *const bad[] = {"lever_arm.l = five\n", "lever_arm.l = nan\n",
+		"lever_arm.l = inf\n", "lever_arm.l =\n", "lever_arm.l = 1 m\n",
+		"lever_arm_model = 1.5\n", "lever_arm_model = -1\n"};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
+		assert_int_equal(read_file(bad[i]), -EINVAL);
+		assert_error_at(1);
+	}
+}
+
+static void test_what_is_no_configuration_cannot_be_set(void **state)
+{
+	(void)state;
+	assert_int_equal(config_set(&config, "acceleration.l=1", why), -EACCES);
+	assert_int_equal(config_set(&config, "position.reset=1", why), -EACCES);
+	assert_int_equal(config_set(&config, "device_type=1", why), -EACCES);
+}
+
+static void test_a_line_that_is_no_setting_names_itself(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("lever_arm.l = 1\nwhat is this\n"), -EINVAL);
+	assert_error_at(2);
+}
+
+static void test_an_overlong_line_names_itself(void **state)
+{
+	char text[600] = "lever_arm.l = 1\nlever_arm.s = ";
+
+	(void)state;
+	memset(text + strlen(text), '1', 400);
+	assert_int_equal(read_file(text), -EINVAL);
+	assert_error_at(2);
+}
+
+static void test_a_missing_file_says_so(void **state)
+{
+	(void)state;
+	assert_int_equal(config_file(&config, "/no/such/file.ini", why), -ENOENT);
+	assert_non_null(strstr(why, "/no/such/file.ini"));
+}
+
+static void test_process_keys_are_checked(void **state)
+{
+	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"},
+		{"node_id", "5x"}, {"node_id", ""}, {"node_id", "-1"}, {"bitrate", "1"},
+		{"realtime", "100"}, {"imu", ""}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
+		assert_int_equal(config_option(&config, bad[i][0], bad[i][1], why), -EINVAL);
+	assert_int_equal(config.node_id, 1);
+}
+
+static void test_a_set_without_a_value_says_how_to_write_it(void **state)
+{
+	(void)state;
+	assert_int_equal(config_set(&config, "lever_arm.l", why), -EINVAL);
+	assert_non_null(strstr(why, "NAME=VALUE"));
+	assert_int_equal(config_set(&config, "=1", why), -EINVAL);
+}
+
+#define TEST(f) cmocka_unit_test_setup(f, set_up)
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		TEST(test_objects_are_set_by_name_with_or_without_a_section),
+		TEST(test_the_gateway_section_holds_the_process_keys),
+		TEST(test_a_later_setting_wins),
+		TEST(test_an_index_serves_as_a_name),
+		TEST(test_an_unknown_object_names_its_line),
+		TEST(test_an_unknown_gateway_key_names_its_line_and_the_known_ones),
+		TEST(test_a_value_out_of_limits_names_line_and_limits),
+		TEST(test_a_value_that_is_no_number_is_refused),
+		TEST(test_what_is_no_configuration_cannot_be_set),
+		TEST(test_a_line_that_is_no_setting_names_itself),
+		TEST(test_an_overlong_line_names_itself),
+		TEST(test_a_missing_file_says_so),
+		TEST(test_process_keys_are_checked),
+		TEST(test_a_set_without_a_value_says_how_to_write_it),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,227 @@
+/* The file behind 1010h: whole after any power cut, never trusted when damaged. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include "gateway/store.h"
+
+static char folder[64], path[128], bad_path[160], new_path[160];
+
+static int make_folder(void **state)
+{
+	(void)state;
+	strcpy(folder, "/tmp/imu9-store-XXXXXX");
+	if (!mkdtemp(folder))
+		return -1;
+	snprintf(path, sizeof(path), "%s/node-1.store", folder);
+	snprintf(bad_path, sizeof(bad_path), "%s.bad", path);
+	snprintf(new_path, sizeof(new_path), "%s.new", path);
+	return 0;
+}
+
+static int remove_folder(void **state)
+{
+	(void)state;
+	unlink(path);
+	unlink(bad_path);
+	unlink(new_path);
+	return rmdir(folder);
+}
+
+static struct store_image example(uint8_t fill, size_t size)
+{
+	struct store_image image = {0};
+
+	memset(image.groups[0].dcf, fill, size);
+	image.groups[0].size = size;
+	image.groups[2].dcf[0] = fill;
+	image.groups[2].size = 1;
+	return image;
+}
+
+static void assert_same(const struct store_image *a, const struct store_image *b)
+{
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		assert_int_equal(a->groups[i].size, b->groups[i].size);
+		assert_memory_equal(a->groups[i].dcf, b->groups[i].dcf, a->groups[i].size);
+	}
+}
+
+static bool exists(const char *name)
+{
+	return access(name, F_OK) == 0;
+}
+
+static void write_bytes(const uint8_t *bytes, size_t size)
+{
+	FILE *f = fopen(path, "wb");
+
+	assert_non_null(f);
+	assert_int_equal(fwrite(bytes, 1, size, f), size);
+	fclose(f);
+}
+
+static void test_what_is_written_is_read_back(void **state)
+{
+	const struct store_image image = example(0xA5, 100);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+	assert_false(exists(new_path));
+}
+
+static void test_the_largest_image_fits_the_file(void **state)
+{
+	struct store_image image = {0}, back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	for (int i = 0; i < STORE_GROUPS; i++)
+		image.groups[i].size = STORE_GROUP_MAX;
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), 0);
+	assert_same(&image, &back);
+}
+
+static void test_no_file_yet_means_nothing_stored(void **state)
+{
+	struct store_image image;
+
+	(void)state;
+	assert_int_equal(store_read(&image, path), 0);
+	assert_int_equal(image.groups[0].size, 0);
+}
+
+static void test_every_truncation_is_noticed_and_the_file_kept_aside(void **state)
+{
+	const struct store_image image = example(0x11, 20);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+	size_t size = store_encode(&image, bytes);
+
+	(void)state;
+	for (size_t n = 0; n < size; n++) {
+		write_bytes(bytes, n);
+		assert_int_equal(store_read(&back, path), -EBADMSG);
+		assert_int_equal(back.groups[0].size, 0);
+		assert_false(exists(path));
+		assert_true(exists(bad_path));
+	}
+}
+
+static void test_every_flipped_bit_is_noticed(void **state)
+{
+	const struct store_image image = example(0x77, 20);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+	size_t size = store_encode(&image, bytes);
+
+	(void)state;
+	for (size_t bit = 0; bit < size * 8; bit++) {
+		bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
+		assert_int_equal(store_decode(&back, bytes, size), -EBADMSG);
+		bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
+	}
+	assert_int_equal(store_decode(&back, bytes, size), 0);
+}
+
+/* A power cut leaves the temporary file in any state, and the real one as it was. */
+static void test_a_cut_while_writing_leaves_the_old_values(void **state)
+{
+	const struct store_image old = example(1, 30), new = example(2, 60);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_write(path, bytes, store_encode(&old, bytes)), 0);
+	size_t size = store_encode(&new, bytes);
+	FILE *f = fopen(new_path, "wb");
+	assert_non_null(f);
+	assert_int_equal(fwrite(bytes, 1, size / 2, f), size / 2);
+	fclose(f);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&old, &back);
+	assert_int_equal(
+		store_write(path, bytes, size), 0); /* the left-over does not hinder the next */
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&new, &back);
+}
+
+static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
+{
+	uint8_t bytes[4] = {0};
+
+	(void)state;
+	assert_int_equal(store_write("/proc/no/such.store", bytes, 4), -ENOENT);
+}
+
+static void test_the_thread_makes_the_folder_writes_and_tells(void **state)
+{
+	static struct store_writer writer;
+	const struct store_image image = example(9, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+	char deep[160];
+
+	(void)state;
+	snprintf(deep, sizeof(deep), "%s/a/node-1.store", folder);
+	assert_int_equal(store_writer_open(&writer, deep), 0);
+	assert_int_equal(store_writer_result(&writer), -EAGAIN);
+	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&image, bytes)), 0);
+	struct pollfd p = {.fd = writer.fd, .events = POLLIN};
+	assert_int_equal(poll(&p, 1, 5000), 1);
+	assert_int_equal(store_writer_result(&writer), 0);
+	store_writer_close(&writer);
+	assert_int_equal(store_read(&back, deep), 0);
+	assert_same(&image, &back);
+	unlink(deep);
+	snprintf(deep, sizeof(deep), "%s/a", folder);
+	rmdir(deep);
+}
+
+static void test_closing_waits_for_a_write_under_way(void **state)
+{
+	static struct store_writer writer;
+	const struct store_image image = example(3, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&image, bytes)), 0);
+	store_writer_close(&writer);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, make_folder, remove_folder)
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		TEST(test_what_is_written_is_read_back),
+		cmocka_unit_test(test_the_largest_image_fits_the_file),
+		TEST(test_no_file_yet_means_nothing_stored),
+		TEST(test_every_truncation_is_noticed_and_the_file_kept_aside),
+		cmocka_unit_test(test_every_flipped_bit_is_noticed),
+		TEST(test_a_cut_while_writing_leaves_the_old_values),
+		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
+		TEST(test_the_thread_makes_the_folder_writes_and_tells),
+		TEST(test_closing_waits_for_a_write_under_way),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
