@@ -1,0 +1,87 @@
+"""Reads an EDS (CiA 306) with configparser: the tests' own view of the object dictionary."""
+import configparser
+import re
+import struct
+from dataclasses import dataclass
+
+# CiA 301 table 44: data type -> struct form
+FORMS = {0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d", 0x15: "q", 0x1B: "Q"}
+STRING, OCTETS, DOMAIN, REAL32 = 0x09, 0x0A, 0x0F, 0x08
+
+
+@dataclass
+class Entry:
+    index: int
+    sub: int
+    name: str
+    type: int
+    access: str  # ro, rw, wo, const
+    mappable: bool
+    command: bool  # ObjFlags bit 0: not stored
+    default: object  # a number, a string, or None
+    low: object
+    high: object
+
+    @property
+    def form(self):
+        return "<" + FORMS[self.type]
+
+    @property
+    def numeric(self):
+        return self.type in FORMS
+
+    @property
+    def size(self):
+        return struct.calcsize(self.form)
+
+    @property
+    def where(self):
+        return "%04Xh:%02X %s" % (self.index, self.sub, self.name)
+
+    def encode(self, value):
+        return struct.pack(self.form, value)
+
+    def decode(self, data):
+        return struct.unpack(self.form, data)[0]
+
+
+def _number(text, kind, node_id):
+    if text is None or text == "":
+        return None
+    if kind == REAL32:
+        if text.lower().startswith("0x"):  # CiA 306: the bits
+            return struct.unpack("<f", struct.pack("<I", int(text, 16)))[0]
+        return float(text)
+    total = 0
+    for term in text.upper().split("+"):
+        total += node_id if term.strip() == "$NODEID" else int(term.strip(), 0)
+    return total
+
+
+def _entry(section, index, sub, node_id):
+    kind = int(section["DataType"], 0)
+    text = section.get("DefaultValue")
+    real = {key: section.get("Real" + key) for key in ("Default", "LowLimit", "HighLimit")}
+    default = text
+    if kind in FORMS:
+        default = _number(real["Default"] or text, kind, node_id)
+    return Entry(
+        index, sub, section["ParameterName"], kind, section["AccessType"].lower(), section.get("PDOMapping", "0") == "1",
+        int(section.get("ObjFlags", "0"), 0) & 1 == 1, default,
+        _number(real["LowLimit"] or section.get("LowLimit"), kind, node_id),
+        _number(real["HighLimit"] or section.get("HighLimit"), kind, node_id))
+
+
+def read(path, node_id):
+    """Every entry that can be accessed: {(index, sub): Entry}."""
+    parser = configparser.ConfigParser(interpolation=None, delimiters=("=",), comment_prefixes=(";",), strict=True)
+    parser.optionxform = str
+    with open(path, newline=None, encoding="latin-1") as file:
+        parser.read_file(file)
+    entries = {}
+    for name in parser.sections():
+        match = re.fullmatch(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?", name)
+        if match and "DataType" in parser[name]:
+            key = int(match[1], 16), int(match[2] or "0", 16)
+            entries[key] = _entry(parser[name], *key, node_id)
+    return entries

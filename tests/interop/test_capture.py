@@ -1,0 +1,41 @@
+"""Wireshark's CANopen dissector over everything that went over vcan0 in the run. `run` takes the capture and calls this
+last."""
+import collections
+import os
+import subprocess
+import unittest
+
+
+class TheWholeRun(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        capture = os.environ.get("IMU9_CAPTURE")
+        if not capture:
+            raise unittest.SkipTest("no capture: tests/interop/run takes one (with dumpcap, of Debian's tshark)")
+        fields = ("frame.number", "can.id", "frame.protocols", "_ws.malformed", "_ws.expert.severity", "_ws.col.Info")
+        result = subprocess.run(
+            ["tshark", "-r", capture, "-d", "can.subdissector,canopen", "-T", "fields"] +
+            [word for field in fields for word in ("-e", field)], capture_output=True, text=True, timeout=60)
+        assert result.returncode == 0, result.stderr
+        cls.frames = [dict(zip(fields, line.split("\t"))) for line in result.stdout.splitlines()]
+
+    def test_every_frame_is_dissected_as_canopen(self):
+        self.assertGreater(len(self.frames), 5000)
+        self.assertEqual({f["frame.protocols"] for f in self.frames}, {"can:canopen"})
+
+    def test_no_frame_is_malformed(self):
+        bad = [f for f in self.frames if f["_ws.malformed"] or f["_ws.expert.severity"]]
+        self.assertEqual(bad, [])
+
+    def test_every_service_is_recognised(self):
+        kinds = collections.Counter()
+        for frame in self.frames:
+            info = frame["_ws.col.Info"].lower()
+            kinds.update(kind for kind in ("nmt", "sync", "emergency", "pdo", "sdo") if kind in info)
+        self.note = ", ".join("%s %d" % pair for pair in kinds.most_common())
+        for kind in ("nmt", "sync", "emergency", "pdo", "sdo"):
+            self.assertGreater(kinds[kind], 0, kinds)
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,187 @@
+"""Where the configuration comes from, and what is said when it, or the input, is bad."""
+import re
+import struct
+import unittest
+
+import canopen_master as canopen
+import rig
+from rig import NODE
+
+HEADER = "t,gx,gy,gz,ax,ay,az,mx,my,mz\n"
+
+
+def log_of(*rows):
+    return rig.written(HEADER + "".join(row + "\n" for row in rows), ".imu.csv")
+
+
+def row(k, magnetometer=",0,20,-40"):
+    return "%.2f,0,0,0,0,0,9.81%s" % (k * 0.01, magnetometer)
+
+
+class ARunningGateway(unittest.TestCase):
+    def start(self, *args, **options):
+        self.master = rig.open_master()
+        self.addCleanup(self.master.close)
+        self.gateway = rig.Gateway(*args, **options)
+        self.addCleanup(self.gateway.close)
+        self.boot_up()
+
+    def boot_up(self):
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+
+    def real(self, index, sub=0):
+        return struct.unpack("<f", self.master.upload(NODE, index, sub))[0]
+
+
+class Precedence(ARunningGateway):
+    def test_defaults_file_command_line_and_stored_values_in_this_order(self):
+        file = rig.written("[lever_arm]\nl = 0.1\ns = 0.1\nt = 0.1\n[gateway]\nnode_id = 99\n")
+        self.start("-c", file, "--set", "lever_arm.s=0.2", "--set", "lever_arm.t=0.2")
+        self.assertAlmostEqual(self.real(0x2003), 9.81, places=6)  # default
+        self.assertAlmostEqual(self.real(0x2000, 1), 0.1, places=6)  # file
+        self.assertAlmostEqual(self.real(0x2000, 2), 0.2, places=6)  # command line
+        self.master.download(NODE, 0x2000, 3, struct.pack("<f", 0.3))
+        self.master.download(NODE, 0x1010, 1, canopen.SAVE)
+        self.gateway.end()
+        self.gateway.start()
+        self.boot_up()
+        for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):  # stored
+            self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
+
+    def test_objects_are_named_in_the_file_with_and_without_section_and_by_index(self):
+        self.start("-c", rig.written("lever_arm.l = 0.1\nrates_from = 1\n0x2000:2 = 0.2\n[Lever Arm]\nt = 0.3\n"))
+        for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):
+            self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
+        self.assertEqual(self.master.upload(NODE, 0x2002), b"\x01")
+
+
+class BadInput(unittest.TestCase):
+    """Status 2 for what was written wrong, 1 for what is not there; one line that names it and says what to do."""
+
+    def refused(self, status, pattern, *args):
+        result = rig.run("imu9-gateway", *args)
+        self.assertEqual(result.returncode, status, result.stderr)
+        self.assertRegex(result.stderr, re.compile(pattern, re.S))
+        self.assertRegex(result.stderr, "^imu9-gateway: ")
+        self.assertEqual(result.stdout, "")
+
+    def file_refused(self, line, pattern, text):
+        path = rig.written(text)
+        self.refused(2, re.escape("%s:%d: " % (path, line)) + ".*" + pattern, "-c", path)
+
+    def test_an_unknown_option(self):
+        self.refused(2, "frobnicate", "--frobnicate")
+
+    def test_an_argument_that_is_no_option(self):
+        self.refused(2, "'stray'.*--help", "stray")
+
+    def test_an_option_without_its_value(self):
+        self.refused(2, "can", "--can")
+
+    def test_an_unknown_key_names_its_line_and_the_known_ones(self):
+        self.file_refused(3, "'nodeid'.*node_id", "# a comment\n[gateway]\nnodeid = 3\n")
+
+    def test_an_unknown_object_names_its_line(self):
+        self.file_refused(2, "lever_arm.x", "[lever_arm]\nx = 3\n")
+
+    def test_a_value_beyond_the_limits_names_its_line_and_the_limits(self):
+        self.file_refused(1, "-10 to 10 m", "lever_arm.l = 11\n")
+
+    def test_a_value_that_is_no_number_names_its_line(self):
+        self.file_refused(1, "lever_arm.l = abc", "lever_arm.l = abc\n")
+        self.file_refused(1, "lever_arm.l", "lever_arm.l = nan\n")
+
+    def test_a_line_that_is_neither_section_nor_key_names_its_line(self):
+        self.file_refused(2, ".", "lever_arm.l = 0\nwhat is this\n")
+
+    def test_what_cannot_be_configured_is_refused(self):
+        self.file_refused(1, "not a configuration object", "acceleration.l = 1\n")
+
+    def test_a_configuration_file_that_is_not_there(self):
+        self.refused(2, "/no/such/file.*No such file", "-c", "/no/such/file")
+
+    def test_an_unknown_object_on_the_command_line(self):
+        self.refused(2, "no_such_thing", "--set", "no_such_thing=1")
+
+    def test_an_assignment_without_a_value(self):
+        self.refused(2, "NAME=VALUE", "--set", "lever_arm.l")
+
+    def test_a_node_id_out_of_range(self):
+        for node_id in ("0", "128", "-1", "12x", ""):
+            self.refused(2, "node_id", "--node-id", node_id)
+
+    def test_a_bus_that_is_not_there(self):
+        self.refused(1, "nocan7.*ip link", "--can", "nocan7")
+
+    def test_an_interface_that_is_no_can_bus(self):
+        self.refused(1, "lo\\b", "--can", "lo")
+
+    def test_an_unknown_kind_of_sensor(self):
+        self.refused(1, "crystal.*replay:", "--imu", "crystal:ball")
+
+    def test_a_log_that_is_not_there(self):
+        self.refused(1, "/no/such.imu.csv.*No such file", "--imu", "replay:/no/such.imu.csv")
+
+    def test_a_log_whose_header_lacks_a_column_names_the_line(self):
+        path = rig.written("t,gx,gy,gz,ax,ay\n0,0,0,0,0,0\n", ".imu.csv")
+        self.refused(1, re.escape("%s:1: " % path) + ".*az", "--imu", "replay:%s" % path)
+
+    def test_an_empty_log(self):
+        path = rig.written("", ".imu.csv")
+        self.refused(1, re.escape(str(path)), "--imu", "replay:%s" % path)
+
+    def test_every_program_has_help_and_version(self):
+        for name in ("imu9-gateway", "imu9-replay", "imu9-sdo", "imu9-monitor"):
+            for option in ("--help", "--version"):
+                result = rig.run(name, option)
+                self.assertEqual((result.returncode, result.stderr), (0, ""), (name, option))
+                self.assertIn(name, result.stdout)
+
+
+class BadLogs(ARunningGateway):
+    GOOD = [row(k) for k in range(60)]
+
+    def skips(self, line, bad):
+        """Rows 0..29, the bad one, rows 31..: it alone is skipped, by the gateway and by imu9-replay."""
+        path = log_of(*self.GOOD[:30], bad, *self.GOOD[31:])
+        where = re.escape("%s:%d: " % (path.name, line))
+        replay = rig.run("imu9-replay", path)
+        self.assertEqual(replay.returncode, 0, replay.stderr)
+        self.assertEqual(len(replay.stdout.splitlines()), 1 + 59)
+        self.assertNotRegex(replay.stdout, "(?i)nan|inf")
+        self.assertRegex(replay.stderr, where)
+        self.start(imu="replay:%s" % path)
+        rig.wait_until(lambda: "has ended" in self.gateway.log)
+        self.assertRegex(self.gateway.log, where)
+        counters = [struct.unpack("<I", self.master.upload(NODE, 0x2121, sub))[0] for sub in (1, 2)]
+        self.assertEqual(counters, [59, 1])
+        self.assertEqual(struct.unpack("<H", self.master.upload(NODE, 0x210F, 1))[0], 58)
+
+    def test_a_row_with_a_missing_field_is_skipped(self):
+        self.skips(32, "0.30,0,0,0,0,0")
+
+    def test_a_row_that_is_no_number_is_skipped(self):
+        self.skips(32, "0.30,0,zero,0,0,0,9.81,0,20,-40")
+
+    def test_a_row_with_nan_is_skipped(self):
+        self.skips(32, "0.30,0,nan,0,0,0,9.81,0,20,-40")
+
+    def test_a_row_with_infinity_is_skipped(self):
+        self.skips(32, "0.30,0,0,0,0,0,inf,0,20,-40")
+
+    def test_a_row_back_in_time_is_skipped(self):
+        self.skips(32, row(10))
+
+    def test_a_log_without_magnetometer_runs_and_says_so_in_the_status(self):
+        for text in (log_of(*[row(k, ",,,") for k in range(60)]),
+                     rig.written("t,gx,gy,gz,ax,ay,az\n" + "".join(row(k, "") + "\n" for k in range(60)), ".imu.csv")):
+            self.start(imu="replay:%s" % text)
+            rig.wait_until(lambda: "has ended" in self.gateway.log)
+            status, skipped = struct.unpack("<H", self.master.upload(NODE, 0x210F, 3))[0], self.master.upload(NODE, 0x2121, 2)
+            self.assertEqual((status & 4, skipped), (0, bytes(4)))
+            self.assertEqual(struct.unpack("<H", self.master.upload(NODE, 0x210F, 1))[0], 59)
+            self.gateway.end()
+
+
+if __name__ == "__main__":
+    unittest.main()

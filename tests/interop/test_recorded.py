@@ -1,0 +1,195 @@
+"""Recorded IMU data through the gateway and over a real bus, against the same log through imu9-replay."""
+import csv
+import math
+import struct
+import threading
+import time
+import unittest
+
+import canopen_master as canopen
+import rig
+from rig import NODE
+
+ACCELERATION_LSB, ANGLE_LSB, POSITION_LSB = 0.005, 0.01, 0.001  # m/s^2, deg, m: the defaults of 2110h and 6000h
+PRINTED = 1e-5  # imu9-replay's last digit, and that of REAL32
+
+
+def replayed(log, *args, rows=None):
+    """imu9-replay's rows, [{column: number}]; the place in the list is the sample counter."""
+    result = rig.run("imu9-replay", *args, log)
+    assert result.returncode == 0, result.stderr
+    table = []
+    for row in csv.DictReader(result.stdout.splitlines()[:None if rows is None else rows + 1]):
+        table.append({name: float(text) for name, text in row.items()})
+        assert table[-1]["sample"] == len(table) - 1
+    return table
+
+
+def angles(row):
+    """Roll, pitch, yaw [deg], z-y'-x'', from the replay's quaternion."""
+    w, x, y, z = (row[name] for name in ("qw", "qx", "qy", "qz"))
+    return [math.degrees(angle) for angle in (
+        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+        math.asin(max(-1, min(1, 2 * (w * y - z * x)))),
+        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)))]
+
+
+def expected(row):
+    """What TPDO1, 2 and 3 carry of this row: [(values, resolution)]."""
+    return [
+        ([row[name] for name in ("al", "as", "at")], ACCELERATION_LSB),
+        (angles(row), ANGLE_LSB),
+        ([row[name] for name in ("px", "py", "pz")], POSITION_LSB),
+    ]
+
+
+def off_by(number, value, lsb):
+    """How far the integer on the bus is from the value, in LSB. 0 where it rightly saturates."""
+    if abs(value) > 32767.5 * lsb:
+        return 0 if number == (32767 if value > 0 else -32768) else math.inf
+    return abs(number - value / lsb)
+
+
+class ARecordedTrial(unittest.TestCase):
+    SECONDS, SYNC_HZ = 30, 100
+
+    def test_every_pdo_value_is_the_replays_row_for_30_s_of_sync_at_100_hz(self):
+        log = rig.recorded("09_")
+        rows = replayed(log, rows=60 * 290)
+        master = rig.open_master()
+        self.addCleanup(master.close)
+        gateway = rig.Gateway(imu="replay:%s" % log)
+        self.addCleanup(gateway.close)
+        master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        master.nmt(canopen.START, NODE)
+        read_eds = []
+        reader = threading.Thread(target=self.read_meanwhile, args=(read_eds,))
+        reader.start()
+        master.drain()
+        self.produce_sync(master)
+        reader.join()
+        self.assertEqual(read_eds, [rig.EDS.read_bytes()], "an SDO client was busy all the while")
+        self.check(master.frames, rows)
+        self.assertIsNone(gateway.process.poll())
+
+    def read_meanwhile(self, result):
+        """Load: the whole EDS read segment by segment while the PDOs flow."""
+        reader = rig.open_master()
+        time.sleep(1)
+        result.append(reader.upload(NODE, 0x1021))
+        reader.close()
+
+    def produce_sync(self, master):
+        start = time.monotonic()
+        for i in range(self.SECONDS * self.SYNC_HZ):
+            master.listen(start + i / self.SYNC_HZ - time.monotonic())
+            master.sync()
+        master.listen(0.5)
+
+    def check(self, frames, rows):
+        syncs = [f for f in frames if f.arbitration_id == canopen.SYNC]
+        pdos = [[f for f in frames if f.arbitration_id == cob_id + NODE] for cob_id in canopen.TPDO]
+        wanted = self.SECONDS * self.SYNC_HZ
+        self.assertEqual([len(syncs)] + [len(p) for p in pdos], [wanted] * 5, "SYNCs and the four PDOs of each")
+
+        worst = [0, 0, 0]
+        previous = -1
+        for first, second, third, fourth in zip(*pdos):
+            status, number, t_us = canopen.decode(fourth.data, "HHI")
+            self.assertGreater(number, previous)
+            previous = number
+            row = rows[number]
+            self.assertEqual(status & 0x301, 1, "valid, not saturated, sensor there")
+            self.assertAlmostEqual(t_us * 1e-6, row["t"], delta=1e-6)
+            for i, (frame, (values, lsb)) in enumerate(zip((first, second, third), expected(row))):
+                *integers, counter = canopen.decode(frame.data, "hhhH")
+                self.assertEqual(counter, number, "all PDOs of one SYNC carry one sample")
+                worst[i] = max([worst[i]] + [off_by(n, v, lsb) for n, v in zip(integers, values)])
+        for error, lsb in zip(worst, (ACCELERATION_LSB, ANGLE_LSB, POSITION_LSB)):
+            self.assertLessEqual(error, 0.5 + PRINTED / lsb)
+
+        delays = sorted(f.timestamp - s.timestamp for s, f in zip(syncs, pdos[3]))
+        self.note = "%d SYNCs, 0 lost; SYNC to the last of its PDOs: median %.2f ms, p99 %.2f ms, max %.2f ms; " \
+            "worst error %.3f LSB" % (wanted, 1e3 * delays[wanted // 2], 1e3 * delays[wanted * 99 // 100],
+                                      1e3 * delays[-1], max(worst))
+
+
+class TheLeverArm(unittest.TestCase):
+    """Written by SDO, it changes the acceleration of the very next sample by the rigid-body terms, and only that."""
+
+    ARM = (0.8, -0.5, 0.3)
+
+    def setUp(self):
+        self.log = self.moving_part(rig.recorded("09_"))
+        self.master = rig.open_master()
+        self.addCleanup(self.master.close)
+        self.gateway = rig.Gateway(imu="replay:%s" % self.log)
+        self.addCleanup(self.gateway.close)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+
+    @staticmethod
+    def moving_part(log):
+        """Eight seconds of the trial from where it turns fast."""
+        lines = log.read_text().splitlines()
+        samples = [[float(x) for x in line.split(",")[1:4]] for line in lines[1:20000]]
+        start = next(i for i, gyro in enumerate(samples) if math.hypot(*gyro) > 3) - 286
+        return rig.written("\n".join([lines[0]] + lines[1 + start:1 + start + 8 * 286]) + "\n", ".imu.csv")
+
+    @staticmethod
+    def rigid_body(omega, alpha, r):
+        """alpha x r + omega x (omega x r)"""
+        def cross(a, b):
+            return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+        return [a + b for a, b in zip(cross(alpha, r), cross(omega, cross(omega, r)))]
+
+    def test_the_next_sample_has_alpha_x_r_plus_omega_x_omega_x_r(self):
+        # one event-driven set of PDOs a sample: acceleration and counter; angular rate and acceleration in three
+        self.master.remap(NODE, 1, None, transmission=254)
+        for number, entries in ((2, [(0x2105, 1, 32), (0x2105, 2, 32)]), (3, [(0x2105, 3, 32), (0x2106, 1, 32)]),
+                                (4, [(0x2106, 2, 32), (0x2106, 3, 32)])):
+            self.master.remap(NODE, number, entries, transmission=254)
+        self.master.drain()
+        self.master.nmt(canopen.START, NODE)
+        self.master.listen(2.0)
+        for i, metres in enumerate(self.ARM):
+            self.master.download(NODE, 0x2000, 1 + i, struct.pack("<f", metres))
+            self.master.listen(0.3)
+        self.check(self.master.frames, replayed(self.log))
+
+    def check(self, frames, without_arm):
+        arm, written = [0.0, 0.0, 0.0], 0
+        acceleration, rates = None, b""
+        compared, first_difference = [0, 0, 0, 0], []
+        for frame in frames:
+            if frame.arbitration_id == canopen.SDO_TX + NODE:  # the answer: what comes now is "the next sample"
+                arm[written] = self.ARM[written]
+                written += 1
+                first = True
+            elif frame.arbitration_id == canopen.TPDO[0] + NODE:
+                acceleration, rates = canopen.decode(frame.data, "hhhH"), b""
+            elif frame.arbitration_id - NODE in canopen.TPDO and acceleration:
+                rates += frame.data
+                if len(rates) != 24:
+                    continue
+                *integers, number = acceleration
+                row = without_arm[number]
+                rate = struct.unpack("<6f", rates)
+                for value, name in zip(rate, ("wl", "ws", "wt", "dwl", "dws", "dwt")):
+                    self.assertAlmostEqual(value, row[name], delta=PRINTED + 1e-6 * abs(value), msg=name)
+                term = self.rigid_body(rate[:3], rate[3:], arm)
+                for n, name, t in zip(integers, ("al", "as", "at"), term):
+                    self.assertLessEqual(off_by(n, row[name] - t, ACCELERATION_LSB), 0.5 + 3 * PRINTED / ACCELERATION_LSB,
+                                         "sample %d with lever arm %r" % (number, arm))
+                if written and first:
+                    first_difference.append(max(map(abs, term)))
+                    first = False
+                compared[written] += 1
+        self.assertEqual(written, 3)
+        self.assertTrue(all(n > 50 for n in compared), compared)
+        self.assertGreater(min(first_difference), 10 * ACCELERATION_LSB, "the move was too slow to tell")
+        self.note = "%d samples; change in the first sample after each write: %s m/s^2" % (
+            sum(compared), ", ".join("%.2f" % d for d in first_difference))
+
+
+if __name__ == "__main__":
+    unittest.main()
