@@ -36,8 +36,7 @@ int imu_open(const char *src, struct imu_port **port, char *error, size_t error_
 	int result;
 
 	if ((size_t)snprintf(text, sizeof text, "%s", src) >= sizeof text) {
-		snprintf(error, error_size, "IMU source longer than %zu characters",
-			sizeof text - 1);
+		snprintf(error, error_size, "IMU source longer than %zu characters", sizeof text - 1);
 		return -EINVAL;
 	}
 	name = strsep(&args, ":");
@@ -53,6 +52,11 @@ int imu_open(const char *src, struct imu_port **port, char *error, size_t error_
 	if (result == -ENOMEM)
 		snprintf(error, error_size, "%s: out of memory", name);
 	return result;
+}
+
+uint64_t source_silence_us(double rate_hz)
+{
+	return (uint64_t)fmax(1e5, 10e6 / rate_hz);
 }
 
 int imu_read(struct imu_port *port, struct imu_sample *sample)

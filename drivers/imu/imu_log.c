@@ -6,8 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const char *const COLUMNS[IMU_LOG_COLUMNS] = {
-	"t", "gx", "gy", "gz", "ax", "ay", "az", "mx", "my", "mz"};
+static const char *const COLUMNS[IMU_LOG_COLUMNS] = {"t", "gx", "gy", "gz", "ax", "ay", "az", "mx", "my", "mz"};
 enum { COLUMN_T, COLUMN_GYRO, COLUMN_ACCEL = 4, COLUMN_MAG = 7 };
 enum { FIELDS_MAX = IMU_LOG_LINE_MAX / 2 };
 static const double LATEST_T_S = 1e12; /* well inside uint64_t in microseconds */
@@ -22,8 +21,7 @@ static const char *base_name(const char *path)
 __attribute__((format(printf, 2, 3))) static int skip(struct imu_log *log, const char *format, ...)
 {
 	va_list args;
-	int n = snprintf(log->last_skip, sizeof log->last_skip, "%.60s:%ld: ", base_name(log->path),
-		log->line);
+	int n = snprintf(log->last_skip, sizeof log->last_skip, "%.60s:%ld: ", base_name(log->path), log->line);
 
 	va_start(args, format);
 	vsnprintf(log->last_skip + n, sizeof log->last_skip - (size_t)n, format, args);
@@ -151,8 +149,7 @@ static int parse_triad(struct imu_log *log, char *const field[], int column, str
 		const char *text = field[log->field_of[column + i]];
 
 		if (parse_number(text, value[i]) < 0)
-			return skip(
-				log, "%s is no finite number: '%.20s'", COLUMNS[column + i], text);
+			return skip(log, "%s is no finite number: '%.20s'", COLUMNS[column + i], text);
 	}
 	return 1;
 }

@@ -34,8 +34,7 @@ static int replay_read(struct imu_port *port, struct imu_sample *sample)
 		again = 1;
 	}
 	elapsed_us = again ? r->pass_us : r->samples[r->next].t_us - r->samples[0].t_us;
-	late_ns = pace_since(
-		&r->pace, (int64_t)((double)(r->shift_us + elapsed_us) * 1e3 / r->speed));
+	late_ns = pace_since(&r->pace, (int64_t)((double)(r->shift_us + elapsed_us) * 1e3 / r->speed));
 	if (late_ns < 0)
 		return 0;
 	if (again) {
@@ -71,13 +70,10 @@ static int parse_options(struct replay *r, char *options, char *error, size_t er
 		if (strcmp(option, "loop") == 0) {
 			r->loop = 1;
 		} else if (strncmp(option, "speed=", 6) != 0) {
-			snprintf(error, error_size,
-				"replay: unknown option '%.40s': use loop, speed=X", option);
+			snprintf(error, error_size, "replay: unknown option '%.40s': use loop, speed=X", option);
 			return -EINVAL;
-		} else if (source_positive(option + 6, &r->speed) < 0 || r->speed < 1e-3 ||
-			   r->speed > 1e6) {
-			snprintf(error, error_size,
-				"replay: '%.40s': use a factor from 0.001 to 1e6", option);
+		} else if (source_positive(option + 6, &r->speed) < 0 || r->speed < 1e-3 || r->speed > 1e6) {
+			snprintf(error, error_size, "replay: '%.40s': use a factor from 0.001 to 1e6", option);
 			return -EINVAL;
 		}
 	}
@@ -118,6 +114,7 @@ static int load_file(struct replay *r, const char *path, char *error, size_t err
 		snprintf(error, error_size, "%s:%ld: %s", path, log.line, strerror(-result));
 	imu_log_close(&log);
 	r->port.rate_hz = log.rate_hz;
+	r->port.silence_us = source_silence_us(log.rate_hz * r->speed);
 	r->port.counters.skipped = log.skipped;
 	memcpy(r->port.last_skip, log.last_skip, sizeof r->port.last_skip);
 	snprintf(r->port.name, sizeof r->port.name, "replay:%.50s", slash ? slash + 1 : path);
@@ -132,8 +129,7 @@ int replay_open(char *args, struct imu_port **port, char *error, size_t error_si
 	int result;
 
 	if (!path || *path == '\0') {
-		snprintf(error, error_size,
-			"replay: no file: use replay:FILE.imu.csv[,loop][,speed=X]");
+		snprintf(error, error_size, "replay: no file: use replay:FILE.imu.csv[,loop][,speed=X]");
 		return -EINVAL;
 	}
 	r = calloc(1, sizeof *r);

@@ -11,6 +11,8 @@
 
 static const char PRESET[] = "lsm303dlhc_l3gd20";
 enum { SEED = 1 };
+/* from the robot's reference point to the sensor: the seed's 5 cm */
+static const struct vec3 LEVER_ARM_B_M = {0.05, 0, 0};
 
 struct sim {
 	struct imu_port port;
@@ -23,8 +25,7 @@ static int sim_read(struct imu_port *port, struct imu_sample *sample)
 {
 	struct sim *sim = (struct sim *)port;
 	double interval_ns = 1e9 / port->rate_hz;
-	int64_t late_ns =
-		pace_since(&sim->pace, (int64_t)((double)sim->sensor.taken * interval_ns));
+	int64_t late_ns = pace_since(&sim->pace, (int64_t)((double)sim->sensor.taken * interval_ns));
 
 	if (late_ns < 0)
 		return 0;
@@ -65,12 +66,10 @@ int sim_open(char *args, struct imu_port **port, char *error, size_t error_size)
 		char known[160];
 
 		scenarios(known, sizeof known);
-		snprintf(error, error_size, "sim: unknown scenario '%.40s': use one of %s", name,
-			known);
+		snprintf(error, error_size, "sim: unknown scenario '%.40s': use one of %s", name, known);
 		return -EINVAL;
 	}
-	if (options && (strncmp(options, "rate=", 5) != 0 ||
-			       source_positive(options + 5, &config.rate_hz) < 0 ||
+	if (options && (strncmp(options, "rate=", 5) != 0 || source_positive(options + 5, &config.rate_hz) < 0 ||
 			       config.rate_hz < 1 || config.rate_hz > 10000)) {
 		snprintf(error, error_size, "sim: '%.40s': use rate=HZ, 1 to 10000", options);
 		return -EINVAL;
@@ -79,6 +78,7 @@ int sim_open(char *args, struct imu_port **port, char *error, size_t error_size)
 	if (!sim)
 		return -ENOMEM;
 	sensor_calibrate(&config);
+	config.lever_arm_b_m = LEVER_ARM_B_M;
 	result = sensor_init(&sim->sensor, &config, SEED);
 	if (result == 0)
 		result = pace_start(&sim->pace);
@@ -87,8 +87,12 @@ int sim_open(char *args, struct imu_port **port, char *error, size_t error_size)
 		return result;
 	}
 	sim->signal = signal;
-	sim->port =
-		(struct imu_port){.ops = &SIM_OPS, .fd = sim->pace.fd, .rate_hz = config.rate_hz};
+	sim->port = (struct imu_port){
+		.ops = &SIM_OPS,
+		.fd = sim->pace.fd,
+		.rate_hz = config.rate_hz,
+		.silence_us = source_silence_us(config.rate_hz),
+	};
 	snprintf(sim->port.name, sizeof sim->port.name, "sim:%s", signal->name);
 	*port = &sim->port;
 	return 0;

@@ -9,6 +9,9 @@
 int replay_open(char *args, struct imu_port **port, char *error, size_t error_size);
 int sim_open(char *args, struct imu_port **port, char *error, size_t error_size);
 
+/** imu_port.silence_us for samples that arrive at rate_hz: 100 ms, or ten intervals when that is longer. */
+uint64_t source_silence_us(double rate_hz);
+
 /** A number above 0 and nothing after it. 0 or -EINVAL. */
 int source_positive(const char *text, double *value);
 
