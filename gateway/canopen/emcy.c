@@ -9,8 +9,7 @@ static bool enabled(const struct emcy *emcy)
 	return emcy->cob_id && !(*emcy->cob_id & COB_ID_INVALID);
 }
 
-static enum od_status before_cob_id(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	uint32_t old = *((struct canopen_node *)ctx)->emcy.cob_id;
 	uint32_t new = get_u32(wire);
@@ -21,13 +20,11 @@ static enum od_status before_cob_id(
 		return new & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
 	if (new &COB_ID_NO_RTR || !cob_id_usable(new))
 		return OD_BAD_VALUE;
-	return !(old & COB_ID_INVALID) && new != old ? OD_BAD_VALUE
-						     : OD_OK; /* not while it is in use */
+	return !(old & COB_ID_INVALID) && new != old ? OD_BAD_VALUE : OD_OK; /* not while it is in use */
 }
 
 /* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
-static enum od_status before_history(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_history(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	(void)ctx;
 	(void)entry;
@@ -64,13 +61,9 @@ void emcy_init(struct canopen_node *node)
 			break;
 		emcy->history_size++;
 	}
-	emcy->cob_id_hook = (struct od_hook){
-		.first = 0x1014, .last = 0x1014, .before = before_cob_id, .ctx = node};
-	emcy->history_hook = (struct od_hook){.first = 0x1003,
-		.last = 0x1003,
-		.before = before_history,
-		.after = after_history,
-		.ctx = node};
+	emcy->cob_id_hook = (struct od_hook){.first = 0x1014, .last = 0x1014, .before = before_cob_id, .ctx = node};
+	emcy->history_hook = (struct od_hook){
+		.first = 0x1003, .last = 0x1003, .before = before_history, .after = after_history, .ctx = node};
 	od_attach(node->od, &emcy->cob_id_hook);
 	od_attach(node->od, &emcy->history_hook);
 }
@@ -106,8 +99,7 @@ static bool remove_error(struct emcy *emcy, uint16_t code)
 	if (i == emcy->error_count)
 		return false;
 	emcy->error_count--;
-	memmove(&emcy->errors[i], &emcy->errors[i + 1],
-		(emcy->error_count - i) * sizeof(emcy->errors[0]));
+	memmove(&emcy->errors[i], &emcy->errors[i + 1], (emcy->error_count - i) * sizeof(emcy->errors[0]));
 	update_register(emcy);
 	return true;
 }
@@ -151,14 +143,19 @@ static void record(struct emcy *emcy, uint16_t code, const uint8_t *info)
 		(*emcy->history_count)++;
 }
 
-static void enqueue(struct canopen_node *node, uint16_t code, const uint8_t *info)
+static void drop_oldest(struct emcy *emcy)
 {
-	struct emcy *emcy = &node->emcy;
+	emcy->queue_count--;
+	memmove(&emcy->queue[0], &emcy->queue[1], emcy->queue_count * sizeof(emcy->queue[0]));
+}
+
+static void enqueue(struct emcy *emcy, uint16_t code, const uint8_t *info)
+{
 	struct emcy_message *message;
 
 	if (emcy->queue_count == EMCY_QUEUE) {
+		drop_oldest(emcy);
 		emcy->lost++;
-		return;
 	}
 	message = &emcy->queue[emcy->queue_count++];
 	message->code = code;
@@ -177,9 +174,7 @@ uint64_t emcy_tick(struct canopen_node *node)
 		if (node->now_us < emcy->inhibited_until_us)
 			return emcy->inhibited_until_us;
 		node_send(node, *emcy->cob_id & COB_ID_MASK, emcy->queue[0].data, 8);
-		emcy->queue_count--;
-		memmove(&emcy->queue[0], &emcy->queue[1],
-			emcy->queue_count * sizeof(emcy->queue[0]));
+		drop_oldest(emcy);
 		emcy->inhibited_until_us = node->now_us + *emcy->inhibit_100us * 100u;
 	}
 	return UINT64_MAX;
@@ -202,8 +197,8 @@ void emcy_leave_stopped(struct canopen_node *node)
 	emcy_tick(node);
 }
 
-void canopen_error_set(struct canopen_node *node, uint16_t code, uint8_t register_bits,
-	const uint8_t *info, uint64_t now_us)
+void canopen_error_set(
+	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us)
 {
 	static const uint8_t no_info[5];
 	struct emcy *emcy = &node->emcy;
@@ -220,7 +215,7 @@ void canopen_error_set(struct canopen_node *node, uint16_t code, uint8_t registe
 	emcy->error_count++;
 	update_register(emcy);
 	record(emcy, code, info ? info : no_info);
-	enqueue(node, code, info ? info : no_info);
+	enqueue(emcy, code, info ? info : no_info);
 	emcy_tick(node);
 }
 
@@ -231,6 +226,6 @@ void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_
 	node->now_us = now_us;
 	if (!remove_error(&node->emcy, code) || node->emcy.error_count)
 		return;
-	enqueue(node, EMCY_NO_ERROR, no_info);
+	enqueue(&node->emcy, EMCY_NO_ERROR, no_info);
 	emcy_tick(node);
 }

@@ -1,0 +1,409 @@
+/* NMT slave, boot-up and heartbeat producer: CiA 301, 7.2.8 and 7.3.2. */
+#include "tests/scenario/bus.h"
+
+#include <errno.h>
+#include <string.h>
+
+static void test_the_node_boots_up_with_one_zero_byte_and_is_pre_operational(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	assert_int_equal(bus->state_count, 1);
+	assert_int_equal(bus->states[0], NMT_PRE_OPERATIONAL);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_before_boot_up_the_node_says_and_hears_nothing(void **state)
+{
+	struct bus *bus = bus_new();
+
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, BUS_NODE_ID), 0);
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "610 40 00 10 00 00 00 00 00");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_INITIALISING);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_id_outside_1_to_127_is_refused(void **state)
+{
+	struct bus *bus = bus_new();
+
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, 0), -EINVAL);
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, 128), -EINVAL);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state)
+{
+	struct bus *bus = bus_new();
+	struct od_table headless = imu9_od_table;
+
+	headless.entries++; /* without 1000h */
+	headless.count--;
+	bus->od.table = &headless;
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, BUS_NODE_ID), -ENOENT);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_the_bus_is_asked_for_nmt_sync_and_sdo_only(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus->filter_count, 3);
+	assert_int_equal(bus->filter[0], 0x000);
+	assert_int_equal(bus->filter[1], 0x610);
+	assert_int_equal(bus->filter[2], 0x080);
+}
+
+static void test_the_master_starts_stops_and_readies_the_node(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 01 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+	bus_send(bus, "000 02 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
+	bus_send(bus, "000 80 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus_send(bus, "000 02 10");
+	bus_send(bus, "000 01 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+	bus_send(bus, "000 80 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_command_to_node_0_is_for_all(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 01 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+}
+
+static void test_a_command_to_another_node_is_not_for_this_one(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 01 11");
+	bus_send(bus, "000 81 0F");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus_expect_nothing(bus);
+}
+
+static void test_an_nmt_frame_of_wrong_length_is_ignored(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000");
+	bus_send(bus, "000 01");
+	bus_send(bus, "000 01 10 00");
+	bus_send(bus, "000 01 10 00 00 00 00 00 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_an_unknown_nmt_command_is_ignored(void **state)
+{
+	struct bus *bus = *state;
+
+	for (unsigned command = 0; command < 256; command++) {
+		const struct can_msg msg = {.len = 2, .data = {(uint8_t)command, 0x10}};
+
+		if (command != 1 && command != 2 && command < 128)
+			bus_send_msg(bus, &msg);
+		if (command > 130)
+			bus_send_msg(bus, &msg);
+	}
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus_expect_nothing(bus);
+}
+
+static void test_extended_and_remote_frames_are_not_nmt(void **state)
+{
+	struct bus *bus = *state;
+	struct can_msg start = {.len = 2, .data = {0x01, 0x10}};
+
+	start.extended = true;
+	bus_send_msg(bus, &start);
+	start.extended = false;
+	start.remote = true;
+	bus_send_msg(bus, &start);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_reset_node_restores_every_value_and_boots_up_again(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x2001, 0, 1, 1);
+	bus_write(bus, 0x1019, 0, 1, 10);
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "000 81 10");
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	assert_int_equal(bus->reset_calls, 1);
+	assert_int_equal(bus->reset, OD_GROUP_ALL);
+	assert_int_equal(bus_read(bus, 0x2001, 0), 2);
+	assert_int_equal(bus_read(bus, 0x1019, 0), 0);
+}
+
+static void test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x2001, 0, 1, 1);
+	bus_write(bus, 0x1019, 0, 1, 10);
+	bus_send(bus, "000 82 00");
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	assert_int_equal(bus->reset, OD_GROUP_COMMUNICATION);
+	assert_int_equal(bus_read(bus, 0x2001, 0), 1);
+	assert_int_equal(bus_read(bus, 0x1019, 0), 0);
+}
+
+static void test_a_reset_works_from_stopped_too(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 02 10");
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus_send(bus, "000 02 10");
+	bus_exchange(bus, "000 81 10", "710 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_the_device_hears_of_each_state_once(void **state)
+{
+	struct bus *bus = *state;
+	const enum nmt_state expected[] = {
+		NMT_PRE_OPERATIONAL, NMT_OPERATIONAL, NMT_INITIALISING, NMT_PRE_OPERATIONAL, NMT_STOPPED};
+
+	bus_send(bus, "000 80 10");
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "000 82 10");
+	bus_send(bus, "000 02 10");
+	assert_int_equal(bus->state_count, 5);
+	assert_memory_equal(bus->states, expected, sizeof(expected));
+}
+
+static void test_sdo_answers_in_pre_operational_and_operational_but_not_in_stopped(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
+	bus_send(bus, "000 01 10");
+	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
+	bus_send(bus, "000 02 10");
+	bus_send(bus, "610 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_send(bus, "000 80 10");
+	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
+}
+
+static void test_a_stop_drops_the_sdo_transfer_without_a_word(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_send(bus, "000 02 10");
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "000 80 10");
+	bus_send(bus, "610 60 00 00 00 00 00 00 00");
+	bus_expect(bus, "590 80 00 00 00 01 00 04 05");
+}
+
+static void test_a_reset_drops_the_sdo_transfer(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "000 82 10", "710 00");
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_reset_puts_the_sync_identifier_back(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x0A0), 0);
+	assert_int_equal(bus->filter[2], 0x0A0);
+	bus_send(bus, "000 82 10");
+	assert_int_equal(bus->filter[2], 0x080);
+}
+
+/* ---- heartbeat --------------------------------------------------------------------------------------------------- */
+
+static void test_boot_up_is_the_first_heartbeat(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1017, 0, 2, 500);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_run(bus, 499999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "710 7F");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_the_heartbeat_carries_the_state_in_every_state(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_run(bus, 1000000);
+	bus_write(bus, 0x1017, 0, 2, 100);
+	bus_expect(bus, "710 7F");
+	bus_send(bus, "000 01 10");
+	bus_run(bus, 100000);
+	bus_expect(bus, "710 05");
+	bus_send(bus, "000 02 10");
+	bus_run(bus, 100000);
+	bus_expect(bus, "710 04");
+	bus_send(bus, "000 80 10");
+	bus_run(bus, 100000);
+	bus_expect(bus, "710 7F");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_heartbeat_time_of_0_is_silence(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_run(bus, 100000000);
+	bus_expect_nothing(bus);
+	assert_true(bus->deadline_us == UINT64_MAX);
+}
+
+static void test_a_heartbeat_switched_on_starts_at_once(void **state)
+{
+	struct bus *bus = *state;
+	uint64_t start_us;
+
+	bus_run(bus, 7000000);
+	start_us = bus->now_us;
+	bus_write(bus, 0x1017, 0, 2, 250);
+	bus_expect(bus, "710 7F");
+	assert_int_equal(bus->seen_us, start_us);
+	bus_run(bus, 500000);
+	bus_expect(bus, "710 7F");
+	assert_int_equal(bus->seen_us, start_us + 250000);
+	bus_expect(bus, "710 7F");
+	assert_int_equal(bus->seen_us, start_us + 500000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_new_heartbeat_time_counts_from_the_last_heartbeat(void **state)
+{
+	struct bus *bus = *state;
+	uint64_t last_us;
+
+	bus_run(bus, 1000000);
+	bus_write(bus, 0x1017, 0, 2, 1000);
+	bus_expect(bus, "710 7F");
+	last_us = bus->seen_us;
+	bus_run(bus, 100000);
+	bus_write(bus, 0x1017, 0, 2, 300);
+	bus_expect_nothing(bus);
+	bus_run_until_sent(bus, 1000000);
+	bus_expect(bus, "710 7F");
+	assert_int_equal(bus->seen_us, last_us + 300000);
+}
+
+static void test_a_heartbeat_switched_off_stops_at_once(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_run(bus, 1000000);
+	bus_write(bus, 0x1017, 0, 2, 100);
+	bus_expect(bus, "710 7F");
+	bus_run(bus, 50000);
+	bus_write(bus, 0x1017, 0, 2, 0);
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_late_call_keeps_the_phase_of_the_heartbeat(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1017, 0, 2, 100);
+	bus_start(bus);
+	bus_forget(bus);
+	bus->now_us += 130000; /* 30 ms late */
+	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_expect(bus, "710 7F");
+	bus_run_until_sent(bus, 100000);
+	bus_expect(bus, "710 7F");
+	assert_int_equal(bus->seen_us, 1000000 + 200000);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_missed_heartbeats_are_not_sent_in_a_burst(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1017, 0, 2, 100);
+	bus_start(bus);
+	bus_forget(bus);
+	bus->now_us += 1050000;
+	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_expect(bus, "710 7F");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->deadline_us, bus->now_us + 100000);
+	test_free(bus);
+	(void)state;
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_node_boots_up_with_one_zero_byte_and_is_pre_operational),
+		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
+		cmocka_unit_test(test_a_node_id_outside_1_to_127_is_refused),
+		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sync_and_sdo_only),
+		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
+		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
+		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),
+		PRE_OPERATIONAL(test_an_nmt_frame_of_wrong_length_is_ignored),
+		PRE_OPERATIONAL(test_an_unknown_nmt_command_is_ignored),
+		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_nmt),
+		PRE_OPERATIONAL(test_reset_node_restores_every_value_and_boots_up_again),
+		PRE_OPERATIONAL(test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest),
+		PRE_OPERATIONAL(test_a_reset_works_from_stopped_too),
+		PRE_OPERATIONAL(test_the_device_hears_of_each_state_once),
+		PRE_OPERATIONAL(test_sdo_answers_in_pre_operational_and_operational_but_not_in_stopped),
+		PRE_OPERATIONAL(test_a_stop_drops_the_sdo_transfer_without_a_word),
+		PRE_OPERATIONAL(test_a_reset_drops_the_sdo_transfer),
+		PRE_OPERATIONAL(test_a_reset_puts_the_sync_identifier_back),
+		cmocka_unit_test(test_boot_up_is_the_first_heartbeat),
+		PRE_OPERATIONAL(test_the_heartbeat_carries_the_state_in_every_state),
+		PRE_OPERATIONAL(test_a_heartbeat_time_of_0_is_silence),
+		PRE_OPERATIONAL(test_a_heartbeat_switched_on_starts_at_once),
+		PRE_OPERATIONAL(test_a_new_heartbeat_time_counts_from_the_last_heartbeat),
+		PRE_OPERATIONAL(test_a_heartbeat_switched_off_stops_at_once),
+		cmocka_unit_test(test_a_late_call_keeps_the_phase_of_the_heartbeat),
+		cmocka_unit_test(test_missed_heartbeats_are_not_sent_in_a_burst),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

@@ -1,0 +1,477 @@
+/* SDO server: CiA 301, 7.2.4. Every abort code is in the frame: "80", index, sub-index, code, little-endian. */
+#include "tests/scenario/bus.h"
+
+#include <string.h>
+
+/* ---- expedited --------------------------------------------------------------------------------------------------- */
+
+static void test_an_upload_of_1_2_and_4_bytes_is_expedited(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 02 00 00 00");
+	bus_exchange(bus, "610 40 17 10 00 00 00 00 00", "590 4B 17 10 00 00 00 00 00");
+	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
+}
+
+static void test_a_download_with_its_size_said_is_written(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 2F 01 20 00 01 00 00 00", "590 60 01 20 00 00 00 00 00");
+	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 01 00 00 00");
+	bus_exchange(bus, "610 2B 15 10 00 64 00 00 00", "590 60 15 10 00 00 00 00 00");
+	bus_exchange(bus, "610 23 00 20 01 00 00 80 3F", "590 60 00 20 01 00 00 00 00"); /* 1.0 */
+	bus_exchange(bus, "610 40 00 20 01 00 00 00 00", "590 43 00 20 01 00 00 80 3F");
+}
+
+static void test_a_download_without_its_size_takes_that_of_the_object(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 22 01 20 00 01 FF FF FF", "590 60 01 20 00 00 00 00 00");
+	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 01 00 00 00");
+}
+
+static void test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stands(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 2F 01 20 00 03 00 00 00", "590 80 01 20 00 31 00 09 06");
+	bus_exchange(bus, "610 23 00 20 01 00 00 30 C1", "590 80 00 20 01 32 00 09 06"); /* -11 */
+	bus_exchange(bus, "610 23 00 20 01 00 00 C0 7F", "590 80 00 20 01 30 00 09 06"); /* NaN */
+	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 02 00 00 00");
+	bus_exchange(bus, "610 40 00 20 01 00 00 00 00", "590 43 00 20 01 00 00 00 00");
+}
+
+static void test_a_wrong_size_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 2B 01 20 00 01 00 00 00", "590 80 01 20 00 12 00 07 06");
+	bus_exchange(bus, "610 2B 00 20 01 01 00 00 00", "590 80 00 20 01 13 00 07 06");
+}
+
+static void test_what_is_not_in_the_dictionary_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 FF 2F 00 00 00 00 00", "590 80 FF 2F 00 00 00 02 06");
+	bus_exchange(bus, "610 40 00 20 04 00 00 00 00", "590 80 00 20 04 11 00 09 06");
+	bus_exchange(bus, "610 2F FF 2F 00 00 00 00 00", "590 80 FF 2F 00 00 00 02 06");
+	bus_exchange(bus, "610 2F 00 20 04 00 00 00 00", "590 80 00 20 04 11 00 09 06");
+}
+
+static void test_access_rights_are_kept(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 23 00 10 00 00 00 00 00", "590 80 00 10 00 02 00 01 06"); /* const */
+	bus_exchange(bus, "610 2F 01 10 00 00 00 00 00", "590 80 01 10 00 02 00 01 06"); /* ro */
+	bus_exchange(bus, "610 40 40 20 06 00 00 00 00", "590 80 40 20 06 01 00 01 06"); /* wo */
+}
+
+/* ---- segmented --------------------------------------------------------------------------------------------------- */
+
+static void test_a_string_is_uploaded_in_segments_of_7_bytes(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41"); /* IMU9 CA */
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 10 4E 6F 70 65 6E 20 67"); /* Nopen g */
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 03 61 74 65 77 61 79 00"); /* ateway */
+}
+
+static void test_after_the_last_segment_the_transfer_is_over(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_send(bus, "610 60 00 00 00 00 00 00 00");
+	bus_send(bus, "610 70 00 00 00 00 00 00 00");
+	bus_send(bus, "610 60 00 00 00 00 00 00 00");
+	bus_forget(bus);
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 80 00 00 00 01 00 04 05");
+}
+
+static void test_an_empty_string_is_uploaded_as_one_empty_segment(void **state)
+{
+	struct bus *bus = *state;
+	const struct od_entry *entry = od_find(bus->od.table, 0x1009, 0, NULL);
+
+	memset((uint8_t *)&bus->values + entry->offset, 0, entry->size);
+	bus_exchange(bus, "610 40 09 10 00 00 00 00 00", "590 41 09 10 00 00 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 0F 00 00 00 00 00 00 00");
+}
+
+static void test_a_segmented_upload_shows_the_value_of_its_beginning(void **state)
+{
+	struct bus *bus = *state;
+	const struct od_entry *entry = od_find(bus->od.table, 0x1009, 0, NULL);
+	char *text = (char *)&bus->values + entry->offset;
+
+	strcpy(text, "AAAAAAAAAA");
+	bus_exchange(bus, "610 40 09 10 00 00 00 00 00", "590 41 09 10 00 0A 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 41 41 41 41 41 41 41");
+	strcpy(text, "BBBBBBBBBB");
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 19 41 41 41 00 00 00 00");
+}
+
+static void test_a_domain_is_uploaded_from_its_memory(void **state)
+{
+	struct bus *bus = *state;
+	static uint8_t content[100000];
+	struct od_domain domain = {.index = 0x1021, .data = content, .size = sizeof(content)};
+	size_t got = 0;
+	uint8_t toggle = 0;
+
+	for (size_t i = 0; i < sizeof(content); i++)
+		content[i] = (uint8_t)(i * 7 + i / 256);
+	bus_exchange(bus, "610 40 21 10 00 00 00 00 00", "590 80 21 10 00 24 00 00 08");
+	od_set_domain(&bus->od, &domain);
+	bus_exchange(bus, "610 40 21 10 00 00 00 00 00", "590 41 21 10 00 A0 86 01 00");
+	for (;;) {
+		const struct can_msg request = {.id = 0x610, .len = 8, .data = {(uint8_t)(0x60 | toggle)}};
+		const uint8_t *answer = bus->sent[0].msg.data;
+
+		bus->sent_count = bus->seen = 0;
+		bus_send_msg(bus, &request);
+		assert_int_equal(bus->sent_count, 1);
+		assert_int_equal(answer[0] & 0xF0, toggle);
+		assert_memory_equal(answer + 1, content + got, 7u - (answer[0] >> 1 & 7u));
+		got += 7u - (answer[0] >> 1 & 7u);
+		toggle ^= 0x10;
+		if (answer[0] & 1)
+			break;
+	}
+	assert_int_equal(got, sizeof(content));
+}
+
+static void test_a_domain_that_is_read_only_cannot_be_written(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 21 10 00 10 00 00 00", "590 80 21 10 00 02 00 01 06");
+}
+
+static void test_a_segmented_download_is_written_with_its_last_segment(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 0A 00 00 00 00 00 00 00", "590 20 00 00 00 00 00 00 00"); /* 2 bytes */
+	assert_true(bus->values.lever_arm.l == 0);
+	bus_exchange(bus, "610 1B 80 3F 00 00 00 00 00", "590 30 00 00 00 00 00 00 00"); /* 2 more, last */
+	assert_true(bus->values.lever_arm.l == 1.0f);
+}
+
+static void test_a_segmented_download_needs_no_size(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 20 00 20 01 00 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 07 00 00 80 3F 00 00 00", "590 20 00 00 00 00 00 00 00");
+	assert_true(bus->values.lever_arm.l == 1.0f);
+}
+
+static void test_a_wrong_size_is_refused_before_any_segment(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 05 00 00 00", "590 80 00 20 01 12 00 07 06");
+	bus_exchange(bus, "610 21 00 20 01 03 00 00 00", "590 80 00 20 01 13 00 07 06");
+	bus_exchange(bus, "610 21 00 20 01 FF FF FF FF", "590 80 00 20 01 12 00 07 06");
+}
+
+static void test_access_is_refused_before_any_segment(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 08 10 00 14 00 00 00", "590 80 08 10 00 02 00 01 06");
+	bus_exchange(bus, "610 21 FF 2F 00 14 00 00 00", "590 80 FF 2F 00 00 00 02 06");
+	bus_exchange(bus, "610 21 00 20 09 04 00 00 00", "590 80 00 20 09 11 00 09 06");
+}
+
+static void test_more_than_the_size_said_is_too_long(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 05 00 00 80 3F 00 00 00", "590 80 00 20 01 12 00 07 06");
+	assert_true(bus->values.lever_arm.l == 0);
+}
+
+static void test_less_than_the_size_said_is_too_short(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 09 00 00 80 00 00 00 00", "590 80 00 20 01 13 00 07 06");
+	assert_true(bus->values.lever_arm.l == 0);
+}
+
+static void test_without_a_size_the_object_limits_the_download(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 20 00 20 01 00 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 04 00 00 80 3F 00 00 00", "590 80 00 20 01 12 00 07 06");
+	bus_exchange(bus, "610 20 00 20 01 00 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 09 00 00 80 00 00 00 00", "590 80 00 20 01 13 00 07 06");
+}
+
+static void test_the_limits_hold_in_a_segmented_download(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 01 20 00 01 00 00 00", "590 60 01 20 00 00 00 00 00");
+	bus_exchange(bus, "610 0D 03 00 00 00 00 00 00", "590 80 01 20 00 31 00 09 06");
+	assert_int_equal(bus->values.lever_arm_model, 2);
+}
+
+static void test_a_wrong_toggle_in_an_upload_aborts_it(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 80 08 10 00 00 00 03 05");
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 80 08 10 00 00 00 03 05");
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 80 00 00 00 01 00 04 05");
+}
+
+static void test_a_wrong_toggle_in_a_download_aborts_it(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 17 00 00 80 3F 00 00 00", "590 80 00 20 01 00 00 03 05");
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 0A 00 00 00 00 00 00 00", "590 20 00 00 00 00 00 00 00");
+	bus_exchange(bus, "610 0B 80 3F 00 00 00 00 00", "590 80 00 20 01 00 00 03 05");
+	assert_true(bus->values.lever_arm.l == 0);
+}
+
+/* ---- time-outs, aborts, what does not belong --------------------------------------------------------------------- */
+
+static void test_a_download_without_a_segment_for_a_second_times_out(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_run(bus, 999999);
+	bus_exchange(bus, "610 0A 00 00 00 00 00 00 00", "590 20 00 00 00 00 00 00 00");
+	bus_run(bus, 999999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "590 80 00 20 01 00 00 04 05");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_an_upload_without_a_segment_for_a_second_times_out(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_run(bus, 900000);
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+	bus_run(bus, 999999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "590 80 08 10 00 00 00 04 05");
+}
+
+static void test_the_clients_abort_ends_the_transfer_without_an_answer(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_send(bus, "610 80 08 10 00 00 00 04 05");
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 80 00 00 00 01 00 04 05");
+}
+
+static void test_an_abort_of_nothing_is_ignored(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "610 80 08 10 00 00 00 04 05");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_new_request_in_the_midst_of_a_transfer_is_served(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 02 00 00 00");
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 10 4E 6F 70 65 6E 20 67");
+}
+
+static void test_an_unknown_command_is_refused_and_ends_the_transfer(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 E0 08 10 00 00 00 00 00", "590 80 08 10 00 01 00 04 05");
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 E0 00 20 01 00 00 00 00", "590 80 08 10 00 01 00 04 05");
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_segment_of_the_other_direction_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 00 01 02 03 04 05 06 07", "590 80 08 10 00 01 00 04 05");
+	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 80 00 20 01 01 00 04 05");
+}
+
+static void test_block_transfer_is_refused_as_an_unknown_command(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 A4 08 10 00 7F 00 00 00", "590 80 08 10 00 01 00 04 05");
+	bus_exchange(bus, "610 C6 00 20 01 04 00 00 00", "590 80 00 20 01 01 00 04 05");
+}
+
+static void test_a_request_of_wrong_length_is_ignored(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "610");
+	bus_send(bus, "610 40");
+	bus_send(bus, "610 40 00 10 00");
+	bus_send(bus, "610 40 00 10 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_send(bus, "610 60 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+}
+
+static void test_a_request_to_another_node_is_not_answered(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "611 40 00 10 00 00 00 00 00");
+	bus_send(bus, "590 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_extended_and_remote_frames_are_not_sdo(void **state)
+{
+	struct bus *bus = *state;
+	struct can_msg request = {.id = 0x610, .len = 8, .data = {0x40, 0x00, 0x10}};
+
+	request.extended = true;
+	bus_send_msg(bus, &request);
+	request.extended = false;
+	request.remote = true;
+	bus_send_msg(bus, &request);
+	bus_expect_nothing(bus);
+}
+
+static void test_every_status_of_the_dictionary_has_its_abort_code(void **state)
+{
+	static const uint32_t codes[OD_STATUS_COUNT] = {
+		[OD_NO_OBJECT] = 0x06020000,
+		[OD_NO_SUBINDEX] = 0x06090011,
+		[OD_WRITE_ONLY] = 0x06010001,
+		[OD_READ_ONLY] = 0x06010002,
+		[OD_UNSUPPORTED_ACCESS] = 0x06010000,
+		[OD_TOO_LONG] = 0x06070012,
+		[OD_TOO_SHORT] = 0x06070013,
+		[OD_TOO_HIGH] = 0x06090031,
+		[OD_TOO_LOW] = 0x06090032,
+		[OD_BAD_VALUE] = 0x06090030,
+		[OD_NOT_MAPPABLE] = 0x06040041,
+		[OD_PDO_LENGTH] = 0x06040042,
+		[OD_INCOMPATIBLE] = 0x06040043,
+		[OD_CANNOT_STORE] = 0x08000020,
+		[OD_LOCAL_CONTROL] = 0x08000021,
+		[OD_DEVICE_STATE] = 0x08000022,
+		[OD_NO_DATA] = 0x08000024,
+		[OD_GENERAL] = 0x08000000,
+	};
+
+	for (int status = 0; status < OD_STATUS_COUNT; status++)
+		assert_int_equal(canopen_abort_code((enum od_status)status), codes[status]);
+	(void)state;
+}
+
+static void test_every_object_reads_back_over_sdo_what_the_dictionary_holds(void **state)
+{
+	struct bus *bus = *state;
+
+	for (size_t i = 0; i < bus->od.table->count; i++) {
+		const struct od_entry *entry = &bus->od.table->entries[i];
+		uint8_t wire[OD_VALUE_MAX];
+		uint32_t value = 0;
+		size_t size = od_get(&bus->od, entry, wire, sizeof(wire));
+
+		if (!(entry->access & OD_READ) || entry->size > 4 || entry->size == 0)
+			continue;
+		if (entry->index == 0x1003 && entry->sub > 0)
+			continue;
+		for (size_t k = size; k > 0; k--)
+			value = value << 8 | wire[k - 1];
+		assert_int_equal(bus_read(bus, entry->index, entry->sub), value);
+	}
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		PRE_OPERATIONAL(test_an_upload_of_1_2_and_4_bytes_is_expedited),
+		PRE_OPERATIONAL(test_a_download_with_its_size_said_is_written),
+		PRE_OPERATIONAL(test_a_download_without_its_size_takes_that_of_the_object),
+		PRE_OPERATIONAL(test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stands),
+		PRE_OPERATIONAL(test_a_wrong_size_is_refused),
+		PRE_OPERATIONAL(test_what_is_not_in_the_dictionary_is_refused),
+		PRE_OPERATIONAL(test_access_rights_are_kept),
+		PRE_OPERATIONAL(test_a_string_is_uploaded_in_segments_of_7_bytes),
+		PRE_OPERATIONAL(test_after_the_last_segment_the_transfer_is_over),
+		PRE_OPERATIONAL(test_an_empty_string_is_uploaded_as_one_empty_segment),
+		PRE_OPERATIONAL(test_a_segmented_upload_shows_the_value_of_its_beginning),
+		PRE_OPERATIONAL(test_a_domain_is_uploaded_from_its_memory),
+		PRE_OPERATIONAL(test_a_domain_that_is_read_only_cannot_be_written),
+		PRE_OPERATIONAL(test_a_segmented_download_is_written_with_its_last_segment),
+		PRE_OPERATIONAL(test_a_segmented_download_needs_no_size),
+		PRE_OPERATIONAL(test_a_wrong_size_is_refused_before_any_segment),
+		PRE_OPERATIONAL(test_access_is_refused_before_any_segment),
+		PRE_OPERATIONAL(test_more_than_the_size_said_is_too_long),
+		PRE_OPERATIONAL(test_less_than_the_size_said_is_too_short),
+		PRE_OPERATIONAL(test_without_a_size_the_object_limits_the_download),
+		PRE_OPERATIONAL(test_the_limits_hold_in_a_segmented_download),
+		PRE_OPERATIONAL(test_a_wrong_toggle_in_an_upload_aborts_it),
+		PRE_OPERATIONAL(test_a_wrong_toggle_in_a_download_aborts_it),
+		PRE_OPERATIONAL(test_a_download_without_a_segment_for_a_second_times_out),
+		PRE_OPERATIONAL(test_an_upload_without_a_segment_for_a_second_times_out),
+		PRE_OPERATIONAL(test_the_clients_abort_ends_the_transfer_without_an_answer),
+		PRE_OPERATIONAL(test_an_abort_of_nothing_is_ignored),
+		PRE_OPERATIONAL(test_a_new_request_in_the_midst_of_a_transfer_is_served),
+		PRE_OPERATIONAL(test_an_unknown_command_is_refused_and_ends_the_transfer),
+		PRE_OPERATIONAL(test_a_segment_of_the_other_direction_is_refused),
+		PRE_OPERATIONAL(test_block_transfer_is_refused_as_an_unknown_command),
+		PRE_OPERATIONAL(test_a_request_of_wrong_length_is_ignored),
+		PRE_OPERATIONAL(test_a_request_to_another_node_is_not_answered),
+		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo),
+		cmocka_unit_test(test_every_status_of_the_dictionary_has_its_abort_code),
+		PRE_OPERATIONAL(test_every_object_reads_back_over_sdo_what_the_dictionary_holds),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
