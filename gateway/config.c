@@ -109,6 +109,8 @@ static int set_object(struct config *c, const char *name, const char *value, cha
 	}
 	struct config_object *o = &c->objects[c->object_count];
 	enum od_status status = od_parse(e, value, o->wire, sizeof(o->wire), &size);
+	if (status == OD_OK)
+		status = od_check(e, o->wire, size);
 	if (status != OD_OK)
 		return refuse(error, e, value, status);
 	o->index = e->index;
@@ -137,7 +139,7 @@ void config_apply(const struct config *config, struct od *od)
 	for (size_t i = 0; i < config->object_count; i++) {
 		const struct config_object *o = &config->objects[i];
 
-		/* od_parse() has checked the value against the same entry */
+		/* od_check() has passed it for this entry */
 		od_put(od, od_find(config->table, o->index, o->sub, NULL), o->wire, o->size);
 	}
 }

@@ -178,9 +178,11 @@ static enum od_status check_limits(const struct od_entry *entry, bool below, boo
 
 static enum od_status check_real(const struct od_entry *entry, double value)
 {
+	bool below = value < entry->low.f, above = value > entry->high.f;
+
 	if (!isfinite(value))
 		return OD_BAD_VALUE;
-	return check_limits(entry, value<entry->low.f, value> entry->high.f);
+	return check_limits(entry, below, above);
 }
 
 static enum od_status check_string(const uint8_t *text, size_t size)
@@ -193,14 +195,14 @@ static enum od_status check_string(const uint8_t *text, size_t size)
 	return OD_OK;
 }
 
-/* Size, type and limits of a value in wire form. */
-static enum od_status check(const struct od_entry *entry, const uint8_t *wire, size_t size)
+enum od_status od_check(const struct od_entry *entry, const void *wire, size_t size)
 {
 	uint64_t raw;
 	uint32_t low;
 	float real32;
 	double real64;
 	int64_t value;
+	bool below, above;
 
 	if (entry->type == OD_DOMAIN)
 		return OD_UNSUPPORTED_ACCESS;
@@ -226,11 +228,15 @@ static enum od_status check(const struct od_entry *entry, const uint8_t *wire, s
 	case OD_INTEGER32:
 	case OD_INTEGER64:
 		value = (int64_t)(raw << (64 - 8 * size)) >> (64 - 8 * size);
-		return check_limits(entry, value<entry->low.i, value> entry->high.i);
+		below = value < entry->low.i;
+		above = value > entry->high.i;
+		return check_limits(entry, below, above);
 	case OD_BOOLEAN:
 		return raw > 1 ? OD_BAD_VALUE : OD_OK;
 	default:
-		return check_limits(entry, raw<entry->low.u, raw> entry->high.u);
+		below = raw < entry->low.u;
+		above = raw > entry->high.u;
+		return check_limits(entry, below, above);
 	}
 }
 
@@ -256,7 +262,7 @@ enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *
 		return status;
 	if (!(entry->access & OD_WRITE))
 		return OD_READ_ONLY;
-	status = check(entry, wire, size);
+	status = od_check(entry, wire, size);
 	if (status)
 		return status;
 	for (struct od_hook *hook = od->hooks; hook; hook = hook->next) {
@@ -275,7 +281,7 @@ enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *
 
 enum od_status od_put(struct od *od, const struct od_entry *entry, const void *wire, size_t size)
 {
-	enum od_status status = entry->access & OD_CONST ? OD_READ_ONLY : check(entry, wire, size);
+	enum od_status status = entry->access & OD_CONST ? OD_READ_ONLY : od_check(entry, wire, size);
 
 	if (!status)
 		set(od, entry, wire, size);

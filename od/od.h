@@ -167,6 +167,9 @@ const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint
  * refused the old value stands. */
 enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *wire, size_t size);
 
+/** Whether a value in wire form has the entry's size, type and limits: OD_OK, or what is wrong with it. */
+enum od_status od_check(const struct od_entry *entry, const void *wire, size_t size);
+
 /** A write from the device itself (a default from a file, a stored value): size and limits are checked, access is
  * not, and no hook runs. Constants are refused. */
 enum od_status od_put(struct od *od, const struct od_entry *entry, const void *wire, size_t size);
@@ -175,7 +178,7 @@ enum od_status od_put(struct od *od, const struct od_entry *entry, const void *w
  * or of another size. */
 void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size);
 
-/** Text to wire form and back. Accepts decimal, 0x hex, floats, true/false, and strings as they are. Prints integers
+/** Text to wire form and back; limits are od_check()'s business. Accepts decimal, 0x hex, floats, true/false, and strings as they are. Prints integers
  * in decimal, REALs so that they read back to the same bits, OCTET_STRING in hex. */
 enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
 int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
