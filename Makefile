@@ -38,8 +38,8 @@ PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
 TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c))
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
-# what the tests of one folder share
-TEST_HELPERS = $(call objects,$(filter-out $(dir $<)test_% $(dir $<)bench_%,$(wildcard $(dir $<)*.c)))
+# what the tests of one folder share: its .c files that are no program of their own
+helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wildcard $(1)/*.c)))
 
 .PHONY: all
 all: $(PROGRAMS) $(GEN) ## build the programs, the object table and the DBC
@@ -82,10 +82,10 @@ $$(BUILD)/$(subst _,-,$(notdir $(1))): $$(BUILD)/obj/$(1).o $$(LIBS)
 endef
 $(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
 
-$(BUILD)/tests/%: tests/%.c $(LIBS) | $(BUILD)/gen/od_values.h
+.SECONDEXPANSION:
+$(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
 	@mkdir -p $(@D)
-	@$(MAKE) --no-print-directory $(TEST_HELPERS)
-	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(TEST_HELPERS) $(LIBS) -lcmocka $(LDLIBS)
+	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
 
 Q = $(if $(V),,@echo "  build   $@";)
 
