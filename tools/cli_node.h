@@ -21,8 +21,7 @@ void cli_node_close(struct cli_node *node);
 
 /** True when done: sdo.size bytes. */
 bool cli_node_read(struct cli_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity);
-bool cli_node_write(
-	struct cli_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size);
+bool cli_node_write(struct cli_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size);
 
 /** Says on stderr why the last transfer failed and what to do. `entry` (or NULL) lends its name and
  * its limits. */

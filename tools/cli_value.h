@@ -14,8 +14,7 @@ enum { CLI_VALUE_TEXT_MAX = 4 * OD_VALUE_MAX };
 bool cli_address(const char *text, uint16_t *index, uint8_t *sub);
 
 /** "lever_arm.l (2000h:01)", or "2000h:01" when there is no entry. */
-void cli_address_text(
-	uint16_t index, uint8_t sub, const struct od_entry *entry, char *text, size_t capacity);
+void cli_address_text(uint16_t index, uint8_t sub, const struct od_entry *entry, char *text, size_t capacity);
 
 /** "-10 to 10 m", or "" when the entry has no limits. */
 void cli_limits_text(const struct od_entry *entry, char *text, size_t capacity);
@@ -29,8 +28,8 @@ double cli_number(const struct od_entry *entry, const void *wire);
 
 /** "0.05 m", "123 (0.615 m/s^2)", "1073742209 (0x40000181)"; bytes in hex when the size does not
  * fit the type. `step` is the physical value of 1. */
-void cli_value_text(const struct od_entry *entry, double step, const void *wire, size_t size,
-	char *text, size_t capacity);
+void cli_value_text(
+	const struct od_entry *entry, double step, const void *wire, size_t size, char *text, size_t capacity);
 
 /** "05 00": at most the first 32 bytes. */
 void cli_hex_text(const void *wire, size_t size, char *text, size_t capacity);

@@ -541,7 +541,7 @@ int main(int argc, char **argv)
 	else if (received)
 		show_summary(&m);
 	find_hint(&m, hint, sizeof(hint));
-	if (hint[0] && !m.once)
+	if (hint[0] && !m.once && strcmp(hint, m.hint) != 0)
 		cli_error("%s", hint);
 	can_close(m.bus);
 	if (fflush(stdout) != 0 || ferror(stdout)) {

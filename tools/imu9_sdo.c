@@ -309,7 +309,7 @@ static void save_value(FILE *out, const struct od_entry *entry, const uint8_t *w
 {
 	char text[CLI_VALUE_TEXT_MAX];
 
-	if (entry->type == OD_UNSIGNED32 && entry->index < 0x2000)
+	if (entry->type == OD_UNSIGNED32 && entry->index < 0x2000 && !entry->unit[0]) /* COB-IDs, mappings */
 		snprintf(text, sizeof(text), "0x%08X", (unsigned int)get_number(wire, 4));
 	else if (od_format(entry, wire, size, text, sizeof(text)) < 0)
 		return;

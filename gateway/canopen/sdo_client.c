@@ -29,8 +29,7 @@ enum {
 	EXPEDITED_BYTES = 4,
 };
 
-void sdo_client_init(
-	struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us)
+void sdo_client_init(struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us)
 {
 	*client = (struct sdo_client){
 		.bus = bus,
@@ -51,8 +50,8 @@ static uint32_t get_u32(const uint8_t *from)
 }
 
 /* `payload` are bytes 1 to 7; shorter ones are filled with zeros. */
-static void send_request(struct sdo_client *client, unsigned int command, const uint8_t *payload,
-	size_t size, uint64_t now_us)
+static void send_request(
+	struct sdo_client *client, unsigned int command, const uint8_t *payload, size_t size, uint64_t now_us)
 {
 	struct can_msg msg = {.id = 0x600u + client->node_id, .len = 8};
 
@@ -68,8 +67,7 @@ static void send_request(struct sdo_client *client, unsigned int command, const 
 }
 
 /* A request that names the object: its multiplexer and four bytes. */
-static void send_start(
-	struct sdo_client *client, unsigned int command, const uint8_t tail[4], uint64_t now_us)
+static void send_start(struct sdo_client *client, unsigned int command, const uint8_t tail[4], uint64_t now_us)
 {
 	uint8_t payload[7] = {(uint8_t)client->index, (uint8_t)(client->index >> 8), client->sub};
 
@@ -77,8 +75,7 @@ static void send_start(
 	send_request(client, command, payload, sizeof(payload), now_us);
 }
 
-static void abort_transfer(
-	struct sdo_client *client, enum sdo_result result, uint32_t code, uint64_t now_us)
+static void abort_transfer(struct sdo_client *client, enum sdo_result result, uint32_t code, uint64_t now_us)
 {
 	uint8_t tail[4];
 
@@ -101,8 +98,8 @@ static void start(struct sdo_client *client, uint16_t index, uint8_t sub)
 	client->toggle = false;
 }
 
-void sdo_client_upload(struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer,
-	size_t capacity, uint64_t now_us)
+void sdo_client_upload(
+	struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer, size_t capacity, uint64_t now_us)
 {
 	start(client, index, sub);
 	client->phase = SDO_UPLOAD_START;
@@ -112,8 +109,8 @@ void sdo_client_upload(struct sdo_client *client, uint16_t index, uint8_t sub, v
 	send_start(client, CCS_UPLOAD, (const uint8_t[4]){0}, now_us);
 }
 
-void sdo_client_download(struct sdo_client *client, uint16_t index, uint8_t sub, const void *data,
-	size_t size, uint64_t now_us)
+void sdo_client_download(
+	struct sdo_client *client, uint16_t index, uint8_t sub, const void *data, size_t size, uint64_t now_us)
 {
 	uint8_t tail[4] = {0};
 	unsigned int command = CCS_DOWNLOAD | SIZE_INDICATED;
@@ -237,14 +234,13 @@ static void download_segment(struct sdo_client *client, uint64_t now_us)
 
 static bool is_answer(const struct sdo_client *client, const struct can_msg *msg)
 {
-	return client->result == SDO_RUNNING && msg->id == 0x580u + client->node_id &&
-	       !msg->extended && !msg->remote && msg->len == 8;
+	return client->result == SDO_RUNNING && msg->id == 0x580u + client->node_id && !msg->extended && !msg->remote &&
+	       msg->len == 8;
 }
 
 static bool names_our_object(const struct sdo_client *client, const uint8_t *data)
 {
-	return data[1] == (uint8_t)client->index && data[2] == client->index >> 8 &&
-	       data[3] == client->sub;
+	return data[1] == (uint8_t)client->index && data[2] == client->index >> 8 && data[3] == client->sub;
 }
 
 void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, uint64_t now_us)

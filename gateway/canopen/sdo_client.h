@@ -47,12 +47,7 @@ struct sdo_client {
 	uint8_t node_id;
 	uint8_t sub;
 	uint16_t index;
-	enum {
-		SDO_UPLOAD_START,
-		SDO_UPLOAD_SEGMENT,
-		SDO_DOWNLOAD_START,
-		SDO_DOWNLOAD_SEGMENT
-	} phase;
+	enum { SDO_UPLOAD_START, SDO_UPLOAD_SEGMENT, SDO_DOWNLOAD_START, SDO_DOWNLOAD_SEGMENT } phase;
 	bool toggle; /* of the segment under way */
 	uint8_t *in;
 	const uint8_t *out;
@@ -63,17 +58,16 @@ struct sdo_client {
 	uint64_t deadline_us;
 };
 
-void sdo_client_init(
-	struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us);
+void sdo_client_init(struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us);
 
 /** Starts to read an object into `buffer`, which must live until the end. A value above `capacity`
  * is aborted (05040005h). A transfer under way is forgotten. */
-void sdo_client_upload(struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer,
-	size_t capacity, uint64_t now_us);
+void sdo_client_upload(
+	struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer, size_t capacity, uint64_t now_us);
 
 /** Starts to write an object; `data` must live until the end. */
-void sdo_client_download(struct sdo_client *client, uint16_t index, uint8_t sub, const void *data,
-	size_t size, uint64_t now_us);
+void sdo_client_download(
+	struct sdo_client *client, uint16_t index, uint8_t sub, const void *data, size_t size, uint64_t now_us);
 
 /** Frames of others, and late answers to earlier requests, are ignored. */
 void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, uint64_t now_us);

@@ -41,8 +41,7 @@ static struct bench *bench_reset(void)
 	return &bench;
 }
 
-static void answer_from(
-	struct bench *bench, uint32_t id, const void *data, uint8_t len, uint64_t now_us)
+static void answer_from(struct bench *bench, uint32_t id, const void *data, uint8_t len, uint64_t now_us)
 {
 	struct can_msg msg = {.id = id, .len = len};
 
@@ -50,8 +49,7 @@ static void answer_from(
 	sdo_client_receive(&bench->client, &msg, now_us);
 }
 
-#define ANSWER(bench, ...) \
-	answer_from(bench, 0x580 + NODE, (const uint8_t[8]){__VA_ARGS__}, 8, 1000)
+#define ANSWER(bench, ...) answer_from(bench, 0x580 + NODE, (const uint8_t[8]){__VA_ARGS__}, 8, 1000)
 
 #define assert_sent(bench, ...)                                                                \
 	do {                                                                                   \
@@ -376,11 +374,11 @@ static void test_a_bus_that_takes_no_frame_ends_the_transfer(void **state)
 static void test_every_abort_code_of_cia_301_has_its_own_text(void **state)
 {
 	(void)state;
-	static const uint32_t codes[] = {0x05030000, 0x05040000, 0x05040001, 0x05040002, 0x05040003,
-		0x05040004, 0x05040005, 0x06010000, 0x06010001, 0x06010002, 0x06020000, 0x06040041,
-		0x06040042, 0x06040043, 0x06040047, 0x06060000, 0x06070010, 0x06070012, 0x06070013,
-		0x06090011, 0x06090030, 0x06090031, 0x06090032, 0x06090036, 0x060A0023, 0x08000000,
-		0x08000020, 0x08000021, 0x08000022, 0x08000023, 0x08000024};
+	static const uint32_t codes[] = {0x05030000, 0x05040000, 0x05040001, 0x05040002, 0x05040003, 0x05040004,
+		0x05040005, 0x06010000, 0x06010001, 0x06010002, 0x06020000, 0x06040041, 0x06040042, 0x06040043,
+		0x06040047, 0x06060000, 0x06070010, 0x06070012, 0x06070013, 0x06090011, 0x06090030, 0x06090031,
+		0x06090032, 0x06090036, 0x060A0023, 0x08000000, 0x08000020, 0x08000021, 0x08000022, 0x08000023,
+		0x08000024};
 	const size_t n = sizeof(codes) / sizeof(codes[0]);
 
 	for (size_t i = 0; i < n; i++) {
@@ -395,8 +393,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_an_expedited_read_gives_the_bytes_that_the_size_bits_tell),
 		cmocka_unit_test(test_an_expedited_read_without_a_size_gives_four_bytes),
-		cmocka_unit_test(
-			test_a_segmented_read_alternates_the_toggle_and_joins_the_segments),
+		cmocka_unit_test(test_a_segmented_read_alternates_the_toggle_and_joins_the_segments),
 		cmocka_unit_test(test_a_read_of_an_empty_value_gives_no_bytes),
 		cmocka_unit_test(test_a_value_of_one_to_four_bytes_is_written_in_one_frame),
 		cmocka_unit_test(test_a_longer_value_is_written_in_segments),
@@ -410,8 +407,7 @@ int main(void)
 		cmocka_unit_test(test_a_value_of_unknown_size_never_overruns_the_buffer),
 		cmocka_unit_test(test_more_or_fewer_bytes_than_announced_are_aborted),
 		cmocka_unit_test(test_empty_segments_cannot_keep_a_read_going_for_ever),
-		cmocka_unit_test(
-			test_no_answer_within_the_time_out_aborts_and_says_so_to_the_server),
+		cmocka_unit_test(test_no_answer_within_the_time_out_aborts_and_says_so_to_the_server),
 		cmocka_unit_test(test_the_time_out_counts_from_the_last_request),
 		cmocka_unit_test(test_a_late_answer_to_an_earlier_request_is_ignored),
 		cmocka_unit_test(test_frames_of_other_nodes_and_malformed_ones_are_ignored),
