@@ -65,8 +65,7 @@ static void design_seed_fir(struct filter3 *f)
 		double window = 0, x = PI * cutoff * (i - middle);
 
 		for (int k = 0; k < taps; k++)
-			window += chebyshev(x0 * cos(PI * k / taps)) *
-				  cos(2 * PI * k * (i - middle) / taps);
+			window += chebyshev(x0 * cos(PI * k / taps)) * cos(2 * PI * k * (i - middle) / taps);
 		f->h[i] = window * (i == middle ? 1 : sin(x) / x);
 		sum += f->h[i];
 	}
@@ -76,8 +75,7 @@ static void design_seed_fir(struct filter3 *f)
 
 int filter3_init(struct filter3 *f, const struct filter_config *config, double rate_hz)
 {
-	if (config->type != FILTER_OFF && config->type != FILTER_BUTTERWORTH &&
-		config->type != FILTER_SEED_FIR)
+	if (config->type != FILTER_OFF && config->type != FILTER_BUTTERWORTH && config->type != FILTER_SEED_FIR)
 		return -EINVAL;
 	if (config->order < 1 || config->order > FILTER_ORDER_MAX)
 		return -EINVAL;
@@ -92,21 +90,28 @@ int filter3_init(struct filter3 *f, const struct filter_config *config, double r
 	return 0;
 }
 
-void filter3_prime(struct filter3 *f, struct vec3 value)
+void filter3_shift(struct filter3 *f, struct vec3 offset)
 {
 	for (int i = 0; i < f->sections; i++) {
-		f->z[i][0] = vec3_scale(1 - f->b[i][0], value);
-		f->z[i][1] = vec3_scale(f->b[i][2] - f->a[i][1], value);
+		f->z[i][0] = vec3_add(f->z[i][0], vec3_scale(1 - f->b[i][0], offset));
+		f->z[i][1] = vec3_add(f->z[i][1], vec3_scale(f->b[i][2] - f->a[i][1], offset));
 	}
 	for (int i = 0; i <= FILTER_SEED_FIR_ORDER; i++)
-		f->x[i] = value;
-	f->out = value;
+		f->x[i] = vec3_add(f->x[i], offset);
+	f->out = vec3_add(f->out, offset);
+}
+
+void filter3_prime(struct filter3 *f, struct vec3 value)
+{
+	memset(f->z, 0, sizeof(f->z));
+	memset(f->x, 0, sizeof(f->x));
+	f->out = (struct vec3){0, 0, 0};
+	filter3_shift(f, value);
 	f->primed = 1;
 }
 
 /* One section, transposed direct form II. */
-static struct vec3 section_step(
-	const double b[3], const double a[2], struct vec3 z[2], struct vec3 x)
+static struct vec3 section_step(const double b[3], const double a[2], struct vec3 z[2], struct vec3 x)
 {
 	struct vec3 y = vec3_add(vec3_scale(b[0], x), z[0]);
 
@@ -146,8 +151,7 @@ double filter3_delay_s(const struct filter3 *f, double rate_hz)
 	for (int i = 0; i < f->sections; i++) {
 		const double *a = f->a[i], *b = f->b[i];
 
-		samples += (b[1] + 2 * b[2]) / (b[0] + b[1] + b[2]) -
-			   (a[0] + 2 * a[1]) / (1 + a[0] + a[1]);
+		samples += (b[1] + 2 * b[2]) / (b[0] + b[1] + b[2]) - (a[0] + 2 * a[1]) / (1 + a[0] + a[1]);
 	}
 	return samples / rate_hz;
 }

@@ -35,6 +35,8 @@ int filter3_init(struct filter3 *f, const struct filter_config *config, double r
 struct vec3 filter3_step(struct filter3 *f, struct vec3 in);
 /** As if `value` had been the input for ever. */
 void filter3_prime(struct filter3 *f, struct vec3 value);
+/** As if every input so far had been greater by `offset`. */
+void filter3_shift(struct filter3 *f, struct vec3 offset);
 /** Group delay at DC, seconds. */
 double filter3_delay_s(const struct filter3 *f, double rate_hz);
 

@@ -120,12 +120,11 @@ void pipeline_reset_position(struct pipeline *p)
 
 static void start_over(struct pipeline *p)
 {
-	fusion_restart(&p->fusion);
-	p->fusion.q_nb = QUAT_IDENTITY;
-	p->fusion.gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
-	position_reset(&p->position);
-	p->since_mag_s = INFINITY;
-	p->started = p->primed = false;
+	uint32_t gaps = p->gaps, refused = p->refused;
+
+	pipeline_init(p, &p->config, p->rate_hz);
+	p->gaps = gaps;
+	p->refused = refused;
 }
 
 static bool plausible(struct vec3 v, double max)
@@ -152,21 +151,29 @@ static void fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
 }
 
-/* Filters, differentiators, rest and position take one sample; after a gap they begin from it.
- * Returns rest. */
-static bool advance(struct pipeline *p, const struct imu_sample *s, double dt_s, struct vec3 *force)
+static struct vec3 accel_n(const struct pipeline *p, const struct estimator_config *estimator, struct vec3 force_b_m_s2)
 {
-	struct vec3 gyro = vec3_sub(s->gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+	struct quat q_nb = p->fusion.q_nb;
+	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
 
-	if (!p->primed) {
-		filter3_prime(&p->accel_filter, s->accel_m_s2);
-		rates_prime(&p->rates, gyro, p->fusion.q_nb);
-		rest_restart(&p->rest);
-	} else {
-		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
-	}
-	*force = filter3_step(&p->accel_filter, s->accel_m_s2);
-	return rest_step(&p->rest, gyro, s->accel_m_s2, dt_s);
+	return quat_rotate(q_nb, estimator_accel_b(estimator, force_b_m_s2, q_nb, rates));
+}
+
+/* The reference point's acceleration, low-passed in the global frame: there gravity is removed before the delay of the
+ * filter could let the object turn away from it. After a change of the estimator the filter goes on as if the new one
+ * had always been in use. */
+static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2)
+{
+	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2);
+
+	if (!fusion_started(&p->fusion))
+		return (struct vec3){0, 0, 0};
+	if (!p->primed)
+		filter3_prime(&p->accel_filter, accel);
+	else if (memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0)
+		filter3_shift(&p->accel_filter, vec3_sub(accel, accel_n(p, &p->last_estimator, force_b_m_s2)));
+	p->last_estimator = p->config.estimator;
+	return filter3_step(&p->accel_filter, accel);
 }
 
 static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
@@ -179,9 +186,8 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
 	struct imu_sample s = calibration_apply(&p->calibration, sample);
-	const struct estimator_config *estimator = &p->config.estimator;
-	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
-	struct vec3 force, accel_b, accel_n;
+	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
+	struct vec3 gyro, accel;
 	bool gap, rest;
 	double dt_s;
 
@@ -199,15 +205,19 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	}
 
 	fuse(p, &s, dt_s);
-	rest = advance(p, &s, dt_s, &force);
-	accel_b = estimator_accel_b(estimator, force, p->fusion.q_nb, rates);
-	if (!fusion_started(&p->fusion))
-		accel_b = (struct vec3){0, 0, 0};
-	accel_n = quat_rotate(p->fusion.q_nb, accel_b);
+	gyro = vec3_sub(s.gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+	if (p->primed) {
+		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
+	} else {
+		rates_prime(&p->rates, gyro, p->fusion.q_nb);
+		rest_restart(&p->rest);
+	}
+	accel = estimate(p, s.accel_m_s2);
+	rest = rest_step(&p->rest, gyro, s.accel_m_s2, dt_s);
 	if (gap || !p->started)
-		position_skip(&p->position, accel_n, p->started ? dt_s : 0);
+		position_skip(&p->position, accel, p->started ? dt_s : 0);
 	else
-		position_step(&p->position, accel_n, rest, dt_s);
+		position_step(&p->position, accel, rest, dt_s);
 	p->last_t_us = s.t_us;
 	p->started = p->primed = true;
 
@@ -219,8 +229,8 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.alpha_b_rad_s2 = rates->alpha_b_rad_s2,
 		.q_nb = p->fusion.q_nb,
 		.angles_rad = aerospace_from_quat(p->fusion.q_nb),
-		.accel_b_m_s2 = accel_b,
-		.accel_n_m_s2 = accel_n,
+		.accel_b_m_s2 = quat_rotate_inverse(p->fusion.q_nb, accel),
+		.accel_n_m_s2 = accel,
 		.velocity_n_m_s = p->position.velocity_n_m_s,
 		.position_n_m = p->position.position_n_m,
 		.status = status_of(p, rest, gap),

@@ -20,7 +20,7 @@
 
 struct pipeline_config { /* start from PIPELINE_DEFAULTS */
 	struct calibration_config calibration;
-	struct filter_config accel_filter; /* on the measured specific force (2010h) */
+	struct filter_config accel_filter; /* on the acceleration of the reference point, global frame (2010h) */
 	struct filter_config rate_filter;  /* on the rates, or on the angles before they are
 					      differentiated (2011h) */
 	struct fusion_config fusion;
@@ -33,13 +33,11 @@ extern const struct pipeline_config PIPELINE_DEFAULTS;
 
 /** Bits of pipeline_output.status, as published in the status word (210Fh:3). */
 enum {
-	PIPELINE_VALID = 1 << 0, /* attitude and acceleration are usable */
-	PIPELINE_REST = 1 << 1,	 /* the sensor stands still */
-	PIPELINE_MAG_USED =
-		1 << 2, /* the magnetometer took part in this sample's heading, or lately */
-	PIPELINE_TIME_LIMIT =
-		1 << 3,	       /* the longest integration time has passed: position is held */
-	PIPELINE_GAP = 1 << 4, /* samples were missing just before this one */
+	PIPELINE_VALID = 1 << 0,      /* attitude and acceleration are usable */
+	PIPELINE_REST = 1 << 1,	      /* the sensor stands still */
+	PIPELINE_MAG_USED = 1 << 2,   /* the magnetometer took part in this sample's heading, or lately */
+	PIPELINE_TIME_LIMIT = 1 << 3, /* the longest integration time has passed: position is held */
+	PIPELINE_GAP = 1 << 4,	      /* samples were missing just before this one */
 };
 
 struct pipeline_output {
@@ -62,6 +60,7 @@ struct pipeline_output {
 
 struct pipeline {
 	struct pipeline_config config;
+	struct estimator_config last_estimator; /* of the last sample */
 	double rate_hz;
 	/* PRIVATE: the state of each step */
 	struct calibration calibration;

@@ -2,6 +2,9 @@
 
 #include <errno.h>
 
+/* Time constant of the mean acceleration at rest. */
+static const double RESIDUAL_TIME_S = 1;
+
 int position_configure(struct position *p, const struct position_config *config)
 {
 	if (config->mode != POSITION_OFF && config->mode != POSITION_ZERO_VELOCITY_AT_REST)
@@ -35,23 +38,38 @@ bool position_limited(const struct position *p)
 	       p->moving_s > p->config.longest_integration_s;
 }
 
+static void stand_still(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
+{
+	struct vec3 *mean = &p->residual_n_m_s2;
+	double share = dt_s / (RESIDUAL_TIME_S + dt_s);
+
+	*mean = vec3_add(*mean, vec3_scale(share, vec3_sub(accel_n_m_s2, *mean)));
+	p->velocity_n_m_s = (struct vec3){0, 0, 0};
+	p->moving_s = 0;
+}
+
+/* By the trapezoidal rule. */
+static void integrate(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
+{
+	struct vec3 last = p->velocity_n_m_s;
+	struct vec3 mean = vec3_scale(0.5, vec3_add(p->accel_n_m_s2, accel_n_m_s2));
+
+	p->velocity_n_m_s = vec3_add(last, vec3_scale(dt_s, vec3_sub(mean, p->residual_n_m_s2)));
+	p->position_n_m = vec3_add(p->position_n_m, vec3_scale(dt_s / 2, vec3_add(last, p->velocity_n_m_s)));
+}
+
 void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, double dt_s)
 {
-	struct vec3 sum = vec3_add(p->accel_n_m_s2, accel_n_m_s2), last = p->velocity_n_m_s;
-
-	p->accel_n_m_s2 = accel_n_m_s2;
-	p->moving_s = rest ? 0 : p->moving_s + dt_s;
-	if (p->config.mode == POSITION_OFF) {
-		position_reset(p);
-		return;
-	}
-	if (rest || position_limited(p)) {
+	p->moving_s += dt_s;
+	if (rest)
+		stand_still(p, accel_n_m_s2, dt_s);
+	else if (p->config.mode != POSITION_OFF && !position_limited(p))
+		integrate(p, accel_n_m_s2, dt_s);
+	else
 		p->velocity_n_m_s = (struct vec3){0, 0, 0};
-		return;
-	}
-	p->velocity_n_m_s = vec3_add(last, vec3_scale(dt_s / 2, sum));
-	p->position_n_m =
-		vec3_add(p->position_n_m, vec3_scale(dt_s / 2, vec3_add(last, p->velocity_n_m_s)));
+	if (p->config.mode == POSITION_OFF)
+		p->position_n_m = (struct vec3){0, 0, 0};
+	p->accel_n_m_s2 = accel_n_m_s2;
 }
 
 void position_skip(struct position *p, struct vec3 accel_n_m_s2, double dt_s)

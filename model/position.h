@@ -18,15 +18,16 @@ struct position {
 	struct position_config config;
 	struct vec3 velocity_n_m_s, position_n_m;
 	/* PRIVATE */
-	struct vec3 accel_n_m_s2; /* of the last sample */
-	double moving_s;	  /* since the last rest */
+	struct vec3 accel_n_m_s2;    /* of the last sample */
+	struct vec3 residual_n_m_s2; /* acceleration at the last rest */
+	double moving_s;	     /* since the last rest */
 };
 
 /** 0, or -EINVAL with *p untouched: a field out of its range. */
 int position_init(struct position *p, const struct position_config *config);
 /** The same while it runs: velocity and position stay. */
 int position_configure(struct position *p, const struct position_config *config);
-/** Velocity and position zero; the integration time starts anew. */
+/** Velocity and position zero; the integration time starts anew. What was learnt at rest stays. */
 void position_reset(struct position *p);
 /** One sample, dt_s > 0 after the one before. */
 void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, double dt_s);
