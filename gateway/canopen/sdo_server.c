@@ -114,8 +114,7 @@ void sdo_server_done(struct canopen_node *node, enum od_status status)
 }
 
 /* What can be said before the data came. */
-static enum od_status check_download(
-	const struct sdo_server *sdo, const struct od_entry *entry, enum od_status found)
+static enum od_status check_download(const struct sdo_server *sdo, const struct od_entry *entry, enum od_status found)
 {
 	if (!entry)
 		return found;
@@ -204,13 +203,12 @@ static enum od_status open_upload(struct canopen_node *node)
 	struct sdo_server *sdo = &node->sdo;
 	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, NULL);
 
-	if (emcy_history_empty(node, sdo->index, sdo->sub))
+	if (entry && emcy_history_empty(node, sdo->index, sdo->sub))
 		return OD_NO_DATA;
 	if (entry && entry->type == OD_DOMAIN && entry->access & OD_READ)
 		return open_domain(node);
 	sdo->data = sdo->buffer;
-	return od_read(
-		node->od, sdo->index, sdo->sub, sdo->buffer, sizeof(sdo->buffer), &sdo->size);
+	return od_read(node->od, sdo->index, sdo->sub, sdo->buffer, sizeof(sdo->buffer), &sdo->size);
 }
 
 static void initiate_upload(struct canopen_node *node)
@@ -224,8 +222,7 @@ static void initiate_upload(struct canopen_node *node)
 		return;
 	}
 	if (sdo->size >= 1 && sdo->size <= 4) {
-		fill(sdo, response,
-			(uint8_t)(SCS_UPLOAD | (4 - sdo->size) << 2 | EXPEDITED | INDICATED), 0);
+		fill(sdo, response, (uint8_t)(SCS_UPLOAD | (4 - sdo->size) << 2 | EXPEDITED | INDICATED), 0);
 		memcpy(response + 4, sdo->data, sdo->size);
 	} else {
 		fill(sdo, response, SCS_UPLOAD | INDICATED, (uint32_t)sdo->size);
@@ -241,8 +238,7 @@ static void upload_segment(struct canopen_node *node)
 	struct sdo_server *sdo = &node->sdo;
 	size_t left = sdo->size - sdo->done;
 	size_t n = left < SEGMENT_BYTES ? left : SEGMENT_BYTES;
-	uint8_t response[8] = {
-		(uint8_t)(SCS_UPLOAD_SEGMENT | sdo->toggle | (SEGMENT_BYTES - n) << 1)};
+	uint8_t response[8] = {(uint8_t)(SCS_UPLOAD_SEGMENT | sdo->toggle | (SEGMENT_BYTES - n) << 1)};
 
 	memcpy(response + 1, sdo->data + sdo->done, n);
 	sdo->done += n;

@@ -1,0 +1,428 @@
+/* Emergency: CiA 301, 7.2.7, objects 1001h, 1003h, 1014h, 1015h. */
+#include "tests/scenario/bus.h"
+
+static void set_error(struct bus *bus, uint16_t code, uint8_t register_bits)
+{
+	canopen_error_set(&bus->node, code, register_bits, NULL, bus->now_us);
+	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+}
+
+static void clear_error(struct bus *bus, uint16_t code)
+{
+	canopen_error_clear(&bus->node, code, bus->now_us);
+	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+}
+
+/* ---- errors come and go ------------------------------------------------------------------------------------------ */
+
+static void test_an_error_is_told_at_once_with_the_generic_bit(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x01);
+}
+
+static void test_the_message_carries_register_bits_and_manufacturer_bytes(void **state)
+{
+	struct bus *bus = *state;
+	const uint8_t info[5] = {0xA1, 0xA2, 0xA3, 0xA4, 0xA5};
+
+	canopen_error_set(&bus->node, 0x8120, 0x90, info, bus->now_us);
+	bus_expect(bus, "090 20 81 91 A1 A2 A3 A4 A5");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x91);
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0xA2A18120);
+}
+
+static void test_an_error_is_told_in_operational_too(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 01 10");
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+}
+
+static void test_an_error_that_stands_is_not_told_again(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	set_error(bus, 0x5000, 0);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 1);
+}
+
+static void test_an_error_that_went_and_came_back_is_told_again(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	clear_error(bus, 0x5000);
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_the_register_joins_the_bits_of_all_errors_that_stand(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0x80);
+	bus_expect(bus, "090 00 50 81 00 00 00 00 00");
+	set_error(bus, 0x8120, 0x10);
+	bus_expect(bus, "090 20 81 91 00 00 00 00 00");
+	clear_error(bus, 0x5000);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
+	clear_error(bus, 0x8120);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x00);
+}
+
+static void test_the_error_reset_is_told_when_the_last_error_goes_and_not_before(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x8120, 0x10);
+	bus_forget(bus);
+	clear_error(bus, 0x8120);
+	bus_expect_nothing(bus);
+	clear_error(bus, 0x5000);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_the_end_of_what_never_was_is_not_told(void **state)
+{
+	struct bus *bus = *state;
+
+	clear_error(bus, 0x5000);
+	bus_expect_nothing(bus);
+}
+
+static void test_one_error_too_many_is_counted_as_lost(void **state)
+{
+	struct bus *bus = *state;
+
+	for (unsigned i = 0; i < EMCY_ERRORS; i++)
+		set_error(bus, (uint16_t)(0xFF00 + i), 0);
+	assert_int_equal(bus->node.emcy.lost, 0);
+	bus_forget(bus);
+	set_error(bus, 0x5000, 0);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->node.emcy.lost, 1);
+}
+
+/* ---- history 1003h ----------------------------------------------------------------------------------------------- */
+
+static void test_the_history_has_the_newest_error_first(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
+	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x8120, 0x10);
+	clear_error(bus, 0x5000);
+	clear_error(bus, 0x8120);
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 2); /* the error reset is not an error */
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0x8120);
+	assert_int_equal(bus_read(bus, 0x1003, 2), 0x5000);
+}
+
+static void test_an_empty_place_of_the_history_has_no_data(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 03 10 01 00 00 00 00", "590 80 03 10 01 24 00 00 08");
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_exchange(bus, "610 40 03 10 01 00 00 00 00", "590 43 03 10 01 00 50 00 00");
+	bus_exchange(bus, "610 40 03 10 02 00 00 00 00", "590 80 03 10 02 24 00 00 08");
+	bus_exchange(bus, "610 40 03 10 09 00 00 00 00", "590 80 03 10 09 11 00 09 06");
+}
+
+static void test_the_ninth_error_pushes_the_first_out_of_the_history(void **state)
+{
+	struct bus *bus = *state;
+
+	for (unsigned i = 0; i < 9; i++)
+		set_error(bus, (uint16_t)(0xFF00 + i), 0);
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 8);
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0xFF08);
+	assert_int_equal(bus_read(bus, 0x1003, 8), 0xFF01);
+}
+
+static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_exchange(bus, "610 2F 03 10 00 01 00 00 00", "590 80 03 10 00 30 00 09 06");
+	bus_exchange(bus, "610 23 03 10 01 00 00 00 00", "590 80 03 10 01 02 00 01 06");
+	assert_int_equal(bus_read(bus, 0x1003, 0), 1);
+	bus_exchange(bus, "610 2F 03 10 00 00 00 00 00", "590 60 03 10 00 00 00 00 00");
+	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
+	bus_exchange(bus, "610 40 03 10 01 00 00 00 00", "590 80 03 10 01 24 00 00 08");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 1); /* the error itself stands */
+}
+
+/* ---- COB-ID 1014h ------------------------------------------------------------------------------------------------ */
+
+static void test_with_bit_31_no_emcy_is_sent_but_errors_are_recorded(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 23 14 10 00 90 00 00 80", "590 60 14 10 00 00 00 00 00");
+	set_error(bus, 0x5000, 0);
+	clear_error(bus, 0x5000);
+	set_error(bus, 0x8120, 0);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 2);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 1);
+	bus_exchange(bus, "610 23 14 10 00 90 00 00 00", "590 60 14 10 00 00 00 00 00");
+	clear_error(bus, 0x8120);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_the_emcy_identifier_changes_only_while_it_is_invalid(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x0A0), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x090), 0); /* no change */
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x80000090), 0);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x0A0), 0);
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "0A0 00 50 01 00 00 00 00 00");
+}
+
+static void test_an_emcy_identifier_that_is_restricted_or_29_bits_long_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x80000000), 0);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x000), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x701), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x20000090), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x40000090), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x00000890), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0xA0000090), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x090), 0);
+}
+
+static void test_a_stored_emcy_identifier_that_is_not_allowed_is_made_invalid(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1014, 0, 4, 0x000);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1014, 0), 0x80000000);
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0x10146300);
+	test_free(bus);
+	(void)state;
+}
+
+/* ---- inhibit time 1015h ------------------------------------------------------------------------------------------ */
+
+static void test_within_the_inhibit_time_messages_wait_and_none_is_lost(void **state)
+{
+	struct bus *bus = *state;
+	uint64_t start_us = bus->now_us;
+
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 100), 0); /* 10 ms */
+	set_error(bus, 0x5000, 0x80);
+	bus_expect(bus, "090 00 50 81 00 00 00 00 00");
+	set_error(bus, 0x8120, 0x10);
+	clear_error(bus, 0x8120);
+	clear_error(bus, 0x5000);
+	bus_expect_nothing(bus);
+	bus_run(bus, 9999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 20 81 91 00 00 00 00 00"); /* the register as it was then */
+	assert_int_equal(bus->seen_us, start_us + 10000);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	assert_int_equal(bus->seen_us, start_us + 20000);
+	bus_expect_nothing(bus);
+}
+
+static void test_after_the_inhibit_time_a_message_goes_out_at_once(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 100), 0);
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_run(bus, 10000);
+	clear_error(bus, 0x5000);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_when_too_many_wait_the_oldest_is_dropped_and_counted(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 100), 0);
+	set_error(bus, 0xFF00, 0);
+	bus_forget(bus);
+	for (unsigned i = 0; i < EMCY_QUEUE / 2; i++) {
+		set_error(bus, (uint16_t)(0xFF01 + i), 0);
+		clear_error(bus, (uint16_t)(0xFF01 + i));
+		set_error(bus, (uint16_t)(0xFF81 + i), 0);
+		clear_error(bus, (uint16_t)(0xFF81 + i));
+	}
+	assert_int_equal(bus->node.emcy.lost, 0);
+	clear_error(bus, 0xFF00);
+	assert_int_equal(bus->node.emcy.lost, 1);
+	bus_run_until_sent(bus, 100000);
+	bus_expect(bus, "090 81 FF 01 00 00 00 00 00"); /* FF01h is gone */
+	bus_run(bus, 1000000);
+	bus->seen = bus->sent_count - 1;
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_disabling_emcy_drops_what_waits(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 100), 0);
+	set_error(bus, 0x5000, 0);
+	clear_error(bus, 0x5000);
+	bus_forget(bus);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x80000090), 0);
+	bus_run(bus, 1000000);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x090), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+/* ---- NMT states -------------------------------------------------------------------------------------------------- */
+
+static void test_an_error_before_boot_up_is_told_after_it(void **state)
+{
+	struct bus *bus = bus_new();
+
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, BUS_NODE_ID), 0);
+	canopen_error_set(&bus->node, 0x5000, 0, NULL, bus->now_us);
+	bus_expect_nothing(bus);
+	canopen_start(&bus->node, bus->now_us);
+	bus_expect(bus, "710 00");
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_stands(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 02 10");
+	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x8120, 0);
+	set_error(bus, 0x8130, 0);
+	clear_error(bus, 0x8130);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "000 80 10");
+	bus_expect(bus, "090 20 81 01 00 00 00 00 00");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 3); /* the history has them all */
+}
+
+static void test_an_error_that_ended_in_stopped_is_told_as_over_afterwards(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_send(bus, "000 02 10");
+	clear_error(bus, 0x5000);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "000 01 10", "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_an_error_told_before_stopped_is_not_told_again(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_send(bus, "000 02 10");
+	bus_send(bus, "000 80 10");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_reset_node_forgets_errors_and_history(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0x80);
+	bus_forget(bus);
+	bus_exchange(bus, "000 81 10", "710 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
+	set_error(bus, 0x5000, 0x80);
+	bus_expect(bus, "090 00 50 81 00 00 00 00 00");
+}
+
+static void test_reset_communication_keeps_the_errors_of_the_application(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0x80);
+	bus_send(bus, "080 01"); /* wrong length: an error of the communication */
+	bus_forget(bus);
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x81);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 2);
+	clear_error(bus, 0x5000);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		PRE_OPERATIONAL(test_an_error_is_told_at_once_with_the_generic_bit),
+		PRE_OPERATIONAL(test_the_message_carries_register_bits_and_manufacturer_bytes),
+		PRE_OPERATIONAL(test_an_error_is_told_in_operational_too),
+		PRE_OPERATIONAL(test_an_error_that_stands_is_not_told_again),
+		PRE_OPERATIONAL(test_an_error_that_went_and_came_back_is_told_again),
+		PRE_OPERATIONAL(test_the_register_joins_the_bits_of_all_errors_that_stand),
+		PRE_OPERATIONAL(test_the_error_reset_is_told_when_the_last_error_goes_and_not_before),
+		PRE_OPERATIONAL(test_the_end_of_what_never_was_is_not_told),
+		PRE_OPERATIONAL(test_one_error_too_many_is_counted_as_lost),
+		PRE_OPERATIONAL(test_the_history_has_the_newest_error_first),
+		PRE_OPERATIONAL(test_an_empty_place_of_the_history_has_no_data),
+		PRE_OPERATIONAL(test_the_ninth_error_pushes_the_first_out_of_the_history),
+		PRE_OPERATIONAL(test_writing_0_clears_the_history_and_nothing_else_may_be_written),
+		PRE_OPERATIONAL(test_with_bit_31_no_emcy_is_sent_but_errors_are_recorded),
+		PRE_OPERATIONAL(test_the_emcy_identifier_changes_only_while_it_is_invalid),
+		PRE_OPERATIONAL(test_an_emcy_identifier_that_is_restricted_or_29_bits_long_is_refused),
+		cmocka_unit_test(test_a_stored_emcy_identifier_that_is_not_allowed_is_made_invalid),
+		PRE_OPERATIONAL(test_within_the_inhibit_time_messages_wait_and_none_is_lost),
+		PRE_OPERATIONAL(test_after_the_inhibit_time_a_message_goes_out_at_once),
+		PRE_OPERATIONAL(test_when_too_many_wait_the_oldest_is_dropped_and_counted),
+		PRE_OPERATIONAL(test_disabling_emcy_drops_what_waits),
+		cmocka_unit_test(test_an_error_before_boot_up_is_told_after_it),
+		PRE_OPERATIONAL(test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_stands),
+		PRE_OPERATIONAL(test_an_error_that_ended_in_stopped_is_told_as_over_afterwards),
+		PRE_OPERATIONAL(test_an_error_told_before_stopped_is_not_told_again),
+		PRE_OPERATIONAL(test_reset_node_forgets_errors_and_history),
+		PRE_OPERATIONAL(test_reset_communication_keeps_the_errors_of_the_application),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
