@@ -157,8 +157,10 @@ enum od_status od_read(const struct od *od, uint16_t index, uint8_t sub, void *w
 		return OD_WRITE_ONLY;
 	if (entry->type == OD_DOMAIN)
 		return OD_UNSUPPORTED_ACCESS;
+	if (capacity < entry->size)
+		return OD_TOO_LONG;
 	*size = od_get(od, entry, wire, capacity);
-	return *size || entry->type == OD_VISIBLE_STRING ? OD_OK : OD_TOO_LONG;
+	return OD_OK;
 }
 
 const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub)
@@ -178,7 +180,7 @@ static enum od_status check_limits(const struct od_entry *entry, bool below, boo
 
 static enum od_status check_real(const struct od_entry *entry, double value)
 {
-	bool below = value < entry->low.f, above = value > entry->high.f;
+	bool below = value<entry->low.f, above = value> entry->high.f;
 
 	if (!isfinite(value))
 		return OD_BAD_VALUE;
