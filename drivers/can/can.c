@@ -18,8 +18,7 @@ int can_open(const char *bus, struct can_port **port, char *error, size_t error_
 	if (strncmp(bus, "udp:", 4) == 0)
 		return can_udp_open(bus + 4, port, error, error_size);
 	if (bus[0] == '\0' || strpbrk(bus, ":/ ") != NULL) {
-		snprintf(error, error_size,
-			"unknown bus '%s': use an interface name (vcan0) or udp[:GROUP[:PORT]]",
+		snprintf(error, error_size, "unknown bus '%s': use an interface name (vcan0) or udp[:GROUP[:PORT]]",
 			bus);
 		return -EINVAL;
 	}

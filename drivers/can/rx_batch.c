@@ -53,16 +53,13 @@ static int fill(struct rx_batch *batch, int fd)
  * clock was set in between: the time of reading is nearer the truth then. */
 static uint64_t monotonic_us(const struct rx_batch *batch, const struct timespec *stamp)
 {
-	int64_t t_us =
-		((int64_t)stamp->tv_sec * 1000000000 + stamp->tv_nsec - batch->realtime_offset_ns) /
-		1000;
+	int64_t t_us = ((int64_t)stamp->tv_sec * 1000000000 + stamp->tv_nsec - batch->realtime_offset_ns) / 1000;
 	int64_t age_us = (int64_t)batch->read_at_us - t_us;
 
 	return age_us < 0 || age_us > 1000000 ? batch->read_at_us : (uint64_t)t_us;
 }
 
-static void read_control(
-	struct rx_batch *batch, struct msghdr *header, uint64_t *t_us, uint32_t *dropped)
+static void read_control(struct rx_batch *batch, struct msghdr *header, uint64_t *t_us, uint32_t *dropped)
 {
 	for (struct cmsghdr *c = CMSG_FIRSTHDR(header); c != NULL; c = CMSG_NXTHDR(header, c)) {
 		struct timespec stamp;

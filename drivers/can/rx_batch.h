@@ -24,8 +24,8 @@ struct rx_batch { /* all zeros: empty */
 	struct mmsghdr headers[RX_BATCH_LEN];
 	struct iovec buffers[RX_BATCH_LEN];
 	char data[RX_BATCH_LEN][RX_DATAGRAM_MAX];
-	_Alignas(struct cmsghdr) char control[RX_BATCH_LEN][CMSG_SPACE(sizeof(struct timespec)) +
-							    CMSG_SPACE(sizeof(uint32_t))];
+	_Alignas(struct cmsghdr) char control[RX_BATCH_LEN]
+					     [CMSG_SPACE(sizeof(struct timespec)) + CMSG_SPACE(sizeof(uint32_t))];
 	unsigned count, next;
 	int64_t realtime_offset_ns; /* CLOCK_REALTIME - CLOCK_MONOTONIC when the batch was read */
 	uint64_t read_at_us;

@@ -93,8 +93,7 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 
 	(void)now_us;
 	for (;;) {
-		result = rx_batch_next(
-			&can->batch, can->socket, &datagram, &port->counters.rx_dropped);
+		result = rx_batch_next(&can->batch, can->socket, &datagram, &port->counters.rx_dropped);
 		if (result < 0)
 			return note(can, -result);
 		if (result == 0)
@@ -122,8 +121,7 @@ static int apply_filters(const struct socketcan *can, int fd)
 	const struct can_filter *filters = can->filter_count > 0 ? can->filters : &all;
 	size_t count = can->filter_count > 0 ? can->filter_count : 1;
 
-	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters,
-		    (socklen_t)(count * sizeof(*filters))) != 0)
+	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters, (socklen_t)(count * sizeof(*filters))) != 0)
 		return -errno;
 	return 0;
 }
@@ -256,20 +254,17 @@ static void explain(int result, const char *name, char *error, size_t error_size
 			name);
 		break;
 	default:
-		snprintf(error, error_size, "cannot open CAN interface %s: %s", name,
-			strerror(-result));
+		snprintf(error, error_size, "cannot open CAN interface %s: %s", name, strerror(-result));
 	}
 }
 
-int can_socketcan_open(
-	const char *interface, struct can_port **port, char *error, size_t error_size)
+int can_socketcan_open(const char *interface, struct can_port **port, char *error, size_t error_size)
 {
 	struct socketcan *can;
 	int result;
 
 	if (strlen(interface) >= IFNAMSIZ) {
-		snprintf(error, error_size,
-			"'%s' is too long for an interface name: at most %d characters", interface,
+		snprintf(error, error_size, "'%s' is too long for an interface name: at most %d characters", interface,
 			IFNAMSIZ - 1);
 		return -EINVAL;
 	}

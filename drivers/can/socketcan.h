@@ -8,7 +8,6 @@
 
 /** As can_open(). -ENODEV: no such interface; -ENETDOWN: it is down; -EAFNOSUPPORT: the kernel has
  * no SocketCAN. */
-int can_socketcan_open(
-	const char *interface, struct can_port **port, char *error, size_t error_size);
+int can_socketcan_open(const char *interface, struct can_port **port, char *error, size_t error_size);
 
 #endif

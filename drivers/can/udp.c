@@ -5,6 +5,7 @@
 #include <linux/filter.h>
 #include <net/if.h>
 #include <netinet/in.h>
+#include <netinet/udp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -25,7 +26,7 @@ union address {
 
 struct udp {
 	struct can_port port; /* port.fd receives */
-	int sender; /* of its own, so that its source port tells our datagrams from others' */
+	int sender;	      /* of its own, so that its source port tells our datagrams from others' */
 	union address group;
 	bool filtered;
 	uint32_t wanted[STANDARD_IDS / 32]; /* one bit an identifier */
@@ -48,8 +49,7 @@ static int udp_send(struct can_port *port, const struct can_msg *msg)
 	char datagram[CAN_UDP_MAX];
 	size_t size = can_udp_encode(msg, datagram);
 
-	if (sendto(udp->sender, datagram, size, MSG_DONTWAIT, &udp->group.any,
-		    address_size(&udp->group)) < 0) {
+	if (sendto(udp->sender, datagram, size, MSG_DONTWAIT, &udp->group.any, address_size(&udp->group)) < 0) {
 		int error = errno;
 
 		if (error == ENETUNREACH || error == ENETDOWN || error == ENODEV)
@@ -75,10 +75,11 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 
 	(void)now_us;
 	for (;;) {
-		result =
-			rx_batch_next(&udp->batch, port->fd, &datagram, &port->counters.rx_dropped);
+		result = rx_batch_next(&udp->batch, port->fd, &datagram, &port->counters.rx_dropped);
 		if (result <= 0)
 			return result;
+		if (datagram.size == 0)
+			continue; /* our own */
 		if (can_udp_decode(datagram.data, datagram.size, msg) < 0)
 			port->counters.rx_dropped++;
 		else if (is_wanted(udp, msg))
@@ -173,8 +174,7 @@ static bool parse(const char *text, union address *address)
 	}
 	address->v6.sin6_family = AF_INET6;
 	address->v6.sin6_port = htons(port);
-	return inet_pton(AF_INET6, group, &address->v6.sin6_addr) == 1 &&
-	       IN6_IS_ADDR_MULTICAST(&address->v6.sin6_addr);
+	return inet_pton(AF_INET6, group, &address->v6.sin6_addr) == 1 && IN6_IS_ADDR_MULTICAST(&address->v6.sin6_addr);
 }
 
 static int set(int fd, int level, int option, const void *value, size_t size)
@@ -230,10 +230,10 @@ static int open_sender(const union address *group)
 	return fd;
 }
 
-/* Makes the kernel discard what came back from `sender`: of its source port, and sent by this host.
- * A datagram that never left the host is either a looped copy (PACKET_LOOPBACK) or came through the
- * loopback interface. */
-static int discard_own(int fd, int sender)
+/* Makes the kernel cut what came back from `sender` down to the UDP header: it is received as an empty datagram. (Refused
+ * altogether it would count as dropped in SO_RXQ_OVFL.) Own is what has its source port and was sent by this host: a looped
+ * copy (PACKET_LOOPBACK), or one that came through the loopback interface. */
+static int empty_own(int fd, int sender)
 {
 	union address own;
 	socklen_t size = sizeof(own);
@@ -245,7 +245,7 @@ static int discard_own(int fd, int sender)
 		BPF_STMT(BPF_LD | BPF_W | BPF_ABS, (uint32_t)(SKF_AD_OFF + SKF_AD_IFINDEX)),
 		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, if_nametoindex("lo"), 1, 0),
 		BPF_STMT(BPF_RET | BPF_K, UINT32_MAX), /* keep */
-		BPF_STMT(BPF_RET | BPF_K, 0),
+		BPF_STMT(BPF_RET | BPF_K, sizeof(struct udphdr)),
 	};
 	const struct sock_fprog program = {sizeof(code) / sizeof(code[0]), code};
 
@@ -265,7 +265,7 @@ static int open_receiver(const union address *group, int sender)
 		return -errno;
 	result = rx_batch_prepare(fd);
 	if (result == 0)
-		result = discard_own(fd, sender);
+		result = empty_own(fd, sender);
 	if (result == 0)
 		result = set_int(fd, SOL_SOCKET, SO_REUSEADDR, 1);
 	if (result == 0 && bind(fd, &group->any, address_size(group)) != 0)
@@ -317,12 +317,10 @@ int can_udp_open(const char *address, struct can_port **port, char *error, size_
 	udp->port.ops = &udp_ops;
 	udp->port.fd = udp->sender = -1;
 	udp->group = group;
-	snprintf(udp->port.name, sizeof(udp->port.name), address[0] == '\0' ? "udp" : "udp:%s",
-		address);
+	snprintf(udp->port.name, sizeof(udp->port.name), address[0] == '\0' ? "udp" : "udp:%s", address);
 	result = open_sockets(udp);
 	if (result < 0) {
-		snprintf(error, error_size, "cannot open bus '%s': %s", udp->port.name,
-			strerror(-result));
+		snprintf(error, error_size, "cannot open bus '%s': %s", udp->port.name, strerror(-result));
 		udp_close(&udp->port);
 		return result;
 	}

@@ -105,18 +105,23 @@ struct reader {
 	size_t left;
 };
 
-/* One token; strings and the like come with their bytes (NULL when empty). False: malformed,
- * truncated. */
+/* mpack_read() must not be called with nothing left: it would read on. */
+static bool next(struct reader *r, mpack_token_t *token)
+{
+	return r->left > 0 && mpack_read(&r->state, &r->in, &r->left, token) == MPACK_OK;
+}
+
+/* One token; strings and the like come with their bytes (NULL when empty). False: malformed, truncated. */
 static bool get(struct reader *r, mpack_token_t *token, const char **bytes)
 {
 	mpack_token_t chunk;
 
 	*bytes = NULL;
-	if (mpack_read(&r->state, &r->in, &r->left, token) != MPACK_OK)
+	if (!next(r, token))
 		return false;
 	if (token->type < MPACK_TOKEN_BIN || token->length == 0)
 		return true;
-	if (token->length > r->left || mpack_read(&r->state, &r->in, &r->left, &chunk) != MPACK_OK)
+	if (token->length > r->left || !next(r, &chunk))
 		return false;
 	*bytes = chunk.data.chunk_ptr;
 	return true;
@@ -130,8 +135,7 @@ static int get_key(struct reader *r)
 	if (!get(r, &token, &bytes) || token.type != MPACK_TOKEN_STR || bytes == NULL)
 		return -EBADMSG;
 	for (int key = 0; key < KEY_COUNT; key++)
-		if (strlen(key_names[key]) == token.length &&
-			memcmp(key_names[key], bytes, token.length) == 0)
+		if (strlen(key_names[key]) == token.length && memcmp(key_names[key], bytes, token.length) == 0)
 			return key;
 	return -EBADMSG;
 }

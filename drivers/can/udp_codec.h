@@ -5,7 +5,7 @@
 
 #include "drivers/ports/can.h"
 
-enum { CAN_UDP_MAX = 256 }; /* bytes; a frame of 8 data bytes takes 166 */
+enum { CAN_UDP_MAX = 256 }; /* bytes; a frame of 8 data bytes takes 164 */
 
 /** Writes msg as python-can would. Returns the length. */
 size_t can_udp_encode(const struct can_msg *msg, char out[CAN_UDP_MAX]);

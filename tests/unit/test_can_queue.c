@@ -1,0 +1,338 @@
+/* What can_send() and can_service() do with a bus that is full at times, on a fake one. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <string.h>
+
+#include "drivers/ports/can.h"
+
+struct fake {
+	struct can_port port;
+	int room;    /* frames that the bus takes before it is full */
+	int refusal; /* what it says then */
+	uint32_t sent[1000];
+	size_t sent_count, attempts;
+};
+
+static int fake_send(struct can_port *port, const struct can_msg *msg)
+{
+	struct fake *fake = (struct fake *)(void *)port;
+
+	fake->attempts++;
+	if (fake->room == 0)
+		return fake->refusal;
+	fake->room--;
+	fake->sent[fake->sent_count++] = msg->id;
+	return 0;
+}
+
+static const struct can_ops fake_ops = {.send = fake_send};
+
+static void fake_init(struct fake *fake, int room)
+{
+	memset(fake, 0, sizeof(*fake));
+	fake->port.ops = &fake_ops;
+	fake->room = room;
+	fake->refusal = -ENOBUFS;
+}
+
+static int send_id(struct fake *fake, uint32_t id, uint64_t now_us)
+{
+	const struct can_msg msg = {.id = id, .len = 1};
+
+	return can_send(&fake->port, &msg, now_us);
+}
+
+static void assert_sent(const struct fake *fake, uint32_t first, size_t count)
+{
+	assert_int_equal(fake->sent_count, count);
+	for (size_t i = 0; i < count; i++)
+		assert_int_equal(fake->sent[i], first + i);
+}
+
+static void test_a_frame_goes_straight_to_a_bus_that_has_room(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 1);
+	assert_int_equal(send_id(&fake, 7, 1000), 0);
+	assert_sent(&fake, 7, 1);
+	assert_int_equal(fake.port.counters.tx, 1);
+	assert_int_equal(fake.port.queue_count, 0);
+}
+
+static void test_a_refused_frame_waits_and_the_refusal_is_counted(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	assert_int_equal(send_id(&fake, 7, 1000), 0);
+	assert_int_equal(fake.port.queue_count, 1);
+	assert_int_equal(fake.port.counters.tx_retries, 1);
+	assert_int_equal(fake.port.counters.tx, 0);
+	assert_int_equal(fake.port.counters.tx_dropped, 0);
+}
+
+static void test_eagain_means_full_too(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	fake.refusal = -EAGAIN;
+	assert_int_equal(send_id(&fake, 7, 1000), 0);
+	assert_int_equal(fake.port.queue_count, 1);
+	assert_int_equal(fake.port.counters.tx_retries, 1);
+}
+
+static void test_service_asks_to_be_called_when_the_wait_is_over(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 7, 1000);
+	assert_int_equal(can_service(&fake.port, 1000), 1500);
+}
+
+static void test_service_with_nothing_queued_needs_no_call(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	assert_true(can_service(&fake.port, 1000) == UINT64_MAX);
+}
+
+static void test_the_bus_is_left_alone_before_the_wait_is_over(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 1, 1000);
+	can_service(&fake.port, 1499);
+	send_id(&fake, 2, 1499);
+	assert_int_equal(fake.attempts, 1);
+}
+
+static void test_the_wait_doubles_from_half_a_millisecond_to_20_ms(void **state)
+{
+	static const uint64_t waits_us[] = {500, 1000, 2000, 4000, 8000, 16000, 20000, 20000};
+	struct fake fake;
+	uint64_t now_us = 1000;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 7, now_us);
+	for (size_t i = 0; i < sizeof(waits_us) / sizeof(waits_us[0]); i++) {
+		uint64_t next_us = can_service(&fake.port, now_us);
+
+		assert_int_equal(next_us - now_us, waits_us[i]);
+		now_us = next_us;
+	}
+}
+
+static void test_a_frame_that_went_through_ends_the_doubling(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 1, 0);
+	can_service(&fake.port, 500); /* refused again: waits 1 ms */
+	fake.room = 1;
+	can_service(&fake.port, 1500);
+	send_id(&fake, 2, 2000);
+	assert_int_equal(can_service(&fake.port, 2000), 2500);
+}
+
+static void test_a_new_frame_does_not_overtake_those_that_wait(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 1, 0);
+	fake.room = 10;
+	send_id(&fake, 2, 100); /* there is room, but frame 1 is not due before 500 us */
+	assert_sent(&fake, 1, 0);
+	can_service(&fake.port, 500);
+	assert_sent(&fake, 1, 2);
+}
+
+static void test_a_new_frame_that_comes_when_the_wait_is_over_takes_the_waiting_along(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 1, 0);
+	fake.room = 10;
+	assert_int_equal(send_id(&fake, 2, 500), 0);
+	assert_sent(&fake, 1, 2);
+}
+
+static void test_nothing_is_lost_until_the_queue_is_full(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	for (uint32_t id = 0; id < CAN_QUEUE_LEN; id++)
+		assert_int_equal(send_id(&fake, id, 0), 0);
+	assert_int_equal(fake.port.counters.tx_dropped, 0);
+	fake.room = 1000;
+	can_service(&fake.port, 500);
+	assert_sent(&fake, 0, CAN_QUEUE_LEN);
+	assert_int_equal(fake.port.counters.tx, CAN_QUEUE_LEN);
+}
+
+static void test_a_full_queue_drops_the_oldest_frame_and_counts_it(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	for (uint32_t id = 0; id < CAN_QUEUE_LEN + 3; id++)
+		assert_int_equal(send_id(&fake, id, 0), 0);
+	assert_int_equal(fake.port.counters.tx_dropped, 3);
+	fake.room = 1000;
+	can_service(&fake.port, 500);
+	assert_sent(&fake, 3, CAN_QUEUE_LEN);
+}
+
+/* A bus of 10 frames of room that drains one frame every 250 us, fed in bursts beyond that for a while: all frames
+ * arrive, in order. */
+static void test_order_holds_through_many_refusals(void **state)
+{
+	struct fake fake;
+	uint64_t now_us = 0;
+	uint32_t id = 0;
+
+	(void)state;
+	fake_init(&fake, 10);
+	for (; fake.sent_count < 400; now_us += 250) {
+		fake.room = fake.room < 10 ? fake.room + 1 : 10;
+		if (now_us % 8000 == 0 && id < 400)
+			for (int burst = 0; burst < 20; burst++)
+				send_id(&fake, id++, now_us);
+		can_service(&fake.port, now_us);
+		assert_true(now_us < 10000000);
+	}
+	assert_sent(&fake, 0, 400);
+	assert_true(fake.port.counters.tx_retries > 20);
+	assert_int_equal(fake.port.counters.tx_dropped, 0);
+}
+
+static void test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	fake.refusal = -ENETDOWN;
+	assert_int_equal(send_id(&fake, 7, 0), -ENETDOWN);
+	assert_int_equal(fake.port.counters.tx_dropped, 1);
+	assert_int_equal(fake.port.queue_count, 0);
+}
+
+static void test_frames_that_wait_when_the_bus_goes_down_are_dropped_and_counted(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	for (uint32_t id = 0; id < 5; id++)
+		send_id(&fake, id, 0);
+	fake.refusal = -ENETDOWN;
+	assert_true(can_service(&fake.port, 500) == UINT64_MAX);
+	assert_int_equal(fake.port.queue_count, 0);
+	assert_int_equal(fake.port.counters.tx_dropped, 5);
+}
+
+static uint64_t service_in_a_second(struct can_port *port, uint64_t now_us)
+{
+	(void)port;
+	return now_us + 1000000;
+}
+
+static void test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_queues(void **state)
+{
+	static const struct can_ops ops = {.send = fake_send, .service = service_in_a_second};
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	fake.port.ops = &ops;
+	assert_int_equal(can_service(&fake.port, 100), 1000100);
+	send_id(&fake, 1, 100);
+	assert_int_equal(can_service(&fake.port, 100), 600);
+}
+
+static void test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are(void **state)
+{
+	struct can_port *port = NULL;
+	char error[200] = "";
+
+	(void)state;
+	assert_int_equal(can_open("slcan:/dev/ttyACM0", &port, error, sizeof(error)), -EINVAL);
+	assert_string_equal(error, "unknown bus 'slcan:/dev/ttyACM0': use an interface name "
+				   "(vcan0) or udp[:GROUP[:PORT]]");
+	assert_null(port);
+}
+
+static void test_an_interface_that_is_not_there_is_refused(void **state)
+{
+	struct can_port *port = NULL;
+	char error[200] = "";
+
+	(void)state;
+	assert_true(can_open("nocan7", &port, error, sizeof(error)) < 0);
+	assert_non_null(strstr(error, "nocan7"));
+	assert_non_null(strstr(error, "or use the bus `udp`"));
+	assert_null(port);
+}
+
+static void test_a_name_that_is_too_long_for_an_interface_is_refused(void **state)
+{
+	struct can_port *port = NULL;
+	char error[200] = "";
+
+	(void)state;
+	assert_int_equal(can_open("an_interface_name", &port, error, sizeof(error)), -EINVAL);
+	assert_non_null(strstr(error, "at most 15 characters"));
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_frame_goes_straight_to_a_bus_that_has_room),
+		cmocka_unit_test(test_a_refused_frame_waits_and_the_refusal_is_counted),
+		cmocka_unit_test(test_eagain_means_full_too),
+		cmocka_unit_test(test_service_asks_to_be_called_when_the_wait_is_over),
+		cmocka_unit_test(test_service_with_nothing_queued_needs_no_call),
+		cmocka_unit_test(test_the_bus_is_left_alone_before_the_wait_is_over),
+		cmocka_unit_test(test_the_wait_doubles_from_half_a_millisecond_to_20_ms),
+		cmocka_unit_test(test_a_frame_that_went_through_ends_the_doubling),
+		cmocka_unit_test(test_a_new_frame_does_not_overtake_those_that_wait),
+		cmocka_unit_test(test_a_new_frame_that_comes_when_the_wait_is_over_takes_the_waiting_along),
+		cmocka_unit_test(test_nothing_is_lost_until_the_queue_is_full),
+		cmocka_unit_test(test_a_full_queue_drops_the_oldest_frame_and_counts_it),
+		cmocka_unit_test(test_order_holds_through_many_refusals),
+		cmocka_unit_test(test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted),
+		cmocka_unit_test(test_frames_that_wait_when_the_bus_goes_down_are_dropped_and_counted),
+		cmocka_unit_test(test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_queues),
+		cmocka_unit_test(test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are),
+		cmocka_unit_test(test_an_interface_that_is_not_there_is_refused),
+		cmocka_unit_test(test_a_name_that_is_too_long_for_an_interface_is_refused),
+	};
+
+	return cmocka_run_group_tests_name("can_queue", tests, NULL, NULL);
+}
