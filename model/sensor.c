@@ -16,12 +16,11 @@ static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.
 /* Densities, offsets, digits and ranges are the datasheets' typical values; bandwidths what the
  * chips offer at about 100 Hz. For bias instability and random walk the datasheets have no figure:
  * usual ones of this class of chips. */
-#define L3G4200D_ERRORS                                                                   \
-	{                                                                                 \
-		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS,                    \
-		.random_walk = 0.0002 * DPS, .bias_sigma = 10 * DPS, .scale_sigma = 0.02, \
-		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = 0.07 * DPS,         \
-		.range = 2000 * DPS                                                       \
+#define L3G4200D_ERRORS                                                                                    \
+	{                                                                                                  \
+		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS, .random_walk = 0.0002 * DPS,        \
+		.bias_sigma = 10 * DPS, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 50, \
+		.step = 0.07 * DPS, .range = 2000 * DPS                                                    \
 	}
 
 const struct sensor_config SENSOR_PRESETS[] = {
@@ -70,11 +69,7 @@ const struct sensor_config SENSOR_PRESETS[] = {
 		.rate_hz = 100,
 		.gravity_m_s2 = 9.81,
 		.field_n_uT = {0, 20, -45}},
-	{.name = "ideal",
-		.about = "no errors",
-		.rate_hz = 100,
-		.gravity_m_s2 = 9.81,
-		.field_n_uT = {0, 20, -45}},
+	{.name = "ideal", .about = "no errors", .rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}},
 	{0},
 };
 
@@ -99,8 +94,8 @@ void sensor_calibrate(struct sensor_config *config)
 
 static int errors_valid(const struct triad_errors *e)
 {
-	const double all[] = {e->density, e->bias_instability, e->random_walk, e->bias_sigma,
-		e->scale_sigma, e->cross_axis_sigma, e->bandwidth_hz, e->step, e->range};
+	const double all[] = {e->density, e->bias_instability, e->random_walk, e->bias_sigma, e->scale_sigma,
+		e->cross_axis_sigma, e->bandwidth_hz, e->step, e->range};
 
 	for (size_t i = 0; i < sizeof all / sizeof *all; i++)
 		if (!(all[i] >= 0 && isfinite(all[i])))
@@ -134,8 +129,7 @@ static void lag_init(struct triad *triad, double interval_s)
 	triad->lag_old = (1 - triad->lag_decay) / a - triad->lag_decay;
 }
 
-static void triad_init(
-	struct triad *triad, const struct triad_errors *errors, double rate_hz, uint64_t seed)
+static void triad_init(struct triad *triad, const struct triad_errors *errors, double rate_hz, uint64_t seed)
 {
 	*triad = (struct triad){.errors = *errors};
 	rng_init(&triad->rng, seed);
@@ -146,8 +140,7 @@ static void triad_init(
 		for (int j = 0; j < 3; j++) {
 			double g = rng_gauss(&triad->rng);
 
-			triad->matrix[i][j] =
-				i == j ? 1 + errors->scale_sigma * g : errors->cross_axis_sigma * g;
+			triad->matrix[i][j] = i == j ? 1 + errors->scale_sigma * g : errors->cross_axis_sigma * g;
 		}
 	triad->white_sigma = errors->density * sqrt(rate_hz / 2);
 	triad->walk_sigma = errors->random_walk / sqrt(rate_hz);
@@ -161,9 +154,8 @@ int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint6
 	const double rate_hz = config->rate_hz;
 	struct rng seeds;
 
-	if (!(rate_hz > 0 && isfinite(rate_hz)) || !(config->jitter_s >= 0) ||
-		config->jitter_s * rate_hz > 0.1 || !(config->mag_rate_hz >= 0) ||
-		!errors_valid(&config->gyro) || !errors_valid(&config->accel) ||
+	if (!(rate_hz > 0 && isfinite(rate_hz)) || !(config->jitter_s >= 0) || config->jitter_s * rate_hz > 0.1 ||
+		!(config->mag_rate_hz >= 0) || !errors_valid(&config->gyro) || !errors_valid(&config->accel) ||
 		!errors_valid(&config->mag))
 		return -EINVAL;
 	rng_init(&seeds, seed);
@@ -183,8 +175,7 @@ static struct vec3 low_pass(struct triad *triad, struct vec3 in, int first)
 		return in;
 	if (!first)
 		out = vec3_add(vec3_scale(triad->lag_decay, triad->lag_out),
-			vec3_add(vec3_scale(triad->lag_new, in),
-				vec3_scale(triad->lag_old, triad->lag_in)));
+			vec3_add(vec3_scale(triad->lag_new, in), vec3_scale(triad->lag_old, triad->lag_in)));
 	triad->lag_in = in;
 	triad->lag_out = out;
 	return out;
@@ -198,8 +189,7 @@ static double noise(struct triad *triad, int axis)
 		for (int k = 0; k < SENSOR_FLICKER_POLES; k++) {
 			double *x = &triad->flicker[axis][k];
 
-			*x = triad->flicker_decay[k] * *x +
-			     triad->flicker_drive[k] * rng_gauss(&triad->rng);
+			*x = triad->flicker_decay[k] * *x + triad->flicker_drive[k] * rng_gauss(&triad->rng);
 			sum += *x;
 		}
 	if (triad->errors.random_walk > 0) {
@@ -241,8 +231,7 @@ double sensor_instant_s(struct sensor *sensor)
 	return fmax(0, t_s + sensor->config.jitter_s * rng_gauss(&sensor->jitter));
 }
 
-struct vec3 sensor_specific_force(
-	const struct signal_truth *truth, struct vec3 lever_arm_b_m, double gravity_m_s2)
+struct vec3 sensor_specific_force(const struct signal_truth *truth, struct vec3 lever_arm_b_m, double gravity_m_s2)
 {
 	const struct vec3 up = {0, 0, gravity_m_s2}, w = truth->omega_b_rad_s, r = lever_arm_b_m;
 	struct vec3 force = quat_rotate_inverse(truth->q_nb, vec3_add(truth->accel_n_m_s2, up));
@@ -257,17 +246,14 @@ static int mag_is_new(const struct sensor *sensor)
 	double ratio = sensor->config.mag_rate_hz / sensor->config.rate_hz;
 	double k = (double)sensor->taken;
 
-	return sensor->taken == 0 || ratio <= 0 || ratio >= 1 ||
-	       floor(k * ratio) > floor((k - 1) * ratio);
+	return sensor->taken == 0 || ratio <= 0 || ratio >= 1 || floor(k * ratio) > floor((k - 1) * ratio);
 }
 
-void sensor_measure(
-	struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample)
+void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample)
 {
 	const struct sensor_config *config = &sensor->config;
 	const int first = sensor->taken == 0, mag = mag_is_new(sensor);
-	struct vec3 force =
-		sensor_specific_force(truth, config->lever_arm_b_m, config->gravity_m_s2);
+	struct vec3 force = sensor_specific_force(truth, config->lever_arm_b_m, config->gravity_m_s2);
 	struct vec3 field = quat_rotate_inverse(truth->q_nb, config->field_n_uT);
 
 	*sample = (struct imu_sample){
@@ -282,8 +268,8 @@ void sensor_measure(
 	sensor->taken++;
 }
 
-void sensor_next(struct sensor *sensor, const struct signal *signal, struct imu_sample *sample,
-	struct signal_truth *truth)
+void sensor_next(
+	struct sensor *sensor, const struct signal *signal, struct imu_sample *sample, struct signal_truth *truth)
 {
 	struct signal_truth own;
 

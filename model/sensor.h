@@ -22,7 +22,7 @@ struct triad_errors {
 	double bias_instability; /* flicker noise: the Allan deviation's floor is 0.664 of it, unit
 				  */
 	double random_walk;	 /* of the rate: unit/sqrt(s) */
-	double bias_sigma; /* constant errors differ from unit to unit: 1-sigma, drawn once from the
+	double bias_sigma;	 /* constant errors differ from unit to unit: 1-sigma, drawn once from the
 			      seed. Unit */
 	double scale_sigma;	 /* dimensionless */
 	double cross_axis_sigma; /* dimensionless */
@@ -34,10 +34,10 @@ struct triad_errors {
 struct sensor_config {
 	const char *name, *about;
 	struct triad_errors gyro, accel, mag;
-	double mag_rate_hz; /* new magnetometer values a second; 0: one with each sample */
-	double jitter_s; /* the instant of sampling varies by that 1-sigma; the time stamp does not
+	double mag_rate_hz;	   /* new magnetometer values a second; 0: one with each sample */
+	double jitter_s;	   /* the instant of sampling varies by that 1-sigma; the time stamp does not
 			    show it */
-	double rate_hz;	 /* sampling rate */
+	double rate_hz;		   /* sampling rate */
 	struct vec3 lever_arm_b_m; /* reference point -> accelerometer */
 	double gravity_m_s2;
 	struct vec3 field_n_uT; /* Earth's magnetic field */
@@ -61,8 +61,7 @@ struct triad {
 	double flicker_decay[SENSOR_FLICKER_POLES], flicker_drive[SENSOR_FLICKER_POLES];
 	double flicker[3][SENSOR_FLICKER_POLES];
 	double walk[3];
-	double lag_decay, lag_new,
-		lag_old; /* low-pass, its input taken as a straight line between samples */
+	double lag_decay, lag_new, lag_old; /* low-pass, its input taken as a straight line between samples */
 	struct vec3 lag_in, lag_out;
 };
 
@@ -82,17 +81,15 @@ int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint6
 double sensor_instant_s(struct sensor *sensor);
 
 /** The next sample, from the motion at sensor_instant_s(). */
-void sensor_measure(
-	struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample);
+void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample);
 
 /** Both: the next sample of a sensor on that motion. `truth` (may be NULL) shows the motion at its
  * instant. */
-void sensor_next(struct sensor *sensor, const struct signal *signal, struct imu_sample *sample,
-	struct signal_truth *truth);
+void sensor_next(
+	struct sensor *sensor, const struct signal *signal, struct imu_sample *sample, struct signal_truth *truth);
 
 /** What an ideal accelerometer at the lever arm r shows (exact rigid body):
  * R^T (a_n + g) + alpha x r + omega x (omega x r). */
-struct vec3 sensor_specific_force(
-	const struct signal_truth *truth, struct vec3 lever_arm_b_m, double gravity_m_s2);
+struct vec3 sensor_specific_force(const struct signal_truth *truth, struct vec3 lever_arm_b_m, double gravity_m_s2);
 
 #endif

@@ -33,8 +33,7 @@ static struct jet scale(double k, struct jet a)
 
 static struct jet multiply(struct jet a, struct jet b)
 {
-	return (struct jet){
-		a.v * b.v, a.d * b.v + a.v * b.d, a.dd * b.v + 2 * a.d * b.d + a.v * b.dd};
+	return (struct jet){a.v * b.v, a.d * b.v + a.v * b.d, a.dd * b.v + 2 * a.d * b.d + a.v * b.dd};
 }
 
 /* sin(2 pi t / period + phase) */
@@ -121,11 +120,9 @@ static void square(const struct signal *signal, double t, struct motion *m)
 		struct jet *along = side % 2 ? &m->y : &m->x;
 
 		*along = add(*along, scale(side < 2 ? 1 : -1, way));
-		m->yaw = add(
-			m->yaw, scale(PI / 2, smooth_step(t, start + drive_s + wait_s, turn_s)));
+		m->yaw = add(m->yaw, scale(PI / 2, smooth_step(t, start + drive_s + wait_s, turn_s)));
 		moving = add(moving, smooth_step(t, start, drive_s / 4));
-		moving = add(
-			moving, scale(-1, smooth_step(t, start + drive_s * 3 / 4, drive_s / 4)));
+		moving = add(moving, scale(-1, smooth_step(t, start + drive_s * 3 / 4, drive_s / 4)));
 	}
 	ground = add(scale(0.7, sine(t, bump_s, 0)), scale(0.3, sine(t, bump_s * 2.3, 1)));
 	m->roll = scale(angle, multiply(moving, ground));
@@ -160,15 +157,14 @@ static void tumble(const struct signal *signal, double t, struct motion *m)
 }
 
 const struct signal SIGNALS[] = {
-	{"square", "robot on a manoeuvring square of 2 m: drives over rough ground, stops, turns",
-		square, 3 * DEGREES, 0.2, 40},
+	{"square", "robot on a manoeuvring square of 2 m: drives over rough ground, stops, turns", square, 3 * DEGREES,
+		0.2, 40},
 	{"boat", "boat on a light sea, a large wave every 20 s", boat, 25 * DEGREES, 2.5, 20},
 	{"roll_step", "step about the roll axis, up and down", roll_step, 33 * DEGREES, 0.1, 4},
 	{"rest", "level and still", rest, 0, 1, 1},
 	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 1},
 	{"pendulum", "swing about the roll axis", pendulum, 30 * DEGREES, 1, 1},
-	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1,
-		10},
+	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1, 10},
 	{0},
 };
 
@@ -180,7 +176,7 @@ const struct signal *signal_find(const char *name)
 	return NULL;
 }
 
-/* Yaw, then pitch, then roll (z-y'-x''): the inverse of the seed's (5). */
+/* Yaw, then pitch, then roll (z-y'-x''). */
 static struct quat attitude(const struct motion *m)
 {
 	double cr = cos(m->roll.v / 2), sr = sin(m->roll.v / 2);
@@ -209,8 +205,7 @@ static void body_rates(const struct motion *m, struct signal_truth *truth)
 	truth->alpha_b_rad_s2 = (struct vec3){
 		f.dd - y.dd * sh - y.d * h.d * ch,
 		h.dd * cf - h.d * f.d * sf + y.dd * sf * ch + y.d * (f.d * cf * ch - h.d * sf * sh),
-		-h.dd * sf - h.d * f.d * cf + y.dd * cf * ch -
-			y.d * (f.d * sf * ch + h.d * cf * sh),
+		-h.dd * sf - h.d * f.d * cf + y.dd * cf * ch - y.d * (f.d * sf * ch + h.d * cf * sh),
 	};
 }
 
