@@ -89,15 +89,15 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 	else if (w->nmt_state == NMT_PRE_OPERATIONAL || w->nmt_state == NMT_STOPPED)
 		snprintf(text, capacity, "no PDO yet: the node is %s: imu9-sdo -n %ld nmt start, or --start here",
 			watch_nmt_text(w->nmt_state), n);
+	else if (w->nmt_state == WATCH_NMT_UNKNOWN)
+		snprintf(text, capacity,
+			"no PDO yet: is the node operational? imu9-sdo -n %ld nmt start, or --start here; "
+			"synchronous PDOs need a SYNC: --sync 100",
+			n);
 	else if (w->sync.count == 0 && any_enabled(w, true))
 		snprintf(text, capacity,
 			"no PDO yet: synchronous PDOs need a SYNC and none is on the bus: let a "
 			"master send it, or --sync 100 here");
-	else if (w->nmt_state == WATCH_NMT_UNKNOWN)
-		snprintf(text, capacity,
-			"no PDO yet: is the node operational? imu9-sdo -n %ld nmt start, or "
-			"--start here",
-			n);
 	else
 		snprintf(text, capacity, "no PDO yet that fits its mapping: imu9-sdo -n %ld dump shows 1800h to 1A03h",
 			n);

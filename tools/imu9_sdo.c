@@ -518,6 +518,14 @@ static const struct setting *find_setting(const struct settings *settings, unsig
 	return NULL;
 }
 
+static bool has_settings(const struct settings *settings, uint16_t index)
+{
+	for (size_t i = 0; i < settings->count; i++)
+		if (settings->list[i].entry->index == index)
+			return true;
+	return false;
+}
+
 /* ---- load: to the node ---- */
 
 struct load {
@@ -590,22 +598,33 @@ static void load_plain(struct load *load, const struct setting *setting)
 		load->written++;
 }
 
-static bool write_mapping(struct load *load, unsigned int index)
+static bool write_mapped_count(struct load *load, const struct od_entry *entry, uint32_t count)
 {
-	const struct setting *count = find_setting(load->settings, index, 0);
-	const uint8_t none = 0;
+	const uint8_t wire = (uint8_t)count;
 
-	if (!count)
+	return load_write(load, entry, &wire, 1);
+}
+
+static bool write_mapping(struct load *load, uint16_t index)
+{
+	const struct od_entry *entry = od_find(load->session->table, index, 0, NULL);
+	const struct setting *setting = find_setting(load->settings, index, 0);
+	uint32_t count;
+
+	if (!has_settings(load->settings, index))
 		return true;
-	if (!load_write(load, count->entry, &none, 1))
+	if (!entry || !load_read_u32(load, entry, &count))
 		return false;
-	for (unsigned int sub = 1; sub <= count->wire[0]; sub++) {
-		const struct setting *object = find_setting(load->settings, index, sub);
-
-		if (object && !load_write(load, object->entry, object->wire, object->size))
+	if (setting)
+		count = setting->wire[0];
+	if (!write_mapped_count(load, entry, 0))
+		return false;
+	for (unsigned int sub = 1; sub <= count; sub++) {
+		setting = find_setting(load->settings, index, sub);
+		if (setting && !load_write(load, setting->entry, setting->wire, setting->size))
 			return false;
 	}
-	return load_write(load, count->entry, count->wire, 1);
+	return write_mapped_count(load, entry, count);
 }
 
 static bool write_transmission(struct load *load, unsigned int index)
@@ -644,7 +663,7 @@ static void load_pdo(struct load *load, uint16_t index)
 		return;
 	if (!write_cob_id(load, entry, old | PDO_INVALID))
 		return;
-	if (!write_mapping(load, index | 0x200) || !write_transmission(load, index)) {
+	if (!write_mapping(load, (uint16_t)(index | 0x200)) || !write_transmission(load, index)) {
 		cli_error("the PDO at %04Xh is left switched off", index);
 		return;
 	}
