@@ -1,0 +1,549 @@
+/* The whole device in simulated time: samples of a simulated robot in, CAN frames out. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/config.h"
+#include "gateway/device.h"
+#include "gateway/publish.h"
+#include "gateway/settings.h"
+#include "model/sensor.h"
+
+#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
+
+enum { NODE_ID = 16, INTERVAL_US = 10000, FRAMES_MAX = 4096 };
+
+struct world {
+	struct can_port bus;
+	struct imu_port imu;
+	struct device device;
+	struct sensor sensor;
+	const struct signal *signal;
+	struct can_msg frames[FRAMES_MAX]; /* sent by the device, the last FRAMES_MAX */
+	size_t frame_count;
+	struct store_image disk; /* what the storage holds */
+	int disk_answer;	 /* 0, or an errno of the storage */
+	uint64_t now_us;
+};
+
+/* ---- the world around the device ---------------------------------------------------------------------------------- */
+
+static int take_frame(struct can_port *port, const struct can_msg *msg)
+{
+	struct world *w = (struct world *)port;
+
+	w->frames[w->frame_count++ % FRAMES_MAX] = *msg;
+	return 0;
+}
+
+static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port, (void)ids, (void)n;
+	return 0;
+}
+
+static int save_to_disk(void *ctx, const uint8_t *bytes, size_t size)
+{
+	struct world *w = ctx;
+
+	if (w->disk_answer < 0)
+		return w->disk_answer;
+	return store_decode(&w->disk, bytes, size);
+}
+
+/* Switches the device on: as main() does, with `settings` for a configuration file. */
+static void power_on(struct world *w, const char *const *settings)
+{
+	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
+	const struct device_storage storage = {.ctx = w, .save = save_to_disk};
+	struct sensor_config sensor = *sensor_preset("ideal");
+	static struct config config;
+	char why[CONFIG_ERROR_MAX];
+
+	w->bus = (struct can_port){.ops = &ops, .fd = -1};
+	w->imu = (struct imu_port){.rate_hz = sensor.rate_hz, .silence_us = 100000};
+	w->signal = signal_find("tumble");
+	sensor.lever_arm_b_m = (struct vec3){0.05, -0.1, 0.2};
+	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
+
+	w->device = (struct device){0};
+	config_init(&config, &imu9_od_table);
+	for (; settings && *settings; settings++)
+		assert_int_equal(config_set(&config, *settings, why), 0);
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
+	config_apply(&config, &w->device.od);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, NODE_ID), 0);
+	device_start(&w->device, false, w->now_us);
+}
+
+static struct world *new_world(const char *const *settings)
+{
+	struct world *w = calloc(1, sizeof(*w));
+
+	assert_non_null(w);
+	power_on(w, settings);
+	return w;
+}
+
+static int set_up(void **state)
+{
+	*state = new_world(NULL);
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	free(*state);
+	return 0;
+}
+
+static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
+{
+	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
+
+	if (len)
+		memcpy(msg.data, data, len);
+	device_receive(&w->device, &msg, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static void sample(struct world *w)
+{
+	struct imu_sample s;
+
+	w->now_us += INTERVAL_US;
+	sensor_next(&w->sensor, w->signal, &s, NULL);
+	device_sample(&w->device, 1, &s, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static void samples(struct world *w, int n)
+{
+	while (n-- > 0)
+		sample(w);
+}
+
+static void nmt(struct world *w, uint8_t command)
+{
+	receive(w, 0x000, 2, (const uint8_t[]){command, NODE_ID});
+}
+
+static void sync(struct world *w)
+{
+	receive(w, 0x080, 0, NULL);
+}
+
+static const struct can_msg *last(const struct world *w, uint32_t id)
+{
+	for (size_t i = w->frame_count; i > 0 && i + FRAMES_MAX > w->frame_count; i--)
+		if (w->frames[(i - 1) % FRAMES_MAX].id == id)
+			return &w->frames[(i - 1) % FRAMES_MAX];
+	return NULL;
+}
+
+/* Expedited download; the abort code, or 0. */
+static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
+{
+	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
+
+	memcpy(request + 4, value, size);
+	receive(w, 0x600 + NODE_ID, 8, request);
+	const struct can_msg *answer = last(w, 0x580 + NODE_ID);
+	assert_non_null(answer);
+	if (answer->data[0] == 0x60)
+		return 0;
+	assert_int_equal(answer->data[0], 0x80);
+	return (uint32_t)answer->data[4] | (uint32_t)answer->data[5] << 8 | (uint32_t)answer->data[6] << 16 |
+	       (uint32_t)answer->data[7] << 24;
+}
+
+static void write_lever_arm(struct world *w, float l, float s, float t)
+{
+	assert_int_equal(sdo_write(w, 0x2000, 1, &l, 4), 0);
+	assert_int_equal(sdo_write(w, 0x2000, 2, &s, 4), 0);
+	assert_int_equal(sdo_write(w, 0x2000, 3, &t, 4), 0);
+}
+
+static int16_t i16(const uint8_t *p)
+{
+	return (int16_t)(p[0] | p[1] << 8);
+}
+
+static uint16_t emcy_code(const struct world *w)
+{
+	const struct can_msg *m = last(w, 0x080 + NODE_ID);
+
+	return m ? (uint16_t)i16(m->data) : 0xFFFF;
+}
+
+/* ---- samples to PDOs ------------------------------------------------------------------------------------------------ */
+
+static void test_a_pdo_carries_what_the_pipeline_computes(void **state)
+{
+	struct world *w = *state;
+	struct pipeline pipeline;
+	struct pipeline_output out;
+	struct pipeline_config settings = settings_pipeline(&w->device.values);
+	struct sensor twin = w->sensor;
+	struct imu_sample s;
+
+	assert_int_equal(pipeline_init(&pipeline, &settings, 100), 0);
+	nmt(w, 1);
+	for (int k = 0; k < 300; k++) {
+		sample(w);
+		sensor_next(&twin, w->signal, &s, NULL);
+		assert_int_equal(pipeline_step(&pipeline, &s, &out), 0);
+		sync(w);
+		const uint8_t *acceleration = last(w, 0x180 + NODE_ID)->data, *angles = last(w, 0x280 + NODE_ID)->data;
+		assert_near(i16(acceleration) * 0.005, out.accel_b_m_s2.x, 0.00251);
+		assert_near(i16(acceleration + 2) * 0.005, out.accel_b_m_s2.y, 0.00251);
+		assert_near(i16(acceleration + 4) * 0.005, out.accel_b_m_s2.z, 0.00251);
+		assert_near(i16(angles) * 0.01, out.angles_rad.x * 57.29577951, 0.00501);
+		assert_int_equal(i16(acceleration + 6), k);
+	}
+}
+
+static void test_the_pdos_of_one_sync_carry_one_sample(void **state)
+{
+	struct world *w = *state;
+
+	nmt(w, 1);
+	samples(w, 5);
+	sync(w);
+	sample(w);
+	assert_int_equal(i16(last(w, 0x180 + NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(last(w, 0x280 + NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(last(w, 0x380 + NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(last(w, 0x480 + NODE_ID)->data + 2), 4);
+}
+
+static void test_the_counter_of_the_first_sample_is_zero(void **state)
+{
+	struct world *w = *state;
+
+	nmt(w, 1);
+	sample(w);
+	sync(w);
+	assert_int_equal(i16(last(w, 0x180 + NODE_ID)->data + 6), 0);
+}
+
+/* ---- configuration, live -------------------------------------------------------------------------------------------- */
+
+static struct vec3 real32(float x, float y, float z)
+{
+	return (struct vec3){(double)x, (double)y, (double)z};
+}
+
+static void test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_rigid_body_physics(void **state)
+{
+	struct world *w = *state, *untouched = new_world(NULL);
+	const struct vec3 r = {0.05, -0.1, 0.2};
+
+	samples(w, 123);
+	samples(untouched, 123);
+	write_lever_arm(w, (float)r.x, (float)r.y, (float)r.z);
+	samples(w, 1);
+	samples(untouched, 1);
+
+	const struct od_values *with = &w->device.values, *without = &untouched->device.values;
+	struct vec3 omega = real32(without->angular_rate.l, without->angular_rate.s, without->angular_rate.t);
+	struct vec3 alpha = real32(
+		without->angular_acceleration.l, without->angular_acceleration.s, without->angular_acceleration.t);
+	struct vec3 term = vec3_add(vec3_cross(alpha, r), vec3_cross(omega, vec3_cross(omega, r)));
+	assert_true(vec3_norm(term) > 0.5); /* it is worth correcting */
+	assert_near((without->acceleration.l - with->acceleration.l) * 0.005, term.x, 0.00501);
+	assert_near((without->acceleration.s - with->acceleration.s) * 0.005, term.y, 0.00501);
+	assert_near((without->acceleration.t - with->acceleration.t) * 0.005, term.z, 0.00501);
+	free(untouched);
+}
+
+static void test_a_write_does_not_touch_the_sample_that_stands(void **state)
+{
+	struct world *w = *state;
+
+	samples(w, 50);
+	int16_t before = w->device.values.acceleration.l;
+	write_lever_arm(w, 5, 5, 5);
+	assert_int_equal(w->device.values.acceleration.l, before);
+	sample(w);
+	assert_int_not_equal(w->device.values.acceleration.l, before);
+}
+
+static void test_the_reset_command_zeroes_the_position(void **state)
+{
+	struct world *w = *state;
+
+	samples(w, 400);
+	assert_true(fabs((double)w->device.values.position_m.x) > 1e-3);
+	assert_int_equal(sdo_write(w, 0x2040, 6, (const uint8_t[]){1}, 1), 0);
+	sample(w);
+	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
+	assert_int_equal(sdo_write(w, 0x2040, 6, (const uint8_t[]){2}, 1), 0x06090031);
+}
+
+static void test_the_angle_resolution_takes_only_the_steps_of_cia_410(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(sdo_write(w, 0x6000, 0, (const uint8_t[]){100, 0}, 2), 0);
+	assert_int_equal(sdo_write(w, 0x6000, 0, (const uint8_t[]){50, 0}, 2), 0x06090030);
+	assert_int_equal(w->device.values.angle_resolution, 100);
+}
+
+static void test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended(void **state)
+{
+	struct world *w = *state;
+	const float zero = 0, one = 1;
+
+	samples(w, 10);
+	assert_int_equal(sdo_write(w, 0x2051, 4, &zero, 4), 0); /* xx of the accelerometer */
+	sample(w);
+	assert_int_equal(emcy_code(w), EMCY_CONFIGURATION);
+	assert_true(fabs((double)w->device.values.specific_force.l) + fabs((double)w->device.values.specific_force.s) +
+			    fabs((double)w->device.values.specific_force.t) >
+		    5);
+	assert_int_equal(sdo_write(w, 0x2051, 4, &one, 4), 0);
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+}
+
+/* ---- storage -------------------------------------------------------------------------------------------------------- */
+
+static uint32_t store_all(struct world *w)
+{
+	return sdo_write(w, 0x1010, 1, "save", 4);
+}
+
+static void test_stored_values_survive_a_power_cycle(void **state)
+{
+	struct world *w = *state;
+	const uint16_t heartbeat = 250;
+
+	write_lever_arm(w, 0.5f, 0, 0);
+	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	assert_int_equal(store_all(w), 0);
+	write_lever_arm(w, 0.7f, 0, 0); /* not stored */
+	power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 0.5, 1e-7);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
+}
+
+static void test_stored_values_win_over_the_file_and_the_file_over_the_defaults(void **state)
+{
+	static const char *const file[] = {"lever_arm.l=1", "lever_arm.s=2", NULL};
+	struct world *w = *state;
+
+	power_on(w, file);
+	write_lever_arm(w, 3, 2, 0);
+	assert_int_equal(store_all(w), 0);
+	power_on(w, file);
+	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
+	assert_near(w->device.values.lever_arm.s, 2, 1e-7);
+	assert_near(w->device.values.lever_arm.t, 0, 1e-7);
+}
+
+static void test_a_stored_default_wins_over_the_file_too(void **state)
+{
+	static const char *const file[] = {"lever_arm.l=1", NULL};
+	struct world *w = *state;
+
+	power_on(w, file);
+	write_lever_arm(w, 0, 0, 0);
+	assert_int_equal(store_all(w), 0);
+	power_on(w, file);
+	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
+}
+
+static void test_restore_brings_back_what_was_there_before_storing_at_the_next_reset(void **state)
+{
+	struct world *w = *state;
+
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(store_all(w), 0);
+	assert_int_equal(sdo_write(w, 0x1011, 1, "load", 4), 0);
+	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
+	nmt(w, 129);
+	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
+	power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
+}
+
+static void test_a_group_is_stored_alone(void **state)
+{
+	struct world *w = *state;
+	const uint16_t heartbeat = 250;
+
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	assert_int_equal(sdo_write(w, 0x1010, 2, "save", 4), 0);
+	power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
+}
+
+static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored(void **state)
+{
+	struct world *w = *state;
+
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(store_all(w), 0);
+	write_lever_arm(w, 4, 0, 0);
+	w->disk_answer = -ENOSPC;
+	assert_int_equal(store_all(w), 0x08000020);
+	power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
+}
+
+static void test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on(void **state)
+{
+	struct world *w = *state;
+	const uint8_t request[8] = {0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'};
+
+	w->disk_answer = -EINPROGRESS;
+	size_t sent = w->frame_count;
+	receive(w, 0x600 + NODE_ID, 8, request);
+	samples(w, 20);
+	for (size_t i = sent; i < w->frame_count; i++)
+		assert_int_not_equal(w->frames[i % FRAMES_MAX].id, 0x580 + NODE_ID);
+	device_saved(&w->device, 0, w->now_us);
+	assert_int_equal(last(w, 0x580 + NODE_ID)->data[0], 0x60);
+}
+
+static void test_reset_communication_leaves_the_application_alone(void **state)
+{
+	struct world *w = *state;
+	const uint16_t heartbeat = 250;
+
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	nmt(w, 130);
+	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 1000);
+}
+
+static void test_reset_node_starts_the_application_anew(void **state)
+{
+	struct world *w = *state;
+
+	samples(w, 400);
+	assert_true(fabs((double)w->device.values.position_m.x) > 1e-3);
+	nmt(w, 129);
+	sample(w);
+	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
+}
+
+/* ---- faults --------------------------------------------------------------------------------------------------------- */
+
+static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it(void **state)
+{
+	struct world *w = *state;
+
+	samples(w, 10);
+	uint64_t deadline = device_tick(&w->device, w->now_us);
+	assert_true(deadline <= w->now_us + 100000);
+	w->now_us += 100000;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(emcy_code(w), EMCY_SENSOR_LOST);
+	assert_int_equal(w->device.values.error_register, 0x81);
+	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), STATUS_SENSOR_LOST);
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(w->device.values.error_register, 0);
+	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), PIPELINE_VALID);
+}
+
+static void test_a_source_that_ends_raises_5030h_at_once(void **state)
+{
+	struct world *w = *state;
+
+	samples(w, 10);
+	device_sample(&w->device, -ENODATA, NULL, w->now_us);
+	assert_int_equal(emcy_code(w), EMCY_SENSOR_LOST);
+}
+
+static void test_error_passive_raises_8120h_and_lost_frames_8110h(void **state)
+{
+	struct world *w = *state;
+
+	w->bus.state = CAN_STATE_PASSIVE;
+	sample(w);
+	assert_int_equal(emcy_code(w), EMCY_ERROR_PASSIVE);
+	w->bus.state = CAN_STATE_ACTIVE;
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+	w->bus.counters.tx_dropped += 3;
+	sample(w);
+	assert_int_equal(emcy_code(w), EMCY_CAN_OVERRUN);
+	assert_int_equal(w->device.values.bus_counters.tx_dropped, 3);
+	samples(w, 102); /* a second without another loss */
+	assert_int_equal(emcy_code(w), 0);
+}
+
+static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
+{
+	struct world *w = *state;
+	bool reported = false;
+
+	w->bus.state = CAN_STATE_BUS_OFF;
+	sample(w);
+	size_t from = w->frame_count;
+	w->bus.state = CAN_STATE_ACTIVE;
+	sample(w);
+	for (size_t i = from; i < w->frame_count; i++)
+		reported |= w->frames[i % FRAMES_MAX].id == 0x080 + NODE_ID &&
+			    i16(w->frames[i % FRAMES_MAX].data) == (int16_t)EMCY_BUS_OFF_OVER;
+	assert_true(reported);
+}
+
+static void test_an_hour_of_syncs_gets_every_pdo(void **state)
+{
+	struct world *w = *state;
+
+	nmt(w, 1);
+	size_t before = w->frame_count;
+	for (int k = 0; k < 360000; k++) {
+		sample(w);
+		sync(w);
+	}
+	/* four PDOs a SYNC, and a heartbeat a second */
+	assert_int_equal(w->frame_count - before, 4 * 360000 + 3600);
+	assert_int_equal((uint16_t)i16(last(w, 0x180 + NODE_ID)->data + 6), (360000 - 1) % 65536);
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		TEST(test_a_pdo_carries_what_the_pipeline_computes),
+		TEST(test_the_pdos_of_one_sync_carry_one_sample),
+		TEST(test_the_counter_of_the_first_sample_is_zero),
+		TEST(test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_rigid_body_physics),
+		TEST(test_a_write_does_not_touch_the_sample_that_stands),
+		TEST(test_the_reset_command_zeroes_the_position),
+		TEST(test_the_angle_resolution_takes_only_the_steps_of_cia_410),
+		TEST(test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended),
+		TEST(test_stored_values_survive_a_power_cycle),
+		TEST(test_stored_values_win_over_the_file_and_the_file_over_the_defaults),
+		TEST(test_a_stored_default_wins_over_the_file_too),
+		TEST(test_restore_brings_back_what_was_there_before_storing_at_the_next_reset),
+		TEST(test_a_group_is_stored_alone),
+		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
+		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
+		TEST(test_reset_communication_leaves_the_application_alone),
+		TEST(test_reset_node_starts_the_application_anew),
+		TEST(test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it),
+		TEST(test_a_source_that_ends_raises_5030h_at_once),
+		TEST(test_error_passive_raises_8120h_and_lost_frames_8110h),
+		TEST(test_bus_off_that_is_over_is_reported_by_8140h),
+		TEST(test_an_hour_of_syncs_gets_every_pdo),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
