@@ -764,7 +764,9 @@ static int compare_subs(const void *a, const void *b)
 {
 	const struct draft *x = a, *y = b;
 
-	return x->entry.sub - y->entry.sub;
+	if (x->entry.sub != y->entry.sub)
+		return x->entry.sub - y->entry.sub;
+	return (x->label_line > y->label_line) - (x->label_line < y->label_line);
 }
 
 /* All [1018subN] of an object, whatever the order in the file. */
@@ -792,7 +794,8 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 		if (take_sub(l, object, (uint8_t)sub, &source))
 			return l->result;
 	}
-	qsort(l->drafts + object->first, l->draft_count - object->first, sizeof(*l->drafts), compare_subs);
+	if (l->draft_count > object->first)
+		qsort(l->drafts + object->first, l->draft_count - object->first, sizeof(*l->drafts), compare_subs);
 	return 0;
 }
 

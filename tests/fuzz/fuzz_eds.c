@@ -1,0 +1,48 @@
+/* Any bytes as an EDS, by both rules: an error text with a name in it, or a table on which od works. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "od/od.h"
+#include "tools/eds.h"
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+static void use(const struct od_table *table)
+{
+	uint8_t *values = malloc(table->values_size + 1), wire[OD_VALUE_MAX];
+	struct od od;
+
+	od_init(&od, table, values, 127);
+	for (size_t i = 0; i < table->count; i++) {
+		const struct od_entry *entry = &table->entries[i];
+		char text[2 * OD_VALUE_MAX + 1];
+		size_t length;
+
+		if (od_find(table, entry->index, entry->sub, NULL) != entry || !*entry->name)
+			abort();
+		od_find_name(table, entry->name);
+		if (od_read(&od, entry->index, entry->sub, wire, sizeof(wire), &length) == OD_OK &&
+			od_format(entry, wire, length, text, sizeof(text)) < 0)
+			abort();
+		memset(wire, i & 0xFF, sizeof(wire));
+		od_write(&od, entry->index, entry->sub, wire, entry->size);
+	}
+	free(values);
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+	for (int rules = EDS_LENIENT; rules <= EDS_STRICT; rules++) {
+		char error[200] = "";
+		struct eds eds;
+		int result =
+			eds_parse(&eds, "f.eds", (const char *)data, size, (enum eds_rules)rules, error, sizeof(error));
+
+		if (result == 0)
+			use(&eds.table);
+		else if (strncmp(error, "f.eds:", 6) != 0)
+			abort();
+		eds_free(&eds);
+	}
+	return 0;
+}

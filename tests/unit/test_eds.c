@@ -1,0 +1,969 @@
+/* The EDS loader: what a file says arrives in the table, and a fault is told with its line. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "od_values.h"
+#include "tools/eds.h"
+
+/* A whole file that keeps every rule. The tests change one place of it. */
+static const char GOOD[] = "[FileInfo]\n"
+			   "FileName=test.eds\n"
+			   "[DeviceInfo]\n"
+			   "VendorName=Somebody\n"
+			   "VendorNumber=0x12\n"
+			   "NrOfRXPDO=0\n"
+			   "NrOfTXPDO=1\n"
+			   "[MandatoryObjects]\n"
+			   "SupportedObjects=3\n"
+			   "1=0x1000\n"
+			   "2=0x1001\n"
+			   "3=0x1018\n"
+			   "[OptionalObjects]\n"
+			   "SupportedObjects=2\n"
+			   "1=0x1800\n"
+			   "2=0x1A00\n"
+			   "[ManufacturerObjects]\n"
+			   "SupportedObjects=2\n"
+			   "1=0x2000\n"
+			   "2=0x2001\n"
+			   "[1000]\n"
+			   "ParameterName=Device type\n"
+			   "DataType=0x0007\n"
+			   "AccessType=const\n"
+			   "DefaultValue=0x0004019A\n"
+			   "[1001]\n"
+			   "ParameterName=Error register\n"
+			   "DataType=0x0005\n"
+			   "AccessType=ro\n"
+			   "PDOMapping=1\n"
+			   "[1018]\n"
+			   "ParameterName=Identity\n"
+			   "ObjectType=0x9\n"
+			   "SubNumber=2\n"
+			   "[1018sub0]\n"
+			   "ParameterName=Count\n"
+			   "DataType=0x0005\n"
+			   "AccessType=const\n"
+			   "DefaultValue=1 \n"
+			   "[1018sub1]\n"
+			   "ParameterName=Vendor-ID\n"
+			   "DataType=0x0007\n"
+			   "AccessType=ro\n"
+			   "DefaultValue=18\n"
+			   "[1800]\n"
+			   "ParameterName=TPDO1 communication\n"
+			   "ObjectType=0x9\n"
+			   "SubNumber=2\n"
+			   "[1800sub0]\n"
+			   "ParameterName=Count\n"
+			   "DataType=0x0005\n"
+			   "AccessType=const\n"
+			   "DefaultValue=1  \n"
+			   "[1800sub1]\n"
+			   "ParameterName=COB-ID\n"
+			   "DataType=0x0007\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=$NODEID+0x180\n"
+			   "[1A00]\n"
+			   "ParameterName=TPDO1 mapping\n"
+			   "ObjectType=0x9\n"
+			   "SubNumber=4\n"
+			   "[1A00sub0]\n"
+			   "ParameterName=Number of mapped objects\n"
+			   "DataType=0x0005\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=2\n"
+			   "[1A00sub1]\n"
+			   "ParameterName=Object 1\n"
+			   "DataType=0x0007\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=0x20000120\n"
+			   "[1A00sub2]\n"
+			   "ParameterName=Object 2\n"
+			   "DataType=0x0007\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=0x10010008\n"
+			   "[1A00sub3]\n"
+			   "ParameterName=Object 3\n"
+			   "DataType=0x0007\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=0\n"
+			   "[2000]\n"
+			   "ParameterName=Lever arm\n"
+			   "ObjectType=0x8\n"
+			   "SubNumber=3\n"
+			   "Description=To the sensor\n"
+			   "[2000sub0]\n"
+			   "ParameterName=Count\n"
+			   "DataType=0x0005\n"
+			   "AccessType=const\n"
+			   "DefaultValue=2   \n"
+			   "[2000sub1]\n"
+			   "ParameterName=l\n"
+			   "DataType=0x0008\n"
+			   "AccessType=rw\n"
+			   "RealDefault=0.5\n"
+			   "RealLowLimit=-10\n"
+			   "RealHighLimit=10\n"
+			   "PDOMapping=1 \n"
+			   "Unit=m\n"
+			   "[2000sub2]\n"
+			   "ParameterName=s\n"
+			   "DataType=0x0003\n"
+			   "AccessType=rw\n"
+			   "DefaultValue=-7\n"
+			   "LowLimit=-100\n"
+			   "HighLimit=100\n"
+			   "Factor=0.25\n"
+			   "[2001]\n"
+			   "ParameterName=Mode\n"
+			   "DataType=0x0005\n"
+			   "AccessType=wo\n"
+			   "ObjFlags=1\n";
+
+static struct eds eds;
+static char error[300];
+
+static int release(void **state)
+{
+	(void)state;
+	eds_free(&eds);
+	return 0;
+}
+
+/* GOOD with the only place that reads `from` (whole lines without their ends) changed to `to`; NULL leaves it out. */
+static char *changed(const char *from, const char *to)
+{
+	static char text[2 * sizeof(GOOD)];
+	const char *place = from;
+	char wanted[600];
+
+	snprintf(wanted, sizeof(wanted), "\n%s\n", from);
+	place = strstr(GOOD, wanted);
+	assert_non_null(place);
+	assert_null(strstr(place + 1, wanted));
+	snprintf(text, sizeof(text), "%.*s\n%s%s%s", (int)(place - GOOD), GOOD, to ? to : "", to ? "\n" : "",
+		place + strlen(wanted));
+	return text;
+}
+
+static int load(const char *text, enum eds_rules rules)
+{
+	eds_free(&eds);
+	error[0] = '\0';
+	return eds_parse(&eds, "test.eds", text, strlen(text), rules, error, sizeof(error));
+}
+
+static unsigned line_of(const char *text, const char *line)
+{
+	char wanted[200];
+	unsigned number = 1;
+
+	snprintf(wanted, sizeof(wanted), "\n%s\n", line);
+	assert_non_null(strstr(text, wanted));
+	for (const char *c = text; c <= strstr(text, wanted); c++)
+		number += *c == '\n';
+	return number;
+}
+
+/* The text is refused because of `line` (the first that reads so), with `what` in the words. */
+static void assert_refused(const char *text, enum eds_rules rules, const char *line, const char *what)
+{
+	char expected[64];
+
+	snprintf(expected, sizeof(expected), "test.eds:%u: ", line_of(text, line));
+	assert_int_equal(load(text, rules), -EINVAL);
+	if (strncmp(error, expected, strlen(expected)) || !strstr(error, what))
+		fail_msg("expected %s...%s, got %s", expected, what, error);
+	assert_null(eds.table.entries);
+}
+
+/* The strict rules refuse the change; the lenient ones live with it. */
+static void assert_only_strict_refuses(const char *from, const char *to, const char *line, const char *what)
+{
+	const char *text = changed(from, to);
+
+	assert_refused(text, EDS_STRICT, line, what);
+	assert_int_equal(load(text, EDS_LENIENT), 0);
+}
+
+static void assert_both_refuse(const char *from, const char *to, const char *line, const char *what)
+{
+	const char *text = changed(from, to);
+
+	assert_refused(text, EDS_STRICT, line, what);
+	assert_refused(text, EDS_LENIENT, line, what);
+}
+
+static const struct od_entry *entry_of(uint16_t index, uint8_t sub)
+{
+	const struct od_entry *entry = od_find(&eds.table, index, sub, NULL);
+
+	assert_non_null(entry);
+	return entry;
+}
+
+/* The default of an entry, of a size up to 8, as a number without sign. */
+static uint64_t default_of(uint16_t index, uint8_t sub)
+{
+	const struct od_entry *entry = entry_of(index, sub);
+	const uint8_t *at = (const uint8_t *)eds.table.defaults + entry->offset;
+	uint16_t u16;
+	uint32_t u32;
+	uint64_t u64;
+
+	switch (entry->size) {
+	case 1:
+		return *at;
+	case 2:
+		return memcpy(&u16, at, 2), u16;
+	case 4:
+		return memcpy(&u32, at, 4), u32;
+	default:
+		assert_int_equal(entry->size, 8);
+		return memcpy(&u64, at, 8), u64;
+	}
+}
+
+/* ---- what the file says arrives ---- */
+
+static void test_a_file_that_keeps_every_rule_is_loaded(void **state)
+{
+	(void)state;
+	if (load(GOOD, EDS_STRICT))
+		fail_msg("%s", error);
+	assert_int_equal(eds.table.count, 14);
+	assert_int_equal(eds.object_count, 7);
+	assert_string_equal(eds.info.file_name, "test.eds");
+	assert_string_equal(eds.info.vendor_name, "Somebody");
+	assert_int_equal(eds.info.vendor_number, 0x12);
+	assert_string_equal(eds.info.product_name, "");
+}
+
+static void test_an_entry_has_name_unit_factor_limits_and_default(void **state)
+{
+	const struct od_entry *l, *s;
+
+	(void)state;
+	assert_int_equal(load(GOOD, EDS_STRICT), 0);
+	l = entry_of(0x2000, 1);
+	s = entry_of(0x2000, 2);
+	assert_string_equal(l->name, "lever_arm.l");
+	assert_string_equal(l->unit, "m");
+	assert_true(l->factor == 1);
+	assert_true(l->low.f == -10 && l->high.f == 10);
+	assert_int_equal(default_of(0x2000, 1), 0x3F000000);
+	assert_true(s->factor == 0.25);
+	assert_true(s->low.i == -100 && s->high.i == 100);
+	assert_int_equal(default_of(0x2000, 2), 0xFFF9);
+	assert_string_equal(entry_of(0x1000, 0)->name, "device_type");
+	assert_string_equal(eds.objects[5].label, "Lever arm");
+	assert_string_equal(eds.objects[5].description, "To the sensor");
+}
+
+static void test_access_and_mapping_become_bits(void **state)
+{
+	(void)state;
+	assert_int_equal(load(GOOD, EDS_STRICT), 0);
+	assert_int_equal(entry_of(0x1000, 0)->access, OD_READ | OD_CONST);
+	assert_int_equal(entry_of(0x1001, 0)->access, OD_READ | OD_TPDO);
+	assert_int_equal(entry_of(0x1800, 1)->access, OD_READ | OD_WRITE | OD_STORED | OD_NODE_ID);
+	assert_int_equal(entry_of(0x2000, 1)->access,
+		OD_READ | OD_WRITE | OD_STORED | OD_TPDO | OD_RPDO | OD_LIMIT_LOW | OD_LIMIT_HIGH);
+	assert_int_equal(entry_of(0x2001, 0)->access, OD_WRITE);
+}
+
+static void test_access_rwr_and_rww_give_the_direction_of_the_pdo(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("AccessType=wo\nObjFlags=1", "AccessType=rwr\nPDOMapping=1"), EDS_STRICT), 0);
+	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE | OD_STORED | OD_TPDO);
+	assert_int_equal(load(changed("AccessType=wo\nObjFlags=1", "AccessType=RWW\nPDOMapping=1"), EDS_STRICT), 0);
+	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE | OD_STORED | OD_RPDO);
+}
+
+static void test_what_a_download_must_not_write_is_not_stored(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("AccessType=wo\nObjFlags=1", "AccessType=rw\nObjFlags=1"), EDS_STRICT), 0);
+	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE);
+}
+
+static void test_the_flags_of_an_object_hold_for_its_sub_indices(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("Description=To the sensor", "ObjFlags=1"), EDS_STRICT), 0);
+	assert_false(entry_of(0x2000, 1)->access & OD_STORED);
+}
+
+static void test_the_node_id_may_stand_on_either_side(void **state)
+{
+	static const char *const TEXTS[] = {"DefaultValue=$NODEID+0x180", "DefaultValue=0x180+$NODEID",
+		"DefaultValue=$nodeid + 384", "DefaultValue=384 +$NodeId"};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(TEXTS) / sizeof(*TEXTS); i++) {
+		assert_int_equal(load(changed("DefaultValue=$NODEID+0x180", TEXTS[i]), EDS_STRICT), 0);
+		assert_true(entry_of(0x1800, 1)->access & OD_NODE_ID);
+		assert_int_equal(default_of(0x1800, 1), 0x180);
+	}
+	assert_int_equal(load(changed("DefaultValue=$NODEID+0x180", "DefaultValue=$NODEID"), EDS_STRICT), 0);
+	assert_true(entry_of(0x1800, 1)->access & OD_NODE_ID);
+	assert_int_equal(default_of(0x1800, 1), 0);
+}
+
+static void test_integers_are_decimal_hex_or_octal(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("DefaultValue=0x0004019A", "DefaultValue=010"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x1000, 0), 8);
+	assert_int_equal(load(changed("DefaultValue=0x0004019A", "DefaultValue=0XfF"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x1000, 0), 255);
+}
+
+static void test_hex_of_full_width_is_a_negative_number_in_twos_complement(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("LowLimit=-100", "LowLimit=0xFF9C"), EDS_STRICT), 0);
+	assert_true(entry_of(0x2000, 2)->low.i == -100);
+	assert_int_equal(load(changed("DefaultValue=-7", "DefaultValue=0xFFF9"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x2000, 2), 0xFFF9);
+}
+
+static void test_a_real_default_may_be_decimal_or_the_bits_in_hex(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("RealDefault=0.5", "DefaultValue=-0.25"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x2000, 1), 0xBE800000);
+	assert_int_equal(load(changed("RealDefault=0.5", "DefaultValue=0x3F800000"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x2000, 1), 0x3F800000);
+}
+
+static void test_a_real_default_may_stand_right_on_a_limit_that_is_no_binary_fraction(void **state)
+{
+	(void)state;
+	assert_int_equal(
+		load(changed("RealDefault=0.5\nRealLowLimit=-10", "RealDefault=0.01\nRealLowLimit=0.01"), EDS_STRICT),
+		0);
+}
+
+static void test_strings_have_the_size_that_the_file_says(void **state)
+{
+	static const char TEXT[] = "DataType=0x0009\nAccessType=ro\nDefaultValue=Hello\nStringSize=12";
+
+	(void)state;
+	assert_int_equal(load(changed("DataType=0x0005\nAccessType=wo\nObjFlags=1", TEXT), EDS_STRICT), 0);
+	assert_int_equal(entry_of(0x2001, 0)->size, 12);
+	assert_memory_equal((const char *)eds.table.defaults + entry_of(0x2001, 0)->offset, "Hello\0\0\0\0\0\0\0", 12);
+}
+
+static void test_octets_are_read_with_and_without_blanks(void **state)
+{
+	static const char *const TEXTS[] = {
+		"DataType=10\nAccessType=ro\nDefaultValue=0A0bff", "DataType=10\nAccessType=ro\nDefaultValue=0A 0b ff"};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		assert_int_equal(load(changed("DataType=0x0005\nAccessType=wo\nObjFlags=1", TEXTS[i]), EDS_STRICT), 0);
+		assert_int_equal(entry_of(0x2001, 0)->size, 3);
+		assert_memory_equal((const char *)eds.table.defaults + entry_of(0x2001, 0)->offset, "\x0A\x0B\xFF", 3);
+	}
+}
+
+static void test_a_domain_has_no_value(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("DataType=0x0005\nAccessType=wo\nObjFlags=1",
+				      "ObjectType=2\nAccessType=rw\nDefaultValue=file.bin"),
+				 EDS_STRICT),
+		0);
+	assert_int_equal(entry_of(0x2001, 0)->type, OD_DOMAIN);
+	assert_int_equal(entry_of(0x2001, 0)->size, 0);
+	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE);
+}
+
+static void test_compact_sub_objects_share_what_their_object_says(void **state)
+{
+	static const char TEXT[] = "ObjectType=8\nCompactSubObj=3\nDataType=3\nAccessType=rw\nDefaultValue=-5\n"
+				   "[2001Name]\nNrOfEntries=1\n2=Middle\n"
+				   "[2001Value]\nNrOfEntries=1\n3=12\n";
+
+	(void)state;
+	if (load(changed("DataType=0x0005\nAccessType=wo\nObjFlags=1", TEXT), EDS_STRICT))
+		fail_msg("%s", error);
+	assert_int_equal(default_of(0x2001, 0), 3);
+	assert_string_equal(entry_of(0x2001, 1)->name, "mode.mode1");
+	assert_string_equal(entry_of(0x2001, 2)->name, "mode.middle");
+	assert_int_equal(default_of(0x2001, 1), 0xFFFB);
+	assert_int_equal(default_of(0x2001, 3), 12);
+	assert_int_equal(entry_of(0x2001, 3)->type, OD_INTEGER16);
+}
+
+static void test_keys_and_sections_are_found_in_any_case_and_any_order(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("ParameterName=Mode\nDataType=0x0005", "DATATYPE=5\n  parametername = Mode \r"),
+				 EDS_STRICT),
+		0);
+	assert_int_equal(load(changed("[1A00sub1]", "[1a00SUB01]"), EDS_STRICT), 0);
+	assert_string_equal(entry_of(0x2001, 0)->name, "mode");
+}
+
+static void test_crlf_comments_and_a_byte_order_mark_are_taken(void **state)
+{
+	char text[3 * sizeof(GOOD)] = "\xEF\xBB\xBF", *to = text + 3;
+
+	(void)state;
+	to += sprintf(to, "; a comment = of any length, %0300d\r\n", 0);
+	for (const char *from = GOOD; *from; from++) {
+		if (*from == '\n')
+			*to++ = '\r';
+		*to++ = *from;
+	}
+	*to = '\0';
+	if (load(text, EDS_STRICT))
+		fail_msg("%s", error);
+	assert_string_equal(entry_of(0x2000, 1)->unit, "m");
+}
+
+static void test_names_are_normalised(void **state)
+{
+	static const char *const CASES[][2] = {
+		{"Lever arm", "lever_arm"},
+		{"COB-ID", "cob_id"},
+		{"  Slope (long16) -- preset! ", "slope_long16_preset"},
+		{"TPDO1", "tpdo1"},
+		{"---", ""},
+		{"L\xC3\xA4nge", "l_nge"},
+	};
+	char name[64];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(CASES) / sizeof(*CASES); i++) {
+		assert_int_equal(eds_normalise(CASES[i][0], name, sizeof(name)), strlen(CASES[i][1]));
+		assert_string_equal(name, CASES[i][1]);
+	}
+	assert_int_equal(eds_normalise("abcdef", name, 4), 3);
+	assert_string_equal(name, "abc");
+}
+
+/* ---- other people's files ---- */
+
+static void test_lenient_rules_take_what_other_files_leave_out(void **state)
+{
+	static const char TEXT[] = "[OptionalObjects]\nSupportedObjects=4\n1=0x2000\n3=0x0005\n4=0x2003\n"
+				   "[2000]\nDataType=0x0005\n"
+				   "[2003]\nParameterName=---\nObjectType=9\n[2003sub2]\nDataType=0x0016\n";
+
+	(void)state;
+	if (load(TEXT, EDS_LENIENT))
+		fail_msg("%s", error);
+	assert_string_equal(entry_of(0x2000, 0)->name, "object_2000");
+	assert_int_equal(entry_of(0x2000, 0)->access, OD_READ | OD_WRITE | OD_STORED);
+	assert_string_equal(entry_of(0x2003, 2)->name, "object_2003.sub_2");
+	assert_int_equal(entry_of(0x2003, 2)->type, OD_OCTET_STRING); /* UNSIGNED24 as bytes */
+	assert_int_equal(entry_of(0x2003, 2)->size, 3);
+}
+
+static void test_an_empty_value_is_an_absent_one(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("LowLimit=-100", "LowLimit="), EDS_STRICT), 0);
+	assert_false(entry_of(0x2000, 2)->access & OD_LIMIT_LOW);
+}
+
+/* ---- faults ---- */
+
+static void test_a_line_that_is_none_of_an_eds_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("Unit=m", "Unit m", "Unit m", "no key=value");
+	assert_both_refuse("[2001]", "[2001", "[2001", "no key=value");
+}
+
+static void test_a_line_too_long_is_refused(void **state)
+{
+	char line[220] = "Unit=";
+
+	(void)state;
+	memset(line + 5, 'x', sizeof(line) - 6);
+	assert_int_equal(load(changed("Unit=m", line), EDS_LENIENT), -EINVAL);
+	assert_non_null(strstr(error, "is longer than 199 characters"));
+	line[199] = '\0';
+	assert_int_equal(load(changed("Unit=m", line), EDS_STRICT), 0);
+	assert_int_equal(strlen(entry_of(0x2000, 1)->unit), 199 - 5);
+}
+
+static void test_a_nul_byte_is_refused(void **state)
+{
+	static const char TEXT[] = "[FileInfo]\nFileName=a\0b\n";
+
+	(void)state;
+	assert_int_equal(
+		eds_parse(&eds, "test.eds", TEXT, sizeof(TEXT) - 1, EDS_LENIENT, error, sizeof(error)), -EINVAL);
+	assert_string_equal(error, "test.eds:2: has a NUL byte; an EDS is plain text");
+}
+
+static void test_a_key_that_is_there_twice_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("Unit=m", "Unit=m\nUNIT=mm", "UNIT=mm", "already in line");
+}
+
+static void test_a_section_that_is_there_twice_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("[2001]", "[2000SUB2]\nUnit=V\n[2001]", "[2000SUB2]", "twice");
+}
+
+static void test_a_sub_index_that_is_there_twice_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("[2001]", "[2000sub02]\nParameterName=again\nDataType=5\nAccessType=ro\n[2001]",
+		"ParameterName=again", "twice");
+}
+
+static void test_a_listed_object_without_section_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("SupportedObjects=2\n1=0x2000\n2=0x2001", "SupportedObjects=3\n1=0x2000\n2=0x2001\n3=0x2002",
+		"3=0x2002", "no section [2002]");
+}
+
+static void test_an_object_listed_twice_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("2=0x2001", "2=0x2000", "2=0x2000", "listed in line");
+}
+
+static void test_a_list_that_does_not_hold_as_many_as_it_says_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("1=0x1800", NULL, "SupportedObjects=2", "but 1 are listed");
+	assert_only_strict_refuses("1=0x1800", "3=0x1800", "SupportedObjects=2", "no entry 1");
+}
+
+static void test_an_object_in_the_wrong_list_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("SupportedObjects=2\n1=0x1800\n2=0x1A00",
+		"SupportedObjects=3\n1=0x1800\n2=0x1A00\n3=0x2002\n[2002]\nParameterName=Lost\nDataType=5\nAccessType="
+		"ro",
+		"3=0x2002", "does not belong");
+}
+
+static void test_a_section_of_an_unlisted_object_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("[2001]", "[2002]\nParameterName=Lost\nDataType=5\nAccessType=ro\n[2001]", "[2002]",
+		"belongs to no listed object");
+}
+
+static void test_a_sub_number_that_does_not_agree_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("SubNumber=3", "SubNumber=5", "SubNumber=5", "but 3 sub-indices");
+	assert_only_strict_refuses("SubNumber=3", NULL, "ParameterName=Lever arm", "no SubNumber");
+	assert_only_strict_refuses("[1018sub0]", "[1018sub2]", "SubNumber=2", "no sub-index 0");
+}
+
+static void test_a_sub_index_0_that_does_not_agree_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("DefaultValue=2   ", "DefaultValue=5", "DefaultValue=5", "highest sub-index");
+}
+
+static void test_an_array_without_any_sub_index_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse(
+		"ParameterName=Mode", "ParameterName=Mode \nObjectType=8", "ParameterName=Mode ", "no sub-index");
+}
+
+static void test_a_bad_sub_index_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("[2000sub2]", "[2000subG]", "[2000subG]", "no sub-index");
+	assert_both_refuse("[2000sub2]", "[2000sub100]", "[2000sub100]", "no sub-index");
+	assert_both_refuse("[2000sub2]", "[2000sub]", "[2000sub]", "no sub-index");
+}
+
+static void test_an_unknown_type_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("DataType=0x0003", "DataType=0x0099", "DataType=0x0099", "not known");
+	assert_both_refuse("DataType=0x0003", "DataType=INTEGER", "DataType=INTEGER", "not known");
+	assert_both_refuse("DataType=0x0003", NULL, "[2000sub2]", "no DataType");
+	assert_only_strict_refuses("DataType=0x0003\nAccessType=rw\nDefaultValue=-7",
+		"DataType=0x0010\nAccessType=rw\nDefaultValue=-7", "DataType=0x0010", "not known");
+}
+
+static void test_an_unknown_access_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("AccessType=wo", "AccessType=write", "AccessType=write", "is not one of");
+	assert_only_strict_refuses("AccessType=wo", NULL, "[2001]", "no AccessType");
+}
+
+static void test_an_unknown_object_type_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses(
+		"ParameterName=Mode", "ParameterName=Mode\nObjectType=5", "ObjectType=5", "is none of");
+}
+
+static void test_a_default_outside_the_limits_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("DefaultValue=-7", "DefaultValue=-101", "DefaultValue=-101", "below");
+	assert_only_strict_refuses("DefaultValue=-7", "DefaultValue=101", "DefaultValue=101", "above");
+	assert_only_strict_refuses("RealDefault=0.5", "RealDefault=10.5", "RealDefault=10.5", "above");
+}
+
+static void test_a_value_that_its_type_cannot_hold_is_refused(void **state)
+{
+	static const char *const TEXTS[] = {"DefaultValue=-32769", "DefaultValue=32768", "DefaultValue=0x10000",
+		"DefaultValue=1.5", "DefaultValue=08", "DefaultValue=seven", "DefaultValue=7 7", "DefaultValue=--7",
+		"DefaultValue=$NODEID-7", "DefaultValue=$NODEID+", "DefaultValue=0x"};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(TEXTS) / sizeof(*TEXTS); i++)
+		assert_both_refuse("DefaultValue=-7", TEXTS[i], TEXTS[i], "no value of data type 0x0003");
+	assert_both_refuse("RealDefault=0.5", "RealDefault=half", "RealDefault=half", "no value of data type 0x0008");
+	assert_both_refuse("RealDefault=0.5", "RealDefault=nan", "RealDefault=nan", "no value of data type 0x0008");
+	assert_both_refuse("RealDefault=0.5", "RealDefault=1e39", "RealDefault=1e39", "no value of data type 0x0008");
+	assert_both_refuse("DefaultValue=0x0004019A", "DefaultValue=-1", "DefaultValue=-1", "data type 0x0007");
+	assert_both_refuse("HighLimit=100", "HighLimit=lots", "HighLimit=lots", "data type 0x0003");
+	assert_both_refuse("Factor=0.25", "Factor=0", "Factor=0", "Factor");
+	assert_both_refuse("ObjFlags=1", "ObjFlags=x", "ObjFlags=x", "no number");
+}
+
+static void test_a_string_longer_than_its_size_is_refused(void **state)
+{
+	(void)state;
+	assert_both_refuse("DataType=0x0005\nAccessType=wo\nObjFlags=1",
+		"DataType=9\nAccessType=ro\nStringSize=4\nDefaultValue=Hello", "DefaultValue=Hello",
+		"more than StringSize=4");
+	assert_both_refuse("DataType=0x0005\nAccessType=wo\nObjFlags=1", "DataType=9\nAccessType=ro\nStringSize=65",
+		"StringSize=65", "not 1 to 64");
+	assert_both_refuse("DataType=0x0005\nAccessType=wo\nObjFlags=1", "DataType=10\nAccessType=ro\nDefaultValue=abc",
+		"DefaultValue=abc", "hex digits");
+}
+
+static void test_a_mapping_to_nothing_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses(
+		"DefaultValue=0x20000120", "DefaultValue=0x20050120", "DefaultValue=0x20050120", "not in the file");
+	assert_only_strict_refuses("DefaultValue=2", "DefaultValue=3", "DefaultValue=0", "not in the file");
+}
+
+static void test_a_mapping_to_an_object_that_cannot_be_mapped_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses(
+		"DefaultValue=0x20000120", "DefaultValue=0x10000020", "DefaultValue=0x10000020", "not mappable");
+}
+
+static void test_a_mapping_of_the_wrong_length_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("DefaultValue=0x20000120", "DefaultValue=0x20000110", "DefaultValue=0x20000110",
+		"16 bits of lever_arm.l, which has 32");
+}
+
+static void test_a_default_mapping_longer_than_a_pdo_is_refused(void **state)
+{
+	const char *text =
+		changed("DefaultValue=2\n[1A00sub1]\nParameterName=Object 1\nDataType=0x0007\nAccessType=rw\n"
+			"DefaultValue=0x20000120\n[1A00sub2]\nParameterName=Object 2\nDataType=0x0007\n"
+			"AccessType=rw\nDefaultValue=0x10010008\n[1A00sub3]\nParameterName=Object 3\n"
+			"DataType=0x0007\nAccessType=rw\nDefaultValue=0",
+			"DefaultValue=3\n[1A00sub1]\nParameterName=Object 1\nDataType=0x0007\nAccessType=rw\n"
+			"DefaultValue=0x20000120\n[1A00sub2]\nParameterName=Object 2\nDataType=0x0007\n"
+			"AccessType=rw\nDefaultValue=0x20000120\n[1A00sub3]\nParameterName=Object 3\n"
+			"DataType=0x0007\nAccessType=rw\nDefaultValue=0x10010008");
+
+	(void)state;
+	assert_refused(text, EDS_STRICT, "DefaultValue=3", "has 72 bits, a PDO at most 64");
+	assert_int_equal(load(text, EDS_LENIENT), 0);
+}
+
+static void test_two_objects_of_one_name_are_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses(
+		"ParameterName=Mode", "ParameterName=LEVER-ARM", "ParameterName=LEVER-ARM", "choose another");
+}
+
+static void test_two_sub_indices_of_one_name_are_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("ParameterName=s", "ParameterName=L!", "ParameterName=L!", "choose another");
+}
+
+static void test_a_name_that_cannot_be_a_word_of_c_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses(
+		"ParameterName=Mode", "ParameterName=2nd mode", "ParameterName=2nd mode", "must begin with a letter");
+	assert_only_strict_refuses("ParameterName=Mode", NULL, "[2001]", "no ParameterName");
+}
+
+static void test_device_info_that_differs_from_the_objects_is_refused(void **state)
+{
+	(void)state;
+	assert_only_strict_refuses("VendorNumber=0x12", "VendorNumber=0x13", "VendorNumber=0x13", "[1018sub1]");
+	assert_only_strict_refuses("NrOfTXPDO=1", "NrOfTXPDO=4", "NrOfTXPDO=4", "must be 1");
+	assert_only_strict_refuses("NrOfRXPDO=0", "NrOfRXPDO=1", "NrOfRXPDO=1", "must be 0");
+	assert_both_refuse("NrOfTXPDO=1", "NrOfTXPDO=many", "NrOfTXPDO=many", "no number");
+}
+
+static void test_what_is_no_eds_at_all_is_refused(void **state)
+{
+	(void)state;
+	assert_int_equal(load("", EDS_LENIENT), -EINVAL);
+	assert_string_equal(error, "test.eds: has no content; is it an EDS file?");
+	assert_int_equal(load("[a]\nb=c\n", EDS_LENIENT), -EINVAL);
+	assert_string_equal(error, "test.eds: lists no objects; is it an EDS file?");
+}
+
+static void test_a_file_that_cannot_be_read_is_told_by_name(void **state)
+{
+	(void)state;
+	assert_int_equal(eds_load(&eds, "/nonexistent.eds", EDS_LENIENT, error, sizeof(error)), -ENOENT);
+	assert_string_equal(error, "/nonexistent.eds: No such file or directory");
+	assert_int_equal(eds_load(&eds, "/", EDS_LENIENT, error, sizeof(error)), -EISDIR);
+}
+
+static void test_an_error_text_is_cut_to_its_buffer(void **state)
+{
+	char small[16];
+
+	(void)state;
+	memset(small, 'x', sizeof(small));
+	assert_int_equal(eds_parse(&eds, "test.eds", "[a]\nb\n", 6, EDS_LENIENT, small, 12), -EINVAL);
+	assert_string_equal(small, "test.eds:2:");
+	assert_int_equal(small[12], 'x');
+}
+
+static void test_a_file_cut_anywhere_is_loaded_or_refused_with_a_name(void **state)
+{
+	(void)state;
+	for (size_t size = 0; size < sizeof(GOOD); size++) {
+		char *cut = malloc(size + 1); /* its end is where a sanitizer watches */
+
+		memcpy(cut, GOOD, size);
+		error[0] = '\0';
+		for (int rules = EDS_LENIENT; rules <= EDS_STRICT; rules++) {
+			if (eds_parse(&eds, "test.eds", cut, size, (enum eds_rules)rules, error, sizeof(error)))
+				assert_int_equal(strncmp(error, "test.eds:", 9), 0);
+			eds_free(&eds);
+		}
+		free(cut);
+	}
+}
+
+/* ---- the device's own file ---- */
+
+static void test_the_generated_table_is_what_the_loader_reads_from_the_same_file(void **state)
+{
+	(void)state;
+	if (eds_parse(&eds, "imu9", (const char *)imu9_eds, imu9_eds_size, EDS_STRICT, error, sizeof(error)))
+		fail_msg("%s", error);
+	assert_int_equal(eds.table.count, imu9_od_table.count);
+	assert_int_equal(eds.table.values_size, imu9_od_table.values_size);
+	assert_memory_equal(eds.table.defaults, imu9_od_table.defaults, sizeof(struct od_values));
+	for (size_t i = 0; i < eds.table.count; i++) {
+		const struct od_entry *a = &eds.table.entries[i], *b = &imu9_od_table.entries[i];
+
+		assert_int_equal(a->index, b->index);
+		assert_int_equal(a->sub, b->sub);
+		assert_int_equal(a->type, b->type);
+		assert_int_equal(a->access, b->access);
+		assert_int_equal(a->size, b->size);
+		assert_true(a->type == OD_DOMAIN || a->offset == b->offset);
+		assert_memory_equal(&a->low, &b->low, sizeof(a->low));
+		assert_memory_equal(&a->high, &b->high, sizeof(a->high));
+		assert_true(a->factor == b->factor);
+		assert_string_equal(a->name, b->name);
+		assert_string_equal(a->unit, b->unit);
+		assert_string_equal(a->description, b->description);
+	}
+}
+
+static void test_the_device_file_has_crlf_line_ends_and_no_empty_key(void **state)
+{
+	(void)state;
+	for (size_t i = 0; i < imu9_eds_size; i++) {
+		if (imu9_eds[i] == '\n')
+			assert_int_equal(imu9_eds[i - 1], '\r');
+		if (imu9_eds[i] == '=')
+			assert_int_not_equal(imu9_eds[i + 1], '\r');
+	}
+}
+
+static void test_the_factor_of_a_measurement_is_its_default_resolution(void **state)
+{
+	static const struct {
+		uint16_t index;
+		const char *resolution;
+	} CASES[] = {{0x2100, "resolution.acceleration"}, {0x2101, "angle_resolution"}, {0x2102, "resolution.position"},
+		{0x6010, "angle_resolution"}, {0x6110, "angle_resolution"}};
+	static struct od_values values;
+	struct od od;
+
+	(void)state;
+	od_init(&od, &imu9_od_table, &values, 1);
+	for (size_t i = 0; i < sizeof(CASES) / sizeof(*CASES); i++) {
+		const struct od_entry *resolution = od_find_name(&imu9_od_table, CASES[i].resolution);
+		const struct od_entry *entry = od_find(&imu9_od_table, CASES[i].index, CASES[i].index < 0x3000, NULL);
+		const uint16_t *steps = od_value(&od, resolution->index, resolution->sub, sizeof(*steps));
+
+		assert_true(fabs(entry->factor - *steps * resolution->factor) < 1e-12);
+		assert_string_equal(entry->unit, resolution->unit);
+	}
+}
+
+/* ---- gen-od, the program ---- */
+
+static char gen_od[512];
+
+static int run_gen_od(const char *eds_text, const char *folder, char *output, size_t capacity)
+{
+	char path[64], command[1024];
+	FILE *file;
+	size_t length;
+
+	snprintf(path, sizeof(path), "%s/in.eds", folder);
+	file = fopen(path, "wb");
+	assert_non_null(file);
+	fputs(eds_text, file);
+	fclose(file);
+	snprintf(command, sizeof(command), "%s %s %s/out 2>&1", gen_od, path, folder);
+	file = popen(command, "r");
+	assert_non_null(file);
+	length = fread(output, 1, capacity - 1, file);
+	output[length] = '\0';
+	return WEXITSTATUS(pclose(file));
+}
+
+static void test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output(void **state)
+{
+	static const char *const OUTPUTS[] = {"od_values.h", "od_table.c", "objects.md", "imu9-gateway.dbc"};
+	static const char *const BROKEN[][2] = {
+		{"DataType=0x0099", "not known"},	   /* a fault of the file */
+		{"ParameterName=default", "word of the C"} /* a fault only for C */
+	};
+	char folder[] = "/tmp/imu9-gen-od-XXXXXX", path[64], output[400], expected[100];
+
+	(void)state;
+	if (access(gen_od, X_OK))
+		skip();
+	assert_non_null(mkdtemp(folder));
+	snprintf(path, sizeof(path), "mkdir %s/out", folder);
+	assert_int_equal(system(path), 0);
+	for (int i = 0; i < 2; i++) {
+		const char *text = changed(i ? "ParameterName=Mode" : "DataType=0x0003", BROKEN[i][0]);
+
+		assert_int_equal(run_gen_od(text, folder, output, sizeof(output)), 1);
+		snprintf(expected, sizeof(expected), "gen-od: %s/in.eds:%u: ", folder, line_of(text, BROKEN[i][0]));
+		assert_int_equal(strncmp(output, expected, strlen(expected)), 0);
+		assert_non_null(strstr(output, BROKEN[i][1]));
+		for (size_t k = 0; k < 4; k++) {
+			snprintf(path, sizeof(path), "%s/out/%s", folder, OUTPUTS[k]);
+			assert_int_not_equal(access(path, F_OK), 0);
+		}
+	}
+	assert_int_equal(run_gen_od(GOOD, folder, output, sizeof(output)), 0);
+	assert_string_equal(output, "");
+	for (size_t k = 0; k < 4; k++) {
+		snprintf(path, sizeof(path), "%s/out/%s", folder, OUTPUTS[k]);
+		assert_int_equal(unlink(path), 0);
+	}
+	snprintf(path, sizeof(path), "rm -r %s", folder);
+	assert_int_equal(system(path), 0);
+}
+
+#define CASE(test) cmocka_unit_test_teardown(test, release)
+
+int main(int argc, char **argv)
+{
+	const struct CMUnitTest tests[] = {
+		CASE(test_a_file_that_keeps_every_rule_is_loaded),
+		CASE(test_an_entry_has_name_unit_factor_limits_and_default),
+		CASE(test_access_and_mapping_become_bits),
+		CASE(test_access_rwr_and_rww_give_the_direction_of_the_pdo),
+		CASE(test_what_a_download_must_not_write_is_not_stored),
+		CASE(test_the_flags_of_an_object_hold_for_its_sub_indices),
+		CASE(test_the_node_id_may_stand_on_either_side),
+		CASE(test_integers_are_decimal_hex_or_octal),
+		CASE(test_hex_of_full_width_is_a_negative_number_in_twos_complement),
+		CASE(test_a_real_default_may_be_decimal_or_the_bits_in_hex),
+		CASE(test_a_real_default_may_stand_right_on_a_limit_that_is_no_binary_fraction),
+		CASE(test_strings_have_the_size_that_the_file_says),
+		CASE(test_octets_are_read_with_and_without_blanks),
+		CASE(test_a_domain_has_no_value),
+		CASE(test_compact_sub_objects_share_what_their_object_says),
+		CASE(test_keys_and_sections_are_found_in_any_case_and_any_order),
+		CASE(test_crlf_comments_and_a_byte_order_mark_are_taken),
+		CASE(test_names_are_normalised),
+		CASE(test_lenient_rules_take_what_other_files_leave_out),
+		CASE(test_an_empty_value_is_an_absent_one),
+		CASE(test_a_line_that_is_none_of_an_eds_is_refused),
+		CASE(test_a_line_too_long_is_refused),
+		CASE(test_a_nul_byte_is_refused),
+		CASE(test_a_key_that_is_there_twice_is_refused),
+		CASE(test_a_section_that_is_there_twice_is_refused),
+		CASE(test_a_sub_index_that_is_there_twice_is_refused),
+		CASE(test_a_listed_object_without_section_is_refused),
+		CASE(test_an_object_listed_twice_is_refused),
+		CASE(test_a_list_that_does_not_hold_as_many_as_it_says_is_refused),
+		CASE(test_an_object_in_the_wrong_list_is_refused),
+		CASE(test_a_section_of_an_unlisted_object_is_refused),
+		CASE(test_a_sub_number_that_does_not_agree_is_refused),
+		CASE(test_a_sub_index_0_that_does_not_agree_is_refused),
+		CASE(test_an_array_without_any_sub_index_is_refused),
+		CASE(test_a_bad_sub_index_is_refused),
+		CASE(test_an_unknown_type_is_refused),
+		CASE(test_an_unknown_access_is_refused),
+		CASE(test_an_unknown_object_type_is_refused),
+		CASE(test_a_default_outside_the_limits_is_refused),
+		CASE(test_a_value_that_its_type_cannot_hold_is_refused),
+		CASE(test_a_string_longer_than_its_size_is_refused),
+		CASE(test_a_mapping_to_nothing_is_refused),
+		CASE(test_a_mapping_to_an_object_that_cannot_be_mapped_is_refused),
+		CASE(test_a_mapping_of_the_wrong_length_is_refused),
+		CASE(test_a_default_mapping_longer_than_a_pdo_is_refused),
+		CASE(test_two_objects_of_one_name_are_refused),
+		CASE(test_two_sub_indices_of_one_name_are_refused),
+		CASE(test_a_name_that_cannot_be_a_word_of_c_is_refused),
+		CASE(test_device_info_that_differs_from_the_objects_is_refused),
+		CASE(test_what_is_no_eds_at_all_is_refused),
+		CASE(test_a_file_that_cannot_be_read_is_told_by_name),
+		CASE(test_an_error_text_is_cut_to_its_buffer),
+		CASE(test_a_file_cut_anywhere_is_loaded_or_refused_with_a_name),
+		CASE(test_the_generated_table_is_what_the_loader_reads_from_the_same_file),
+		CASE(test_the_device_file_has_crlf_line_ends_and_no_empty_key),
+		CASE(test_the_factor_of_a_measurement_is_its_default_resolution),
+		CASE(test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output),
+	};
+	const char *slash = strrchr(argv[0], '/');
+
+	(void)argc;
+	/* build/tests/unit/test_eds -> build/gen-od */
+	snprintf(
+		gen_od, sizeof(gen_od), "%.*s/../../gen-od", slash ? (int)(slash - argv[0]) : 1, slash ? argv[0] : ".");
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
