@@ -49,9 +49,9 @@ def written(text, suffix=""):
     return path
 
 
-def open_master(channel=BUS):
-    # own frames come back as well, so that `frames` has SYNCs and PDOs in the order of the bus
-    return canopen.Master(can.Bus(interface="socketcan", channel=channel, receive_own_messages=True))
+def open_master(channel=BUS, own_frames=True):
+    """With own_frames, `frames` has SYNCs and PDOs in the order of the bus."""
+    return canopen.Master(can.Bus(interface="socketcan", channel=channel, receive_own_messages=own_frames))
 
 
 class Gateway:

@@ -2,6 +2,7 @@
 last."""
 import collections
 import os
+import re
 import subprocess
 import unittest
 
@@ -21,20 +22,19 @@ class TheWholeRun(unittest.TestCase):
 
     def test_every_frame_is_dissected_as_canopen(self):
         self.assertGreater(len(self.frames), 5000)
-        self.assertEqual({f["frame.protocols"] for f in self.frames}, {"can:canopen"})
+        # for a SYNC without a counter the dissector writes the Info column only: there is nothing to take apart
+        wanted = {("can:canopen", True), ("can", False)}
+        odd = [f for f in self.frames if (f["frame.protocols"], f["_ws.col.Info"] != "SYNC") not in wanted]
+        self.assertEqual(odd, [])
 
     def test_no_frame_is_malformed(self):
         bad = [f for f in self.frames if f["_ws.malformed"] or f["_ws.expert.severity"]]
         self.assertEqual(bad, [])
 
     def test_every_service_is_recognised(self):
-        kinds = collections.Counter()
-        for frame in self.frames:
-            info = frame["_ws.col.Info"].lower()
-            kinds.update(kind for kind in ("nmt", "sync", "emergency", "pdo", "sdo") if kind in info)
+        kinds = collections.Counter(re.match(r"\w+", f["_ws.col.Info"])[0] for f in self.frames)
         self.note = ", ".join("%s %d" % pair for pair in kinds.most_common())
-        for kind in ("nmt", "sync", "emergency", "pdo", "sdo"):
-            self.assertGreater(kinds[kind], 0, kinds)
+        self.assertEqual(set(kinds), {"NMT", "SYNC", "EMCY", "PDO1", "PDO2", "PDO3", "PDO4", "Default"})  # Default-SDO
 
 
 if __name__ == "__main__":

@@ -48,8 +48,8 @@ class Precedence(ARunningGateway):
         for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):  # stored
             self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
 
-    def test_objects_are_named_in_the_file_with_and_without_section_and_by_index(self):
-        self.start("-c", rig.written("lever_arm.l = 0.1\nrates_from = 1\n0x2000:2 = 0.2\n[Lever Arm]\nt = 0.3\n"))
+    def test_objects_are_named_in_the_file_with_and_without_section(self):
+        self.start("-c", rig.written("lever_arm.l = 0.1\nrates_from = 1\nLever Arm.s = 0.2\n[lever_arm]\nt = 0.3\n"))
         for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):
             self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
         self.assertEqual(self.master.upload(NODE, 0x2002), b"\x01")
