@@ -341,6 +341,14 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us)
 	return answer_us < watch->ask_again_us ? answer_us : watch->ask_again_us;
 }
 
+int watch_nmt_state(const struct watch *watch, uint64_t now_us)
+{
+	uint64_t period_us = watch_object(watch, 0x1017, 0) * UINT64_C(1000);
+	bool expected = watch->heartbeat.count > 0 && period_us > 0;
+
+	return expected && now_us - watch->heard_us > 3 * period_us ? WATCH_NMT_LOST : watch->nmt_state;
+}
+
 bool watch_has_values(const struct watch *watch)
 {
 	for (size_t i = 0; i < watch->pdo_count; i++)
@@ -373,6 +381,8 @@ const char *watch_nmt_text(int nmt_state)
 		return "operational";
 	case NMT_PRE_OPERATIONAL:
 		return "pre-operational";
+	case WATCH_NMT_LOST:
+		return "lost";
 	default:
 		return "unknown";
 	}

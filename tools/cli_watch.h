@@ -13,7 +13,7 @@
 #include "gateway/canopen/sdo_client.h"
 #include "od/od.h"
 
-enum { WATCH_PDOS = 8, WATCH_FIELDS = 8, WATCH_NMT_UNKNOWN = -1 };
+enum { WATCH_PDOS = 8, WATCH_FIELDS = 8, WATCH_NMT_UNKNOWN = -1, WATCH_NMT_LOST = -2 };
 
 /** One mapped object of a PDO. */
 struct watch_field {
@@ -56,7 +56,7 @@ struct watch {
 	unsigned int configured; /* times that the mapping was set: rises when it may have changed */
 	struct watch_pdo pdos[WATCH_PDOS];
 	size_t pdo_count;
-	int nmt_state; /* enum nmt_state, or WATCH_NMT_UNKNOWN */
+	int nmt_state; /* the last one told: enum nmt_state, or WATCH_NMT_UNKNOWN */
 	struct watch_rate heartbeat, sync, emcy;
 	uint64_t boot_ups;
 	uint16_t emcy_code; /* of the last EMCY */
@@ -92,6 +92,8 @@ bool watch_has_values(const struct watch *watch);
 
 /** The physical value as text, with as many decimals as its step has, without the unit. */
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity);
+/** The NMT state, or WATCH_NMT_LOST when a node with a heartbeat has been silent for three heartbeat times. */
+int watch_nmt_state(const struct watch *watch, uint64_t now_us);
 /** "operational", .. */
 const char *watch_nmt_text(int nmt_state);
 /** What an emergency error code means (CiA 301 table 26 and the gateway's own). */

@@ -163,7 +163,7 @@ static void show_node(const struct monitor *m, uint64_t now_us)
 	};
 	const struct watch *w = &m->watch;
 
-	printf("node %ld on %s: %s", m->node_id, m->bus_name, watch_nmt_text(w->nmt_state));
+	printf("node %ld on %s: %s", m->node_id, m->bus_name, watch_nmt_text(watch_nmt_state(w, now_us)));
 	if (w->heartbeat.count)
 		printf(", heartbeat %.1f s ago", seconds_since(w->heartbeat.last_us, now_us));
 	if (w->boot_ups)
@@ -222,6 +222,8 @@ static void show_pdos(const struct monitor *m, uint64_t now_us)
 		if (pdo->counted)
 			printf(", %llu samples skipped, %llu repeated", (unsigned long long)pdo->skipped,
 				(unsigned long long)pdo->repeated);
+		if (pdo->rate.count && seconds_since(pdo->rate.last_us, now_us) > 1)
+			printf(", the last %.1f s ago", seconds_since(pdo->rate.last_us, now_us));
 		if (pdo->misfits)
 			printf(", %llu of wrong length", (unsigned long long)pdo->misfits);
 		end_line(m);
@@ -288,8 +290,8 @@ static void print_columns(const struct monitor *m, uint64_t now_us)
 	uint64_t skipped = 0;
 	char name[TEXT_MAX], value[TEXT_MAX];
 
-	printf("t=%.2f nmt=%s sync_hz=%.1f", seconds_since(m->begin_us, now_us), watch_nmt_text(w->nmt_state),
-		watch_rate_hz(&w->sync, now_us));
+	printf("t=%.2f nmt=%s sync_hz=%.1f", seconds_since(m->begin_us, now_us),
+		watch_nmt_text(watch_nmt_state(w, now_us)), watch_rate_hz(&w->sync, now_us));
 	for (size_t i = 0; i < w->pdo_count; i++) {
 		const struct watch_pdo *pdo = &w->pdos[i];
 
@@ -328,7 +330,7 @@ static void show_line(struct monitor *m, uint64_t now_us)
 
 /* ---- the table at the end ---- */
 
-static void show_summary(const struct monitor *m)
+static void show_summary(const struct monitor *m, uint64_t now_us)
 {
 	const struct watch *w = &m->watch;
 	char name[TEXT_MAX], value[TEXT_MAX];
@@ -349,7 +351,7 @@ static void show_summary(const struct monitor *m)
 			printf("       %-28s %14s %s\n", name, value, field_unit(&pdo->fields[k]));
 		}
 	}
-	printf("NMT state %s; %llu heartbeats, %llu SYNC, %llu EMCY%s%s\n", watch_nmt_text(w->nmt_state),
+	printf("NMT state %s; %llu heartbeats, %llu SYNC, %llu EMCY%s%s\n", watch_nmt_text(watch_nmt_state(w, now_us)),
 		(unsigned long long)w->heartbeat.count, (unsigned long long)w->sync.count,
 		(unsigned long long)w->emcy.count, w->emcy.count ? ", the last: " : "",
 		w->emcy.count ? watch_emcy_text(w->emcy_code) : "");
@@ -515,8 +517,9 @@ int main(int argc, char **argv)
 	char hint[TEXT_MAX];
 
 	m.bus_name = cli_default_bus();
-	m.node_id = cli_default_node();
 	parse_options(&m, argc, argv);
+	if (m.node_id == 0)
+		m.node_id = cli_default_node();
 	m.screen = !m.once && !m.line && isatty(STDOUT_FILENO);
 	if (m.update_hz == 0)
 		m.update_hz = m.screen ? SCREEN_HZ : LINE_HZ;
@@ -539,7 +542,7 @@ int main(int argc, char **argv)
 	if (m.once)
 		show_all(&m, cli_now_us());
 	else if (received)
-		show_summary(&m);
+		show_summary(&m, cli_now_us());
 	find_hint(&m, hint, sizeof(hint));
 	if (hint[0] && !m.once && strcmp(hint, m.hint) != 0)
 		cli_error("%s", hint);

@@ -14,7 +14,8 @@
 #include "tools/cli_value.h"
 #include "tools/eds.h"
 
-enum { DOMAIN_MAX = 4 << 20, SETTINGS_MAX = 1024, TARGETS_MAX = 512, PDO_MAPPED_MAX = 64 };
+enum { DOMAIN_MAX = 4 << 20, SETTINGS_MAX = 1024, TARGETS_MAX = 512 };
+enum { STRING_MAX = 1024 };	  /* of other people's devices */
 enum { STORE_TIMEOUT_MS = 5000 }; /* a disk may take its time */
 
 #define PDO_INVALID   (1u << 31)
@@ -185,7 +186,9 @@ static int command_read(struct session *s, int argc, char **argv)
 	size_t n = 0;
 	int exit_code = CLI_OK;
 
-	for (int i = 0; i < argc && n < TARGETS_MAX; i++) {
+	for (int i = 0; i < argc; i++) {
+		if (n == TARGETS_MAX)
+			cli_usage_error("more than %d objects at once", TARGETS_MAX);
 		size_t record = find_record(s, argv[i], &targets[n], TARGETS_MAX - n);
 
 		if (record == 0 && !find_target(s, argv[i], &targets[n]))
@@ -261,7 +264,7 @@ static bool is_highest_subindex(const struct od_entry *entry)
 static int command_dump(struct session *s, int argc, char **argv)
 {
 	(void)argc, (void)argv;
-	uint8_t wire[OD_VALUE_MAX];
+	uint8_t wire[STRING_MAX];
 	char text[CLI_VALUE_TEXT_MAX];
 	int failed = 0;
 
@@ -305,35 +308,31 @@ static bool is_mapping(uint16_t index)
 	return is_pdo_parameter(index) && (index & 0x200);
 }
 
-static void save_value(FILE *out, const struct od_entry *entry, const uint8_t *wire, size_t size)
+/* One line of the file; false when the value is not of the object's type. */
+static bool save_value(FILE *out, const struct od_entry *entry, const uint8_t *wire, size_t size)
 {
 	char text[CLI_VALUE_TEXT_MAX];
 
+	if (entry->type != OD_VISIBLE_STRING && size != entry->size)
+		return false;
 	if (entry->type == OD_UNSIGNED32 && entry->index < 0x2000 && !entry->unit[0]) /* COB-IDs, mappings */
-		snprintf(text, sizeof(text), "0x%08X", (unsigned int)get_number(wire, 4));
+		snprintf(text, sizeof(text), "0x%08X", (unsigned int)get_number(wire, size));
 	else if (od_format(entry, wire, size, text, sizeof(text)) < 0)
-		return;
-	fprintf(out, "%s = %s\n", entry->name, text);
-}
-
-static void save_heading(FILE *out, const struct od_entry *entry, uint16_t *last_index)
-{
-	if (entry->index == *last_index)
-		return;
-	*last_index = entry->index;
-	fprintf(out, "\n# %04Xh", entry->index);
+		return false;
+	fprintf(out, "%s = %s", entry->name, text);
 	if (entry->unit[0] && entry->factor != 1)
-		fprintf(out, ", in steps of %.9g %s", entry->factor, entry->unit);
+		fprintf(out, " ; steps of %.9g %s", entry->factor, entry->unit);
 	else if (entry->unit[0])
-		fprintf(out, ", %s", entry->unit);
+		fprintf(out, " ; %s", entry->unit);
 	fputc('\n', out);
+	return true;
 }
 
 /* All that the node would store itself. False when it stopped to answer. */
 static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 {
 	uint8_t wire[OD_VALUE_MAX];
-	uint16_t heading = 0;
+	uint16_t index = 0;
 	uint64_t mapped = 0;
 
 	for (size_t i = 0; i < s->table->count; i++) {
@@ -341,7 +340,12 @@ static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 
 		if (!(entry->access & OD_STORED))
 			continue;
-		if (is_mapping(entry->index) && entry->sub > mapped)
+		if (entry->index != index) {
+			index = entry->index;
+			mapped = UINT64_MAX; /* until sub-index 0 was read */
+			fprintf(out, "\n# %04Xh\n", index);
+		}
+		if (is_mapping(index) && entry->sub > mapped)
 			continue; /* not in use */
 		if (!cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
 			cli_node_explain(&s->node, entry);
@@ -352,8 +356,11 @@ static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 		}
 		if (entry->sub == 0)
 			mapped = get_number(wire, s->node.sdo.size);
-		save_heading(out, entry, &heading);
-		save_value(out, entry, wire, s->node.sdo.size);
+		if (!save_value(out, entry, wire, s->node.sdo.size)) {
+			cli_error("%s: the value in the node is not of the type in the EDS", entry->name);
+			++*failed;
+			continue;
+		}
 		++*saved;
 	}
 	return true;
@@ -840,11 +847,13 @@ static void parse_options(struct session *s, int argc, char **argv)
 
 int main(int argc, char **argv)
 {
-	struct session s = {.bus = cli_default_bus(), .node_id = cli_default_node(), .timeout_ms = 500};
+	struct session s = {.bus = cli_default_bus(), .node_id = -1, .timeout_ms = 500};
 	struct eds eds;
 	char error[512];
 
 	parse_options(&s, argc, argv);
+	if (s.node_id < 0)
+		s.node_id = cli_default_node();
 	argc -= optind;
 	argv += optind;
 	if (argc == 0)

@@ -90,7 +90,7 @@ imu9-sdo write lever_arm.s 0.25
 imu9-sdo write tpdo2_communication.transmission_type 5
 run imu9-sdo save "$work/a.ini"
 check "save" ends 0
-run grep -x "lever_arm.s = 0.25" "$work/a.ini"
+run grep -x "lever_arm.s = 0.25 ; m" "$work/a.ini"
 check "the file is readable" ends 0
 run imu9-sdo load "$work/a.ini"
 check "loading what is there writes nothing" test "${err/ 0 values written/}" != "$err"

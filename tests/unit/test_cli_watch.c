@@ -236,6 +236,18 @@ static void test_heartbeat_sync_and_emergency_are_noted(void **state)
 	assert_string_equal(watch_emcy_text(b->watch.emcy_code), "CAN error-passive");
 }
 
+static void test_a_node_whose_heartbeat_stops_is_lost_after_three_times(void **state)
+{
+	(void)state;
+	struct bench *b = bench_new(true); /* 1017h: 1000 ms */
+
+	FRAME(b, 0x700 + NODE, SECOND, 0x05);
+	assert_int_equal(watch_nmt_state(&b->watch, 4 * SECOND), NMT_OPERATIONAL);
+	assert_int_equal(watch_nmt_state(&b->watch, 4 * SECOND + 1), WATCH_NMT_LOST);
+	FRAME(b, 0x180 + NODE, 5 * SECOND, 0, 0, 0, 0, 0, 0, 0, 0);
+	assert_int_equal(watch_nmt_state(&b->watch, 5 * SECOND), NMT_OPERATIONAL);
+}
+
 static void test_frames_of_other_nodes_are_ignored(void **state)
 {
 	(void)state;
@@ -274,6 +286,7 @@ int main(void)
 		cmocka_unit_test(test_skipped_and_repeated_samples_are_counted_across_the_wrap),
 		cmocka_unit_test(test_the_rate_is_that_of_the_frames_and_falls_when_they_stop),
 		cmocka_unit_test(test_heartbeat_sync_and_emergency_are_noted),
+		cmocka_unit_test(test_a_node_whose_heartbeat_stops_is_lost_after_three_times),
 		cmocka_unit_test(test_frames_of_other_nodes_are_ignored),
 		cmocka_unit_test(test_status_bits_are_told_in_words),
 	};
