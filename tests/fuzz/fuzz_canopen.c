@@ -1,0 +1,155 @@
+/* The CANopen core under arbitrary frames, time, samples and errors. Input: a sequence of steps, each an operation byte
+ * and its arguments. */
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/canopen/node.h"
+#include "od_values.h"
+
+enum { NODE_ID = 0x10, MAX_TICKS = 64 };
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
+
+struct input {
+	const uint8_t *data;
+	size_t size;
+};
+
+static struct canopen_node node;
+static enum nmt_state state_before;
+
+static uint8_t take(struct input *in)
+{
+	if (in->size == 0)
+		return 0;
+	in->size--;
+	return *in->data++;
+}
+
+static void require(int condition)
+{
+	if (!condition)
+		abort();
+}
+
+static int port_send(struct can_port *port, const struct can_msg *msg)
+{
+	(void)port;
+	require(msg->id <= 0x7FF && msg->len <= 8 && !msg->extended && !msg->remote);
+	require(msg->id != 0 && (msg->id & 0x780) != 0x600); /* neither NMT nor an SDO request */
+	if (msg->id == 0x580 + NODE_ID)
+		require(msg->len == 8 && state_before != NMT_STOPPED);
+	return 0;
+}
+
+static int port_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
+{
+	(void)port;
+	(void)msg;
+	(void)now_us;
+	return 0;
+}
+
+static int port_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port;
+	require(ids != NULL && n > 0);
+	return 0;
+}
+
+static enum od_status answer = OD_OK;
+
+static enum od_status device_keep(void *ctx, enum od_group group)
+{
+	(void)ctx;
+	(void)group;
+	return answer;
+}
+
+static struct can_msg take_frame(struct input *in)
+{
+	static const uint32_t ids[] = {0x000, 0x600 + NODE_ID, 0x600 + NODE_ID, 0x080};
+	uint8_t kind = take(in);
+	struct can_msg msg = {.id = ids[kind & 3],
+		.len = 8,
+		.extended = (kind & 0x84) == 0x84,
+		.remote = (kind & 0x88) == 0x88,
+		.t_us = (kind & 0x40) != 0};
+
+	if (msg.id == 0x000)
+		msg.len = 2;
+	if (msg.id == 0x080)
+		msg.len = 0;
+	if (kind & 0x20)
+		msg.len = take(in) % 9;
+	if (kind & 0x10)
+		msg.id = (uint32_t)(take(in) << 8 | take(in)) & 0x7FF;
+	for (int i = 0; i < msg.len; i++)
+		msg.data[i] = take(in);
+	return msg;
+}
+
+static uint64_t pass_time(struct input *in, uint64_t now_us)
+{
+	uint64_t end_us = now_us + ((uint64_t)take(in) << (take(in) & 15));
+
+	for (int i = 0; i < MAX_TICKS && now_us <= end_us; i++) {
+		uint64_t deadline_us = canopen_tick(&node, now_us);
+		require(deadline_us > now_us);
+		if (deadline_us > end_us)
+			break;
+		now_us = deadline_us;
+	}
+	return now_us;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+	static const struct can_ops ops = {.send = port_send, .receive = port_receive, .filter = port_filter};
+	static const struct canopen_device device = {.store = device_keep, .restore = device_keep};
+	static const uint8_t eds[1000] = {1, 2, 3};
+	static struct od_values values;
+	static struct can_port port;
+	static struct od_domain domain;
+	struct od od;
+	struct input in = {data, size};
+	uint64_t now_us = 1000;
+
+	port = (struct can_port){.ops = &ops};
+	domain = (struct od_domain){.index = 0x1021, .data = eds, .size = sizeof(eds)};
+	state_before = NMT_INITIALISING;
+	od_init(&od, &imu9_od_table, &values, NODE_ID);
+	od_set_domain(&od, &domain);
+	require(canopen_init(&node, &od, &port, &device, NODE_ID) == 0);
+	canopen_start(&node, now_us);
+	while (in.size > 0) {
+		uint8_t operation = take(&in);
+		struct can_msg msg;
+
+		state_before = canopen_nmt_state(&node);
+		switch (operation & 7) {
+		case 0:
+			now_us = pass_time(&in, now_us);
+			break;
+		case 1:
+			canopen_sample(&node, now_us);
+			break;
+		case 2:
+			canopen_error_set(&node, (uint16_t)(0xFF00 | take(&in)), take(&in), NULL, now_us);
+			break;
+		case 3:
+			canopen_error_clear(&node, (uint16_t)(0xFF00 | take(&in)), now_us);
+			break;
+		case 4:
+			answer = operation & 8 ? OD_PENDING : OD_OK;
+			canopen_store_done(&node, operation & 16 ? OD_OK : OD_CANNOT_STORE, now_us);
+			break;
+		default:
+			msg = take_frame(&in);
+			canopen_receive(&node, &msg, now_us);
+			break;
+		}
+		require(canopen_tick(&node, now_us) > now_us);
+	}
+	return 0;
+}
