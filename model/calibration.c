@@ -27,8 +27,8 @@ int calibration_init(struct calibration *cal, const struct calibration_config *c
 {
 	struct mat3 mounting;
 
-	if (!vec3_finite(config->mounting_rad) || !triad_valid(&config->gyro) ||
-		!triad_valid(&config->accel) || !triad_valid(&config->mag))
+	if (!vec3_finite(config->mounting_rad) || !triad_valid(&config->gyro) || !triad_valid(&config->accel) ||
+		!triad_valid(&config->mag))
 		return -EINVAL;
 	mounting = mat3_from_quat(quat_from_aerospace(config->mounting_rad));
 	*cal = (struct calibration){

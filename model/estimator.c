@@ -31,17 +31,15 @@ static struct vec3 lever_arm_term(
 		seed = seed_motion_from_rigid(&rigid);
 		return seed_lever_arm(&seed, config->lever_arm_b_m);
 	case LEVER_ARM_RIGID_BODY:
-		return rigid_lever_arm(
-			rates->omega_b_rad_s, rates->alpha_b_rad_s2, config->lever_arm_b_m);
+		return rigid_lever_arm(rates->omega_b_rad_s, rates->alpha_b_rad_s2, config->lever_arm_b_m);
 	}
 	return (struct vec3){0, 0, 0};
 }
 
-struct vec3 estimator_accel_b(const struct estimator_config *config, struct vec3 force_b_m_s2,
-	struct quat q_nb, const struct body_rates *rates)
+struct vec3 estimator_accel_b(const struct estimator_config *config, struct vec3 force_b_m_s2, struct quat q_nb,
+	const struct body_rates *rates)
 {
-	struct vec3 gravity_b =
-		quat_rotate_inverse(q_nb, (struct vec3){0, 0, config->gravity_m_s2});
+	struct vec3 gravity_b = quat_rotate_inverse(q_nb, (struct vec3){0, 0, config->gravity_m_s2});
 
 	return vec3_sub(vec3_sub(force_b_m_s2, gravity_b), lever_arm_term(config, q_nb, rates));
 }

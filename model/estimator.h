@@ -27,7 +27,7 @@ int estimator_check(const struct estimator_config *config);
 /** The reference point's acceleration in the object frame, from the specific force at the
  * accelerometer. Bounded for bounded input: near the gimbal lock of the seed's angles their rates
  * are, too (see seed.h). */
-struct vec3 estimator_accel_b(const struct estimator_config *config, struct vec3 force_b_m_s2,
-	struct quat q_nb, const struct body_rates *rates);
+struct vec3 estimator_accel_b(const struct estimator_config *config, struct vec3 force_b_m_s2, struct quat q_nb,
+	const struct body_rates *rates);
 
 #endif

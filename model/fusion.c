@@ -15,9 +15,8 @@ static bool within(double value, double high)
 static bool config_valid(const struct fusion_config *c)
 {
 	return (c->algorithm == FUSION_MADGWICK || c->algorithm == FUSION_MAHONY) &&
-	       (c->use_magnetometer == 0 || c->use_magnetometer == 1) &&
-	       within(c->madgwick_beta, 10) && within(c->mahony_kp_rad_s, 100) &&
-	       within(c->mahony_ki_rad_s2, 100);
+	       (c->use_magnetometer == 0 || c->use_magnetometer == 1) && within(c->madgwick_beta, 10) &&
+	       within(c->mahony_kp_rad_s, 100) && within(c->mahony_ki_rad_s2, 100);
 }
 
 int fusion_init(struct fusion *f, const struct fusion_config *config)
@@ -89,8 +88,7 @@ static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample
 	double horizontal;
 
 	f->mag_used = false;
-	if (!f->config.use_magnetometer || !(sample->flags & SAMPLE_MAG) ||
-		!direction(sample->mag_uT, &m))
+	if (!f->config.use_magnetometer || !(sample->flags & SAMPLE_MAG) || !direction(sample->mag_uT, &m))
 		return none;
 	h_n = quat_rotate(f->q_nb, m);
 	horizontal = hypot(h_n.x, h_n.y);
@@ -117,14 +115,14 @@ static struct vec3 madgwick_turn(const struct fusion *f, struct vec3 error, doub
 
 static struct vec3 mahony_turn(struct fusion *f, struct vec3 error, double dt_s)
 {
-	f->gyro_bias_b_rad_s = vec3_sub(
-		f->gyro_bias_b_rad_s, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
+	f->gyro_bias_b_rad_s = vec3_sub(f->gyro_bias_b_rad_s, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
 	return vec3_scale(fmin(f->config.mahony_kp_rad_s, 1 / (2 * dt_s)), error);
 }
 
+/* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
-	struct vec3 up, error = {0, 0, 0}, turn;
+	struct vec3 up, error = {0, 0, 0}, half;
 	bool up_known = direction(sample->accel_m_s2, &up);
 
 	if (!f->started) {
@@ -134,12 +132,12 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 		field_error(f, sample);
 		return;
 	}
+	f->q_nb = quat_multiply(f->q_nb,
+		quat_from_rotation_vector(vec3_scale(dt_s, vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s))));
 	if (up_known)
 		error = vec3_cross(up, quat_rotate_inverse(f->q_nb, (struct vec3){0, 0, 1}));
 	error = vec3_add(error, field_error(f, sample));
-	turn = f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s)
-						      : mahony_turn(f, error, dt_s);
-	turn = vec3_add(turn, vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s));
-	f->q_nb = quat_normalize(
-		quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, turn))));
+	half = vec3_scale(dt_s / 2,
+		f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s) : mahony_turn(f, error, dt_s));
+	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
 }

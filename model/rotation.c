@@ -8,8 +8,7 @@ struct mat3 mat3_multiply(struct mat3 a, struct mat3 b)
 
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++)
-			c.m[i][j] = a.m[i][0] * b.m[0][j] + a.m[i][1] * b.m[1][j] +
-				    a.m[i][2] * b.m[2][j];
+			c.m[i][j] = a.m[i][0] * b.m[0][j] + a.m[i][1] * b.m[1][j] + a.m[i][2] * b.m[2][j];
 	return c;
 }
 
@@ -78,8 +77,7 @@ struct mat3 seed_rxyz(struct vec3 angles_rad)
 struct mat3 seed_rxyz_inverse(struct vec3 angles_rad)
 {
 	return mat3_multiply(mat3_transpose(seed_rz(angles_rad.z)),
-		mat3_multiply(mat3_transpose(seed_ry(angles_rad.y)),
-			mat3_transpose(seed_rx(angles_rad.x))));
+		mat3_multiply(mat3_transpose(seed_ry(angles_rad.y)), mat3_transpose(seed_rx(angles_rad.x))));
 }
 
 struct quat quat_from_aerospace(struct vec3 roll_pitch_yaw_rad)

@@ -29,11 +29,9 @@ struct vec3 seed_static(struct vec3 a_b_m_s2, struct vec3 angles_rad, double g_m
 	return vec3_add(a_b_m_s2, seed_gravity(angles_rad, g_m_s2));
 }
 
-struct vec3 seed_dynamic(
-	struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2)
+struct vec3 seed_dynamic(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2)
 {
-	return vec3_add(
-		seed_static(a_b_m_s2, motion->angles_rad, g_m_s2), seed_lever_arm(motion, r_b_m));
+	return vec3_add(seed_static(a_b_m_s2, motion->angles_rad, g_m_s2), seed_lever_arm(motion, r_b_m));
 }
 
 struct vec3 seed_dynamic_global(
@@ -42,39 +40,35 @@ struct vec3 seed_dynamic_global(
 	struct mat3 r_xyz = seed_rxyz(motion->angles_rad);
 	struct vec3 gravity_n = {0, 0, g_m_s2};
 
-	return vec3_add(vec3_add(mat3_apply(r_xyz, a_b_m_s2), gravity_n),
-		mat3_apply(r_xyz, seed_lever_arm(motion, r_b_m)));
+	return vec3_add(
+		vec3_add(mat3_apply(r_xyz, a_b_m_s2), gravity_n), mat3_apply(r_xyz, seed_lever_arm(motion, r_b_m)));
 }
 
-struct vec3 seed_noisy(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m,
-	double g_m_s2, struct vec3 noise_b_m_s2)
+struct vec3 seed_noisy(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2,
+	struct vec3 noise_b_m_s2)
 {
 	return vec3_add(seed_dynamic(a_b_m_s2, motion, r_b_m, g_m_s2), noise_b_m_s2);
 }
 
-struct vec3 seed_estimate(struct vec3 measured_b_m_s2, const struct seed_motion *motion,
-	struct vec3 r_b_m, double g_m_s2)
+struct vec3 seed_estimate(
+	struct vec3 measured_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2)
 {
-	return vec3_sub(vec3_sub(measured_b_m_s2, seed_gravity(motion->angles_rad, g_m_s2)),
-		seed_lever_arm(motion, r_b_m));
+	return vec3_sub(
+		vec3_sub(measured_b_m_s2, seed_gravity(motion->angles_rad, g_m_s2)), seed_lever_arm(motion, r_b_m));
 }
 
-struct vec3 rigid_lever_arm(
-	struct vec3 omega_b_rad_s, struct vec3 alpha_b_rad_s2, struct vec3 r_b_m)
+struct vec3 rigid_lever_arm(struct vec3 omega_b_rad_s, struct vec3 alpha_b_rad_s2, struct vec3 r_b_m)
 {
-	return vec3_add(vec3_cross(alpha_b_rad_s2, r_b_m),
-		vec3_cross(omega_b_rad_s, vec3_cross(omega_b_rad_s, r_b_m)));
+	return vec3_add(vec3_cross(alpha_b_rad_s2, r_b_m), vec3_cross(omega_b_rad_s, vec3_cross(omega_b_rad_s, r_b_m)));
 }
 
-static struct vec3 gravity_and_lever_arm(
-	const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2)
+static struct vec3 gravity_and_lever_arm(const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2)
 {
 	return vec3_add(quat_rotate_inverse(motion->q_nb, (struct vec3){0, 0, g_m_s2}),
 		rigid_lever_arm(motion->omega_b_rad_s, motion->alpha_b_rad_s2, r_b_m));
 }
 
-struct vec3 rigid_dynamic(
-	struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2)
+struct vec3 rigid_dynamic(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2)
 {
 	return vec3_add(a_b_m_s2, gravity_and_lever_arm(motion, r_b_m, g_m_s2));
 }
@@ -85,14 +79,14 @@ struct vec3 rigid_dynamic_global(
 	return quat_rotate(motion->q_nb, rigid_dynamic(a_b_m_s2, motion, r_b_m, g_m_s2));
 }
 
-struct vec3 rigid_noisy(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m,
-	double g_m_s2, struct vec3 noise_b_m_s2)
+struct vec3 rigid_noisy(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2,
+	struct vec3 noise_b_m_s2)
 {
 	return vec3_add(rigid_dynamic(a_b_m_s2, motion, r_b_m, g_m_s2), noise_b_m_s2);
 }
 
-struct vec3 rigid_estimate(struct vec3 measured_b_m_s2, const struct rigid_motion *motion,
-	struct vec3 r_b_m, double g_m_s2)
+struct vec3 rigid_estimate(
+	struct vec3 measured_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2)
 {
 	return vec3_sub(measured_b_m_s2, gravity_and_lever_arm(motion, r_b_m, g_m_s2));
 }

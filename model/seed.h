@@ -29,38 +29,35 @@ struct vec3 seed_lever_arm(const struct seed_motion *motion, struct vec3 r_b_m);
 /** (8): measured = a + gravity. */
 struct vec3 seed_static(struct vec3 a_b_m_s2, struct vec3 angles_rad, double g_m_s2);
 /** (9): measured = a + gravity + lever arm. */
-struct vec3 seed_dynamic(
-	struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2);
+struct vec3 seed_dynamic(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2);
 /** (10): the measurement of (9) in the global frame, R_xyz a + (0, 0, g) + R_xyz (lever arm). */
 struct vec3 seed_dynamic_global(
 	struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2);
 /** (11): (9) with noise. */
-struct vec3 seed_noisy(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m,
-	double g_m_s2, struct vec3 noise_b_m_s2);
+struct vec3 seed_noisy(struct vec3 a_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2,
+	struct vec3 noise_b_m_s2);
 /** (12): the acceleration, from the measurement and the estimated motion. The inverse of (9). */
-struct vec3 seed_estimate(struct vec3 measured_b_m_s2, const struct seed_motion *motion,
-	struct vec3 r_b_m, double g_m_s2);
+struct vec3 seed_estimate(
+	struct vec3 measured_b_m_s2, const struct seed_motion *motion, struct vec3 r_b_m, double g_m_s2);
 
 /** alpha x r + omega x (omega x r): the exact twin of the last term of (9). */
-struct vec3 rigid_lever_arm(
-	struct vec3 omega_b_rad_s, struct vec3 alpha_b_rad_s2, struct vec3 r_b_m);
+struct vec3 rigid_lever_arm(struct vec3 omega_b_rad_s, struct vec3 alpha_b_rad_s2, struct vec3 r_b_m);
 /** The exact twins of (9), (10), (11) and (12). */
-struct vec3 rigid_dynamic(
-	struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2);
+struct vec3 rigid_dynamic(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2);
 struct vec3 rigid_dynamic_global(
 	struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2);
-struct vec3 rigid_noisy(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m,
-	double g_m_s2, struct vec3 noise_b_m_s2);
-struct vec3 rigid_estimate(struct vec3 measured_b_m_s2, const struct rigid_motion *motion,
-	struct vec3 r_b_m, double g_m_s2);
+struct vec3 rigid_noisy(struct vec3 a_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2,
+	struct vec3 noise_b_m_s2);
+struct vec3 rigid_estimate(
+	struct vec3 measured_b_m_s2, const struct rigid_motion *motion, struct vec3 r_b_m, double g_m_s2);
 
 /** The seed's angles and their derivatives from a rigid body's motion, exact but near gimbal lock:
- * within about 3 degrees of it cos(theta) is held at SEED_COS_THETA_LEAST, so that the derivatives
+ * within about 6 degrees of it cos(theta) is held at SEED_COS_THETA_LEAST, so that the derivatives
  * stay bounded. */
 struct seed_motion seed_motion_from_rigid(const struct rigid_motion *motion);
 /** The way back, exact everywhere. */
 struct rigid_motion rigid_motion_from_seed(const struct seed_motion *motion);
 
-#define SEED_COS_THETA_LEAST 0.05
+#define SEED_COS_THETA_LEAST 0.1
 
 #endif
