@@ -18,8 +18,8 @@ enum { DOMAIN_MAX = 4 << 20, SETTINGS_MAX = 1024, TARGETS_MAX = 512 };
 enum { STRING_MAX = 1024 };	  /* of other people's devices */
 enum { STORE_TIMEOUT_MS = 5000 }; /* a disk may take its time */
 
-#define PDO_INVALID   (1u << 31)
-#define ABORT_NO_DATA 0x08000024
+#define COB_ID_INVALID (1u << 31)
+#define ABORT_NO_DATA  0x08000024
 
 static const char help[] = "Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
 			   "Reads and writes the objects of a CANopen node over SDO.\n"
@@ -575,8 +575,11 @@ static bool is_same(struct load *load, const struct setting *setting)
 	uint8_t wire[OD_VALUE_MAX];
 	struct cli_node *node = &load->session->node;
 
-	return !load->lost && cli_node_read(node, setting->entry->index, setting->entry->sub, wire, sizeof(wire)) &&
-	       node->sdo.size == setting->size && memcmp(wire, setting->wire, setting->size) == 0;
+	if (load->lost)
+		return false;
+	if (cli_node_read(node, setting->entry->index, setting->entry->sub, wire, sizeof(wire)))
+		return node->sdo.size == setting->size && memcmp(wire, setting->wire, setting->size) == 0;
+	return node->sdo.result != SDO_ABORTED && load_failed(load, setting->entry);
 }
 
 static bool write_cob_id(struct load *load, const struct od_entry *entry, uint32_t cob_id)
@@ -587,22 +590,27 @@ static bool write_cob_id(struct load *load, const struct od_entry *entry, uint32
 	return load_write(load, entry, wire, sizeof(wire));
 }
 
+/* CiA 301, 7.5.2.17: the CAN-ID of an EMCY that exists must not change, so it is switched off first. */
+static bool write_emcy(struct load *load, const struct setting *setting)
+{
+	uint32_t old;
+
+	if (!load_read_u32(load, setting->entry, &old) || !write_cob_id(load, setting->entry, old | COB_ID_INVALID))
+		return false;
+	if (load_write(load, setting->entry, setting->wire, setting->size))
+		return true;
+	write_cob_id(load, setting->entry, old);
+	return false;
+}
+
 static void load_plain(struct load *load, const struct setting *setting)
 {
-	if (is_same(load, setting)) {
+	if (is_same(load, setting))
 		load->same++;
-		return;
-	}
-	/* CiA 301: the CAN-ID of an existing EMCY must not change, so it is switched off first */
-	if (setting->entry->index == 0x1014) {
-		uint32_t old;
-
-		if (!load_read_u32(load, setting->entry, &old) ||
-			!write_cob_id(load, setting->entry, old | PDO_INVALID))
-			return;
-	}
-	if (load_write(load, setting->entry, setting->wire, setting->size))
-		load->written++;
+	else if (setting->entry->index == 0x1014)
+		load->written += write_emcy(load, setting);
+	else
+		load->written += load_write(load, setting->entry, setting->wire, setting->size);
 }
 
 static bool write_mapped_count(struct load *load, const struct od_entry *entry, uint32_t count)
@@ -668,7 +676,7 @@ static void load_pdo(struct load *load, uint16_t index)
 	}
 	if (!entry || !load_read_u32(load, entry, &old))
 		return;
-	if (!write_cob_id(load, entry, old | PDO_INVALID))
+	if (!write_cob_id(load, entry, old | COB_ID_INVALID))
 		return;
 	if (!write_mapping(load, (uint16_t)(index | 0x200)) || !write_transmission(load, index)) {
 		cli_error("the PDO at %04Xh is left switched off", index);
