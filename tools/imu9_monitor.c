@@ -378,8 +378,8 @@ static void send_sync(struct monitor *m, uint64_t now_us)
 		msg.data[0] = m->sync_counter;
 		msg.len = 1;
 	}
-	can_send(m->bus, &msg, now_us);
-	watch_sync_sent(&m->watch, now_us);
+	if (can_send(m->bus, &msg, now_us) == 0)
+		watch_sync_sent(&m->watch, now_us);
 	m->next_sync_us += period_us;
 	if (m->next_sync_us < now_us) /* we were stopped: do not catch up in a burst */
 		m->next_sync_us = now_us + period_us;
