@@ -1,0 +1,231 @@
+#!/usr/bin/python3
+"""check_eds.py: the EDS and the DBC made of it, read by rules other than our own.
+
+The EDS with Python's configparser, key by key as python-canopen does it (case-sensitive keys, int(x, 0), float(), no
+key it would stumble over), and against the lists, counts and types of CiA 306. The DBC by its grammar, signal by signal
+against the mapping objects. Needs no bus. Status 1 and one line for each fault; uses python-canopen too if it is there.
+"""
+import configparser
+import os
+import pathlib
+import re
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+EDS = ROOT / "eds/imu9-gateway.eds"
+DBC = ROOT / os.environ.get("BUILD", "build") / "gen/imu9-gateway.dbc"
+
+SIGNED = {2: 8, 3: 16, 4: 32, 0x15: 64}
+UNSIGNED = {1: 1, 5: 8, 6: 16, 7: 32, 0x1B: 64}
+REAL = {8: 32, 0x11: 64}
+BITS = {**SIGNED, **UNSIGNED, **REAL}
+OTHER = {9, 10, 15}  # strings, DOMAIN
+
+VAR_KEYS = {"ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit", "PDOMapping",
+            "ObjFlags"}
+OUR_KEYS = {"Unit", "Factor", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize"}
+RECORD_KEYS = {"ParameterName", "ObjectType", "SubNumber", "ObjFlags", "Description"}
+FILE_KEYS = {"FileName", "FileVersion", "FileRevision", "EDSVersion", "Description", "CreationTime", "CreationDate",
+             "CreatedBy", "ModificationTime", "ModificationDate", "ModifiedBy"}
+DEVICE_KEYS = {"VendorName", "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode",
+               "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging",
+               "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"} | {"BaudRate_%d" % b for b in (10, 20, 50, 125, 250, 500, 800, 1000)}
+LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
+
+faults = []
+
+
+def expect(condition, where, what):
+    if not condition:
+        faults.append("%s: %s" % (where, what))
+
+
+def number(text, data_type, where):
+    """As python-canopen converts a value for node-ID 0; None when it cannot."""
+    try:
+        if data_type in REAL:
+            return float(text)
+        value = int(re.sub(r"\+?\$NODEID\+?", "", text), 0)
+    except ValueError:
+        faults.append("%s: %r is no value of type %#x" % (where, text, data_type))
+        return None
+    bits = BITS[data_type]
+    low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if data_type in SIGNED else (0, (1 << bits) - 1)
+    expect(low <= value <= high, where, "%s does not fit its type" % text)
+    return value
+
+
+def check_variable(eds, section):
+    keys = eds[section]
+    where = "[%s]" % section
+    expect(set(keys) <= VAR_KEYS | OUR_KEYS, where, "unexpected keys %s" % sorted(set(keys) - VAR_KEYS - OUR_KEYS))
+    for key in ("ParameterName", "ObjectType", "DataType", "AccessType"):
+        if key not in keys:
+            faults.append("%s: no %s" % (where, key))
+            return
+    data_type = int(keys["DataType"], 0)
+    expect(data_type in BITS or data_type in OTHER, where, "DataType %#x" % data_type)
+    expect(keys["AccessType"] in ("ro", "wo", "rw", "rwr", "rww", "const"), where, "AccessType " + keys["AccessType"])
+    expect(int(keys["ObjectType"], 0) == (2 if data_type == 15 else 7), where, "ObjectType " + keys["ObjectType"])
+    if "PDOMapping" in keys:
+        bool(int(keys["PDOMapping"], 0))
+    if "Factor" in keys:
+        expect(float(keys["Factor"]) > 0, where, "Factor " + keys["Factor"])
+    if data_type not in BITS:
+        return
+    prefix = "Real" if data_type in REAL else ""
+    low, high = (number(keys[k], data_type, where) if k in keys else None for k in (prefix + "LowLimit", prefix + "HighLimit"))
+    default = number(keys.get("RealDefault", keys.get("DefaultValue", "0")), data_type, where)
+    if data_type in REAL:
+        expect(keys.get("DefaultValue", "0") == "0", where, "DefaultValue of a REAL32 other than 0 (tools disagree on its form)")
+        expect("LowLimit" not in keys and "HighLimit" not in keys, where, "limits of a REAL32 in an integer's keys")
+    expect(low is None or low <= default, where, "default below LowLimit")
+    expect(high is None or default <= high, where, "default above HighLimit")
+
+
+def check_eds():
+    raw = EDS.read_bytes()
+    expect(raw.count(b"\r\n") == raw.count(b"\n"), EDS.name, "a line without CRLF")
+    text = raw.decode("ascii")
+    expect(max(map(len, text.splitlines())) < 190, EDS.name, "a line of 190 characters or more")
+    eds = configparser.RawConfigParser(inline_comment_prefixes=(";",), strict=True)
+    eds.optionxform = str
+    eds.read_string(text)
+    for section in eds.sections():
+        for key, value in eds[section].items():
+            expect(value.strip(), "[%s]" % section, "%s is empty" % key)
+    expect(set(eds["FileInfo"]) == FILE_KEYS, "[FileInfo]", "keys differ: %s" % sorted(set(eds["FileInfo"]) ^ FILE_KEYS))
+    expect(set(eds["DeviceInfo"]) == DEVICE_KEYS, "[DeviceInfo]", "keys differ: %s" % sorted(set(eds["DeviceInfo"]) ^ DEVICE_KEYS))
+    expect(eds["FileInfo"]["FileName"] == EDS.name, "[FileInfo]", "FileName")
+    for key, pattern in (("CreationTime", r"\d\d:\d\d[AP]M"), ("CreationDate", r"\d\d-\d\d-\d{4}"), ("EDSVersion", r"4\.0")):
+        expect(re.fullmatch(pattern, eds["FileInfo"][key]), "[FileInfo]", key)
+    for sub, key in enumerate(("VendorNumber", "ProductNumber", "RevisionNumber"), 1):
+        same = int(eds["DeviceInfo"][key], 0) == int(eds["1018sub%d" % sub]["DefaultValue"], 0)
+        expect(same, "[DeviceInfo]", key + " differs from 1018h")
+    lines = int(eds["Comments"]["Lines"])
+    expect(set(eds["Comments"]) == {"Lines"} | {"Line%d" % (i + 1) for i in range(lines)}, "[Comments]", "lines do not agree")
+
+    listed = []
+    for name in LISTS:
+        count = int(eds[name]["SupportedObjects"])
+        expect(set(eds[name]) == {"SupportedObjects"} | {str(i + 1) for i in range(count)}, "[%s]" % name, "numbering")
+        listed += [(name, int(v, 16)) for k, v in eds[name].items() if k != "SupportedObjects"]
+    for name, index in listed:
+        mandatory, manufacturer = index in (0x1000, 0x1001, 0x1018), 0x2000 <= index <= 0x5FFF
+        right = LISTS[0] if mandatory else LISTS[2] if manufacturer else LISTS[1]
+        expect(name == right, "%04X" % index, "belongs in [%s]" % right)
+    indices = [index for _, index in listed]
+    expect(len(set(indices)) == len(indices), "lists", "an object twice")
+    described = {s for s in eds.sections() if re.fullmatch("[0-9A-F]{4}", s)}
+    expect(described == {"%04X" % i for i in indices}, "lists", "sections and lists differ")
+
+    entries = {}
+    for section in eds.sections():
+        match = re.fullmatch("([0-9A-F]{4})(?:sub([0-9A-F]+))?", section)
+        if not match:
+            continue
+        expect(match[1] in described, "[%s]" % section, "no such object")
+        if match[2] is None and int(eds[section]["ObjectType"], 0) in (8, 9):
+            expect(set(eds[section]) <= RECORD_KEYS, "[%s]" % section, "unexpected keys")
+            continue
+        check_variable(eds, section)
+        entries[int(match[1], 16), int(match[2] or "0", 16)] = eds[section]
+    for section in described:
+        subs = sorted(sub for index, sub in entries if index == int(section, 16))
+        if "SubNumber" in eds[section]:
+            expect(int(eds[section]["SubNumber"], 0) == len(subs), "[%s]" % section, "SubNumber")
+            expect(subs[0] == 0, "[%s]" % section, "no sub-index 0")
+        else:
+            expect(subs == [0], "[%s]" % section, "sub-indices of a VAR")
+    expect(int(eds["DeviceInfo"]["NrOfTXPDO"]) == sum(0x1800 <= i < 0x1A00 for i in indices), "[DeviceInfo]", "NrOfTXPDO")
+    return entries
+
+
+def mapped(entries, pdo):
+    """(key of the entry, bits) for each default mapping of one TPDO."""
+    result = []
+    for sub in range(1, int(entries[0x1A00 + pdo, 0]["DefaultValue"]) + 1):
+        value = int(entries[0x1A00 + pdo, sub]["DefaultValue"], 0)
+        key = value >> 16, value >> 8 & 0xFF
+        where = "[%04Xsub%X]" % (0x1A00 + pdo, sub)
+        if key not in entries:
+            faults.append("%s: maps %04X:%02X, which is not there" % (where, *key))
+            continue
+        expect(entries[key].get("PDOMapping") == "1", where, "maps what is not mappable")
+        expect(value & 0xFF == BITS[int(entries[key]["DataType"], 0)], where, "wrong length")
+        result.append((key, value & 0xFF))
+    return result
+
+
+def without_groups(pattern):
+    return re.sub(r"(?<!\\)\((?!\?)", "(?:", pattern)
+
+
+def check_dbc(entries):
+    text = DBC.read_text("ascii")
+    signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" Vector__XXX\n'
+    message = r"BO_ (\d+) ([A-Za-z_]\w{0,31}): (\d) IMU9\n((?:%s)+)\n" % without_groups(signal)
+    tail = r'(?:CM_ (?:SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
+    whole = r'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n(?:%s)+%s' % (without_groups(message), tail)
+    expect(re.fullmatch(whole, text), DBC.name, "does not follow the grammar")
+    messages = {int(m[1]): m for m in re.finditer(message, text)}
+    expect(set(messages) == {0x181, 0x281, 0x381, 0x481, 0x81, 0x701}, DBC.name, "CAN-IDs %s" % sorted(map(hex, messages)))
+    for pdo in range(4):
+        found = re.findall(signal, messages[0x181 + 0x100 * pdo][4])
+        wanted = mapped(entries, pdo)
+        where = "%s TPDO%d" % (DBC.name, pdo + 1)
+        expect(len(found) == len(wanted), where, "%d signals for %d mapped objects" % (len(found), len(wanted)))
+        start = 0
+        for (name, at, bits, sign, factor, low, high, unit), (key, length) in zip(found, wanted):
+            entry = entries[key]
+            scale = float(entry.get("Factor", "1"))
+            signed = int(entry["DataType"], 0) in SIGNED
+            raw = (-1 << length - 1, (1 << length - 1) - 1) if signed else (0, (1 << length) - 1)
+            expect((int(at), int(bits)) == (start, length), where, name + " stands at the wrong bits")
+            expect(sign == ("-" if signed else "+"), where, name + " has the wrong sign")
+            expect(float(factor) == scale and unit == entry.get("Unit", ""), where, name + " has the wrong unit or factor")
+            for limit, bound in zip((low, high), raw):
+                expect(abs(float(limit) - bound * scale) < 1e-6, where, name + " has the wrong range")
+            start += length
+        expect(start == 8 * int(messages[0x181 + 0x100 * pdo][3]) <= 64, where, "length")
+
+
+def check_with_python_canopen(entries):
+    """Returns what was done about it, for the log."""
+    try:
+        import canopen
+    except ImportError:
+        return "python-canopen is not here: not asked"
+    import logging
+    import warnings
+
+    warnings.simplefilter("error")
+    log = []
+    handler = logging.Handler(logging.WARNING)
+    handler.emit = lambda record: log.append(record.getMessage())
+    logging.getLogger().addHandler(handler)
+    dictionary = canopen.import_od(str(EDS), node_id=1)
+    for line in log:
+        faults.append("python-canopen: " + line)
+    for (index, sub), entry in entries.items():
+        variable = dictionary[index]
+        variable = variable[sub] if hasattr(variable, "subindices") else variable
+        expect(variable.data_type == int(entry["DataType"], 0), "python-canopen", "type of %04X:%02X" % (index, sub))
+        expect(variable.unit == entry.get("Unit", ""), "python-canopen", "unit of %04X:%02X" % (index, sub))
+    return "python-canopen agrees"
+
+
+def main():
+    entries = check_eds()
+    if DBC.exists():
+        check_dbc(entries)
+    else:
+        faults.append("%s is missing: run make first" % DBC)
+    note = check_with_python_canopen(entries)
+    for fault in faults:
+        print(fault)
+    print("%d entries checked, %d faults; %s" % (len(entries), len(faults), note))
+    return 1 if faults else 0
+
+
+sys.exit(main())
