@@ -1,0 +1,72 @@
+/* tests/bench/bench_pipeline.c
+ * Time of one pipeline step on a moving robot, for each fusion and lever-arm model: best of several rounds, one core. */
+#include <stdio.h>
+#include <time.h>
+
+#include "model/pipeline.h"
+
+enum { SAMPLES = 100000, ROUNDS = 5, RATE_HZ = 200 };
+
+static struct imu_sample samples[SAMPLES];
+
+static void fill(void)
+{
+	for (int k = 0; k < SAMPLES; k++) {
+		double t = (double)k / RATE_HZ;
+		struct quat q = quat_from_rotation_vector((struct vec3){sin(t), 0.3 * sin(2 * t), 0});
+
+		samples[k] = (struct imu_sample){
+			.t_us = (uint64_t)k * (1000000 / RATE_HZ),
+			.gyro_rad_s = {cos(t), 0.6 * cos(2 * t), 0},
+			.accel_m_s2 = quat_rotate_inverse(q, (struct vec3){0.3 * sin(3 * t), 0, 9.81}),
+			.mag_uT = quat_rotate_inverse(q, (struct vec3){0, 20, -45}),
+			.flags = SAMPLE_MAG,
+		};
+	}
+}
+
+static double now_ns(void)
+{
+	struct timespec t;
+
+	clock_gettime(CLOCK_MONOTONIC, &t);
+	return (double)t.tv_sec * 1e9 + (double)t.tv_nsec;
+}
+
+static double ns_a_step(const struct pipeline_config *config)
+{
+	double best = INFINITY;
+
+	for (int round = 0; round < ROUNDS; round++) {
+		struct pipeline_output out;
+		struct pipeline p;
+		double start;
+
+		if (pipeline_init(&p, config, RATE_HZ) < 0)
+			return NAN;
+		start = now_ns();
+		for (int k = 0; k < SAMPLES; k++)
+			pipeline_step(&p, &samples[k], &out);
+		best = fmin(best, (now_ns() - start) / SAMPLES);
+	}
+	return best;
+}
+
+int main(void)
+{
+	static const char *const fusions[] = {"madgwick", "mahony"};
+	static const char *const models[] = {"off", "seed", "rigid"};
+
+	fill();
+	for (int fusion = 0; fusion < 2; fusion++)
+		for (int model = 0; model < 3; model++) {
+			struct pipeline_config config = PIPELINE_DEFAULTS;
+
+			config.fusion.algorithm = (enum fusion_algorithm)fusion;
+			config.estimator.model = (enum lever_arm_model)model;
+			config.estimator.lever_arm_b_m = (struct vec3){0.05, 0, 0.1};
+			printf("pipeline step, %s, lever arm %s: %.0f ns\n", fusions[fusion], models[model],
+				ns_a_step(&config));
+		}
+	return 0;
+}

@@ -1,0 +1,615 @@
+/* The whole line from sample to position. */
+#include "model_test.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "model/pipeline.h"
+#include "model/seed.h"
+
+enum { RATE_HZ = 200, INTERVAL_US = 1000000 / RATE_HZ };
+
+static const double G = 9.81;
+static const struct vec3 ZERO = {0, 0, 0}, FIELD_N = {0, 20, -45}, LEVER_B = {0.05, -0.03, 0.08};
+
+static struct pipeline pipeline(const struct pipeline_config *config)
+{
+	struct pipeline p;
+
+	assert_int_equal(pipeline_init(&p, config, RATE_HZ), 0);
+	return p;
+}
+
+static struct pipeline_config with_lever(void)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+
+	config.estimator.lever_arm_b_m = LEVER_B;
+	return config;
+}
+
+/* What ideal sensors at LEVER_B measure, and the reference point's true acceleration. */
+struct truth {
+	struct imu_sample sample;
+	struct quat q_nb;
+	struct vec3 accel_n;
+};
+
+static struct truth sensed(double t, const struct seed_motion *motion, struct vec3 accel_n)
+{
+	struct rigid_motion body = rigid_motion_from_seed(motion);
+	struct truth truth = {.q_nb = body.q_nb, .accel_n = accel_n};
+
+	truth.sample = (struct imu_sample){
+		.t_us = (uint64_t)llround(t * 1e6),
+		.gyro_rad_s = body.omega_b_rad_s,
+		.accel_m_s2 = rigid_dynamic(quat_rotate_inverse(body.q_nb, accel_n), &body, LEVER_B, G),
+		.mag_uT = quat_rotate_inverse(body.q_nb, FIELD_N),
+		.flags = SAMPLE_MAG,
+	};
+	return truth;
+}
+
+/* A robot that rolls, pitches and turns while its reference point swings to and fro. */
+static struct truth moving(int k)
+{
+	double t = (double)k / RATE_HZ;
+	const struct seed_motion motion = {
+		.angles_rad = {0.5 * sin(4 * t), 0.4 * sin(3 * t), 0.6 * t},
+		.rates_rad_s = {2 * cos(4 * t), 1.2 * cos(3 * t), 0.6},
+		.accels_rad_s2 = {-8 * sin(4 * t), -3.6 * sin(3 * t), 0},
+	};
+
+	return sensed(t, &motion, (struct vec3){0.8 * sin(5 * t), 0.5 * cos(4 * t), -0.4 * sin(6 * t)});
+}
+
+/* A robot at rest in a skew attitude. */
+static struct truth standing(int k)
+{
+	const struct seed_motion motion = {.angles_rad = {0.2, -0.1, 1}};
+
+	return sensed((double)k / RATE_HZ, &motion, ZERO);
+}
+
+static struct pipeline_output step(struct pipeline *p, const struct imu_sample *sample)
+{
+	struct pipeline_output out;
+
+	assert_int_equal(pipeline_step(p, sample, &out), 0);
+	return out;
+}
+
+/* Samples from..to-1; returns the last output. */
+static struct pipeline_output run(struct pipeline *p, struct truth (*at)(int), int from, int to)
+{
+	struct pipeline_output out = {.t_us = 0};
+
+	for (int k = from; k < to; k++) {
+		struct truth truth = at(k);
+
+		out = step(p, &truth.sample);
+	}
+	return out;
+}
+
+static struct vec3 lever_term(const struct pipeline_output *out, struct vec3 r)
+{
+	return rigid_lever_arm(out->rate_b_rad_s, out->alpha_b_rad_s2, r);
+}
+
+static void test_the_defaults_are_valid_at_any_rate(void **state)
+{
+	struct pipeline p;
+
+	(void)state;
+	for (double rate_hz = 1; rate_hz < 1e5; rate_hz *= 3)
+		assert_int_equal(pipeline_init(&p, &PIPELINE_DEFAULTS, rate_hz), 0);
+}
+
+/* RMS distance of the estimated from the true acceleration; the attitude is given, so that only the lever arm counts. */
+static double accel_error(enum lever_arm_model model, enum rate_source source)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	double sum = 0;
+
+	config.estimator.model = model;
+	config.estimator.rates_from = source;
+	config.fusion.madgwick_beta = 0;
+	p = pipeline(&config);
+	for (int k = 0; k < 2000; k++) {
+		struct truth truth = moving(k);
+		struct pipeline_output out;
+		struct vec3 error;
+
+		if (k == 1)
+			p.fusion.q_nb = truth.q_nb;
+		out = step(&p, &truth.sample);
+		error = vec3_sub(quat_rotate(truth.q_nb, out.accel_b_m_s2), truth.accel_n);
+		if (k > 400)
+			sum += vec3_dot(error, error) / 1600;
+	}
+	return sqrt(sum);
+}
+
+static void test_the_rigid_body_model_finds_the_reference_points_acceleration(void **state)
+{
+	double off = accel_error(LEVER_ARM_OFF, RATES_FROM_GYRO);
+
+	(void)state;
+	assert_true(off > 0.5);
+	assert_true(accel_error(LEVER_ARM_RIGID_BODY, RATES_FROM_GYRO) < 0.15 * off);
+	assert_true(accel_error(LEVER_ARM_RIGID_BODY, RATES_FROM_ANGLES) < 0.15 * off);
+}
+
+static void test_a_new_lever_arm_counts_in_the_next_sample(void **state)
+{
+	struct filter_config filters[] = {{FILTER_OFF, 2, 40}, {FILTER_BUTTERWORTH, 4, 2}, {FILTER_SEED_FIR, 2, 40}};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct pipeline_config config = with_lever();
+		struct pipeline old, new;
+		struct pipeline_output before, after;
+		struct truth truth = moving(300);
+		struct vec3 r = {0.2, 0.1, -0.3};
+
+		config.accel_filter = filters[i];
+		old = pipeline(&config);
+		run(&old, moving, 0, 300);
+		new = old;
+		config.estimator.lever_arm_b_m = r;
+		assert_int_equal(pipeline_configure(&new, &config), 0);
+		before = step(&old, &truth.sample);
+		after = step(&new, &truth.sample);
+		assert_vec_near(vec3_sub(before.accel_b_m_s2, after.accel_b_m_s2),
+			lever_term(&before, vec3_sub(r, LEVER_B)), 1e-12);
+	}
+}
+
+static void test_a_new_model_or_source_of_rates_shows_no_transient(void **state)
+{
+	(void)state;
+	for (int model = LEVER_ARM_OFF; model <= LEVER_ARM_RIGID_BODY; model++)
+		for (int source = 0; source < RATE_SOURCES; source++) {
+			struct pipeline_config config = with_lever(), switched = config;
+			struct pipeline always, late = pipeline(&config);
+
+			switched.estimator.model = (enum lever_arm_model)model;
+			switched.estimator.rates_from = (enum rate_source)source;
+			always = pipeline(&switched);
+			run(&always, moving, 0, 300);
+			run(&late, moving, 0, 300);
+			assert_int_equal(pipeline_configure(&late, &switched), 0);
+			for (int k = 300; k < 310; k++) {
+				struct pipeline_output a = run(&always, moving, k, k + 1);
+				struct pipeline_output b = run(&late, moving, k, k + 1);
+
+				assert_vec_near(b.accel_b_m_s2, a.accel_b_m_s2, 0);
+				assert_vec_near(b.alpha_b_rad_s2, a.alpha_b_rad_s2, 0);
+			}
+		}
+}
+
+static void test_the_seeds_model_stays_bounded_through_gimbal_lock(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	double most = 0;
+
+	(void)state;
+	config.estimator.model = LEVER_ARM_SEED_EQ12;
+	p = pipeline(&config);
+	for (int k = 0; k < 4 * RATE_HZ; k++) {
+		double t = (double)k / RATE_HZ;
+		const struct seed_motion motion = {.angles_rad = {0.1, t, 0.3}, .rates_rad_s = {0, 1, 0}};
+		struct truth truth = sensed(t, &motion, ZERO);
+
+		most = fmax(most, vec3_norm(step(&p, &truth.sample).accel_b_m_s2));
+	}
+	assert_true(most < 20);
+}
+
+static void test_at_rest_the_velocity_is_zero_and_the_position_stays(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out, later;
+
+	(void)state;
+	out = run(&p, standing, 0, RATE_HZ);
+	assert_int_equal(out.status & PIPELINE_REST, 0);
+	out = run(&p, standing, RATE_HZ, 2 * RATE_HZ);
+	assert_int_equal(out.status, PIPELINE_VALID | PIPELINE_REST | PIPELINE_MAG_USED);
+	assert_vec_near(out.velocity_n_m_s, ZERO, 0);
+	later = run(&p, standing, 2 * RATE_HZ, 4 * RATE_HZ);
+	assert_vec_near(later.position_n_m, out.position_n_m, 0);
+}
+
+static void test_a_push_from_rest_is_integrated_and_the_position_can_be_reset(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	struct pipeline_output out;
+
+	(void)state;
+	config.fusion.madgwick_beta = 0; /* or it would lean towards what it takes for gravity */
+	p = pipeline(&config);
+	run(&p, standing, 0, 400);
+	for (int k = 400; k < 400 + RATE_HZ; k++) { /* 1 m/s^2 east for 1 s */
+		struct truth truth = standing(k);
+		struct vec3 push = quat_rotate_inverse(truth.q_nb, (struct vec3){1, 0, 0});
+
+		truth.sample.accel_m_s2 = vec3_add(truth.sample.accel_m_s2, push);
+		out = step(&p, &truth.sample);
+	}
+	assert_vec_near(out.velocity_n_m_s, ((struct vec3){1, 0, 0}), 0.005);
+	assert_vec_near(out.position_n_m, ((struct vec3){0.5, 0, 0}), 0.005);
+	assert_int_equal(out.status & PIPELINE_REST, 0);
+	pipeline_reset_position(&p);
+	assert_vec_near(p.position.position_n_m, ZERO, 0);
+	assert_vec_near(p.position.velocity_n_m_s, ZERO, 0);
+}
+
+static void test_the_longest_integration_time_shows_in_the_status(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+
+	(void)state;
+	config.position.longest_integration_s = 2;
+	p = pipeline(&config);
+	assert_int_equal(run(&p, moving, 0, 2 * RATE_HZ).status & PIPELINE_TIME_LIMIT, 0);
+	assert_true(run(&p, moving, 2 * RATE_HZ, 2 * RATE_HZ + 3).status & PIPELINE_TIME_LIMIT);
+}
+
+static void test_values_that_no_sensor_measures_are_refused_and_counted(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out = run(&p, moving, 0, 10), untouched = out;
+	struct imu_sample bad[6];
+
+	(void)state;
+	for (int i = 0; i < 6; i++)
+		bad[i] = moving(10).sample;
+	bad[0].gyro_rad_s.y = NAN;
+	bad[1].accel_m_s2.z = INFINITY;
+	bad[2].mag_uT.x = -INFINITY;
+	bad[3].gyro_rad_s.x = 1001;
+	bad[4].accel_m_s2.x = -1.1e5;
+	bad[5].mag_uT.z = 1.1e6;
+	for (int i = 0; i < 6; i++)
+		assert_int_equal(pipeline_step(&p, &bad[i], &out), -EINVAL);
+	assert_int_equal(p.refused, 6);
+	assert_memory_equal(&out, &untouched, sizeof(out));
+	assert_int_equal(run(&p, moving, 10, 11).status & PIPELINE_GAP, 0);
+}
+
+static void test_time_that_does_not_increase_is_refused_and_counted(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out = run(&p, moving, 0, 10);
+	struct imu_sample same = moving(9).sample, earlier = moving(5).sample;
+
+	(void)state;
+	assert_int_equal(pipeline_step(&p, &same, &out), -EINVAL);
+	assert_int_equal(pipeline_step(&p, &earlier, &out), -EINVAL);
+	assert_int_equal(p.refused, 2);
+	assert_true(out.t_us == same.t_us);
+}
+
+static void test_a_short_gap_is_reported_once_and_not_integrated(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output before = run(&p, moving, 0, 300), after;
+
+	(void)state;
+	assert_int_equal(before.status & PIPELINE_GAP, 0);
+	after = run(&p, moving, 320, 321);
+	assert_true(after.status & PIPELINE_GAP);
+	assert_int_equal(p.gaps, 1);
+	assert_vec_near(after.velocity_n_m_s, before.velocity_n_m_s, 0);
+	assert_vec_near(after.position_n_m, before.position_n_m, 0);
+	assert_vec_near(after.alpha_b_rad_s2, ZERO, 0);
+	assert_vec_near(after.rate_b_rad_s, moving(320).sample.gyro_rad_s, 1e-12);
+	assert_true(quat_apart_rad(after.q_nb, moving(320).q_nb) < 0.2);
+	assert_int_equal(run(&p, moving, 321, 322).status & PIPELINE_GAP, 0);
+}
+
+static void test_ten_intervals_are_no_gap_yet(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	run(&p, moving, 0, 300);
+	assert_int_equal(run(&p, moving, 309, 310).status & PIPELINE_GAP, 0);
+	assert_true(run(&p, moving, 320, 321).status & PIPELINE_GAP);
+}
+
+static void test_after_a_long_gap_the_attitude_is_found_anew(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out;
+
+	(void)state;
+	run(&p, moving, 0, 300);
+	out = run(&p, standing, 1000, 1001);
+	assert_quat_near(out.q_nb, standing(1000).q_nb, 1e-6);
+	assert_vec_near(out.accel_n_m_s2, ZERO, 1e-6);
+}
+
+static void test_a_discontinuity_starts_everything_over(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct imu_sample again = standing(0).sample;
+	struct pipeline_output out;
+
+	(void)state;
+	run(&p, moving, 0, 300);
+	again.flags |= SAMPLE_DISCONTINUITY;
+	out = step(&p, &again); /* its time is earlier */
+	assert_int_equal(out.status, PIPELINE_VALID | PIPELINE_MAG_USED);
+	assert_quat_near(out.q_nb, standing(0).q_nb, 1e-6);
+	assert_vec_near(out.velocity_n_m_s, ZERO, 0);
+	assert_vec_near(out.position_n_m, ZERO, 0);
+	assert_int_equal(p.gaps + p.refused, 0);
+}
+
+static void test_a_magnetometer_lost_shows_in_the_status_after_a_second(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	run(&p, standing, 0, 10);
+	for (int k = 10; k < 10 + 2 * RATE_HZ; k++) {
+		struct truth truth = standing(k);
+		struct pipeline_output out;
+
+		truth.sample.flags = 0;
+		out = step(&p, &truth.sample);
+		if (k < 5 + RATE_HZ)
+			assert_true(out.status & PIPELINE_MAG_USED);
+		if (k > 15 + RATE_HZ)
+			assert_int_equal(out.status & PIPELINE_MAG_USED, 0);
+		assert_vec_near(out.mag_b_uT, standing(9).sample.mag_uT, 1e-12);
+		assert_quat_near(out.q_nb, truth.q_nb, 1e-6);
+	}
+}
+
+static void test_until_the_accelerometer_shows_gravity_nothing_is_valid(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct imu_sample falling = {.t_us = 1};
+	struct pipeline_output out = step(&p, &falling);
+
+	(void)state;
+	assert_int_equal(out.status & PIPELINE_VALID, 0);
+	assert_vec_near(out.accel_n_m_s2, ZERO, 0);
+	assert_true(run(&p, standing, 1, 2).status & PIPELINE_VALID);
+}
+
+static void test_a_new_mounting_turns_the_object_and_not_the_world(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct vec3 mounting = {0.3, -0.2, 1};
+	struct quat turn = quat_from_aerospace(mounting);
+	struct pipeline_output out;
+
+	(void)state;
+	run(&p, standing, 0, 600);
+	config.calibration.mounting_rad = mounting;
+	assert_int_equal(pipeline_configure(&p, &config), 0);
+	out = run(&p, standing, 600, 601);
+	assert_quat_near(out.q_nb, quat_multiply(standing(600).q_nb, quat_conjugate(turn)), 1e-6);
+	assert_vec_near(out.accel_n_m_s2, ZERO, 1e-6);
+}
+
+static void test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline before;
+
+	(void)state;
+	run(&p, moving, 0, 300);
+	before = p;
+	config.fusion.algorithm = FUSION_MAHONY;
+	config.accel_filter = (struct filter_config){FILTER_BUTTERWORTH, 3, 15};
+	config.rate_filter.type = FILTER_SEED_FIR;
+	config.estimator.gravity_m_s2 = 9.83;
+	config.rest.time_s = 3;
+	config.position.longest_integration_s = 10;
+	assert_int_equal(pipeline_configure(&p, &config), 0);
+	assert_memory_equal(&p.fusion.q_nb, &before.fusion.q_nb, sizeof(p.fusion.q_nb));
+	assert_vec_near(p.position.velocity_n_m_s, before.position.velocity_n_m_s, 0);
+	assert_vec_near(p.position.position_n_m, before.position.position_n_m, 0);
+	assert_int_equal(run(&p, moving, 300, 301).status & PIPELINE_GAP, 0);
+}
+
+static void test_a_bad_configuration_is_refused_and_nothing_of_it_taken(void **state)
+{
+	struct pipeline_config config = with_lever(), bad[7];
+	struct pipeline p = pipeline(&config), before;
+
+	(void)state;
+	run(&p, moving, 0, 50);
+	before = p;
+	for (int i = 0; i < 7; i++) {
+		bad[i] = config;
+		bad[i].estimator.lever_arm_b_m.x = 1;
+	}
+	bad[0].calibration.accel.matrix[0][0] = 0;
+	bad[1].accel_filter.order = 9;
+	bad[2].rate_filter.cutoff_hz = 0;
+	bad[3].fusion.madgwick_beta = -1;
+	bad[4].estimator.gravity_m_s2 = 11;
+	bad[5].rest.time_s = -1;
+	bad[6].position.longest_integration_s = NAN;
+	for (int i = 0; i < 7; i++) {
+		struct pipeline fresh;
+
+		assert_int_equal(pipeline_configure(&p, &bad[i]), -EINVAL);
+		assert_memory_equal(&p, &before, sizeof(p));
+		assert_int_equal(pipeline_init(&fresh, &bad[i], RATE_HZ), -EINVAL);
+	}
+}
+
+static void test_the_same_samples_give_the_same_bits(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline a = pipeline(&config), b = pipeline(&config);
+
+	(void)state;
+	for (int k = 0; k < 500; k++) {
+		struct pipeline_output x = run(&a, moving, k, k + 1), y = run(&b, moving, k, k + 1);
+
+		assert_memory_equal(&x.q_nb, &y.q_nb, sizeof(x.q_nb));
+		assert_memory_equal(&x.accel_n_m_s2, &y.accel_n_m_s2, sizeof(x.accel_n_m_s2));
+		assert_memory_equal(&x.position_n_m, &y.position_n_m, sizeof(x.position_n_m));
+	}
+}
+
+static double wild(void)
+{
+	double odds = any();
+
+	return odds > 0.99 ? NAN : odds > 0.98 ? INFINITY : odds > 0.9 ? 0 : pow(10, 6 * any()) * any();
+}
+
+static struct vec3 wild_vec(void)
+{
+	struct vec3 v;
+
+	v.x = wild();
+	v.y = wild();
+	v.z = wild();
+	return v;
+}
+
+static void test_no_input_makes_an_output_that_is_not_finite(void **state)
+{
+	struct pipeline_config config = with_lever();
+	uint64_t t_us = 0;
+	unsigned taken = 0;
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	for (int k = 0; k < 100000; k++) {
+		struct imu_sample s = {
+			.gyro_rad_s = wild_vec(),
+			.accel_m_s2 = wild_vec(),
+			.mag_uT = wild_vec(),
+			.flags = any() > 0 ? SAMPLE_MAG : 0,
+		};
+		struct pipeline_output out;
+
+		t_us += any() > 0.99 ? 1u << 31 : INTERVAL_US;
+		s.t_us = t_us;
+		if (k % 100 == 0) {
+			config.estimator.model = (enum lever_arm_model)(k / 100 % 3);
+			config.estimator.rates_from = (enum rate_source)(k / 300 % 2);
+			config.fusion.algorithm = (enum fusion_algorithm)(k / 600 % 2);
+			config.accel_filter.type = (enum filter_type)(k / 1200 % 3);
+			assert_int_equal(pipeline_configure(&p, &config), 0);
+		}
+		if (pipeline_step(&p, &s, &out) < 0)
+			continue;
+		taken++;
+		assert_true(vec3_finite(out.accel_b_m_s2) && vec3_finite(out.accel_n_m_s2));
+		assert_true(vec3_finite(out.velocity_n_m_s) && vec3_finite(out.position_n_m));
+		assert_true(vec3_finite(out.rate_b_rad_s) && vec3_finite(out.alpha_b_rad_s2));
+		assert_true(vec3_finite(out.angles_rad));
+		assert_near(quat_apart_rad(out.q_nb, out.q_nb), 0, 1e-6);
+	}
+	assert_true(taken > 10000);
+}
+
+static FILE *open_trial(const char *name, const char *kind)
+{
+	const char *folder = getenv("IMU9_BROAD");
+	char path[512];
+
+	snprintf(path, sizeof(path), "%s/%s.%s.csv", folder ? folder : "../shared/data/broad", name, kind);
+	return fopen(path, "r");
+}
+
+static void test_a_recorded_hand_movement_is_followed_within_three_degrees(void **state)
+{
+	FILE *imu = open_trial("06_undisturbed_fast_rotation_A", "imu");
+	FILE *ref = open_trial("06_undisturbed_fast_rotation_A", "ref");
+	struct pipeline p;
+	double sum = 0;
+	int n = 0;
+	char a[512], b[512];
+
+	(void)state;
+	if (!imu || !ref) {
+		print_message("no recorded trials here (IMU9_BROAD)\n");
+		skip();
+	}
+	assert_int_equal(pipeline_init(&p, &PIPELINE_DEFAULTS, 286), 0);
+	while (fgets(a, sizeof(a), imu) && fgets(b, sizeof(b), ref)) {
+		struct imu_sample s = {.flags = SAMPLE_MAG};
+		struct pipeline_output out;
+		struct quat q;
+		double t, x, y, z;
+		int is_moving;
+
+		if (sscanf(a, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &t, &s.gyro_rad_s.x, &s.gyro_rad_s.y,
+			    &s.gyro_rad_s.z, &s.accel_m_s2.x, &s.accel_m_s2.y, &s.accel_m_s2.z, &s.mag_uT.x,
+			    &s.mag_uT.y, &s.mag_uT.z) != 10)
+			continue; /* the header */
+		s.t_us = (uint64_t)llround(t * 1e6);
+		out = step(&p, &s);
+		if (sscanf(b, "%*f,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%d", &q.w, &q.x, &q.y, &q.z, &x, &y, &z, &is_moving) !=
+				8 ||
+			!is_moving)
+			continue;
+		sum += pow(quat_apart_rad(out.q_nb, q), 2);
+		n++;
+	}
+	fclose(imu);
+	fclose(ref);
+	assert_true(n > 10000);
+	assert_true(sqrt(sum / n) < 3 * DEG);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_defaults_are_valid_at_any_rate),
+		cmocka_unit_test(test_the_rigid_body_model_finds_the_reference_points_acceleration),
+		cmocka_unit_test(test_a_new_lever_arm_counts_in_the_next_sample),
+		cmocka_unit_test(test_a_new_model_or_source_of_rates_shows_no_transient),
+		cmocka_unit_test(test_the_seeds_model_stays_bounded_through_gimbal_lock),
+		cmocka_unit_test(test_at_rest_the_velocity_is_zero_and_the_position_stays),
+		cmocka_unit_test(test_a_push_from_rest_is_integrated_and_the_position_can_be_reset),
+		cmocka_unit_test(test_the_longest_integration_time_shows_in_the_status),
+		cmocka_unit_test(test_values_that_no_sensor_measures_are_refused_and_counted),
+		cmocka_unit_test(test_time_that_does_not_increase_is_refused_and_counted),
+		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
+		cmocka_unit_test(test_ten_intervals_are_no_gap_yet),
+		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_found_anew),
+		cmocka_unit_test(test_a_discontinuity_starts_everything_over),
+		cmocka_unit_test(test_a_magnetometer_lost_shows_in_the_status_after_a_second),
+		cmocka_unit_test(test_until_the_accelerometer_shows_gravity_nothing_is_valid),
+		cmocka_unit_test(test_a_new_mounting_turns_the_object_and_not_the_world),
+		cmocka_unit_test(test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position),
+		cmocka_unit_test(test_a_bad_configuration_is_refused_and_nothing_of_it_taken),
+		cmocka_unit_test(test_the_same_samples_give_the_same_bits),
+		cmocka_unit_test(test_no_input_makes_an_output_that_is_not_finite),
+		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_three_degrees),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
