@@ -12,8 +12,7 @@ enum { REGISTER_COMMUNICATION = 1 << 4, REGISTER_MANUFACTURER = 1 << 7 };
 
 enum { OVERRUN_OVER_US = 1000000 };
 
-static const enum od_group groups[STORE_GROUPS] = {
-	OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
+static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
 
 /* ---- configuration: objects to pipeline
  * ---------------------------------------------------------------------------- */
@@ -35,13 +34,11 @@ static void take_configuration(struct device *d)
 	if (pipeline_configure(&d->pipeline, &config) == 0)
 		canopen_error_clear(&d->canopen, EMCY_CONFIGURATION, d->now_us);
 	else
-		canopen_error_set(
-			&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
 }
 
 /* 2040h:6 is written with 1: velocity and position begin anew at zero. */
-static enum od_status on_command(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct device *d = ctx;
 	const struct od_entry *reset = od_find(d->od.table, 0x2040, 6, NULL);
@@ -54,8 +51,7 @@ static enum od_status on_command(
 	return OD_CONSUMED;
 }
 
-static enum od_status on_resolution(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status on_resolution(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	const uint8_t *bytes = wire;
 
@@ -90,8 +86,7 @@ static enum od_status save(struct device *d)
 
 	if (!d->storage.save)
 		return OD_CANNOT_STORE;
-	return storage_result(
-		d, d->storage.save(d->storage.ctx, bytes, store_encode(&d->saving, bytes)));
+	return storage_result(d, d->storage.save(d->storage.ctx, bytes, store_encode(&d->saving, bytes)));
 }
 
 static enum od_status on_store(void *ctx, enum od_group group)
@@ -157,8 +152,10 @@ static void on_reset(void *ctx, enum od_group group)
 		return;
 	struct pipeline_config config = settings_pipeline(&d->values);
 	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
-		d->configuration_changed =
-			true; /* the contradiction is reported with the next sample */
+		d->configuration_changed = true; /* the contradiction is reported with the next sample */
+	/* faults that last are found and told anew */
+	d->sensor_lost = d->overrun = false;
+	d->bus_seen = CAN_STATE_ACTIVE;
 }
 
 static void on_nmt_changed(void *ctx, enum nmt_state state)
@@ -176,31 +173,24 @@ static void on_nmt_changed(void *ctx, enum nmt_state state)
 
 static void attach_hooks(struct device *d)
 {
-	d->configuration_hook = (struct od_hook){
-		.first = 0x2000, .last = 0x20FF, .after = on_configuration_changed, .ctx = d};
-	d->command_hook =
-		(struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
-	d->resolution_hook = (struct od_hook){
-		.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
-	d->preset_hook =
-		(struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
+	d->configuration_hook =
+		(struct od_hook){.first = 0x2000, .last = 0x20FF, .after = on_configuration_changed, .ctx = d};
+	d->command_hook = (struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
+	d->resolution_hook = (struct od_hook){.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
+	d->preset_hook = (struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
 	od_attach(&d->od, &d->command_hook);
 	od_attach(&d->od, &d->configuration_hook);
 	od_attach(&d->od, &d->resolution_hook);
 	od_attach(&d->od, &d->preset_hook);
-	d->eds = (struct od_domain){
-		.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
+	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 }
 
-int device_init(struct device *d, struct can_port *bus, struct imu_port *imu,
-	const struct device_storage *storage, const struct store_image *stored, uint8_t node_id)
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
+	const struct store_image *stored, uint8_t node_id)
 {
-	const struct canopen_device callbacks = {.ctx = d,
-		.store = on_store,
-		.restore = on_restore,
-		.reset = on_reset,
-		.nmt_changed = on_nmt_changed};
+	const struct canopen_device callbacks = {
+		.ctx = d, .store = on_store, .restore = on_restore, .reset = on_reset, .nmt_changed = on_nmt_changed};
 
 	d->bus = bus;
 	d->imu = imu;
@@ -223,8 +213,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 	d->now_us = d->last_sample_us = now_us;
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
-		canopen_error_set(
-			&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
+		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
 }
 
 /* ---- samples
@@ -236,8 +225,7 @@ static void sensor_lost(struct device *d)
 	if (d->sensor_lost)
 		return;
 	d->sensor_lost = true;
-	log_line("no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name,
-		EMCY_SENSOR_LOST);
+	log_line("no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name, EMCY_SENSOR_LOST);
 	publish_sensor_lost(&d->values);
 	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, NULL, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
@@ -306,13 +294,11 @@ static void watch_bus_state(struct device *d)
 		: state == CAN_STATE_BUS_OFF ? "bus-off"
 					     : "down (ip link set up?)");
 	if (state == CAN_STATE_PASSIVE)
-		canopen_error_set(
-			&d->canopen, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, d->now_us);
 	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
 		canopen_error_clear(&d->canopen, EMCY_ERROR_PASSIVE, d->now_us);
 	if (seen == CAN_STATE_BUS_OFF) {
-		canopen_error_set(
-			&d->canopen, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, d->now_us);
 		canopen_error_clear(&d->canopen, EMCY_BUS_OFF_OVER, d->now_us);
 	}
 }
@@ -325,8 +311,7 @@ static void watch_lost_frames(struct device *d)
 	if (dropped != d->dropped_seen && d->bus->state != CAN_STATE_DOWN) {
 		d->overrun = true;
 		d->overrun_us = d->now_us;
-		canopen_error_set(
-			&d->canopen, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, d->now_us);
 	} else if (d->overrun && d->now_us - d->overrun_us > OVERRUN_OVER_US) {
 		d->overrun = false;
 		canopen_error_clear(&d->canopen, EMCY_CAN_OVERRUN, d->now_us);

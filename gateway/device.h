@@ -13,20 +13,10 @@
 #include "drivers/ports/can.h"
 #include "drivers/ports/imu.h"
 #include "gateway/canopen/node.h"
+#include "gateway/status.h"
 #include "gateway/store.h"
 #include "model/pipeline.h"
 #include "od_values.h"
-
-/** EMCY codes of the device itself; those of the protocol are in gateway/canopen. */
-enum {
-	EMCY_CAN_OVERRUN = 0x8110, /* frames were lost: the bus took none for too long */
-	EMCY_ERROR_PASSIVE = 0x8120,
-	EMCY_BUS_OFF_OVER = 0x8140,
-	EMCY_SENSOR_LOST = 0x5030,   /* no sample arrives */
-	EMCY_STORE_DAMAGED = 0x5530, /* the stored values could not be read: defaults are in use */
-	EMCY_CONFIGURATION = 0x6320, /* the configuration objects contradict each other: the last
-					good set stays in use */
-};
 
 /** Where the stored values go. save() returns 0: kept; -EINPROGRESS: device_saved() will tell;
  * other -errno: failed. NULL: this device cannot store (1010h answers 08000020h). */

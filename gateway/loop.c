@@ -177,16 +177,29 @@ static void wake(struct loop *l)
 	arm(l, bus_us < next_us ? bus_us : next_us);
 }
 
-static int open_descriptors(struct loop *l)
+static sigset_t stop_signals(void)
 {
 	sigset_t stop;
-	int rc;
 
 	sigemptyset(&stop);
 	sigaddset(&stop, SIGINT);
 	sigaddset(&stop, SIGTERM);
+	return stop;
+}
+
+void loop_hold_signals(void)
+{
+	sigset_t stop = stop_signals();
+
 	sigprocmask(SIG_BLOCK, &stop, NULL);
 	signal(SIGPIPE, SIG_IGN);
+}
+
+static int open_descriptors(struct loop *l)
+{
+	sigset_t stop = stop_signals();
+	int rc;
+
 	l->signals = signalfd(-1, &stop, SFD_NONBLOCK | SFD_CLOEXEC);
 	l->timer = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
 	l->epoll = epoll_create1(EPOLL_CLOEXEC);

@@ -17,38 +17,27 @@
 
 enum { EXIT_USAGE = 2 };
 
-static const char usage[] =
-	"usage: imu9-gateway [OPTION]...\n"
-	"Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
-	"\n"
-	"  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
-	"      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
-	"sim)\n"
-	"      --can BUS         a CAN interface, or udp[:GROUP[:PORT]]                    "
-	"(default vcan0)\n"
-	"      --node-id N       1 to 127                                                  "
-	"(default 1)\n"
-	"      --bitrate B       bit/s; set it with `ip link`, this only says what is expected\n"
-	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-	"      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
-	"                        ~/.local/state/imu9-gateway when not root)\n"
-	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
-	"      --help, --version\n"
-	"\n"
-	"Precedence: defaults < FILE < command line < values stored by 1010h.\n"
-	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
+static const char usage[] = "usage: imu9-gateway [OPTION]...\n"
+			    "Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
+			    "\n"
+			    "  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
+			    "      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
+			    "sim)\n"
+			    "      --can BUS         a CAN interface, or udp[:GROUP[:PORT]]                    "
+			    "(default vcan0)\n"
+			    "      --node-id N       1 to 127                                                  "
+			    "(default 1)\n"
+			    "      --bitrate B       bit/s; set it with `ip link`, this only says what is expected\n"
+			    "      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+			    "      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
+			    "                        ~/.local/state/imu9-gateway when not root)\n"
+			    "      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
+			    "      --help, --version\n"
+			    "\n"
+			    "Precedence: defaults < FILE < command line < values stored by 1010h.\n"
+			    "Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
 
-enum {
-	OPT_IMU = 256,
-	OPT_CAN,
-	OPT_NODE_ID,
-	OPT_BITRATE,
-	OPT_SET,
-	OPT_STORE,
-	OPT_REALTIME,
-	OPT_HELP,
-	OPT_VERSION
-};
+enum { OPT_IMU = 256, OPT_CAN, OPT_NODE_ID, OPT_BITRATE, OPT_SET, OPT_STORE, OPT_REALTIME, OPT_HELP, OPT_VERSION };
 
 static const struct option options[] = {
 	{"config", required_argument, NULL, 'c'},
@@ -70,8 +59,22 @@ static int usage_error(const char *why)
 	return EXIT_USAGE;
 }
 
+/* What getopt_long() did not take. */
+static int bad_option(int option, char *const argv[])
+{
+	char why[CONFIG_ERROR_MAX];
+
+	if (option == ':')
+		snprintf(why, sizeof(why), "option %.100s needs a value", argv[optind - 1]);
+	else if (optopt > 0 && optopt < OPT_IMU)
+		snprintf(why, sizeof(why), "unknown option -%c", optopt);
+	else
+		snprintf(why, sizeof(why), "unknown option %.100s", argv[optind - 1]);
+	return usage_error(why);
+}
+
 /* One option of the command line, but for --config, which was read before them all. -1: go on. */
-static int take_option(struct config *config, int option)
+static int take_option(struct config *config, int option, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];
 	int rc = 0;
@@ -107,7 +110,7 @@ static int take_option(struct config *config, int option)
 		puts("imu9-gateway " IMU9_VERSION);
 		return EXIT_SUCCESS;
 	default:
-		return EXIT_USAGE; /* getopt_long() has said why */
+		return bad_option(option, argv);
 	}
 	return rc < 0 ? usage_error(why) : -1;
 }
@@ -119,13 +122,12 @@ static int read_configuration(struct config *config, int argc, char **argv)
 	int option, status = -1;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
+	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			return usage_error(why);
-	opterr = 1;
 	optind = 0; /* glibc: scan anew */
-	while (status < 0 && (option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
-		status = take_option(config, option);
+	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
+		status = take_option(config, option, argv);
 	if (status < 0 && optind < argc) {
 		snprintf(why, sizeof(why), "'%.100s' is not an option", argv[optind]);
 		return usage_error(why);
@@ -156,11 +158,9 @@ static void go_realtime(unsigned priority)
 	if (priority == 0)
 		return;
 	if (mlockall(MCL_CURRENT | MCL_FUTURE) < 0)
-		log_line("memory cannot be locked: %s (ulimit -l, or CAP_IPC_LOCK)",
-			strerror(errno));
+		log_line("memory cannot be locked: %s (ulimit -l, or CAP_IPC_LOCK)", strerror(errno));
 	if (sched_setscheduler(0, SCHED_FIFO, &param) < 0)
-		log_line("no real-time priority %u: %s (ulimit -r, or CAP_SYS_NICE)", priority,
-			strerror(errno));
+		log_line("no real-time priority %u: %s (ulimit -r, or CAP_SYS_NICE)", priority, strerror(errno));
 }
 
 static int save_through_writer(void *ctx, const uint8_t *bytes, size_t size)
@@ -190,12 +190,19 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 					 : strerror(-rc));
 	rc = store_writer_open(&writer, path);
 	if (rc < 0) {
-		log_line("%s: %s: 1010h cannot store; give a folder with --store", path,
-			strerror(-rc));
+		log_line("%s: %s: 1010h cannot store; give a folder with --store", path, strerror(-rc));
 		return NULL;
 	}
 	log_line("1010h stores in %s", path);
 	return &writer;
+}
+
+static void identify(struct od_values *values, const struct imu_port *imu)
+{
+	snprintf(values->manufacturer_hardware_version, sizeof(values->manufacturer_hardware_version), "%.31s",
+		imu->name);
+	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",
+		IMU9_VERSION);
 }
 
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
@@ -205,17 +212,16 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 
 	od_init(&device.od, &imu9_od_table, &device.values, (uint8_t)config->node_id);
 	config_apply(config, &device.od);
+	identify(&device.values, imu);
 	struct store_writer *store = open_store(config, &damaged);
-	int rc = device_init(
-		&device, bus, imu, store ? &storage : NULL, &stored, (uint8_t)config->node_id);
+	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, (uint8_t)config->node_id);
 	if (rc == -EINVAL)
 		log_line("the configuration contradicts itself: is a calibration matrix singular, "
 			 "or a filter order 0?");
 	else if (rc < 0)
 		log_line("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
-		log_line("node %u on %s, sensor %s at %.1f Hz", config->node_id, bus->name,
-			imu->name, imu->rate_hz);
+		log_line("node %u on %s, sensor %s at %.1f Hz", config->node_id, bus->name, imu->name, imu->rate_hz);
 		go_realtime(config->realtime);
 		rc = loop_run(&device, bus, imu, store, damaged);
 		if (rc < 0)
@@ -237,6 +243,7 @@ int main(int argc, char **argv)
 	int status = read_configuration(&config, argc, argv);
 	if (status >= 0)
 		return status;
+	loop_hold_signals();
 	if (imu_open(config.imu, &imu, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		return EXIT_FAILURE;

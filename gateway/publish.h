@@ -6,15 +6,9 @@
 
 #include <stdint.h>
 
+#include "gateway/status.h"
 #include "model/pipeline.h"
 #include "od_values.h"
-
-/** Bits of the status word 210Fh:3 beside those of PIPELINE_... */
-enum {
-	STATUS_SATURATED =
-		1 << 8, /* a scaled output exceeds its integer: raise the resolution object */
-	STATUS_SENSOR_LOST = 1 << 9, /* no sample arrives; the values are those of the last one */
-};
 
 /** Writes everything that one sample says, at once. `counter`: 0 for the first sample, wraps at
  * 65536. */

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "gateway/canopen/canopen.h"
+#include "gateway/status.h"
 #include "model/pipeline.h"
 #include "tools/cli_value.h"
 
@@ -396,10 +397,10 @@ const char *watch_emcy_text(uint16_t code)
 	} texts[] = {
 		{0xFFFF, 0x5010, "first axis out of range"},
 		{0xFFFF, 0x5020, "second axis out of range"},
-		{0xFFFF, 0x5030, "the IMU delivers no samples"},
-		{0xFFFF, 0x5530, "the stored values could not be read, defaults are in use"},
-		{0xFFFF, 0x6320, "the configuration objects contradict each other"},
-		{0xFFFF, 0x8110, "CAN overrun: frames were lost"},
+		{0xFFFF, EMCY_SENSOR_LOST, "the IMU delivers no samples"},
+		{0xFFFF, EMCY_STORE_DAMAGED, "the stored values could not be read, defaults are in use"},
+		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
+		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
 		{0xFFFF, 0x8120, "CAN error-passive"},
 		{0xFFFF, 0x8130, "heartbeat of another node lost"},
 		{0xFFFF, 0x8140, "recovered from bus-off"},
@@ -444,8 +445,8 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_MAG_USED, "magnetometer"},
 		{PIPELINE_TIME_LIMIT, "position-held"},
 		{PIPELINE_GAP, "gap"},
-		{1 << 8, "saturated"},
-		{1 << 9, "sensor-lost"},
+		{STATUS_SATURATED, "saturated"},
+		{STATUS_SENSOR_LOST, "sensor-lost"},
 	};
 	size_t used = 0;
 

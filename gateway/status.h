@@ -1,0 +1,21 @@
+/* gateway/status.h
+ * What the device says about itself, to the tools as well: the bits of the status word 210Fh:3 beside those of
+ * PIPELINE_... (model/pipeline.h), and its own EMCY codes. Those of the protocol are in gateway/canopen. */
+#ifndef GATEWAY_STATUS_H
+#define GATEWAY_STATUS_H
+
+enum {
+	STATUS_SATURATED = 1 << 8,   /* a scaled output exceeds its integer: raise the resolution object */
+	STATUS_SENSOR_LOST = 1 << 9, /* no sample arrives; the values are those of the last one */
+};
+
+enum {
+	EMCY_SENSOR_LOST = 0x5030,   /* no sample arrives */
+	EMCY_STORE_DAMAGED = 0x5530, /* the stored values could not be read: defaults are in use */
+	EMCY_CONFIGURATION = 0x6320, /* the configuration objects contradict each other: the last good set stays in use */
+	EMCY_CAN_OVERRUN = 0x8110,   /* frames were lost: the bus took none for too long */
+	EMCY_ERROR_PASSIVE = 0x8120,
+	EMCY_BUS_OFF_OVER = 0x8140,
+};
+
+#endif
