@@ -102,7 +102,7 @@ test: ## install what is missing, build, and run every test: unit, scenario, and
 	@BUILD=$(BUILD) tests/run unit scenario interop
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench lint cov format check-format check-layers
+.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers readme check-readme
 tests: $(TESTS) ## build the tests only
 
 check: all tests ## unit and scenario tests only (seconds, no rig)
@@ -151,6 +151,17 @@ format: ## apply .clang-format
 
 check-format: ## fail when a file is not formatted
 	@clang-format --dry-run --Werror $(FORMATTED)
+
+README_TABLE = awk '/^<!-- objects/ {print; system("tools/object-table $(BUILD)/gen/objects.md"); skip = 1} \
+	/^<!-- end of objects/ {skip = 0} !skip' README.md
+readme: $(BUILD)/gen/objects.md ## bring the README's object table up to date
+	@$(README_TABLE) >$(BUILD)/README.md && cp $(BUILD)/README.md README.md
+
+check-readme: $(BUILD)/gen/objects.md ## fail when the README's object table is not that of the EDS
+	@$(README_TABLE) | cmp -s - README.md || { echo "README.md: the object table is out of date: make readme" >&2; exit 1; }
+
+score: all ## replay the recorded trials and score them against their optical reference
+	@BUILD=$(BUILD) tests/score
 
 check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must not
 	@tests/check-layers $(MODEL_LIB)
