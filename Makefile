@@ -35,7 +35,8 @@ MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(BUILD)/libtools.a $(BUILD)/libgateway.a $(BUILD)/libcanopen.a $(BUILD)/libdrivers.a $(BUILD)/libod.a $(MODEL_LIB)
 TOOLS := $(patsubst tools/%.c,$(BUILD)/%,$(subst _,-,$(PROGRAM_SRC)))
 PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
-TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c))
+TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c \
+	tests/interop/test_*.c))
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
 # what the tests of one folder share: its .c files that are no program of their own

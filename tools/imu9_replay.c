@@ -12,31 +12,30 @@
 #include "gateway/settings.h"
 #include "model/pipeline.h"
 #include "od_values.h"
+#include "tools/cli.h"
 
 enum { EXIT_USAGE = 2 };
 
-static const char usage[] =
-	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... LOG.imu.csv >OUT.csv\n"
-	"Runs a recorded IMU log through the gateway's pipeline; `-` reads the log from standard "
-	"input.\n"
-	"\n"
-	"  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
-	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-	"      --help, --version\n"
-	"\n"
-	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be "
-	"empty.\n"
-	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the "
-	"reference point in\n"
-	"     object (al..at) and global frame (awx..awz), velocity, position (ENU), the rest "
-	"flag, the sample counter\n"
-	"     as the PDOs carry it (here not wrapped), angular rate wl..wt and acceleration "
-	"dwl..dwt, the status word.\n"
-	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
+static const char usage[] = "usage: imu9-replay [-c FILE] [--set NAME=VALUE]... LOG.imu.csv >OUT.csv\n"
+			    "Runs a recorded IMU log through the gateway's pipeline; `-` reads the log from standard "
+			    "input.\n"
+			    "\n"
+			    "  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
+			    "      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+			    "      --help, --version\n"
+			    "\n"
+			    "LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be "
+			    "empty.\n"
+			    "OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the "
+			    "reference point in\n"
+			    "     object (al..at) and global frame (awx..awz), velocity, position (ENU), the rest "
+			    "flag, the sample counter\n"
+			    "     as the PDOs carry it (here not wrapped), angular rate wl..wt and acceleration "
+			    "dwl..dwt, the status word.\n"
+			    "Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
 
-static const char header[] =
-	"t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
-	"wl,ws,wt,dwl,dws,dwt,status\n";
+static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
+			     "wl,ws,wt,dwl,dws,dwt,status\n";
 
 /* ---- a row of text
  * -------------------------------------------------------------------------------------------------
@@ -133,8 +132,7 @@ static int replay(const struct config *config, struct imu_log *log)
 	config_apply(config, &od);
 	const struct pipeline_config settings = settings_pipeline(&values);
 	if (pipeline_init(&pipeline, &settings, log->rate_hz) < 0)
-		return fail(EXIT_USAGE,
-			"the configuration contradicts itself: is a calibration matrix singular?");
+		return fail(EXIT_USAGE, "the configuration contradicts itself: is a calibration matrix singular?");
 
 	fputs(header, stdout);
 	for (; (rc = imu_log_next(log, &sample)) > 0; samples++) {
@@ -146,8 +144,7 @@ static int replay(const struct config *config, struct imu_log *log)
 	if (rc < 0)
 		return fail(EXIT_FAILURE, "the log cannot be read to its end");
 	if (log->skipped > 0)
-		fprintf(stderr, "imu9-replay: %u rows skipped, the last one: %s\n", log->skipped,
-			log->last_skip);
+		fprintf(stderr, "imu9-replay: %u rows skipped, the last one: %s\n", log->skipped, log->last_skip);
 	if (rows == 0)
 		return fail(EXIT_FAILURE, "the log has no usable row");
 	if (fflush(stdout) != 0 || ferror(stdout))
@@ -165,12 +162,11 @@ static int read_configuration(struct config *config, int argc, char **argv)
 	int option;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1)
+	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			return fail(EXIT_USAGE, why);
-	opterr = 1;
 	optind = 0; /* glibc: scan anew */
-	while ((option = getopt_long(argc, argv, "c:", options, NULL)) != -1) {
+	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1) {
 		if (option == 'h') {
 			fputs(usage, stdout);
 			return EXIT_SUCCESS;
@@ -179,14 +175,13 @@ static int read_configuration(struct config *config, int argc, char **argv)
 			puts("imu9-replay " IMU9_VERSION);
 			return EXIT_SUCCESS;
 		}
-		if (option == '?')
-			return EXIT_USAGE;
+		if (option == '?' || option == ':')
+			cli_bad_option(option, argv);
 		if (option == 's' && config_set(config, optarg, why) < 0)
 			return fail(EXIT_USAGE, why);
 	}
 	if (optind != argc - 1)
-		return fail(
-			EXIT_USAGE, "give one log, or - for standard input (imu9-replay --help)");
+		return fail(EXIT_USAGE, "give one log, or - for standard input (imu9-replay --help)");
 	return -1;
 }
 
