@@ -75,6 +75,7 @@ static void on_preset(void *ctx, const struct od_entry *entry)
 
 static enum od_status storage_result(struct device *d, int rc)
 {
+	d->save_under_way = rc == -EINPROGRESS;
 	if (rc == 0)
 		d->stored = d->saving;
 	return rc == 0 ? OD_OK : rc == -EINPROGRESS ? OD_PENDING : OD_CANNOT_STORE;
@@ -93,6 +94,8 @@ static enum od_status on_store(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
+	if (d->save_under_way)
+		return OD_DEVICE_STATE;
 	d->saving = d->stored;
 	for (int i = 0; i < STORE_GROUPS; i++) {
 		if (group != OD_GROUP_ALL && group != groups[i])
@@ -110,6 +113,8 @@ static enum od_status on_restore(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
+	if (d->save_under_way)
+		return OD_DEVICE_STATE;
 	d->saving = d->stored;
 	for (int i = 0; i < STORE_GROUPS; i++)
 		if (group == OD_GROUP_ALL || group == groups[i])

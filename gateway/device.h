@@ -45,15 +45,15 @@ struct device {
 	uint32_t dropped_seen;	 /* bus->counters.tx_dropped at the last look */
 	uint64_t overrun_us;	 /* the last look that found frames lost */
 	enum can_state bus_seen;
-	bool configuration_changed, sensor_lost, overrun;
+	bool configuration_changed, sensor_lost, overrun, save_under_way;
 	uint64_t now_us; /* the time of the call that is running */
 };
 
 /** `values` hold the configuration of file and command line. `stored`: what store_read() gave, or
  * NULL. 0; -EINVAL: the configuration is contradictory (a singular calibration matrix, say) or
  * node_id is not 1..127; else canopen_init()'s. */
-int device_init(struct device *d, struct can_port *bus, struct imu_port *imu,
-	const struct device_storage *storage, const struct store_image *stored, uint8_t node_id);
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
+	const struct store_image *stored, uint8_t node_id);
 /** `stored_damaged`: store_read() found a broken file. */
 void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
 

@@ -415,6 +415,19 @@ static void test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on(void *
 	assert_int_equal(last(w, 0x580 + NODE_ID)->data[0], 0x60);
 }
 
+static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
+{
+	struct world *w = *state;
+	const uint8_t request[8] = {0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'};
+
+	w->disk_answer = -EINPROGRESS;
+	receive(w, 0x600 + NODE_ID, 8, request);
+	assert_int_equal(store_all(w), 0x08000022);
+	device_saved(&w->device, 0, w->now_us);
+	w->disk_answer = 0;
+	assert_int_equal(store_all(w), 0);
+}
+
 static void test_reset_communication_leaves_the_application_alone(void **state)
 {
 	struct world *w = *state;
@@ -536,6 +549,7 @@ int main(void)
 		TEST(test_a_group_is_stored_alone),
 		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
+		TEST(test_a_second_store_while_one_is_under_way_is_refused),
 		TEST(test_reset_communication_leaves_the_application_alone),
 		TEST(test_reset_node_starts_the_application_anew),
 		TEST(test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it),
