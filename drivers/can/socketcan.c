@@ -12,18 +12,17 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
-#include "drivers/can/rx_batch.h"
+#include "drivers/can/rx_socket.h"
 
 enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
 
 struct socketcan {
 	struct can_port port; /* port.fd is an epoll descriptor: it outlives the sockets */
-	int socket;
-	int interface; /* the index that `socket` is bound to; 0: it lost its interface */
+	struct rx_socket rx;
+	int interface; /* the index that rx is bound to; 0: it lost its interface */
 	uint64_t look_at_us;
 	struct can_filter filters[CAN_RAW_FILTER_MAX];
 	size_t filter_count; /* 0: all */
-	struct rx_batch batch;
 };
 
 static struct socketcan *of(struct can_port *port)
@@ -51,7 +50,7 @@ static int socketcan_send(struct can_port *port, const struct can_msg *msg)
 		frame.can_id |= CAN_RTR_FLAG;
 	else
 		memcpy(frame.data, msg->data, msg->len);
-	if (write(of(port)->socket, &frame, sizeof(frame)) < 0)
+	if (write(of(port)->rx.fd, &frame, sizeof(frame)) < 0)
 		return note(of(port), errno);
 	return 0;
 }
@@ -93,7 +92,7 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 
 	(void)now_us;
 	for (;;) {
-		result = rx_batch_next(&can->batch, can->socket, &datagram, &port->counters.rx_dropped);
+		result = rx_socket_receive(&can->rx, &datagram, &port->counters.rx_dropped);
 		if (result < 0)
 			return note(can, -result);
 		if (result == 0)
@@ -135,7 +134,7 @@ static int socketcan_filter(struct can_port *port, const uint32_t *ids, size_t n
 		can->filters[i].can_id = ids[i];
 		can->filters[i].can_mask = CAN_SFF_MASK | CAN_EFF_FLAG; /* data and remote frames */
 	}
-	return apply_filters(can, can->socket);
+	return apply_filters(can, can->rx.fd);
 }
 
 /* The index of an interface that is up, or -ENODEV, -ENETDOWN. */
@@ -159,7 +158,7 @@ static int attach(const struct socketcan *can, int fd, int interface)
 	const can_err_mask_t errors = CAN_ERR_MASK;
 	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = interface};
 	struct epoll_event event = {.events = EPOLLIN};
-	int result = rx_batch_prepare(fd);
+	int result = rx_socket_prepare(fd);
 
 	if (result == 0)
 		result = apply_filters(can, fd);
@@ -187,11 +186,10 @@ static int reopen(struct socketcan *can)
 		close(fd);
 		return result;
 	}
-	if (can->socket >= 0)
-		close(can->socket); /* leaves the epoll set by itself */
-	can->socket = fd;
+	if (can->rx.fd >= 0)
+		close(can->rx.fd); /* leaves the epoll set by itself */
+	can->rx = (struct rx_socket){.fd = fd};
 	can->interface = interface;
-	memset(&can->batch, 0, sizeof(can->batch));
 	return 0;
 }
 
@@ -203,7 +201,7 @@ static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 		return UINT64_MAX;
 	if (now_us >= can->look_at_us) {
 		can->look_at_us = now_us + LOOK_AGAIN_US;
-		if (find_interface(port->name, can->socket) == can->interface || reopen(can) == 0) {
+		if (find_interface(port->name, can->rx.fd) == can->interface || reopen(can) == 0) {
 			port->state = CAN_STATE_ACTIVE;
 			return UINT64_MAX;
 		}
@@ -215,8 +213,8 @@ static void socketcan_close(struct can_port *port)
 {
 	struct socketcan *can = of(port);
 
-	if (can->socket >= 0)
-		close(can->socket);
+	if (can->rx.fd >= 0)
+		close(can->rx.fd);
 	if (port->fd >= 0)
 		close(port->fd);
 	free(can);
@@ -275,7 +273,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 	}
 	can->port.ops = &socketcan_ops;
 	snprintf(can->port.name, sizeof(can->port.name), "%s", interface);
-	can->socket = -1;
+	can->rx.fd = -1;
 	can->port.fd = epoll_create1(EPOLL_CLOEXEC);
 	result = can->port.fd < 0 ? -errno : reopen(can);
 	if (result < 0) {

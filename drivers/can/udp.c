@@ -11,7 +11,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "drivers/can/rx_batch.h"
+#include "drivers/can/rx_socket.h"
 #include "drivers/can/udp_codec.h"
 
 #define DEFAULT_GROUP "239.74.163.2"
@@ -25,12 +25,12 @@ union address {
 };
 
 struct udp {
-	struct can_port port; /* port.fd receives */
-	int sender;	      /* of its own, so that its source port tells our datagrams from others' */
+	struct can_port port;
+	struct rx_socket rx; /* rx.fd is port.fd */
+	int sender;	     /* of its own, so that its source port tells our datagrams from others' */
 	union address group;
 	bool filtered;
 	uint32_t wanted[STANDARD_IDS / 32]; /* one bit an identifier */
-	struct rx_batch batch;
 };
 
 static struct udp *of(struct can_port *port)
@@ -75,12 +75,12 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 
 	(void)now_us;
 	for (;;) {
-		result = rx_batch_next(&udp->batch, port->fd, &datagram, &port->counters.rx_dropped);
+		result = rx_socket_receive(&udp->rx, &datagram, &port->counters.rx_dropped);
 		if (result <= 0)
 			return result;
 		if (datagram.size == 0)
 			continue; /* our own */
-		if (can_udp_decode(datagram.data, datagram.size, msg) < 0)
+		if (datagram.size > sizeof(datagram.data) || can_udp_decode(datagram.data, datagram.size, msg) < 0)
 			port->counters.rx_dropped++;
 		else if (is_wanted(udp, msg))
 			break;
@@ -263,7 +263,7 @@ static int open_receiver(const union address *group, int sender)
 
 	if (fd < 0)
 		return -errno;
-	result = rx_batch_prepare(fd);
+	result = rx_socket_prepare(fd);
 	if (result == 0)
 		result = empty_own(fd, sender);
 	if (result == 0)
@@ -288,6 +288,7 @@ static int open_sockets(struct udp *udp)
 	udp->port.fd = open_receiver(&udp->group, udp->sender);
 	if (udp->port.fd < 0)
 		return udp->port.fd;
+	udp->rx.fd = udp->port.fd;
 	result = join(udp->port.fd, &udp->group, 0);
 	if (result == 0)
 		return 0;

@@ -157,17 +157,18 @@ static void test_the_time_of_a_frame_is_when_it_came_in(void **state)
 	assert_in_range(msg.t_us, before_us, after_us);
 }
 
+/* In bursts that the receive buffer holds: cangen is faster than any bus. */
 static void test_10000_frames_come_in_whole_and_in_order(void **state)
 {
-	FILE *cangen = popen("cangen -g 0 -n 10000 -I 123 -L 4 -D i " IF, "r");
 	struct can_msg msg;
 
-	assert_non_null(cangen);
-	for (uint32_t i = 0; i < 10000; i++) {
-		assert_int_equal(receive_within(*state, &msg, 2000), 1);
-		assert_int_equal(msg.data[0] | msg.data[1] << 8, i);
+	for (int burst = 0; burst < 20; burst++) {
+		shell("cangen -g 0 -n 500 -I 123 -L 4 -D i " IF);
+		for (int i = 0; i < 500; i++) {
+			assert_int_equal(receive_within(*state, &msg, 1000), 1);
+			assert_int_equal(msg.data[0] | msg.data[1] << 8, i);
+		}
 	}
-	pclose(cangen);
 	assert_receives_nothing(*state);
 }
 
@@ -185,6 +186,8 @@ static void test_10000_frames_go_out_whole_and_in_order(void **state)
 		msg.data[0] = (uint8_t)(i >> 8);
 		msg.data[1] = (uint8_t)i;
 		assert_int_equal(can_send(port, &msg, now()), 0);
+		if (i % 500 == 499)
+			usleep(20000); /* a busy kernel keeps no more than 1000 frames of a vcan */
 	}
 	assert_int_equal(port->counters.tx, 10000);
 	for (unsigned i = 0; i < 10000; i++) {
@@ -197,15 +200,18 @@ static void test_10000_frames_go_out_whole_and_in_order(void **state)
 
 static void test_what_a_reader_was_too_slow_for_is_counted(void **state)
 {
-	enum { FRAMES = 6000 };
+	enum { FRAMES = 4000 };
 	struct can_port *port = *state, *sender;
 	struct can_msg msg;
 	char error[300];
 	uint32_t received = 0;
 
 	assert_int_equal(can_open(IF, &sender, error, sizeof(error)), 0);
-	for (int i = 0; i < FRAMES; i++)
+	for (int i = 0; i < FRAMES; i++) {
 		assert_int_equal(send_id(sender, 0x181), 0);
+		if (i % 500 == 499)
+			usleep(20000);
+	}
 	while (receive_within(port, &msg, 50) == 1)
 		received++;
 	send_id(sender, 0x181); /* the kernel tells with the next frame */
