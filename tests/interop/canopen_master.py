@@ -36,7 +36,7 @@ class ProtocolError(Exception):
 class Master:
     """One bus, and everything heard on it in `frames`, in the order of the bus."""
 
-    def __init__(self, bus, patience=2.0):
+    def __init__(self, bus, patience=5.0):
         self.bus = bus
         self.patience = patience  # s to wait for an answer
         self.frames = []

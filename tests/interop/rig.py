@@ -2,6 +2,7 @@
 import os
 import pathlib
 import signal
+import socket
 import subprocess
 import tempfile
 import time
@@ -51,7 +52,9 @@ def written(text, suffix=""):
 
 def open_master(channel=BUS, own_frames=True):
     """With own_frames, `frames` has SYNCs and PDOs in the order of the bus."""
-    return canopen.Master(can.Bus(interface="socketcan", channel=channel, receive_own_messages=own_frames))
+    bus = can.Bus(interface="socketcan", channel=channel, receive_own_messages=own_frames)
+    bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)  # a busy machine must not cost this client frames
+    return canopen.Master(bus)
 
 
 class Gateway:

@@ -2,6 +2,7 @@
 import random
 import re
 import signal
+import statistics
 import struct
 import subprocess
 import time
@@ -42,8 +43,9 @@ def next_f32(value, direction):
     return struct.unpack("<f", struct.pack("<i", bits + (direction if value > 0 else -direction)))[0]
 
 
-def intervals(frames):
-    return [b.timestamp - a.timestamp for a, b in zip(frames, frames[1:])]
+def period(frames):
+    """The median interval [s]: a busy machine delays some frames."""
+    return statistics.median(b.timestamp - a.timestamp for a, b in zip(frames, frames[1:]))
 
 
 class NetworkManagement(rig.OnTheBus):
@@ -77,8 +79,8 @@ class NetworkManagement(rig.OnTheBus):
     def test_the_heartbeat_keeps_its_period(self):
         self.heartbeats(50)
         frames = [f for f in self.master.listen(1.5) if f.arbitration_id == canopen.HEARTBEAT + NODE]
-        gaps = intervals(frames)
-        self.assertAlmostEqual(sum(gaps) / len(gaps), 0.050, delta=0.001)
+        self.assertGreater(len(frames), 20)
+        self.assertAlmostEqual(period(frames), 0.050, delta=0.001)
 
     def test_a_stopped_node_answers_no_sdo(self):
         self.master.nmt(canopen.STOP, NODE)
@@ -255,9 +257,9 @@ class ProcessData(rig.OnTheBus):
     def test_the_inhibit_time_keeps_event_driven_pdos_apart(self):
         self.master.remap(NODE, 1, None, transmission=255, inhibit=500)
         self.start()
-        gaps = intervals(self.pdos(self.master.listen(1.0)))
-        self.assertGreater(len(gaps), 12)
-        self.assertAlmostEqual(sum(gaps) / len(gaps), 0.0505, delta=0.006)
+        frames = self.pdos(self.master.listen(1.0))
+        self.assertGreater(len(frames), 12)
+        self.assertAlmostEqual(period(frames), 0.050, delta=0.002)
 
     def test_the_sync_counter_and_the_start_value_place_the_pdos(self):
         self.write(0x1019, 0, u8(10))
@@ -269,6 +271,12 @@ class ProcessData(rig.OnTheBus):
                 after.append([f for f in heard[:i] if f.arbitration_id == canopen.SYNC][-1].data[0])
         # the SYNC with the start value is the first one counted; then every second
         self.assertEqual(after, [4, 6, 8, 10, 2, 4])
+
+    def test_a_sync_of_the_wrong_length_is_told_and_its_end_too(self):
+        self.write(0x1019, 0, u8(10))
+        for counter, wanted in ((None, (0x8240, 0x11)), (1, (0x0000, 0x00))):
+            self.master.sync(counter)
+            self.assertEqual(canopen.emergency(self.master.wait(canopen.EMCY + NODE))[:2], wanted)
 
     def test_a_new_mapping_takes_effect_live(self):
         self.assertEqual(self.master.mapping(NODE, 1), [(0x2100, 1, 16), (0x2100, 2, 16), (0x2100, 3, 16), (0x210F, 1, 16)])
@@ -346,9 +354,9 @@ class Emergencies(rig.OnTheBus):
         self.master.remap(NODE, 1, None, transmission=255, event=60)
         self.start()
         self.master.listen(0.2)
-        gaps = intervals(self.pdos(self.master.listen(0.9)))
-        self.assertGreater(len(gaps), 10)
-        self.assertAlmostEqual(sum(gaps) / len(gaps), 0.060, delta=0.002)
+        frames = self.pdos(self.master.listen(0.9))
+        self.assertGreater(len(frames), 10)
+        self.assertAlmostEqual(period(frames), 0.060, delta=0.001)
 
     def test_an_acyclic_synchronous_pdo_is_sent_only_after_something_new(self):
         self.master.remap(NODE, 1, None, transmission=0)
@@ -358,14 +366,6 @@ class Emergencies(rig.OnTheBus):
             self.master.listen(0.02)
         self.assertLessEqual(len(self.pdos(self.master.frames)), 1)
         self.assertEqual(len(self.pdos(self.master.frames, 2)), 4)
-
-    def test_a_sync_of_the_wrong_length_is_told_and_its_end_too(self):
-        self.write(0x1019, 0, u8(10))
-        self.master.sync()
-        self.assertEqual(canopen.emergency(self.master.wait(canopen.EMCY + NODE))[0], 0x8240)
-        self.master.sync(1)
-        code, register, _ = canopen.emergency(self.master.wait(canopen.EMCY + NODE))
-        self.assertEqual((code, register & 0x10), (0x0000, 0), "the sensor is lost still, and no longer the SYNC")
 
 
 class Storage(rig.unittest.TestCase):

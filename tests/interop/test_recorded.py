@@ -111,17 +111,17 @@ class TheLeverArm(unittest.TestCase):
         self.log = self.moving_part(rig.recorded("09_"))
         self.master = rig.open_master()
         self.addCleanup(self.master.close)
-        self.gateway = rig.Gateway(imu="replay:%s" % self.log)
+        self.gateway = rig.Gateway(imu="replay:%s,speed=0.5" % self.log)  # four PDOs a sample: 572 a second
         self.addCleanup(self.gateway.close)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
 
     @staticmethod
     def moving_part(log):
-        """Eight seconds of the trial from where it turns fast."""
+        """Four seconds of the trial from where it turns fast."""
         lines = log.read_text().splitlines()
         samples = [[float(x) for x in line.split(",")[1:4]] for line in lines[1:20000]]
-        start = next(i for i, gyro in enumerate(samples) if math.hypot(*gyro) > 3) - 286
-        return rig.written("\n".join([lines[0]] + lines[1 + start:1 + start + 8 * 286]) + "\n", ".imu.csv")
+        start = next(i for i, gyro in enumerate(samples) if math.hypot(*gyro) > 3) - 200
+        return rig.written("\n".join([lines[0]] + lines[1 + start:1 + start + 4 * 286]) + "\n", ".imu.csv")
 
     @staticmethod
     def rigid_body(omega, alpha, r):
@@ -173,7 +173,7 @@ class TheLeverArm(unittest.TestCase):
                     first = False
                 compared[written] += 1
         self.assertEqual(written, 3)
-        self.assertTrue(all(n > 50 for n in compared), compared)
+        self.assertTrue(all(n > 30 for n in compared), compared)
         self.assertGreater(min(first_difference), 10 * ACCELERATION_LSB, "the move was too slow to tell")
         self.note = "%d samples; change in the first sample after each write: %s m/s^2" % (
             sum(compared), ", ".join("%.2f" % d for d in first_difference))
