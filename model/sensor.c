@@ -9,67 +9,60 @@
 #define G     9.80665
 #define GAUSS 100.0 /* uT */
 
-/* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8, ..
- * 4096 s. */
+/* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8 .. 4096 s. */
 static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.0794415416798357;
 
-/* Densities, offsets, digits and ranges are the datasheets' typical values; bandwidths what the
- * chips offer at about 100 Hz. For bias instability and random walk the datasheets have no figure:
- * usual ones of this class of chips. */
-#define L3G4200D_ERRORS                                                                                    \
+/* Chips at a full scale and its digit: densities, offsets, digits and ranges are the datasheets' typical values (the
+ * gyro's offset that of its finest range), bandwidths what they offer at about 100 Hz. For bias instability and random
+ * walk the datasheets have no figure: usual ones of this class of chips. */
+#define L3G4200D(full_scale, digit)                                                                        \
 	{                                                                                                  \
 		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS, .random_walk = 0.0002 * DPS,        \
 		.bias_sigma = 10 * DPS, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 50, \
-		.step = 0.07 * DPS, .range = 2000 * DPS                                                    \
+		.step = (digit)*DPS, .range = (full_scale)*DPS                                             \
 	}
+#define LSM303DLHC_ACCEL(full_scale, digit)                                                                \
+	{                                                                                                  \
+		.density = 220e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,            \
+		.bias_sigma = 0.06 * G, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 50, \
+		.step = (digit)*G, .range = (full_scale)*G                                                 \
+	}
+#define LSM303DLH_ACCEL(full_scale, digit)                                                                 \
+	{                                                                                                  \
+		.density = 218e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,            \
+		.bias_sigma = 0.02 * G, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 74, \
+		.step = (digit)*G, .range = (full_scale)*G                                                 \
+	}
+#define LSM303_MAG(noise_density, digits_per_gauss)                                                          \
+	{                                                                                                    \
+		.density = (noise_density), .bias_sigma = 10, .scale_sigma = 0.05, .cross_axis_sigma = 0.02, \
+		.step = GAUSS / (digits_per_gauss), .range = 1.3 * GAUSS                                     \
+	}
+#define COMMON .rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}
 
 const struct sensor_config SENSOR_PRESETS[] = {
 	{.name = "lsm303dlhc_l3gd20",
 		.about = "Pololu IMU 9 v2: LSM303DLHC at 8 g and 1.3 gauss, L3GD20 at 2000 deg/s",
-		.gyro = L3G4200D_ERRORS,
-		.accel = {.density = 220e-6 * G,
-			.bias_instability = 0.1e-3 * G,
-			.random_walk = 2e-6 * G,
-			.bias_sigma = 0.06 * G,
-			.scale_sigma = 0.02,
-			.cross_axis_sigma = 0.01,
-			.bandwidth_hz = 50,
-			.step = 0.004 * G,
-			.range = 8 * G},
-		.mag = {.density = 0.02,
-			.bias_sigma = 10,
-			.scale_sigma = 0.05,
-			.cross_axis_sigma = 0.02,
-			.step = GAUSS / 1100,
-			.range = 1.3 * GAUSS},
+		.gyro = L3G4200D(2000, 0.07),
+		.accel = LSM303DLHC_ACCEL(8, 0.004),
+		.mag = LSM303_MAG(0.02, 1100),
 		.mag_rate_hz = 75,
-		.rate_hz = 100,
-		.gravity_m_s2 = 9.81,
-		.field_n_uT = {0, 20, -45}},
+		COMMON},
+	{.name = "lsm303dlhc_l3gd20_fine",
+		.about = "the same at 2 g and 250 deg/s: fine digits, to calibrate and to see the noise at rest",
+		.gyro = L3G4200D(250, 0.00875),
+		.accel = LSM303DLHC_ACCEL(2, 0.001),
+		.mag = LSM303_MAG(0.02, 1100),
+		.mag_rate_hz = 75,
+		COMMON},
 	{.name = "lsm303dlh_l3g4200d",
-		.about = "Pololu IMU 9 v0, the seed's: LSM303DLH at 8 g and 1.3 gauss, L3G4200D at "
-			 "2000 deg/s",
-		.gyro = L3G4200D_ERRORS,
-		.accel = {.density = 218e-6 * G,
-			.bias_instability = 0.1e-3 * G,
-			.random_walk = 2e-6 * G,
-			.bias_sigma = 0.02 * G,
-			.scale_sigma = 0.02,
-			.cross_axis_sigma = 0.01,
-			.bandwidth_hz = 74,
-			.step = 0.0039 * G,
-			.range = 8 * G},
-		.mag = {.density = 0.1,
-			.bias_sigma = 10,
-			.scale_sigma = 0.05,
-			.cross_axis_sigma = 0.02,
-			.step = GAUSS / 1055,
-			.range = 1.3 * GAUSS},
+		.about = "Pololu IMU 9 v0, the seed's: LSM303DLH at 8 g and 1.3 gauss, L3G4200D at 2000 deg/s",
+		.gyro = L3G4200D(2000, 0.07),
+		.accel = LSM303DLH_ACCEL(8, 0.0039),
+		.mag = LSM303_MAG(0.1, 1055),
 		.mag_rate_hz = 75,
-		.rate_hz = 100,
-		.gravity_m_s2 = 9.81,
-		.field_n_uT = {0, 20, -45}},
-	{.name = "ideal", .about = "no errors", .rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}},
+		COMMON},
+	{.name = "ideal", .about = "no errors", COMMON},
 	{0},
 };
 

@@ -80,9 +80,12 @@ static void rest(const struct signal *signal, double t, struct motion *m)
 /* Up at a quarter of the period, down at three quarters. */
 static void roll_step(const struct signal *signal, double t, struct motion *m)
 {
-	struct jet up = smooth_step(t, signal->period_s / 4, signal->change_s);
-	struct jet down = smooth_step(t, signal->period_s * 3 / 4, signal->change_s);
+	const double period_s = signal->period_s, rise_s = fmin(signal->change_s, period_s / 4);
+	struct jet up, down;
 
+	t = fmod(t, period_s);
+	up = smooth_step(t, period_s / 4, rise_s);
+	down = smooth_step(t, period_s * 3 / 4, rise_s);
 	m->roll = scale(signal->angle_rad, add(up, scale(-1, down)));
 }
 
@@ -114,6 +117,7 @@ static void square(const struct signal *signal, double t, struct motion *m)
 	struct jet moving = constant(0);
 	struct jet ground, bumps;
 
+	t = fmod(t, signal->period_s);
 	for (int side = 0; side < 4; side++) {
 		double start = side * leg_s + 2 * wait_s;
 		struct jet way = scale(side_m, smooth_step(t, start, drive_s));
@@ -135,7 +139,7 @@ static void square(const struct signal *signal, double t, struct motion *m)
 
 static void turntable(const struct signal *signal, double t, struct motion *m)
 {
-	double rate = signal->angle_rad / signal->period_s;
+	double rate = signal->angle_rad / signal->change_s;
 
 	m->yaw = (struct jet){rate * t, rate, 0};
 }
@@ -161,9 +165,9 @@ const struct signal SIGNALS[] = {
 		0.2, 40},
 	{"boat", "boat on a light sea, a large wave every 20 s", boat, 25 * DEGREES, 2.5, 20},
 	{"roll_step", "step about the roll axis, up and down", roll_step, 33 * DEGREES, 0.1, 4},
-	{"rest", "level and still", rest, 0, 1, 1},
-	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 1},
-	{"pendulum", "swing about the roll axis", pendulum, 30 * DEGREES, 1, 1},
+	{"rest", "level and still", rest, 0, 1, 10},
+	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 10},
+	{"pendulum", "swing about the roll axis", pendulum, 30 * DEGREES, 1, 10},
 	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1, 10},
 	{0},
 };
@@ -213,7 +217,7 @@ void signal_at(const struct signal *signal, double t_s, struct signal_truth *tru
 {
 	struct motion m = {0};
 
-	signal->motion(signal, fmod(t_s, signal->period_s), &m);
+	signal->motion(signal, t_s, &m);
 	truth->t_s = t_s;
 	truth->angles_rad = (struct vec3){m.roll.v, m.pitch.v, m.yaw.v};
 	truth->angles_dot_rad_s = (struct vec3){m.roll.d, m.pitch.d, m.yaw.d};

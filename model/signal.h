@@ -13,7 +13,7 @@
 
 struct signal_truth {
 	double t_s;
-	struct vec3 angles_rad;	      /* roll, pitch, yaw: the seed's phi, theta, psi */
+	struct vec3 angles_rad;	      /* roll, pitch, yaw: z-y'-x'' of q_nb (rotation.h) */
 	struct vec3 angles_dot_rad_s; /* their derivatives: not body rates */
 	struct vec3 angles_ddot_rad_s2;
 	struct quat q_nb;
@@ -30,10 +30,10 @@ struct signal {
 	const char *name;
 	const char *about;
 	void (*motion)(const struct signal *signal, double t_s, struct motion *motion);
-	double angle_rad; /* size of the largest quick rotation (turntable: the whole turn) */
-	double change_s;  /* time of one quick change: rise of the step, period of the wave, of a
-			     bump */
-	double period_s;  /* the motion repeats for ever */
+	double angle_rad; /* size of the largest quick rotation */
+	double change_s;  /* time of one quick change: rise of the step, period of the wave, of a bump, of the swing;
+			     the turntable turns by angle_rad in it */
+	double period_s;  /* once through the motion, which goes on for ever */
 };
 
 /** All signals; ends with a NULL name. The first is the default of simulations. */

@@ -309,7 +309,7 @@ static void test_a_turntable_pulls_inwards_by_rate_squared_times_radius(void **s
 
 	(void)state;
 	turntable.angle_rad = 10;
-	turntable.period_s = 1;
+	turntable.change_s = 1;
 	signal_at(&turntable, 0.3, &truth);
 	force = sensor_specific_force(&truth, (struct vec3){0.1, 0, 0}, 9.81);
 	assert_near(force, (struct vec3){-10, 0, 9.81}, 1e-12);
