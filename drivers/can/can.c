@@ -35,8 +35,7 @@ static bool bus_is_full(int result)
 	return result == -ENOBUFS || result == -EAGAIN;
 }
 
-/* Sends one frame. -ENOBUFS or -EAGAIN leaves it to the caller; the next attempt is due at
- * retry_at_us. */
+/* Sends one frame. -ENOBUFS or -EAGAIN leaves it to the caller; the next attempt is due at retry_at_us. */
 static int send_now(struct can_port *port, const struct can_msg *msg, uint64_t now_us)
 {
 	int result = port->ops->send(port, msg);
@@ -63,6 +62,8 @@ static void drop_oldest(struct can_port *port)
 	port->queue_count--;
 }
 
+/* When full, the oldest goes: of what a device sends the newest is worth most, and an SDO client that lost an answer
+ * asks again. */
 static void enqueue(struct can_port *port, const struct can_msg *msg)
 {
 	if (port->queue_count == CAN_QUEUE_LEN) {

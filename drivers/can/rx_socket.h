@@ -1,5 +1,5 @@
 /* drivers/can/rx_socket.h
- * A non-blocking datagram socket that tells when the kernel received each datagram and how many it had to throw away. */
+ * A datagram socket that tells when the kernel received each datagram and how many it had to throw away. */
 #ifndef DRIVERS_CAN_RX_SOCKET_H
 #define DRIVERS_CAN_RX_SOCKET_H
 
@@ -17,7 +17,7 @@ struct rx_datagram {
 	uint64_t t_us; /* received: CLOCK_MONOTONIC */
 };
 
-/** To be called on a new socket: times, overflows, and a receive buffer of 1 MiB where the system allows. 0 or -errno. */
+/** To be called on a new socket: times, overflows, a receive buffer of 1 MiB where the system allows. 0 or -errno. */
 int rx_socket_prepare(int fd);
 
 /** 1 and a datagram; 0: none now; -errno. What the kernel threw away is added to *dropped. */

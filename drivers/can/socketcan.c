@@ -171,8 +171,7 @@ static int attach(const struct socketcan *can, int fd, int interface)
 	return 0;
 }
 
-/* Replaces the socket by one that is bound to the interface of that name as it is now. 0 or -errno.
- */
+/* Replaces the socket by one that is bound to the interface of that name as it is now. 0 or -errno. */
 static int reopen(struct socketcan *can)
 {
 	int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);

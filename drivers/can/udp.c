@@ -206,33 +206,24 @@ static int send_through(int fd, const union address *group, unsigned interface)
 	return set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, (int)interface);
 }
 
-/* A socket of the group's family that sends one hop far and to this host, from a port of its own.
- */
+/* Sends from a port of its own. Datagrams to a group go one hop far and back to this host: the kernel's defaults. */
 static int open_sender(const union address *group)
 {
 	union address own = {.any.sa_family = group->any.sa_family};
-	bool v4 = group->any.sa_family == AF_INET;
-	int level = v4 ? IPPROTO_IP : IPPROTO_IPV6;
 	int fd = socket(own.any.sa_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
 	int result;
 
-	if (fd < 0)
-		return -errno;
-	result = set_int(fd, level, v4 ? IP_MULTICAST_TTL : IPV6_MULTICAST_HOPS, 1);
-	if (result == 0)
-		result = set_int(fd, level, v4 ? IP_MULTICAST_LOOP : IPV6_MULTICAST_LOOP, 1);
-	if (result == 0 && bind(fd, &own.any, address_size(&own)) != 0)
-		result = -errno;
-	if (result < 0) {
+	if (fd >= 0 && bind(fd, &own.any, address_size(&own)) == 0)
+		return fd;
+	result = -errno;
+	if (fd >= 0)
 		close(fd);
-		return result;
-	}
-	return fd;
+	return result;
 }
 
-/* Makes the kernel cut what came back from `sender` down to the UDP header: it is received as an empty datagram. (Refused
- * altogether it would count as dropped in SO_RXQ_OVFL.) Own is what has its source port and was sent by this host: a looped
- * copy (PACKET_LOOPBACK), or one that came through the loopback interface. */
+/* Makes the kernel cut our own datagrams down to the UDP header: they are received empty. (Refused altogether they would
+ * count as dropped in SO_RXQ_OVFL.) Our own are those with the source port of `sender` that this host sent: looped copies
+ * (PACKET_LOOPBACK) and what came through the loopback interface. */
 static int empty_own(int fd, int sender)
 {
 	union address own;

@@ -29,8 +29,8 @@ enum can_state {
 };
 
 struct can_counters {
-	uint32_t tx;         /* frames handed to the bus */
-	uint32_t rx;         /* frames received (after filters) */
+	uint32_t tx;	     /* frames handed to the bus */
+	uint32_t rx;	     /* frames received (after filters) */
 	uint32_t tx_retries; /* the bus was full (ENOBUFS, EAGAIN): tried again later */
 	uint32_t tx_dropped; /* lost: the queue was full, or the bus down */
 	uint32_t rx_dropped; /* lost before we read them (SO_RXQ_OVFL), or malformed */
@@ -54,12 +54,12 @@ struct can_ops {
 	void (*close)(struct can_port *port);
 };
 
-/** Frames waiting for a bus that was full, oldest first. */
+/** Frames waiting for a bus that was full, oldest first. When there are more the oldest is dropped. */
 enum { CAN_QUEUE_LEN = 128 };
 
 struct can_port {
 	const struct can_ops *ops;
-	int fd; /* becomes readable when receive() may have something; may change in service() */
+	int fd; /* readable while receive() has something; the same until can_close(), whatever happens to the bus */
 	char name[64];
 	enum can_state state;
 	struct can_counters counters;
@@ -74,8 +74,8 @@ struct can_port {
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size);
 void can_close(struct can_port *port);
 
-/** Sends, or queues when the bus is full or frames are queued already (order is kept). 0, or -errno when the frame
- * was dropped (counted). */
+/** Sends, or queues when the bus is full or frames are queued already (order is kept). 0, or -errno when the bus cannot
+ * take the frame at all, and it was dropped (counted). */
 int can_send(struct can_port *port, const struct can_msg *msg, uint64_t now_us);
 int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 int can_filter(struct can_port *port, const uint32_t *ids, size_t n);
