@@ -221,9 +221,9 @@ static int open_sender(const union address *group)
 	return result;
 }
 
-/* Makes the kernel cut our own datagrams down to the UDP header: they are received empty. (Refused altogether they would
- * count as dropped in SO_RXQ_OVFL.) Our own are those with the source port of `sender` that this host sent: looped copies
- * (PACKET_LOOPBACK) and what came through the loopback interface. */
+/* Makes the kernel cut our own datagrams down to the UDP header: they are received empty. (Refused altogether they
+ * would count as dropped in SO_RXQ_OVFL.) Our own are those with the source port of `sender` that this host sent:
+ * looped copies (PACKET_LOOPBACK) and what came through the loopback interface. */
 static int empty_own(int fd, int sender)
 {
 	union address own;
