@@ -54,8 +54,8 @@ $(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
 	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
 
 # the generator is built before anything that needs what it generates
-GEN_OD_SRC := tools/gen_od.c tools/eds.c $(OD_SRC)
-$(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds.h)
+GEN_OD_SRC := tools/gen_od.c $(call sources,tools/eds*.c) $(OD_SRC)
+$(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds*.h)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(filter-out -MMD -MP,$(ALL_CFLAGS)) -o $@ $(GEN_OD_SRC) $(LDLIBS)
 

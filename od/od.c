@@ -229,7 +229,7 @@ enum od_status od_check(const struct od_entry *entry, const void *wire, size_t s
 	case OD_INTEGER16:
 	case OD_INTEGER32:
 	case OD_INTEGER64:
-		value = (int64_t)(raw << (64 - 8 * size)) >> (64 - 8 * size);
+		value = wire_signed(raw, size);
 		below = value < entry->low.i;
 		above = value > entry->high.i;
 		return check_limits(entry, below, above);

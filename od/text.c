@@ -280,8 +280,7 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 	case OD_INTEGER16:
 	case OD_INTEGER32:
 	case OD_INTEGER64:
-		snprintf(number, sizeof(number), "%lld",
-			(long long)((int64_t)(raw << (64 - 8 * size)) >> (64 - 8 * size)));
+		snprintf(number, sizeof(number), "%lld", (long long)wire_signed(raw, size));
 		break;
 	default:
 		snprintf(number, sizeof(number), "%llu", (unsigned long long)raw);

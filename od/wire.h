@@ -3,6 +3,7 @@
 #ifndef OD_WIRE_H
 #define OD_WIRE_H
 
+#include <assert.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -19,6 +20,16 @@ static inline void wire_put(uint8_t *wire, uint64_t value, size_t size)
 {
 	for (size_t i = 0; i < size; i++, value >>= 8)
 		wire[i] = (uint8_t)value;
+}
+
+/* The two's complement number of `size` bytes, 1 to 8. */
+static inline int64_t wire_signed(uint64_t raw, size_t size)
+{
+	uint64_t sign;
+
+	assert(size >= 1 && size <= 8);
+	sign = UINT64_C(1) << (8 * size - 1);
+	return (int64_t)((raw ^ sign) - sign);
 }
 
 #endif

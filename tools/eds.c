@@ -1,19 +1,17 @@
 /* tools/eds.c
- * The file is read into one array of key=value items, sorted by section and key; everything else
- * looks items up there. Each fault is reported once, the first one found, with the line of the item
- * that has to change. */
+ * From the items of the file to entries, objects and the table. Each fault is told with the line of the item that has to
+ * change. */
 #include "tools/eds.h"
 
 #include <ctype.h>
 #include <errno.h>
-#include <float.h>
-#include <ini.h>
-#include <math.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+
+#include "tools/eds_file.h"
+#include "tools/eds_value.h"
 
 enum {
 	FILE_SIZE_MAX = 16 << 20,
@@ -25,11 +23,6 @@ enum {
 	PDO_BITS_MAX = 64,
 };
 
-struct item {
-	const char *section, *key, *value;
-	unsigned line, header; /* header: the line of its [section] */
-};
-
 /* An entry while its place in the table is not known yet. */
 struct draft {
 	struct od_entry entry;
@@ -39,409 +32,17 @@ struct draft {
 	const char *text;	/* the default of a string */
 };
 
-struct block { /* one allocation; they are freed together */
-	struct block *next;
-	max_align_t data[];
-};
-
 struct loader {
+	struct eds_file file;
 	struct eds *eds;
 	enum eds_rules rules;
-	const char *path;
-	char *error;
-	size_t error_size;
-	int result;
-
-	const char *text, *end; /* what is still to be read */
-	unsigned line, header;
-	struct item *items;
-	size_t item_count, item_capacity;
-
 	struct draft *drafts; /* sorted, like the table they become */
 	size_t draft_count, draft_capacity;
 };
 
-static int fail(struct loader *l, unsigned line, const char *format, ...) __attribute__((format(printf, 3, 4)));
-
-static int fail(struct loader *l, unsigned line, const char *format, ...)
-{
-	va_list args;
-	int length;
-
-	if (l->result)
-		return l->result;
-	l->result = -EINVAL;
-	length = line ? snprintf(l->error, l->error_size, "%s:%u: ", l->path, line)
-		      : snprintf(l->error, l->error_size, "%s: ", l->path);
-	if (length < 0 || (size_t)length >= l->error_size)
-		return l->result;
-	va_start(args, format);
-	vsnprintf(l->error + length, l->error_size - (size_t)length, format, args);
-	va_end(args);
-	return l->result;
-}
-
-static int fail_memory(struct loader *l)
-{
-	fail(l, 0, "out of memory");
-	return l->result = -ENOMEM;
-}
-
 static bool strict(const struct loader *l)
 {
 	return l->rules == EDS_STRICT;
-}
-
-/* Zeroed, and NULL only after fail_memory(). */
-static void *allocate(struct loader *l, size_t size)
-{
-	struct block *block = calloc(1, sizeof(*block) + size);
-
-	if (!block) {
-		fail_memory(l);
-		return NULL;
-	}
-	block->next = l->eds->memory;
-	l->eds->memory = block;
-	return block->data;
-}
-
-static const char *copy_string(struct loader *l, const char *text)
-{
-	size_t size = strlen(text) + 1;
-	char *copy = allocate(l, size);
-
-	return copy ? memcpy(copy, text, size) : NULL;
-}
-
-/* Room for one more element at the end of a growing array; false after fail_memory(). */
-static bool grow(struct loader *l, void **array, size_t count, size_t *capacity, size_t element)
-{
-	size_t wanted = *capacity ? 2 * *capacity : 64;
-	void *bigger;
-
-	if (count < *capacity)
-		return true;
-	bigger = realloc(*array, wanted * element);
-	if (!bigger) {
-		fail_memory(l);
-		return false;
-	}
-	*array = bigger;
-	*capacity = wanted;
-	return true;
-}
-
-/* ---- the file as items ---- */
-
-/* inih's reader. Counts the lines (inih keeps its count to itself), notes section headers, and
- * takes leading blanks away, which inih would read as the continuation of the line before. */
-static char *read_line(char *buffer, int capacity, void *ctx)
-{
-	struct loader *l = ctx;
-	const char *from = l->text, *newline, *end;
-	size_t size;
-
-	if (l->text == l->end || l->result)
-		return NULL;
-	newline = memchr(from, '\n', (size_t)(l->end - from));
-	end = newline ? newline : l->end;
-	l->text = newline ? newline + 1 : l->end;
-	l->line++;
-	while (from < end && (*from == ' ' || *from == '\t'))
-		from++;
-	size = (size_t)(end - from);
-	if (size && *from == ';')
-		size = 0;
-	if (memchr(from, '\0', size)) {
-		fail(l, l->line, "has a NUL byte; an EDS is plain text");
-		return NULL;
-	}
-	if (size >= (size_t)capacity) {
-		fail(l, l->line, "is longer than %d characters; shorten it", capacity - 1);
-		return NULL;
-	}
-	if (size && *from == '[')
-		l->header = l->line;
-	memcpy(buffer, from, size);
-	buffer[size] = '\0';
-	return buffer;
-}
-
-/* inih's handler. An empty value means the same as an absent key (CiA 306). */
-static int take_item(void *ctx, const char *section, const char *key, const char *value)
-{
-	struct loader *l = ctx;
-	const struct item *last = l->item_count ? &l->items[l->item_count - 1] : NULL;
-	struct item item = {.line = l->line, .header = l->header};
-
-	if (!*value)
-		return 1;
-	item.section = last && last->header == l->header ? last->section : copy_string(l, section);
-	item.key = copy_string(l, key);
-	item.value = copy_string(l, value);
-	if (!item.section || !item.key || !item.value)
-		return 0;
-	if (!grow(l, (void **)&l->items, l->item_count, &l->item_capacity, sizeof(item)))
-		return 0;
-	l->items[l->item_count++] = item;
-	return 1;
-}
-
-static int compare_items(const void *a, const void *b)
-{
-	const struct item *x = a, *y = b;
-	int order = strcasecmp(x->section, y->section);
-
-	return order ? order : strcasecmp(x->key, y->key);
-}
-
-static int compare_items_and_lines(const void *a, const void *b)
-{
-	const struct item *x = a, *y = b;
-	int order = compare_items(a, b);
-
-	return order ? order : (x->line > y->line) - (x->line < y->line);
-}
-
-static int read_items(struct loader *l)
-{
-	static const char BOM[] = "\xEF\xBB\xBF";
-	int line;
-
-	if (l->end - l->text >= 3 && !memcmp(l->text, BOM, 3))
-		l->text += 3;
-	line = ini_parse_stream(read_line, l, take_item, l);
-	if (l->result)
-		return l->result;
-	if (line)
-		return fail(l, (unsigned)line, "is no [section], no key=value and no ; comment");
-	if (!l->item_count)
-		return fail(l, 0, "has no content; is it an EDS file?");
-	qsort(l->items, l->item_count, sizeof(*l->items), compare_items_and_lines);
-	for (size_t i = 1; i < l->item_count; i++) {
-		const struct item *a = &l->items[i - 1], *b = &l->items[i];
-
-		if (!strcasecmp(a->section, b->section) && a->header != b->header)
-			return fail(l, a->header > b->header ? a->header : b->header,
-				"section [%s] is there twice; merge them", b->section);
-		if (!compare_items(a, b))
-			return fail(
-				l, b->line, "[%s] has %s already in line %u; remove one", b->section, b->key, a->line);
-	}
-	return 0;
-}
-
-static const struct item *find(const struct loader *l, const char *section, const char *key)
-{
-	struct item wanted = {.section = section, .key = key};
-
-	return bsearch(&wanted, l->items, l->item_count, sizeof(wanted), compare_items);
-}
-
-/* The first item of the first section at or after this name. */
-static size_t find_section(const struct loader *l, const char *section)
-{
-	size_t low = 0, high = l->item_count;
-
-	while (low < high) {
-		size_t middle = low + (high - low) / 2;
-
-		if (strcasecmp(l->items[middle].section, section) < 0)
-			low = middle + 1;
-		else
-			high = middle;
-	}
-	return low;
-}
-
-static size_t next_section(const struct loader *l, size_t i)
-{
-	const char *section = l->items[i].section;
-
-	while (i < l->item_count && !strcasecmp(l->items[i].section, section))
-		i++;
-	return i;
-}
-
-static const struct item *header_of(const struct loader *l, const char *section)
-{
-	size_t i = find_section(l, section);
-
-	return i < l->item_count && !strcasecmp(l->items[i].section, section) ? &l->items[i] : NULL;
-}
-
-/* ---- values ---- */
-
-struct type_info {
-	uint8_t code, type;
-	uint16_t size; /* bytes; 0: from StringSize or the default */
-	unsigned bits; /* of the value; 0: not an integer */
-	bool is_signed;
-	bool foreign; /* od has no such type: handled as bytes */
-};
-
-static const struct type_info TYPES[] = {
-	{OD_BOOLEAN, OD_BOOLEAN, 1, 1, false, false},
-	{OD_INTEGER8, OD_INTEGER8, 1, 8, true, false},
-	{OD_INTEGER16, OD_INTEGER16, 2, 16, true, false},
-	{OD_INTEGER32, OD_INTEGER32, 4, 32, true, false},
-	{OD_INTEGER64, OD_INTEGER64, 8, 64, true, false},
-	{OD_UNSIGNED8, OD_UNSIGNED8, 1, 8, false, false},
-	{OD_UNSIGNED16, OD_UNSIGNED16, 2, 16, false, false},
-	{OD_UNSIGNED32, OD_UNSIGNED32, 4, 32, false, false},
-	{OD_UNSIGNED64, OD_UNSIGNED64, 8, 64, false, false},
-	{OD_REAL32, OD_REAL32, 4, 0, false, false},
-	{OD_REAL64, OD_REAL64, 8, 0, false, false},
-	{OD_VISIBLE_STRING, OD_VISIBLE_STRING, 0, 0, false, false},
-	{OD_OCTET_STRING, OD_OCTET_STRING, 0, 0, false, false},
-	{OD_DOMAIN, OD_DOMAIN, 0, 0, false, false},
-	{0x0B, OD_OCTET_STRING, 0, 0, false, true}, /* UNICODE_STRING */
-	{0x0C, OD_OCTET_STRING, 6, 0, false, true}, /* TIME_OF_DAY */
-	{0x0D, OD_OCTET_STRING, 6, 0, false, true}, /* TIME_DIFFERENCE */
-	{0x10, OD_OCTET_STRING, 3, 0, false, true}, /* INTEGER24, 40, 48, 56 */
-	{0x12, OD_OCTET_STRING, 5, 0, false, true},
-	{0x13, OD_OCTET_STRING, 6, 0, false, true},
-	{0x14, OD_OCTET_STRING, 7, 0, false, true},
-	{0x16, OD_OCTET_STRING, 3, 0, false, true}, /* UNSIGNED24, 40, 48, 56 */
-	{0x18, OD_OCTET_STRING, 5, 0, false, true},
-	{0x19, OD_OCTET_STRING, 6, 0, false, true},
-	{0x1A, OD_OCTET_STRING, 7, 0, false, true},
-};
-
-static const struct type_info *find_type(uint64_t code)
-{
-	for (size_t i = 0; i < sizeof(TYPES) / sizeof(*TYPES); i++)
-		if (TYPES[i].code == code)
-			return &TYPES[i];
-	return NULL;
-}
-
-static bool is_real(const struct type_info *type)
-{
-	return type->type == OD_REAL32 || type->type == OD_REAL64;
-}
-
-static bool is_hex(const char *text)
-{
-	return text[0] == '0' && (text[1] == 'x' || text[1] == 'X');
-}
-
-/* Decimal, 0x hex or 0 octal. Hex of the full width is taken as two's complement. */
-static bool parse_integer(const char *text, unsigned bits, bool is_signed, union od_number *out)
-{
-	bool negative = is_signed && *text == '-';
-	const char *digits = text + negative;
-	uint64_t all = UINT64_MAX >> (64 - bits), most = is_signed ? all >> 1 : all, value;
-	char *end;
-
-	if (!isdigit((unsigned char)*digits))
-		return false;
-	errno = 0;
-	value = strtoull(digits, &end, 0);
-	if (errno || *end)
-		return false;
-	if (negative) {
-		out->u = -value;
-		return value <= most + 1;
-	}
-	out->u = value;
-	if (value > most && is_signed && is_hex(text))
-		out->u |= ~all;
-	return value <= (is_signed && is_hex(text) ? all : most);
-}
-
-/* Decimal, or 0x and the IEEE 754 bits. Rounded to the type, so that a default may stand right on
- * its limit. */
-static bool parse_real(const char *text, enum od_type type, union od_number *out)
-{
-	unsigned bits = type == OD_REAL32 ? 32 : 64;
-	union od_number raw;
-	char *end;
-
-	if (is_hex(text)) {
-		uint32_t low;
-		float single;
-
-		if (!parse_integer(text, bits, false, &raw))
-			return false;
-		low = (uint32_t)raw.u;
-		memcpy(&single, &low, sizeof(single));
-		memcpy(&out->f, &raw.u, sizeof(out->f));
-		if (type == OD_REAL32)
-			out->f = (double)single;
-		return isfinite(out->f);
-	}
-	out->f = strtod(text, &end);
-	if (end == text || *end || !isfinite(out->f))
-		return false;
-	if (type == OD_REAL32) {
-		if (fabs(out->f) > (double)FLT_MAX)
-			return false;
-		out->f = (double)(float)out->f;
-	}
-	return true;
-}
-
-static bool parse_number(const char *text, const struct type_info *type, union od_number *out)
-{
-	if (is_real(type))
-		return parse_real(text, type->type, out);
-	return parse_integer(text, type->bits, type->is_signed, out);
-}
-
-static bool is_above(const struct type_info *type, union od_number a, union od_number b)
-{
-	if (is_real(type))
-		return a.f > b.f;
-	return type->is_signed ? a.i > b.i : a.u > b.u;
-}
-
-/* Takes "$NODEID+" or "+$NODEID" off a value. True if it was there, with the rest in `rest`. */
-static bool split_node_id(const char *text, char *rest, size_t capacity)
-{
-	static const char NODE_ID[] = "$NODEID";
-	const size_t length = sizeof(NODE_ID) - 1;
-	size_t n = 0;
-
-	for (; *text && n + 1 < capacity; text++)
-		if (!isspace((unsigned char)*text))
-			rest[n++] = *text;
-	rest[n] = '\0';
-	if (!strcasecmp(rest, NODE_ID)) {
-		strcpy(rest, "0");
-		return true;
-	}
-	if (n > length && !strncasecmp(rest, NODE_ID, length) && rest[length] == '+') {
-		memmove(rest, rest + length + 1, n - length);
-		return true;
-	}
-	if (n > length && !strcasecmp(rest + n - length, NODE_ID) && rest[n - length - 1] == '+') {
-		rest[n - length - 1] = '\0';
-		return true;
-	}
-	return false;
-}
-
-/* "0A0BFF" or "0A 0B FF". Returns the number of bytes, or -1; `bytes` may be NULL. */
-static int parse_octets(const char *text, uint8_t *bytes, size_t capacity)
-{
-	static const char DIGITS[] = "0123456789abcdef";
-	size_t digits = 0;
-	unsigned value = 0;
-
-	for (; *text; text++) {
-		const char *digit = strchr(DIGITS, tolower((unsigned char)*text));
-
-		if (*text == ' ')
-			continue;
-		if (!digit)
-			return -1;
-		value = (value << 4 | (unsigned)(digit - DIGITS)) & 0xFF;
-		if (digits++ % 2 && bytes && digits / 2 <= capacity)
-			bytes[digits / 2 - 1] = (uint8_t)value;
-	}
-	return digits % 2 ? -1 : (int)(digits / 2);
 }
 
 size_t eds_normalise(const char *label, char *name, size_t capacity)
@@ -468,20 +69,20 @@ size_t eds_normalise(const char *label, char *name, size_t capacity)
  * stays. */
 static int take_u32(struct loader *l, const char *section, const char *key, uint32_t *out)
 {
-	const struct item *item = find(l, section, key);
+	const struct eds_item *item = eds_find(&l->file, section, key);
 	union od_number number;
 
 	if (!item)
 		return 0;
-	if (!parse_integer(item->value, 32, false, &number))
-		return fail(l, item->line, "[%s] %s=%s is no number of 32 bits", section, key, item->value);
+	if (!eds_parse_integer(item->value, 32, false, &number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no number of 32 bits", section, key, item->value);
 	*out = (uint32_t)number.u;
 	return 0;
 }
 
 static const char *take_text(const struct loader *l, const char *section, const char *key)
 {
-	const struct item *item = find(l, section, key);
+	const struct eds_item *item = eds_find(&l->file, section, key);
 
 	return item ? item->value : "";
 }
@@ -490,24 +91,24 @@ static const char *take_text(const struct loader *l, const char *section, const 
 
 /* The human name of a section and its normalised form. A name that says nothing is replaced, except
  * in our own file. */
-static int take_name(struct loader *l, const char *section, const struct item *item, const char *substitute,
+static int take_name(struct loader *l, const char *section, const struct eds_item *item, const char *substitute,
 	const char **label, const char **name, unsigned *line)
 {
-	char normalised[INI_MAX_LINE];
-	const struct item *header = header_of(l, section);
+	char normalised[EDS_LINE_MAX];
+	const struct eds_item *header = eds_section(&l->file, section);
 
 	*line = item ? item->line : header ? header->header : 0;
 	*label = item ? item->value : substitute;
 	if (!item && strict(l))
-		return fail(l, *line, "[%s] has no ParameterName; add it", section);
+		return eds_fail(&l->file, *line, "[%s] has no ParameterName; add it", section);
 	eds_normalise(*label, normalised, sizeof(normalised));
 	if (strict(l) && !isalpha((unsigned char)normalised[0]))
-		return fail(l, *line, "[%s] ParameterName=%s must begin with a letter", section, *label);
+		return eds_fail(&l->file, *line, "[%s] ParameterName=%s must begin with a letter", section, *label);
 	if (!normalised[0])
 		eds_normalise(substitute, normalised, sizeof(normalised));
-	*label = copy_string(l, *label);
-	*name = copy_string(l, normalised);
-	return l->result;
+	*label = eds_copy(&l->file, *label);
+	*name = eds_copy(&l->file, normalised);
+	return l->file.result;
 }
 
 /* ---- entries ---- */
@@ -515,7 +116,7 @@ static int take_name(struct loader *l, const char *section, const struct item *i
 /* Where the facts of an entry stand: its own section, or for a CompactSubObj its object's. */
 struct source {
 	const char *section;
-	const struct item *label, *initial;
+	const struct eds_item *label, *initial;
 	uint32_t inherited_flags;
 };
 
@@ -532,15 +133,15 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 		{"rww", OD_READ | OD_WRITE, OD_RPDO},
 		{"const", OD_READ | OD_CONST, OD_TPDO},
 	};
-	const struct item *item = find(l, source->section, "AccessType");
+	const struct eds_item *item = eds_find(&l->file, source->section, "AccessType");
 	const char *text = item ? item->value : "rw";
 	uint32_t mappable = 0, flags = 0;
 
 	if (!item && strict(l))
-		return fail(
-			l, header_of(l, source->section)->header, "[%s] has no AccessType; add it", source->section);
+		return eds_fail(&l->file, eds_section(&l->file, source->section)->header,
+			"[%s] has no AccessType; add it", source->section);
 	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags))
-		return l->result;
+		return l->file.result;
 	flags |= source->inherited_flags;
 	for (size_t i = 0; i < sizeof(ACCESS) / sizeof(*ACCESS); i++) {
 		if (strcasecmp(text, ACCESS[i].text))
@@ -553,82 +154,83 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 			entry->access |= OD_STORED;
 		return 0;
 	}
-	return fail(
-		l, item->line, "[%s] AccessType=%s is not one of ro, wo, rw, rwr, rww, const", source->section, text);
+	return eds_fail(&l->file, item->line, "[%s] AccessType=%s is not one of ro, wo, rw, rwr, rww, const",
+		source->section, text);
 }
 
 /* One limit, of the key for REALs if that is there. */
 static int take_limit(struct loader *l, const char *section, const char *key, const char *real_key,
-	const struct type_info *type, uint16_t flag, struct od_entry *entry, union od_number *limit)
+	const struct eds_type *type, uint16_t flag, struct od_entry *entry, union od_number *limit)
 {
-	const struct item *item = is_real(type) ? find(l, section, real_key) : NULL;
+	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, section, real_key) : NULL;
 
 	if (!item)
-		item = find(l, section, key);
-	if (!item || (!type->bits && !is_real(type)))
+		item = eds_find(&l->file, section, key);
+	if (!item || (!type->bits && !eds_is_real(type)))
 		return 0;
-	if (!parse_number(item->value, type, limit))
-		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X", section, item->key,
+	if (!eds_parse_number(item->value, type, limit))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", section, item->key,
 			item->value, type->code);
 	entry->access |= flag;
 	return 0;
 }
 
-static int take_number(struct loader *l, const struct source *source, const struct type_info *type, struct draft *draft)
+static int take_number(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
 {
 	struct od_entry *entry = &draft->entry;
-	const struct item *item = is_real(type) ? find(l, source->section, "RealDefault") : NULL;
-	char rest[INI_MAX_LINE];
+	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, source->section, "RealDefault") : NULL;
+	char rest[EDS_LINE_MAX];
 	const char *text;
 
 	if (take_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry, &entry->low) ||
 		take_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH, entry, &entry->high))
-		return l->result;
+		return l->file.result;
 	if (!item)
 		item = source->initial;
 	if (!item)
 		return 0;
 	draft->default_line = item->line;
 	text = item->value;
-	if (type->bits && split_node_id(text, rest, sizeof(rest))) {
+	if (type->bits && eds_split_node_id(text, rest, sizeof(rest))) {
 		text = rest;
 		entry->access |= OD_NODE_ID;
 	}
-	if (!parse_number(text, type, &draft->number))
-		return fail(l, item->line, "[%s] %s=%s is no value of data type 0x%04X", source->section, item->key,
-			item->value, type->code);
+	if (!eds_parse_number(text, type, &draft->number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", source->section,
+			item->key, item->value, type->code);
 	if (!strict(l))
 		return 0;
-	if ((entry->access & OD_LIMIT_LOW) && is_above(type, entry->low, draft->number))
-		return fail(
-			l, item->line, "[%s] %s=%s is below the low limit", source->section, item->key, item->value);
-	if ((entry->access & OD_LIMIT_HIGH) && is_above(type, draft->number, entry->high))
-		return fail(
-			l, item->line, "[%s] %s=%s is above the high limit", source->section, item->key, item->value);
+	if ((entry->access & OD_LIMIT_LOW) && eds_is_above(type, entry->low, draft->number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is below the low limit", source->section, item->key,
+			item->value);
+	if ((entry->access & OD_LIMIT_HIGH) && eds_is_above(type, draft->number, entry->high))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is above the high limit", source->section, item->key,
+			item->value);
 	return 0;
 }
 
-static int take_string(struct loader *l, const struct source *source, const struct type_info *type, struct draft *draft)
+static int take_string(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
 {
-	const struct item *item = type->foreign ? NULL : source->initial;
-	const struct item *size_item = find(l, source->section, "StringSize");
+	const struct eds_item *item = type->foreign ? NULL : source->initial;
+	const struct eds_item *size_item = eds_find(&l->file, source->section, "StringSize");
 	uint32_t size = type->size;
 	int length = 0;
 
 	if (take_u32(l, source->section, "StringSize", &size))
-		return l->result;
+		return l->file.result;
 	if (size_item && (size < 1 || size > OD_VALUE_MAX))
-		return fail(l, size_item->line, "[%s] StringSize=%s is not 1 to %d", source->section, size_item->value,
-			OD_VALUE_MAX);
+		return eds_fail(&l->file, size_item->line, "[%s] StringSize=%s is not 1 to %d", source->section,
+			size_item->value, OD_VALUE_MAX);
 	if (item) {
 		draft->default_line = item->line;
 		draft->text = item->value;
-		length = type->type == OD_OCTET_STRING ? parse_octets(item->value, NULL, 0) : (int)strlen(item->value);
+		length = type->type == OD_OCTET_STRING ? eds_parse_octets(item->value, NULL, 0)
+						       : (int)strlen(item->value);
 		if (length < 0)
-			return fail(l, item->line, "[%s] DefaultValue=%s is not made of pairs of hex digits",
+			return eds_fail(&l->file, item->line, "[%s] DefaultValue=%s is not made of pairs of hex digits",
 				source->section, item->value);
 		if (size && (uint32_t)length > size)
-			return fail(l, item->line, "[%s] the default has %d bytes, more than StringSize=%u",
+			return eds_fail(&l->file, item->line, "[%s] the default has %d bytes, more than StringSize=%u",
 				source->section, length, size);
 	}
 	if (!size && type->type == OD_OCTET_STRING)
@@ -641,35 +243,47 @@ static int take_string(struct loader *l, const struct source *source, const stru
 
 static int take_factor(struct loader *l, const char *section, double *factor)
 {
-	const struct item *item = find(l, section, "Factor");
+	const struct eds_item *item = eds_find(&l->file, section, "Factor");
 	union od_number number;
 
 	*factor = 1;
 	if (!item)
 		return 0;
-	if (!parse_real(item->value, OD_REAL64, &number) || number.f == 0)
-		return fail(l, item->line, "[%s] Factor=%s is no number other than 0", section, item->value);
+	if (!eds_parse_real(item->value, OD_REAL64, &number) || number.f == 0)
+		return eds_fail(&l->file, item->line, "[%s] Factor=%s is no number other than 0", section, item->value);
 	*factor = number.f;
 	return 0;
 }
 
-static const struct type_info *take_type(struct loader *l, const char *section, uint32_t object_type)
+static int add_draft(struct loader *l, const struct draft *draft)
 {
-	const struct item *item = find(l, section, "DataType");
-	const struct type_info *type;
+	struct draft *drafts = eds_grow(&l->file, l->drafts, l->draft_count, &l->draft_capacity, sizeof(*draft));
+
+	if (drafts) {
+		l->drafts = drafts;
+		l->drafts[l->draft_count++] = *draft;
+	}
+	return l->file.result;
+}
+
+static const struct eds_type *take_type(struct loader *l, const char *section, uint32_t object_type)
+{
+	const struct eds_item *item = eds_find(&l->file, section, "DataType");
+	const struct eds_type *type;
 	union od_number code;
 
 	if (!item && object_type == OBJECT_TYPE_DOMAIN)
-		return find_type(OD_DOMAIN);
+		return eds_type_of(OD_DOMAIN);
 	if (!item) {
-		fail(l, header_of(l, section)->header, "[%s] has no DataType; add it", section);
+		eds_fail(&l->file, eds_section(&l->file, section)->header, "[%s] has no DataType; add it", section);
 		return NULL;
 	}
-	type = parse_integer(item->value, 32, false, &code) ? find_type(code.u) : NULL;
+	type = eds_parse_integer(item->value, 32, false, &code) ? eds_type_of(code.u) : NULL;
 	if (!type || (type->foreign && strict(l)))
-		fail(l, item->line, "[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007",
-			section, item->value);
-	return l->result ? NULL : type;
+		eds_fail(&l->file, item->line,
+			"[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007", section,
+			item->value);
+	return l->file.result ? NULL : type;
 }
 
 /* Appends one entry of `object`; for a VAR `name` is NULL. */
@@ -677,45 +291,42 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 	const struct source *source, struct draft draft)
 {
 	uint32_t object_type = OBJECT_TYPE_VAR;
-	const struct type_info *type;
+	const struct eds_type *type;
 	struct od_entry *entry = &draft.entry;
-	char full[2 * INI_MAX_LINE];
+	char full[2 * EDS_LINE_MAX];
 
 	if (take_u32(l, source->section, "ObjectType", &object_type))
-		return l->result;
+		return l->file.result;
 	type = take_type(l, source->section, object_type);
 	if (!type)
-		return l->result;
+		return l->file.result;
 	entry->index = object->index;
 	entry->sub = sub;
 	entry->type = type->type;
 	entry->size = type->size;
 	snprintf(full, sizeof(full), "%s%s%s", object->name, name ? "." : "", name ? name : "");
-	entry->name = copy_string(l, full);
+	entry->name = eds_copy(&l->file, full);
 	draft.default_line = draft.label_line;
 	entry->unit = take_text(l, source->section, "Unit");
 	entry->description = take_text(l, source->section, "Description");
 	if (take_access(l, source, entry) || take_factor(l, source->section, &entry->factor))
-		return l->result;
-	if (type->bits || is_real(type))
+		return l->file.result;
+	if (type->bits || eds_is_real(type))
 		take_number(l, source, type, &draft);
 	else if (type->type != OD_DOMAIN)
 		take_string(l, source, type, &draft);
-	if (l->result || !grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof(draft)))
-		return l->result;
-	l->drafts[l->draft_count++] = draft;
-	return 0;
+	return l->file.result ? l->file.result : add_draft(l, &draft);
 }
 
 static int take_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
 {
 	struct draft draft = {0};
-	const char *name;
+	const char *name = NULL;
 	char substitute[sizeof("Sub 255")];
 
 	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
 	if (take_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
-		return l->result;
+		return l->file.result;
 	return take_entry(l, object, sub, name, source, draft);
 }
 
@@ -724,7 +335,7 @@ static int take_compact(struct loader *l, const struct eds_object *object, const
 {
 	static const char LABEL[] = "NrOfObjects";
 	char names[sizeof("FFFFValue")], values[sizeof("FFFFValue")], number[sizeof("255")];
-	char full[INI_MAX_LINE + sizeof(number)];
+	char full[EDS_LINE_MAX + sizeof(number)];
 	struct draft zero = {.label = LABEL, .label_line = object->line, .number.u = count};
 
 	zero.entry = (struct od_entry){.index = object->index,
@@ -735,27 +346,26 @@ static int take_compact(struct loader *l, const struct eds_object *object, const
 		.unit = "",
 		.description = ""};
 	snprintf(full, sizeof(full), "%s.nrofobjects", object->name);
-	zero.entry.name = copy_string(l, full);
-	if (!zero.entry.name || !grow(l, (void **)&l->drafts, l->draft_count, &l->draft_capacity, sizeof(zero)))
-		return l->result;
-	l->drafts[l->draft_count++] = zero;
+	zero.entry.name = eds_copy(&l->file, full);
+	if (add_draft(l, &zero))
+		return l->file.result;
 	snprintf(names, sizeof(names), "%XName", object->index);
 	snprintf(values, sizeof(values), "%XValue", object->index);
 	for (unsigned sub = 1; sub <= count; sub++) {
 		struct source source = {.section = section};
-		struct item label = {.value = full, .line = object->line};
+		struct eds_item label = {.value = full, .line = object->line};
 
 		snprintf(number, sizeof(number), "%u", sub);
 		snprintf(full, sizeof(full), "%.150s%u", object->label, sub);
-		source.label = find(l, names, number);
-		source.initial = find(l, values, number);
+		source.label = eds_find(&l->file, names, number);
+		source.initial = eds_find(&l->file, values, number);
 		if (!source.label)
 			source.label = &label;
 		if (!source.initial)
-			source.initial = find(l, section, "DefaultValue");
+			source.initial = eds_find(&l->file, section, "DefaultValue");
 		if (take_u32(l, section, "ObjFlags", &source.inherited_flags) ||
 			take_sub(l, object, (uint8_t)sub, &source))
-			return l->result;
+			return l->file.result;
 	}
 	return 0;
 }
@@ -777,9 +387,9 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 	uint32_t flags = 0;
 
 	if (take_u32(l, section, "ObjFlags", &flags))
-		return l->result;
-	for (size_t i = find_section(l, prefix); i < l->item_count; i = next_section(l, i)) {
-		const char *name = l->items[i].section;
+		return l->file.result;
+	for (size_t i = eds_section_start(&l->file, prefix); i < l->file.count; i = eds_section_end(&l->file, i)) {
+		const char *name = l->file.items[i].section;
 		struct source source = {.section = name, .inherited_flags = flags};
 		unsigned long sub;
 		char *end;
@@ -788,11 +398,11 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 			break;
 		sub = strtoul(name + length, &end, 16);
 		if (!isxdigit((unsigned char)name[length]) || *end || sub > 0xFF)
-			return fail(l, l->items[i].header, "[%s] names no sub-index of 0 to FF", name);
-		source.label = find(l, name, "ParameterName");
-		source.initial = find(l, name, "DefaultValue");
+			return eds_fail(&l->file, l->file.items[i].header, "[%s] names no sub-index of 0 to FF", name);
+		source.label = eds_find(&l->file, name, "ParameterName");
+		source.initial = eds_find(&l->file, name, "DefaultValue");
 		if (take_sub(l, object, (uint8_t)sub, &source))
-			return l->result;
+			return l->file.result;
 	}
 	if (l->draft_count > object->first)
 		qsort(l->drafts + object->first, l->draft_count - object->first, sizeof(*l->drafts), compare_subs);
@@ -802,51 +412,51 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 static int check_subs(struct loader *l, const struct eds_object *object, const char *section)
 {
 	const struct draft *subs = l->drafts + object->first;
-	const struct item *item = find(l, section, "SubNumber");
+	const struct eds_item *item = eds_find(&l->file, section, "SubNumber");
 	uint32_t count = 0;
 
 	for (size_t i = 1; i < object->count; i++)
 		if (subs[i].entry.sub == subs[i - 1].entry.sub)
-			return fail(l, subs[i].label_line, "[%s] has sub-index %X twice; remove one", section,
-				subs[i].entry.sub);
+			return eds_fail(&l->file, subs[i].label_line, "[%s] has sub-index %X twice; remove one",
+				section, subs[i].entry.sub);
 	if (take_u32(l, section, "SubNumber", &count) || !strict(l))
-		return l->result;
+		return l->file.result;
 	if (!item)
-		return fail(l, object->line, "[%s] has no SubNumber; add it", section);
+		return eds_fail(&l->file, object->line, "[%s] has no SubNumber; add it", section);
 	if (count != object->count)
-		return fail(l, item->line, "[%s] SubNumber=%s, but %zu sub-indices are described", section, item->value,
-			object->count);
+		return eds_fail(&l->file, item->line, "[%s] SubNumber=%s, but %zu sub-indices are described", section,
+			item->value, object->count);
 	if (subs[0].entry.sub != 0)
-		return fail(l, item->line, "[%s] has no sub-index 0; add it", section);
+		return eds_fail(&l->file, item->line, "[%s] has no sub-index 0; add it", section);
 	if ((subs[0].entry.access & OD_CONST) && subs[0].number.u != subs[count - 1].entry.sub)
-		return fail(l, subs[0].default_line, "[%s] sub-index 0 is not %d, the highest sub-index", section,
-			subs[count - 1].entry.sub);
+		return eds_fail(&l->file, subs[0].default_line, "[%s] sub-index 0 is not %d, the highest sub-index",
+			section, subs[count - 1].entry.sub);
 	return 0;
 }
 
 /* ---- objects ---- */
 
-static int take_object(struct loader *l, struct eds_object *object, const struct item *listed)
+static int take_object(struct loader *l, struct eds_object *object, const struct eds_item *listed)
 {
 	char section[sizeof("FFFF")], substitute[sizeof("Object FFFF")];
 	uint32_t object_type = OBJECT_TYPE_VAR, compact = 0;
-	const struct item *item;
+	const struct eds_item *item;
 
 	snprintf(section, sizeof(section), "%X", object->index);
 	snprintf(substitute, sizeof(substitute), "Object %X", object->index);
-	if (!header_of(l, section))
-		return fail(l, listed->line, "object %s is listed, but has no section [%s]; add it or unlist it",
-			listed->value, section);
-	if (take_name(l, section, find(l, section, "ParameterName"), substitute, &object->label, &object->name,
-		    &object->line) ||
+	if (!eds_section(&l->file, section))
+		return eds_fail(&l->file, listed->line,
+			"object %s is listed, but has no section [%s]; add it or unlist it", listed->value, section);
+	if (take_name(l, section, eds_find(&l->file, section, "ParameterName"), substitute, &object->label,
+		    &object->name, &object->line) ||
 		take_u32(l, section, "ObjectType", &object_type) || take_u32(l, section, "CompactSubObj", &compact))
-		return l->result;
+		return l->file.result;
 	object->description = take_text(l, section, "Description");
 	object->first = l->draft_count;
 	switch (object_type) {
 	case OBJECT_TYPE_DOMAIN:
 	case OBJECT_TYPE_VAR: {
-		struct source source = {.section = section, .initial = find(l, section, "DefaultValue")};
+		struct source source = {.section = section, .initial = eds_find(&l->file, section, "DefaultValue")};
 		struct draft draft = {.label = object->label, .label_line = object->line};
 
 		object->kind = EDS_VAR;
@@ -856,30 +466,31 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 	case OBJECT_TYPE_ARRAY:
 	case OBJECT_TYPE_RECORD:
 		object->kind = object_type == OBJECT_TYPE_ARRAY ? EDS_ARRAY : EDS_RECORD;
-		item = find(l, section, "CompactSubObj");
+		item = eds_find(&l->file, section, "CompactSubObj");
 		if (compact > 0xFE)
-			fail(l, item->line, "[%s] CompactSubObj=%s is above 254", section, item->value);
+			eds_fail(&l->file, item->line, "[%s] CompactSubObj=%s is above 254", section, item->value);
 		else if (compact)
 			take_compact(l, object, section, (uint8_t)compact);
 		else
 			take_subs(l, object, section);
 		break;
 	default: /* NULL, DEFTYPE, DEFSTRUCT: nothing to be read or written */
-		item = find(l, section, "ObjectType");
+		item = eds_find(&l->file, section, "ObjectType");
 		if (strict(l))
-			fail(l, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9", section, item->value);
-		return l->result;
+			eds_fail(&l->file, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9", section,
+				item->value);
+		return l->file.result;
 	}
 	object->count = l->draft_count - object->first;
-	if (l->result || object->kind == EDS_VAR || compact)
-		return l->result;
+	if (l->file.result || object->kind == EDS_VAR || compact)
+		return l->file.result;
 	if (!object->count)
-		return fail(l, object->line, "[%s] has no sub-index; add [%ssub0]", section, section);
+		return eds_fail(&l->file, object->line, "[%s] has no sub-index; add [%ssub0]", section, section);
 	return check_subs(l, object, section);
 }
 
 struct listing {
-	const struct item *item;
+	const struct eds_item *item;
 	uint16_t index;
 };
 
@@ -905,33 +516,36 @@ static bool belongs_to_list(const char *list, uint16_t index)
 /* Appends what one list holds. `listings` has room for as many as there are items in the file. */
 static int take_list(struct loader *l, const char *list, struct listing *listings, size_t *count)
 {
-	const struct item *supported = find(l, list, "SupportedObjects");
-	size_t from = find_section(l, list), present;
+	const struct eds_item *supported = eds_find(&l->file, list, "SupportedObjects");
+	size_t from = eds_section_start(&l->file, list), present;
 	uint32_t n = 0;
 
 	if (take_u32(l, list, "SupportedObjects", &n))
-		return l->result;
-	if (!header_of(l, list))
-		return strict(l) ? fail(l, 0, "has no section [%s]; add it", list) : 0;
-	present = next_section(l, from) - from - (supported != NULL);
+		return l->file.result;
+	if (!eds_section(&l->file, list))
+		return strict(l) ? eds_fail(&l->file, 0, "has no section [%s]; add it", list) : 0;
+	present = eds_section_end(&l->file, from) - from - (supported != NULL);
 	if (strict(l) && (!supported || present != n))
-		return fail(l, supported ? supported->line : l->items[from].header,
+		return eds_fail(&l->file, supported ? supported->line : l->file.items[from].header,
 			"[%s] SupportedObjects=%u, but %zu are listed", list, n, present);
 	for (uint32_t i = 1; i <= n && i <= 0xFFFF; i++) {
 		char key[sizeof("65535")];
-		const struct item *item;
+		const struct eds_item *item;
 		union od_number index;
 
 		snprintf(key, sizeof(key), "%u", i);
-		item = find(l, list, key);
+		item = eds_find(&l->file, list, key);
 		if (!item && strict(l))
-			return fail(l, supported->line, "[%s] has no entry %u; number them 1 to %u", list, i, n);
+			return eds_fail(
+				&l->file, supported->line, "[%s] has no entry %u; number them 1 to %u", list, i, n);
 		if (!item)
 			continue;
-		if (!parse_integer(item->value, 16, false, &index))
-			return fail(l, item->line, "[%s] %s is no index of 16 bits, such as 0x1000", list, item->value);
+		if (!eds_parse_integer(item->value, 16, false, &index))
+			return eds_fail(&l->file, item->line, "[%s] %s is no index of 16 bits, such as 0x1000", list,
+				item->value);
 		if (strict(l) && !belongs_to_list(list, (uint16_t)index.u))
-			return fail(l, item->line, "object %s does not belong in [%s]; move it", item->value, list);
+			return eds_fail(
+				&l->file, item->line, "object %s does not belong in [%s]; move it", item->value, list);
 		if (index.u < 0x1000)
 			continue; /* data types, no objects */
 		listings[(*count)++] = (struct listing){item, (uint16_t)index.u};
@@ -941,29 +555,30 @@ static int take_list(struct loader *l, const char *list, struct listing *listing
 
 static int take_objects(struct loader *l)
 {
-	struct listing *listings = allocate(l, l->item_count * sizeof(*listings));
+	struct listing *listings = eds_allocate(&l->file, l->file.count * sizeof(*listings));
 	struct eds *eds = l->eds;
 	size_t count = 0;
 
 	if (!listings || take_list(l, "MandatoryObjects", listings, &count) ||
 		take_list(l, "OptionalObjects", listings, &count) ||
 		take_list(l, "ManufacturerObjects", listings, &count))
-		return l->result;
+		return l->file.result;
 	if (!count)
-		return fail(l, 0, "lists no objects; is it an EDS file?");
+		return eds_fail(&l->file, 0, "lists no objects; is it an EDS file?");
 	qsort(listings, count, sizeof(*listings), compare_listings);
-	eds->objects = allocate(l, count * sizeof(*eds->objects));
+	eds->objects = eds_allocate(&l->file, count * sizeof(*eds->objects));
 	if (!eds->objects)
-		return l->result;
+		return l->file.result;
 	for (size_t i = 0; i < count; i++) {
 		struct eds_object *object = &eds->objects[eds->object_count];
 
 		if (i && listings[i].index == listings[i - 1].index)
-			return fail(l, listings[i].item->line, "object %s is listed in line %u already; remove one",
-				listings[i].item->value, listings[i - 1].item->line);
+			return eds_fail(&l->file, listings[i].item->line,
+				"object %s is listed in line %u already; remove one", listings[i].item->value,
+				listings[i - 1].item->line);
 		object->index = listings[i].index;
 		if (take_object(l, object, listings[i].item))
-			return l->result;
+			return l->file.result;
 		if (object->count)
 			eds->object_count++;
 	}
@@ -1049,7 +664,7 @@ static void place_default(const struct draft *draft, uint8_t *values)
 		break;
 	case OD_OCTET_STRING:
 		if (draft->text)
-			parse_octets(draft->text, to, entry->size);
+			eds_parse_octets(draft->text, to, entry->size);
 		break;
 	case OD_DOMAIN:
 		break;
@@ -1060,12 +675,12 @@ static int build_table(struct loader *l)
 {
 	struct eds *eds = l->eds;
 	size_t values_size = lay_out(l);
-	struct od_entry *entries = allocate(l, l->draft_count * sizeof(*entries));
-	uint8_t *defaults = allocate(l, values_size);
+	struct od_entry *entries = eds_allocate(&l->file, l->draft_count * sizeof(*entries));
+	uint8_t *defaults = eds_allocate(&l->file, values_size);
 
-	eds->entries = allocate(l, l->draft_count * sizeof(*eds->entries));
-	if (l->result)
-		return l->result;
+	eds->entries = eds_allocate(&l->file, l->draft_count * sizeof(*eds->entries));
+	if (l->file.result)
+		return l->file.result;
 	for (size_t i = 0; i < l->draft_count; i++) {
 		entries[i] = l->drafts[i].entry;
 		eds->entries[i] = (struct eds_entry){l->drafts[i].label, l->drafts[i].label_line};
@@ -1093,7 +708,7 @@ static int take_info(struct loader *l)
 
 	for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
 		if (take_u32(l, numbers[i].section, numbers[i].key, numbers[i].value))
-			return l->result;
+			return l->file.result;
 	info->file_name = take_text(l, "FileInfo", "FileName");
 	info->description = take_text(l, "FileInfo", "Description");
 	info->vendor_name = take_text(l, "DeviceInfo", "VendorName");
@@ -1111,7 +726,7 @@ static int check_names(struct loader *l)
 	for (size_t i = 0; i < eds->object_count; i++)
 		for (size_t k = 0; k < i; k++)
 			if (!strcmp(eds->objects[i].name, eds->objects[k].name))
-				return fail(l, eds->objects[i].line,
+				return eds_fail(&l->file, eds->objects[i].line,
 					"the name \"%s\" is that of object %04X already; choose "
 					"another",
 					eds->objects[i].name, eds->objects[k].index);
@@ -1121,7 +736,7 @@ static int check_names(struct loader *l)
 		for (size_t i = 0; i < eds->objects[o].count; i++)
 			for (size_t k = 0; k < i; k++)
 				if (!strcmp(subs[i].entry.name, subs[k].entry.name))
-					return fail(l, subs[i].label_line,
+					return eds_fail(&l->file, subs[i].label_line,
 						"the name \"%s\" is that of sub-index %X already; "
 						"choose another",
 						subs[i].entry.name, subs[k].entry.sub);
@@ -1132,19 +747,19 @@ static int check_names(struct loader *l)
 /* Every [1018...] section belongs to a listed object. */
 static int check_sections(struct loader *l)
 {
-	for (size_t i = 0; i < l->item_count; i = next_section(l, i)) {
+	for (size_t i = 0; i < l->file.count; i = eds_section_end(&l->file, i)) {
 		char digits[5] = "";
 		uint16_t index;
 		char *end;
 
-		strncpy(digits, l->items[i].section, 4);
+		strncpy(digits, l->file.items[i].section, 4);
 		index = (uint16_t)strtoul(digits, &end, 16);
 		if (end != digits + 4 || strchr("+- ", digits[0]))
 			continue;
 		for (size_t k = 0; k <= l->eds->object_count; k++) {
 			if (k == l->eds->object_count)
-				return fail(l, l->items[i].header, "[%s] belongs to no listed object; list it",
-					l->items[i].section);
+				return eds_fail(&l->file, l->file.items[i].header,
+					"[%s] belongs to no listed object; list it", l->file.items[i].section);
 			if (l->eds->objects[k].index == index)
 				break;
 		}
@@ -1165,20 +780,20 @@ static int check_mapping(struct loader *l, const struct eds_object *object, uint
 			continue;
 		target = od_find(&l->eds->table, (uint16_t)(mapped >> 16), (uint8_t)(mapped >> 8), NULL);
 		if (!target)
-			return fail(l, subs[i].default_line, "maps %04X:%02X, which is not in the file", mapped >> 16,
-				mapped >> 8 & 0xFF);
+			return eds_fail(&l->file, subs[i].default_line, "maps %04X:%02X, which is not in the file",
+				mapped >> 16, mapped >> 8 & 0xFF);
 		if (!(target->access & direction))
-			return fail(
-				l, subs[i].default_line, "maps %s, which is not mappable into this PDO", target->name);
+			return eds_fail(&l->file, subs[i].default_line, "maps %s, which is not mappable into this PDO",
+				target->name);
 		if ((mapped & 0xFF) != 8u * target->size)
-			return fail(l, subs[i].default_line, "maps %u bits of %s, which has %u", mapped & 0xFF,
-				target->name, 8u * target->size);
+			return eds_fail(&l->file, subs[i].default_line, "maps %u bits of %s, which has %u",
+				mapped & 0xFF, target->name, 8u * target->size);
 		if (subs[i].entry.sub <= subs[0].number.u)
 			bits += mapped & 0xFF;
 	}
 	if (bits > PDO_BITS_MAX)
-		return fail(l, subs[0].default_line, "the default mapping has %u bits, a PDO at most %d", bits,
-			PDO_BITS_MAX);
+		return eds_fail(&l->file, subs[0].default_line, "the default mapping has %u bits, a PDO at most %d",
+			bits, PDO_BITS_MAX);
 	return 0;
 }
 
@@ -1186,7 +801,7 @@ static int check_pdos(struct loader *l)
 {
 	const struct eds *eds = l->eds;
 	uint32_t rpdos = 0, tpdos = 0;
-	const struct item *item;
+	const struct eds_item *item;
 
 	for (size_t i = 0; i < eds->object_count; i++) {
 		const struct eds_object *object = &eds->objects[i];
@@ -1199,13 +814,15 @@ static int check_pdos(struct loader *l)
 		if (block == 0x1A00)
 			check_mapping(l, object, OD_TPDO);
 	}
-	item = find(l, "DeviceInfo", "NrOfRXPDO");
+	item = eds_find(&l->file, "DeviceInfo", "NrOfRXPDO");
 	if (eds->info.rpdo_count != rpdos)
-		return fail(l, item ? item->line : 0, "[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
-	item = find(l, "DeviceInfo", "NrOfTXPDO");
+		return eds_fail(
+			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
+	item = eds_find(&l->file, "DeviceInfo", "NrOfTXPDO");
 	if (eds->info.tpdo_count != tpdos)
-		return fail(l, item ? item->line : 0, "[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
-	return l->result;
+		return eds_fail(
+			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
+	return l->file.result;
 }
 
 static int check_identity(struct loader *l)
@@ -1216,44 +833,40 @@ static int check_identity(struct loader *l)
 
 	for (uint8_t i = 0; i < 3; i++) {
 		const struct od_entry *entry = od_find(&l->eds->table, 0x1018, i + 1, NULL);
-		const struct item *item = find(l, "DeviceInfo", KEYS[i]);
+		const struct eds_item *item = eds_find(&l->file, "DeviceInfo", KEYS[i]);
 
 		if (entry && l->drafts[entry - l->eds->table.entries].number.u != numbers[i])
-			return fail(
-				l, item ? item->line : 0, "[DeviceInfo] %s differs from [1018sub%u]", KEYS[i], i + 1u);
+			return eds_fail(&l->file, item ? item->line : 0, "[DeviceInfo] %s differs from [1018sub%u]",
+				KEYS[i], i + 1u);
 	}
 	return 0;
 }
 
-static int build(struct loader *l)
+static int build(struct loader *l, const char *text, size_t size)
 {
-	if (read_items(l) || take_info(l) || take_objects(l) || build_table(l))
-		return l->result;
+	if (eds_read(&l->file, text, size) || take_info(l) || take_objects(l) || build_table(l))
+		return l->file.result;
 	if (!strict(l))
 		return 0;
 	if (check_sections(l) || check_names(l) || check_pdos(l))
-		return l->result;
+		return l->file.result;
 	return check_identity(l);
 }
 
 int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, enum eds_rules rules, char *error,
 	size_t error_size)
 {
-	struct loader l = {.eds = eds,
-		.rules = rules,
-		.path = path,
-		.error = error,
-		.error_size = error_size,
-		.text = text,
-		.end = text + size};
+	struct loader l = {
+		.file = {.path = path, .error = error, .error_size = error_size}, .eds = eds, .rules = rules};
 
 	memset(eds, 0, sizeof(*eds));
-	build(&l);
-	free(l.items);
+	build(&l, text, size);
+	eds->memory = l.file.memory;
+	eds_close(&l.file);
 	free(l.drafts);
-	if (l.result)
+	if (l.file.result)
 		eds_free(eds);
-	return l.result;
+	return l.file.result;
 }
 
 static long read_file(const char *path, char *text)
@@ -1288,11 +901,6 @@ int eds_load(struct eds *eds, const char *path, enum eds_rules rules, char *erro
 
 void eds_free(struct eds *eds)
 {
-	struct block *next;
-
-	for (struct block *block = eds->memory; block; block = next) {
-		next = block->next;
-		free(block);
-	}
+	eds_free_memory(eds->memory);
 	memset(eds, 0, sizeof(*eds));
 }

@@ -330,6 +330,8 @@ static void test_integers_are_decimal_hex_or_octal(void **state)
 	assert_int_equal(default_of(0x1000, 0), 8);
 	assert_int_equal(load(changed("DefaultValue=0x0004019A", "DefaultValue=0XfF"), EDS_STRICT), 0);
 	assert_int_equal(default_of(0x1000, 0), 255);
+	assert_int_equal(load(changed("DefaultValue=0x0004019A", "DefaultValue=4294967295"), EDS_STRICT), 0);
+	assert_int_equal(default_of(0x1000, 0), 0xFFFFFFFF);
 }
 
 static void test_hex_of_full_width_is_a_negative_number_in_twos_complement(void **state)
@@ -647,6 +649,9 @@ static void test_a_value_that_its_type_cannot_hold_is_refused(void **state)
 	assert_both_refuse("HighLimit=100", "HighLimit=lots", "HighLimit=lots", "data type 0x0003");
 	assert_both_refuse("Factor=0.25", "Factor=0", "Factor=0", "Factor");
 	assert_both_refuse("ObjFlags=1", "ObjFlags=x", "ObjFlags=x", "no number");
+	assert_both_refuse("Description=To the sensor", "ObjFlags=x", "ObjFlags=x", "no number");
+	assert_both_refuse("1=0x1800", "1=first", "1=first", "no index");
+	assert_both_refuse("SubNumber=3", "SubNumber=three", "SubNumber=three", "no number");
 }
 
 static void test_a_string_longer_than_its_size_is_refused(void **state)

@@ -162,6 +162,8 @@ static void test_the_node_id_is_added_to_the_defaults_that_ask_for_it(void **sta
 	assert_int_equal(values.tpdo1_communication.cob_id, 0x40000180 + NODE_ID);
 	assert_int_equal(values.sdo_server_parameter.cob_id_client_to_server, 0x600 + NODE_ID);
 	assert_int_equal(values.cob_id_sync, 0x80);
+	od_init(&od, &imu9_od_table, &values, 127);
+	assert_int_equal(values.cob_id_emcy, 0x80 + 127);
 }
 
 static void test_a_device_without_node_id_has_the_bare_defaults(void **state)
@@ -249,6 +251,9 @@ static void test_a_buffer_that_is_too_small_is_refused_and_not_written(void **st
 	assert_int_equal(od_read(&od, 0x1005, 0, wire, 3, &size), OD_TOO_LONG);
 	assert_int_equal(od_read(&od, 0x1008, 0, wire, 3, &size), OD_TOO_LONG);
 	assert_memory_equal(wire, "\1\2\3\4", 4);
+	assert_int_equal(od_get(&od, od_find(&imu9_od_table, 0x1005, 0, NULL), wire, 3), 0);
+	assert_int_equal(od_get(&od, od_find(&imu9_od_table, 0x1005, 0, NULL), wire, 4), 4);
+	assert_int_equal(od_read(&od, 0x1005, 0, wire, 4, &size), OD_OK);
 }
 
 static void test_a_write_only_entry_is_not_read(void **state)
@@ -328,6 +333,7 @@ static void test_limits_of_negative_integers_hold(void **state)
 	assert_int_equal(od_write(&other, 0x2001, 0, "\xFF", 1), OD_TOO_HIGH); /* -1 */
 	assert_int_equal(od_write(&other, 0x2001, 0, "\x05", 1), OD_TOO_HIGH);
 	assert_int_equal(other_values.i8, -10);
+	assert_int_equal(od_write(&other, 0x2001, 0, "\xFE", 1), OD_OK); /* -2 */
 }
 
 static void test_limits_of_64_bits_hold(void **state)

@@ -132,6 +132,7 @@ static void test_floats_are_read(void **state)
 	assert_parses(&REAL32, "0.25", "\x00\x00\x80\x3E", 4);
 	assert_parses(&REAL32, " -1e-3 ", "\x6F\x12\x83\xBA", 4);
 	assert_parses(&REAL32, "3", "\x00\x00\x40\x40", 4);
+	assert_parses(&REAL32, "3.4028234663852886e38", "\xFF\xFF\x7F\x7F", 4);
 	assert_parses(&REAL64, "0.5", "\0\0\0\0\0\0\xE0\x3F", 8);
 }
 
@@ -219,8 +220,8 @@ static void test_control_codes_from_another_device_do_not_reach_the_terminal(voi
 	char text[16];
 
 	(void)state;
-	assert_int_equal(od_format(&TEXT, "a\x1B[2J\n", 6, text, sizeof(text)), 6);
-	assert_string_equal(text, "a?[2J?");
+	assert_int_equal(od_format(&TEXT, "a \x1B[2J\n", 7, text, sizeof(text)), 7);
+	assert_string_equal(text, "a ?[2J?");
 }
 
 static void test_padding_of_a_string_is_not_printed(void **state)
