@@ -18,24 +18,21 @@ void config_init(struct config *config, const struct od_table *table)
 static int set_text(char *out, const char *key, const char *value, char *error)
 {
 	if (value[0] == '\0' || strlen(value) >= CONFIG_TEXT_MAX) {
-		snprintf(error, CONFIG_ERROR_MAX, "%s: needs a value of 1 to %d characters", key,
-			CONFIG_TEXT_MAX - 1);
+		snprintf(error, CONFIG_ERROR_MAX, "%s: needs a value of 1 to %d characters", key, CONFIG_TEXT_MAX - 1);
 		return -EINVAL;
 	}
 	strcpy(out, value);
 	return 0;
 }
 
-static int set_number(
-	unsigned *out, const char *key, const char *value, unsigned low, unsigned high, char *error)
+static int set_number(unsigned *out, const char *key, const char *value, unsigned low, unsigned high, char *error)
 {
 	char *end;
 
 	errno = 0;
 	unsigned long n = strtoul(value, &end, 0);
 	if (end == value || *end != '\0' || value[0] == '-' || errno != 0 || n < low || n > high) {
-		snprintf(error, CONFIG_ERROR_MAX, "%s: '%s' is not a number from %u to %u", key,
-			value, low, high);
+		snprintf(error, CONFIG_ERROR_MAX, "%s: '%s' is not a number from %u to %u", key, value, low, high);
 		return -EINVAL;
 	}
 	*out = (unsigned)n;
@@ -69,19 +66,16 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 
 static int refuse(char *error, const struct od_entry *e, const char *value, enum od_status status)
 {
-	int n = snprintf(
-		error, CONFIG_ERROR_MAX, "%s = %s: %s", e->name, value, od_status_text(status));
+	int n = snprintf(error, CONFIG_ERROR_MAX, "%s = %s: %s", e->name, value, od_status_text(status));
 
 	if (status == OD_TOO_HIGH || status == OD_TOO_LOW) {
 		bool real = e->type == OD_REAL32 || e->type == OD_REAL64;
-		bool is_signed = e->type == OD_INTEGER8 || e->type == OD_INTEGER16 ||
-				 e->type == OD_INTEGER32;
+		bool is_signed = e->type == OD_INTEGER8 || e->type == OD_INTEGER16 || e->type == OD_INTEGER32;
 		double low = real ? e->low.f : is_signed ? (double)e->low.i : (double)e->low.u;
 		double high = real ? e->high.f : is_signed ? (double)e->high.i : (double)e->high.u;
 
 		if ((e->access & OD_LIMIT_LOW) && (e->access & OD_LIMIT_HIGH))
-			snprintf(error + n, CONFIG_ERROR_MAX - (size_t)n, " (%g to %g %s)", low,
-				high, e->unit);
+			snprintf(error + n, CONFIG_ERROR_MAX - (size_t)n, " (%g to %g %s)", low, high, e->unit);
 	}
 	return -EINVAL;
 }
@@ -99,8 +93,7 @@ static int set_object(struct config *c, const char *name, const char *value, cha
 		return -ENOENT;
 	}
 	if (!(e->access & OD_STORED)) {
-		snprintf(error, CONFIG_ERROR_MAX,
-			"%s is not a configuration object: it cannot be set here", e->name);
+		snprintf(error, CONFIG_ERROR_MAX, "%s is not a configuration object: it cannot be set here", e->name);
 		return -EACCES;
 	}
 	if (c->object_count == CONFIG_OBJECTS_MAX) {
@@ -126,8 +119,8 @@ int config_set(struct config *config, const char *assignment, char *error)
 	const char *equals = strchr(assignment, '=');
 
 	if (!equals || equals == assignment || (size_t)(equals - assignment) >= sizeof(name)) {
-		snprintf(error, CONFIG_ERROR_MAX,
-			"--set %s: write NAME=VALUE, for example lever_arm.l=0.05", assignment);
+		snprintf(error, CONFIG_ERROR_MAX, "--set %s: write NAME=VALUE, for example lever_arm.l=0.05",
+			assignment);
 		return -EINVAL;
 	}
 	snprintf(name, sizeof(name), "%.*s", (int)(equals - assignment), assignment);
@@ -166,8 +159,8 @@ static char *next_line(char *text, int size, void *stream)
 		return NULL;
 	r->line++;
 	if (!strchr(text, '\n') && !feof(r->file)) {
-		snprintf(r->error, CONFIG_ERROR_MAX, "%s:%d: the line is longer than %d characters",
-			r->path, r->line, size - 2);
+		snprintf(r->error, CONFIG_ERROR_MAX, "%s:%d: the line is longer than %d characters", r->path, r->line,
+			size - 2);
 		r->rc = -EINVAL;
 		return NULL;
 	}
@@ -194,8 +187,7 @@ static int on_key(void *user, const char *section, const char *key, const char *
 
 int config_file(struct config *config, const char *path, char *error)
 {
-	struct reading r = {
-		.config = config, .path = path, .error = error, .file = fopen(path, "re")};
+	struct reading r = {.config = config, .path = path, .error = error, .file = fopen(path, "re")};
 
 	if (!r.file) {
 		int rc = -errno;
@@ -208,8 +200,7 @@ int config_file(struct config *config, const char *path, char *error)
 		snprintf(error, CONFIG_ERROR_MAX, "%s: cannot be read", path);
 		r.rc = -EIO;
 	} else if (r.rc == 0 && line != 0) {
-		snprintf(error, CONFIG_ERROR_MAX, "%s:%d: neither a [section] nor NAME = VALUE",
-			path, line);
+		snprintf(error, CONFIG_ERROR_MAX, "%s:%d: neither a [section] nor NAME = VALUE", path, line);
 		r.rc = -EINVAL;
 	}
 	fclose(r.file);

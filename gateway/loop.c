@@ -22,7 +22,6 @@ struct loop {
 	struct imu_port *imu;
 	struct store_writer *writer;
 	int epoll, timer, signals;
-	int bus_fd;	   /* bus->fd as it is registered now */
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
@@ -52,11 +51,9 @@ static void log_skips(struct loop *l, uint64_t now_us)
 {
 	uint32_t skipped = l->imu->counters.skipped;
 
-	if (skipped == l->last_skipped ||
-		(l->skip_logged_us && now_us - l->skip_logged_us < 1000000))
+	if (skipped == l->last_skipped || (l->skip_logged_us && now_us - l->skip_logged_us < 1000000))
 		return;
-	log_line("%u samples skipped, the last one: %s", skipped - l->last_skipped,
-		l->imu->last_skip);
+	log_line("%u samples skipped, the last one: %s", skipped - l->last_skipped, l->imu->last_skip);
 	l->last_skipped = skipped;
 	l->skip_logged_us = now_us;
 }
@@ -153,16 +150,6 @@ static void arm(struct loop *l, uint64_t deadline_us)
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
-/* A re-opened bus may have another descriptor. */
-static void follow_bus_fd(struct loop *l)
-{
-	if (l->bus->fd == l->bus_fd)
-		return;
-	l->bus_fd = l->bus->fd; /* the old one was closed, and with that left the epoll set */
-	if (l->bus_fd >= 0)
-		watch(l, l->bus_fd, SOURCE_BUS);
-}
-
 static void wake(struct loop *l)
 {
 	struct epoll_event events[SOURCE_COUNT];
@@ -173,7 +160,6 @@ static void wake(struct loop *l)
 		on_event(l, (enum source)events[i].data.u32, now_us);
 	uint64_t next_us = device_tick(l->device, now_us);
 	uint64_t bus_us = can_service(l->bus, now_us);
-	follow_bus_fd(l);
 	arm(l, bus_us < next_us ? bus_us : next_us);
 }
 
@@ -205,16 +191,14 @@ static int open_descriptors(struct loop *l)
 	l->epoll = epoll_create1(EPOLL_CLOEXEC);
 	if (l->signals < 0 || l->timer < 0 || l->epoll < 0)
 		return -errno;
-	if ((rc = watch(l, l->signals, SOURCE_SIGNAL)) < 0 ||
-		(rc = watch(l, l->timer, SOURCE_TIMER)) < 0 ||
-		(rc = watch(l, l->imu->fd, SOURCE_SENSOR)) < 0 ||
-		(rc = watch(l, l->bus->fd, SOURCE_BUS)) < 0)
+	if ((rc = watch(l, l->signals, SOURCE_SIGNAL)) < 0 || (rc = watch(l, l->timer, SOURCE_TIMER)) < 0 ||
+		(rc = watch(l, l->imu->fd, SOURCE_SENSOR)) < 0 || (rc = watch(l, l->bus->fd, SOURCE_BUS)) < 0)
 		return rc;
 	return l->writer ? watch(l, l->writer->fd, SOURCE_STORE) : 0;
 }
 
-int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu,
-	struct store_writer *writer, bool stored_damaged)
+int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
+	bool stored_damaged)
 {
 	struct loop l = {.device = device,
 		.bus = bus,
@@ -223,7 +207,6 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu,
 		.epoll = -1,
 		.timer = -1,
 		.signals = -1,
-		.bus_fd = bus->fd,
 		.armed_us = UINT64_MAX};
 	int rc = open_descriptors(&l);
 

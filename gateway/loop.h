@@ -12,8 +12,8 @@ void loop_hold_signals(void);
 
 /** Runs until SIGINT or SIGTERM. 0, or -errno when the loop itself cannot be set up. `writer` may
  * be NULL. */
-int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu,
-	struct store_writer *writer, bool stored_damaged);
+int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
+	bool stored_damaged);
 
 /** CLOCK_MONOTONIC in microseconds. */
 uint64_t loop_now_us(void);

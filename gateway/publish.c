@@ -62,22 +62,18 @@ static void publish_slopes(struct od_values *v, bool *saturated)
 	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, saturated);
 	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, saturated);
 
-	v->slope_long16 =
-		(int16_t)clamp(slope(lon, v->slope_long16_operating_parameter,
-				       v->slope_long16_offset, v->slope_long16_differential_offset),
-			INT16_MAX, saturated);
-	v->slope_lateral16 = (int16_t)clamp(
-		slope(lat, v->slope_lateral16_operating_parameter, v->slope_lateral16_offset,
-			v->slope_lateral16_differential_offset),
+	v->slope_long16 = (int16_t)clamp(slope(lon, v->slope_long16_operating_parameter, v->slope_long16_offset,
+						 v->slope_long16_differential_offset),
 		INT16_MAX, saturated);
-	v->slope_long32 =
-		clamp(slope(lon, v->slope_long32_operating_parameter, v->slope_long32_offset,
-			      v->slope_long32_differential_offset),
-			INT32_MAX, saturated);
-	v->slope_lateral32 =
-		clamp(slope(lat, v->slope_lateral32_operating_parameter, v->slope_lateral32_offset,
-			      v->slope_lateral32_differential_offset),
-			INT32_MAX, saturated);
+	v->slope_lateral16 = (int16_t)clamp(slope(lat, v->slope_lateral16_operating_parameter,
+						    v->slope_lateral16_offset, v->slope_lateral16_differential_offset),
+		INT16_MAX, saturated);
+	v->slope_long32 = clamp(slope(lon, v->slope_long32_operating_parameter, v->slope_long32_offset,
+					v->slope_long32_differential_offset),
+		INT32_MAX, saturated);
+	v->slope_lateral32 = clamp(slope(lat, v->slope_lateral32_operating_parameter, v->slope_lateral32_offset,
+					   v->slope_lateral32_differential_offset),
+		INT32_MAX, saturated);
 }
 
 void publish_preset(struct od_values *v, uint16_t index)
@@ -88,36 +84,32 @@ void publish_preset(struct od_values *v, uint16_t index)
 	/* offset = preset - (+-physical) - differential offset */
 	switch (index) {
 	case 0x6012:
-		v->slope_long16_offset = (int16_t)clamp(
-			(int64_t)v->slope_long16_preset_value -
-				slope(lon, v->slope_long16_operating_parameter & SLOPE_INVERSION, 0,
-					0) -
-				v->slope_long16_differential_offset,
-			INT16_MAX, &saturated);
+		v->slope_long16_offset =
+			(int16_t)clamp((int64_t)v->slope_long16_preset_value -
+					       slope(lon, v->slope_long16_operating_parameter & SLOPE_INVERSION, 0, 0) -
+					       v->slope_long16_differential_offset,
+				INT16_MAX, &saturated);
 		break;
 	case 0x6022:
 		v->slope_lateral16_offset = (int16_t)clamp(
 			(int64_t)v->slope_lateral16_preset_value -
-				slope(lat, v->slope_lateral16_operating_parameter & SLOPE_INVERSION,
-					0, 0) -
+				slope(lat, v->slope_lateral16_operating_parameter & SLOPE_INVERSION, 0, 0) -
 				v->slope_lateral16_differential_offset,
 			INT16_MAX, &saturated);
 		break;
 	case 0x6112:
-		v->slope_long32_offset = clamp(
-			(int64_t)v->slope_long32_preset_value -
-				slope(lon, v->slope_long32_operating_parameter & SLOPE_INVERSION, 0,
-					0) -
-				v->slope_long32_differential_offset,
-			INT32_MAX, &saturated);
+		v->slope_long32_offset =
+			clamp((int64_t)v->slope_long32_preset_value -
+					slope(lon, v->slope_long32_operating_parameter & SLOPE_INVERSION, 0, 0) -
+					v->slope_long32_differential_offset,
+				INT32_MAX, &saturated);
 		break;
 	case 0x6122:
-		v->slope_lateral32_offset = clamp(
-			(int64_t)v->slope_lateral32_preset_value -
-				slope(lat, v->slope_lateral32_operating_parameter & SLOPE_INVERSION,
-					0, 0) -
-				v->slope_lateral32_differential_offset,
-			INT32_MAX, &saturated);
+		v->slope_lateral32_offset =
+			clamp((int64_t)v->slope_lateral32_preset_value -
+					slope(lat, v->slope_lateral32_operating_parameter & SLOPE_INVERSION, 0, 0) -
+					v->slope_lateral32_differential_offset,
+				INT32_MAX, &saturated);
 		break;
 	}
 }
@@ -126,13 +118,11 @@ void publish_preset(struct od_values *v, uint16_t index)
  * ----------------------------------------------------------------------------------------------------
  */
 
-#define PUBLISH_REAL32(record, vector, a, b, c)                          \
-	((record).a = (float)(vector).x, (record).b = (float)(vector).y, \
-		(record).c = (float)(vector).z)
+#define PUBLISH_REAL32(record, vector, a, b, c) \
+	((record).a = (float)(vector).x, (record).b = (float)(vector).y, (record).c = (float)(vector).z)
 
-#define PUBLISH_SCALED(record, vector, lsb, a, b, c)                \
-	((record).a = scaled16((vector).x, lsb, &saturated),        \
-		(record).b = scaled16((vector).y, lsb, &saturated), \
+#define PUBLISH_SCALED(record, vector, lsb, a, b, c)                                                             \
+	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
 		(record).c = scaled16((vector).z, lsb, &saturated))
 
 void publish_sample(struct od_values *v, const struct pipeline_output *out, uint16_t counter)
@@ -171,6 +161,5 @@ void publish_sample(struct od_values *v, const struct pipeline_output *out, uint
 
 void publish_sensor_lost(struct od_values *v)
 {
-	v->sample.status =
-		(uint16_t)((v->sample.status & ~(unsigned)PIPELINE_VALID) | STATUS_SENSOR_LOST);
+	v->sample.status = (uint16_t)((v->sample.status & ~(unsigned)PIPELINE_VALID) | STATUS_SENSOR_LOST);
 }

@@ -3,11 +3,11 @@
 #define RAD_PER_DEG (3.14159265358979323846 / 180)
 
 /* the three calibration records have the same members, but generated structs of their own */
-#define TRIAD(record)                                                                          \
-	((struct triad_calibration){.bias = {(double)(record).bias_x, (double)(record).bias_y, \
-					    (double)(record).bias_z},                          \
-		.matrix = {{(double)(record).xx, (double)(record).xy, (double)(record).xz},    \
-			{(double)(record).yx, (double)(record).yy, (double)(record).yz},       \
+#define TRIAD(record)                                                                                \
+	((struct triad_calibration){                                                                 \
+		.bias = {(double)(record).bias_x, (double)(record).bias_y, (double)(record).bias_z}, \
+		.matrix = {{(double)(record).xx, (double)(record).xy, (double)(record).xz},          \
+			{(double)(record).yx, (double)(record).yy, (double)(record).yz},             \
 			{(double)(record).zx, (double)(record).zy, (double)(record).zz}}})
 
 #define LOW_PASS(record)                                 \
@@ -36,8 +36,8 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.fusion.mahony_kp_rad_s = (double)v->fusion.mahony_kp;
 	c.fusion.mahony_ki_rad_s2 = (double)v->fusion.mahony_ki;
 
-	c.estimator.lever_arm_b_m = (struct vec3){
-		(double)v->lever_arm.l, (double)v->lever_arm.s, (double)v->lever_arm.t};
+	c.estimator.lever_arm_b_m =
+		(struct vec3){(double)v->lever_arm.l, (double)v->lever_arm.s, (double)v->lever_arm.t};
 	c.estimator.model = (enum lever_arm_model)v->lever_arm_model;
 	c.estimator.rates_from = (enum rate_source)v->rates_from;
 	c.estimator.gravity_m_s2 = (double)v->gravity;

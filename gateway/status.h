@@ -12,8 +12,9 @@ enum {
 enum {
 	EMCY_SENSOR_LOST = 0x5030,   /* no sample arrives */
 	EMCY_STORE_DAMAGED = 0x5530, /* the stored values could not be read: defaults are in use */
-	EMCY_CONFIGURATION = 0x6320, /* the configuration objects contradict each other: the last good set stays in use */
-	EMCY_CAN_OVERRUN = 0x8110,   /* frames were lost: the bus took none for too long */
+	EMCY_CONFIGURATION =
+		0x6320,		   /* the configuration objects contradict each other: the last good set stays in use */
+	EMCY_CAN_OVERRUN = 0x8110, /* frames were lost: the bus took none for too long */
 	EMCY_ERROR_PASSIVE = 0x8120,
 	EMCY_BUS_OFF_OVER = 0x8140,
 };

@@ -26,8 +26,7 @@ static void put_u32(uint8_t *out, size_t value)
 
 static uint32_t get_u32(const uint8_t *in)
 {
-	return (uint32_t)in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 |
-	       (uint32_t)in[3] << 24;
+	return (uint32_t)in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 | (uint32_t)in[3] << 24;
 }
 
 size_t store_encode(const struct store_image *image, uint8_t *out)
@@ -128,8 +127,7 @@ static int sync_folder_of(const char *path)
 	char folder[STORE_PATH_MAX];
 	const char *slash = strrchr(path, '/');
 
-	snprintf(folder, sizeof(folder), "%.*s", slash ? (int)(slash - path + 1) : 1,
-		slash ? path : ".");
+	snprintf(folder, sizeof(folder), "%.*s", slash ? (int)(slash - path + 1) : 1, slash ? path : ".");
 	int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
 	if (fd < 0)
 		return -errno;
@@ -172,8 +170,7 @@ static void *writer_main(void *arg)
 		if (!w->busy)
 			break;
 		pthread_mutex_unlock(&w->lock);
-		int rc = store_write(
-			w->path, w->bytes, w->size); /* submit() leaves both alone while busy */
+		int rc = store_write(w->path, w->bytes, w->size); /* submit() leaves both alone while busy */
 		pthread_mutex_lock(&w->lock);
 		w->result = rc;
 		w->busy = false;
