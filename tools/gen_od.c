@@ -341,14 +341,16 @@ static void print_table(FILE *out, const struct eds *eds, const uint8_t *file, s
 
 /* ---- objects.md ---- */
 
+/* A row is "|" and its cells. */
 static void print_cell(FILE *out, const char *text)
 {
+	fputc(' ', out);
 	for (; *text; text++) {
 		if (*text == '|')
 			fputc('\\', out);
 		fputc(*text, out);
 	}
-	fputs(" | ", out);
+	fputs(" |", out);
 }
 
 static const char *access_text(const struct od_entry *entry)
@@ -364,96 +366,102 @@ static const char *access_text(const struct od_entry *entry)
 static void print_default_cell(FILE *out, const struct eds *eds, const struct od_entry *entry)
 {
 	bool in_hex = entry->type == OD_UNSIGNED32 && entry->index < 0x2000 && !*entry->unit;
-	char text[2 * OD_VALUE_MAX + 1];
+	char text[2 * OD_VALUE_MAX + 1] = "";
 
 	if (entry->access & OD_NODE_ID)
-		fprintf(out, "node-ID + %Xh | ", default_u32(eds, entry));
+		snprintf(text, sizeof(text), "node-ID + %Xh", default_u32(eds, entry));
 	else if (in_hex && default_u32(eds, entry) > 9)
-		fprintf(out, "%08Xh | ", default_u32(eds, entry));
-	else if (entry->type == OD_DOMAIN)
-		fputs("| ", out);
-	else {
+		snprintf(text, sizeof(text), "%08Xh", default_u32(eds, entry));
+	else if (entry->type != OD_DOMAIN)
 		format_default(eds, entry, text, sizeof(text));
-		print_cell(out, text);
-	}
+	print_cell(out, text);
 }
 
 static void print_limits_cell(FILE *out, const struct od_entry *entry)
 {
-	char low[32] = "", high[32] = "";
+	char low[32] = "", high[32] = "", text[80] = "";
 
 	if (entry->access & OD_LIMIT_LOW)
 		format_limit(entry, entry->low, low, sizeof(low));
 	if (entry->access & OD_LIMIT_HIGH)
 		format_limit(entry, entry->high, high, sizeof(high));
 	if (*low && *high)
-		fprintf(out, "%s to %s", low, high);
-	else if (*low || *high)
-		fprintf(out, *low ? "at least %s" : "at most %s", *low ? low : high);
-	fputs(" | ", out);
+		snprintf(text, sizeof(text), "%s to %s", low, high);
+	else if (*low)
+		snprintf(text, sizeof(text), "at least %s", low);
+	else if (*high)
+		snprintf(text, sizeof(text), "at most %s", high);
+	print_cell(out, text);
 }
 
 /* "m/s^2", or "0.005 m/s^2" when one step is not one unit. */
 static void print_unit_cell(FILE *out, const struct od_entry *entry)
 {
 	if (entry->factor != 1)
-		fprintf(out, "%.7g ", entry->factor);
+		fprintf(out, " %.7g", entry->factor);
 	print_cell(out, entry->unit);
 }
 
 static void print_row(FILE *out, const struct eds *eds, const struct od_entry *entry)
 {
-	fprintf(out, "| %04Xh | %u | `%s` | %s | %s | ", entry->index, entry->sub, entry->name, type_name(entry),
+	fprintf(out, "| %04Xh | %u | `%s` | %s | %s |", entry->index, entry->sub, entry->name, type_name(entry),
 		access_text(entry));
 	print_default_cell(out, eds, entry);
 	print_limits_cell(out, entry);
 	print_unit_cell(out, entry);
-	fprintf(out, "%s | %s | ", entry->access & OD_TPDO ? "yes" : "", entry->access & OD_STORED ? "yes" : "");
+	print_cell(out, entry->access & OD_TPDO ? "yes" : "");
+	print_cell(out, entry->access & OD_STORED ? "yes" : "");
 	print_cell(out, entry->description);
 	fputc('\n', out);
+}
+
+static void print_object(FILE *out, const struct eds *eds, const struct eds_object *object)
+{
+	if (object->kind != EDS_VAR) {
+		fprintf(out, "| **%04Xh** | |", object->index);
+		print_cell(out, object->label);
+		fputs(" | | | | | | |", out);
+		print_cell(out, object->description);
+		fputc('\n', out);
+	}
+	for (size_t i = 0; i < object->count; i++) {
+		const struct od_entry *entry = &eds->table.entries[object->first + i];
+
+		if (object->kind == EDS_VAR || entry->sub || !(entry->access & OD_CONST))
+			print_row(out, eds, entry);
+	}
 }
 
 static void print_markdown(FILE *out, const struct eds *eds)
 {
 	static const struct {
+		uint16_t first;
 		const char *title;
-		uint16_t first, last;
 	} AREAS[] = {
-		{"Communication (CiA 301)", 0x1000, 0x1FFF},
-		{"Configuration", 0x2000, 0x20FF},
-		{"Measurements and state", 0x2100, 0x5FFF},
-		{"Inclinometer (CiA 410)", 0x6000, 0x9FFF},
+		{0x1000, "Communication (CiA 301)"},
+		{0x2000, "Configuration"},
+		{0x2100, "Measurements and state"},
+		{0x6000, "Inclinometer (CiA 410)"},
 	};
 	size_t area = 0;
 
 	fprintf(out,
 		"# Objects of the %s\n\n%s\n\n"
-		"*Unit* is the physical value of one step, at the default resolution. *PDO*: can "
-		"be mapped into a\n"
-		"TPDO. *Stored*: kept by 1010h, and settable by its name in the configuration file "
-		"and by `--set`.\n",
+		"*Unit* is the physical value of one step, at the default resolution. *PDO*: can be mapped into a "
+		"TPDO.\n"
+		"*Stored*: kept by 1010h, and settable by its name in the configuration file and by `--set`. Sub-index "
+		"0 of\n"
+		"arrays and records is left out where it is only the highest sub-index.\n",
 		eds->info.product_name, NOTICE);
 	for (size_t i = 0; i < eds->object_count; i++) {
-		const struct eds_object *object = &eds->objects[i];
-
-		while (area < sizeof(AREAS) / sizeof(*AREAS) && object->index >= AREAS[area].first)
+		while (area < sizeof(AREAS) / sizeof(*AREAS) && eds->objects[i].index >= AREAS[area].first)
 			fprintf(out,
 				"\n## %s\n\n"
-				"| Index | Sub | Name | Type | Access | Default | Range | Unit | "
-				"PDO | Stored | "
+				"| Index | Sub | Name | Type | Access | Default | Range | Unit | PDO | Stored | "
 				"Description |\n"
 				"|---|---|---|---|---|---|---|---|---|---|---|\n",
 				AREAS[area++].title);
-		if (object->kind != EDS_VAR) {
-			fprintf(out, "| **%04Xh** | | **", object->index);
-			for (const char *c = object->label; *c; c++)
-				fprintf(out, *c == '|' ? "\\%c" : "%c", *c);
-			fputs("** | | | | | | | | ", out);
-			print_cell(out, object->description);
-			fputc('\n', out);
-		}
-		for (size_t k = 0; k < object->count; k++)
-			print_row(out, eds, &eds->table.entries[object->first + k]);
+		print_object(out, eds, &eds->objects[i]);
 	}
 }
 
@@ -470,18 +478,14 @@ static double raw_limit(const struct od_entry *entry, bool high)
 	return high ? ldexp(1, bits) - 1 : 0;
 }
 
-static void signal_name(const struct eds *eds, const char *path, const struct od_entry *entry, char *name)
+static const char *signal_name(const struct od_entry *entry, char *name)
 {
-	size_t length = strlen(entry->name);
+	size_t i;
 
-	if (length > DBC_NAME_MAX)
-		die("%s:%u: \"%s\" is longer than the %d characters of a signal in a DBC; shorten "
-		    "the ParameterName",
-			path, eds->entries[entry - eds->table.entries].line, entry->name, DBC_NAME_MAX);
-	memcpy(name, entry->name, length + 1);
-	for (char *c = name; *c; c++)
-		if (*c == '.')
-			*c = '_';
+	for (i = 0; i < DBC_NAME_MAX && entry->name[i]; i++)
+		name[i] = entry->name[i] == '.' ? '_' : entry->name[i];
+	name[i] = '\0';
+	return name;
 }
 
 /* The mapped entry behind sub-index `sub` of a mapping object, or NULL. */
@@ -511,67 +515,92 @@ static uint32_t can_id(const struct eds *eds, uint16_t index, uint8_t sub)
 	return cob_id & CAN_ID_MASK;
 }
 
-static void print_message(FILE *out, FILE *comments, const struct eds *eds, const char *path, unsigned number)
+static void print_message(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
 {
 	uint16_t mapping = (uint16_t)(0x1A00 + number);
-	uint32_t id = can_id(eds, (uint16_t)(0x1800 + number), 1);
 	const struct od_entry *entry;
 	char name[DBC_NAME_MAX + 1];
 	unsigned bytes = 0, bit = 0;
 
 	for (uint8_t sub = 1; (entry = mapped_entry(eds, mapping, sub)); sub++)
 		bytes += entry->size;
-	if (!id || !bytes)
-		return;
 	fprintf(out, "BO_ %u TPDO%u: %u IMU9\n", id, number + 1, bytes);
 	for (uint8_t sub = 1; (entry = mapped_entry(eds, mapping, sub)); sub++) {
-		signal_name(eds, path, entry, name);
-		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" Vector__XXX\n", name, bit,
-			8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+', entry->factor,
-			entry->factor * raw_limit(entry, false), entry->factor * raw_limit(entry, true), entry->unit);
+		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" Vector__XXX\n",
+			signal_name(entry, name), bit, 8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+',
+			entry->factor, entry->factor * raw_limit(entry, false), entry->factor * raw_limit(entry, true),
+			entry->unit);
 		bit += 8u * entry->size;
-		if (*entry->description) {
-			fprintf(comments, "CM_ SG_ %u %s ", id, name);
-			print_c_string(comments, entry->description);
-			fputs(";\n", comments);
-		}
-		if (is_real(entry))
-			fprintf(comments, "SIG_VALTYPE_ %u %s : %d;\n", id, name, entry->type == OD_REAL32 ? 1 : 2);
 	}
 	fputc('\n', out);
 }
 
-static void print_dbc(FILE *out, const struct eds *eds, const char *path)
+static void print_comments(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
+{
+	const struct od_entry *entry;
+	char name[DBC_NAME_MAX + 1];
+
+	for (size_t i = 0; i < eds->object_count; i++) {
+		if (eds->objects[i].index != 0x1800 + number)
+			continue;
+		fprintf(out, "CM_ BO_ %u ", id);
+		print_c_string(out, eds->objects[i].description);
+		fputs(";\n", out);
+	}
+	for (uint8_t sub = 1; (entry = mapped_entry(eds, (uint16_t)(0x1A00 + number), sub)); sub++) {
+		if (!*entry->description)
+			continue;
+		fprintf(out, "CM_ SG_ %u %s ", id, signal_name(entry, name));
+		print_c_string(out, entry->description);
+		fputs(";\n", out);
+	}
+}
+
+static void print_float_types(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
+{
+	const struct od_entry *entry;
+	char name[DBC_NAME_MAX + 1];
+
+	for (uint8_t sub = 1; (entry = mapped_entry(eds, (uint16_t)(0x1A00 + number), sub)); sub++)
+		if (is_real(entry))
+			fprintf(out, "SIG_VALTYPE_ %u %s : %d;\n", id, signal_name(entry, name),
+				entry->type == OD_REAL32 ? 1 : 2);
+}
+
+/* For each TPDO that is switched on by default. */
+static void for_each_tpdo(
+	FILE *out, const struct eds *eds, void (*print)(FILE *out, const struct eds *eds, unsigned number, uint32_t id))
+{
+	for (unsigned number = 0; number < eds->info.tpdo_count; number++) {
+		uint32_t id = can_id(eds, (uint16_t)(0x1800 + number), 1);
+
+		if (id && mapped_entry(eds, (uint16_t)(0x1A00 + number), 1))
+			print(out, eds, number, id);
+	}
+}
+
+static void print_dbc(FILE *out, const struct eds *eds)
 {
 	const uint32_t heartbeat = 0x700 + DBC_NODE_ID, emcy = can_id(eds, 0x1014, 0);
-	char *text = NULL;
-	size_t size = 0;
-	FILE *comments = open_memstream(&text, &size);
 
-	if (!comments)
-		die("out of memory");
 	fputs("VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n", out);
-	for (unsigned i = 0; i < eds->info.tpdo_count; i++)
-		print_message(out, comments, eds, path, i);
+	for_each_tpdo(out, eds, print_message);
 	if (emcy)
 		fprintf(out,
 			"BO_ %u EMCY: 8 IMU9\n"
 			" SG_ emcy_error_code : 0|16@1+ (1,0) [0|65535] \"\" Vector__XXX\n"
 			" SG_ emcy_error_register : 16|8@1+ (1,0) [0|255] \"\" Vector__XXX\n"
-			" SG_ emcy_information : 24|40@1+ (1,0) [0|1099511627775] \"\" "
-			"Vector__XXX\n\n",
+			" SG_ emcy_information : 24|40@1+ (1,0) [0|1099511627775] \"\" Vector__XXX\n\n",
 			emcy);
 	fprintf(out,
 		"BO_ %u Heartbeat: 1 IMU9\n"
 		" SG_ nmt_state : 0|7@1+ (1,0) [0|127] \"\" Vector__XXX\n\n",
 		heartbeat);
-	fclose(comments);
-	fprintf(out, "CM_ \"%s Node-ID %d, default mapping and resolution.\";\n%s", NOTICE, DBC_NODE_ID, text);
-	fprintf(out,
-		"VAL_ %u nmt_state 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 "
-		"\"pre-operational\" ;\n",
+	fprintf(out, "CM_ \"%s Node-ID %d, default mapping and resolution.\";\n", NOTICE, DBC_NODE_ID);
+	for_each_tpdo(out, eds, print_comments);
+	fprintf(out, "VAL_ %u nmt_state 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 \"pre-operational\" ;\n",
 		heartbeat);
-	free(text);
+	for_each_tpdo(out, eds, print_float_types);
 }
 
 /* ---- files ---- */
@@ -630,20 +659,25 @@ static void write_outputs(const char *directory, const struct output *outputs, s
 	}
 }
 
-static void check_identifiers(const struct eds *eds, const char *path)
+/* What an EDS may hold and C or a DBC may not. */
+static void check_names(const struct eds *eds, const char *path)
 {
-	static const char KEYWORDS[] =
-		" auto break case char const continue default do double else enum extern float "
-		"for goto if inline int long register restrict return short signed sizeof "
-		"static struct switch typedef union unsigned void volatile while bool true false ";
-	char word[256];
+	static const char KEYWORDS[] = " auto break case char const continue default do double else enum extern float "
+				       "for goto if inline int long register restrict return short signed sizeof "
+				       "static struct switch typedef union unsigned void volatile while ";
 
 	for (size_t i = 0; i < eds->table.count; i++) {
-		snprintf(word, sizeof(word), " %s ", member_name(&eds->table.entries[i]));
+		const struct od_entry *entry = &eds->table.entries[i];
+		char word[256];
+
+		snprintf(word, sizeof(word), " %s ", member_name(entry));
 		if (strstr(KEYWORDS, word))
-			die("%s:%u: the name%sis a word of the C language; choose another "
+			die("%s:%u: the name%sis a word of the C language; choose another ParameterName", path,
+				eds->entries[i].line, word);
+		if ((entry->access & OD_TPDO) && strlen(entry->name) > DBC_NAME_MAX)
+			die("%s:%u: \"%s\" is longer than the %d characters of a signal in a DBC; shorten the "
 			    "ParameterName",
-				path, eds->entries[i].line, word);
+				path, eds->entries[i].line, entry->name, DBC_NAME_MAX);
 	}
 }
 
@@ -664,7 +698,7 @@ int main(int argc, char **argv)
 	}
 	if (eds_load(&eds, argv[1], EDS_STRICT, error, sizeof(error)))
 		die("%s", error);
-	check_identifiers(&eds, argv[1]);
+	check_names(&eds, argv[1]);
 	file = read_bytes(argv[1], &file_size);
 	for (size_t i = 0; i < COUNT; i++) {
 		streams[i] = open_memstream(&outputs[i].text, &outputs[i].size);
@@ -674,7 +708,7 @@ int main(int argc, char **argv)
 	print_values_header(streams[0], &eds);
 	print_table(streams[1], &eds, file, file_size);
 	print_markdown(streams[2], &eds);
-	print_dbc(streams[3], &eds, argv[1]);
+	print_dbc(streams[3], &eds);
 	for (size_t i = 0; i < COUNT; i++)
 		fclose(streams[i]);
 	write_outputs(argv[2], outputs, COUNT);

@@ -165,7 +165,7 @@ def check_dbc(entries):
     text = DBC.read_text("ascii")
     signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" Vector__XXX\n'
     message = r"BO_ (\d+) ([A-Za-z_]\w{0,31}): (\d) IMU9\n((?:%s)+)\n" % without_groups(signal)
-    tail = r'(?:CM_ (?:SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
+    tail = r'(?:CM_ (?:BO_ \d+ |SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
     whole = r'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n(?:%s)+%s' % (without_groups(message), tail)
     expect(re.fullmatch(whole, text), DBC.name, "does not follow the grammar")
     messages = {int(m[1]): m for m in re.finditer(message, text)}
