@@ -154,8 +154,7 @@ static void test_a_cut_while_writing_leaves_the_old_values(void **state)
 	fclose(f);
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&old, &back);
-	assert_int_equal(
-		store_write(path, bytes, size), 0); /* the left-over does not hinder the next */
+	assert_int_equal(store_write(path, bytes, size), 0); /* the left-over does not hinder the next */
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&new, &back);
 }
