@@ -32,8 +32,6 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 	if (!config_valid(config))
 		return -EINVAL;
 	f->config = *config;
-	if (config->algorithm != FUSION_MAHONY || config->mahony_ki_rad_s2 == 0)
-		f->gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
 	return 0;
 }
 
@@ -47,6 +45,20 @@ void fusion_turn_object(struct fusion *f, struct quat turn)
 {
 	f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
 	f->gyro_bias_b_rad_s = quat_rotate(turn, f->gyro_bias_b_rad_s);
+}
+
+void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
+{
+	struct vec3 *bias = &f->gyro_bias_b_rad_s;
+
+	f->bias_time_s = fmin(f->bias_time_s + dt_s, fmax(FUSION_BIAS_MEMORY_S, dt_s));
+	*bias = vec3_add(*bias, vec3_scale(dt_s / f->bias_time_s, vec3_sub(gyro_b_rad_s, *bias)));
+}
+
+void fusion_forget_bias(struct fusion *f)
+{
+	f->gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
+	f->bias_time_s = 0;
 }
 
 /* The unit vector along v; false when v has no direction. */

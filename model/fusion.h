@@ -23,7 +23,8 @@ enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1 };
 struct fusion_config {
 	enum fusion_algorithm algorithm;
 	int use_magnetometer;	 /* 0: 6D, heading free, 0 at the start; 1: 9D */
-	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned */
+	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned; 0.041 is
+				    the best of Madgwick 2010 with a magnetometer */
 	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
 	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error; 0: none, and any bias learnt
 				    is dropped */
@@ -32,14 +33,15 @@ struct fusion_config {
 struct fusion {
 	struct fusion_config config;
 	struct quat q_nb;
-	struct vec3 gyro_bias_b_rad_s; /* learnt so far; 0 unless Mahony with ki */
+	struct vec3 gyro_bias_b_rad_s; /* learnt so far, at rest and by Mahony's integral */
 	/* PRIVATE */
+	double bias_time_s; /* of rest, learnt from */
 	bool started, heading_known, mag_used;
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */
 int fusion_init(struct fusion *f, const struct fusion_config *config);
-/** The same for a filter that runs: the attitude stays. With the magnetometer newly in use and
+/** The same for a filter that runs: attitude and gyro bias stay. With the magnetometer newly in use and
  * north never seen before, the heading is set by the next measurement of it. */
 int fusion_configure(struct fusion *f, const struct fusion_config *config);
 
@@ -48,6 +50,14 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config);
 void fusion_restart(struct fusion *f);
 /** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
 void fusion_turn_object(struct fusion *f, struct quat turn);
+
+/** The gyro, calibrated, at rest for another dt_s: that is its bias. Learns the mean over all rest, the last
+ * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature. */
+void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
+/** The gyro was calibrated anew: no bias, nothing learnt. */
+void fusion_forget_bias(struct fusion *f);
+
+#define FUSION_BIAS_MEMORY_S 30.0
 
 /** One calibrated sample, dt_s > 0 after the one before (any value for the first). The first sample
  * with a usable accelerometer (length not 0) starts the filter. A measurement that shows no

@@ -17,8 +17,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		{
 			.algorithm = FUSION_MADGWICK,
 			.use_magnetometer = 1,
-			.madgwick_beta = 0.1,
-			.mahony_kp_rad_s = 0.74,
+			.madgwick_beta = 0.041,
+			.mahony_kp_rad_s = 0.3,
 			.mahony_ki_rad_s2 = 0.0012,
 		},
 	.estimator =
@@ -95,6 +95,8 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 	if (calibration_init(&p->calibration, config) < 0)
 		return -EINVAL;
 	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
+	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
+		fusion_forget_bias(&p->fusion);
 	p->primed = false;
 	return 0;
 }
@@ -141,14 +143,23 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
-static void fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
+/* Attitude, and at rest the gyro's bias. Returns rest. */
+static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
+	bool rest;
+
+	if (!p->primed)
+		rest_restart(&p->rest);
+	rest = rest_step(&p->rest, s->gyro_rad_s, s->accel_m_s2, dt_s);
+	if (rest)
+		fusion_learn_bias(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
 	if (dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
 	fusion_step(&p->fusion, s, dt_s);
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
+	return rest;
 }
 
 static struct vec3 accel_n(const struct pipeline *p, const struct estimator_config *estimator, struct vec3 force_b_m_s2)
@@ -204,16 +215,13 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		p->primed = false;
 	}
 
-	fuse(p, &s, dt_s);
+	rest = fuse(p, &s, dt_s);
 	gyro = vec3_sub(s.gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
-	if (p->primed) {
+	if (p->primed)
 		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
-	} else {
+	else
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
-		rest_restart(&p->rest);
-	}
 	accel = estimate(p, s.accel_m_s2);
-	rest = rest_step(&p->rest, gyro, s.accel_m_s2, dt_s);
 	if (gap || !p->started)
 		position_skip(&p->position, accel, p->started ? dt_s : 0);
 	else

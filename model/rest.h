@@ -19,7 +19,7 @@ struct rest {
 	struct rest_config config;
 	/* PRIVATE */
 	struct vec3 gyro_mean, accel_mean;
-	double still_s;
+	double still_s; /* since the last motion */
 	bool primed;
 };
 

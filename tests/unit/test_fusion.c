@@ -210,19 +210,34 @@ static void test_switching_the_algorithm_keeps_the_attitude(void **state)
 	assert_true(fusion_started(&f));
 }
 
-static void test_a_bias_learnt_is_dropped_with_the_integral_that_learnt_it(void **state)
+static void test_the_bias_shown_at_rest_is_taken_off_the_gyro(void **state)
 {
-	struct fusion_config learning = MAHONY;
-	struct fusion f;
+	const struct vec3 shown = {0.02, 0, -0.04};
+	struct fusion f = standing(six_axes(MADGWICK), QUAT_IDENTITY);
+	struct imu_sample s = seen_from(QUAT_IDENTITY);
 
 	(void)state;
-	learning.mahony_ki_rad_s2 = 0.1;
-	f = standing(learning, QUAT_IDENTITY);
-	f.gyro_bias_b_rad_s.x = 0.5;
-	assert_int_equal(fusion_configure(&f, &learning), 0);
-	assert_near(f.gyro_bias_b_rad_s.x, 0.5, 0);
-	assert_int_equal(fusion_configure(&f, &MAHONY), 0);
-	assert_near(f.gyro_bias_b_rad_s.x, 0, 0);
+	fusion_learn_bias(&f, shown, DT_S);
+	assert_vec_near(f.gyro_bias_b_rad_s, shown, 1e-15);
+	s.gyro_rad_s = shown;
+	fusion_step(&f, &s, 1);
+	assert_quat_near(f.q_nb, QUAT_IDENTITY, 1e-9);
+	fusion_forget_bias(&f);
+	assert_vec_near(f.gyro_bias_b_rad_s, ((struct vec3){0, 0, 0}), 0);
+}
+
+static void test_the_bias_is_the_mean_over_rest_and_follows_its_drift(void **state)
+{
+	const struct vec3 old = {0.02, 0, 0}, new = {0.01, 0, 0}, more = {0.002, 0, 0};
+	struct fusion f = fusion(MADGWICK);
+
+	(void)state;
+	for (int k = 0; k < 500; k++)
+		fusion_learn_bias(&f, k % 2 ? vec3_add(old, more) : vec3_sub(old, more), DT_S);
+	assert_vec_near(f.gyro_bias_b_rad_s, old, 1e-9);
+	for (int k = 0; k < 30000; k++)
+		fusion_learn_bias(&f, new, DT_S);
+	assert_vec_near(f.gyro_bias_b_rad_s, new, 1e-4);
 }
 
 static void test_magnetometer_samples_missing_now_and_then_still_hold_the_heading(void **state)
@@ -360,7 +375,8 @@ int main(void)
 		cmocka_unit_test(test_mahonys_tilt_error_decays_with_the_time_constant_1_over_kp),
 		cmocka_unit_test(test_mahonys_integral_learns_the_gyro_bias),
 		cmocka_unit_test(test_switching_the_algorithm_keeps_the_attitude),
-		cmocka_unit_test(test_a_bias_learnt_is_dropped_with_the_integral_that_learnt_it),
+		cmocka_unit_test(test_the_bias_shown_at_rest_is_taken_off_the_gyro),
+		cmocka_unit_test(test_the_bias_is_the_mean_over_rest_and_follows_its_drift),
 		cmocka_unit_test(test_magnetometer_samples_missing_now_and_then_still_hold_the_heading),
 		cmocka_unit_test(test_measurements_without_a_direction_are_left_out),
 		cmocka_unit_test(test_a_field_along_the_vertical_shows_no_heading),
