@@ -12,7 +12,8 @@ import can
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 0x01, 0x02, 0x80, 0x81, 0x82
 STATE_BOOT_UP, STATE_STOPPED, STATE_OPERATIONAL, STATE_PRE_OPERATIONAL = 0x00, 0x04, 0x05, 0x7F
 
-NMT, SYNC, EMCY, TPDO, SDO_TX, SDO_RX, HEARTBEAT = 0x000, 0x080, 0x080, (0x180, 0x280, 0x380, 0x480), 0x580, 0x600, 0x700
+NMT, SYNC, EMCY, SDO_TX, SDO_RX, HEARTBEAT = 0x000, 0x080, 0x080, 0x580, 0x600, 0x700
+TPDO = 0x180, 0x280, 0x380, 0x480
 
 SAVE, LOAD = b"save", b"load"
 
@@ -169,7 +170,8 @@ class Master:
         pdo, mapping = 0x1800 + number - 1, 0x1A00 + number - 1
         cob_id = struct.unpack("<I", self.upload(node, pdo, 1))[0]
         self.download(node, pdo, 1, struct.pack("<I", cob_id | 1 << 31))
-        for name, sub, form in (("transmission", 2, "<B"), ("inhibit", 3, "<H"), ("event", 5, "<H"), ("start", 6, "<B")):
+        for name, sub, form in (
+                ("transmission", 2, "<B"), ("inhibit", 3, "<H"), ("event", 5, "<H"), ("start", 6, "<B")):
             if name in communication:
                 self.download(node, pdo, sub, struct.pack(form, communication[name]))
         if entries is not None:

@@ -5,7 +5,8 @@ import struct
 from dataclasses import dataclass
 
 # CiA 301 table 44: data type -> struct form
-FORMS = {0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d", 0x15: "q", 0x1B: "Q"}
+FORMS = {
+    0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d", 0x15: "q", 0x1B: "Q"}
 STRING, OCTETS, DOMAIN, REAL32 = 0x09, 0x0A, 0x0F, 0x08
 
 
@@ -16,8 +17,6 @@ class Entry:
     name: str
     type: int
     access: str  # ro, rw, wo, const
-    mappable: bool
-    command: bool  # ObjFlags bit 0: not stored
     default: object  # a number, a string, or None
     low: object
     high: object
@@ -66,8 +65,7 @@ def _entry(section, index, sub, node_id):
     if kind in FORMS:
         default = _number(real["Default"] or text, kind, node_id)
     return Entry(
-        index, sub, section["ParameterName"], kind, section["AccessType"].lower(), section.get("PDOMapping", "0") == "1",
-        int(section.get("ObjFlags", "0"), 0) & 1 == 1, default,
+        index, sub, section["ParameterName"], kind, section["AccessType"].lower(), default,
         _number(real["LowLimit"] or section.get("LowLimit"), kind, node_id),
         _number(real["HighLimit"] or section.get("HighLimit"), kind, node_id))
 

@@ -53,7 +53,8 @@ def written(text, suffix=""):
 def open_master(channel=BUS, own_frames=True):
     """With own_frames, `frames` has SYNCs and PDOs in the order of the bus."""
     bus = can.Bus(interface="socketcan", channel=channel, receive_own_messages=own_frames)
-    bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)  # a busy machine must not cost this client frames
+    # a busy machine must not cost this client any frames
+    bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     return canopen.Master(bus)
 
 
@@ -62,11 +63,10 @@ class Gateway:
 
     last = None  # the one started last, whose log the runner shows when a test fails
 
-    def __init__(self, *args, bus=BUS, node=NODE, imu="sim", store=None):
-        self.store = store or scratch(".store")
+    def __init__(self, *args, bus=BUS, imu="sim"):
         self.log_path = scratch(".log")
-        self.command = [program("imu9-gateway"), "--imu", str(imu), "--can", bus, "--node-id", str(node),
-                        "--store", str(self.store), *map(str, args)]
+        self.command = [program("imu9-gateway"), "--imu", imu, "--can", bus, "--node-id", str(NODE),
+                        "--store", str(scratch(".store")), *map(str, args)]
         self.process = None
         self.start()
 
@@ -91,18 +91,17 @@ class Gateway:
 
 
 class OnTheBus(unittest.TestCase):
-    """A gateway for the whole class (class attributes `bus` and `gateway_args`) and a master for each test. Every test
-    starts in pre-operational with the communication objects at their defaults."""
+    """A gateway for the whole class (class attributes `bus` and `imu`) and a master for each test. Every test starts in
+    pre-operational with the communication objects at their defaults."""
 
     bus = BUS
-    gateway_args = ()
     imu = "sim"
 
     @classmethod
     def setUpClass(cls):
         master = open_master(cls.bus)
         try:
-            cls.gateway = Gateway(*cls.gateway_args, bus=cls.bus, imu=cls.imu)
+            cls.gateway = Gateway(bus=cls.bus, imu=cls.imu)
             cls.addClassCleanup(cls.gateway.close)
             master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
         finally:
@@ -119,7 +118,6 @@ class OnTheBus(unittest.TestCase):
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 
     def start(self):
-        """To operational, known by a SYNC's PDO: NMT itself is not confirmed."""
         self.master.nmt(canopen.START, NODE)
 
     def read(self, index, sub=0):
@@ -128,10 +126,10 @@ class OnTheBus(unittest.TestCase):
     def write(self, index, sub, data):
         self.master.download(NODE, index, sub, data)
 
-    def assert_aborts(self, code, action, *args, **options):
+    def assert_aborts(self, code, action, *args):
         """The action is refused with exactly this abort code."""
         try:
-            action(*args, **options)
+            action(*args)
         except canopen.Abort as abort:
             self.assertEqual("%08X" % abort.code, "%08X" % code, abort)
         else:

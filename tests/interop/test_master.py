@@ -24,7 +24,8 @@ class Script(threading.Thread):
                 self.mistakes.append("%s instead of %s" % (got, request))
             if answer:
                 can_id, data = answer.split("#")
-                self.bus.send(can.Message(arbitration_id=int(can_id, 16), data=bytes.fromhex(data), is_extended_id=False))
+                self.bus.send(can.Message(
+                    arbitration_id=int(can_id, 16), data=bytes.fromhex(data), is_extended_id=False))
         self.bus.shutdown()
 
 
