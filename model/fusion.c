@@ -38,12 +38,13 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 void fusion_restart(struct fusion *f)
 {
 	f->started = false;
-	f->heading_known = false;
+	f->north_known = false;
 }
 
 void fusion_turn_object(struct fusion *f, struct quat turn)
 {
-	f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
+	if (f->started)
+		f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
 	f->gyro_bias_b_rad_s = quat_rotate(turn, f->gyro_bias_b_rad_s);
 }
 
@@ -88,7 +89,7 @@ static void set_heading(struct fusion *f, struct vec3 h_n)
 	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y)};
 
 	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
-	f->heading_known = true;
+	f->north_known = true;
 }
 
 /* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010,
@@ -107,7 +108,7 @@ static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample
 	if (horizontal < LEAST_HORIZONTAL)
 		return none;
 	f->mag_used = true;
-	if (!f->heading_known) {
+	if (!f->north_known) {
 		set_heading(f, h_n);
 		return none;
 	}

@@ -36,7 +36,7 @@ struct fusion {
 	struct vec3 gyro_bias_b_rad_s; /* learnt so far, at rest and by Mahony's integral */
 	/* PRIVATE */
 	double bias_time_s; /* of rest, learnt from */
-	bool started, heading_known, mag_used;
+	bool started, north_known, mag_used;
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */
@@ -68,6 +68,12 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 static inline bool fusion_started(const struct fusion *f)
 {
 	return f->started;
+}
+
+/** A magnetometer measurement has set the heading since the start or restart. */
+static inline bool fusion_north_known(const struct fusion *f)
+{
+	return f->north_known;
 }
 
 /** The last step used a magnetometer measurement. */

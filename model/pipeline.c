@@ -83,8 +83,8 @@ static int configure_filters(struct pipeline *p, const struct pipeline_config *c
 	return 0;
 }
 
-/* A new mounting turns the object frame, not the sensor: the attitude goes with it. What the
- * filters hold belongs to the old calibration. */
+/* A new mounting turns the object frame, not the sensor: the attitude goes with it. What the filters hold belongs to the
+ * old calibration, and so does the bias learnt of a gyro calibrated anew. */
 static int configure_calibration(struct pipeline *p, const struct calibration_config *config)
 {
 	struct quat old = quat_from_aerospace(p->config.calibration.mounting_rad);
@@ -143,10 +143,11 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
-/* Attitude, and at rest the gyro's bias. Returns rest. */
+/* Attitude, and at rest the gyro's bias. Returns rest. When north is first seen the attitude jumps to it, and what is
+ * differentiated and filtered begins anew. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
-	bool rest;
+	bool north_known = fusion_north_known(&p->fusion), rest;
 
 	if (!p->primed)
 		rest_restart(&p->rest);
@@ -155,9 +156,11 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		fusion_learn_bias(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
-	if (dt_s > ATTITUDE_HOLD_S)
+	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
 	fusion_step(&p->fusion, s, dt_s);
+	if (fusion_north_known(&p->fusion) != north_known)
+		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
 	return rest;
 }

@@ -427,6 +427,58 @@ static void test_a_magnetometer_lost_shows_in_the_status_after_a_second(void **s
 	}
 }
 
+static void test_the_jump_to_north_when_first_seen_shows_no_angular_rate(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	struct truth truth;
+
+	(void)state;
+	config.estimator.rates_from = RATES_FROM_ANGLES;
+	p = pipeline(&config);
+	for (int k = 0; k < 10; k++) {
+		truth = standing(k);
+		truth.sample.flags = 0;
+		step(&p, &truth.sample);
+	}
+	for (int k = 10; k < 20; k++) {
+		struct pipeline_output out = run(&p, standing, k, k + 1);
+
+		assert_quat_near(out.q_nb, standing(k).q_nb, 1e-6);
+		assert_vec_near(out.rate_b_rad_s, ZERO, 1e-6);
+		assert_vec_near(out.alpha_b_rad_s2, ZERO, 1e-4);
+	}
+}
+
+static void test_a_mounting_set_before_the_first_sample_leaves_the_heading_at_zero(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	config.calibration.mounting_rad.z = 1;
+	config.fusion.use_magnetometer = 0;
+	assert_int_equal(pipeline_configure(&p, &config), 0);
+	assert_near(run(&p, standing, 0, 1).angles_rad.z, 0, 1e-9);
+}
+
+static void test_a_slow_sensor_keeps_its_attitude_between_samples(void **state)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}};
+	struct pipeline_output out = {.t_us = 0};
+	struct pipeline p;
+
+	(void)state;
+	assert_int_equal(pipeline_init(&p, &config, 0.5), 0);
+	for (int k = 0; k < 5; k++) {
+		s.t_us = (uint64_t)k * 2000000;
+		s.gyro_rad_s.z = k > 0 ? 0.1 : 0;
+		out = step(&p, &s);
+	}
+	assert_near(out.angles_rad.z, 4 * 2 * 0.1, 1e-9);
+}
+
 static void test_until_the_accelerometer_shows_gravity_nothing_is_valid(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -648,6 +700,9 @@ int main(void)
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_found_anew),
 		cmocka_unit_test(test_a_discontinuity_starts_everything_over),
 		cmocka_unit_test(test_a_magnetometer_lost_shows_in_the_status_after_a_second),
+		cmocka_unit_test(test_the_jump_to_north_when_first_seen_shows_no_angular_rate),
+		cmocka_unit_test(test_a_mounting_set_before_the_first_sample_leaves_the_heading_at_zero),
+		cmocka_unit_test(test_a_slow_sensor_keeps_its_attitude_between_samples),
 		cmocka_unit_test(test_until_the_accelerometer_shows_gravity_nothing_is_valid),
 		cmocka_unit_test(test_a_new_mounting_turns_the_object_and_not_the_world),
 		cmocka_unit_test(test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position),
