@@ -38,7 +38,7 @@ enum {
 	OD_CONST = 1 << 2,    /* never changes after start-up */
 	OD_TPDO = 1 << 3,     /* mappable into a TPDO */
 	OD_RPDO = 1 << 4,     /* mappable into an RPDO */
-	OD_STORED = 1 << 5,   /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set */
+	OD_STORED = 1 << 5,   /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set; or Stored=1 */
 	OD_NODE_ID = 1 << 6,  /* the default value is $NODEID + default */
 	OD_LIMIT_LOW = 1 << 7,
 	OD_LIMIT_HIGH = 1 << 8,

@@ -135,12 +135,13 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 	};
 	const struct eds_item *item = eds_find(&l->file, source->section, "AccessType");
 	const char *text = item ? item->value : "rw";
-	uint32_t mappable = 0, flags = 0;
+	uint32_t mappable = 0, flags = 0, stored = 0;
 
 	if (!item && strict(l))
 		return eds_fail(&l->file, eds_section(&l->file, source->section)->header,
 			"[%s] has no AccessType; add it", source->section);
-	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags))
+	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags) ||
+		take_u32(l, source->section, "Stored", &stored))
 		return l->file.result;
 	flags |= source->inherited_flags;
 	for (size_t i = 0; i < sizeof(ACCESS) / sizeof(*ACCESS); i++) {
@@ -151,6 +152,8 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 			entry->access |= ACCESS[i].pdo;
 		if ((entry->access & OD_READ) && (entry->access & OD_WRITE) && entry->type != OD_DOMAIN &&
 			!(flags & OBJ_FLAG_NOT_DOWNLOADED))
+			stored = 1;
+		if (stored)
 			entry->access |= OD_STORED;
 		return 0;
 	}

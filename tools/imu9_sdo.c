@@ -328,6 +328,12 @@ static bool save_value(FILE *out, const struct od_entry *entry, const uint8_t *w
 	return true;
 }
 
+/* What a client may bring to another node: stored, and writable. */
+static bool is_configuration(const struct od_entry *entry)
+{
+	return (entry->access & OD_STORED) && (entry->access & OD_WRITE);
+}
+
 /* All that the node would store itself. False when it stopped to answer. */
 static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 {
@@ -338,7 +344,7 @@ static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 	for (size_t i = 0; i < s->table->count; i++) {
 		const struct od_entry *entry = &s->table->entries[i];
 
-		if (!(entry->access & OD_STORED))
+		if (!is_configuration(entry))
 			continue;
 		if (entry->index != index) {
 			index = entry->index;
@@ -469,7 +475,7 @@ static int on_setting(void *user, const char *section, const char *key, const ch
 	setting->entry = od_find_name(settings->session->table, name);
 	if (!setting->entry)
 		return bad_line(settings, name, "the EDS has no object of this name");
-	if (!(setting->entry->access & OD_STORED))
+	if (!is_configuration(setting->entry))
 		return bad_line(settings, name, "not a configuration object");
 	if (settings->count == SETTINGS_MAX - 1)
 		return bad_line(settings, name, "too many values in one file");

@@ -387,6 +387,21 @@ static void test_a_group_is_stored_alone(void **state)
 	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
 }
 
+static void test_a_preset_of_the_inclinometer_survives_a_power_cycle(void **state)
+{
+	struct world *w = *state;
+	const int16_t preset = 1000;
+
+	samples(w, 50);
+	assert_int_equal(sdo_write(w, 0x6011, 0, (const uint8_t[]){2}, 1), 0); /* offsets on */
+	assert_int_equal(sdo_write(w, 0x6012, 0, &preset, 2), 0);
+	int16_t offset = w->device.values.slope_long16_offset;
+	assert_int_not_equal(offset, 0);
+	assert_int_equal(store_all(w), 0);
+	power_on(w, NULL);
+	assert_int_equal(w->device.values.slope_long16_offset, offset);
+}
+
 static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored(void **state)
 {
 	struct world *w = *state;
@@ -547,6 +562,7 @@ int main(void)
 		TEST(test_a_stored_default_wins_over_the_file_too),
 		TEST(test_restore_brings_back_what_was_there_before_storing_at_the_next_reset),
 		TEST(test_a_group_is_stored_alone),
+		TEST(test_a_preset_of_the_inclinometer_survives_a_power_cycle),
 		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
 		TEST(test_a_second_store_while_one_is_under_way_is_refused),
