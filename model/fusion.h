@@ -26,8 +26,7 @@ struct fusion_config {
 	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned; 0.041 is
 				    the best of Madgwick 2010 with a magnetometer */
 	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
-	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error; 0: none, and any bias learnt
-				    is dropped */
+	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error */
 };
 
 struct fusion {
