@@ -23,8 +23,7 @@ enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1 };
 struct fusion_config {
 	enum fusion_algorithm algorithm;
 	int use_magnetometer;	 /* 0: 6D, heading free, 0 at the start; 1: 9D */
-	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned; 0.041 is
-				    the best of Madgwick 2010 with a magnetometer */
+	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned */
 	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
 	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error */
 };
