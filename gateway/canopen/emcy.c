@@ -181,20 +181,19 @@ uint64_t emcy_tick(struct canopen_node *node)
 }
 
 /* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA
- * 301, 7.3.2.2.4), or that all is over. */
+ * 301, 7.3.2.2.4); or, when no error stands any more, that all is over. */
 void emcy_leave_stopped(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;
-	size_t keep = emcy->queue_count;
+	size_t i = emcy->queue_count;
 
-	while (keep > 0 && find_error(emcy, emcy->queue[keep - 1].code) == emcy->error_count)
-		keep--;
-	if (keep > 0)
-		emcy->queue[0] = emcy->queue[keep - 1];
-	else if (emcy->queue_count)
-		emcy->queue[0] = emcy->queue[emcy->queue_count - 1];
-	emcy->queue_count = emcy->queue_count ? 1 : 0;
-	emcy_tick(node);
+	while (i > 0 && find_error(emcy, emcy->queue[i - 1].code) == emcy->error_count)
+		i--;
+	if (i == 0 && emcy->error_count == 0)
+		i = emcy->queue_count;
+	if (i > 0)
+		emcy->queue[0] = emcy->queue[i - 1];
+	emcy->queue_count = i > 0 ? 1 : 0;
 }
 
 void canopen_error_set(

@@ -8,8 +8,7 @@ void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint
 	struct can_msg msg = {.id = id, .len = len};
 
 	memcpy(msg.data, data, len);
-	(void)can_send(
-		node->bus, &msg, node->now_us); /* a frame that is lost there is counted there */
+	(void)can_send(node->bus, &msg, node->now_us); /* a frame that is lost there is counted there */
 }
 
 const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t sub, size_t size)
@@ -25,16 +24,15 @@ void node_filter(struct canopen_node *node)
 	uint32_t ids[] = {0x000, node->sdo.request_id, node->sync.id};
 	size_t n = node->sync.id == CAN_ID_NONE ? 2 : 3;
 
-	(void)can_filter(node->bus, ids,
-		n); /* best effort: canopen_receive() looks at the identifier again */
+	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
 }
 
 bool cob_id_usable(uint32_t cob_id)
 {
 	static const struct {
 		uint16_t first, last;
-	} restricted[] = {{0x000, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF}, {0x601, 0x67F},
-		{0x6E0, 0x6FF}, {0x701, 0x7FF}};
+	} restricted[] = {
+		{0x000, 0x07F}, {0x101, 0x180}, {0x581, 0x5FF}, {0x601, 0x67F}, {0x6E0, 0x6FF}, {0x701, 0x7FF}};
 	uint32_t id = cob_id & 0x3FFFFFFF;
 
 	for (size_t i = 0; i < sizeof(restricted) / sizeof(restricted[0]); i++)
@@ -61,8 +59,8 @@ static void reset_services(struct canopen_node *node)
 	node_filter(node);
 }
 
-int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
-	const struct canopen_device *device, uint8_t node_id)
+int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus, const struct canopen_device *device,
+	uint8_t node_id)
 {
 	static const uint16_t mandatory[] = {0x1000, 0x1001, 0x1017, 0x1018};
 
@@ -93,7 +91,6 @@ void canopen_start(struct canopen_node *node, uint64_t now_us)
 	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
 	node->nmt.last_heartbeat_us = now_us;
 	nmt_enter(node, NMT_PRE_OPERATIONAL);
-	emcy_tick(node);
 }
 
 void node_reset(struct canopen_node *node, enum od_group group)

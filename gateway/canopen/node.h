@@ -12,7 +12,7 @@ enum {
 	TPDO_MAX = 8,	  /* PDOs looked for in 1800h..19FFh */
 	PDO_MAP_MAX = 8,  /* mapped objects in one PDO: bytes at the smallest */
 	EMCY_ERRORS = 16, /* errors standing at a time */
-	EMCY_QUEUE = 16, /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
+	EMCY_QUEUE = 16,  /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
 	EMCY_HISTORY = 8, /* entries of 1003h */
 };
 
@@ -26,7 +26,12 @@ enum sdo_server_state {
 	SDO_SERVER_IDLE,
 	SDO_SERVER_DOWNLOAD,
 	SDO_SERVER_UPLOAD,
-	SDO_SERVER_PENDING, /* all is received; the answer waits for canopen_store_done() */
+	SDO_SERVER_BLOCK_DOWNLOAD,     /* segments come */
+	SDO_SERVER_BLOCK_DOWNLOAD_END, /* all came; the CRC is to come */
+	SDO_SERVER_BLOCK_UPLOAD_START, /* the client has yet to say "start" */
+	SDO_SERVER_BLOCK_UPLOAD,       /* segments go, until the client acknowledges */
+	SDO_SERVER_BLOCK_UPLOAD_END,   /* all is acknowledged, the CRC is sent */
+	SDO_SERVER_PENDING,	       /* all is received; the answer waits for canopen_store_done() */
 };
 
 struct sdo_server {
@@ -35,13 +40,20 @@ struct sdo_server {
 	uint16_t index; /* of the transfer under way */
 	uint8_t sub;
 	uint8_t toggle;	     /* expected in the next segment: 0 or 10h */
-	bool size_indicated; /* download: the client said `size`; otherwise that is the most it may
-				send */
+	bool size_indicated; /* download: the client said `size`; otherwise that is the most it may send */
 	const uint8_t *data; /* upload: the buffer, or a domain's memory */
 	size_t size, done;   /* bytes */
 	uint64_t deadline_us;
-	uint8_t buffer[OD_VALUE_MAX];
-	uint8_t response[8]; /* the one that waits in SDO_SERVER_PENDING */
+	uint8_t buffer[OD_VALUE_MAX + 6]; /* a block download fills its last segment up */
+	uint8_t response[8];		  /* the one that waits in SDO_SERVER_PENDING */
+	struct {
+		uint8_t size;	  /* segments in this sub-block at the most */
+		uint8_t sequence; /* of the last segment that was sent, or received in order */
+		bool crc_wanted;
+		bool last;	  /* download: the last segment is here */
+		uint16_t crc;	  /* upload: of the first `done` bytes, which are acknowledged */
+		uint64_t next_us; /* upload: when to send on; download: when to ask for what is missing */
+	} block;
 };
 
 struct tpdo {
@@ -51,12 +63,11 @@ struct tpdo {
 	const uint16_t *inhibit_100us, *event_ms;
 	const uint32_t *map[PDO_MAP_MAX];
 
-	const struct od_entry
-		*mapped[PDO_MAP_MAX]; /* the first *map_count of `map`, checked and found */
-	bool active;		      /* valid, and something is mapped */
-	bool event;		      /* a sample came that this PDO has not carried yet */
-	bool await_start;	      /* no SYNC had the start value yet */
-	uint8_t syncs;		      /* SYNCs since the last transmission */
+	const struct od_entry *mapped[PDO_MAP_MAX]; /* the first *map_count of `map`, checked and found */
+	bool active;				    /* valid, and something is mapped */
+	bool event;				    /* a sample came that this PDO has not carried yet */
+	bool await_start;			    /* no SYNC had the start value yet */
+	uint8_t syncs;				    /* SYNCs since the last transmission */
 	uint64_t inhibited_until_us;
 	uint64_t timer_start_us; /* the event timer runs from here */
 };

@@ -32,8 +32,7 @@ static bool type_supported(uint8_t type)
 }
 
 /* One mapping entry: index << 16 | sub-index << 8 | bits. */
-static enum od_status find_mapped(
-	const struct od *od, uint32_t mapping, const struct od_entry **entry)
+static enum od_status find_mapped(const struct od *od, uint32_t mapping, const struct od_entry **entry)
 {
 	*entry = od_find(od->table, (uint16_t)(mapping >> 16), (uint8_t)(mapping >> 8), NULL);
 	if (!*entry)
@@ -43,8 +42,8 @@ static enum od_status find_mapped(
 	return OD_OK;
 }
 
-static enum od_status find_mapping(const struct od *od, const struct tpdo *tpdo, size_t count,
-	const struct od_entry *mapped[PDO_MAP_MAX])
+static enum od_status find_mapping(
+	const struct od *od, const struct tpdo *tpdo, size_t count, const struct od_entry *mapped[PDO_MAP_MAX])
 {
 	size_t bytes = 0;
 
@@ -92,15 +91,14 @@ static enum od_status before_cob_id(const struct od *od, const struct tpdo *tpdo
 {
 	if (new & ~(COB_ID_INVALID | COB_ID_NO_RTR | COB_ID_MASK))
 		return OD_BAD_VALUE;
-	if (new &COB_ID_INVALID)
+	if ((new &COB_ID_INVALID) != 0)
 		return OD_OK;
 	if (valid(tpdo))
 		return (new ^ *tpdo->cob_id) & COB_ID_MASK ? OD_BAD_VALUE : OD_OK;
 	return check(od, tpdo, new);
 }
 
-static enum od_status before_communication(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_communication(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct canopen_node *node = ctx;
 	const struct tpdo *tpdo = of_entry(node, entry);
@@ -117,9 +115,8 @@ static enum od_status before_communication(
 	case 3:
 		return valid(tpdo) && get_u16(bytes) != *tpdo->inhibit_100us ? OD_BAD_VALUE : OD_OK;
 	case 6:
-		return bytes[0] > TYPE_SYNC_MAX || (valid(tpdo) && bytes[0] != *tpdo->sync_start)
-			       ? OD_BAD_VALUE
-			       : OD_OK;
+		return bytes[0] > TYPE_SYNC_MAX || (valid(tpdo) && bytes[0] != *tpdo->sync_start) ? OD_BAD_VALUE
+												  : OD_OK;
 	default:
 		return OD_OK;
 	}
@@ -127,8 +124,7 @@ static enum od_status before_communication(
 
 /* The mapping procedure (CiA 301, 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 =
  * number of them. An entry of 0 is an empty place, as masters write it. */
-static enum od_status before_mapping(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_mapping(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct canopen_node *node = ctx;
 	const struct tpdo *tpdo = of_entry(node, entry);
@@ -183,16 +179,10 @@ int pdo_init(struct canopen_node *node)
 			return -ENOSPC;
 		look_up(node, &pdo->tpdo[pdo->tpdo_count++], index);
 	}
-	pdo->communication_hook = (struct od_hook){.first = 0x1800,
-		.last = 0x19FF,
-		.before = before_communication,
-		.after = after_write,
-		.ctx = node};
-	pdo->mapping_hook = (struct od_hook){.first = 0x1A00,
-		.last = 0x1BFF,
-		.before = before_mapping,
-		.after = after_write,
-		.ctx = node};
+	pdo->communication_hook = (struct od_hook){
+		.first = 0x1800, .last = 0x19FF, .before = before_communication, .after = after_write, .ctx = node};
+	pdo->mapping_hook = (struct od_hook){
+		.first = 0x1A00, .last = 0x1BFF, .before = before_mapping, .after = after_write, .ctx = node};
 	od_attach(node->od, &pdo->communication_hook);
 	od_attach(node->od, &pdo->mapping_hook);
 	return 0;
@@ -205,11 +195,10 @@ void pdo_reset(struct canopen_node *node)
 	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
 		struct tpdo *tpdo = &node->pdo.tpdo[i];
 
-		if (valid(tpdo) && check(node->od, tpdo, *tpdo->cob_id & ~COB_ID_NO_RTR) != OD_OK) {
+		if (valid(tpdo) && check(node->od, tpdo, *tpdo->cob_id) != OD_OK) {
 			*tpdo->cob_id |= COB_ID_INVALID;
 			node_bad_data(node, tpdo->index);
 		}
-		restart(node, tpdo);
 	}
 }
 
@@ -272,8 +261,7 @@ static uint64_t event_due_us(const struct tpdo *tpdo)
 	if (tpdo->event)
 		return tpdo->inhibited_until_us;
 	if (*tpdo->event_ms)
-		return later(
-			tpdo->timer_start_us + *tpdo->event_ms * 1000u, tpdo->inhibited_until_us);
+		return later(tpdo->timer_start_us + *tpdo->event_ms * 1000u, tpdo->inhibited_until_us);
 	return UINT64_MAX;
 }
 

@@ -1,12 +1,9 @@
-/* SDO server, expedited and segmented (CiA 301, 7.2.4). */
+/* SDO server, expedited and segmented (CiA 301, 7.2.4). Block transfer is in sdo_block.c. */
 #include "gateway/canopen/service.h"
 
 #include <string.h>
 
-enum {
-	SDO_TIMEOUT_US = 1000000, /* from one segment to the next */
-	SEGMENT_BYTES = 7,
-};
+enum { SEGMENT_BYTES = 7 };
 
 /* Client command specifiers: bits 7..5 of the first byte. */
 enum {
@@ -33,11 +30,6 @@ enum {
 	TOGGLE = 1 << 4,    /* segment */
 };
 
-static bool is_initiate(uint8_t ccs)
-{
-	return ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD;
-}
-
 void sdo_server_init(struct canopen_node *node)
 {
 	node->sdo.request_id = 0x600u + node->id;
@@ -49,16 +41,13 @@ void sdo_server_reset(struct canopen_node *node)
 	node->sdo.state = SDO_SERVER_IDLE;
 }
 
-/* ---- answers
- * -----------------------------------------------------------------------------------------------------
- */
+/* ---- answers ----------------------------------------------------------------------------------------------------- */
 
-static void send(struct canopen_node *node, const uint8_t data[8])
+void sdo_send(struct canopen_node *node, const uint8_t data[8])
 {
 	node_send(node, node->sdo.response_id, data, 8);
 }
 
-/* Command, index and sub-index of the transfer, 4 bytes. */
 static void fill(const struct sdo_server *sdo, uint8_t data[8], uint8_t command, uint32_t value)
 {
 	data[0] = command;
@@ -67,97 +56,103 @@ static void fill(const struct sdo_server *sdo, uint8_t data[8], uint8_t command,
 	put_u32(data + 4, value);
 }
 
-static void abort_transfer(struct canopen_node *node, uint32_t code)
+void sdo_answer(struct canopen_node *node, uint8_t command, uint32_t value)
 {
 	uint8_t data[8];
 
-	node->sdo.state = SDO_SERVER_IDLE;
-	fill(&node->sdo, data, SCS_ABORT, code);
-	send(node, data);
+	fill(&node->sdo, data, command, value);
+	sdo_send(node, data);
 }
 
-static void expect_segment(struct canopen_node *node, enum sdo_server_state state)
+void sdo_abort(struct canopen_node *node, uint32_t code)
+{
+	node->sdo.state = SDO_SERVER_IDLE;
+	sdo_answer(node, SCS_ABORT, code);
+}
+
+void sdo_wait(struct canopen_node *node, enum sdo_server_state state)
 {
 	node->sdo.state = state;
 	node->sdo.deadline_us = node->now_us + SDO_TIMEOUT_US;
 }
 
-/* ---- download: the client writes
- * --------------------------------------------------------------------------------- */
+/* ---- download: the client writes --------------------------------------------------------------------------------- */
 
-/* All is received: writes it and answers, at once or when the device has finished. */
-static void write_object(struct canopen_node *node, const uint8_t response[8])
+static void finish_write(struct canopen_node *node, enum od_status status, const uint8_t response[8])
+{
+	node->sdo.state = SDO_SERVER_IDLE;
+	if (status == OD_OK)
+		sdo_send(node, response);
+	else
+		sdo_abort(node, canopen_abort_code(status));
+}
+
+void sdo_write(struct canopen_node *node, const uint8_t response[8])
 {
 	struct sdo_server *sdo = &node->sdo;
 	enum od_status status = od_write(node->od, sdo->index, sdo->sub, sdo->buffer, sdo->done);
 
-	sdo->state = SDO_SERVER_IDLE;
 	if (status == OD_PENDING) {
 		sdo->state = SDO_SERVER_PENDING;
 		memcpy(sdo->response, response, 8);
-	} else if (status != OD_OK) {
-		abort_transfer(node, canopen_abort_code(status));
 	} else {
-		send(node, response);
+		finish_write(node, status, response);
 	}
 }
 
 void sdo_server_done(struct canopen_node *node, enum od_status status)
 {
-	if (node->sdo.state != SDO_SERVER_PENDING)
-		return;
-	node->sdo.state = SDO_SERVER_IDLE;
-	if (status == OD_OK)
-		send(node, node->sdo.response);
-	else
-		abort_transfer(node, canopen_abort_code(status));
+	if (node->sdo.state == SDO_SERVER_PENDING)
+		finish_write(node, status, node->sdo.response);
 }
 
-/* What can be said before the data came. */
-static enum od_status check_download(const struct sdo_server *sdo, const struct od_entry *entry, enum od_status found)
+enum od_status sdo_open_download(struct canopen_node *node, bool size_indicated, uint32_t size)
 {
+	struct sdo_server *sdo = &node->sdo;
+	enum od_status status;
+	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, &status);
+
 	if (!entry)
-		return found;
+		return status;
 	if (!(entry->access & OD_WRITE))
 		return OD_READ_ONLY;
 	if (entry->type == OD_DOMAIN)
 		return OD_UNSUPPORTED_ACCESS;
-	if (sdo->size_indicated && sdo->size > entry->size)
+	if (size_indicated && size > entry->size)
 		return OD_TOO_LONG;
-	if (sdo->size_indicated && sdo->size < entry->size && entry->type != OD_VISIBLE_STRING)
+	if (size_indicated && size < entry->size && entry->type != OD_VISIBLE_STRING)
 		return OD_TOO_SHORT;
+	sdo->size_indicated = size_indicated;
+	sdo->size = size_indicated ? size : entry->size;
+	sdo->done = 0;
 	return OD_OK;
+}
+
+static uint32_t indicated_size(const uint8_t request[8])
+{
+	return request[0] & EXPEDITED ? 4u - (request[0] >> 2 & 3u) : get_u32(request + 4);
 }
 
 static void initiate_download(struct canopen_node *node, const uint8_t request[8])
 {
 	struct sdo_server *sdo = &node->sdo;
-	bool expedited = request[0] & EXPEDITED;
-	enum od_status status;
-	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, &status);
+	enum od_status status = sdo_open_download(node, request[0] & INDICATED, indicated_size(request));
 	uint8_t response[8];
 
-	sdo->size_indicated = request[0] & INDICATED;
-	if (sdo->size_indicated)
-		sdo->size = expedited ? 4u - (request[0] >> 2 & 3u) : get_u32(request + 4);
-	status = check_download(sdo, entry, status);
 	if (status != OD_OK) {
-		abort_transfer(node, canopen_abort_code(status));
+		sdo_abort(node, canopen_abort_code(status));
 		return;
 	}
-	if (!sdo->size_indicated)
-		sdo->size = entry->size;
 	fill(sdo, response, SCS_DOWNLOAD, 0);
-	if (expedited) {
+	if (request[0] & EXPEDITED) {
 		sdo->done = sdo->size < 4 ? sdo->size : 4;
 		memcpy(sdo->buffer, request + 4, 4);
-		write_object(node, response);
+		sdo_write(node, response);
 		return;
 	}
-	sdo->done = 0;
 	sdo->toggle = 0;
-	expect_segment(node, SDO_SERVER_DOWNLOAD);
-	send(node, response);
+	sdo_wait(node, SDO_SERVER_DOWNLOAD);
+	sdo_send(node, response);
 }
 
 static void download_segment(struct canopen_node *node, const uint8_t request[8])
@@ -167,24 +162,23 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 	const uint8_t response[8] = {(uint8_t)(SCS_DOWNLOAD_SEGMENT | sdo->toggle)};
 
 	if (n > sdo->size - sdo->done) {
-		abort_transfer(node, canopen_abort_code(OD_TOO_LONG));
+		sdo_abort(node, canopen_abort_code(OD_TOO_LONG));
 		return;
 	}
 	memcpy(sdo->buffer + sdo->done, request + 1, n);
 	sdo->done += n;
 	sdo->toggle ^= TOGGLE;
 	if (!(request[0] & LAST)) {
-		expect_segment(node, SDO_SERVER_DOWNLOAD);
-		send(node, response);
+		sdo_wait(node, SDO_SERVER_DOWNLOAD);
+		sdo_send(node, response);
 	} else if (sdo->size_indicated && sdo->done < sdo->size) {
-		abort_transfer(node, canopen_abort_code(OD_TOO_SHORT));
+		sdo_abort(node, canopen_abort_code(OD_TOO_SHORT));
 	} else {
-		write_object(node, response);
+		sdo_write(node, response);
 	}
 }
 
-/* ---- upload: the client reads
- * ------------------------------------------------------------------------------------ */
+/* ---- upload: the client reads ------------------------------------------------------------------------------------ */
 
 static enum od_status open_domain(struct canopen_node *node)
 {
@@ -197,40 +191,44 @@ static enum od_status open_domain(struct canopen_node *node)
 	return OD_OK;
 }
 
-/* The value as it is now, whatever happens to it while its segments are fetched. */
-static enum od_status open_upload(struct canopen_node *node)
+enum od_status sdo_open_upload(struct canopen_node *node)
 {
 	struct sdo_server *sdo = &node->sdo;
 	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, NULL);
 
+	sdo->done = 0;
+	sdo->data = sdo->buffer;
 	if (entry && emcy_history_empty(node, sdo->index, sdo->sub))
 		return OD_NO_DATA;
 	if (entry && entry->type == OD_DOMAIN && entry->access & OD_READ)
 		return open_domain(node);
-	sdo->data = sdo->buffer;
 	return od_read(node->od, sdo->index, sdo->sub, sdo->buffer, sizeof(sdo->buffer), &sdo->size);
+}
+
+void sdo_start_upload(struct canopen_node *node)
+{
+	struct sdo_server *sdo = &node->sdo;
+	uint8_t response[8];
+
+	if (sdo->size >= 1 && sdo->size <= 4) {
+		fill(sdo, response, (uint8_t)(SCS_UPLOAD | (4 - sdo->size) << 2 | EXPEDITED | INDICATED), 0);
+		memcpy(response + 4, sdo->data, sdo->size);
+		sdo_send(node, response);
+		return;
+	}
+	sdo->toggle = 0;
+	sdo_wait(node, SDO_SERVER_UPLOAD);
+	sdo_answer(node, SCS_UPLOAD | INDICATED, (uint32_t)sdo->size);
 }
 
 static void initiate_upload(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
-	enum od_status status = open_upload(node);
-	uint8_t response[8];
+	enum od_status status = sdo_open_upload(node);
 
-	if (status != OD_OK) {
-		abort_transfer(node, canopen_abort_code(status));
-		return;
-	}
-	if (sdo->size >= 1 && sdo->size <= 4) {
-		fill(sdo, response, (uint8_t)(SCS_UPLOAD | (4 - sdo->size) << 2 | EXPEDITED | INDICATED), 0);
-		memcpy(response + 4, sdo->data, sdo->size);
-	} else {
-		fill(sdo, response, SCS_UPLOAD | INDICATED, (uint32_t)sdo->size);
-		sdo->done = 0;
-		sdo->toggle = 0;
-		expect_segment(node, SDO_SERVER_UPLOAD);
-	}
-	send(node, response);
+	if (status == OD_OK)
+		sdo_start_upload(node);
+	else
+		sdo_abort(node, canopen_abort_code(status));
 }
 
 static void upload_segment(struct canopen_node *node)
@@ -247,13 +245,12 @@ static void upload_segment(struct canopen_node *node)
 		response[0] |= LAST;
 		sdo->state = SDO_SERVER_IDLE;
 	} else {
-		expect_segment(node, SDO_SERVER_UPLOAD);
+		sdo_wait(node, SDO_SERVER_UPLOAD);
 	}
-	send(node, response);
+	sdo_send(node, response);
 }
 
-/* ---- the frames of the client
- * ------------------------------------------------------------------------------------ */
+/* ---- the frames of the client ------------------------------------------------------------------------------------ */
 
 /* A new request ends what was under way, without a word: its client has given up on it. */
 static void initiate(struct canopen_node *node, const uint8_t request[8])
@@ -270,7 +267,7 @@ static void initiate(struct canopen_node *node, const uint8_t request[8])
 static void segment(struct canopen_node *node, const uint8_t request[8])
 {
 	if ((request[0] & TOGGLE) != node->sdo.toggle)
-		abort_transfer(node, ABORT_TOGGLE);
+		sdo_abort(node, ABORT_TOGGLE);
 	else if (node->sdo.state == SDO_SERVER_DOWNLOAD)
 		download_segment(node, request);
 	else
@@ -284,7 +281,7 @@ static void refuse(struct canopen_node *node, const uint8_t request[8])
 		node->sdo.index = get_u16(request + 1);
 		node->sdo.sub = request[3];
 	}
-	abort_transfer(node, ABORT_COMMAND);
+	sdo_abort(node, ABORT_COMMAND);
 }
 
 void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
@@ -292,9 +289,9 @@ void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
 	struct sdo_server *sdo = &node->sdo;
 	uint8_t ccs = msg->data[0] >> 5;
 
-	if (msg->len != 8 || !nmt_communicates(node))
+	if (msg->len != 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
 		return;
-	if (is_initiate(ccs))
+	if (ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD)
 		initiate(node, msg->data);
 	else if (ccs == CCS_ABORT)
 		sdo->state = SDO_SERVER_IDLE;
@@ -307,12 +304,13 @@ void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
 
 uint64_t sdo_server_tick(struct canopen_node *node)
 {
+	uint64_t deadline_us = sdo_block_tick(node);
 	const struct sdo_server *sdo = &node->sdo;
 
-	if (sdo->state != SDO_SERVER_DOWNLOAD && sdo->state != SDO_SERVER_UPLOAD)
+	if (sdo->state == SDO_SERVER_IDLE || sdo->state == SDO_SERVER_PENDING)
 		return UINT64_MAX;
 	if (node->now_us < sdo->deadline_us)
-		return sdo->deadline_us;
-	abort_transfer(node, ABORT_TIMEOUT);
+		return earlier(deadline_us, sdo->deadline_us);
+	sdo_abort(node, ABORT_TIMEOUT);
 	return UINT64_MAX;
 }

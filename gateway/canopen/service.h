@@ -8,21 +8,25 @@
 
 #include "gateway/canopen/node.h"
 
+enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next */
+
 #define COB_ID_MASK    0x7FFu
 #define COB_ID_INVALID (1u << 31)
 #define COB_ID_NO_RTR  (1u << 30)
 #define CAN_ID_NONE    0xFFFFFFFFu /* no frame has it */
 
 /* SDO abort codes that no dictionary status stands for (CiA 301, table 22). */
-#define ABORT_TOGGLE  0x05030000u
-#define ABORT_TIMEOUT 0x05040000u
-#define ABORT_COMMAND 0x05040001u
+#define ABORT_TOGGLE	 0x05030000u
+#define ABORT_TIMEOUT	 0x05040000u
+#define ABORT_COMMAND	 0x05040001u
+#define ABORT_BLOCK_SIZE 0x05040002u
+#define ABORT_SEQUENCE	 0x05040003u
+#define ABORT_CRC	 0x05040004u
 
 /* EMCY codes that the core itself raises (CiA 301, table 26). */
 enum {
 	EMCY_NO_ERROR = 0x0000,
-	EMCY_DATA_SET =
-		0x6300, /* a stored communication parameter is not usable; info: its index */
+	EMCY_DATA_SET = 0x6300, /* a stored communication parameter is not usable; info: its index */
 	EMCY_SYNC_LENGTH = 0x8240,
 };
 enum {
@@ -60,6 +64,27 @@ uint64_t sdo_server_tick(struct canopen_node *node);
 /** Gives the answer that waited for the device. */
 void sdo_server_done(struct canopen_node *node, enum od_status status);
 
+/* sdo_server.c, for sdo_block.c. An index and sub-index stand in node->sdo. */
+void sdo_send(struct canopen_node *node, const uint8_t data[8]);
+/** Answers with command, index and sub-index of the transfer, and 4 bytes. */
+void sdo_answer(struct canopen_node *node, uint8_t command, uint32_t value);
+void sdo_abort(struct canopen_node *node, uint32_t code);
+/** Waits in this state for the client's next frame, for SDO_TIMEOUT_US. */
+void sdo_wait(struct canopen_node *node, enum sdo_server_state state);
+/** All is received: writes it and answers, at once or when the device has finished. */
+void sdo_write(struct canopen_node *node, const uint8_t response[8]);
+/** Says what can be said before the data come, and sets `size`. */
+enum od_status sdo_open_download(struct canopen_node *node, bool size_indicated, uint32_t size);
+/** Sets `data` and `size`: the value as it is now, whatever happens to it while it is fetched. */
+enum od_status sdo_open_upload(struct canopen_node *node);
+/** What is open is answered at once, or in segments. */
+void sdo_start_upload(struct canopen_node *node);
+
+/* sdo_block.c */
+/** False: the frame has nothing to do with a block transfer under way, nor does it start one. */
+bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8]);
+uint64_t sdo_block_tick(struct canopen_node *node);
+
 /* pdo.c */
 int pdo_init(struct canopen_node *node);
 void pdo_reset(struct canopen_node *node);
@@ -76,9 +101,8 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg);
 
 /* emcy.c */
 void emcy_init(struct canopen_node *node);
-void emcy_reset(struct canopen_node *node,
-	enum od_group group);		    /* before the dictionary is reset: it may raise some */
-void emcy_check(struct canopen_node *node); /* after it */
+void emcy_reset(struct canopen_node *node, enum od_group group); /* before the dictionary is reset: it may raise some */
+void emcy_check(struct canopen_node *node);			 /* after it */
 void emcy_leave_stopped(struct canopen_node *node);
 uint64_t emcy_tick(struct canopen_node *node);
 /** 1003h: nothing was recorded at this sub-index yet. */

@@ -1,5 +1,6 @@
 #include "tests/scenario/bus.h"
 
+#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,6 +9,8 @@ static int port_send(struct can_port *port, const struct can_msg *msg)
 {
 	struct bus *bus = (struct bus *)port;
 
+	if (bus->full)
+		return -ENOBUFS;
 	assert_true(bus->sent_count < BUS_FRAMES);
 	assert_true(msg->id <= 0x7FF && msg->len <= 8 && !msg->extended);
 	bus->sent[bus->sent_count].t_us = bus->now_us;
@@ -71,6 +74,11 @@ static void device_nmt_changed(void *ctx, enum nmt_state nmt_state)
 		bus->states[bus->state_count++] = nmt_state;
 }
 
+void bus_tick(struct bus *bus)
+{
+	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+}
+
 struct bus *bus_new(void)
 {
 	struct bus *bus = test_calloc(1, sizeof(*bus));
@@ -93,7 +101,7 @@ void bus_start(struct bus *bus)
 	bus->power_on = bus->values;
 	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, &device, BUS_NODE_ID), 0);
 	canopen_start(&bus->node, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 int bus_pre_operational(void **state)
@@ -122,7 +130,7 @@ int bus_teardown(void **state)
 void bus_send_msg(struct bus *bus, const struct can_msg *msg)
 {
 	canopen_receive(&bus->node, msg, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 void bus_send(struct bus *bus, const char *frame)
@@ -187,7 +195,7 @@ static void run_to_deadline(struct bus *bus)
 	assert_true(canopen_tick(&bus->node, bus->now_us) == deadline_us);
 	assert_int_equal(bus->sent_count, sent);
 	bus->now_us = deadline_us;
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 void bus_run(struct bus *bus, uint64_t us)
@@ -213,7 +221,7 @@ void bus_sample(struct bus *bus, uint16_t counter)
 {
 	bus_put(bus, 0x210F, 1, 2, counter);
 	canopen_sample(&bus->node, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 static const uint8_t *sdo(struct bus *bus, uint8_t command, uint16_t index, uint8_t sub, uint32_t value)

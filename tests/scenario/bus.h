@@ -27,6 +27,7 @@ struct bus {
 	} sent[BUS_FRAMES];	 /* by the node */
 	size_t sent_count, seen; /* `seen` of them were expected by the test */
 	uint64_t seen_us;	 /* when the last one of those was sent */
+	bool full;		 /* the bus takes nothing for now */
 	uint32_t filter[16];
 	size_t filter_count;
 
@@ -64,6 +65,8 @@ void bus_forget(struct bus *bus); /* whatever was sent is not of interest */
 /** bus_send(), and then this and nothing else is the answer. */
 void bus_exchange(struct bus *bus, const char *request, const char *response);
 
+/** After a call of the core that did not go through here. */
+void bus_tick(struct bus *bus);
 /** Lets time pass. */
 void bus_run(struct bus *bus, uint64_t us);
 /** Lets time pass until the node has sent something new, for at most `us`. */

@@ -4,13 +4,13 @@
 static void set_error(struct bus *bus, uint16_t code, uint8_t register_bits)
 {
 	canopen_error_set(&bus->node, code, register_bits, NULL, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 static void clear_error(struct bus *bus, uint16_t code)
 {
 	canopen_error_clear(&bus->node, code, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 /* ---- errors come and go ------------------------------------------------------------------------------------------ */
@@ -165,13 +165,17 @@ static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(vo
 	struct bus *bus = *state;
 
 	set_error(bus, 0x5000, 0);
+	clear_error(bus, 0x5000);
+	set_error(bus, 0x5000, 0);
 	bus_forget(bus);
 	bus_exchange(bus, "610 2F 03 10 00 01 00 00 00", "590 80 03 10 00 30 00 09 06");
 	bus_exchange(bus, "610 23 03 10 01 00 00 00 00", "590 80 03 10 01 02 00 01 06");
-	assert_int_equal(bus_read(bus, 0x1003, 0), 1);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 2);
 	bus_exchange(bus, "610 2F 03 10 00 00 00 00 00", "590 60 03 10 00 00 00 00 00");
 	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
 	bus_exchange(bus, "610 40 03 10 01 00 00 00 00", "590 80 03 10 01 24 00 00 08");
+	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 1, 4), 0);
+	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 2, 4), 0);
 	assert_int_equal(bus_read(bus, 0x1001, 0), 1); /* the error itself stands */
 }
 
@@ -309,16 +313,19 @@ static void test_disabling_emcy_drops_what_waits(void **state)
 
 /* ---- NMT states -------------------------------------------------------------------------------------------------- */
 
-static void test_an_error_before_boot_up_is_told_after_it(void **state)
+static void test_errors_before_boot_up_are_told_after_it(void **state)
 {
 	struct bus *bus = bus_new();
 
 	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, NULL, BUS_NODE_ID), 0);
 	canopen_error_set(&bus->node, 0x5000, 0, NULL, bus->now_us);
 	bus_expect_nothing(bus);
+	canopen_error_set(&bus->node, 0x8120, 0, NULL, bus->now_us);
 	canopen_start(&bus->node, bus->now_us);
+	bus_tick(bus);
 	bus_expect(bus, "710 00");
 	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	bus_expect(bus, "090 20 81 01 00 00 00 00 00");
 	test_free(bus);
 	(void)state;
 }
@@ -351,6 +358,47 @@ static void test_an_error_that_ended_in_stopped_is_told_as_over_afterwards(void 
 	clear_error(bus, 0x5000);
 	bus_expect_nothing(bus);
 	bus_exchange(bus, "000 01 10", "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_what_came_and_went_in_stopped_is_not_told_while_another_error_stands(void **state)
+{
+	struct bus *bus = *state;
+
+	set_error(bus, 0x5000, 0);
+	bus_forget(bus);
+	bus_send(bus, "000 02 10");
+	set_error(bus, 0x8120, 0);
+	clear_error(bus, 0x8120);
+	bus_send(bus, "000 80 10");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_what_came_and_went_in_stopped_is_told_as_over_once(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 02 10");
+	for (int i = 0; i < 3; i++) {
+		set_error(bus, 0x8120, 0);
+		clear_error(bus, 0x8120);
+	}
+	bus_exchange(bus, "000 80 10", "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 60000), 0);
+	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x8120, 0);
+	bus_forget(bus);
+	bus_exchange(bus, "000 82 10", "710 00");
+	set_error(bus, 0x8130, 0);
+	bus_expect(bus, "090 30 81 01 00 00 00 00 00");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
 }
 
 static void test_an_error_told_before_stopped_is_not_told_again(void **state)
@@ -416,9 +464,12 @@ int main(void)
 		PRE_OPERATIONAL(test_after_the_inhibit_time_a_message_goes_out_at_once),
 		PRE_OPERATIONAL(test_when_too_many_wait_the_oldest_is_dropped_and_counted),
 		PRE_OPERATIONAL(test_disabling_emcy_drops_what_waits),
-		cmocka_unit_test(test_an_error_before_boot_up_is_told_after_it),
+		cmocka_unit_test(test_errors_before_boot_up_are_told_after_it),
 		PRE_OPERATIONAL(test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_stands),
 		PRE_OPERATIONAL(test_an_error_that_ended_in_stopped_is_told_as_over_afterwards),
+		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_not_told_while_another_error_stands),
+		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_told_as_over_once),
+		PRE_OPERATIONAL(test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time),
 		PRE_OPERATIONAL(test_an_error_told_before_stopped_is_not_told_again),
 		PRE_OPERATIONAL(test_reset_node_forgets_errors_and_history),
 		PRE_OPERATIONAL(test_reset_communication_keeps_the_errors_of_the_application),

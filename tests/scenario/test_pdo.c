@@ -219,6 +219,33 @@ static void test_types_254_and_255_are_sent_with_each_new_sample(void **state)
 	}
 }
 
+static void test_one_sample_sends_every_event_driven_pdo_before_the_call_returns(void **state)
+{
+	struct bus *bus = *state;
+
+	for (uint16_t index = 0x1800; index <= 0x1803; index++)
+		assert_int_equal(bus_write(bus, index, 2, 1, 254), 0);
+	canopen_sample(&bus->node, bus->now_us);
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "390 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "490 00 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_pdo_made_valid_anew_has_no_inhibit_time_running(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 254);
+	set_tpdo1(bus, 3, 2, 500);
+	bus_sample(bus, 1);
+	bus_expect(bus, "190 00 00 00 00 00 00 01 00");
+	set_tpdo1(bus, 3, 2, 600);
+	bus_sample(bus, 2);
+	bus_expect(bus, "190 00 00 00 00 00 00 02 00");
+}
+
 static void test_within_the_inhibit_time_an_event_waits_and_then_carries_the_values_of_then(void **state)
 {
 	struct bus *bus = *state;
@@ -461,6 +488,21 @@ static void test_eight_bytes_may_be_mapped_and_nine_may_not(void **state)
 	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 4), 0);
 }
 
+static void test_eight_objects_of_one_byte_may_be_mapped(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 1);
+	bus_put(bus, 0x1001, 0, 1, 0xAB);
+	bus_write(bus, 0x1800, 1, 4, INVALID);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 0), 0);
+	for (uint8_t sub = 1; sub <= 8; sub++)
+		assert_int_equal(bus_write(bus, 0x1A00, sub, 4, 0x10010008), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 8), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, NO_RTR | 0x190), 0);
+	bus_exchange(bus, "080", "190 AB AB AB AB AB AB AB AB");
+}
+
 static void test_more_than_eight_objects_are_too_many(void **state)
 {
 	struct bus *bus = *state;
@@ -607,6 +649,22 @@ static void test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same(v
 	(void)state;
 }
 
+static void test_the_error_of_a_stored_mapping_is_gone_after_a_reset_that_mends_it(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1A03, 1, 4, 0x2FFF0110);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect(bus, "090 00 63 01 03 18 00 00 00");
+	bus->power_on.tpdo4_mapping.object_1 = 0x210F0310;
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
+	assert_int_equal(bus_read(bus, 0x1803, 1), NO_RTR | 0x490);
+	test_free(bus);
+	(void)state;
+}
+
 static void test_a_pdo_with_a_bad_mapping_cannot_be_made_valid(void **state)
 {
 	struct bus *bus = bus_new();
@@ -638,6 +696,8 @@ int main(void)
 		PRE_OPERATIONAL(test_a_start_value_is_waited_for_each_time_operational_begins),
 		PRE_OPERATIONAL(test_without_a_sync_counter_the_start_value_means_nothing),
 		OPERATIONAL(test_types_254_and_255_are_sent_with_each_new_sample),
+		OPERATIONAL(test_one_sample_sends_every_event_driven_pdo_before_the_call_returns),
+		OPERATIONAL(test_a_pdo_made_valid_anew_has_no_inhibit_time_running),
 		OPERATIONAL(test_within_the_inhibit_time_an_event_waits_and_then_carries_the_values_of_then),
 		OPERATIONAL(test_after_the_inhibit_time_an_event_is_sent_at_once),
 		OPERATIONAL(test_the_event_timer_sends_without_an_event_and_counts_from_the_last_transmission),
@@ -656,6 +716,7 @@ int main(void)
 		OPERATIONAL(test_the_parameters_are_checked_in_operational_too),
 		PRE_OPERATIONAL(test_the_mapping_procedure_changes_what_is_sent),
 		PRE_OPERATIONAL(test_eight_bytes_may_be_mapped_and_nine_may_not),
+		OPERATIONAL(test_eight_objects_of_one_byte_may_be_mapped),
 		PRE_OPERATIONAL(test_more_than_eight_objects_are_too_many),
 		PRE_OPERATIONAL(test_what_does_not_exist_cannot_be_mapped),
 		PRE_OPERATIONAL(test_what_is_not_for_pdos_cannot_be_mapped),
@@ -668,6 +729,7 @@ int main(void)
 		cmocka_unit_test(test_a_stored_mapping_of_what_does_not_exist_makes_the_pdo_invalid_and_raises_6300h),
 		cmocka_unit_test(test_a_stored_mapping_that_is_too_long_does_the_same),
 		cmocka_unit_test(test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same),
+		cmocka_unit_test(test_the_error_of_a_stored_mapping_is_gone_after_a_reset_that_mends_it),
 		cmocka_unit_test(test_a_pdo_with_a_bad_mapping_cannot_be_made_valid),
 	};
 

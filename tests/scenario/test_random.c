@@ -125,7 +125,7 @@ static void step(struct bus *bus, uint32_t *seed)
 				bus->now_us);
 		else
 			canopen_error_clear(&bus->node, (uint16_t)(0xFF00 + below(seed, 20)), bus->now_us);
-		bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+		bus_tick(bus);
 		return;
 	default:
 		bus->storage_answer = answers[below(seed, 3)];

@@ -4,7 +4,7 @@
 static void done(struct bus *bus, enum od_status status)
 {
 	canopen_store_done(&bus->node, status, bus->now_us);
-	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
+	bus_tick(bus);
 }
 
 static void test_the_device_stores_on_command_and_not_by_itself(void **state)
@@ -108,6 +108,7 @@ static void test_the_answer_waits_until_the_store_is_done(void **state)
 	bus_expect_nothing(bus);
 	done(bus, OD_OK);
 	bus_expect(bus, "590 60 10 10 01 00 00 00 00");
+	done(bus, OD_OK);
 	bus_run(bus, 5000000);
 	bus_expect_nothing(bus);
 }
