@@ -1,12 +1,10 @@
 /* model/sensor.h
- * What a real IMU makes of a motion: three triads (gyro, accelerometer, magnetometer), each with
- * its errors. Per triad, in this order: lever arm and gravity (accelerometer) -> bandwidth -> scale
- * factor and cross-axis -> bias, bias instability, random walk, white noise -> quantisation ->
- * saturation.
+ * What a real IMU makes of a motion: three triads (gyro, accelerometer, magnetometer), each with its errors. Per triad,
+ * in this order: lever arm and gravity (accelerometer) -> bandwidth -> scale factor and cross-axis -> bias, bias
+ * instability, random walk, white noise -> quantisation -> saturation.
  *
- * Densities are one-sided, as datasheets give them: noise of the density n, seen through the
- * bandwidth B, has the standard deviation n sqrt(B); sampled at f it has n sqrt(f / 2), and an
- * Allan deviation of n / sqrt(2 tau). */
+ * Densities are one-sided, as datasheets give them: noise of the density n, seen through the bandwidth B, has the
+ * standard deviation n sqrt(B); sampled at f it has n sqrt(f / 2), and an Allan deviation of n / sqrt(2 tau). */
 #ifndef MODEL_SENSOR_H
 #define MODEL_SENSOR_H
 
@@ -19,25 +17,22 @@ enum { SENSOR_FLICKER_POLES = 5 };
 /* Errors of one triad; "unit" is rad/s, m/s^2 or uT. 0: without that error. */
 struct triad_errors {
 	double density;		 /* white noise, unit/sqrt(Hz) */
-	double bias_instability; /* flicker noise: the Allan deviation's floor is 0.664 of it, unit
-				  */
+	double bias_instability; /* flicker noise, unit: the Allan deviation's floor is 0.664 of it */
 	double random_walk;	 /* of the rate: unit/sqrt(s) */
-	double bias_sigma;	 /* constant errors differ from unit to unit: 1-sigma, drawn once from the
-			      seed. Unit */
-	double scale_sigma;	 /* dimensionless */
-	double cross_axis_sigma; /* dimensionless */
-	double bandwidth_hz;	 /* -3 dB of a first-order low-pass */
-	double step;		 /* quantisation: unit per digit */
-	double range;		 /* saturates at +- range */
+	/* constant errors differ from device to device: 1-sigma, drawn once from the seed */
+	double bias_sigma; /* unit */
+	double scale_sigma, cross_axis_sigma;
+	double bandwidth_hz; /* -3 dB of a first-order low-pass */
+	double step;	     /* quantisation: unit per digit */
+	double range;	     /* saturates at +- range */
 };
 
 struct sensor_config {
 	const char *name, *about;
 	struct triad_errors gyro, accel, mag;
-	double mag_rate_hz;	   /* new magnetometer values a second; 0: one with each sample */
-	double jitter_s;	   /* the instant of sampling varies by that 1-sigma; the time stamp does not
-			    show it */
 	double rate_hz;		   /* sampling rate */
+	double mag_rate_hz;	   /* new magnetometer values a second; 0: one with each sample */
+	double jitter_s;	   /* 1-sigma of the instant of sampling; the time stamp does not show it */
 	struct vec3 lever_arm_b_m; /* reference point -> accelerometer */
 	double gravity_m_s2;
 	struct vec3 field_n_uT; /* Earth's magnetic field */
@@ -72,19 +67,16 @@ struct sensor {
 	uint64_t taken; /* samples so far */
 };
 
-/** 0, or -EINVAL: rate not above 0, jitter not below a tenth of the interval, or a negative error.
- */
+/** 0, or -EINVAL: rate not above 0, jitter not below a tenth of the interval, or an error below 0. */
 int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint64_t seed);
 
-/** The instant of the next sample, to evaluate the motion at. Call it once a sample. Not before 0.
- */
+/** The instant of the next sample, to evaluate the motion at. Once a sample. Not before 0. */
 double sensor_instant_s(struct sensor *sensor);
 
 /** The next sample, from the motion at sensor_instant_s(). */
 void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample);
 
-/** Both: the next sample of a sensor on that motion. `truth` (may be NULL) shows the motion at its
- * instant. */
+/** Both: the next sample of a sensor on that motion. `truth` (may be NULL) shows the motion at its instant. */
 void sensor_next(
 	struct sensor *sensor, const struct signal *signal, struct imu_sample *sample, struct signal_truth *truth);
 

@@ -234,13 +234,20 @@ static void take_option(struct wishes *w, int option, char **argv)
 	}
 }
 
-static struct request request_of(const struct wishes *w, const char *name)
+static const struct signal *signal_option(const char *name)
 {
 	const struct signal *signal = signal_find(name);
-	struct request request;
 
 	if (!signal)
 		cli_usage_error("there is no signal %s (imu9-sim --list)", name);
+	return signal;
+}
+
+static struct request request_of(const struct wishes *w, const char *name)
+{
+	const struct signal *signal = signal_option(name);
+	struct request request;
+
 	request = (struct request){.signal = *signal,
 		.sensor = *w->sensor,
 		.duration_s = w->duration_s > 0 ? w->duration_s : signal->period_s,
@@ -264,13 +271,18 @@ int main(int argc, char **argv)
 {
 	struct wishes wishes = {.sensor = &SENSOR_PRESETS[0], .seed = 1};
 	struct request request;
+	bool of_a_log = false;
 	int option;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":d:r:s:to:l", options, NULL)) != -1)
+	while ((option = getopt_long(argc, argv, ":d:r:s:to:l", options, NULL)) != -1) {
 		take_option(&wishes, option, argv);
+		of_a_log |= option != 'o';
+	}
 	if (optind != argc - 1)
 		cli_usage_error("give one signal (imu9-sim --list), or the word experiments");
+	if (strcmp(argv[optind], "experiments") == 0 && of_a_log)
+		cli_usage_error("experiments take no option but -o");
 	if (strcmp(argv[optind], "experiments") == 0)
 		return experiments(wishes.output ? wishes.output : "build/experiments");
 	request = request_of(&wishes, argv[optind]);

@@ -18,15 +18,13 @@ struct imu_log {
 	char path[256];
 	long line;		       /* number of the line read last, from 1 */
 	int fields;		       /* in the header */
-	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. mz; -1: column
-					  absent (magnetometer) */
+	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. mz; -1: absent (magnetometer) */
 	uint64_t last_t_us;
 	int started;
 	uint32_t skipped;
 	double rate_hz;	     /* from the median interval of the first rows, known after open */
 	char last_skip[128]; /* "file:line: what" of the row skipped last */
-	/* open() has read these already, for the rate; next() begins with them, so a pipe loses
-	 * none */
+	/* open() has read these already, for the rate; next() begins with them, so a pipe loses none */
 	struct imu_sample head[IMU_LOG_HEAD];
 	int head_count, head_next;
 };
