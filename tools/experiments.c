@@ -71,9 +71,9 @@ static struct trial made(const struct trial_config *config)
 	return trial;
 }
 
-static struct vec3 *room(int count)
+static void *room(int count, size_t size)
 {
-	struct vec3 *values = calloc((size_t)count, sizeof *values);
+	void *values = calloc((size_t)count, size);
 
 	if (!values) {
 		cli_error("out of memory");
@@ -84,7 +84,7 @@ static struct vec3 *room(int count)
 
 static struct score scored(enum method method, const struct trial *trial, double angle_noise_deg)
 {
-	struct vec3 *estimate = room(trial->count);
+	struct vec3 *estimate = room(trial->count, sizeof *estimate);
 	struct score score;
 
 	method_run(method, trial, angle_noise_deg * RAD_PER_DEG, estimate);
@@ -122,9 +122,7 @@ static void roll_step_figures(void)
 	double *correction[4];
 
 	for (int i = 0; i < 4; i++) {
-		correction[i] = calloc((size_t)trial.count, sizeof(double));
-		if (!correction[i])
-			exit(CLI_FAILED);
+		correction[i] = room(trial.count, sizeof(double));
 		second_correction(&trial, noise_deg[i], correction[i]);
 	}
 	for (int k = 0; k < shown; k++) {
@@ -208,7 +206,7 @@ static void estimate_csv(const char *name, const char *signal, double from_s, do
 {
 	const struct trial_config config = trial_defaults(WORLD_SEED, signal);
 	struct trial trial = made(&config);
-	struct vec3 *seed = room(trial.count), *automatic = room(trial.count);
+	struct vec3 *seed = room(trial.count, sizeof *seed), *automatic = room(trial.count, sizeof *automatic);
 	FILE *file = open_csv(name, "t,al,as,at,seed_l,seed_s,seed_t,auto_l,auto_s,auto_t");
 
 	method_run(METHOD_SEED, &trial, noise_deg * RAD_PER_DEG, seed);
