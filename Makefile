@@ -102,6 +102,12 @@ test: ## install what is missing, build, and run every test: unit, scenario, and
 	@$(MAKE) --no-print-directory -j2 all tests check-layers
 	@BUILD=$(BUILD) tests/run unit scenario interop
 
+.PHONY: experiments
+experiments: ## the seed paper's figures and tables, and what beats them: build/experiments
+	@DEPS=$(DEPS) tools/deps build experiments
+	@$(MAKE) --no-print-directory -j2 all
+	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
+
 # ---- for developers ------------------------------------------------------------------------------------------------
 .PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers readme check-readme
 tests: $(TESTS) ## build the tests only

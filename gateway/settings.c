@@ -36,6 +36,12 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.fusion.mahony_kp_rad_s = (double)v->fusion.mahony_kp;
 	c.fusion.mahony_ki_rad_s2 = (double)v->fusion.mahony_ki;
 
+	c.noise = (struct noise_config){
+		.angle_sigma_rad = (double)v->noise.angle_sigma * RAD_PER_DEG,
+		.gyro_density_rad_s_sqrt_hz = (double)v->noise.gyro_density * RAD_PER_DEG,
+		.gyro_bias_instability_rad_s = (double)v->noise.gyro_bias_instability * RAD_PER_DEG,
+	};
+
 	c.estimator.lever_arm_b_m =
 		(struct vec3){(double)v->lever_arm.l, (double)v->lever_arm.s, (double)v->lever_arm.t};
 	c.estimator.model = (enum lever_arm_model)v->lever_arm_model;

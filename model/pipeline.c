@@ -21,6 +21,12 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.mahony_kp_rad_s = 0.3,
 			.mahony_ki_rad_s2 = 0.0012,
 		},
+	.noise =
+		{
+			.angle_sigma_rad = 0.05 * DEG,
+			.gyro_density_rad_s_sqrt_hz = 0.03 * DEG,
+			.gyro_bias_instability_rad_s = 0.01 * DEG,
+		},
 	.estimator =
 		{
 			.model = LEVER_ARM_RIGID_BODY,
@@ -46,6 +52,12 @@ static const double ATTITUDE_HOLD_S = 1;
 /* A magnetometer slower than the samples still counts as used between its measurements. */
 static const double MAG_LATELY_S = 1;
 
+static void weigh_rates(struct pipeline *p)
+{
+	p->rates_variance =
+		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
+}
+
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
 	struct pipeline fresh;
@@ -60,6 +72,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 		fusion_init(&fresh.fusion, &config->fusion) < 0 || estimator_check(&config->estimator) < 0 ||
 		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &config->position) < 0)
 		return -EINVAL;
+	weigh_rates(&fresh);
 	*p = fresh;
 	return 0;
 }
@@ -110,7 +123,12 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 		rest_configure(&next.rest, &config->rest) < 0 ||
 		position_configure(&next.position, &config->position) < 0)
 		return -EINVAL;
+	bool other_noise = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
+			   p->config.estimator.rates_from != config->estimator.rates_from ||
+			   !same_filter(&p->config.rate_filter, &config->rate_filter);
 	next.config = *config;
+	if (other_noise)
+		weigh_rates(&next);
 	*p = next;
 	return 0;
 }
@@ -165,27 +183,49 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	return rest;
 }
 
-static struct vec3 accel_n(const struct pipeline *p, const struct estimator_config *estimator, struct vec3 force_b_m_s2)
+/* What to take off for the lever arm: in auto mode as much of it as its noise allows. */
+static struct vec3 correct(struct pipeline *p, double dt_s)
+{
+	const struct estimator_config *estimator = &p->config.estimator;
+	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
+	struct vec3 all = estimator_lever_arm_b(estimator, p->fusion.q_nb, rates), variance;
+
+	if (estimator->model != LEVER_ARM_AUTO)
+		return all;
+	variance = rigid_lever_arm_variance(rates->omega_b_rad_s, estimator->lever_arm_b_m, p->rates_variance);
+	return auto_correction_step(&p->auto_correction, all, variance, dt_s);
+}
+
+static struct vec3 accel_n(const struct pipeline *p, const struct estimator_config *estimator, struct vec3 force_b_m_s2,
+	struct vec3 lever_arm_b_m_s2)
 {
 	struct quat q_nb = p->fusion.q_nb;
-	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
 
-	return quat_rotate(q_nb, estimator_accel_b(estimator, force_b_m_s2, q_nb, rates));
+	return quat_rotate(q_nb, estimator_accel_b(estimator, force_b_m_s2, q_nb, lever_arm_b_m_s2));
+}
+
+/* What the estimator of the sample before makes of this one. */
+static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force_b_m_s2)
+{
+	const struct estimator_config *before = &p->last_estimator;
+	struct vec3 all = estimator_lever_arm_b(before, p->fusion.q_nb, &p->rates.out[before->rates_from]);
+
+	return accel_n(p, before, force_b_m_s2, all);
 }
 
 /* The reference point's acceleration, low-passed in the global frame: there gravity is removed before the delay of the
  * filter could let the object turn away from it. After a change of the estimator the filter goes on as if the new one
  * had always been in use. */
-static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2)
+static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
 {
-	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2);
+	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s));
 
 	if (!fusion_started(&p->fusion))
 		return (struct vec3){0, 0, 0};
 	if (!p->primed)
 		filter3_prime(&p->accel_filter, accel);
 	else if (memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0)
-		filter3_shift(&p->accel_filter, vec3_sub(accel, accel_n(p, &p->last_estimator, force_b_m_s2)));
+		filter3_shift(&p->accel_filter, vec3_sub(accel, accel_n_as_before(p, force_b_m_s2)));
 	p->last_estimator = p->config.estimator;
 	return filter3_step(&p->accel_filter, accel);
 }
@@ -224,7 +264,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
 	else
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
-	accel = estimate(p, s.accel_m_s2);
+	accel = estimate(p, s.accel_m_s2, dt_s);
 	if (gap || !p->started)
 		position_skip(&p->position, accel, p->started ? dt_s : 0);
 	else

@@ -9,6 +9,7 @@
 #ifndef MODEL_PIPELINE_H
 #define MODEL_PIPELINE_H
 
+#include "model/auto_correction.h"
 #include "model/calibration.h"
 #include "model/estimator.h"
 #include "model/filter.h"
@@ -24,6 +25,7 @@ struct pipeline_config { /* start from PIPELINE_DEFAULTS */
 	struct filter_config rate_filter;  /* on the rates, or on the angles before they are
 					      differentiated (2011h) */
 	struct fusion_config fusion;
+	struct noise_config noise; /* of the sensors (2020h) */
 	struct estimator_config estimator;
 	struct rest_config rest;
 	struct position_config position;
@@ -67,6 +69,8 @@ struct pipeline {
 	struct filter3 accel_filter;
 	struct fusion fusion;
 	struct rates rates;
+	struct rates_variance rates_variance; /* of the source of rates in use */
+	struct auto_correction auto_correction;
 	struct rest rest;
 	struct position position;
 	uint64_t last_t_us;

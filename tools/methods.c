@@ -75,6 +75,7 @@ static void with_gyro(enum method method, const struct trial *trial, double angl
 		.lever_arm_b_m = r,
 		.model = method == METHOD_SEED_GYRO    ? LEVER_ARM_SEED_EQ12
 			 : method == METHOD_RIGID_GYRO ? LEVER_ARM_RIGID_BODY
+			 : method == METHOD_AUTO       ? LEVER_ARM_AUTO
 						       : LEVER_ARM_OFF,
 		.rates_from = RATES_FROM_GYRO,
 		.gravity_m_s2 = trial->config.gravity_m_s2,
@@ -87,12 +88,11 @@ static void with_gyro(enum method method, const struct trial *trial, double angl
 		const struct body_rates *rates = &f.rates.out[RATES_FROM_GYRO];
 
 		fused_step(&f, trial, k);
-		estimate[k] = estimator_accel_b(&estimator, trial->force_b_m_s2[k], f.angles.q_nb, rates);
+		struct vec3 lever_arm = estimator_lever_arm_b(&estimator, f.angles.q_nb, rates);
 		if (method == METHOD_AUTO)
-			estimate[k] = vec3_sub(estimate[k],
-				auto_correction_step(&automatic,
-					rigid_lever_arm(rates->omega_b_rad_s, rates->alpha_b_rad_s2, r),
-					rigid_lever_arm_variance(rates->omega_b_rad_s, r, f.variance), trial->dt_s));
+			lever_arm = auto_correction_step(&automatic, lever_arm,
+				rigid_lever_arm_variance(rates->omega_b_rad_s, r, f.variance), trial->dt_s);
+		estimate[k] = estimator_accel_b(&estimator, trial->force_b_m_s2[k], f.angles.q_nb, lever_arm);
 	}
 }
 

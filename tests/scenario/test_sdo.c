@@ -37,7 +37,7 @@ static void test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_st
 {
 	struct bus *bus = *state;
 
-	bus_exchange(bus, "610 2F 01 20 00 03 00 00 00", "590 80 01 20 00 31 00 09 06");
+	bus_exchange(bus, "610 2F 01 20 00 04 00 00 00", "590 80 01 20 00 31 00 09 06");
 	bus_exchange(bus, "610 23 00 20 01 00 00 30 C1", "590 80 00 20 01 32 00 09 06"); /* -11 */
 	bus_exchange(bus, "610 23 00 20 01 00 00 C0 7F", "590 80 00 20 01 30 00 09 06"); /* NaN */
 	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 02 00 00 00");
@@ -254,7 +254,7 @@ static void test_the_limits_hold_in_a_segmented_download(void **state)
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "610 21 01 20 00 01 00 00 00", "590 60 01 20 00 00 00 00 00");
-	bus_exchange(bus, "610 0D 03 00 00 00 00 00 00", "590 80 01 20 00 31 00 09 06");
+	bus_exchange(bus, "610 0D 04 00 00 00 00 00 00", "590 80 01 20 00 31 00 09 06");
 	assert_int_equal(bus->values.lever_arm_model, 2);
 }
 

@@ -301,7 +301,7 @@ static void test_a_write_above_the_high_limit_is_refused_and_the_old_value_stand
 	(void)state;
 	assert_int_equal(write_real32(0x2000, 1, 1.0f), OD_OK);
 	assert_int_equal(write_real32(0x2000, 1, nextafterf(10.0f, 11.0f)), OD_TOO_HIGH);
-	assert_int_equal(write_u8(0x2001, 0, 3), OD_TOO_HIGH);
+	assert_int_equal(write_u8(0x2001, 0, 4), OD_TOO_HIGH);
 	assert_true(values.lever_arm.l == 1.0f);
 	assert_int_equal(values.lever_arm_model, 2);
 }
@@ -424,7 +424,7 @@ static void test_the_device_itself_is_held_to_size_and_limits(void **state)
 	const struct od_entry *model = od_find(&imu9_od_table, 0x2001, 0, NULL);
 
 	(void)state;
-	assert_int_equal(od_put(&od, model, "\3", 1), OD_TOO_HIGH);
+	assert_int_equal(od_put(&od, model, "\4", 1), OD_TOO_HIGH);
 	assert_int_equal(od_put(&od, model, "\1\0", 2), OD_TOO_LONG);
 	assert_int_equal(values.lever_arm_model, 2);
 }
@@ -522,7 +522,7 @@ static void test_a_hook_is_not_asked_about_a_value_that_the_limits_refuse(void *
 
 	(void)state;
 	od_attach(&od, &hook);
-	assert_int_equal(write_u8(0x2001, 0, 3), OD_TOO_HIGH);
+	assert_int_equal(write_u8(0x2001, 0, 4), OD_TOO_HIGH);
 	assert_int_equal(watcher.before, 0);
 }
 

@@ -212,7 +212,7 @@ static void test_entries_that_do_not_fit_are_skipped_and_counted(void **state)
 		0x00, 0x30, 0, 1, 0, 0, 0, 1,	       /* no such object */
 		0x08, 0x10, 0, 1, 0, 0, 0, 'x',	       /* constant */
 		0x00, 0x21, 1, 2, 0, 0, 0, 1, 0,       /* read-only */
-		0x01, 0x20, 0, 1, 0, 0, 0, 3,	       /* above its limit */
+		0x01, 0x20, 0, 1, 0, 0, 0, 4,	       /* above its limit */
 		0x17, 0x10, 0, 4, 0, 0, 0, 1, 0, 0, 0, /* too long */
 		0x02, 0x20, 0, 1, 0, 0, 0, 1,	       /* this one is good */
 	};

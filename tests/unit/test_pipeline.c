@@ -108,7 +108,7 @@ static void test_the_defaults_are_valid_at_any_rate(void **state)
 }
 
 /* RMS distance of the estimated from the true acceleration; the attitude is given, so that only the lever arm counts. */
-static double accel_error(enum lever_arm_model model, enum rate_source source)
+static double accel_error_with(enum lever_arm_model model, enum rate_source source, double gyro_density_rad_s_sqrt_hz)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p;
@@ -116,6 +116,7 @@ static double accel_error(enum lever_arm_model model, enum rate_source source)
 
 	config.estimator.model = model;
 	config.estimator.rates_from = source;
+	config.noise.gyro_density_rad_s_sqrt_hz = gyro_density_rad_s_sqrt_hz;
 	config.fusion.madgwick_beta = 0;
 	p = pipeline(&config);
 	for (int k = 0; k < 2000; k++) {
@@ -131,6 +132,21 @@ static double accel_error(enum lever_arm_model model, enum rate_source source)
 			sum += vec3_dot(error, error) / 1600;
 	}
 	return sqrt(sum);
+}
+
+static double accel_error(enum lever_arm_model model, enum rate_source source)
+{
+	return accel_error_with(model, source, PIPELINE_DEFAULTS.noise.gyro_density_rad_s_sqrt_hz);
+}
+
+static void test_the_auto_mode_corrects_with_a_good_gyro_and_leaves_it_with_a_hopeless_one(void **state)
+{
+	const double off = accel_error(LEVER_ARM_OFF, RATES_FROM_GYRO);
+	const double rigid = accel_error(LEVER_ARM_RIGID_BODY, RATES_FROM_GYRO);
+
+	(void)state;
+	assert_true(accel_error(LEVER_ARM_AUTO, RATES_FROM_GYRO) < 1.1 * rigid);
+	assert_true(fabs(accel_error_with(LEVER_ARM_AUTO, RATES_FROM_GYRO, 10) - off) < 0.01 * off);
 }
 
 static void test_the_rigid_body_model_finds_the_reference_points_acceleration(void **state)
@@ -684,6 +700,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_defaults_are_valid_at_any_rate),
 		cmocka_unit_test(test_the_rigid_body_model_finds_the_reference_points_acceleration),
+		cmocka_unit_test(test_the_auto_mode_corrects_with_a_good_gyro_and_leaves_it_with_a_hopeless_one),
 		cmocka_unit_test(test_a_new_lever_arm_counts_in_the_next_sample),
 		cmocka_unit_test(test_a_new_model_or_source_of_rates_shows_no_transient),
 		cmocka_unit_test(test_the_seeds_model_stays_bounded_through_gimbal_lock),
