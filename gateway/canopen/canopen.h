@@ -40,13 +40,14 @@ struct canopen_device {
 struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fields are the core's */
 
 /** Attaches to the dictionary and checks its communication objects. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory
- * object is missing from the dictionary (a fault of the EDS). */
+ * object is missing from the dictionary, -ENOSPC: it has more TPDOs than the core (faults of the EDS). */
 int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 	const struct canopen_device *device, uint8_t node_id);
 /** Sends boot-up and enters pre-operational. */
 void canopen_start(struct canopen_node *node, uint64_t now_us);
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us);
-/** Returns when it must be called again at the latest (UINT64_MAX: never). */
+/** Returns when it must be called again at the latest (UINT64_MAX: never). Any other call here, and a write to the
+ * dictionary, may bring that forward: call it after them, too. */
 uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us);
 /** A new sample stands in the dictionary: event-driven TPDOs may go out. */
 void canopen_sample(struct canopen_node *node, uint64_t now_us);

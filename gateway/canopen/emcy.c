@@ -1,5 +1,4 @@
-/* Emergency: error register 1001h, history 1003h, COB-ID 1014h, inhibit time 1015h (CiA
- * 301, 7.2.7). */
+/* Emergency: error register 1001h, history 1003h, COB-ID 1014h, inhibit time 1015h (CiA 301, 7.2.7). */
 #include "gateway/canopen/service.h"
 
 #include <string.h>
@@ -12,15 +11,15 @@ static bool enabled(const struct emcy *emcy)
 static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	uint32_t old = *((struct canopen_node *)ctx)->emcy.cob_id;
-	uint32_t new = get_u32(wire);
+	uint32_t value = get_u32(wire);
 
 	(void)entry;
 	(void)size;
-	if (new &COB_ID_INVALID)
-		return new & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
-	if (new &COB_ID_NO_RTR || !cob_id_usable(new))
+	if (value & COB_ID_INVALID)
+		return value & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
+	if (value & COB_ID_NO_RTR || !cob_id_usable(value))
 		return OD_BAD_VALUE;
-	return !(old & COB_ID_INVALID) && new != old ? OD_BAD_VALUE : OD_OK; /* not while it is in use */
+	return !(old & COB_ID_INVALID) && value != old ? OD_BAD_VALUE : OD_OK; /* not while it is in use */
 }
 
 /* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
@@ -104,8 +103,7 @@ static bool remove_error(struct emcy *emcy, uint16_t code)
 	return true;
 }
 
-/* Reset communication ends only the errors that the core found itself; the others are the
- * application's to end. */
+/* Reset communication ends only the errors that the core found itself; the others are the application's to end. */
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
 	struct emcy *emcy = &node->emcy;
@@ -180,8 +178,8 @@ uint64_t emcy_tick(struct canopen_node *node)
 	return UINT64_MAX;
 }
 
-/* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA
- * 301, 7.3.2.2.4); or, when no error stands any more, that all is over. */
+/* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA 301, 7.3.2.2.4); or,
+ * when no error stands any more, that all is over. */
 void emcy_leave_stopped(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;

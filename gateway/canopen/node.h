@@ -1,8 +1,7 @@
 /* gateway/canopen/node.h
- * The state of one CANopen device. It stands in a header only so that the caller can own it: the
- * fields are the core's, each struct belongs to the file named after its service. Pointers into the
- * dictionary's values are looked up once, in canopen_init(), so that the way from SYNC to PDO is
- * short. */
+ * The state of one CANopen device. It stands in a header only so that the caller can own it: the fields are the core's,
+ * each struct belongs to the file named after its service. Pointers into the dictionary's values are looked up once, in
+ * canopen_init(), so that the way from SYNC to PDO is short. */
 #ifndef GATEWAY_CANOPEN_NODE_H
 #define GATEWAY_CANOPEN_NODE_H
 
@@ -63,11 +62,11 @@ struct tpdo {
 	const uint16_t *inhibit_100us, *event_ms;
 	const uint32_t *map[PDO_MAP_MAX];
 
-	const struct od_entry *mapped[PDO_MAP_MAX]; /* the first *map_count of `map`, checked and found */
-	bool active;				    /* valid, and something is mapped */
-	bool event;				    /* a sample came that this PDO has not carried yet */
-	bool await_start;			    /* no SYNC had the start value yet */
-	uint8_t syncs;				    /* SYNCs since the last transmission */
+	const struct od_entry *mapped[PDO_MAP_MAX];
+	uint8_t mapped_count; /* 0: not to be sent, because it is invalid or nothing is mapped */
+	bool event;	      /* a sample came that this PDO has not carried yet */
+	bool await_start;     /* no SYNC had the start value yet */
+	uint8_t syncs;	      /* SYNCs since the last transmission */
 	uint64_t inhibited_until_us;
 	uint64_t timer_start_us; /* the event timer runs from here */
 };

@@ -1,6 +1,5 @@
-/* Transmit PDOs (CiA 301, 7.2.2): communication parameters 1800h.., mapping 1A00h... A PDO is
- * packed from the dictionary at the moment it is sent, and all PDOs of one SYNC in one go, so that
- * they carry one sample. */
+/* Transmit PDOs (CiA 301, 7.2.2): communication parameters 1800h.., mapping 1A00h... A PDO is packed from the
+ * dictionary at the moment it is sent, and all PDOs of one SYNC in one go, so that they carry one sample. */
 #include "gateway/canopen/service.h"
 
 #include <errno.h>
@@ -17,9 +16,7 @@ static bool event_driven(const struct tpdo *tpdo)
 	return *tpdo->type >= TYPE_EVENT;
 }
 
-/* ---- parameters
- * -------------------------------------------------------------------------------------------------
- */
+/* ---- parameters -------------------------------------------------------------------------------------------------- */
 
 static bool valid(const struct tpdo *tpdo)
 {
@@ -70,8 +67,9 @@ static enum od_status check(const struct od *od, const struct tpdo *tpdo, uint32
 
 static void restart(struct canopen_node *node, struct tpdo *tpdo)
 {
-	tpdo->active = valid(tpdo) && *tpdo->map_count > 0 &&
-		       find_mapping(node->od, tpdo, *tpdo->map_count, tpdo->mapped) == OD_OK;
+	tpdo->mapped_count = 0;
+	if (valid(tpdo) && find_mapping(node->od, tpdo, *tpdo->map_count, tpdo->mapped) == OD_OK)
+		tpdo->mapped_count = *tpdo->map_count;
 	tpdo->event = false;
 	tpdo->await_start = true;
 	tpdo->syncs = 0;
@@ -87,15 +85,15 @@ static struct tpdo *of_entry(struct canopen_node *node, const struct od_entry *e
 	return NULL;
 }
 
-static enum od_status before_cob_id(const struct od *od, const struct tpdo *tpdo, uint32_t new)
+static enum od_status before_cob_id(const struct od *od, const struct tpdo *tpdo, uint32_t value)
 {
-	if (new & ~(COB_ID_INVALID | COB_ID_NO_RTR | COB_ID_MASK))
+	if (value & ~(COB_ID_INVALID | COB_ID_NO_RTR | COB_ID_MASK))
 		return OD_BAD_VALUE;
-	if ((new &COB_ID_INVALID) != 0)
+	if (value & COB_ID_INVALID)
 		return OD_OK;
 	if (valid(tpdo))
-		return (new ^ *tpdo->cob_id) & COB_ID_MASK ? OD_BAD_VALUE : OD_OK;
-	return check(od, tpdo, new);
+		return (value ^ *tpdo->cob_id) & COB_ID_MASK ? OD_BAD_VALUE : OD_OK;
+	return check(od, tpdo, value);
 }
 
 static enum od_status before_communication(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
@@ -122,8 +120,8 @@ static enum od_status before_communication(void *ctx, const struct od_entry *ent
 	}
 }
 
-/* The mapping procedure (CiA 301, 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 =
- * number of them. An entry of 0 is an empty place, as masters write it. */
+/* The mapping procedure (CiA 301, 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number of them. An
+ * entry of 0 is an empty place, as masters write it. */
 static enum od_status before_mapping(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct canopen_node *node = ctx;
@@ -188,8 +186,7 @@ int pdo_init(struct canopen_node *node)
 	return 0;
 }
 
-/* Stored values did not pass the hooks. A PDO that cannot be as they say is invalid, for all to see
- * in its COB-ID. */
+/* Stored values did not pass the hooks. A PDO that cannot be as they say is invalid, for all to see in its COB-ID. */
 void pdo_reset(struct canopen_node *node)
 {
 	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
@@ -202,16 +199,14 @@ void pdo_reset(struct canopen_node *node)
 	}
 }
 
-/* ---- transmission
- * ------------------------------------------------------------------------------------------------
- */
+/* ---- transmission ------------------------------------------------------------------------------------------------ */
 
 static void transmit(struct canopen_node *node, struct tpdo *tpdo)
 {
 	uint8_t data[PDO_BYTES];
 	size_t len = 0;
 
-	for (size_t i = 0; i < *tpdo->map_count; i++)
+	for (size_t i = 0; i < tpdo->mapped_count; i++)
 		len += od_get(node->od, tpdo->mapped[i], data + len, sizeof(data) - len);
 	node_send(node, *tpdo->cob_id & COB_ID_MASK, data, (uint8_t)len);
 	tpdo->event = false;
@@ -232,11 +227,10 @@ void pdo_sample(struct canopen_node *node)
 	pdo_tick(node);
 }
 
-/* The SYNC with the start value counts as the first one received; without a counter every PDO has
- * started. */
+/* The SYNC with the start value counts as the first one received; without a counter every PDO has started. */
 static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
 {
-	if (!tpdo->active || event_driven(tpdo))
+	if (tpdo->mapped_count == 0 || event_driven(tpdo))
 		return false;
 	if (tpdo->await_start && counter && *tpdo->sync_start && counter != *tpdo->sync_start)
 		return false;
@@ -274,7 +268,7 @@ uint64_t pdo_tick(struct canopen_node *node)
 	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
 		struct tpdo *tpdo = &node->pdo.tpdo[i];
 
-		if (!tpdo->active || !event_driven(tpdo))
+		if (tpdo->mapped_count == 0 || !event_driven(tpdo))
 			continue;
 		if (event_due_us(tpdo) <= node->now_us)
 			transmit(node, tpdo);

@@ -8,8 +8,8 @@
 enum {
 	SEGMENT_BYTES = 7,
 	BLOCK_SIZE_MAX = 127,
-	/* Segments in a sub-block of a download. Up to 31 the number of a segment cannot be taken for a command, so that
-	 * a new request in the midst of a block is known as such; the cost is one answer in 31 frames. */
+	/* Segments in a sub-block of a download. Up to 31 the number of a segment cannot be taken for a command, so
+	 * that a new request in the midst of a block is known as such; the cost is one answer in 31 frames. */
 	DOWNLOAD_BLOCK_SIZE = 31,
 	/* An upload sends so many segments and then lets others have their turn: PDOs must not wait for a sub-block. */
 	BURST = 16,

@@ -1,8 +1,7 @@
 /* gateway/canopen/service.h
- * What the service files of the core call of one another. Nobody else includes this. Each service
- * has X_init(), once, which looks its objects up and attaches its hook; X_reset(), whenever the
- * dictionary was brought back to its power-on values; X_tick(), which does what is due and returns
- * the next deadline. All of them take the time from node->now_us. */
+ * What the service files of the core call of one another. Nobody else includes this. Each service has X_init(), once,
+ * which looks its objects up and attaches its hook; X_reset(), whenever the dictionary was brought back to its power-on
+ * values; X_tick(), which does what is due and returns the next deadline. They take the time from node->now_us. */
 #ifndef GATEWAY_CANOPEN_SERVICE_H
 #define GATEWAY_CANOPEN_SERVICE_H
 
@@ -44,8 +43,7 @@ void node_filter(struct canopen_node *node);
 void node_reset(struct canopen_node *node, enum od_group group);
 /** EMCY_DATA_SET: the object at `index` holds what no SDO client could have written. */
 void node_bad_data(struct canopen_node *node, uint16_t index);
-/** False for 29-bit identifiers and those that CiA 301, 7.3.5 restricts. Bits 30 and 31 are not
- * looked at. */
+/** False for 29-bit identifiers and those that CiA 301, 7.3.5 restricts. Bits 30 and 31 are not looked at. */
 bool cob_id_usable(uint32_t cob_id);
 
 /* nmt.c */

@@ -3,8 +3,7 @@
 
 #include <string.h>
 
-static enum od_status before_write(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct canopen_node *node = ctx;
 	const struct canopen_device *device = &node->device;
@@ -23,8 +22,7 @@ static enum od_status before_write(
 
 void store_init(struct canopen_node *node)
 {
-	node->store.hook = (struct od_hook){
-		.first = 0x1010, .last = 0x1011, .before = before_write, .ctx = node};
+	node->store.hook = (struct od_hook){.first = 0x1010, .last = 0x1011, .before = before_write, .ctx = node};
 	od_attach(node->od, &node->store.hook);
 }
 

@@ -3,8 +3,7 @@
 
 #define SYNC_PRODUCER (1u << 30)
 
-static enum od_status before_write(
-	void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	const uint8_t *bytes = wire;
 
@@ -12,9 +11,7 @@ static enum od_status before_write(
 	(void)size;
 	switch (entry->index) {
 	case 0x1005: /* bit 31 means nothing; this node does not produce SYNC */
-		return (get_u32(bytes) & SYNC_PRODUCER) || !cob_id_usable(get_u32(bytes))
-			       ? OD_BAD_VALUE
-			       : OD_OK;
+		return (get_u32(bytes) & SYNC_PRODUCER) || !cob_id_usable(get_u32(bytes)) ? OD_BAD_VALUE : OD_OK;
 	case 0x1019:
 		return bytes[0] == 1 || bytes[0] > 240 ? OD_BAD_VALUE : OD_OK;
 	default:
@@ -24,8 +21,7 @@ static enum od_status before_write(
 
 static void listen(struct canopen_node *node)
 {
-	node->sync.id =
-		cob_id_usable(*node->sync.cob_id) ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
+	node->sync.id = cob_id_usable(*node->sync.cob_id) ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
 }
 
 static void after_write(void *ctx, const struct od_entry *entry)
@@ -43,11 +39,8 @@ void sync_init(struct canopen_node *node)
 	sync->cob_id = node_value(node, 0x1005, 0, sizeof(uint32_t));
 	sync->window_us = node_value(node, 0x1007, 0, sizeof(uint32_t));
 	sync->counter_overflow = node_value(node, 0x1019, 0, sizeof(uint8_t));
-	sync->hook = (struct od_hook){.first = 0x1005,
-		.last = 0x1019,
-		.before = before_write,
-		.after = after_write,
-		.ctx = node};
+	sync->hook = (struct od_hook){
+		.first = 0x1005, .last = 0x1019, .before = before_write, .after = after_write, .ctx = node};
 	od_attach(node->od, &sync->hook);
 }
 
@@ -58,12 +51,11 @@ void sync_reset(struct canopen_node *node)
 		node_bad_data(node, 0x1005);
 }
 
-/* 1007h: how long after the SYNC its PDOs may still be sent. The core sends them as soon as it sees
- * the SYNC, so they are late only when the SYNC itself was seen late. */
+/* 1007h: how long after the SYNC its PDOs may still be sent. The core sends them as soon as it sees the SYNC, so
+ * they are late only when the SYNC itself was seen late. */
 static bool window_passed(const struct canopen_node *node, const struct can_msg *msg)
 {
-	return *node->sync.window_us && msg->t_us &&
-	       node->now_us > msg->t_us + *node->sync.window_us;
+	return *node->sync.window_us && msg->t_us && node->now_us > msg->t_us + *node->sync.window_us;
 }
 
 void sync_receive(struct canopen_node *node, const struct can_msg *msg)

@@ -1,5 +1,5 @@
-/* The CANopen core under arbitrary frames, time, samples and errors. Input: a sequence of steps, each an operation byte
- * and its arguments. */
+/* The CANopen core under arbitrary frames, time, samples and errors. Input: a sequence of steps, each an operation
+ * byte and its arguments. */
 #include <stdlib.h>
 #include <string.h>
 

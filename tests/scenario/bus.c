@@ -279,3 +279,19 @@ void bus_put(struct bus *bus, uint16_t index, uint8_t sub, size_t size, uint32_t
 		break;
 	}
 }
+
+const char *bus_writable_string(struct bus *bus)
+{
+	static struct od_entry entries[2000];
+	static struct od_table table;
+	struct od_entry *entry;
+
+	table = imu9_od_table;
+	assert_true(table.count <= sizeof(entries) / sizeof(entries[0]));
+	memcpy(entries, table.entries, table.count * sizeof(entries[0]));
+	table.entries = entries;
+	bus->od.table = &table;
+	entry = &entries[od_find(&imu9_od_table, 0x1009, 0, NULL) - imu9_od_table.entries];
+	entry->access = OD_READ | OD_WRITE;
+	return (const char *)&bus->values + entry->offset;
+}

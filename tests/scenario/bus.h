@@ -79,5 +79,7 @@ uint32_t bus_write(struct bus *bus, uint16_t index, uint8_t sub, size_t size, ui
 uint32_t bus_read(struct bus *bus, uint16_t index, uint8_t sub);
 /** A value set behind the core's back, as a configuration file does it. */
 void bus_put(struct bus *bus, uint16_t index, uint8_t sub, size_t size, uint32_t value);
+/** The hardware version 1009h, a string of up to 32 bytes, as if it could be written. */
+const char *bus_writable_string(struct bus *bus);
 
 #endif

@@ -1,5 +1,5 @@
-/* SDO block transfer: CiA 301, 7.2.4.3.9 to 7.2.4.3.16. The CRC of "123456789" is 31C3h; the other CRCs were computed
- * outside, bit by bit. */
+/* SDO block transfer: CiA 301, 7.2.4.3.9 to 7.2.4.3.16. The CRC of "123456789" is 31C3h; the other CRCs were
+ * computed outside, bit by bit. */
 #include "tests/scenario/bus.h"
 
 #include <string.h>
@@ -13,26 +13,6 @@ static void set_domain(struct bus *bus, const void *data, size_t size)
 {
 	domain = (struct od_domain){.index = 0x1021, .data = data, .size = size};
 	od_set_domain(&bus->od, &domain);
-}
-
-/* The hardware version 1009h, a string of up to 32 bytes, as if it could be written. */
-static const char *writable_string(struct bus *bus)
-{
-	static struct od_entry entries[2000];
-	static struct od_table table;
-
-	table = imu9_od_table;
-	assert_true(table.count <= sizeof(entries) / sizeof(entries[0]));
-	memcpy(entries, table.entries, table.count * sizeof(entries[0]));
-	table.entries = entries;
-	bus->od.table = &table;
-	for (size_t i = 0; i < table.count; i++) {
-		if (entries[i].index != 0x1009)
-			continue;
-		entries[i].access = OD_READ | OD_WRITE;
-		return (const char *)&bus->values + entries[i].offset;
-	}
-	return NULL;
 }
 
 /* ---- upload ------------------------------------------------------------------------------------------------------ */
@@ -343,8 +323,8 @@ static uint16_t crc_bit_by_bit(const uint8_t *data, size_t size)
 	return crc;
 }
 
-/* Takes the segments of one sub-block, of which each is lost with a chance of 1 in `odds`. The number of the last one
- * in order; *got grows, *last tells that it was the last of all. */
+/* Takes the segments of one sub-block, of which each is lost with a chance of 1 in `odds`. The number of the last
+ * one in order; *got grows, *last tells that it was the last of all. */
 static uint8_t take_sub_block(struct bus *bus, uint32_t *seed, uint32_t odds, uint8_t *got, size_t *size, bool *last)
 {
 	uint8_t sequence = 0;
@@ -446,7 +426,7 @@ static void test_a_block_download_needs_no_size(void **state)
 static void test_a_download_of_several_segments_arrives(void **state)
 {
 	struct bus *bus = *state;
-	const char *text = writable_string(bus);
+	const char *text = bus_writable_string(bus);
 
 	bus_exchange(bus, "610 C6 09 10 00 1A 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_send(bus, "610 01 41 42 43 44 45 46 47");
@@ -461,7 +441,7 @@ static void test_a_download_of_several_segments_arrives(void **state)
 static void test_a_lost_segment_is_asked_for_at_the_end_of_the_sub_block(void **state)
 {
 	struct bus *bus = *state;
-	const char *text = writable_string(bus);
+	const char *text = bus_writable_string(bus);
 
 	bus_exchange(bus, "610 C6 09 10 00 1A 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_send(bus, "610 01 41 42 43 44 45 46 47"); /* 02 is lost */
@@ -478,7 +458,7 @@ static void test_segment_31_ends_a_sub_block_whatever_was_lost(void **state)
 {
 	struct bus *bus = *state;
 
-	writable_string(bus);
+	bus_writable_string(bus);
 	bus_exchange(bus, "610 C6 09 10 00 1A 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_send(bus, "610 01 41 42 43 44 45 46 47");
 	bus_exchange(bus, "610 1F 41 42 43 44 45 46 47", "590 A2 01 1F 00 00 00 00 00");
@@ -487,7 +467,7 @@ static void test_segment_31_ends_a_sub_block_whatever_was_lost(void **state)
 static void test_when_the_last_segment_is_lost_half_a_second_of_silence_asks_for_it(void **state)
 {
 	struct bus *bus = *state;
-	const char *text = writable_string(bus);
+	const char *text = bus_writable_string(bus);
 
 	bus_exchange(bus, "610 C6 09 10 00 1A 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_send(bus, "610 01 41 42 43 44 45 46 47");
@@ -523,7 +503,7 @@ static void test_a_client_that_falls_silent_in_a_download_gets_a_timeout(void **
 	bus_expect(bus, "590 80 00 20 01 00 00 04 05");
 	bus_expect_nothing(bus);
 
-	writable_string(bus);
+	bus_writable_string(bus);
 	bus_exchange(bus, "610 C6 09 10 00 1A 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_run(bus, 400000);
 	bus_send(bus, "610 01 41 42 43 44 45 46 47");
@@ -561,7 +541,7 @@ static void test_a_segment_beyond_the_size_is_refused_at_once(void **state)
 	bus_expect_nothing(bus);
 	bus_exchange(bus, "610 02 00 00 00 00 00 00 00", "590 80 00 20 01 12 00 07 06");
 
-	writable_string(bus);
+	bus_writable_string(bus);
 	bus_exchange(bus, "610 C2 09 10 00 07 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_send(bus, "610 01 41 42 43 44 45 46 47");
 	bus_expect_nothing(bus);
@@ -571,7 +551,7 @@ static void test_a_segment_beyond_the_size_is_refused_at_once(void **state)
 static void test_an_empty_string_is_one_empty_segment(void **state)
 {
 	struct bus *bus = *state;
-	const char *text = writable_string(bus);
+	const char *text = bus_writable_string(bus);
 
 	bus_exchange(bus, "610 C2 09 10 00 00 00 00 00", "590 A4 09 10 00 1F 00 00 00");
 	bus_exchange(bus, "610 81 00 00 00 00 00 00 00", "590 A2 01 1F 00 00 00 00 00");

@@ -66,6 +66,15 @@ static void test_a_pdo_carries_the_values_of_the_moment_it_is_sent(void **state)
 	bus_exchange(bus, "080", "190 04 00 05 00 06 00 00 00");
 }
 
+static void test_a_mapping_changed_behind_the_cores_back_holds_from_the_next_reset(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 1);
+	bus_put(bus, 0x1A00, 0, 1, 200);
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+}
+
 static void test_pdos_are_sent_in_operational_only(void **state)
 {
 	struct bus *bus = *state;
@@ -601,7 +610,7 @@ static void test_reset_communication_brings_the_default_mapping_back(void **stat
 	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
 }
 
-/* ---- stored values that do not fit (a file of another version, a configuration by hand) --------------------------- */
+/* ---- stored values that do not fit (a file of another version, a configuration by hand) -------------------------- */
 
 static void expect_tpdo1_refused_at_start(struct bus *bus)
 {
@@ -686,6 +695,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		OPERATIONAL(test_one_sync_sends_all_four_pdos_with_one_sample),
 		OPERATIONAL(test_a_pdo_carries_the_values_of_the_moment_it_is_sent),
+		OPERATIONAL(test_a_mapping_changed_behind_the_cores_back_holds_from_the_next_reset),
 		PRE_OPERATIONAL(test_pdos_are_sent_in_operational_only),
 		OPERATIONAL(test_type_n_is_sent_with_every_nth_sync),
 		OPERATIONAL(test_type_240_is_sent_with_every_240th_sync),

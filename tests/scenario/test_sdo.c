@@ -212,7 +212,7 @@ static void test_segments_that_together_exceed_the_size_said_are_too_long(void *
 
 	bus_exchange(bus, "610 21 00 20 01 04 00 00 00", "590 60 00 20 01 00 00 00 00");
 	bus_exchange(bus, "610 0A 00 00 00 00 00 00 00", "590 20 00 00 00 00 00 00 00");
-	bus_exchange(bus, "610 19 80 3F 00 00 00 00 00", "590 80 00 20 01 12 00 07 06");
+	bus_exchange(bus, "610 18 80 3F 00 00 00 00 00", "590 80 00 20 01 12 00 07 06");
 }
 
 static void test_a_transfer_begun_anew_begins_at_the_beginning(void **state)
@@ -247,6 +247,19 @@ static void test_without_a_size_the_object_limits_the_download(void **state)
 	bus_exchange(bus, "610 04 00 00 80 3F 00 00 00", "590 80 00 20 01 12 00 07 06");
 	bus_exchange(bus, "610 20 00 20 01 00 00 00 00", "590 60 00 20 01 00 00 00 00");
 	bus_exchange(bus, "610 09 00 00 80 00 00 00 00", "590 80 00 20 01 13 00 07 06");
+}
+
+static void test_a_string_may_be_shorter_than_its_place_but_not_than_the_size_said(void **state)
+{
+	struct bus *bus = *state;
+	const char *text = bus_writable_string(bus);
+
+	bus_exchange(bus, "610 21 09 10 00 05 00 00 00", "590 60 09 10 00 00 00 00 00");
+	bus_exchange(bus, "610 09 41 42 43 00 00 00 00", "590 80 09 10 00 13 00 07 06"); /* 3 of 5 */
+	bus_exchange(bus, "610 20 09 10 00 00 00 00 00", "590 60 09 10 00 00 00 00 00");
+	bus_exchange(bus, "610 09 41 42 43 00 00 00 00", "590 20 00 00 00 00 00 00 00");
+	assert_string_equal(text, "ABC");
+	bus_exchange(bus, "610 21 09 10 00 21 00 00 00", "590 80 09 10 00 12 00 07 06"); /* 33 */
 }
 
 static void test_the_limits_hold_in_a_segmented_download(void **state)
@@ -475,6 +488,7 @@ int main(void)
 		PRE_OPERATIONAL(test_a_transfer_begun_anew_begins_at_the_beginning),
 		PRE_OPERATIONAL(test_less_than_the_size_said_is_too_short),
 		PRE_OPERATIONAL(test_without_a_size_the_object_limits_the_download),
+		PRE_OPERATIONAL(test_a_string_may_be_shorter_than_its_place_but_not_than_the_size_said),
 		PRE_OPERATIONAL(test_the_limits_hold_in_a_segmented_download),
 		PRE_OPERATIONAL(test_a_wrong_toggle_in_an_upload_aborts_it),
 		PRE_OPERATIONAL(test_a_wrong_toggle_in_a_download_aborts_it),
