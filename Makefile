@@ -28,7 +28,7 @@ OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c)
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
-TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c))
+TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c tools/experiments/*.c))
 PROGRAM_SRC := $(call sources,tools/imu9_*.c)
 
 MODEL_LIB := $(BUILD)/libmodel.a

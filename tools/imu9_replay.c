@@ -13,6 +13,7 @@
 #include "model/pipeline.h"
 #include "od_values.h"
 #include "tools/cli.h"
+#include "tools/csv.h"
 
 enum { EXIT_USAGE = 2 };
 
@@ -37,75 +38,27 @@ static const char usage[] = "usage: imu9-replay [-c FILE] [--set NAME=VALUE]... 
 static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
 			     "wl,ws,wt,dwl,dws,dwt,status\n";
 
-/* ---- a row of text
- * -------------------------------------------------------------------------------------------------
- */
-
-/* Rows are most of the run time with printf(): numbers are written as fixed-point integers instead.
- */
-static char *put_u64(char *p, uint64_t n, int digits)
-{
-	char text[20];
-	int i = 0;
-
-	while (n > 0 || i < digits) {
-		text[i++] = (char)('0' + n % 10);
-		n /= 10;
-	}
-	while (i > 0)
-		*p++ = text[--i];
-	return p;
-}
-
-/* ",-12.345678": six or more decimals are beyond what the sensor tells */
-static char *put_fixed(char *p, double value, int decimals)
-{
-	static const double scale[] = {1, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9};
-	const uint64_t unit = (uint64_t)scale[decimals];
-
-	*p++ = ',';
-	if (!(fabs(value) < 1e9)) /* cannot be a physical value; keep the row readable */
-		return p + sprintf(p, "%.9g", value);
-	uint64_t n = (uint64_t)(fabs(value) * scale[decimals] + 0.5);
-	if (value < 0 && n > 0)
-		*p++ = '-';
-	p = put_u64(p, n / unit, 1);
-	*p++ = '.';
-	return put_u64(p, n % unit, decimals);
-}
-
-static char *put_vec3(char *p, struct vec3 v, int decimals)
-{
-	p = put_fixed(p, v.x, decimals);
-	p = put_fixed(p, v.y, decimals);
-	return put_fixed(p, v.z, decimals);
-}
+/* ---- a row ---------------------------------------------------------------------------------------------------------- */
 
 static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
 {
 	const double deg_per_rad = 180 / 3.14159265358979323846;
-	char row[1024], *p = row;
+	static struct csv_row row;
 
-	p = put_u64(p, t_us / 1000000, 1);
-	*p++ = '.';
-	p = put_u64(p, t_us % 1000000, 6);
-	p = put_fixed(p, o->q_nb.w, 8);
-	p = put_vec3(p, (struct vec3){o->q_nb.x, o->q_nb.y, o->q_nb.z}, 8);
-	p = put_vec3(p, o->accel_b_m_s2, 6);
-	p = put_vec3(p, o->accel_n_m_s2, 6);
-	p = put_vec3(p, o->velocity_n_m_s, 6);
-	p = put_vec3(p, o->position_n_m, 6);
-	*p++ = ',';
-	*p++ = o->status & PIPELINE_REST ? '1' : '0';
-	*p++ = ',';
-	p = put_u64(p, sample, 1);
-	p = put_vec3(p, vec3_scale(deg_per_rad, o->angles_rad), 5);
-	p = put_vec3(p, o->rate_b_rad_s, 7);
-	p = put_vec3(p, o->alpha_b_rad_s2, 5);
-	*p++ = ',';
-	p = put_u64(p, o->status, 1);
-	*p++ = '\n';
-	fwrite(row, 1, (size_t)(p - row), stdout);
+	csv_time(&row, t_us);
+	csv_number(&row, o->q_nb.w, 8);
+	csv_vec3(&row, (struct vec3){o->q_nb.x, o->q_nb.y, o->q_nb.z}, 8);
+	csv_vec3(&row, o->accel_b_m_s2, 6);
+	csv_vec3(&row, o->accel_n_m_s2, 6);
+	csv_vec3(&row, o->velocity_n_m_s, 6);
+	csv_vec3(&row, o->position_n_m, 6);
+	csv_number(&row, o->status & PIPELINE_REST ? 1 : 0, 0);
+	csv_number(&row, (double)sample, 0);
+	csv_vec3(&row, vec3_scale(deg_per_rad, o->angles_rad), 5);
+	csv_vec3(&row, o->rate_b_rad_s, 7);
+	csv_vec3(&row, o->alpha_b_rad_s2, 5);
+	csv_number(&row, o->status, 0);
+	csv_write(&row, stdout);
 }
 
 /* ---- the run

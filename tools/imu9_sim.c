@@ -9,7 +9,7 @@
 #include "model/sensor.h"
 #include "tools/cli.h"
 #include "tools/csv.h"
-#include "tools/experiments.h"
+#include "tools/experiments/experiments.h"
 
 static const char usage[] =
 	"usage: imu9-sim [OPTION]... SIGNAL >LOG.imu.csv\n"

@@ -7,7 +7,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "tools/methods.h"
+#include "tools/experiments/methods.h"
 
 static const double DEG = 3.14159265358979323846 / 180;
 static const double NOISE_DEG[] = {0.02, 0.05, 0.1, 0.2, 0.3, 0.7, 2.0};

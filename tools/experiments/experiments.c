@@ -1,4 +1,4 @@
-#include "tools/experiments.h"
+#include "tools/experiments/experiments.h"
 
 #include <errno.h>
 #include <math.h>
@@ -10,7 +10,7 @@
 
 #include "tools/cli.h"
 #include "tools/csv.h"
-#include "tools/methods.h"
+#include "tools/experiments/methods.h"
 #include "tools/plot.h"
 
 #define BLUE	"#0072b2"

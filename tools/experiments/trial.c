@@ -1,4 +1,4 @@
-#include "tools/trial.h"
+#include "tools/experiments/trial.h"
 
 #include <errno.h>
 #include <math.h>

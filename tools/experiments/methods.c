@@ -1,4 +1,4 @@
-#include "tools/methods.h"
+#include "tools/experiments/methods.h"
 
 #include <math.h>
 

@@ -1,4 +1,4 @@
-/* tools/experiments.h
+/* tools/experiments/experiments.h
  * The seed paper's experiments and what beats them: CSV and figures (gnuplot scripts, PNG, SVG) into a directory. What they
  * show is in tools/experiments/REPORT.md. */
 #ifndef TOOLS_EXPERIMENTS_H

@@ -1,10 +1,10 @@
-/* tools/methods.h
+/* tools/experiments/methods.h
  * The ways to the reference point's acceleration that the experiments compare. All see the same accelerations and the same
  * noisy angles; those with gyro a gyro, too, and the estimator, rates and differentiator of the gateway's pipeline. */
 #ifndef TOOLS_METHODS_H
 #define TOOLS_METHODS_H
 
-#include "tools/trial.h"
+#include "tools/experiments/trial.h"
 
 enum method {
 	METHOD_NONE,	     /* gravity alone is taken away */

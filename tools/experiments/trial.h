@@ -1,4 +1,4 @@
-/* tools/trial.h
+/* tools/experiments/trial.h
  * One experiment's data: a motion, what the sensors made of it, and the truth to compare with. Two worlds:
  *
  * seed      as the paper simulated: discrete signals with sudden changes, smoothed by its FIR (delay removed), derivatives
