@@ -41,8 +41,8 @@ struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fie
 
 /** Attaches to the dictionary and checks its communication objects. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory
  * object is missing from the dictionary, -ENOSPC: it has more TPDOs than the core (faults of the EDS). */
-int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
-	const struct canopen_device *device, uint8_t node_id);
+int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus, const struct canopen_device *device,
+	uint8_t node_id);
 /** Sends boot-up and enters pre-operational. */
 void canopen_start(struct canopen_node *node, uint64_t now_us);
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us);
@@ -54,8 +54,8 @@ void canopen_sample(struct canopen_node *node, uint64_t now_us);
 
 /** Raises an error: EMCY with `code`, the error register's bits (1001h; bit 0 is added), manufacturer field `info`
  * (5 bytes, or NULL for zeros). An error that stands already is not sent again. */
-void canopen_error_set(struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info,
-	uint64_t now_us);
+void canopen_error_set(
+	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us);
 /** The error is over: when it was the last, EMCY 0000h. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
 
