@@ -109,7 +109,7 @@ double cli_number(const struct od_entry *entry, const void *wire)
 	float real32;
 	double real64;
 
-	if (!is_number(entry))
+	if (!is_number(entry) || entry->size == 0)
 		return 0;
 	for (size_t i = 0; i < entry->size; i++)
 		raw |= (uint64_t)bytes[i] << 8 * i;

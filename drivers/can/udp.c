@@ -226,7 +226,7 @@ static int open_sender(const union address *group)
  * looped copies (PACKET_LOOPBACK) and what came through the loopback interface. */
 static int empty_own(int fd, int sender)
 {
-	union address own;
+	union address own = {0};
 	socklen_t size = sizeof(own);
 	struct sock_filter code[] = {
 		BPF_STMT(BPF_LD | BPF_H | BPF_ABS, 0), /* source port: the UDP header comes first */
