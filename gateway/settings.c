@@ -35,6 +35,13 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.fusion.madgwick_beta = (double)v->fusion.madgwick_beta;
 	c.fusion.mahony_kp_rad_s = (double)v->fusion.mahony_kp;
 	c.fusion.mahony_ki_rad_s2 = (double)v->fusion.mahony_ki;
+	c.fusion.kalman.velocity_sigma_m_s = (double)v->fusion.velocity_sigma;
+	c.fusion.kalman.heading_sigma_rad = (double)v->fusion.heading_sigma * RAD_PER_DEG;
+	c.fusion.kalman.field_limit = (double)v->fusion.field_limit;
+	c.fusion.kalman.rejection_time_s = (double)v->fusion.rejection_time;
+	c.fusion.kalman.gyro_error = (double)v->fusion.gyro_error;
+	c.fusion.kalman.bias_walk_rad_s_sqrt_s = (double)v->fusion.bias_walk * RAD_PER_DEG;
+	c.fusion.delay_s = (double)v->fusion.delay;
 
 	c.noise = (struct noise_config){
 		.angle_sigma_rad = (double)v->noise.angle_sigma * RAD_PER_DEG,

@@ -1,6 +1,7 @@
 #include "model/fusion.h"
 
 #include <errno.h>
+#include <stddef.h>
 
 #include "model/rotation.h"
 
@@ -14,9 +15,10 @@ static bool within(double value, double high)
 
 static bool config_valid(const struct fusion_config *c)
 {
-	return (c->algorithm == FUSION_MADGWICK || c->algorithm == FUSION_MAHONY) &&
+	return (c->algorithm == FUSION_MADGWICK || c->algorithm == FUSION_MAHONY || c->algorithm == FUSION_KALMAN) &&
 	       (c->use_magnetometer == 0 || c->use_magnetometer == 1) && within(c->madgwick_beta, 10) &&
-	       within(c->mahony_kp_rad_s, 100) && within(c->mahony_ki_rad_s2, 100);
+	       within(c->mahony_kp_rad_s, 100) && within(c->mahony_ki_rad_s2, 100) &&
+	       fusion_kalman_check(&c->kalman) == 0 && vec3_finite(c->lever_arm_b_m) && within(c->delay_s, 0.1);
 }
 
 int fusion_init(struct fusion *f, const struct fusion_config *config)
@@ -31,6 +33,8 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 {
 	if (!config_valid(config))
 		return -EINVAL;
+	if (config->algorithm == FUSION_KALMAN && f->config.algorithm != FUSION_KALMAN)
+		fusion_kalman_start(&f->kalman, &config->kalman);
 	f->config = *config;
 	return 0;
 }
@@ -46,12 +50,16 @@ void fusion_turn_object(struct fusion *f, struct quat turn)
 	if (f->started)
 		f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
 	f->gyro_bias_b_rad_s = quat_rotate(turn, f->gyro_bias_b_rad_s);
+	fusion_kalman_turn(&f->kalman, turn);
 }
 
 void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 {
 	struct vec3 *bias = &f->gyro_bias_b_rad_s;
 
+	f->resting = true;
+	if (f->config.algorithm == FUSION_KALMAN)
+		return;
 	f->bias_time_s = fmin(f->bias_time_s + dt_s, fmax(FUSION_BIAS_MEMORY_S, dt_s));
 	*bias = vec3_add(*bias, vec3_scale(dt_s / f->bias_time_s, vec3_sub(gyro_b_rad_s, *bias)));
 }
@@ -60,6 +68,7 @@ void fusion_forget_bias(struct fusion *f)
 {
 	f->gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
 	f->bias_time_s = 0;
+	fusion_kalman_forget_bias(&f->kalman);
 }
 
 /* The unit vector along v; false when v has no direction. */
@@ -80,6 +89,7 @@ static void start(struct fusion *f, struct vec3 up_b)
 
 	f->q_nb = quat_from_aerospace((struct vec3){roll, pitch, heading});
 	f->started = true;
+	fusion_kalman_start(&f->kalman, &f->config.kalman);
 }
 
 /* Turns the attitude about the vertical until the measured field, of direction h_n now, points
@@ -90,6 +100,7 @@ static void set_heading(struct fusion *f, struct vec3 h_n)
 
 	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
 	f->north_known = true;
+	fusion_kalman_north(&f->kalman, &f->config.kalman);
 }
 
 /* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010,
@@ -132,25 +143,60 @@ static struct vec3 mahony_turn(struct fusion *f, struct vec3 error, double dt_s)
 	return vec3_scale(fmin(f->config.mahony_kp_rad_s, 1 / (2 * dt_s)), error);
 }
 
-/* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
-void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
+static void correct_by_error(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
 	struct vec3 up, error = {0, 0, 0}, half;
-	bool up_known = direction(sample->accel_m_s2, &up);
 
-	if (!f->started) {
-		if (!up_known)
-			return;
-		start(f, up);
-		field_error(f, sample);
-		return;
-	}
-	f->q_nb = quat_multiply(f->q_nb,
-		quat_from_rotation_vector(vec3_scale(dt_s, vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s))));
-	if (up_known)
+	if (direction(sample->accel_m_s2, &up))
 		error = vec3_cross(up, quat_rotate_inverse(f->q_nb, (struct vec3){0, 0, 1}));
 	error = vec3_add(error, field_error(f, sample));
 	half = vec3_scale(dt_s / 2,
 		f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s) : mahony_turn(f, error, dt_s));
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
+}
+
+static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample, struct vec3 rate_b_rad_s, double dt_s)
+{
+	bool field = f->config.use_magnetometer && (sample->flags & SAMPLE_MAG) && vec3_finite(sample->mag_uT);
+	struct fusion_kalman_sample s = {
+		.gyro_b_rad_s = sample->gyro_rad_s,
+		.rate_b_rad_s = rate_b_rad_s,
+		.force_b_m_s2 = vec3_finite(sample->accel_m_s2) ? sample->accel_m_s2 : (struct vec3){0, 0, 0},
+		.field_b_uT = field ? &sample->mag_uT : NULL,
+		.lever_arm_b_m = f->config.lever_arm_b_m,
+		.rest = f->resting,
+	};
+
+	if (!f->north_known)
+		field_error(f, sample);
+	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_bias_b_rad_s);
+}
+
+/* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
+void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
+{
+	struct vec3 up, rate = vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s);
+
+	if (!f->started) {
+		if (!direction(sample->accel_m_s2, &up))
+			return;
+		start(f, up);
+		field_error(f, sample);
+		return;
+	}
+	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, rate)));
+	if (f->config.algorithm == FUSION_KALMAN)
+		correct_by_kalman(f, sample, rate, dt_s);
+	else
+		correct_by_error(f, sample, dt_s);
+	f->resting = false;
+}
+
+struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s)
+{
+	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+
+	if (!f->started)
+		return f->q_nb;
+	return quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(f->config.delay_s, rate)));
 }

@@ -1,7 +1,8 @@
 /* model/fusion.h
- * Attitude from gyro, accelerometer and magnetometer: the two filters of the seed's time.
+ * Attitude from gyro, accelerometer and magnetometer: the two filters of the seed's time, and a Kalman filter of the first
+ * rank (fusion_kalman.h).
  *
- * Both integrate the gyro and turn the attitude a little each sample so that gravity and magnetic
+ * Madgwick's and Mahony's integrate the gyro and turn the attitude a little each sample so that gravity and magnetic
  * north, as predicted in the object frame, come closer to the measured directions. The error both
  * use is the small rotation e = a x v_up (+ m x v_field),   a, m unit measurements, v the
  * predictions, which is also minus the gradient of Madgwick's objective in the tangent space of the
@@ -15,10 +16,11 @@
 #ifndef MODEL_FUSION_H
 #define MODEL_FUSION_H
 
+#include "model/fusion_kalman.h"
 #include "model/quat.h"
 #include "model/sample.h"
 
-enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1 };
+enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1, FUSION_KALMAN = 2 };
 
 struct fusion_config {
 	enum fusion_algorithm algorithm;
@@ -26,15 +28,19 @@ struct fusion_config {
 	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned */
 	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
 	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error */
+	struct fusion_kalman_config kalman;
+	struct vec3 lever_arm_b_m; /* reference point -> accelerometer; the Kalman filter heeds it */
+	double delay_s;		   /* 0..0.1: age of a sample at its time stamp, by the sensor's own low-pass */
 };
 
 struct fusion {
 	struct fusion_config config;
 	struct quat q_nb;
-	struct vec3 gyro_bias_b_rad_s; /* learnt so far, at rest and by Mahony's integral */
+	struct vec3 gyro_bias_b_rad_s; /* learnt so far, at rest, by Mahony's integral, by the Kalman filter */
 	/* PRIVATE */
+	struct fusion_kalman kalman;
 	double bias_time_s; /* of rest, learnt from */
-	bool started, north_known, mag_used;
+	bool started, north_known, mag_used, resting;
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */
@@ -49,8 +55,8 @@ void fusion_restart(struct fusion *f);
 /** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
 void fusion_turn_object(struct fusion *f, struct quat turn);
 
-/** The gyro, calibrated, at rest for another dt_s: that is its bias. Learns the mean over all rest, the last
- * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature. */
+/** The gyro, calibrated, at rest for another dt_s: that is its bias. Tell it before the step of this sample. Learns the mean over all rest, the last
+ * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature (the Kalman filter by its own weights). */
 void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
 /** The gyro was calibrated anew: no bias, nothing learnt. */
 void fusion_forget_bias(struct fusion *f);
@@ -61,6 +67,9 @@ void fusion_forget_bias(struct fusion *f);
  * with a usable accelerometer (length not 0) starts the filter. A measurement that shows no
  * direction (no magnetometer, length 0, field along the vertical) is left out of that step. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s);
+
+/** The attitude at the time stamp of a sample with this (calibrated) rate: ahead of q_nb by the delay. */
+struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s);
 
 /** q_nb is an attitude, not the identity it holds before the first usable sample. */
 static inline bool fusion_started(const struct fusion *f)

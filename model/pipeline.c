@@ -15,11 +15,13 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 	.rate_filter = {.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 30},
 	.fusion =
 		{
-			.algorithm = FUSION_MADGWICK,
+			.algorithm = FUSION_KALMAN,
 			.use_magnetometer = 1,
 			.madgwick_beta = 0.041,
 			.mahony_kp_rad_s = 0.3,
 			.mahony_ki_rad_s2 = 0.0012,
+			.kalman = FUSION_KALMAN_DEFAULTS,
+			.delay_s = 0.0018,
 		},
 	.noise =
 		{
@@ -58,8 +60,18 @@ static void weigh_rates(struct pipeline *p)
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
 }
 
+/* The estimator's lever arm holds for the fusion, too. */
+static struct fusion_config fusion_config(const struct pipeline_config *config)
+{
+	struct fusion_config fusion = config->fusion;
+
+	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
+	return fusion;
+}
+
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
+	struct fusion_config fusion = fusion_config(config);
 	struct pipeline fresh;
 
 	memset(&fresh, 0, sizeof(fresh));
@@ -69,7 +81,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 	if (calibration_init(&fresh.calibration, &config->calibration) < 0 ||
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
-		fusion_init(&fresh.fusion, &config->fusion) < 0 || estimator_check(&config->estimator) < 0 ||
+		fusion_init(&fresh.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
 		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &config->position) < 0)
 		return -EINVAL;
 	weigh_rates(&fresh);
@@ -116,10 +128,11 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
+	struct fusion_config fusion = fusion_config(config);
 	struct pipeline next = *p;
 
 	if (configure_calibration(&next, &config->calibration) < 0 || configure_filters(&next, config) < 0 ||
-		fusion_configure(&next.fusion, &config->fusion) < 0 || estimator_check(&config->estimator) < 0 ||
+		fusion_configure(&next.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
 		rest_configure(&next.rest, &config->rest) < 0 ||
 		position_configure(&next.position, &config->position) < 0)
 		return -EINVAL;
@@ -242,6 +255,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	struct imu_sample s = calibration_apply(&p->calibration, sample);
 	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
 	struct vec3 gyro, accel;
+	struct quat q_nb;
 	bool gap, rest;
 	double dt_s;
 
@@ -272,14 +286,15 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	p->last_t_us = s.t_us;
 	p->started = p->primed = true;
 
+	q_nb = fusion_attitude_now(&p->fusion, s.gyro_rad_s);
 	*out = (struct pipeline_output){
 		.t_us = s.t_us,
 		.force_b_m_s2 = s.accel_m_s2,
 		.mag_b_uT = p->mag_b_uT,
 		.rate_b_rad_s = rates->omega_b_rad_s,
 		.alpha_b_rad_s2 = rates->alpha_b_rad_s2,
-		.q_nb = p->fusion.q_nb,
-		.angles_rad = aerospace_from_quat(p->fusion.q_nb),
+		.q_nb = q_nb,
+		.angles_rad = aerospace_from_quat(q_nb),
 		.accel_b_m_s2 = quat_rotate_inverse(p->fusion.q_nb, accel),
 		.accel_n_m_s2 = accel,
 		.velocity_n_m_s = p->position.velocity_n_m_s,

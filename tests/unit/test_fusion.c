@@ -12,12 +12,14 @@ static const struct fusion_config MADGWICK = {
 	.use_magnetometer = 1,
 	.madgwick_beta = 0.1,
 	.mahony_kp_rad_s = 0.74,
+	.kalman = FUSION_KALMAN_DEFAULTS,
 };
 static const struct fusion_config MAHONY = {
 	.algorithm = FUSION_MAHONY,
 	.use_magnetometer = 1,
 	.madgwick_beta = 0.1,
 	.mahony_kp_rad_s = 0.74,
+	.kalman = FUSION_KALMAN_DEFAULTS,
 };
 
 static struct fusion_config six_axes(struct fusion_config config)
@@ -350,7 +352,7 @@ static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(v
 	(void)state;
 	for (int i = 0; i < 6; i++)
 		bad[i] = MADGWICK;
-	bad[0].algorithm = (enum fusion_algorithm)2;
+	bad[0].algorithm = (enum fusion_algorithm)3;
 	bad[1].use_magnetometer = 2;
 	bad[2].madgwick_beta = -0.1;
 	bad[3].madgwick_beta = NAN;

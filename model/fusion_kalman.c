@@ -1,0 +1,361 @@
+#include "model/fusion_kalman.h"
+
+#include <errno.h>
+#include <string.h>
+
+#include "model/rotation.h"
+
+#define DEG (3.14159265358979323846 / 180)
+
+enum { BIAS = KALMAN_BIAS, VELOCITY = KALMAN_VELOCITY, HEADING = KALMAN_HEADING, STATES = KALMAN_STATES };
+
+/* Time between two corrections: short against the filter's time constants, long enough to cost little. */
+static const double CORRECTION_S = 0.03;
+/* 1 sigma at the start. */
+static const double START_TILT_RAD = 0.1, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
+/* No working gyro has more bias than this. */
+static const double MOST_BIAS_RAD_S = 2 * DEG;
+/* White noise of the gyro, rad/s/sqrt(Hz), and what it shows at rest besides (vibration, a hand that is not quite still). */
+static const double GYRO_NOISE = 0.05 * DEG, REST_GYRO_NOISE = 0.05 * DEG;
+/* For how long the gyro's error in motion, and a velocity, keep their sign. */
+static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.3;
+/* The spread of the velocity: its memory, and the least of it as a share of the configured. */
+static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.1;
+/* Velocity at rest: of the sensor's mounting, of vibration; m/s in one correction. */
+static const double REST_VELOCITY_M_S = 0.01;
+/* A longer time without samples leaves no velocity to integrate from. */
+static const double GAP_S = 0.1;
+/* The least horizontal part of the field, as a share of it, that shows a heading. */
+static const double LEAST_HORIZONTAL = 1e-3;
+/* Turned by so much, the object sees another error of the field; but slow or still, one may wait only so long for it, and
+ * fast, the sensor's lag makes the error last. */
+static const double POSE_RAD = 1, POSE_LEAST_S = 0.3, POSE_MOST_S = 5;
+/* Memory of the field's reference, and of the one that may come in its place: that is taken after it has stayed within
+ * the limits for OTHER_FIELD_S of turning at TURNING_RAD_S or faster. */
+static const double REFERENCE_TIME_S = 20, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNING_RAD_S = 20 * DEG;
+/* After a disturbance the field has to be within the limits for so long. */
+static const double UNDISTURBED_S = 0.5;
+/* Share of the disturbance seen in length and dip, squared, that is to be expected in the heading. */
+static const double DISTURBANCE_SHARE = 0.2;
+/* Time in bounds makes up for time in rejection; a field that counts though it is out of bounds counts for less. */
+static const double RECOVERY = 2, REJECTED_WEIGHT = 16;
+
+static bool within(double value, double low, double high)
+{
+	return value >= low && value <= high;
+}
+
+int fusion_kalman_check(const struct fusion_kalman_config *c)
+{
+	return within(c->velocity_sigma_m_s, 0.01, 1000) && within(c->heading_sigma_rad, 0.001, 1) &&
+			       within(c->field_limit, 0.01, 1) && within(c->rejection_time_s, 0, 1e6) &&
+			       within(c->gyro_error, 0, 0.1) && within(c->bias_walk_rad_s_sqrt_s, 0, 0.1)
+		       ? 0
+		       : -EINVAL;
+}
+
+static double squared(double x)
+{
+	return x * x;
+}
+
+/* Nothing known of the state but its variance. */
+static void renew(struct fusion_kalman *k, int i, double variance)
+{
+	for (int j = 0; j < STATES; j++)
+		k->covariance[i][j] = k->covariance[j][i] = 0;
+	k->covariance[i][i] = variance;
+}
+
+static void forget_gathered(struct fusion_kalman *k)
+{
+	k->time_s = k->rest_s = k->turned_rad2_s = 0;
+	memset(k->turn_s, 0, sizeof(k->turn_s));
+	k->force_n_m_s = k->gyro_b_rad = k->field_n_uT = (struct vec3){0, 0, 0};
+	k->fields = 0;
+}
+
+static void renew_velocity(struct fusion_kalman *k)
+{
+	for (int i = 0; i < 2; i++) {
+		k->velocity_n_m_s[i] = 0;
+		renew(k, VELOCITY + i, squared(START_VELOCITY_M_S));
+	}
+}
+
+void fusion_kalman_forget_bias(struct fusion_kalman *k)
+{
+	for (int i = BIAS; i < STATES; i++)
+		renew(k, i, squared(START_BIAS_RAD_S));
+}
+
+void fusion_kalman_turn(struct fusion_kalman *k, struct quat turn)
+{
+	double(*c)[STATES] = k->covariance;
+	double variance = fmax(c[BIAS][BIAS], fmax(c[BIAS + 1][BIAS + 1], c[BIAS + 2][BIAS + 2]));
+
+	for (int i = BIAS; i < STATES; i++)
+		renew(k, i, variance);
+	k->lever_arm_b_m = quat_rotate(turn, k->lever_arm_b_m);
+	forget_gathered(k);
+}
+
+void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	for (int i = 0; i < HEADING; i++)
+		renew(k, i, squared(START_TILT_RAD));
+	renew(k, HEADING, squared(config->heading_sigma_rad));
+	renew_velocity(k);
+	if (k->covariance[BIAS][BIAS] == 0)
+		fusion_kalman_forget_bias(k);
+	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
+	forget_gathered(k);
+}
+
+void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	renew(k, HEADING, squared(config->heading_sigma_rad));
+	k->norm_uT = 0; /* the next field is the reference */
+}
+
+/* The errors' covariance carried over what was gathered. */
+static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	double(*c)[STATES] = k->covariance, (*turn)[3] = k->turn_s, t = k->time_s;
+	struct vec3 f = k->force_n_m_s;
+	double turn_noise =
+		t * squared(GYRO_NOISE) + squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s;
+
+	/* attitude -= turn * bias; velocity += attitude x force: rows, then columns */
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < STATES; j++)
+			c[i][j] -= turn[i][0] * c[BIAS][j] + turn[i][1] * c[BIAS + 1][j] + turn[i][2] * c[BIAS + 2][j];
+	for (int j = 0; j < STATES; j++) {
+		c[VELOCITY][j] += f.z * c[1][j] - f.y * c[2][j];
+		c[VELOCITY + 1][j] += f.x * c[2][j] - f.z * c[0][j];
+	}
+	for (int j = 0; j < STATES; j++) {
+		for (int i = 0; i < 3; i++)
+			c[j][i] -= turn[i][0] * c[j][BIAS] + turn[i][1] * c[j][BIAS + 1] + turn[i][2] * c[j][BIAS + 2];
+		c[j][VELOCITY] += f.z * c[j][1] - f.y * c[j][2];
+		c[j][VELOCITY + 1] += f.x * c[j][2] - f.z * c[j][0];
+	}
+	for (int i = 0; i < 3; i++) {
+		c[i][i] += turn_noise;
+		c[BIAS + i][BIAS + i] += t * squared(config->bias_walk_rad_s_sqrt_s);
+	}
+}
+
+/* State i was measured; `error` holds the errors found so far, of all states. */
+static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
+{
+	double gain = 1 / (k->covariance[i][i] + variance), innovation = measured - error[i], column[STATES];
+
+	memcpy(column, k->covariance[i], sizeof(column));
+	for (int j = 0; j < STATES; j++) {
+		error[j] += gain * innovation * column[j];
+		for (int m = 0; m < STATES; m++)
+			k->covariance[j][m] -= gain * column[j] * column[m];
+	}
+}
+
+static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	struct vec3 lever_n_m_s, bool rest, double *error)
+{
+	double x = k->velocity_n_m_s[0] - lever_n_m_s.x, y = k->velocity_n_m_s[1] - lever_n_m_s.y;
+	double most = squared(config->velocity_sigma_m_s), share = fmin(1, k->time_s / SPREAD_TIME_S), variance;
+
+	k->spread_m2_s2 += share * ((x * x + y * y) / 2 - k->spread_m2_s2);
+	k->spread_m2_s2 = fmin(most, fmax(k->spread_m2_s2, squared(LEAST_SPREAD) * most));
+	variance = rest ? squared(REST_VELOCITY_M_S) : 2 * VELOCITY_TIME_S / k->time_s * k->spread_m2_s2;
+	measure(k, error, VELOCITY, -x, variance);
+	measure(k, error, VELOCITY + 1, -y, variance);
+}
+
+static void measure_bias(struct fusion_kalman *k, struct vec3 bias, double *error)
+{
+	struct vec3 d = vec3_sub(vec3_scale(1 / k->time_s, k->gyro_b_rad), bias);
+	double variance = squared(REST_GYRO_NOISE) / k->time_s;
+
+	measure(k, error, BIAS, d.x, variance);
+	measure(k, error, BIAS + 1, d.y, variance);
+	measure(k, error, BIAS + 2, d.z, variance);
+}
+
+struct field {
+	double norm_uT, dip_rad, horizontal_uT, off_norm_uT, off_dip_rad;
+	double rate_rad_s; /* at which the object turns */
+	bool within;	   /* the limits around the reference */
+};
+
+static bool near(double off_norm, double norm, double off_dip, double limit)
+{
+	return fabs(off_norm) < limit * norm && fabs(off_dip) < 2 * limit;
+}
+
+/* Looks for another field that stays the same while the object turns, and takes it for the reference after a while. */
+static void watch_other_field(struct fusion_kalman *k, const struct field *f, double limit)
+{
+	double off_norm = f->norm_uT - k->other_norm_uT, off_dip = f->dip_rad - k->other_dip_rad;
+	double share = fmin(1, k->time_s / OTHER_FIELD_TIME_S);
+
+	if (f->within || !near(off_norm, k->other_norm_uT, off_dip, limit)) {
+		k->other_norm_uT = f->norm_uT;
+		k->other_dip_rad = f->dip_rad;
+		k->other_s = 0;
+		return;
+	}
+	k->other_norm_uT += share * off_norm;
+	k->other_dip_rad += share * off_dip;
+	if (f->rate_rad_s > TURNING_RAD_S)
+		k->other_s += k->time_s;
+	if (k->other_s < OTHER_FIELD_S)
+		return;
+	k->norm_uT = k->other_norm_uT;
+	k->dip_rad = k->other_dip_rad;
+}
+
+/* The reference follows the undisturbed field, and the times of disturbance are kept. Returns the factor of the heading's
+ * variance, 0: the field does not count. */
+static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
+{
+	double share = fmin(1, k->time_s / REFERENCE_TIME_S);
+
+	watch_other_field(k, f, config->field_limit);
+	if (!f->within) {
+		k->undisturbed_s = 0;
+		k->rejected_s = fmin(k->rejected_s + k->time_s, config->rejection_time_s);
+		return k->rejected_s < config->rejection_time_s ? 0 : REJECTED_WEIGHT;
+	}
+	k->norm_uT += share * f->off_norm_uT;
+	k->dip_rad += share * f->off_dip_rad;
+	k->undisturbed_s += k->time_s;
+	k->rejected_s = fmax(0, k->rejected_s - RECOVERY * k->time_s);
+	return k->undisturbed_s < UNDISTURBED_S ? 0 : 1;
+}
+
+static bool measure_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config, double *error)
+{
+	struct vec3 m = vec3_scale(1.0 / k->fields, k->field_n_uT);
+	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
+	double factor, disturbance, pose_s;
+
+	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT))
+		return false;
+	f.dip_rad = atan2(-m.z, f.horizontal_uT);
+	if (k->norm_uT == 0) {
+		k->norm_uT = f.norm_uT;
+		k->dip_rad = f.dip_rad;
+		k->undisturbed_s = UNDISTURBED_S;
+		k->rejected_s = 0;
+	}
+	f.off_norm_uT = f.norm_uT - k->norm_uT;
+	f.off_dip_rad = f.dip_rad - k->dip_rad;
+	f.within = near(f.off_norm_uT, k->norm_uT, f.off_dip_rad, config->field_limit);
+	f.rate_rad_s = sqrt(k->turned_rad2_s / k->time_s);
+	factor = judge_field(k, config, &f);
+	if (factor == 0)
+		return false;
+	disturbance = DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
+		      squared(f.horizontal_uT);
+	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
+	measure(k, error, HEADING, atan2(m.x, m.y),
+		factor * 2 * pose_s / k->time_s * (squared(config->heading_sigma_rad) + disturbance));
+	return true;
+}
+
+/* Measurements without sense (1000 rad/s, 100 km/s^2) may leave a covariance that is none. */
+static bool sound(const struct fusion_kalman *k)
+{
+	for (int i = 0; i < STATES; i++)
+		if (!(k->covariance[i][i] >= 0 && k->covariance[i][i] < 1e6))
+			return false;
+	return true;
+}
+
+static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct vec3 lever_n_m_s,
+	struct quat *q_nb, struct vec3 *bias)
+{
+	double error[STATES] = {0}, norm;
+	bool rest = k->rest_s > 0.5 * k->time_s, field_used;
+
+	predict(k, config);
+	measure_velocity(k, config, lever_n_m_s, rest, error);
+	if (rest)
+		measure_bias(k, *bias, error);
+	field_used = k->fields > 0 && measure_heading(k, config, error);
+	if (!sound(k)) {
+		fusion_kalman_forget_bias(k);
+		fusion_kalman_start(k, config);
+		return false;
+	}
+	*q_nb = quat_normalize(
+		quat_multiply(quat_from_rotation_vector((struct vec3){error[0], error[1], error[2]}), *q_nb));
+	k->velocity_n_m_s[0] += error[VELOCITY];
+	k->velocity_n_m_s[1] += error[VELOCITY + 1];
+	*bias = vec3_add(*bias, (struct vec3){error[BIAS], error[BIAS + 1], error[BIAS + 2]});
+	norm = vec3_norm(*bias);
+	if (norm > MOST_BIAS_RAD_S)
+		*bias = vec3_scale(MOST_BIAS_RAD_S / norm, *bias);
+	forget_gathered(k);
+	return field_used;
+}
+
+static void add_turn(struct fusion_kalman *k, struct quat q, double dt_s)
+{
+	struct mat3 m = mat3_from_quat(q);
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			k->turn_s[i][j] += dt_s * m.m[i][j];
+}
+
+/* Over missing samples the rate may have been any other, and the velocity is anyone's guess: this sample counts alone. */
+static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double dt_s)
+{
+	double off = fmin(1, squared(dt_s) * vec3_dot(rate_b_rad_s, rate_b_rad_s));
+
+	for (int i = 0; i <= HEADING; i++)
+		k->covariance[i][i] += off;
+	renew_velocity(k);
+	forget_gathered(k);
+}
+
+/* A new lever arm is no jump of the velocity. */
+static void move_reference_point(struct fusion_kalman *k, const struct fusion_kalman_sample *s, struct quat q_nb)
+{
+	struct vec3 moved = vec3_sub(s->lever_arm_b_m, k->lever_arm_b_m);
+	struct vec3 v = quat_rotate(q_nb, vec3_cross(s->rate_b_rad_s, moved));
+
+	k->velocity_n_m_s[0] += v.x;
+	k->velocity_n_m_s[1] += v.y;
+	k->lever_arm_b_m = s->lever_arm_b_m;
+}
+
+bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	const struct fusion_kalman_sample *s, double dt_s, struct quat *q_nb, struct vec3 *bias_b_rad_s)
+{
+	struct vec3 force_n = quat_rotate(*q_nb, s->force_b_m_s2);
+
+	move_reference_point(k, s, *q_nb);
+	if (dt_s > GAP_S) {
+		skip_gap(k, s->rate_b_rad_s, dt_s);
+		dt_s = CORRECTION_S;
+	}
+	add_turn(k, *q_nb, dt_s);
+	k->force_n_m_s = vec3_add(k->force_n_m_s, vec3_scale(dt_s, force_n));
+	k->velocity_n_m_s[0] += dt_s * force_n.x;
+	k->velocity_n_m_s[1] += dt_s * force_n.y;
+	k->gyro_b_rad = vec3_add(k->gyro_b_rad, vec3_scale(dt_s, s->gyro_b_rad_s));
+	k->turned_rad2_s += dt_s * vec3_dot(s->rate_b_rad_s, s->rate_b_rad_s);
+	k->rest_s += s->rest ? dt_s : 0;
+	if (s->field_b_uT) {
+		k->field_n_uT = vec3_add(k->field_n_uT, quat_rotate(*q_nb, *s->field_b_uT));
+		k->fields++;
+	}
+	k->time_s += dt_s;
+	if (k->time_s < CORRECTION_S)
+		return false;
+	return correct(
+		k, config, quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m)), q_nb, bias_b_rad_s);
+}

@@ -1,0 +1,89 @@
+/* model/fusion_kalman.h
+ * Attitude as a small Kalman filter of its errors. The gyro turns the attitude with every sample; some 30 times a second
+ * what has gathered since then is weighed against what is known of tilt, heading and gyro bias.
+ *
+ * - Tilt: the specific force, turned into the global frame (which errs so slowly that it is almost inertial), is
+ *   integrated. Gravity taken for acceleration grows there without end, a velocity does not: it is zero within its
+ *   spread, and that follows the velocities seen. In balance this is a second-order low-pass of the accelerometer with
+ *   Butterworth's damping, its time constant the longer, the faster the movement and the better the gyro. At rest the
+ *   velocity is zero, and the tilt soon that of the accelerometer.
+ * - Lever arm: the velocity is the reference point's. The lever arm's share of it, omega x r, needs no angular
+ *   acceleration.
+ * - Heading: that of the field, doubted by how far length and dip are off their reference: what is seen to be disturbed
+ *   along two axes is so along the third. Beyond the limits it is left out, until another field stayed the same
+ *   through a while of turning (a magnet nearby does not), or too long a time has passed. An object that does not turn
+ *   sees the same error again and again: little is learnt from that.
+ * - Gyro bias: learnt from tilt and heading in motion, from the gyro itself at rest.
+ *
+ * Sources of the ideas: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and
+ * magnetic disturbance rejection", Information Fusion 91, 2023 (low-pass in the almost inertial frame, limits and times
+ * of the field, bias at rest); J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017 (the errors). */
+#ifndef MODEL_FUSION_KALMAN_H
+#define MODEL_FUSION_KALMAN_H
+
+#include "model/quat.h"
+
+struct fusion_kalman_config {
+	double velocity_sigma_m_s; /* 0.01..1000: of the reference point, at most; a smaller one trusts the
+				      accelerometer more */
+	double heading_sigma_rad;  /* 0.001..1: error of the undisturbed field's heading in one pose; a smaller one
+				      trusts the magnetometer more */
+	double field_limit;	   /* 0.01..1: disturbance left out: share of the length, and of a radian of the dip
+				      twice that */
+	double rejection_time_s;   /* 0..1e6: after so much of it, a disturbed field counts for a little, or the heading
+				      would drift for ever */
+	double gyro_error;	   /* 0..0.1: of the rate, by scale factor, cross axes, timing */
+	double bias_walk_rad_s_sqrt_s; /* 0..0.1: how the gyro bias wanders */
+};
+
+#define FUSION_KALMAN_DEFAULTS                                                                                     \
+	{                                                                                                          \
+		.velocity_sigma_m_s = 1, .heading_sigma_rad = 3 * 0.0174532925199433, .field_limit = 0.1,          \
+		.rejection_time_s = 60, .gyro_error = 0.002, .bias_walk_rad_s_sqrt_s = 0.003 * 0.0174532925199433, \
+	}
+
+/* errors of attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object) */
+enum { KALMAN_ATTITUDE = 0, KALMAN_HEADING = 2, KALMAN_VELOCITY = 3, KALMAN_BIAS = 5, KALMAN_STATES = 8 };
+
+struct fusion_kalman {
+	double covariance[KALMAN_STATES][KALMAN_STATES];
+	/* PRIVATE */
+	double velocity_n_m_s[2];  /* of the accelerometer, horizontal */
+	struct vec3 lever_arm_b_m; /* of the last sample */
+	double spread_m2_s2;	   /* of the velocity, an axis */
+	/* gathered since the last correction */
+	double time_s, rest_s, turned_rad2_s, turn_s[3][3];
+	struct vec3 force_n_m_s, gyro_b_rad, field_n_uT;
+	int fields;
+	/* the field, x its length, y its dip: the reference, and what may become it */
+	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s;
+	double undisturbed_s, rejected_s;
+};
+
+/** 0, or -EINVAL: a field out of its range. */
+int fusion_kalman_check(const struct fusion_kalman_config *config);
+/** A new attitude, the gyro's bias as known as before; the very first time, zero the struct. */
+void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The heading was set by the field. */
+void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** Nothing is known of the bias. */
+void fusion_kalman_forget_bias(struct fusion_kalman *k);
+
+/** The object frame was turned: v_new = R(turn) v_old. */
+void fusion_kalman_turn(struct fusion_kalman *k, struct quat turn);
+
+/* What one sample shows. */
+struct fusion_kalman_sample {
+	struct vec3 gyro_b_rad_s, rate_b_rad_s; /* with, without bias */
+	struct vec3 force_b_m_s2;		/* 0: none */
+	const struct vec3 *field_b_uT;		/* NULL: none */
+	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
+	bool rest;
+};
+
+/** One sample, after the attitude was turned by it. Corrects attitude and bias now and then; returns true when the field
+ * took part in that. */
+bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	const struct fusion_kalman_sample *sample, double dt_s, struct quat *q_nb, struct vec3 *bias_b_rad_s);
+
+#endif
