@@ -1,6 +1,7 @@
 #include "gateway/settings.h"
 
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#define RAD_PER_DEG	 (3.14159265358979323846 / 180)
+#define STANDARD_GRAVITY 9.80665
 
 /* the three calibration records have the same members, but generated structs of their own */
 #define TRIAD(record)                                                                                \
@@ -47,6 +48,9 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 		.angle_sigma_rad = (double)v->noise.angle_sigma * RAD_PER_DEG,
 		.gyro_density_rad_s_sqrt_hz = (double)v->noise.gyro_density * RAD_PER_DEG,
 		.gyro_bias_instability_rad_s = (double)v->noise.gyro_bias_instability * RAD_PER_DEG,
+		.accel_density_m_s2_sqrt_hz = (double)v->noise.accelerometer_density * 1e-6 * STANDARD_GRAVITY,
+		.accel_bias_instability_m_s2 =
+			(double)v->noise.accelerometer_bias_instability * 1e-3 * STANDARD_GRAVITY,
 	};
 
 	c.estimator.lever_arm_b_m =
@@ -61,5 +65,8 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 
 	c.position.mode = (enum position_mode)v->position.mode;
 	c.position.longest_integration_s = (double)v->position.longest_integration_time;
+	c.position.sigma_limit_m = (double)v->position.sigma_limit;
+	c.position.navigation.levelling = v->position.levelling;
+	c.position.navigation.velocity_prior_m_s = (double)v->position.velocity_prior;
 	return c;
 }

@@ -28,6 +28,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.angle_sigma_rad = 0.05 * DEG,
 			.gyro_density_rad_s_sqrt_hz = 0.03 * DEG,
 			.gyro_bias_instability_rad_s = 0.01 * DEG,
+			.accel_density_m_s2_sqrt_hz = 220e-6 * 9.80665,
+			.accel_bias_instability_m_s2 = 0.1e-3 * 9.80665,
 		},
 	.estimator =
 		{
@@ -45,6 +47,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		{
 			.mode = POSITION_ZERO_VELOCITY_AT_REST,
 			.longest_integration_s = 60,
+			.navigation = {.levelling = 1},
 		},
 };
 
@@ -69,9 +72,21 @@ static struct fusion_config fusion_config(const struct pipeline_config *config)
 	return fusion;
 }
 
+/* What the sensors are like holds for the navigation, too. */
+static struct position_config position_config(const struct pipeline_config *config)
+{
+	struct position_config position = config->position;
+
+	position.navigation.noise = config->noise;
+	position.navigation.still_gyro_rad_s = config->rest.gyro_threshold_rad_s;
+	position.navigation.still_accel_m_s2 = config->rest.accel_threshold_m_s2;
+	return position;
+}
+
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
 	struct fusion_config fusion = fusion_config(config);
+	struct position_config position = position_config(config);
 	struct pipeline fresh;
 
 	memset(&fresh, 0, sizeof(fresh));
@@ -82,7 +97,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
 		fusion_init(&fresh.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
-		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &config->position) < 0)
+		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &position) < 0)
 		return -EINVAL;
 	weigh_rates(&fresh);
 	*p = fresh;
@@ -122,19 +137,19 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
 	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
 		fusion_forget_bias(&p->fusion);
-	p->primed = false;
+	p->primed = p->position.navigation.started = false;
 	return 0;
 }
 
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
 	struct fusion_config fusion = fusion_config(config);
+	struct position_config position = position_config(config);
 	struct pipeline next = *p;
 
 	if (configure_calibration(&next, &config->calibration) < 0 || configure_filters(&next, config) < 0 ||
 		fusion_configure(&next.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
-		rest_configure(&next.rest, &config->rest) < 0 ||
-		position_configure(&next.position, &config->position) < 0)
+		rest_configure(&next.rest, &config->rest) < 0 || position_configure(&next.position, &position) < 0)
 		return -EINVAL;
 	bool other_noise = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
 			   p->config.estimator.rates_from != config->estimator.rates_from ||
@@ -243,11 +258,43 @@ static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double
 	return filter3_step(&p->accel_filter, accel);
 }
 
+/* Without a gap, velocity and position of the reference point. */
+static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, double dt_s)
+{
+	const struct navigation_input in = {
+		.gyro_b_rad_s = s->gyro_rad_s,
+		.force_b_m_s2 = s->accel_m_s2,
+		.q_nb = fusion_attitude_now(&p->fusion, s->gyro_rad_s),
+		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
+		.rest = rest,
+	};
+
+	if (p->config.position.mode != POSITION_NAVIGATION)
+		position_step(&p->position, accel_n_m_s2, rest, dt_s);
+	else if (fusion_started(&p->fusion))
+		position_navigate(&p->position, &in, p->config.estimator.lever_arm_b_m, dt_s);
+}
+
+static void tell_sigma(const struct pipeline *p, struct pipeline_output *out)
+{
+	const struct navigation *n = &p->position.navigation;
+
+	if (!n->started)
+		return;
+	out->displacement_n_m = p->position.displacement_n_m;
+	out->displacement_sigma_m = p->position.displacement_sigma_m;
+	out->attitude_sigma_n_rad = navigation_attitude_sigma_rad(n);
+	out->accel_sigma_n_m_s2 = navigation_accel_sigma_m_s2(n, p->config.estimator.gravity_m_s2, p->rate_hz);
+	out->velocity_sigma_n_m_s = navigation_velocity_sigma_m_s(n);
+	out->position_sigma_n_m = navigation_position_sigma_m(n);
+}
+
 static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 {
 	return (fusion_started(&p->fusion) ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
-	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u);
+	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
+	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u);
 }
 
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
@@ -280,9 +327,9 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
 	accel = estimate(p, s.accel_m_s2, dt_s);
 	if (gap || !p->started)
-		position_skip(&p->position, accel, p->started ? dt_s : 0);
+		position_skip(&p->position, accel, p->fusion.q_nb, p->started ? dt_s : 0);
 	else
-		position_step(&p->position, accel, rest, dt_s);
+		locate(p, &s, accel, rest, dt_s);
 	p->last_t_us = s.t_us;
 	p->started = p->primed = true;
 
@@ -301,5 +348,6 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.position_n_m = p->position.position_n_m,
 		.status = status_of(p, rest, gap),
 	};
+	tell_sigma(p, out);
 	return 0;
 }

@@ -40,6 +40,7 @@ enum {
 	PIPELINE_MAG_USED = 1 << 2,   /* the magnetometer took part in this sample's heading, or lately */
 	PIPELINE_TIME_LIMIT = 1 << 3, /* the longest integration time has passed: position is held */
 	PIPELINE_GAP = 1 << 4,	      /* samples were missing just before this one */
+	PIPELINE_UNSURE = 1 << 5,     /* 1 sigma of the position exceeds its limit */
 };
 
 struct pipeline_output {
@@ -57,6 +58,10 @@ struct pipeline_output {
 	struct vec3 accel_n_m_s2; /* the same, global frame */
 	struct vec3 velocity_n_m_s;
 	struct vec3 position_n_m;
+	/* by navigation only, else 0: from one standstill to the next, and 1 sigma (of the attitude: of the rotation
+	 * about each axis) */
+	struct vec3 displacement_n_m, displacement_sigma_m;
+	struct vec3 attitude_sigma_n_rad, accel_sigma_n_m_s2, velocity_sigma_n_m_s, position_sigma_n_m;
 	unsigned status;
 };
 

@@ -7,10 +7,17 @@ static const double RESIDUAL_TIME_S = 1;
 
 int position_configure(struct position *p, const struct position_config *config)
 {
-	if (config->mode != POSITION_OFF && config->mode != POSITION_ZERO_VELOCITY_AT_REST)
+	if (config->mode != POSITION_OFF && config->mode != POSITION_ZERO_VELOCITY_AT_REST &&
+		config->mode != POSITION_NAVIGATION)
 		return -EINVAL;
-	if (!(config->longest_integration_s >= 0 && isfinite(config->longest_integration_s)))
+	if (!(config->longest_integration_s >= 0 && isfinite(config->longest_integration_s)) ||
+		!(config->sigma_limit_m >= 0 && isfinite(config->sigma_limit_m)))
 		return -EINVAL;
+	if (navigation_check(&config->navigation) < 0)
+		return -EINVAL;
+	if (config->mode != POSITION_NAVIGATION)
+		p->navigation.started = false;
+	p->navigation.config = config->navigation;
 	p->config = *config;
 	return 0;
 }
@@ -28,14 +35,22 @@ int position_init(struct position *p, const struct position_config *config)
 void position_reset(struct position *p)
 {
 	p->velocity_n_m_s = (struct vec3){0, 0, 0};
-	p->position_n_m = (struct vec3){0, 0, 0};
+	p->position_n_m = p->moved_from_n_m = (struct vec3){0, 0, 0};
 	p->moving_s = 0;
+	p->anchored = false;
+	navigation_reset_position(&p->navigation);
 }
 
 bool position_limited(const struct position *p)
 {
 	return p->config.mode != POSITION_OFF && p->config.longest_integration_s > 0 &&
 	       p->moving_s > p->config.longest_integration_s;
+}
+
+bool position_unsure(const struct position *p)
+{
+	return p->navigation.started && p->config.sigma_limit_m > 0 &&
+	       vec3_norm(navigation_position_sigma_m(&p->navigation)) > p->config.sigma_limit_m;
 }
 
 static void stand_still(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
@@ -72,8 +87,51 @@ void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, doub
 	p->accel_n_m_s2 = accel_n_m_s2;
 }
 
-void position_skip(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
+/* What the navigation says of the sensor, said of the reference point. */
+static void follow(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m)
 {
+	const struct navigation *n = &p->navigation;
+	struct vec3 omega_b_rad_s = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
+	struct vec3 reference_n_m = vec3_sub(n->position_n_m, quat_rotate(n->q_nb, lever_b_m));
+
+	if (!p->anchored) {
+		p->anchor_n_m = vec3_sub(reference_n_m, p->position_n_m);
+		p->anchored = true;
+	}
+	p->velocity_n_m_s = (struct vec3){0, 0, 0};
+	if (position_limited(p))
+		return;
+	p->position_n_m = vec3_sub(reference_n_m, p->anchor_n_m);
+	if (!n->still)
+		p->velocity_n_m_s =
+			vec3_sub(n->velocity_n_m_s, quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)));
+}
+
+void position_navigate(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double dt_s)
+{
+	struct navigation *n = &p->navigation;
+	bool was_still = n->still;
+
+	if (!n->started) {
+		navigation_start(n, &p->config.navigation, in->q_nb);
+		p->anchored = false;
+	}
+	navigation_step(n, in, dt_s);
+	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
+	if (was_still && !n->still)
+		p->moved_from_n_m = p->position_n_m;
+	follow(p, in, lever_b_m);
+	if (n->still) {
+		p->displacement_n_m = vec3_sub(p->position_n_m, p->moved_from_n_m);
+		p->displacement_sigma_m = navigation_displacement_sigma_m(n);
+	}
+	p->accel_n_m_s2 = (struct vec3){0, 0, 0};
+}
+
+void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_nb, double dt_s)
+{
+	if (p->navigation.started)
+		navigation_skip(&p->navigation, q_nb, dt_s);
 	p->accel_n_m_s2 = accel_n_m_s2;
 	p->moving_s += dt_s;
 }

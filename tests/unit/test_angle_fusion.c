@@ -11,7 +11,7 @@
 #include "model/signal.h"
 
 static const double DEG = 3.14159265358979323846 / 180, DT_S = 0.01;
-static const struct noise_config NOISE = {0.035, 5e-4, 2e-4}; /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */
+static const struct noise_config NOISE = {0.035, 5e-4, 2e-4, 0, 0}; /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */
 
 static struct vec3 gauss3(struct rng *rng, double sigma)
 {
@@ -88,7 +88,7 @@ static void test_a_bias_of_the_gyro_is_learnt(void **state)
 /* The variance it believes in is the one it has, over many runs. */
 static void test_its_uncertainty_is_true(void **state)
 {
-	const struct noise_config noise = {0.01, 2e-3, 0};
+	const struct noise_config noise = {0.01, 2e-3, 0, 0, 0};
 	double squares = 0;
 
 	(void)state;
@@ -114,7 +114,8 @@ static void test_the_sign_of_a_given_quaternion_does_not_matter(void **state)
 
 static void test_noise_that_cannot_be_is_refused(void **state)
 {
-	const struct noise_config bad[] = {{0, 1, 0}, {-1, 1, 0}, {1, 0, 0}, {1, 1, -1}, {NAN, 1, 0}};
+	const struct noise_config bad[] = {
+		{0, 1, 0, 0, 0}, {-1, 1, 0, 0, 0}, {1, 0, 0, 0, 0}, {1, 1, -1, 0, 0}, {NAN, 1, 0, 0, 0}};
 	struct angle_fusion f;
 
 	(void)state;

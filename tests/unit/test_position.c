@@ -6,9 +6,14 @@
 static const double DT_S = 0.01;
 static const struct vec3 ZERO = {0, 0, 0};
 
+#define NAVIGATION                                                   \
+	{                                                            \
+		.still_gyro_rad_s = 2 * DEG, .still_accel_m_s2 = 0.5 \
+	}
+
 static struct position position(enum position_mode mode, double longest_s)
 {
-	struct position_config config = {mode, longest_s};
+	struct position_config config = {.mode = mode, .longest_integration_s = longest_s, .navigation = NAVIGATION};
 	struct position p;
 
 	assert_int_equal(position_init(&p, &config), 0);
@@ -117,7 +122,7 @@ static void test_a_gap_is_not_integrated_but_its_time_counts(void **state)
 	go(&p, 1, (struct vec3){1, 0, 0}, false);
 	velocity = p.velocity_n_m_s;
 	there = p.position_n_m;
-	position_skip(&p, (struct vec3){50, 0, 0}, 1.5);
+	position_skip(&p, (struct vec3){50, 0, 0}, QUAT_IDENTITY, 1.5);
 	assert_vec_near(p.velocity_n_m_s, velocity, 0);
 	assert_vec_near(p.position_n_m, there, 0);
 	assert_true(position_limited(&p));
@@ -126,7 +131,7 @@ static void test_a_gap_is_not_integrated_but_its_time_counts(void **state)
 static void test_switched_off_it_stays_at_the_origin(void **state)
 {
 	struct position p = no_limit();
-	const struct position_config off = {POSITION_OFF, 0};
+	const struct position_config off = {.mode = POSITION_OFF, .navigation = NAVIGATION};
 
 	(void)state;
 	go(&p, 1, (struct vec3){1, 0, 0}, false);
@@ -152,10 +157,12 @@ static void test_reset_goes_back_to_the_origin_and_the_integration_time_starts_a
 static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(void **state)
 {
 	static const struct position_config bad[] = {
-		{(enum position_mode)2, 60},
-		{POSITION_ZERO_VELOCITY_AT_REST, -1},
-		{POSITION_ZERO_VELOCITY_AT_REST, NAN},
-		{POSITION_ZERO_VELOCITY_AT_REST, INFINITY},
+		{.mode = (enum position_mode)3, .navigation = NAVIGATION},
+		{.longest_integration_s = -1, .navigation = NAVIGATION},
+		{.longest_integration_s = NAN, .navigation = NAVIGATION},
+		{.longest_integration_s = INFINITY, .navigation = NAVIGATION},
+		{.sigma_limit_m = -1, .navigation = NAVIGATION},
+		{.mode = POSITION_NAVIGATION},
 	};
 	struct position p = no_limit();
 

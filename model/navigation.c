@@ -1,0 +1,457 @@
+#include "model/navigation.h"
+
+#include <errno.h>
+#include <string.h>
+
+enum {
+	N = NAVIGATION_STATES,
+	THETA = NAVIGATION_THETA,
+	V = NAVIGATION_V,
+	P = NAVIGATION_P,
+	BG = NAVIGATION_BG,
+	BA = NAVIGATION_BA
+};
+
+static const struct vec3 ZERO = {0, 0, 0};
+
+/* 1 sigma at the start: tilt of an attitude just found, a hand or a robot not yet moving, biases as of an uncalibrated
+ * sensor at room temperature. */
+static const double START_ANGLE_RAD = 0.035, START_VELOCITY_M_S = 0.1;
+static const double START_GYRO_BIAS_RAD_S = 0.005, START_ACCEL_BIAS_M_S2 = 0.05;
+/* Errors of the gyro's scale and cross-axis of 1 %, which a turn to and fro within seconds leaves behind in part: the
+ * attitude walks by 0.01 of the rate, per square root of a second. */
+static const double SCALE_WALK_SQRT_S = 0.01;
+/* Biases walk by their instability in that time. */
+static const double BIAS_TIME_S = 100;
+/* What is left of the velocity at a standstill: vibration of the support. */
+static const double STILL_VELOCITY_M_S = 0.01;
+static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3;
+static const double STILL_GATE_SIGMAS = 5;
+/* For how long a velocity, a heading stays as wrong as it is. */
+static const double VELOCITY_CORRELATION_S = 0.5, HEADING_CORRELATION_S = 20;
+static const double HEADING_SIGMA_RAD = 0.035;
+/* A heading further off than that is not an error but another north. */
+static const double HEADING_JUMP_RAD = 0.35;
+/* The slowest movement that levelling believes in. */
+static const double QUICK_MIN_M_S = 0.05;
+/* What may have happened in a gap. */
+static const double GAP_ACCEL_M_S2 = 2;
+static const double APART_TIME_S = 1;
+
+int navigation_check(const struct navigation_config *c)
+{
+	const double positive[] = {c->still_gyro_rad_s, c->still_accel_m_s2};
+	const struct noise_config *noise = &c->noise;
+	const double not_negative[] = {c->velocity_prior_m_s, noise->gyro_density_rad_s_sqrt_hz,
+		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
+		noise->accel_bias_instability_m_s2};
+
+	if (c->levelling != 0 && c->levelling != 1)
+		return -EINVAL;
+	for (size_t i = 0; i < sizeof(positive) / sizeof(positive[0]); i++)
+		if (!(positive[i] > 0 && isfinite(positive[i])))
+			return -EINVAL;
+	for (size_t i = 0; i < sizeof(not_negative) / sizeof(not_negative[0]); i++)
+		if (!(not_negative[i] >= 0 && isfinite(not_negative[i])))
+			return -EINVAL;
+	return 0;
+}
+
+/* ---- the covariance ---- */
+
+static double square(double a)
+{
+	return a * a;
+}
+
+/* These errors are independent of all others from now on. */
+static void set_variance(struct navigation *n, int at, double variance)
+{
+	for (int i = at; i < at + 3; i++) {
+		for (int j = 0; j < N; j++)
+			n->p[i][j] = n->p[j][i] = 0;
+		n->p[i][i] = variance;
+	}
+}
+
+static void add_variance(struct navigation *n, int at, double variance)
+{
+	for (int i = at; i < at + 3; i++)
+		n->p[i][i] += variance;
+}
+
+static struct vec3 variance(const struct navigation *n, int at)
+{
+	return (struct vec3){n->p[at][at], n->p[at + 1][at + 1], n->p[at + 2][at + 2]};
+}
+
+static void add_scaled(struct mat3 *a, double k, const struct mat3 *b)
+{
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			a->m[i][j] += k * b->m[i][j];
+}
+
+/* a += [f]x b */
+static void add_cross(struct mat3 *a, struct vec3 f, const struct mat3 *b)
+{
+	for (int j = 0; j < 3; j++) {
+		a->m[0][j] += f.y * b->m[2][j] - f.z * b->m[1][j];
+		a->m[1][j] += f.z * b->m[0][j] - f.x * b->m[2][j];
+		a->m[2][j] += f.x * b->m[1][j] - f.y * b->m[0][j];
+	}
+}
+
+static struct mat3 minus_cross(struct vec3 f)
+{
+	return (struct mat3){{{0, f.z, -f.y}, {-f.z, 0, f.x}, {f.y, -f.x, 0}}};
+}
+
+static void sum_up(
+	struct navigation_sums *s, const struct mat3 *r_nb, struct vec3 omega_b, struct vec3 force_n, double dt)
+{
+	struct vec3 f_dt = vec3_scale(dt, force_n);
+
+	add_scaled(&s->w, dt, &s->v);
+	add_scaled(&s->u, dt, &s->s);
+	s->ff = vec3_add(s->ff, vec3_scale(dt, s->f));
+	add_cross(&s->v, f_dt, &s->s);
+	add_scaled(&s->s, dt, r_nb);
+	s->f = vec3_add(s->f, f_dt);
+	s->turned_b_rad = vec3_add(s->turned_b_rad, vec3_scale(dt, omega_b));
+	s->turned2_rad2_s += dt * vec3_dot(omega_b, omega_b);
+	s->t_s += dt;
+}
+
+/* Rows to..to+2 of p += sign M (rows from..from+2). */
+static void add_rows(double p[N][N], int to, double sign, const struct mat3 *m, int from)
+{
+	for (int i = 0; i < 3; i++) {
+		double a = sign * m->m[i][0], b = sign * m->m[i][1], c = sign * m->m[i][2];
+
+		for (int j = 0; j < N; j++)
+			p[to + i][j] += a * p[from][j] + b * p[from + 1][j] + c * p[from + 2][j];
+	}
+}
+
+/* p = F p. Whoever stands still does not change its place. */
+static void transit(double p[N][N], const struct navigation_sums *s, bool still)
+{
+	const struct mat3 minus_f = minus_cross(s->f), minus_ff = minus_cross(s->ff);
+
+	if (!still) {
+		for (int i = 0; i < 3; i++)
+			for (int j = 0; j < N; j++)
+				p[P + i][j] += s->t_s * p[V + i][j];
+		add_rows(p, P, 1, &minus_ff, THETA);
+		add_rows(p, P, 1, &s->w, BG);
+		add_rows(p, P, -1, &s->u, BA);
+	}
+	add_rows(p, V, 1, &minus_f, THETA);
+	add_rows(p, V, 1, &s->v, BG);
+	add_rows(p, V, -1, &s->s, BA);
+	add_rows(p, THETA, -1, &s->s, BG);
+}
+
+static void transpose(double p[N][N])
+{
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < i; j++) {
+			double t = p[i][j];
+
+			p[i][j] = p[j][i];
+			p[j][i] = t;
+		}
+}
+
+static void propagate(struct navigation *n)
+{
+	const struct noise_config *c = &n->config.noise;
+	const struct navigation_sums *s = &n->sums;
+	double t = s->t_s, walk = square(c->accel_density_m_s2_sqrt_hz) / 2 * t;
+
+	/* F p F^T, p being symmetric */
+	transit(n->p, s, n->still);
+	transpose(n->p);
+	transit(n->p, s, n->still);
+
+	add_variance(n, THETA, square(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
+	add_variance(n, THETA, square(SCALE_WALK_SQRT_S) * s->turned2_rad2_s / 3);
+	add_variance(n, V, walk);
+	if (!n->still)
+		for (int i = 0; i < 3; i++) {
+			n->p[P + i][P + i] += walk * t * t / 3;
+			n->p[P + i][V + i] += walk * t / 2;
+			n->p[V + i][P + i] += walk * t / 2;
+		}
+	add_variance(n, BG, square(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
+	add_variance(n, BA, square(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
+}
+
+/* ---- measurements: x collects what they say of the errors ---- */
+
+static void measure(struct navigation *n, double x[N], int at, double error, double noise)
+{
+	double total = n->p[at][at] + noise, h[N];
+
+	memcpy(h, n->p[at], sizeof(h));
+	error -= x[at];
+	for (int i = 0; i < N; i++) {
+		double gain = h[i] / total;
+
+		x[i] += gain * error;
+		for (int j = 0; j < N; j++)
+			n->p[i][j] -= gain * h[j];
+	}
+}
+
+static void measure3(struct navigation *n, double x[N], int at, struct vec3 error, double noise)
+{
+	measure(n, x, at, error.x, noise);
+	measure(n, x, at + 1, error.y, noise);
+	measure(n, x, at + 2, error.z, noise);
+}
+
+static struct vec3 part(const double x[N], int at)
+{
+	return (struct vec3){x[at], x[at + 1], x[at + 2]};
+}
+
+static void take(struct navigation *n, const double x[N])
+{
+	n->q_nb = quat_normalize(quat_multiply(quat_from_rotation_vector(part(x, THETA)), n->q_nb));
+	n->velocity_n_m_s = vec3_add(n->velocity_n_m_s, part(x, V));
+	n->position_n_m = vec3_add(n->position_n_m, part(x, P));
+	n->gyro_bias_b_rad_s = vec3_add(n->gyro_bias_b_rad_s, part(x, BG));
+	n->accel_bias_b_m_s2 = vec3_add(n->accel_bias_b_m_s2, part(x, BA));
+}
+
+/* The scatter of gyro and accelerometer about their short mean is that of a sensor at rest, for a while. */
+static bool scatter_is_small(
+	struct stillness *s, const struct navigation_config *c, const struct navigation_input *in, double dt)
+{
+	double share = dt / (STILL_MEAN_S + dt);
+	struct vec3 gyro, force;
+
+	if (!s->primed) {
+		*s = (struct stillness){.gyro_mean = in->gyro_b_rad_s, .force_mean = in->force_b_m_s2, .primed = true};
+		return false;
+	}
+	gyro = vec3_sub(in->gyro_b_rad_s, s->gyro_mean);
+	force = vec3_sub(in->force_b_m_s2, s->force_mean);
+	s->gyro_mean = vec3_add(s->gyro_mean, vec3_scale(share, gyro));
+	s->force_mean = vec3_add(s->force_mean, vec3_scale(share, force));
+	s->gyro_variance += share * (vec3_dot(gyro, gyro) - s->gyro_variance);
+	s->force_variance += share * (vec3_dot(force, force) - s->force_variance);
+	if (s->gyro_variance < square(c->still_gyro_rad_s / 2) && s->force_variance < square(c->still_accel_m_s2 / 2) &&
+		vec3_dot(s->gyro_mean, s->gyro_mean) < square(c->still_gyro_rad_s))
+		s->still_s += dt;
+	else
+		s->still_s = 0;
+	return s->still_s > STILL_TIME_S;
+}
+
+static bool may_be_zero(double velocity, double var)
+{
+	return velocity * velocity < square(STILL_GATE_SIGMAS) * (var + square(STILL_VELOCITY_M_S));
+}
+
+/* A steady motion scatters no more than a standstill does: the velocity must agree, or rest be sure. */
+static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
+{
+	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
+
+	if (!scatter_is_small(&n->stillness, &n->config, in, dt))
+		return false;
+	return in->rest || n->still || (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
+}
+
+/* The covariance of the place begins anew; the correlation of places with what is learnt later is given up. */
+static void begin_movement(struct navigation *n)
+{
+	n->earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
+	set_variance(n, P, 0);
+	n->quick_n_m_s = ZERO;
+	n->quick2_max = 0;
+}
+
+static void measure_standstill(struct navigation *n, double x[N])
+{
+	double t = n->sums.t_s;
+
+	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), square(STILL_VELOCITY_M_S));
+	measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
+		square(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + 1e-10);
+}
+
+/* Variance of one component of the velocity, from the quick part of it. */
+static double quick_variance(struct navigation *n, double gravity_m_s2)
+{
+	double t = n->sums.t_s;
+	struct vec3 change = vec3_sub(n->sums.f, (struct vec3){0, 0, gravity_m_s2 * t});
+
+	n->quick_n_m_s = vec3_scale(NAVIGATION_QUICK_S / (NAVIGATION_QUICK_S + t), vec3_add(n->quick_n_m_s, change));
+	n->quick2_max = fmax(n->quick2_max, vec3_dot(n->quick_n_m_s, n->quick_n_m_s));
+	return n->quick2_max / 3 + square(QUICK_MIN_M_S);
+}
+
+static void measure_velocity(struct navigation *n, double x[N], const struct navigation_input *in)
+{
+	double spread2 = quick_variance(n, in->gravity_m_s2);
+
+	if (n->config.velocity_prior_m_s > 0)
+		spread2 = square(n->config.velocity_prior_m_s);
+	else if (!n->config.levelling)
+		return;
+	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
+}
+
+static struct vec3 rotation_vector(struct quat q)
+{
+	double s = sqrt(q.x * q.x + q.y * q.y + q.z * q.z), k = s > 1e-9 ? 2 * atan2(s, fabs(q.w)) / s : 2;
+
+	return vec3_scale(q.w < 0 ? -k : k, (struct vec3){q.x, q.y, q.z});
+}
+
+static void turn_to_heading(struct navigation *n, double angle_rad)
+{
+	struct quat turn = quat_from_rotation_vector((struct vec3){0, 0, angle_rad});
+
+	n->q_nb = quat_multiply(turn, n->q_nb);
+	n->velocity_n_m_s = quat_rotate(turn, n->velocity_n_m_s);
+}
+
+static void measure_heading(struct navigation *n, double x[N], struct quat q_fused)
+{
+	struct vec3 apart = rotation_vector(quat_multiply(q_fused, quat_conjugate(n->q_nb))),
+		    *mean = &n->fused_apart2_rad2;
+	double t = n->sums.t_s, share = t / (APART_TIME_S + t);
+
+	if (fabs(apart.z) > HEADING_JUMP_RAD) {
+		turn_to_heading(n, apart.z);
+		apart.z = 0;
+	}
+	measure(n, x, THETA + 2, apart.z, square(HEADING_SIGMA_RAD) * HEADING_CORRELATION_S / t);
+	mean->x += share * (apart.x * apart.x - mean->x);
+	mean->y += share * (apart.y * apart.y - mean->y);
+	mean->z += share * (apart.z * apart.z - mean->z);
+}
+
+static void correct(struct navigation *n, const struct navigation_input *in)
+{
+	double x[N] = {0};
+
+	if (n->still)
+		measure_standstill(n, x);
+	else
+		measure_velocity(n, x, in);
+	measure_heading(n, x, in->q_nb);
+	take(n, x);
+}
+
+/* ---- steps ---- */
+
+void navigation_start(struct navigation *n, const struct navigation_config *config, struct quat q_nb)
+{
+	struct navigation fresh = {.config = *config, .q_nb = q_nb, .started = true};
+
+	fresh.position_n_m = n->position_n_m;
+	fresh.earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
+	set_variance(&fresh, THETA, square(START_ANGLE_RAD));
+	set_variance(&fresh, V, square(START_VELOCITY_M_S));
+	set_variance(&fresh, BG, square(START_GYRO_BIAS_RAD_S));
+	set_variance(&fresh, BA, square(START_ACCEL_BIAS_M_S2));
+	*n = fresh;
+}
+
+void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
+{
+	n->q_nb = q_nb;
+	set_variance(n, THETA, square(START_ANGLE_RAD));
+	add_variance(n, V, square(GAP_ACCEL_M_S2 * dt_s));
+	add_variance(
+		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
+	memset(&n->sums, 0, sizeof(n->sums));
+	n->stillness.primed = n->still = false;
+}
+
+static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
+{
+	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), before = n->velocity_n_m_s, force;
+	struct quat turn = quat_from_rotation_vector(vec3_scale(dt / 2, omega)), half = quat_multiply(n->q_nb, turn);
+	struct mat3 r_nb = mat3_from_quat(half);
+
+	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
+	sum_up(&n->sums, &r_nb, omega, force, dt);
+	n->q_nb = quat_multiply(half, turn);
+	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, force));
+	n->velocity_n_m_s.z -= dt * in->gravity_m_s2;
+	if (!n->still)
+		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
+}
+
+void navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
+{
+	bool still = stands_still(n, in, dt_s);
+
+	if (n->still && !still)
+		begin_movement(n);
+	n->still = still;
+	integrate(n, in, dt_s);
+	if (n->sums.t_s < NAVIGATION_INTERVAL_S)
+		return;
+	propagate(n);
+	correct(n, in);
+	memset(&n->sums, 0, sizeof(n->sums));
+}
+
+void navigation_reset_position(struct navigation *n)
+{
+	n->position_n_m = n->earlier_variance_m2 = ZERO;
+	set_variance(n, P, 0);
+}
+
+/* ---- 1 sigma ---- */
+
+static struct vec3 root(struct vec3 a)
+{
+	return (struct vec3){sqrt(fmax(a.x, 0)), sqrt(fmax(a.y, 0)), sqrt(fmax(a.z, 0))};
+}
+
+/* The fusion is as far off as it is from here, and this from the truth. No time averages out an error of north. */
+static struct vec3 attitude_variance(const struct navigation *n)
+{
+	struct vec3 var = vec3_add(variance(n, THETA), n->fused_apart2_rad2);
+
+	var.z += square(HEADING_SIGMA_RAD);
+	return var;
+}
+
+struct vec3 navigation_attitude_sigma_rad(const struct navigation *n)
+{
+	return root(attitude_variance(n));
+}
+
+struct vec3 navigation_velocity_sigma_m_s(const struct navigation *n)
+{
+	return root(variance(n, V));
+}
+
+struct vec3 navigation_displacement_sigma_m(const struct navigation *n)
+{
+	return root(variance(n, P));
+}
+
+struct vec3 navigation_position_sigma_m(const struct navigation *n)
+{
+	return root(vec3_add(n->earlier_variance_m2, variance(n, P)));
+}
+
+struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double gravity_m_s2, double rate_hz)
+{
+	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
+	double both = square(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
+	double g2 = gravity_m_s2 * gravity_m_s2;
+
+	return root((struct vec3){g2 * angle.y + both, g2 * angle.x + both, both});
+}

@@ -1,0 +1,119 @@
+/* model/navigation.h
+ * Velocity and position by an error-state Kalman filter: gyro and accelerometer are integrated (strapdown), and 15
+ * errors are estimated beside: attitude, velocity, position (global frame n), gyro and accelerometer bias (object frame
+ * b). What corrects them:
+ *   standing still: velocity zero, rate zero (and through both the tilt and the biases);
+ *   the fusion: its heading, never its tilt, which is the less certain of the two;
+ *   levelling, or a prior of the user's: the velocity of a movement has the mean 0 and a known spread.
+ *
+ * The error of the attitude is a small rotation in the global frame, q_true = exp(theta) q. So the way from one sample
+ * to the next adds up over samples, and the covariance takes many of them at once (NAVIGATION_INTERVAL_S), exactly as it
+ * would one by one:
+ *   theta += -S bg,  v += -[f]x theta + V bg - S ba,  p += T v - [F]x theta + W bg - U ba.
+ *
+ * The errors of velocity and position grow together and their covariance knows how: the velocity left at a standstill
+ * corrects the position of the whole movement before it. So the displacement at a standstill is that of a fixed-interval
+ * smoother over the movement (which at its last point is the filter: tests/unit/test_navigation.c), in no more memory
+ * than one state.
+ *
+ * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration; every attitude filter
+ * presumes that the acceleration averages out. Here the same is said of the velocity, and how firmly follows from the
+ * movement itself: its spread is that of the quick part of the velocity (above 1 / (2 pi NAVIGATION_QUICK_S) Hz), which
+ * tilt does not falsify. A vehicle that drives on at a constant speed for many seconds should switch it off, or give the
+ * spread of its speed as the prior.
+ *
+ * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
+ * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state); H. Rauch,
+ * F. Tung and C. Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA J. 3(8), 1965. */
+#ifndef MODEL_NAVIGATION_H
+#define MODEL_NAVIGATION_H
+
+#include "model/noise.h"
+#include "model/rotation.h"
+
+#define NAVIGATION_INTERVAL_S 0.04
+#define NAVIGATION_QUICK_S    1.0
+
+/** The errors' places in the state, three each. */
+enum {
+	NAVIGATION_THETA = 0,
+	NAVIGATION_V = 3,
+	NAVIGATION_P = 6,
+	NAVIGATION_BG = 9,
+	NAVIGATION_BA = 12,
+	NAVIGATION_STATES = 15
+};
+
+struct navigation_config {
+	int levelling;		   /* 0 or 1; the prior, if there is one, is used instead */
+	double velocity_prior_m_s; /* >= 0: 1 sigma of each component while it moves; 0: none */
+	struct noise_config noise;
+	/* standing still: gyro and accelerometer scatter by less than half of that, the gyro's mean is below it */
+	double still_gyro_rad_s, still_accel_m_s2;
+};
+
+/** One calibrated sample and what is known beside it. */
+struct navigation_input {
+	struct vec3 gyro_b_rad_s, force_b_m_s2;
+	struct quat q_nb; /* the fusion's attitude */
+	double gravity_m_s2;
+	bool rest; /* for sure: a standstill that contradicts the velocity is believed only then */
+};
+
+/** What the samples since the last propagation do to the errors: the sums above. */
+struct navigation_sums {
+	double t_s;
+	struct vec3 f, ff; /* integral of the force, and of that */
+	struct mat3 s, u, v, w;
+	struct vec3 turned_b_rad; /* integral of the rate, less the bias */
+	double turned2_rad2_s;	  /* integral of its square */
+};
+
+struct stillness {
+	struct vec3 gyro_mean, force_mean;
+	double gyro_variance, force_variance, still_s;
+	bool primed;
+};
+
+struct navigation {
+	struct navigation_config config;
+	struct quat q_nb;
+	struct vec3 velocity_n_m_s, position_n_m; /* of the sensor */
+	struct vec3 gyro_bias_b_rad_s, accel_bias_b_m_s2;
+	/** Covariance of the errors; that of the position since the last standstill. */
+	double p[NAVIGATION_STATES][NAVIGATION_STATES];
+	struct vec3 earlier_variance_m2; /* of the position at the last standstill */
+	struct vec3 fused_apart2_rad2;	 /* mean square of the rotation from q_nb to the fusion's attitude, frame n */
+	bool started, still;
+	/* PRIVATE */
+	struct navigation_sums sums;
+	struct stillness stillness;
+	struct vec3 quick_n_m_s; /* high-pass of the velocity */
+	double quick2_max;	 /* of its square, since the last standstill */
+};
+
+/** 0, or -EINVAL: a field out of its range. */
+int navigation_check(const struct navigation_config *config);
+
+/** Nothing is known but the fusion's attitude. The position stays. */
+void navigation_start(struct navigation *n, const struct navigation_config *config, struct quat q_nb);
+
+/** Samples were missing: the velocity goes on, the attitude is the fusion's, and all is less certain. */
+void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s);
+
+/** One sample, dt_s > 0 after the one before. */
+void navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s);
+
+/** Position zero, and certain. */
+void navigation_reset_position(struct navigation *n);
+
+/** 1 sigma of the fusion's attitude (rotation about each axis of n), of velocity, of position since the reset and since
+ * the last standstill. */
+struct vec3 navigation_attitude_sigma_rad(const struct navigation *n);
+struct vec3 navigation_velocity_sigma_m_s(const struct navigation *n);
+struct vec3 navigation_position_sigma_m(const struct navigation *n);
+struct vec3 navigation_displacement_sigma_m(const struct navigation *n);
+/** .. and of an acceleration sampled at rate_hz and turned by the fusion's attitude. */
+struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double gravity_m_s2, double rate_hz);
+
+#endif
