@@ -12,8 +12,7 @@ void config_init(struct config *config, const struct od_table *table)
 	*config = (struct config){.imu = "sim", .can = "vcan0", .node_id = 1, .table = table};
 }
 
-/* ---- the process's own keys
- * ---------------------------------------------------------------------------------------- */
+/* ---- the process's own keys -------------------------------------------------------------------------------------- */
 
 static int set_text(char *out, const char *key, const char *value, char *error)
 {
@@ -60,9 +59,7 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 	return -ENOENT;
 }
 
-/* ---- objects
- * -------------------------------------------------------------------------------------------------------
- */
+/* ---- objects ----------------------------------------------------------------------------------------------------- */
 
 static int refuse(char *error, const struct od_entry *e, const char *value, enum od_status status)
 {
@@ -137,9 +134,7 @@ void config_apply(const struct config *config, struct od *od)
 	}
 }
 
-/* ---- the file
- * ------------------------------------------------------------------------------------------------------
- */
+/* ---- the file ---------------------------------------------------------------------------------------------------- */
 
 struct reading {
 	struct config *config;

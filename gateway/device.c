@@ -14,8 +14,7 @@ enum { OVERRUN_OVER_US = 1000000 };
 
 static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
 
-/* ---- configuration: objects to pipeline
- * ---------------------------------------------------------------------------- */
+/* ---- configuration: objects to pipeline -------------------------------------------------------------------------- */
 
 static void on_configuration_changed(void *ctx, const struct od_entry *entry)
 {
@@ -69,9 +68,7 @@ static void on_preset(void *ctx, const struct od_entry *entry)
 	publish_preset(&d->values, entry->index);
 }
 
-/* ---- storage
- * -------------------------------------------------------------------------------------------------------
- */
+/* ---- storage ----------------------------------------------------------------------------------------------------- */
 
 static enum od_status storage_result(struct device *d, int rc)
 {
@@ -172,9 +169,7 @@ static void on_nmt_changed(void *ctx, enum nmt_state state)
 								 : "initialising");
 }
 
-/* ---- life
- * ----------------------------------------------------------------------------------------------------------
- */
+/* ---- life -------------------------------------------------------------------------------------------------------- */
 
 static void attach_hooks(struct device *d)
 {
@@ -221,9 +216,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
 }
 
-/* ---- samples
- * -------------------------------------------------------------------------------------------------------
- */
+/* ---- samples ----------------------------------------------------------------------------------------------------- */
 
 static void sensor_lost(struct device *d)
 {
@@ -274,9 +267,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	canopen_sample(&d->canopen, now_us);
 }
 
-/* ---- the bus
- * -------------------------------------------------------------------------------------------------------
- */
+/* ---- the bus ----------------------------------------------------------------------------------------------------- */
 
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us)
 {

@@ -43,8 +43,7 @@ static int watch(struct loop *l, int fd, enum source source)
 	return epoll_ctl(l->epoll, EPOLL_CTL_ADD, fd, &event) < 0 ? -errno : 0;
 }
 
-/* ---- what the sources bring
- * ---------------------------------------------------------------------------------------- */
+/* ---- what the sources bring -------------------------------------------------------------------------------------- */
 
 /* A log with bad rows says so, once a second at most. */
 static void log_skips(struct loop *l, uint64_t now_us)
@@ -132,9 +131,7 @@ static void on_event(struct loop *l, enum source source, uint64_t now_us)
 	}
 }
 
-/* ---- the deadline
- * --------------------------------------------------------------------------------------------------
- */
+/* ---- the deadline ------------------------------------------------------------------------------------------------ */
 
 static void arm(struct loop *l, uint64_t deadline_us)
 {

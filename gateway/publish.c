@@ -23,8 +23,7 @@ static int16_t scaled16(double value, double lsb, bool *saturated)
 	return (int16_t)scaled(value, lsb, INT16_MAX, saturated);
 }
 
-/* ---- CiA 410: slopes with inversion, offset and preset
- * ------------------------------------------------------------ */
+/* ---- CiA 410: slopes with inversion, offset and preset ----------------------------------------------------------- */
 
 enum { SLOPE_INVERSION = 1 << 0, SLOPE_SCALING = 1 << 1 };
 
@@ -114,9 +113,7 @@ void publish_preset(struct od_values *v, uint16_t index)
 	}
 }
 
-/* ---- the sample
- * ----------------------------------------------------------------------------------------------------
- */
+/* ---- the sample -------------------------------------------------------------------------------------------------- */
 
 #define PUBLISH_REAL32(record, vector, a, b, c) \
 	((record).a = (float)(vector).x, (record).b = (float)(vector).y, (record).c = (float)(vector).z)

@@ -81,9 +81,7 @@ int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 	return 0;
 }
 
-/* ---- the file
- * ------------------------------------------------------------------------------------------------------
- */
+/* ---- the file ---------------------------------------------------------------------------------------------------- */
 
 int store_read(struct store_image *image, const char *path)
 {
@@ -155,9 +153,7 @@ int store_write(const char *path, const uint8_t *bytes, size_t size)
 	return rc;
 }
 
-/* ---- the thread
- * ----------------------------------------------------------------------------------------------------
- */
+/* ---- the thread -------------------------------------------------------------------------------------------------- */
 
 static void *writer_main(void *arg)
 {

@@ -24,8 +24,8 @@ enum od_type {
 	OD_UNSIGNED32 = 0x07,
 	OD_REAL32 = 0x08,
 	OD_VISIBLE_STRING = 0x09, /* held NUL-padded in a field of od_entry.size bytes */
-	OD_OCTET_STRING = 0x0A,   /* fixed length: od_entry.size bytes */
-	OD_DOMAIN = 0x0F,         /* no value of its own: see od_set_domain() */
+	OD_OCTET_STRING = 0x0A,	  /* fixed length: od_entry.size bytes */
+	OD_DOMAIN = 0x0F,	  /* no value of its own: see od_set_domain() */
 	OD_REAL64 = 0x11,
 	OD_INTEGER64 = 0x15,
 	OD_UNSIGNED64 = 0x1B,
@@ -35,11 +35,12 @@ enum od_type {
 enum {
 	OD_READ = 1 << 0,
 	OD_WRITE = 1 << 1,
-	OD_CONST = 1 << 2,    /* never changes after start-up */
-	OD_TPDO = 1 << 3,     /* mappable into a TPDO */
-	OD_RPDO = 1 << 4,     /* mappable into an RPDO */
-	OD_STORED = 1 << 5,   /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set; or Stored=1 */
-	OD_NODE_ID = 1 << 6,  /* the default value is $NODEID + default */
+	OD_CONST = 1 << 2, /* never changes after start-up */
+	OD_TPDO = 1 << 3,  /* mappable into a TPDO */
+	OD_RPDO = 1 << 4,  /* mappable into an RPDO */
+	OD_STORED =
+		1 << 5, /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set; or Stored=1 */
+	OD_NODE_ID = 1 << 6, /* the default value is $NODEID + default */
 	OD_LIMIT_LOW = 1 << 7,
 	OD_LIMIT_HIGH = 1 << 8,
 };
@@ -55,26 +56,26 @@ enum od_group {
 /** What a request to the dictionary comes to. SDO abort codes and Modbus exceptions are exhaustive switches over it. */
 enum od_status {
 	OD_OK = 0,
-	OD_CONSUMED,          /* from a hook only: a command, carried out; no value is kept. od_write() returns OD_OK */
-	OD_PENDING,           /* accepted, completes later (a store waiting for the disk) */
-	OD_NO_OBJECT,         /* index not in the dictionary */
+	OD_CONSUMED,  /* from a hook only: a command, carried out; no value is kept. od_write() returns OD_OK */
+	OD_PENDING,   /* accepted, completes later (a store waiting for the disk) */
+	OD_NO_OBJECT, /* index not in the dictionary */
 	OD_NO_SUBINDEX,
-	OD_WRITE_ONLY,        /* read of a write-only entry */
-	OD_READ_ONLY,         /* write of a read-only or constant entry */
+	OD_WRITE_ONLY, /* read of a write-only entry */
+	OD_READ_ONLY,  /* write of a read-only or constant entry */
 	OD_UNSUPPORTED_ACCESS,
 	OD_TOO_LONG,
 	OD_TOO_SHORT,
 	OD_TOO_HIGH,
 	OD_TOO_LOW,
-	OD_BAD_VALUE,         /* inside the limits, yet not allowed (NaN, a reserved bit, a bad signature) */
+	OD_BAD_VALUE, /* inside the limits, yet not allowed (NaN, a reserved bit, a bad signature) */
 	OD_NOT_MAPPABLE,
-	OD_PDO_LENGTH,        /* the mapping would exceed 8 bytes */
-	OD_INCOMPATIBLE,      /* parameter incompatibility */
-	OD_CANNOT_STORE,      /* storage failed */
-	OD_LOCAL_CONTROL,     /* refused because of local control */
-	OD_DEVICE_STATE,      /* refused in the present device state */
-	OD_NO_DATA,           /* nothing there to be read yet */
-	OD_GENERAL,           /* internal failure */
+	OD_PDO_LENGTH,	  /* the mapping would exceed 8 bytes */
+	OD_INCOMPATIBLE,  /* parameter incompatibility */
+	OD_CANNOT_STORE,  /* storage failed */
+	OD_LOCAL_CONTROL, /* refused because of local control */
+	OD_DEVICE_STATE,  /* refused in the present device state */
+	OD_NO_DATA,	  /* nothing there to be read yet */
+	OD_GENERAL,	  /* internal failure */
 	OD_STATUS_COUNT
 };
 
@@ -88,14 +89,14 @@ union od_number {
 struct od_entry {
 	uint16_t index;
 	uint8_t sub;
-	uint8_t type;      /* enum od_type */
-	uint16_t access;   /* OD_READ | ... */
-	uint16_t size;     /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
-	uint32_t offset;   /* into the values struct */
+	uint8_t type;		   /* enum od_type */
+	uint16_t access;	   /* OD_READ | ... */
+	uint16_t size;		   /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
+	uint32_t offset;	   /* into the values struct */
 	union od_number low, high; /* valid with OD_LIMIT_LOW, OD_LIMIT_HIGH */
-	double factor;     /* physical = raw * factor at default resolution; 1 when the EDS says nothing */
-	const char *name;  /* "lever_arm.l", normalised from the EDS: lower case, runs of other characters as '_' */
-	const char *unit;  /* "m", or "" */
+	double factor;		   /* physical = raw * factor at default resolution; 1 when the EDS says nothing */
+	const char *name; /* "lever_arm.l", normalised from the EDS: lower case, runs of other characters as '_' */
+	const char *unit; /* "m", or "" */
 	const char *description; /* one line, or "" */
 };
 

@@ -61,9 +61,7 @@ static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t s
 	csv_write(&row, stdout);
 }
 
-/* ---- the run
- * -------------------------------------------------------------------------------------------------------
- */
+/* ---- the run ----------------------------------------------------------------------------------------------------- */
 
 static int fail(int status, const char *why)
 {

@@ -15,7 +15,7 @@
 struct imu_counters {
 	uint32_t samples; /* delivered */
 	uint32_t skipped; /* not delivered: malformed, not finite, time not increasing */
-	uint32_t late;    /* delivered after their time by more than one sampling interval */
+	uint32_t late;	  /* delivered after their time by more than one sampling interval */
 };
 
 struct imu_port;
@@ -30,9 +30,9 @@ struct imu_ops {
 struct imu_port {
 	const struct imu_ops *ops;
 	int fd;
-	double rate_hz;      /* nominal sampling rate of the samples' own time, known when open() returns */
+	double rate_hz;	     /* nominal sampling rate of the samples' own time, known when open() returns */
 	uint64_t silence_us; /* no sample for that long: the sensor has failed */
-	char name[64];  /* "replay:09.imu.csv" */
+	char name[64];	     /* "replay:09.imu.csv" */
 	char last_skip[128]; /* the last skip, for the log: "file:line: what" */
 	struct imu_counters counters;
 };

@@ -53,8 +53,7 @@ static void assert_error_at(int line)
 static void test_objects_are_set_by_name_with_or_without_a_section(void **state)
 {
 	(void)state;
-	assert_int_equal(
-		read_file("lever_arm.l = 0.05\nlever_arm_model = 1\n[lever_arm]\ns = -0.25\n"), 0);
+	assert_int_equal(read_file("lever_arm.l = 0.05\nlever_arm_model = 1\n[lever_arm]\ns = -0.25\n"), 0);
 	config_apply(&config, &od);
 	assert_float_equal(values.lever_arm.l, 0.05, 1e-9);
 	assert_float_equal(values.lever_arm.s, -0.25, 1e-9);
@@ -116,9 +115,8 @@ static void test_a_value_out_of_limits_names_line_and_limits(void **state)
 
 static void test_a_value_that_is_no_number_is_refused(void **state)
 {
-	static const char *const bad[] = {"lever_arm.l = five\n", "lever_arm.l = nan\n",
-		"lever_arm.l = inf\n", "lever_arm.l =\n", "lever_arm.l = 1 m\n",
-		"lever_arm_model = 1.5\n", "lever_arm_model = -1\n"};
+	static const char *const bad[] = {"lever_arm.l = five\n", "lever_arm.l = nan\n", "lever_arm.l = inf\n",
+		"lever_arm.l =\n", "lever_arm.l = 1 m\n", "lever_arm_model = 1.5\n", "lever_arm_model = -1\n"};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
@@ -161,9 +159,8 @@ static void test_a_missing_file_says_so(void **state)
 
 static void test_process_keys_are_checked(void **state)
 {
-	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"},
-		{"node_id", "5x"}, {"node_id", ""}, {"node_id", "-1"}, {"bitrate", "1"},
-		{"realtime", "100"}, {"imu", ""}};
+	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"}, {"node_id", "5x"}, {"node_id", ""},
+		{"node_id", "-1"}, {"bitrate", "1"}, {"realtime", "100"}, {"imu", ""}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)

@@ -9,7 +9,7 @@
 
 #include "gateway/publish.h"
 
-#define RAD(deg) ((deg) * 3.14159265358979323846 / 180)
+#define RAD(deg) ((deg)*3.14159265358979323846 / 180)
 
 static struct od od;
 static struct od_values values;
