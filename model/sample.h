@@ -9,15 +9,15 @@
 #include "model/vec3.h"
 
 enum {
-	SAMPLE_MAG = 1 << 0,           /* mag_uT holds a new measurement */
+	SAMPLE_MAG = 1 << 0,	       /* mag_uT holds a new measurement */
 	SAMPLE_DISCONTINUITY = 1 << 1, /* the motion jumped (a looped replay began anew): start over */
 };
 
 struct imu_sample {
-	uint64_t t_us;            /* time of measurement; any epoch, strictly increasing */
+	uint64_t t_us; /* time of measurement; any epoch, strictly increasing */
 	struct vec3 gyro_rad_s;
-	struct vec3 accel_m_s2;   /* specific force: +g on the axis that points up at rest */
-	struct vec3 mag_uT;       /* only with SAMPLE_MAG */
+	struct vec3 accel_m_s2; /* specific force: +g on the axis that points up at rest */
+	struct vec3 mag_uT;	/* only with SAMPLE_MAG */
 	unsigned flags;
 };
 
