@@ -125,11 +125,12 @@ tsan: ## unit and scenario tests with ThreadSanitizer
 	@$(MAKE) --no-print-directory BUILD=$(BUILD)/tsan SAN="-fsanitize=thread" check
 
 fuzz: ## run each libFuzzer target for FUZZ_SECONDS (needs clang)
-	@$(MAKE) --no-print-directory BUILD=$(BUILD)/fuzz CC=clang \
+	@$(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz CC=clang \
 		SAN="-fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all" fuzzers
 	@for f in $(patsubst $(BUILD)/%,$(BUILD)/fuzz/%,$(FUZZERS)); do \
-		echo "  fuzz    $$f"; mkdir -p $$f.corpus; \
-		$$f -max_total_time=$(FUZZ_SECONDS) -print_final_stats=0 -verbosity=0 -artifact_prefix=$$f. $$f.corpus || exit 1; done
+		echo "  fuzz    $$f"; mkdir -p $$f.corpus; cp eds/imu9-gateway.eds $$f.corpus; \
+		$$f -max_total_time=$(FUZZ_SECONDS) -artifact_prefix=$$f. $$f.corpus >$$f.log 2>&1 || \
+			{ tail -n 40 $$f.log; exit 1; }; done
 
 .PHONY: fuzzers
 fuzzers: $(FUZZERS)
