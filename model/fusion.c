@@ -34,7 +34,7 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 	if (!config_valid(config))
 		return -EINVAL;
 	if (config->algorithm == FUSION_KALMAN && f->config.algorithm != FUSION_KALMAN)
-		fusion_kalman_start(&f->kalman, &config->kalman);
+		fusion_kalman_start(&f->kalman, &config->kalman, 9.8);
 	f->config = *config;
 	return 0;
 }
@@ -82,14 +82,14 @@ static bool direction(struct vec3 v, struct vec3 *unit)
 	return true;
 }
 
-static void start(struct fusion *f, struct vec3 up_b)
+static void start(struct fusion *f, struct vec3 up_b, double force_m_s2)
 {
 	double heading = aerospace_from_quat(f->q_nb).z;
 	double roll = atan2(up_b.y, up_b.z), pitch = atan2(-up_b.x, hypot(up_b.y, up_b.z));
 
 	f->q_nb = quat_from_aerospace((struct vec3){roll, pitch, heading});
 	f->started = true;
-	fusion_kalman_start(&f->kalman, &f->config.kalman);
+	fusion_kalman_start(&f->kalman, &f->config.kalman, force_m_s2);
 }
 
 /* Turns the attitude about the vertical until the measured field, of direction h_n now, points
@@ -180,7 +180,7 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 	if (!f->started) {
 		if (!direction(sample->accel_m_s2, &up))
 			return;
-		start(f, up);
+		start(f, up, vec3_norm(sample->accel_m_s2));
 		field_error(f, sample);
 		return;
 	}

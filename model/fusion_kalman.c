@@ -11,12 +11,12 @@ enum { BIAS = KALMAN_BIAS, VELOCITY = KALMAN_VELOCITY, HEADING = KALMAN_HEADING,
 
 /* Time between two corrections: short against the filter's time constants, long enough to cost little. */
 static const double CORRECTION_S = 0.03;
-/* 1 sigma at the start. */
-static const double START_TILT_RAD = 0.1, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
+/* 1 sigma at the start. A wrong tilt makes the field's heading wrong by more: by the tangent of the dip. */
+static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
 /* No working gyro has more bias than this. */
 static const double MOST_BIAS_RAD_S = 2 * DEG;
 /* White noise of the gyro, rad/s/sqrt(Hz), and what it shows at rest besides (vibration, a hand that is not quite still). */
-static const double GYRO_NOISE = 0.05 * DEG, REST_GYRO_NOISE = 0.05 * DEG;
+static const double GYRO_NOISE = 0.1 * DEG, REST_GYRO_NOISE = 0.05 * DEG;
 /* For how long the gyro's error in motion, and a velocity, keep their sign. */
 static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.3;
 /* The spread of the velocity: its memory, and the least of it as a share of the configured. */
@@ -29,14 +29,17 @@ static const double GAP_S = 0.1;
 static const double LEAST_HORIZONTAL = 1e-3;
 /* Turned by so much, the object sees another error of the field; but slow or still, one may wait only so long for it, and
  * fast, the sensor's lag makes the error last. */
-static const double POSE_RAD = 1, POSE_LEAST_S = 0.3, POSE_MOST_S = 5;
+static const double POSE_RAD = 1, POSE_LEAST_S = 0.5, POSE_MOST_S = 3;
 /* Memory of the field's reference, and of the one that may come in its place: that is taken after it has stayed within
- * the limits for OTHER_FIELD_S of turning at TURNING_RAD_S or faster. */
-static const double REFERENCE_TIME_S = 20, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNING_RAD_S = 20 * DEG;
+ * the limits for OTHER_FIELD_S and attitudes so far apart that their mean rotation matrix has shrunk to this share of its
+ * size (squared; to and fro about one axis by 80 degrees, say). */
+static const double REFERENCE_TIME_S = 20, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNED_SHARE = 0.7;
 /* After a disturbance the field has to be within the limits for so long. */
-static const double UNDISTURBED_S = 0.5;
+static const double UNDISTURBED_S = 0.25;
 /* Share of the disturbance seen in length and dip, squared, that is to be expected in the heading. */
 static const double DISTURBANCE_SHARE = 0.2;
+/* At rest, the field of the first time counts, and one near it by this share of its length. */
+static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
 /* Time in bounds makes up for time in rejection; a field that counts though it is out of bounds counts for less. */
 static const double RECOVERY = 2, REJECTED_WEIGHT = 16;
 
@@ -100,10 +103,13 @@ void fusion_kalman_turn(struct fusion_kalman *k, struct quat turn)
 	forget_gathered(k);
 }
 
-void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+/* At rest the force is as long as gravity, whose length on Earth is 9.8 within half a percent. */
+void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config, double force_m_s2)
 {
+	double tilt = fmin(START_TILT_RAD + fabs(force_m_s2 / 9.8 - 1), 1);
+
 	for (int i = 0; i < HEADING; i++)
-		renew(k, i, squared(START_TILT_RAD));
+		renew(k, i, squared(tilt));
 	renew(k, HEADING, squared(config->heading_sigma_rad));
 	renew_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
@@ -114,7 +120,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 
 void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
-	renew(k, HEADING, squared(config->heading_sigma_rad));
+	renew(k, HEADING, squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0]);
 	k->norm_uT = 0; /* the next field is the reference */
 }
 
@@ -188,28 +194,35 @@ struct field {
 	bool within;	   /* the limits around the reference */
 };
 
-static bool near(double off_norm, double norm, double off_dip, double limit)
+/* The dip is seen only as well as the tilt is known. */
+static bool near(const struct fusion_kalman *k, double off_norm, double norm, double off_dip, double limit)
 {
-	return fabs(off_norm) < limit * norm && fabs(off_dip) < 2 * limit;
+	double tilt = sqrt(k->covariance[0][0] + k->covariance[1][1]);
+
+	return fabs(off_norm) < limit * norm && fabs(off_dip) < 2 * (limit + tilt);
 }
 
 /* Looks for another field that stays the same while the object turns, and takes it for the reference after a while. */
 static void watch_other_field(struct fusion_kalman *k, const struct field *f, double limit)
 {
 	double off_norm = f->norm_uT - k->other_norm_uT, off_dip = f->dip_rad - k->other_dip_rad;
-	double share = fmin(1, k->time_s / OTHER_FIELD_TIME_S);
+	double share = fmin(1, k->time_s / OTHER_FIELD_TIME_S), size = 0;
 
-	if (f->within || !near(off_norm, k->other_norm_uT, off_dip, limit)) {
+	if (f->within || !near(k, off_norm, k->other_norm_uT, off_dip, limit)) {
 		k->other_norm_uT = f->norm_uT;
 		k->other_dip_rad = f->dip_rad;
 		k->other_s = 0;
+		memset(k->other_turn_s, 0, sizeof(k->other_turn_s));
 		return;
 	}
 	k->other_norm_uT += share * off_norm;
 	k->other_dip_rad += share * off_dip;
-	if (f->rate_rad_s > TURNING_RAD_S)
-		k->other_s += k->time_s;
-	if (k->other_s < OTHER_FIELD_S)
+	k->other_s += k->time_s;
+	for (int i = 0; i < 9; i++) {
+		k->other_turn_s[i / 3][i % 3] += k->turn_s[i / 3][i % 3];
+		size += squared(k->other_turn_s[i / 3][i % 3]) / 3;
+	}
+	if (k->other_s < OTHER_FIELD_S || size > TURNED_SHARE * squared(k->other_s))
 		return;
 	k->norm_uT = k->other_norm_uT;
 	k->dip_rad = k->other_dip_rad;
@@ -219,7 +232,7 @@ static void watch_other_field(struct fusion_kalman *k, const struct field *f, do
  * variance, 0: the field does not count. */
 static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
 {
-	double share = fmin(1, k->time_s / REFERENCE_TIME_S);
+	double share;
 
 	watch_other_field(k, f, config->field_limit);
 	if (!f->within) {
@@ -227,6 +240,8 @@ static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_co
 		k->rejected_s = fmin(k->rejected_s + k->time_s, config->rejection_time_s);
 		return k->rejected_s < config->rejection_time_s ? 0 : REJECTED_WEIGHT;
 	}
+	k->reference_s = fmin(k->reference_s + k->time_s, REFERENCE_TIME_S);
+	share = fmin(1, k->time_s / k->reference_s);
 	k->norm_uT += share * f->off_norm_uT;
 	k->dip_rad += share * f->off_dip_rad;
 	k->undisturbed_s += k->time_s;
@@ -234,11 +249,28 @@ static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_co
 	return k->undisturbed_s < UNDISTURBED_S ? 0 : 1;
 }
 
-static bool measure_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config, double *error)
+/* An object at rest sees the same field as long as nobody moves a magnet. */
+static bool field_moved_at_rest(struct fusion_kalman *k, struct vec3 field_n_uT, bool rest)
+{
+	if (!rest) {
+		k->still_s = 0;
+		return false;
+	}
+	if (k->still_s < STILL_FIELD_S) {
+		k->still_s += k->time_s;
+		k->still_field_n_uT = vec3_add(k->still_field_n_uT,
+			vec3_scale(fmin(1, k->time_s / k->still_s), vec3_sub(field_n_uT, k->still_field_n_uT)));
+	}
+	return vec3_norm(vec3_sub(field_n_uT, k->still_field_n_uT)) > STILL_FIELD_SHARE * k->norm_uT;
+}
+
+static bool measure_heading(
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, bool rest, double *error)
 {
 	struct vec3 m = vec3_scale(1.0 / k->fields, k->field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
-	double factor, disturbance, pose_s;
+	double factor, variance = squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0],
+		       pose_s;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT))
 		return false;
@@ -247,20 +279,19 @@ static bool measure_heading(struct fusion_kalman *k, const struct fusion_kalman_
 		k->norm_uT = f.norm_uT;
 		k->dip_rad = f.dip_rad;
 		k->undisturbed_s = UNDISTURBED_S;
-		k->rejected_s = 0;
+		k->reference_s = k->rejected_s = 0;
 	}
 	f.off_norm_uT = f.norm_uT - k->norm_uT;
 	f.off_dip_rad = f.dip_rad - k->dip_rad;
-	f.within = near(f.off_norm_uT, k->norm_uT, f.off_dip_rad, config->field_limit);
+	f.within = near(k, f.off_norm_uT, k->norm_uT, f.off_dip_rad, config->field_limit);
 	f.rate_rad_s = sqrt(k->turned_rad2_s / k->time_s);
 	factor = judge_field(k, config, &f);
-	if (factor == 0)
+	if (field_moved_at_rest(k, m, rest) || factor == 0)
 		return false;
-	disturbance = DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
-		      squared(f.horizontal_uT);
+	variance += DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
+		    squared(f.horizontal_uT);
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
-	measure(k, error, HEADING, atan2(m.x, m.y),
-		factor * 2 * pose_s / k->time_s * (squared(config->heading_sigma_rad) + disturbance));
+	measure(k, error, HEADING, atan2(m.x, m.y), factor * 2 * pose_s / k->time_s * variance);
 	return true;
 }
 
@@ -283,10 +314,10 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	measure_velocity(k, config, lever_n_m_s, rest, error);
 	if (rest)
 		measure_bias(k, *bias, error);
-	field_used = k->fields > 0 && measure_heading(k, config, error);
+	field_used = k->fields > 0 && measure_heading(k, config, rest, error);
 	if (!sound(k)) {
 		fusion_kalman_forget_bias(k);
-		fusion_kalman_start(k, config);
+		fusion_kalman_start(k, config, 0);
 		return false;
 	}
 	*q_nb = quat_normalize(

@@ -11,7 +11,7 @@
  *   acceleration.
  * - Heading: that of the field, doubted by how far length and dip are off their reference: what is seen to be disturbed
  *   along two axes is so along the third. Beyond the limits it is left out, until another field stayed the same
- *   through a while of turning (a magnet nearby does not), or too long a time has passed. An object that does not turn
+ *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed. An object that does not turn
  *   sees the same error again and again: little is learnt from that.
  * - Gyro bias: learnt from tilt and heading in motion, from the gyro itself at rest.
  *
@@ -39,7 +39,7 @@ struct fusion_kalman_config {
 #define FUSION_KALMAN_DEFAULTS                                                                                     \
 	{                                                                                                          \
 		.velocity_sigma_m_s = 1, .heading_sigma_rad = 3 * 0.0174532925199433, .field_limit = 0.1,          \
-		.rejection_time_s = 60, .gyro_error = 0.002, .bias_walk_rad_s_sqrt_s = 0.003 * 0.0174532925199433, \
+		.rejection_time_s = 60, .gyro_error = 0.002, .bias_walk_rad_s_sqrt_s = 0.005 * 0.0174532925199433, \
 	}
 
 /* errors of attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object) */
@@ -56,14 +56,17 @@ struct fusion_kalman {
 	struct vec3 force_n_m_s, gyro_b_rad, field_n_uT;
 	int fields;
 	/* the field, x its length, y its dip: the reference, and what may become it */
-	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s;
-	double undisturbed_s, rejected_s;
+	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s, other_turn_s[3][3];
+	struct vec3 still_field_n_uT; /* since the beginning of a rest */
+	double still_s;
+	double reference_s, undisturbed_s, rejected_s;
 };
 
 /** 0, or -EINVAL: a field out of its range. */
 int fusion_kalman_check(const struct fusion_kalman_config *config);
-/** A new attitude, the gyro's bias as known as before; the very first time, zero the struct. */
-void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** A new attitude, its tilt that of a force of this length; the gyro's bias as known as before. The very first time,
+ * zero the struct. */
+void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config, double force_m_s2);
 /** The heading was set by the field. */
 void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 /** Nothing is known of the bias. */

@@ -1,0 +1,480 @@
+/* The Kalman filter of the attitude on simulated sensors, whose motion is known. */
+#include "model_test.h"
+
+#include "model/fusion.h"
+#include "model/rotation.h"
+#include "model/sensor.h"
+
+static const double G = 9.81;
+static const struct vec3 FIELD_N = {0, 20, -45}; /* magnetic north, dipping, micro-tesla */
+static const struct fusion_config NINE_AXES = {
+	.algorithm = FUSION_KALMAN,
+	.use_magnetometer = 1,
+	.madgwick_beta = 0.041,
+	.mahony_kp_rad_s = 0.3,
+	.kalman = FUSION_KALMAN_DEFAULTS,
+};
+
+static struct fusion_config six_axes(void)
+{
+	struct fusion_config config = NINE_AXES;
+
+	config.use_magnetometer = 0;
+	return config;
+}
+
+static struct fusion fusion(struct fusion_config config)
+{
+	struct fusion f;
+
+	assert_int_equal(fusion_init(&f, &config), 0);
+	return f;
+}
+
+/* A motion that turns about all axes while its reference point swings: what sensors at `arm` measure of it. */
+struct moment {
+	struct quat q_nb;
+	struct imu_sample sample;
+};
+
+static struct moment swinging(double t, double size, struct vec3 arm)
+{
+	struct vec3 angle = {0.8 * size * sin(1.3 * t), 0.6 * size * sin(2.1 * t), 1.5 * size * sin(0.7 * t)};
+	struct vec3 rate = {1.04 * size * cos(1.3 * t), 1.26 * size * cos(2.1 * t), 1.05 * size * cos(0.7 * t)};
+	struct vec3 accel = vec3_scale(size > 0, (struct vec3){2 * sin(5 * t), 1.5 * cos(4 * t), sin(6 * t)});
+	struct quat z = quat_from_rotation_vector((struct vec3){0, 0, angle.z});
+	struct quat y = quat_from_rotation_vector((struct vec3){0, angle.y, 0});
+	struct quat x = quat_from_rotation_vector((struct vec3){angle.x, 0, 0});
+	struct quat yx = quat_multiply(y, x);
+	struct moment m = {.q_nb = quat_multiply(z, yx)};
+	struct vec3 omega =
+		vec3_add(vec3_add((struct vec3){rate.x, 0, 0}, quat_rotate_inverse(x, (struct vec3){0, rate.y, 0})),
+			quat_rotate_inverse(yx, (struct vec3){0, 0, rate.z}));
+
+	m.sample = (struct imu_sample){
+		.gyro_rad_s = omega,
+		.accel_m_s2 = vec3_add(quat_rotate_inverse(m.q_nb, vec3_add(accel, (struct vec3){0, 0, G})),
+			vec3_cross(omega, vec3_cross(omega, arm))),
+		.mag_uT = quat_rotate_inverse(m.q_nb, FIELD_N),
+		.flags = SAMPLE_MAG,
+	};
+	return m;
+}
+
+/* The same with the exact angular acceleration over the lever arm. */
+static struct moment swinging_over(double t, double size, struct vec3 arm)
+{
+	struct vec3 before = swinging(t - 1e-5, size, arm).sample.gyro_rad_s;
+	struct vec3 after = swinging(t + 1e-5, size, arm).sample.gyro_rad_s;
+	struct moment m = swinging(t, size, arm);
+
+	m.sample.accel_m_s2 = vec3_add(m.sample.accel_m_s2, vec3_cross(vec3_scale(5e4, vec3_sub(after, before)), arm));
+	return m;
+}
+
+/* What is done to the samples. */
+struct errors {
+	struct vec3 gyro_bias, magnet_b, arm;
+	double magnet_from_s, magnet_to_s, no_field_from_s, rate_hz, rest_from_s;
+};
+
+struct result {
+	double tilt_rad, heading_rad; /* RMS since the second half began */
+	int fields;		      /* corrections in it that the field took part in */
+	struct quat truth;	      /* at the end */
+};
+
+static struct vec3 up_of(struct quat q)
+{
+	return quat_rotate_inverse(q, (struct vec3){0, 0, 1});
+}
+
+/* From t = 0 to `end_s` in steady time steps, at rest after rest_from_s. */
+static struct result follow(struct fusion *f, const struct errors *e, double size, double end_s)
+{
+	double dt_s = 1 / (e->rate_hz > 0 ? e->rate_hz : 200), tilt = 0, heading = 0;
+	int n = (int)lround(end_s / dt_s), counted = 0;
+	struct result r = {.tilt_rad = 0};
+
+	for (int k = 0; k < n; k++) {
+		double t = k * dt_s;
+		bool rest = e->rest_from_s > 0 && t > e->rest_from_s;
+		/* the rate in the middle of the step, so that the gyro of one step is its turn */
+		struct moment m = swinging_over(rest ? 0.3 : t, rest ? 0 : size, e->arm);
+		struct vec3 error_n;
+
+		if (!rest)
+			m.sample.gyro_rad_s = swinging(t - dt_s / 2, size, e->arm).sample.gyro_rad_s;
+		else
+			fusion_learn_bias(f, vec3_add(m.sample.gyro_rad_s, e->gyro_bias), dt_s);
+		m.sample.gyro_rad_s = vec3_add(m.sample.gyro_rad_s, e->gyro_bias);
+		if (t >= e->magnet_from_s && t < e->magnet_to_s)
+			m.sample.mag_uT = vec3_add(m.sample.mag_uT, e->magnet_b);
+		if (e->no_field_from_s > 0 && t > e->no_field_from_s)
+			m.sample.flags = 0;
+		fusion_step(f, &m.sample, dt_s);
+		r.truth = m.q_nb;
+		if (k < n / 2)
+			continue;
+		r.fields += fusion_mag_used(f);
+		error_n = quat_rotate(f->q_nb, quat_rotate_inverse(m.q_nb, (struct vec3){0, 1, 0}));
+		heading += pow(atan2(error_n.x, error_n.y), 2);
+		tilt += pow(acos(fmin(1, vec3_dot(up_of(f->q_nb), up_of(m.q_nb)))), 2);
+		counted++;
+	}
+	r.tilt_rad = sqrt(tilt / counted);
+	r.heading_rad = sqrt(heading / counted);
+	return r;
+}
+
+static void test_a_moving_body_is_followed_within_half_a_degree(void **state)
+{
+	struct errors e = {.rate_hz = 0};
+	struct fusion f = fusion(NINE_AXES);
+	struct result r = follow(&f, &e, 1, 60);
+
+	(void)state;
+	assert_true(r.tilt_rad < 0.3 * DEG);
+	assert_true(r.heading_rad < 0.5 * DEG);
+}
+
+static void test_it_does_so_at_any_rate_of_samples(void **state)
+{
+	const double rates_hz[] = {50, 100, 286, 1000};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct errors e = {.rate_hz = rates_hz[i]};
+		struct fusion f = fusion(NINE_AXES);
+		struct result r = follow(&f, &e, 1, 40);
+
+		assert_true(r.tilt_rad < 0.5 * DEG);
+		assert_true(r.heading_rad < 1 * DEG);
+	}
+}
+
+static void test_a_wrong_start_is_forgotten(void **state)
+{
+	struct errors e = {.rate_hz = 0};
+	struct fusion f = fusion(NINE_AXES);
+	struct quat off = quat_from_rotation_vector((struct vec3){0.5, -0.3, 0.6});
+	struct result r;
+
+	(void)state;
+	follow(&f, &e, 1, 0.02);
+	f.q_nb = quat_multiply(off, f.q_nb);
+	r = follow(&f, &e, 1, 60);
+	assert_true(r.tilt_rad < 0.5 * DEG);
+	assert_quat_near(f.q_nb, r.truth, 2 * DEG);
+}
+
+static void test_the_bias_is_learnt_at_rest_within_seconds(void **state)
+{
+	struct errors e = {.gyro_bias = {0.01, -0.02, 0.015}, .rest_from_s = 1e-9};
+	struct fusion f = fusion(six_axes());
+
+	(void)state;
+	follow(&f, &e, 0, 5);
+	assert_vec_near(f.gyro_bias_b_rad_s, e.gyro_bias, 1e-4);
+}
+
+static void test_the_bias_is_learnt_in_motion(void **state)
+{
+	struct errors e = {.gyro_bias = {0.01, -0.01, 0.008}};
+	struct fusion nine = fusion(NINE_AXES), six = fusion(six_axes());
+
+	(void)state;
+	follow(&nine, &e, 1, 120);
+	assert_vec_near(nine.gyro_bias_b_rad_s, e.gyro_bias, 1e-3);
+	follow(&six, &e, 1, 120); /* the body tilts, so all of it shows without a magnetometer, too */
+	assert_vec_near(six.gyro_bias_b_rad_s, e.gyro_bias, 2e-3);
+}
+
+static void test_the_bias_learnt_stays_below_what_any_gyro_has(void **state)
+{
+	struct errors e = {.gyro_bias = {0.3, 0.3, 0}};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	follow(&f, &e, 0, 20);
+	assert_true(vec3_norm(f.gyro_bias_b_rad_s) < 2.01 * DEG);
+}
+
+static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
+{
+	const struct vec3 magnets_b[] = {{15, 0, 0}, {0, -30, 20}, {100, 100, 0}};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct errors e = {.magnet_b = magnets_b[i], .magnet_from_s = 40, .magnet_to_s = 60};
+		struct fusion f = fusion(NINE_AXES), madgwick = fusion(NINE_AXES);
+
+		double turned = follow(&f, &e, 1, 60).heading_rad;
+
+		madgwick.config.algorithm = FUSION_MADGWICK;
+		assert_true(turned < 4 * DEG);
+		assert_true(turned < 0.8 * follow(&madgwick, &e, 1, 60).heading_rad);
+	}
+}
+
+static void test_a_magnet_beside_a_still_object_does_not_turn_its_heading(void **state)
+{
+	struct errors e = {.magnet_b = {20, -10, 5}, .magnet_from_s = 20, .magnet_to_s = 60, .rest_from_s = 1e-9};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	assert_true(follow(&f, &e, 0, 60).heading_rad < 0.1 * DEG);
+	assert_false(fusion_mag_used(&f));
+}
+
+/* Another hall, whose field is weaker and dips less, from t = 20 s on: the magnet turns with the world. */
+static void test_another_homogeneous_field_is_taken_up_after_a_while_of_turning(void **state)
+{
+	struct fusion f = fusion(NINE_AXES);
+	int used = 0;
+
+	(void)state;
+	for (int k = 0; k < 200 * 80; k++) {
+		double t = k / 200.0;
+		struct moment m = swinging(t, 1, (struct vec3){0, 0, 0});
+
+		if (t > 20)
+			m.sample.mag_uT = quat_rotate_inverse(m.q_nb, (struct vec3){0, 18, -20});
+		fusion_step(&f, &m.sample, 1.0 / 200);
+		if (t > 22 && t < 38)
+			assert_false(fusion_mag_used(&f));
+		if (t > 60)
+			used += fusion_mag_used(&f);
+	}
+	assert_true(used > 500);
+}
+
+static void test_a_field_disturbed_for_longer_than_the_rejection_time_counts_for_a_little(void **state)
+{
+	struct errors e = {.magnet_b = {100, 100, 0}, .magnet_from_s = 1, .magnet_to_s = 1e9};
+	struct fusion_config config = NINE_AXES;
+	struct fusion patient = fusion(config), impatient;
+
+	(void)state;
+	config.kalman.rejection_time_s = 10;
+	impatient = fusion(config);
+	assert_int_equal(follow(&patient, &e, 1, 30).fields, 0);
+	assert_true(follow(&impatient, &e, 1, 30).fields > 100);
+}
+
+static void test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only_drifts(void **state)
+{
+	struct errors e = {.rate_hz = 0};
+	struct fusion f = fusion(six_axes());
+	struct result r = follow(&f, &e, 1, 60);
+
+	(void)state;
+	assert_true(r.tilt_rad < 0.3 * DEG);
+	assert_true(r.heading_rad < 3 * DEG);
+}
+
+static void test_a_field_lost_leaves_the_heading_to_the_gyro(void **state)
+{
+	struct errors e = {.no_field_from_s = 30};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	assert_true(follow(&f, &e, 1, 60).heading_rad < 1 * DEG);
+	assert_false(fusion_mag_used(&f));
+}
+
+static void test_a_start_in_motion_finds_the_attitude(void **state)
+{
+	(void)state;
+	for (double start_s = 0; start_s < 5; start_s += 0.3) {
+		struct fusion f = fusion(NINE_AXES);
+
+		for (int k = 0; k < 200 * 20; k++) {
+			struct moment m = swinging(start_s + k / 200.0, 1.5, (struct vec3){0, 0, 0});
+
+			m.sample.gyro_rad_s =
+				swinging(start_s + (k - 0.5) / 200, 1.5, (struct vec3){0, 0, 0}).sample.gyro_rad_s;
+			fusion_step(&f, &m.sample, 1.0 / 200);
+			if (k > 200 * 15)
+				assert_quat_near(f.q_nb, m.q_nb, 3 * DEG);
+		}
+	}
+}
+
+/* 20 cm from the reference point, the accelerometer sees the robot's turning as acceleration. */
+static void test_a_lever_arm_taken_into_account_saves_a_third_of_the_tilt_error(void **state)
+{
+	struct errors e = {.arm = {0.2, -0.1, 0.1}};
+	struct fusion_config config = NINE_AXES;
+	struct fusion without = fusion(config), with;
+	double ignored = follow(&without, &e, 1.5, 60).tilt_rad, heeded;
+
+	(void)state;
+	config.lever_arm_b_m = e.arm;
+	with = fusion(config);
+	heeded = follow(&with, &e, 1.5, 60).tilt_rad;
+	assert_true(heeded < 0.7 * ignored);
+}
+
+static void test_a_new_lever_arm_makes_the_attitude_no_jump(void **state)
+{
+	struct errors e = {.rate_hz = 0};
+	struct fusion_config config = NINE_AXES;
+	struct fusion old = fusion(config), new;
+
+	(void)state;
+	follow(&old, &e, 1, 20);
+	new = old;
+	config.lever_arm_b_m = (struct vec3){5, -3, 2};
+	assert_int_equal(fusion_configure(&new, &config), 0);
+	for (int k = 0; k < 10; k++) {
+		struct moment m = swinging(20, 1, (struct vec3){0, 0, 0});
+
+		fusion_step(&old, &m.sample, 0.005);
+		fusion_step(&new, &m.sample, 0.005);
+		assert_quat_near(new.q_nb, old.q_nb, k < 6 ? 1e-4 : 1e-2);
+	}
+}
+
+static void test_switching_to_it_and_away_keeps_attitude_and_bias(void **state)
+{
+	struct errors e = {.gyro_bias = {0.01, -0.02, 0.015}, .rest_from_s = 1e-9};
+	struct fusion_config madgwick = NINE_AXES;
+	struct fusion f = fusion(NINE_AXES);
+	struct fusion before;
+
+	(void)state;
+	follow(&f, &e, 0, 10);
+	before = f;
+	madgwick.algorithm = FUSION_MADGWICK;
+	assert_int_equal(fusion_configure(&f, &madgwick), 0);
+	assert_int_equal(fusion_configure(&f, &NINE_AXES), 0);
+	assert_quat_near(f.q_nb, before.q_nb, 1e-7);
+	assert_vec_near(f.gyro_bias_b_rad_s, before.gyro_bias_b_rad_s, 0);
+	assert_true(follow(&f, &e, 0, 10).tilt_rad < 0.1 * DEG);
+}
+
+static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
+{
+	struct errors e = {.rate_hz = 0};
+	struct fusion f = fusion(NINE_AXES);
+	struct moment m = swinging(0.1, 1, (struct vec3){0, 0, 0});
+
+	(void)state;
+	follow(&f, &e, 1, 20);
+	fusion_step(&f, &m.sample, 0.7); /* whatever happened meanwhile */
+	assert_true(follow(&f, &e, 1, 40).tilt_rad < 0.5 * DEG);
+	assert_true(vec3_norm(f.gyro_bias_b_rad_s) < 3e-3);
+}
+
+static void test_measurements_without_sense_are_survived(void **state)
+{
+	struct fusion f = fusion(NINE_AXES);
+	struct errors e = {.rate_hz = 0};
+
+	(void)state;
+	follow(&f, &e, 1, 5);
+	for (int k = 0; k < 1000; k++) {
+		struct imu_sample s = {
+			.gyro_rad_s = any_vec(1000),
+			.accel_m_s2 = k % 3 ? any_vec(1e5) : (struct vec3){NAN, 0, INFINITY},
+			.mag_uT = k % 5 ? any_vec(1e6) : (struct vec3){0, 0, 0},
+			.flags = k % 2 ? SAMPLE_MAG : 0,
+		};
+
+		fusion_step(&f, &s, 0.005);
+		assert_near(quat_apart_rad(f.q_nb, f.q_nb), 0, 1e-6);
+		assert_true(vec3_finite(f.gyro_bias_b_rad_s));
+	}
+	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * DEG);
+}
+
+static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree(void **state)
+{
+	(void)state;
+	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
+		struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+		struct fusion f = fusion(NINE_AXES);
+		const int n = 60 * 100;
+		struct sensor sensor;
+		double sum = 0;
+
+		sensor_calibrate(&config);
+		assert_int_equal(sensor_init(&sensor, &config, 1), 0);
+		for (int k = 0; k < n; k++) {
+			struct signal_truth truth;
+			struct imu_sample s;
+			double off;
+
+			sensor_next(&sensor, signal, &s, &truth);
+			fusion_step(&f, &s, 1 / config.rate_hz);
+			off = acos(fmin(1, vec3_dot(up_of(f.q_nb), up_of(truth.q_nb))));
+			sum += k >= n / 2 ? off * off / (n - n / 2) : 0;
+		}
+		assert_true(sqrt(sum) < 0.5 * DEG);
+	}
+}
+
+static void test_the_delay_shows_the_attitude_ahead_by_the_rate(void **state)
+{
+	struct fusion_config config = NINE_AXES;
+	struct errors e = {.rate_hz = 0};
+	struct fusion f;
+
+	(void)state;
+	config.delay_s = 0.01;
+	f = fusion(config);
+	follow(&f, &e, 0, 1);
+	assert_quat_near(fusion_attitude_now(&f, vec3_add(f.gyro_bias_b_rad_s, (struct vec3){1, 0, 0})),
+		quat_multiply(f.q_nb, quat_from_rotation_vector((struct vec3){0.01, 0, 0})), 1e-9);
+}
+
+static void test_a_configuration_out_of_range_is_refused(void **state)
+{
+	struct fusion_config bad[9];
+	struct fusion f;
+
+	(void)state;
+	for (int i = 0; i < 9; i++)
+		bad[i] = NINE_AXES;
+	bad[0].kalman.velocity_sigma_m_s = 0;
+	bad[1].kalman.heading_sigma_rad = 2;
+	bad[2].kalman.field_limit = NAN;
+	bad[3].kalman.rejection_time_s = -1;
+	bad[4].kalman.gyro_error = 0.2;
+	bad[5].kalman.bias_walk_rad_s_sqrt_s = INFINITY;
+	bad[6].delay_s = 0.2;
+	bad[7].lever_arm_b_m.x = NAN;
+	bad[8].algorithm = (enum fusion_algorithm)3;
+	for (int i = 0; i < 9; i++)
+		assert_int_equal(fusion_init(&f, &bad[i]), -EINVAL);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_moving_body_is_followed_within_half_a_degree),
+		cmocka_unit_test(test_it_does_so_at_any_rate_of_samples),
+		cmocka_unit_test(test_a_wrong_start_is_forgotten),
+		cmocka_unit_test(test_the_bias_is_learnt_at_rest_within_seconds),
+		cmocka_unit_test(test_the_bias_is_learnt_in_motion),
+		cmocka_unit_test(test_the_bias_learnt_stays_below_what_any_gyro_has),
+		cmocka_unit_test(test_a_magnet_for_20_seconds_does_not_turn_the_heading),
+		cmocka_unit_test(test_a_magnet_beside_a_still_object_does_not_turn_its_heading),
+		cmocka_unit_test(test_another_homogeneous_field_is_taken_up_after_a_while_of_turning),
+		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_for_a_little),
+		cmocka_unit_test(test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only_drifts),
+		cmocka_unit_test(test_a_field_lost_leaves_the_heading_to_the_gyro),
+		cmocka_unit_test(test_a_start_in_motion_finds_the_attitude),
+		cmocka_unit_test(test_a_lever_arm_taken_into_account_saves_a_third_of_the_tilt_error),
+		cmocka_unit_test(test_a_new_lever_arm_makes_the_attitude_no_jump),
+		cmocka_unit_test(test_switching_to_it_and_away_keeps_attitude_and_bias),
+		cmocka_unit_test(test_after_a_gap_attitude_and_bias_are_found_again),
+		cmocka_unit_test(test_measurements_without_sense_are_survived),
+		cmocka_unit_test(test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree),
+		cmocka_unit_test(test_the_delay_shows_the_attitude_ahead_by_the_rate),
+		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
