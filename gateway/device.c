@@ -289,6 +289,8 @@ static void watch_bus_state(struct device *d)
 			? "error passive (is another node on the bus? cable, termination, bit rate)"
 		: state == CAN_STATE_BUS_OFF ? "bus-off"
 					     : "down (ip link set up?)");
+	if (state == CAN_STATE_BUS_OFF)
+		canopen_bus_off(&d->canopen, d->now_us);
 	if (state == CAN_STATE_PASSIVE)
 		canopen_error_set(&d->canopen, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, d->now_us);
 	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)

@@ -1,7 +1,8 @@
 /* gateway/canopen/canopen.h
  * A CANopen device (CiA 301 V4.2) as a passive core: frames and time go in, frames come out through the CAN port. It
  * never reads a clock, sleeps, allocates or touches a file, so the same code runs in the daemon and, in simulated time,
- * in the scenario tests. One file a service: nmt.c, sdo_server.c, pdo.c, sync.c, emcy.c, store.c (1010h/1011h).
+ * in the scenario tests. One file a service: nmt.c, heartbeat.c (1016h), guard.c, sdo_server.c, pdo.c, sync.c, emcy.c,
+ * store.c (1010h/1011h).
  *
  * Use: canopen_init(), canopen_start(), then canopen_receive() for each frame, canopen_tick() whenever the deadline it
  * returned has come, canopen_sample() after each new sample was published in the dictionary. */
@@ -58,6 +59,9 @@ void canopen_error_set(
 	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us);
 /** The error is over: when it was the last, EMCY 0000h. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
+
+/** The bus went off: NMT acts as 1029h says. EMCY 8140h is the device's to raise when it is back. */
+void canopen_bus_off(struct canopen_node *node, uint64_t now_us);
 
 /** Ends a store or restore that answered OD_PENDING. */
 void canopen_store_done(struct canopen_node *node, enum od_status status, uint64_t now_us);

@@ -82,18 +82,18 @@ static void update_register(struct emcy *emcy)
 }
 
 /* Index of a standing error, or error_count. */
-static size_t find_error(const struct emcy *emcy, uint16_t code)
+static size_t find_error(const struct emcy *emcy, uint16_t code, uint8_t source)
 {
 	size_t i = 0;
 
-	while (i < emcy->error_count && emcy->errors[i].code != code)
+	while (i < emcy->error_count && (emcy->errors[i].code != code || emcy->errors[i].source != source))
 		i++;
 	return i;
 }
 
-static bool remove_error(struct emcy *emcy, uint16_t code)
+static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 {
-	size_t i = find_error(emcy, code);
+	size_t i = find_error(emcy, code, source);
 
 	if (i == emcy->error_count)
 		return false;
@@ -115,8 +115,10 @@ void emcy_reset(struct canopen_node *node, enum od_group group)
 		update_register(emcy);
 		clear_history(emcy);
 	} else {
-		remove_error(emcy, EMCY_DATA_SET);
-		remove_error(emcy, EMCY_SYNC_LENGTH);
+		remove_error(emcy, EMCY_DATA_SET, EMCY_NO_SOURCE);
+		remove_error(emcy, EMCY_SYNC_LENGTH, EMCY_NO_SOURCE);
+		for (unsigned source = 0; source <= 127; source++)
+			remove_error(emcy, EMCY_HEARTBEAT, (uint8_t)source);
 	}
 }
 
@@ -147,7 +149,7 @@ static void drop_oldest(struct emcy *emcy)
 	memmove(&emcy->queue[0], &emcy->queue[1], emcy->queue_count * sizeof(emcy->queue[0]));
 }
 
-static void enqueue(struct emcy *emcy, uint16_t code, const uint8_t *info)
+static void enqueue(struct emcy *emcy, uint16_t code, uint8_t source, const uint8_t info[5])
 {
 	struct emcy_message *message;
 
@@ -157,6 +159,7 @@ static void enqueue(struct emcy *emcy, uint16_t code, const uint8_t *info)
 	}
 	message = &emcy->queue[emcy->queue_count++];
 	message->code = code;
+	message->source = source;
 	put_u16(message->data, code);
 	message->data[2] = *emcy->error_register;
 	memcpy(message->data + 3, info, 5);
@@ -178,6 +181,11 @@ uint64_t emcy_tick(struct canopen_node *node)
 	return UINT64_MAX;
 }
 
+static bool stands(const struct emcy *emcy, const struct emcy_message *message)
+{
+	return find_error(emcy, message->code, message->source) < emcy->error_count;
+}
+
 /* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA 301, 7.3.2.2.4); or,
  * when no error stands any more, that all is over. */
 void emcy_leave_stopped(struct canopen_node *node)
@@ -185,7 +193,7 @@ void emcy_leave_stopped(struct canopen_node *node)
 	struct emcy *emcy = &node->emcy;
 	size_t i = emcy->queue_count;
 
-	while (i > 0 && find_error(emcy, emcy->queue[i - 1].code) == emcy->error_count)
+	while (i > 0 && !stands(emcy, &emcy->queue[i - 1]))
 		i--;
 	if (i == 0 && emcy->error_count == 0)
 		i = emcy->queue_count;
@@ -194,35 +202,53 @@ void emcy_leave_stopped(struct canopen_node *node)
 	emcy->queue_count = i > 0 ? 1 : 0;
 }
 
-void canopen_error_set(
-	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us)
+static void set_error(
+	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5])
 {
-	static const uint8_t no_info[5];
 	struct emcy *emcy = &node->emcy;
 
-	node->now_us = now_us;
-	if (find_error(emcy, code) < emcy->error_count)
+	if (find_error(emcy, code, source) < emcy->error_count)
 		return;
 	if (emcy->error_count == EMCY_ERRORS) {
 		emcy->lost++;
 		return;
 	}
 	emcy->errors[emcy->error_count].code = code;
+	emcy->errors[emcy->error_count].source = source;
 	emcy->errors[emcy->error_count].bits = register_bits;
 	emcy->error_count++;
 	update_register(emcy);
-	record(emcy, code, info ? info : no_info);
-	enqueue(emcy, code, info ? info : no_info);
+	record(emcy, code, info);
+	enqueue(emcy, code, source, info);
 	emcy_tick(node);
 }
 
-void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us)
+void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits)
+{
+	set_error(node, code, source, register_bits, (const uint8_t[5]){source});
+}
+
+void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
+{
+	static const uint8_t no_info[5];
+
+	if (!remove_error(&node->emcy, code, source) || node->emcy.error_count)
+		return;
+	enqueue(&node->emcy, EMCY_NO_ERROR, EMCY_NO_SOURCE, no_info);
+	emcy_tick(node);
+}
+
+void canopen_error_set(
+	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us)
 {
 	static const uint8_t no_info[5];
 
 	node->now_us = now_us;
-	if (!remove_error(&node->emcy, code) || node->emcy.error_count)
-		return;
-	enqueue(&node->emcy, EMCY_NO_ERROR, no_info);
-	emcy_tick(node);
+	set_error(node, code, EMCY_NO_SOURCE, register_bits, info ? info : no_info);
+}
+
+void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us)
+{
+	node->now_us = now_us;
+	emcy_clear(node, code, EMCY_NO_SOURCE);
 }

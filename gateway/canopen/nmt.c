@@ -1,4 +1,4 @@
-/* NMT slave and heartbeat producer (CiA 301, 7.2.8 and 7.3.2). */
+/* NMT slave and heartbeat producer (CiA 301, 7.2.8 and 7.3.2), start-up 1F80h (CiA 302-2), error behaviour 1029h. */
 #include "gateway/canopen/service.h"
 
 enum nmt_command {
@@ -9,9 +9,30 @@ enum nmt_command {
 	NMT_RESET_COMMUNICATION = 130,
 };
 
+/* Bits of 1F80h. */
+enum { STARTUP_BY_MASTER = 1 << 2 };
+
+/* Values of 1029h:1. */
+enum { ON_ERROR_PRE_OPERATIONAL = 0, ON_ERROR_STOP = 2 };
+
+/* The other bits of 1F80h are those of a master. */
+static enum od_status before_startup(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	(void)ctx;
+	(void)entry;
+	(void)size;
+	return get_u32(wire) & ~(uint32_t)STARTUP_BY_MASTER ? OD_BAD_VALUE : OD_OK;
+}
+
 void nmt_init(struct canopen_node *node)
 {
-	node->nmt.heartbeat_ms = node_value(node, 0x1017, 0, sizeof(uint16_t));
+	struct nmt *nmt = &node->nmt;
+
+	nmt->heartbeat_ms = node_value(node, 0x1017, 0, sizeof(uint16_t));
+	nmt->error_behaviour = node_value(node, 0x1029, 1, sizeof(uint8_t));
+	nmt->startup = od_value(node->od, 0x1F80, 0, sizeof(uint32_t));
+	nmt->hook = (struct od_hook){.first = 0x1F80, .last = 0x1F80, .before = before_startup, .ctx = node};
+	od_attach(node->od, &nmt->hook);
 }
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node)
@@ -39,6 +60,30 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 		pdo_start(node);
 	if (old == NMT_STOPPED && nmt_communicates(node))
 		emcy_leave_stopped(node);
+}
+
+void nmt_start_up(struct canopen_node *node)
+{
+	if (node->nmt.startup && !(*node->nmt.startup & STARTUP_BY_MASTER))
+		nmt_enter(node, NMT_OPERATIONAL);
+}
+
+void nmt_communication_error(struct canopen_node *node)
+{
+	uint8_t behaviour = *node->nmt.error_behaviour;
+
+	if (node->nmt.state == NMT_INITIALISING)
+		return;
+	if (behaviour == ON_ERROR_STOP)
+		nmt_enter(node, NMT_STOPPED);
+	else if (behaviour == ON_ERROR_PRE_OPERATIONAL && node->nmt.state == NMT_OPERATIONAL)
+		nmt_enter(node, NMT_PRE_OPERATIONAL);
+}
+
+void canopen_bus_off(struct canopen_node *node, uint64_t now_us)
+{
+	node->now_us = now_us;
+	nmt_communication_error(node);
 }
 
 void nmt_receive(struct canopen_node *node, const struct can_msg *msg)

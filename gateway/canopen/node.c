@@ -21,9 +21,15 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[] = {0x000, node->sdo.request_id, node->sync.id};
-	size_t n = node->sync.id == CAN_ID_NONE ? 2 : 3;
+	uint32_t ids[4 + HEARTBEAT_CONSUMERS] = {0x000, node->sdo.request_id};
+	size_t n = 2;
 
+	if (node->sync.id != CAN_ID_NONE)
+		ids[n++] = node->sync.id;
+	ids[n++] = 0x700u + node->id;
+	for (size_t i = 0; i < node->heartbeat.count; i++)
+		if (node->heartbeat.consumer[i].node_id)
+			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
 }
 
@@ -55,6 +61,8 @@ static void reset_services(struct canopen_node *node)
 	emcy_check(node);
 	sdo_server_reset(node);
 	sync_reset(node);
+	heartbeat_reset(node);
+	guard_reset(node);
 	pdo_reset(node);
 	node_filter(node);
 }
@@ -74,6 +82,8 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 	if (device)
 		node->device = *device;
 	nmt_init(node);
+	heartbeat_init(node);
+	guard_init(node);
 	sdo_server_init(node);
 	sync_init(node);
 	emcy_init(node);
@@ -91,6 +101,7 @@ void canopen_start(struct canopen_node *node, uint64_t now_us)
 	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
 	node->nmt.last_heartbeat_us = now_us;
 	nmt_enter(node, NMT_PRE_OPERATIONAL);
+	nmt_start_up(node);
 }
 
 void node_reset(struct canopen_node *node, enum od_group group)
@@ -103,17 +114,29 @@ void node_reset(struct canopen_node *node, enum od_group group)
 	canopen_start(node, node->now_us);
 }
 
+static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
+{
+	if (msg->id == 0x700u + node->id)
+		guard_receive(node);
+}
+
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us)
 {
 	node->now_us = now_us;
-	if (node->nmt.state == NMT_INITIALISING || msg->extended || msg->remote || msg->len > 8)
+	if (node->nmt.state == NMT_INITIALISING || msg->extended || msg->len > 8)
 		return;
+	if (msg->remote) {
+		receive_remote(node, msg);
+		return;
+	}
 	if (msg->id == 0x000)
 		nmt_receive(node, msg);
 	else if (msg->id == node->sdo.request_id)
 		sdo_server_receive(node, msg);
 	else if (msg->id == node->sync.id)
 		sync_receive(node, msg);
+	else if (msg->id > 0x700)
+		heartbeat_receive(node, msg);
 }
 
 uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
@@ -121,7 +144,8 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	uint64_t deadline;
 
 	node->now_us = now_us;
-	deadline = nmt_tick(node);
+	deadline = earlier(heartbeat_tick(node), guard_tick(node)); /* before PDOs: they may end operational */
+	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));
 	deadline = earlier(deadline, emcy_tick(node));
 	return earlier(deadline, sdo_server_tick(node));

@@ -13,12 +13,37 @@ enum {
 	EMCY_ERRORS = 16, /* errors standing at a time */
 	EMCY_QUEUE = 16,  /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
 	EMCY_HISTORY = 8, /* entries of 1003h */
+	HEARTBEAT_CONSUMERS = 8,
 };
 
 struct nmt {
+	struct od_hook hook; /* 1F80h */
 	const uint16_t *heartbeat_ms;
+	const uint8_t *error_behaviour; /* 1029h:1 */
+	const uint32_t *startup;	/* 1F80h; NULL: none, so the master starts the node */
 	enum nmt_state state;
 	uint64_t last_heartbeat_us; /* boot-up counts as one (CiA 301, 7.2.8.3.2.2) */
+};
+
+struct heartbeat_consumer {
+	const uint32_t *value; /* 1016h */
+	uint8_t node_id;       /* that is watched; 0: none */
+	bool alive, lost;      /* neither: no heartbeat came yet */
+	uint64_t deadline_us;  /* of the next heartbeat, while alive */
+};
+
+struct heartbeat {
+	struct od_hook hook;
+	struct heartbeat_consumer consumer[HEARTBEAT_CONSUMERS];
+	size_t count;
+};
+
+struct guard {
+	const uint16_t *time_ms;
+	const uint8_t *life_factor;
+	uint8_t toggle;	  /* of the next answer: 0 or 80h */
+	bool alive;	  /* a question came, and none was overdue since */
+	uint64_t last_us; /* when the last one came */
 };
 
 enum sdo_server_state {
@@ -87,6 +112,7 @@ struct sync {
 
 struct emcy_message {
 	uint16_t code;
+	uint8_t source;
 	uint8_t data[8];
 };
 
@@ -100,7 +126,7 @@ struct emcy {
 	size_t history_size;
 	struct {
 		uint16_t code;
-		uint8_t bits;
+		uint8_t source, bits;
 	} errors[EMCY_ERRORS]; /* that stand, oldest first */
 	size_t error_count;
 	struct emcy_message queue[EMCY_QUEUE]; /* oldest first */
@@ -121,6 +147,8 @@ struct canopen_node {
 	uint8_t id;
 	uint64_t now_us; /* the time of the last call: what a hook goes by */
 	struct nmt nmt;
+	struct heartbeat heartbeat;
+	struct guard guard;
 	struct sdo_server sdo;
 	struct pdo pdo;
 	struct sync sync;

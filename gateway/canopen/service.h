@@ -25,7 +25,8 @@ enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next *
 /* EMCY codes that the core itself raises (CiA 301, table 26). */
 enum {
 	EMCY_NO_ERROR = 0x0000,
-	EMCY_DATA_SET = 0x6300, /* a stored communication parameter is not usable; info: its index */
+	EMCY_DATA_SET = 0x6300,	 /* a stored communication parameter is not usable; info: its index */
+	EMCY_HEARTBEAT = 0x8130, /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
 	EMCY_SYNC_LENGTH = 0x8240,
 };
 enum {
@@ -53,6 +54,22 @@ uint64_t nmt_tick(struct canopen_node *node);
 void nmt_enter(struct canopen_node *node, enum nmt_state state);
 /** SDO, SYNC and EMCY live in these two states (CiA 301, table 37). */
 bool nmt_communicates(const struct canopen_node *node);
+/** A heartbeat or life guarding event, or bus-off: the state becomes what 1029h says. */
+void nmt_communication_error(struct canopen_node *node);
+/** After boot-up: 1F80h. */
+void nmt_start_up(struct canopen_node *node);
+
+/* heartbeat.c */
+void heartbeat_init(struct canopen_node *node);
+void heartbeat_reset(struct canopen_node *node);
+void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg);
+uint64_t heartbeat_tick(struct canopen_node *node);
+
+/* guard.c */
+void guard_init(struct canopen_node *node);
+void guard_reset(struct canopen_node *node);
+void guard_receive(struct canopen_node *node); /* the master asked */
+uint64_t guard_tick(struct canopen_node *node);
 
 /* sdo_server.c */
 void sdo_server_init(struct canopen_node *node);
@@ -103,6 +120,11 @@ void emcy_reset(struct canopen_node *node, enum od_group group); /* before the d
 void emcy_check(struct canopen_node *node);			 /* after it */
 void emcy_leave_stopped(struct canopen_node *node);
 uint64_t emcy_tick(struct canopen_node *node);
+/** canopen_error_set() and canopen_error_clear() for an error that several sources have, each on its own. The source is
+ * the first byte of the manufacturer field. */
+enum { EMCY_NO_SOURCE = 0 };
+void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits);
+void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source);
 /** 1003h: nothing was recorded at this sub-index yet. */
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);
 

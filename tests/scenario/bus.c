@@ -139,6 +139,10 @@ void bus_send(struct bus *bus, const char *frame)
 	char *end;
 
 	msg.id = (uint32_t)strtoul(frame, &end, 16);
+	if (strcmp(end, " R") == 0) {
+		msg.remote = true;
+		end += 2;
+	}
 	while (*end) {
 		assert_true(msg.len < 8);
 		msg.data[msg.len++] = (uint8_t)strtoul(end, &end, 16);

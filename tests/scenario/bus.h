@@ -1,6 +1,6 @@
 /* tests/scenario/bus.h
  * One CANopen node on a bus that exists only here, in simulated time. A test says what it puts on the bus and what it
- * expects there, each frame as text: "610 40 00 10 00 00 00 00 00" (identifier and data in hex).
+ * expects there, each frame as text: "610 40 00 10 00 00 00 00 00" (identifier and data in hex), "710 R" (remote).
  *
  * The clock moves only in bus_run(), which calls the node at exactly the deadlines it asked for, and makes sure that a
  * microsecond before each of them nothing was due. The node is 10h; its heartbeat is off unless a test wants it. */
@@ -28,7 +28,7 @@ struct bus {
 	size_t sent_count, seen; /* `seen` of them were expected by the test */
 	uint64_t seen_us;	 /* when the last one of those was sent */
 	bool full;		 /* the bus takes nothing for now */
-	uint32_t filter[16];
+	uint32_t filter[32];
 	size_t filter_count;
 
 	struct od od;

@@ -67,14 +67,15 @@ static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state
 	(void)state;
 }
 
-static void test_the_bus_is_asked_for_nmt_sync_and_sdo_only(void **state)
+static void test_the_bus_is_asked_for_nmt_sdo_sync_and_guarding_only(void **state)
 {
 	struct bus *bus = *state;
 
-	assert_int_equal(bus->filter_count, 3);
+	assert_int_equal(bus->filter_count, 4);
 	assert_int_equal(bus->filter[0], 0x000);
 	assert_int_equal(bus->filter[1], 0x610);
 	assert_int_equal(bus->filter[2], 0x080);
+	assert_int_equal(bus->filter[3], 0x710);
 }
 
 static void test_the_master_starts_stops_and_readies_the_node(void **state)
@@ -259,6 +260,102 @@ static void test_a_reset_puts_the_sync_identifier_back(void **state)
 	assert_int_equal(bus->filter[2], 0x080);
 }
 
+/* ---- start-up ---------------------------------------------------------------------------------------------------- */
+
+static void test_with_bit_2_of_the_startup_object_clear_the_node_starts_itself(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1F80, 0, 4, 0);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_that_starts_itself_passes_through_pre_operational(void **state)
+{
+	struct bus *bus = bus_new();
+	const enum nmt_state expected[] = {NMT_PRE_OPERATIONAL, NMT_OPERATIONAL};
+
+	bus_put(bus, 0x1F80, 0, 4, 0);
+	bus_start(bus);
+	assert_int_equal(bus->state_count, 2);
+	assert_memory_equal(bus->states, expected, sizeof(expected));
+	test_free(bus);
+	(void)state;
+}
+
+static void test_the_startup_object_acts_at_boot_up_not_when_it_is_written(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1F80, 0, 4, 0), 0);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+	bus->power_on = bus->values; /* as if stored */
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+}
+
+static void test_the_bits_of_a_master_are_refused_in_the_startup_object(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1F80, 0, 4, 1), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1F80, 0, 4, 0xC), 0x06090030);
+	assert_int_equal(bus_read(bus, 0x1F80, 0), 4);
+}
+
+/* ---- error behaviour --------------------------------------------------------------------------------------------- */
+
+static void bus_off(struct bus *bus)
+{
+	canopen_bus_off(&bus->node, bus->now_us);
+	bus_tick(bus);
+}
+
+static void test_bus_off_ends_operational(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_off(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_bus_off_leaves_the_state_when_the_error_behaviour_is_1(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1029, 1, 1, 1), 0);
+	bus_off(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
+}
+
+static void test_bus_off_stops_the_node_when_the_error_behaviour_is_2(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1029, 1, 1, 2), 0);
+	bus_off(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
+}
+
+static void test_bus_off_does_not_ready_a_stopped_node(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "000 02 10");
+	bus_off(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
+}
+
+static void test_an_error_behaviour_above_2_is_refused(void **state)
+{
+	assert_int_equal(bus_write(*state, 0x1029, 1, 1, 3), 0x06090031);
+}
+
 /* ---- heartbeat --------------------------------------------------------------------------------------------------- */
 
 static void test_boot_up_is_the_first_heartbeat(void **state)
@@ -392,7 +489,7 @@ int main(void)
 		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
 		cmocka_unit_test(test_a_node_id_is_1_to_127),
 		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sync_and_sdo_only),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_and_guarding_only),
 		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
 		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
 		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),
@@ -407,6 +504,15 @@ int main(void)
 		PRE_OPERATIONAL(test_a_stop_drops_the_sdo_transfer_without_a_word),
 		PRE_OPERATIONAL(test_a_reset_drops_the_sdo_transfer),
 		PRE_OPERATIONAL(test_a_reset_puts_the_sync_identifier_back),
+		cmocka_unit_test(test_with_bit_2_of_the_startup_object_clear_the_node_starts_itself),
+		cmocka_unit_test(test_a_node_that_starts_itself_passes_through_pre_operational),
+		PRE_OPERATIONAL(test_the_startup_object_acts_at_boot_up_not_when_it_is_written),
+		PRE_OPERATIONAL(test_the_bits_of_a_master_are_refused_in_the_startup_object),
+		OPERATIONAL(test_bus_off_ends_operational),
+		OPERATIONAL(test_bus_off_leaves_the_state_when_the_error_behaviour_is_1),
+		OPERATIONAL(test_bus_off_stops_the_node_when_the_error_behaviour_is_2),
+		OPERATIONAL(test_bus_off_does_not_ready_a_stopped_node),
+		PRE_OPERATIONAL(test_an_error_behaviour_above_2_is_refused),
 		cmocka_unit_test(test_boot_up_is_the_first_heartbeat),
 		PRE_OPERATIONAL(test_the_heartbeat_carries_the_state_in_every_state),
 		PRE_OPERATIONAL(test_a_heartbeat_time_of_0_is_silence),

@@ -1,0 +1,367 @@
+/* Heartbeat consumer (1016h) and node guarding (100Ch, 100Dh): CiA 301, 7.2.8.3.2 and 7.5.2. */
+#include "tests/scenario/bus.h"
+
+/* Watches node 20h with 100 ms and hears its first heartbeat. */
+static void watch(struct bus *bus)
+{
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	bus_send(bus, "720 05");
+}
+
+static void test_a_node_that_falls_silent_is_told_by_its_number(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_run(bus, 99999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
+}
+
+static void test_watching_starts_with_the_first_heartbeat_and_not_before(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_boot_up_counts_as_a_heartbeat_of_the_watched_node(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	bus_send(bus, "720 00");
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+}
+
+static void test_each_heartbeat_gives_the_node_its_time_again(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	for (int i = 0; i < 10; i++) {
+		bus_run(bus, 99999);
+		bus_send(bus, "720 7F");
+	}
+	bus_expect_nothing(bus);
+}
+
+static void test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_run(bus, 5000000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	bus_exchange(bus, "720 05", "090 00 00 00 00 00 00 00 00");
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+}
+
+static void test_each_lost_node_is_told_and_all_must_be_back(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	assert_int_equal(bus_write(bus, 0x1016, 8, 4, 0x007F0064), 0);
+	bus_send(bus, "77F 05");
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	bus_expect(bus, "090 30 81 11 7F 00 00 00 00");
+	bus_send(bus, "720 05");
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "77F 05", "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_lost_heartbeat_ends_operational(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_run(bus, 100000);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_a_lost_heartbeat_is_told_before_the_node_stops(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1029, 1, 1, 2), 0);
+	watch(bus);
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
+}
+
+static void test_in_stopped_the_watch_goes_on(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_send(bus, "000 02 10");
+	bus_run(bus, 100000);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "000 80 10", "090 30 81 11 20 00 00 00 00");
+}
+
+static void test_a_second_entry_for_the_same_node_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	assert_int_equal(bus_write(bus, 0x1016, 2, 4, 0x002000C8), 0x06040043);
+	assert_int_equal(bus_read(bus, 0x1016, 2), 0);
+}
+
+static void test_a_second_entry_that_is_not_in_use_may_name_the_same_node(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	assert_int_equal(bus_write(bus, 0x1016, 2, 4, 0x00200000), 0);
+}
+
+static void test_the_same_entry_may_be_given_another_time(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x002000C8), 0);
+	bus_send(bus, "720 05");
+	bus_run(bus, 199999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+}
+
+static void test_reserved_bits_and_node_ids_above_127_are_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x01200064), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00800064), 0x06090030);
+}
+
+static void test_an_entry_set_to_0_ends_its_watch_and_its_error(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	bus_send(bus, "610 23 16 10 01 00 00 00 00");
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "590 60 16 10 01 00 00 00 00");
+	bus_send(bus, "720 05");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_the_bus_is_asked_for_the_watched_nodes(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	assert_int_equal(bus->filter_count, 5);
+	assert_int_equal(bus->filter[4], 0x720);
+}
+
+static void test_reset_communication_ends_the_watch_and_the_error(void **state)
+{
+	struct bus *bus = *state;
+
+	watch(bus);
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
+	bus_send(bus, "720 05");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_of_two_stored_entries_for_one_node_the_first_holds(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1016, 3, 4, 0x00200064);
+	bus_put(bus, 0x1016, 5, 4, 0x00200010);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect(bus, "090 00 63 01 16 10 00 00 00");
+	bus_send(bus, "720 05");
+	bus_run(bus, 99999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_heartbeat_of_wrong_length_is_none(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
+	bus_send(bus, "720");
+	bus_send(bus, "720 05 00");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+/* ---- node guarding ----------------------------------------------------------------------------------------------- */
+
+static void test_guarding_is_answered_with_the_state_and_a_toggle_bit(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_exchange(bus, "710 R", "710 FF");
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_send(bus, "000 01 10");
+	bus_exchange(bus, "710 R", "710 85");
+	bus_send(bus, "000 02 10");
+	bus_exchange(bus, "710 R", "710 04");
+}
+
+static void test_reset_communication_clears_the_toggle_bit(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_exchange(bus, "000 82 10", "710 00");
+	bus_exchange(bus, "710 R", "710 7F");
+}
+
+static void test_guarding_of_another_node_is_not_answered(void **state)
+{
+	bus_send(*state, "711 R");
+	bus_expect_nothing(*state);
+}
+
+static void test_a_node_with_a_heartbeat_is_not_guarded(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 1000), 0);
+	bus_send(bus, "710 R");
+	bus_expect_nothing(bus);
+}
+
+/* 3 times 100 ms */
+static void guard_life(struct bus *bus)
+{
+	assert_int_equal(bus_write(bus, 0x100C, 0, 2, 100), 0);
+	assert_int_equal(bus_write(bus, 0x100D, 0, 1, 3), 0);
+}
+
+static void test_a_master_that_falls_silent_is_a_life_guarding_event(void **state)
+{
+	struct bus *bus = *state;
+
+	guard_life(bus);
+	bus_exchange(bus, "710 R", "710 05");
+	bus_run(bus, 299999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 30 81 11 00 00 00 00 00");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_life_guarding_starts_with_the_first_question(void **state)
+{
+	struct bus *bus = *state;
+
+	guard_life(bus);
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_life_guarding_is_over_with_the_next_question(void **state)
+{
+	struct bus *bus = *state;
+
+	guard_life(bus);
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_run(bus, 10000000);
+	bus_expect(bus, "090 30 81 11 00 00 00 00 00");
+	bus_send(bus, "710 R");
+	bus_expect(bus, "710 FF");
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_without_a_life_time_the_master_may_be_silent(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x100C, 0, 2, 100), 0);
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_run(bus, 100000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_heartbeat_switched_on_ends_life_guarding(void **state)
+{
+	struct bus *bus = *state;
+
+	guard_life(bus);
+	bus_exchange(bus, "710 R", "710 7F");
+	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 60000), 0);
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_heartbeat_switched_on_ends_the_error_of_life_guarding(void **state)
+{
+	struct bus *bus = *state;
+
+	guard_life(bus);
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_run(bus, 300000);
+	bus_expect(bus, "090 30 81 11 00 00 00 00 00");
+	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 60000), 0);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		PRE_OPERATIONAL(test_a_node_that_falls_silent_is_told_by_its_number),
+		PRE_OPERATIONAL(test_watching_starts_with_the_first_heartbeat_and_not_before),
+		PRE_OPERATIONAL(test_boot_up_counts_as_a_heartbeat_of_the_watched_node),
+		PRE_OPERATIONAL(test_each_heartbeat_gives_the_node_its_time_again),
+		PRE_OPERATIONAL(test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on),
+		PRE_OPERATIONAL(test_each_lost_node_is_told_and_all_must_be_back),
+		OPERATIONAL(test_a_lost_heartbeat_ends_operational),
+		OPERATIONAL(test_a_lost_heartbeat_is_told_before_the_node_stops),
+		PRE_OPERATIONAL(test_in_stopped_the_watch_goes_on),
+		PRE_OPERATIONAL(test_a_second_entry_for_the_same_node_is_refused),
+		PRE_OPERATIONAL(test_a_second_entry_that_is_not_in_use_may_name_the_same_node),
+		PRE_OPERATIONAL(test_the_same_entry_may_be_given_another_time),
+		PRE_OPERATIONAL(test_reserved_bits_and_node_ids_above_127_are_refused),
+		PRE_OPERATIONAL(test_an_entry_set_to_0_ends_its_watch_and_its_error),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_the_watched_nodes),
+		PRE_OPERATIONAL(test_reset_communication_ends_the_watch_and_the_error),
+		cmocka_unit_test(test_of_two_stored_entries_for_one_node_the_first_holds),
+		PRE_OPERATIONAL(test_a_heartbeat_of_wrong_length_is_none),
+		PRE_OPERATIONAL(test_guarding_is_answered_with_the_state_and_a_toggle_bit),
+		PRE_OPERATIONAL(test_reset_communication_clears_the_toggle_bit),
+		PRE_OPERATIONAL(test_guarding_of_another_node_is_not_answered),
+		PRE_OPERATIONAL(test_a_node_with_a_heartbeat_is_not_guarded),
+		OPERATIONAL(test_a_master_that_falls_silent_is_a_life_guarding_event),
+		PRE_OPERATIONAL(test_life_guarding_starts_with_the_first_question),
+		PRE_OPERATIONAL(test_life_guarding_is_over_with_the_next_question),
+		PRE_OPERATIONAL(test_without_a_life_time_the_master_may_be_silent),
+		PRE_OPERATIONAL(test_a_heartbeat_switched_on_ends_life_guarding),
+		PRE_OPERATIONAL(test_a_heartbeat_switched_on_ends_the_error_of_life_guarding),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
