@@ -75,40 +75,39 @@ static void publish_slopes(struct od_values *v, bool *saturated)
 		INT32_MAX, saturated);
 }
 
+/* offset = preset - (+-physical) - differential offset */
+static int64_t preset_offset(int32_t preset, int32_t physical, uint8_t operating, int32_t differential)
+{
+	return (int64_t)preset - slope(physical, operating & SLOPE_INVERSION, 0, 0) - differential;
+}
+
 void publish_preset(struct od_values *v, uint16_t index)
 {
 	bool saturated = false;
 	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, &saturated);
 	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, &saturated);
-	/* offset = preset - (+-physical) - differential offset */
+	int64_t offset;
+
 	switch (index) {
 	case 0x6012:
-		v->slope_long16_offset =
-			(int16_t)clamp((int64_t)v->slope_long16_preset_value -
-					       slope(lon, v->slope_long16_operating_parameter & SLOPE_INVERSION, 0, 0) -
-					       v->slope_long16_differential_offset,
-				INT16_MAX, &saturated);
+		offset = preset_offset(v->slope_long16_preset_value, lon, v->slope_long16_operating_parameter,
+			v->slope_long16_differential_offset);
+		v->slope_long16_offset = (int16_t)clamp(offset, INT16_MAX, &saturated);
 		break;
 	case 0x6022:
-		v->slope_lateral16_offset = (int16_t)clamp(
-			(int64_t)v->slope_lateral16_preset_value -
-				slope(lat, v->slope_lateral16_operating_parameter & SLOPE_INVERSION, 0, 0) -
-				v->slope_lateral16_differential_offset,
-			INT16_MAX, &saturated);
+		offset = preset_offset(v->slope_lateral16_preset_value, lat, v->slope_lateral16_operating_parameter,
+			v->slope_lateral16_differential_offset);
+		v->slope_lateral16_offset = (int16_t)clamp(offset, INT16_MAX, &saturated);
 		break;
 	case 0x6112:
-		v->slope_long32_offset =
-			clamp((int64_t)v->slope_long32_preset_value -
-					slope(lon, v->slope_long32_operating_parameter & SLOPE_INVERSION, 0, 0) -
-					v->slope_long32_differential_offset,
-				INT32_MAX, &saturated);
+		offset = preset_offset(v->slope_long32_preset_value, lon, v->slope_long32_operating_parameter,
+			v->slope_long32_differential_offset);
+		v->slope_long32_offset = clamp(offset, INT32_MAX, &saturated);
 		break;
 	case 0x6122:
-		v->slope_lateral32_offset =
-			clamp((int64_t)v->slope_lateral32_preset_value -
-					slope(lat, v->slope_lateral32_operating_parameter & SLOPE_INVERSION, 0, 0) -
-					v->slope_lateral32_differential_offset,
-				INT32_MAX, &saturated);
+		offset = preset_offset(v->slope_lateral32_preset_value, lat, v->slope_lateral32_operating_parameter,
+			v->slope_lateral32_differential_offset);
+		v->slope_lateral32_offset = clamp(offset, INT32_MAX, &saturated);
 		break;
 	}
 }
