@@ -37,17 +37,17 @@ static const char usage[] = "usage: imu9-gateway [OPTION]...\n"
 			    "Precedence: defaults < FILE < command line < values stored by 1010h.\n"
 			    "Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
 
-enum { OPT_IMU = 256, OPT_CAN, OPT_NODE_ID, OPT_BITRATE, OPT_SET, OPT_STORE, OPT_REALTIME, OPT_HELP, OPT_VERSION };
+enum { OPT_KEY = 256, OPT_SET, OPT_HELP, OPT_VERSION }; /* OPT_KEY: a key of [gateway] */
 
 static const struct option options[] = {
 	{"config", required_argument, NULL, 'c'},
-	{"imu", required_argument, NULL, OPT_IMU},
-	{"can", required_argument, NULL, OPT_CAN},
-	{"node-id", required_argument, NULL, OPT_NODE_ID},
-	{"bitrate", required_argument, NULL, OPT_BITRATE},
+	{"imu", required_argument, NULL, OPT_KEY},
+	{"can", required_argument, NULL, OPT_KEY},
+	{"node-id", required_argument, NULL, OPT_KEY},
+	{"bitrate", required_argument, NULL, OPT_KEY},
 	{"set", required_argument, NULL, OPT_SET},
-	{"store", required_argument, NULL, OPT_STORE},
-	{"realtime", required_argument, NULL, OPT_REALTIME},
+	{"store", required_argument, NULL, OPT_KEY},
+	{"realtime", required_argument, NULL, OPT_KEY},
 	{"help", no_argument, NULL, OPT_HELP},
 	{"version", no_argument, NULL, OPT_VERSION},
 	{0},
@@ -66,39 +66,35 @@ static int bad_option(int option, char *const argv[])
 
 	if (option == ':')
 		snprintf(why, sizeof(why), "option %.100s needs a value", argv[optind - 1]);
-	else if (optopt > 0 && optopt < OPT_IMU)
+	else if (optopt > 0 && optopt < OPT_KEY)
 		snprintf(why, sizeof(why), "unknown option -%c", optopt);
 	else
 		snprintf(why, sizeof(why), "unknown option %.100s", argv[optind - 1]);
 	return usage_error(why);
 }
 
+/* --node-id is the key node_id of the file. */
+static int take_key(struct config *config, const char *option, const char *value, char *why)
+{
+	char key[32];
+
+	snprintf(key, sizeof(key), "%s", option);
+	for (char *dash = key; (dash = strchr(dash, '-')) != NULL;)
+		*dash = '_';
+	return config_option(config, key, value, why);
+}
+
 /* One option of the command line, but for --config, which was read before them all. -1: go on. */
-static int take_option(struct config *config, int option, char *const argv[])
+static int take_option(struct config *config, int option, int index, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];
 	int rc = 0;
 
 	switch (option) {
 	case 'c':
-		return -1;
-	case OPT_IMU:
-		rc = config_option(config, "imu", optarg, why);
 		break;
-	case OPT_CAN:
-		rc = config_option(config, "can", optarg, why);
-		break;
-	case OPT_NODE_ID:
-		rc = config_option(config, "node_id", optarg, why);
-		break;
-	case OPT_BITRATE:
-		rc = config_option(config, "bitrate", optarg, why);
-		break;
-	case OPT_STORE:
-		rc = config_option(config, "store", optarg, why);
-		break;
-	case OPT_REALTIME:
-		rc = config_option(config, "realtime", optarg, why);
+	case OPT_KEY:
+		rc = take_key(config, options[index].name, optarg, why);
 		break;
 	case OPT_SET:
 		rc = config_set(config, optarg, why);
@@ -119,15 +115,15 @@ static int take_option(struct config *config, int option, char *const argv[])
 static int read_configuration(struct config *config, int argc, char **argv)
 {
 	char why[CONFIG_ERROR_MAX];
-	int option, status = -1;
+	int option, index = 0, status = -1;
 
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			return usage_error(why);
 	optind = 0; /* glibc: scan anew */
-	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
-		status = take_option(config, option, argv);
+	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
+		status = take_option(config, option, index, argv);
 	if (status < 0 && optind < argc) {
 		snprintf(why, sizeof(why), "'%.100s' is not an option", argv[optind]);
 		return usage_error(why);
