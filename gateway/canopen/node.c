@@ -21,7 +21,7 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[4 + HEARTBEAT_CONSUMERS] = {0x000, node->sdo.request_id};
+	uint32_t ids[4 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {0x000, node->sdo.request_id};
 	size_t n = 2;
 
 	if (node->sync.id != CAN_ID_NONE)
@@ -30,6 +30,7 @@ void node_filter(struct canopen_node *node)
 	for (size_t i = 0; i < node->heartbeat.count; i++)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
+	n += pdo_remote_ids(node, ids + n);
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
 }
 
@@ -118,6 +119,8 @@ static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
 {
 	if (msg->id == 0x700u + node->id)
 		guard_receive(node);
+	else
+		pdo_receive_remote(node, msg->id);
 }
 
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us)

@@ -92,6 +92,8 @@ struct tpdo {
 	bool event;	      /* a sample came that this PDO has not carried yet */
 	bool await_start;     /* no SYNC had the start value yet */
 	uint8_t syncs;	      /* SYNCs since the last transmission */
+	uint8_t sampled[8];   /* type 252: at the last SYNC */
+	uint8_t sampled_len;  /* 0: no SYNC came yet */
 	uint64_t inhibited_until_us;
 	uint64_t timer_start_us; /* the event timer runs from here */
 };

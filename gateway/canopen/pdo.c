@@ -7,6 +7,8 @@
 enum {
 	TYPE_SYNC_ACYCLIC = 0,
 	TYPE_SYNC_MAX = 240,
+	TYPE_RTR_SYNC = 252, /* sampled at the SYNC, sent on request */
+	TYPE_RTR = 253,	     /* sampled and sent on request */
 	TYPE_EVENT = 254,
 	PDO_BYTES = 8,
 };
@@ -25,7 +27,7 @@ static bool valid(const struct tpdo *tpdo)
 
 static bool type_supported(uint8_t type)
 {
-	return type <= TYPE_SYNC_MAX || type >= TYPE_EVENT;
+	return type <= TYPE_SYNC_MAX || type >= TYPE_RTR_SYNC;
 }
 
 /* One mapping entry: index << 16 | sub-index << 8 | bits. */
@@ -73,6 +75,7 @@ static void restart(struct canopen_node *node, struct tpdo *tpdo)
 	tpdo->event = false;
 	tpdo->await_start = true;
 	tpdo->syncs = 0;
+	tpdo->sampled_len = 0;
 	tpdo->inhibited_until_us = 0;
 	tpdo->timer_start_us = node->now_us;
 }
@@ -147,8 +150,10 @@ static void after_write(void *ctx, const struct od_entry *entry)
 	struct tpdo *tpdo = of_entry(ctx, entry);
 
 	/* the event timer may change while it runs */
-	if (tpdo && !(entry->index == tpdo->index && entry->sub == 5))
-		restart(ctx, tpdo);
+	if (!tpdo || (entry->index == tpdo->index && entry->sub == 5))
+		return;
+	restart(ctx, tpdo);
+	node_filter(ctx);
 }
 
 static void look_up(struct canopen_node *node, struct tpdo *tpdo, uint16_t index)
@@ -201,14 +206,21 @@ void pdo_reset(struct canopen_node *node)
 
 /* ---- transmission ------------------------------------------------------------------------------------------------ */
 
-static void transmit(struct canopen_node *node, struct tpdo *tpdo)
+static uint8_t pack(const struct canopen_node *node, const struct tpdo *tpdo, uint8_t data[PDO_BYTES])
 {
-	uint8_t data[PDO_BYTES];
 	size_t len = 0;
 
 	for (size_t i = 0; i < tpdo->mapped_count; i++)
-		len += od_get(node->od, tpdo->mapped[i], data + len, sizeof(data) - len);
-	node_send(node, *tpdo->cob_id & COB_ID_MASK, data, (uint8_t)len);
+		len += od_get(node->od, tpdo->mapped[i], data + len, PDO_BYTES - len);
+	return (uint8_t)len;
+}
+
+static void transmit(struct canopen_node *node, struct tpdo *tpdo)
+{
+	uint8_t data[PDO_BYTES];
+	uint8_t len = pack(node, tpdo, data);
+
+	node_send(node, *tpdo->cob_id & COB_ID_MASK, data, len);
 	tpdo->event = false;
 	tpdo->timer_start_us = node->now_us;
 	tpdo->inhibited_until_us = node->now_us + *tpdo->inhibit_100us * 100u;
@@ -230,7 +242,7 @@ void pdo_sample(struct canopen_node *node)
 /* The SYNC with the start value counts as the first one received; without a counter every PDO has started. */
 static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
 {
-	if (tpdo->mapped_count == 0 || event_driven(tpdo))
+	if (tpdo->mapped_count == 0 || *tpdo->type > TYPE_SYNC_MAX)
 		return false;
 	if (tpdo->await_start && counter && *tpdo->sync_start && counter != *tpdo->sync_start)
 		return false;
@@ -245,9 +257,49 @@ static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
 
 void pdo_sync(struct canopen_node *node, uint8_t counter, bool late)
 {
+	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
+		struct tpdo *tpdo = &node->pdo.tpdo[i];
+
+		if (due_on_sync(tpdo, counter) && !late)
+			transmit(node, tpdo);
+		else if (*tpdo->type == TYPE_RTR_SYNC)
+			tpdo->sampled_len = pack(node, tpdo, tpdo->sampled);
+	}
+}
+
+static bool answers_rtr(const struct tpdo *tpdo)
+{
+	return tpdo->mapped_count && !(*tpdo->cob_id & COB_ID_NO_RTR) && *tpdo->type >= TYPE_RTR_SYNC;
+}
+
+size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX])
+{
+	size_t n = 0;
+
 	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		if (due_on_sync(&node->pdo.tpdo[i], counter) && !late)
-			transmit(node, &node->pdo.tpdo[i]);
+		if (answers_rtr(&node->pdo.tpdo[i]))
+			ids[n++] = *node->pdo.tpdo[i].cob_id & COB_ID_MASK;
+	return n;
+}
+
+static void request(struct canopen_node *node, struct tpdo *tpdo)
+{
+	if (*tpdo->type >= TYPE_EVENT)
+		tpdo->event = true; /* which waits for the inhibit time */
+	else if (*tpdo->type == TYPE_RTR)
+		transmit(node, tpdo);
+	else if (tpdo->sampled_len)
+		node_send(node, *tpdo->cob_id & COB_ID_MASK, tpdo->sampled, tpdo->sampled_len);
+}
+
+void pdo_receive_remote(struct canopen_node *node, uint32_t id)
+{
+	if (node->nmt.state != NMT_OPERATIONAL)
+		return;
+	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
+		if (answers_rtr(&node->pdo.tpdo[i]) && (*node->pdo.tpdo[i].cob_id & COB_ID_MASK) == id)
+			request(node, &node->pdo.tpdo[i]);
+	pdo_tick(node);
 }
 
 static uint64_t event_due_us(const struct tpdo *tpdo)

@@ -107,6 +107,10 @@ void pdo_start(struct canopen_node *node); /* operational begins */
 void pdo_sample(struct canopen_node *node);
 /** `counter` is 0 for a SYNC without one. Nothing is sent when it is `late`. */
 void pdo_sync(struct canopen_node *node, uint8_t counter, bool late);
+/** The PDO with that identifier is asked for. */
+void pdo_receive_remote(struct canopen_node *node, uint32_t id);
+/** The identifiers of the PDOs that may be asked for; how many. */
+size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX]);
 uint64_t pdo_tick(struct canopen_node *node);
 
 /* sync.c */

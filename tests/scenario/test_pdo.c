@@ -426,12 +426,12 @@ static void test_every_restricted_identifier_is_refused_and_every_other_is_not(v
 	}
 }
 
-static void test_every_type_is_taken_but_the_reserved_and_the_rtr_types(void **state)
+static void test_every_type_is_taken_but_the_reserved_ones(void **state)
 {
 	struct bus *bus = *state;
 
 	for (uint32_t type = 0; type <= 255; type++)
-		assert_int_equal(bus_write(bus, 0x1800, 2, 1, type), type >= 241 && type <= 253 ? 0x06090030 : 0);
+		assert_int_equal(bus_write(bus, 0x1800, 2, 1, type), type >= 241 && type <= 251 ? 0x06090030 : 0);
 }
 
 static void test_inhibit_time_and_start_value_do_not_change_while_the_pdo_is_valid(void **state)
@@ -653,7 +653,7 @@ static void test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same(v
 	bus_put(bus, 0x1800, 1, 4, NO_RTR);
 	expect_tpdo1_refused_at_start(bus);
 	bus = bus_new();
-	bus_put(bus, 0x1800, 2, 1, 252);
+	bus_put(bus, 0x1800, 2, 1, 251);
 	expect_tpdo1_refused_at_start(bus);
 	(void)state;
 }
@@ -690,6 +690,162 @@ static void test_a_pdo_with_a_bad_mapping_cannot_be_made_valid(void **state)
 	(void)state;
 }
 
+/* ---- on request (RTR) -------------------------------------------------------------------------------------------- */
+
+/* TPDO1 alone, of this type, that may be asked for. */
+static void requestable(struct bus *bus, uint8_t type)
+{
+	only_tpdo1(bus, type);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x190), 0);
+}
+
+static void test_type_253_is_sent_when_it_is_asked_for_with_the_values_of_then(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 253);
+	set_acceleration(bus, 1, 2, 3);
+	bus_send(bus, "080");
+	bus_sample(bus, 7);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "190 R", "190 01 00 02 00 03 00 07 00");
+	set_acceleration(bus, 4, 5, 6);
+	bus_exchange(bus, "190 R", "190 04 00 05 00 06 00 07 00");
+}
+
+static void test_type_252_is_sent_when_it_is_asked_for_with_the_values_of_the_last_sync(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 252);
+	set_acceleration(bus, 1, 2, 3);
+	bus_send(bus, "080");
+	bus_expect_nothing(bus);
+	set_acceleration(bus, 4, 5, 6);
+	bus_exchange(bus, "190 R", "190 01 00 02 00 03 00 00 00");
+	bus_exchange(bus, "190 R", "190 01 00 02 00 03 00 00 00");
+	bus_send(bus, "080");
+	bus_exchange(bus, "190 R", "190 04 00 05 00 06 00 00 00");
+}
+
+static void test_type_252_has_nothing_to_say_before_the_first_sync(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 252);
+	bus_send(bus, "190 R");
+	bus_expect_nothing(bus);
+}
+
+static void test_type_252_forgets_its_sample_when_operational_begins(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 252);
+	bus_send(bus, "080");
+	bus_send(bus, "000 80 10");
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "190 R");
+	bus_expect_nothing(bus);
+}
+
+static void test_an_event_driven_pdo_can_be_asked_for_too(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 254);
+	bus_exchange(bus, "190 R", "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_request_within_the_inhibit_time_waits_for_it(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 254);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, INVALID | 0x190), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 3, 2, 100), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x190), 0);
+	bus_exchange(bus, "190 R", "190 00 00 00 00 00 00 00 00");
+	bus_send(bus, "190 R");
+	bus_run(bus, 9999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_synchronous_pdo_cannot_be_asked_for(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 1);
+	bus_send(bus, "190 R");
+	bus_expect_nothing(bus);
+}
+
+static void test_with_the_no_rtr_bit_a_pdo_cannot_be_asked_for(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 253);
+	bus_send(bus, "190 R");
+	bus_expect_nothing(bus);
+}
+
+static void test_pdos_can_be_asked_for_in_operational_only(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 253);
+	bus_send(bus, "000 80 10");
+	bus_send(bus, "190 R");
+	bus_send(bus, "000 02 10");
+	bus_send(bus, "190 R");
+	bus_expect_nothing(bus);
+}
+
+static void test_the_bus_is_asked_for_the_requests(void **state)
+{
+	struct bus *bus = *state;
+
+	requestable(bus, 253);
+	assert_int_equal(bus->filter_count, 5);
+	assert_int_equal(bus->filter[4], 0x190);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, NO_RTR | 0x190), 0);
+	assert_int_equal(bus->filter_count, 4);
+}
+
+/* ---- eight of them ----------------------------------------------------------------------------------------------- */
+
+static void test_tpdo_5_to_8_are_invalid_and_empty_until_configured(void **state)
+{
+	struct bus *bus = *state;
+
+	for (uint16_t i = 4; i < 8; i++) {
+		assert_int_equal(bus_read(bus, (uint16_t)(0x1800 + i), 1), INVALID);
+		assert_int_equal(bus_read(bus, (uint16_t)(0x1A00 + i), 0), 0);
+	}
+}
+
+static void test_tpdo_8_can_be_configured_and_is_sent_after_the_others(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 1);
+	assert_int_equal(bus_write(bus, 0x1A07, 1, 4, 0x210F0110), 0);
+	assert_int_equal(bus_write(bus, 0x1A07, 0, 1, 1), 0);
+	assert_int_equal(bus_write(bus, 0x1807, 1, 4, NO_RTR | 0x1E0), 0);
+	bus_sample(bus, 0x1234);
+	bus_send(bus, "080");
+	bus_expect(bus, "190 00 00 00 00 00 00 34 12");
+	bus_expect(bus, "1E0 34 12");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_pdo_is_not_made_valid_without_an_identifier(void **state)
+{
+	assert_int_equal(bus_write(*state, 0x1804, 1, 4, 0), 0x06090030);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -720,7 +876,7 @@ int main(void)
 		PRE_OPERATIONAL(test_the_no_rtr_bit_may_change_while_the_pdo_is_valid),
 		PRE_OPERATIONAL(test_29_bit_identifiers_are_refused),
 		PRE_OPERATIONAL(test_every_restricted_identifier_is_refused_and_every_other_is_not),
-		PRE_OPERATIONAL(test_every_type_is_taken_but_the_reserved_and_the_rtr_types),
+		PRE_OPERATIONAL(test_every_type_is_taken_but_the_reserved_ones),
 		PRE_OPERATIONAL(test_inhibit_time_and_start_value_do_not_change_while_the_pdo_is_valid),
 		PRE_OPERATIONAL(test_sub_index_4_does_not_exist),
 		OPERATIONAL(test_the_parameters_are_checked_in_operational_too),
@@ -741,6 +897,19 @@ int main(void)
 		cmocka_unit_test(test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same),
 		cmocka_unit_test(test_the_error_of_a_stored_mapping_is_gone_after_a_reset_that_mends_it),
 		cmocka_unit_test(test_a_pdo_with_a_bad_mapping_cannot_be_made_valid),
+		OPERATIONAL(test_type_253_is_sent_when_it_is_asked_for_with_the_values_of_then),
+		OPERATIONAL(test_type_252_is_sent_when_it_is_asked_for_with_the_values_of_the_last_sync),
+		OPERATIONAL(test_type_252_has_nothing_to_say_before_the_first_sync),
+		OPERATIONAL(test_type_252_forgets_its_sample_when_operational_begins),
+		OPERATIONAL(test_an_event_driven_pdo_can_be_asked_for_too),
+		OPERATIONAL(test_a_request_within_the_inhibit_time_waits_for_it),
+		OPERATIONAL(test_a_synchronous_pdo_cannot_be_asked_for),
+		OPERATIONAL(test_with_the_no_rtr_bit_a_pdo_cannot_be_asked_for),
+		OPERATIONAL(test_pdos_can_be_asked_for_in_operational_only),
+		OPERATIONAL(test_the_bus_is_asked_for_the_requests),
+		OPERATIONAL(test_tpdo_5_to_8_are_invalid_and_empty_until_configured),
+		OPERATIONAL(test_tpdo_8_can_be_configured_and_is_sent_after_the_others),
+		OPERATIONAL(test_a_pdo_is_not_made_valid_without_an_identifier),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
