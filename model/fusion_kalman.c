@@ -15,12 +15,12 @@ static const double CORRECTION_S = 0.03;
 static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
 /* No working gyro has more bias than this. */
 static const double MOST_BIAS_RAD_S = 2 * DEG;
-/* White noise of the gyro, rad/s/sqrt(Hz), and what it shows at rest besides (vibration, a hand that is not quite still). */
-static const double GYRO_NOISE = 0.1 * DEG, REST_GYRO_NOISE = 0.05 * DEG;
+/* White noise of the gyro, rad/s/sqrt(Hz): in motion with what else goes wrong there, and at rest. */
+static const double GYRO_NOISE = 0.1 * DEG, REST_GYRO_NOISE = 0.03 * DEG;
 /* For how long the gyro's error in motion, and a velocity, keep their sign. */
-static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.3;
+static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.5;
 /* The spread of the velocity: its memory, and the least of it as a share of the configured. */
-static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.1;
+static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 /* Velocity at rest: of the sensor's mounting, of vibration; m/s in one correction. */
 static const double REST_VELOCITY_M_S = 0.01;
 /* A longer time without samples leaves no velocity to integrate from. */

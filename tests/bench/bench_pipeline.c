@@ -54,11 +54,11 @@ static double ns_a_step(const struct pipeline_config *config)
 
 int main(void)
 {
-	static const char *const fusions[] = {"madgwick", "mahony"};
+	static const char *const fusions[] = {"madgwick", "mahony", "kalman"};
 	static const char *const models[] = {"off", "seed", "rigid"};
 
 	fill();
-	for (int fusion = 0; fusion < 2; fusion++)
+	for (int fusion = 0; fusion < 3; fusion++)
 		for (int model = 0; model < 3; model++) {
 			struct pipeline_config config = PIPELINE_DEFAULTS;
 
