@@ -149,6 +149,7 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	node->now_us = now_us;
 	deadline = earlier(heartbeat_tick(node), guard_tick(node)); /* before PDOs: they may end operational */
 	deadline = earlier(deadline, nmt_tick(node));
+	deadline = earlier(deadline, sync_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));
 	deadline = earlier(deadline, emcy_tick(node));
 	return earlier(deadline, sdo_server_tick(node));

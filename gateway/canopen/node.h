@@ -105,11 +105,14 @@ struct pdo {
 };
 
 struct sync {
-	struct od_hook hook; /* 1005h, 1019h */
-	const uint32_t *cob_id, *window_us;
+	struct od_hook hook; /* 1005h, 1006h, 1019h */
+	const uint32_t *cob_id, *period_us, *window_us;
 	const uint8_t *counter_overflow;
 	uint32_t id;   /* that is listened to; CAN_ID_NONE */
 	uint32_t late; /* SYNCs whose window had passed before the PDOs could be sent */
+	bool running;  /* the next SYNC of our own is due at next_us */
+	uint64_t next_us;
+	uint8_t counter; /* of the last one */
 };
 
 struct emcy_message {

@@ -117,6 +117,7 @@ uint64_t pdo_tick(struct canopen_node *node);
 void sync_init(struct canopen_node *node);
 void sync_reset(struct canopen_node *node);
 void sync_receive(struct canopen_node *node, const struct can_msg *msg);
+uint64_t sync_tick(struct canopen_node *node);
 
 /* emcy.c */
 void emcy_init(struct canopen_node *node);

@@ -1,19 +1,42 @@
-/* SYNC consumer (CiA 301, 7.2.5): COB-ID 1005h, synchronous window 1007h, counter 1019h. */
+/* SYNC consumer and producer (CiA 301, 7.2.5): COB-ID 1005h, period 1006h, synchronous window 1007h, counter 1019h. A
+ * producer is its own consumer. */
 #include "gateway/canopen/service.h"
 
 #define SYNC_PRODUCER (1u << 30)
 
+enum {
+	PERIOD_MIN_US = 1000,
+	COUNTER_MAX = 240,
+};
+
+/* The identifier does not change while SYNC is produced. */
+static enum od_status before_cob_id(uint32_t old, uint32_t value)
+{
+	if (!cob_id_usable(value) || (old & SYNC_PRODUCER && (old ^ value) & COB_ID_MASK))
+		return OD_BAD_VALUE;
+	return OD_OK;
+}
+
+/* Nor does the counter's range while there is a period. */
+static enum od_status before_counter(const struct sync *sync, uint8_t value)
+{
+	if (value == 1 || value > COUNTER_MAX)
+		return OD_BAD_VALUE;
+	return *sync->period_us && value != *sync->counter_overflow ? OD_DEVICE_STATE : OD_OK;
+}
+
 static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	const uint8_t *bytes = wire;
+	const struct sync *sync = &((struct canopen_node *)ctx)->sync;
 
-	(void)ctx;
 	(void)size;
 	switch (entry->index) {
-	case 0x1005: /* bit 31 means nothing; this node does not produce SYNC */
-		return (get_u32(bytes) & SYNC_PRODUCER) || !cob_id_usable(get_u32(bytes)) ? OD_BAD_VALUE : OD_OK;
+	case 0x1005: /* bit 31 means nothing */
+		return before_cob_id(*sync->cob_id, get_u32(wire));
+	case 0x1006:
+		return get_u32(wire) && get_u32(wire) < PERIOD_MIN_US ? OD_BAD_VALUE : OD_OK;
 	case 0x1019:
-		return bytes[0] == 1 || bytes[0] > 240 ? OD_BAD_VALUE : OD_OK;
+		return before_counter(sync, *(const uint8_t *)wire);
 	default:
 		return OD_OK;
 	}
@@ -21,15 +44,21 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 
 static void listen(struct canopen_node *node)
 {
-	node->sync.id = cob_id_usable(*node->sync.cob_id) ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
+	bool consumer = cob_id_usable(*node->sync.cob_id) && !(*node->sync.cob_id & SYNC_PRODUCER);
+
+	node->sync.id = consumer ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
 }
 
 static void after_write(void *ctx, const struct od_entry *entry)
 {
+	struct canopen_node *node = ctx;
+
+	if (entry->index == 0x1006)
+		node->sync.running = false;
 	if (entry->index != 0x1005)
 		return;
-	listen(ctx);
-	node_filter(ctx);
+	listen(node);
+	node_filter(node);
 }
 
 void sync_init(struct canopen_node *node)
@@ -37,6 +66,7 @@ void sync_init(struct canopen_node *node)
 	struct sync *sync = &node->sync;
 
 	sync->cob_id = node_value(node, 0x1005, 0, sizeof(uint32_t));
+	sync->period_us = node_value(node, 0x1006, 0, sizeof(uint32_t));
 	sync->window_us = node_value(node, 0x1007, 0, sizeof(uint32_t));
 	sync->counter_overflow = node_value(node, 0x1019, 0, sizeof(uint8_t));
 	sync->hook = (struct od_hook){
@@ -46,8 +76,10 @@ void sync_init(struct canopen_node *node)
 
 void sync_reset(struct canopen_node *node)
 {
+	node->sync.running = false;
+	node->sync.counter = 0;
 	listen(node);
-	if (node->sync.id == CAN_ID_NONE && od_find(node->od->table, 0x1005, 0, NULL))
+	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, 0x1005, 0, NULL))
 		node_bad_data(node, 0x1005);
 }
 
@@ -74,4 +106,46 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg)
 	bool late = window_passed(node, msg);
 	node->sync.late += late;
 	pdo_sync(node, counted ? msg->data[0] : 0, late);
+}
+
+static bool produces(const struct canopen_node *node)
+{
+	const struct sync *sync = &node->sync;
+
+	return *sync->cob_id & SYNC_PRODUCER && cob_id_usable(*sync->cob_id) && *sync->period_us >= PERIOD_MIN_US &&
+	       nmt_communicates(node);
+}
+
+static void produce(struct canopen_node *node)
+{
+	struct sync *sync = &node->sync;
+	bool counted = *sync->counter_overflow != 0;
+
+	sync->counter = counted ? (uint8_t)(sync->counter % *sync->counter_overflow + 1) : 0;
+	node_send(node, *sync->cob_id & COB_ID_MASK, &sync->counter, counted ? 1 : 0);
+	if (node->nmt.state == NMT_OPERATIONAL)
+		pdo_sync(node, sync->counter, false);
+}
+
+uint64_t sync_tick(struct canopen_node *node)
+{
+	struct sync *sync = &node->sync;
+
+	if (!produces(node)) {
+		sync->running = false;
+		sync->counter = 0; /* the first SYNC has 1 */
+		return UINT64_MAX;
+	}
+	if (!sync->running) {
+		sync->running = true;
+		sync->next_us = node->now_us + *sync->period_us;
+	}
+	if (node->now_us < sync->next_us)
+		return sync->next_us;
+	produce(node);
+	/* keep the phase when a little late, start anew when periods were missed */
+	if (node->now_us - sync->next_us >= *sync->period_us)
+		sync->next_us = node->now_us;
+	sync->next_us += *sync->period_us;
+	return sync->next_us;
 }

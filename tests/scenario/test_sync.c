@@ -32,13 +32,6 @@ static void test_a_sync_identifier_that_is_restricted_or_29_bits_long_is_refused
 	assert_int_equal(bus_read(bus, 0x1005, 0), 0x80);
 }
 
-static void test_this_node_does_not_produce_sync(void **state)
-{
-	struct bus *bus = *state;
-
-	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x40000080), 0x06090030);
-}
-
 static void test_bit_31_of_the_sync_identifier_means_nothing(void **state)
 {
 	struct bus *bus = *state;
@@ -193,12 +186,197 @@ static void test_without_a_window_no_sync_is_late(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 }
 
+/* ---- producer ---------------------------------------------------------------------------------------------------- */
+
+enum { PRODUCER = 1 << 30 };
+
+/* Every 10 ms, from now. */
+static void produce(struct bus *bus)
+{
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, PRODUCER | 0x080), 0);
+}
+
+static void test_a_producer_sends_sync_each_period(void **state)
+{
+	struct bus *bus = *state;
+	uint64_t start_us = bus->now_us;
+
+	produce(bus);
+	bus_run(bus, 30000);
+	for (uint64_t i = 1; i <= 3; i++) {
+		bus_expect(bus, "080");
+		assert_int_equal(bus->seen_us, start_us + i * 10000);
+	}
+	bus_expect_nothing(bus);
+}
+
+static void test_a_producer_without_a_period_sends_nothing(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, PRODUCER | 0x080), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_consumer_with_a_period_sends_nothing(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_the_pdos_of_a_producer_follow_its_own_sync(void **state)
+{
+	struct bus *bus = *state;
+
+	tpdo1_only(bus);
+	produce(bus);
+	bus_run(bus, 10000);
+	bus_expect(bus, "080");
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_producer_does_not_follow_the_sync_of_another(void **state)
+{
+	struct bus *bus = *state;
+
+	produce(bus);
+	assert_int_equal(bus->filter_count, 3);
+	bus_send(bus, "080");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_producer_counts_from_1_to_the_overflow_value(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 3), 0);
+	produce(bus);
+	bus_run(bus, 40000);
+	bus_expect(bus, "080 01");
+	bus_expect(bus, "080 02");
+	bus_expect(bus, "080 03");
+	bus_expect(bus, "080 01");
+}
+
+static void test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_begins_with_1(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 10), 0);
+	produce(bus);
+	bus_run(bus, 20000);
+	bus_forget(bus);
+	bus_send(bus, "000 02 10");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "000 80 10");
+	bus_run(bus, 10000);
+	bus_expect(bus, "080 01");
+}
+
+static void test_the_start_value_holds_for_the_own_sync_too(void **state)
+{
+	struct bus *bus = *state;
+
+	tpdo1_only(bus);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x80000190), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 6, 1, 2), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x40000190), 0);
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 10), 0);
+	produce(bus);
+	bus_run(bus, 20000);
+	bus_expect(bus, "080 01");
+	bus_expect(bus, "080 02");
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_the_identifier_does_not_change_while_sync_is_produced(void **state)
+{
+	struct bus *bus = *state;
+
+	produce(bus);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, PRODUCER | 0x0A0), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x0A0), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x080), 0);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, PRODUCER | 0x0A0), 0);
+	bus_run(bus, 10000);
+	bus_expect(bus, "0A0");
+}
+
+static void test_the_counter_does_not_change_while_there_is_a_period(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 10), 0x08000022);
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 0), 0); /* no change */
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 0), 0);
+	assert_int_equal(bus_write(bus, 0x1019, 0, 1, 10), 0);
+}
+
+static void test_a_period_below_a_millisecond_is_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 999), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 1000), 0);
+}
+
+static void test_a_new_period_counts_from_now_and_0_ends_production(void **state)
+{
+	struct bus *bus = *state;
+
+	produce(bus);
+	bus_run(bus, 5000);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 20000), 0);
+	bus_run(bus, 19999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "080");
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 0), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_missed_syncs_are_not_sent_in_a_burst_and_a_late_one_keeps_the_phase(void **state)
+{
+	struct bus *bus = *state;
+	uint64_t start_us = bus->now_us;
+
+	produce(bus);
+	bus->now_us = start_us + 13000;
+	bus_tick(bus);
+	bus_expect(bus, "080");
+	assert_int_equal(bus->deadline_us, start_us + 20000);
+	bus->now_us = start_us + 45000;
+	bus_tick(bus);
+	bus_expect(bus, "080");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->deadline_us, start_us + 55000);
+}
+
+static void test_reset_communication_ends_production(void **state)
+{
+	struct bus *bus = *state;
+
+	produce(bus);
+	bus_exchange(bus, "000 82 10", "710 00");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus_read(bus, 0x1005, 0), 0x80);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		OPERATIONAL(test_the_sync_identifier_can_be_moved),
 		PRE_OPERATIONAL(test_a_sync_identifier_that_is_restricted_or_29_bits_long_is_refused),
-		PRE_OPERATIONAL(test_this_node_does_not_produce_sync),
 		OPERATIONAL(test_bit_31_of_the_sync_identifier_means_nothing),
 		cmocka_unit_test(test_a_stored_sync_identifier_that_is_not_allowed_raises_6300h),
 		OPERATIONAL(test_a_sync_with_data_is_an_error_while_the_counter_is_off),
@@ -212,6 +390,20 @@ int main(void)
 		OPERATIONAL(test_a_late_sync_still_counts_for_type_n),
 		OPERATIONAL(test_a_late_sync_leaves_the_sample_of_type_0_to_the_next),
 		OPERATIONAL(test_without_a_window_no_sync_is_late),
+		PRE_OPERATIONAL(test_a_producer_sends_sync_each_period),
+		PRE_OPERATIONAL(test_a_producer_without_a_period_sends_nothing),
+		PRE_OPERATIONAL(test_a_consumer_with_a_period_sends_nothing),
+		OPERATIONAL(test_the_pdos_of_a_producer_follow_its_own_sync),
+		PRE_OPERATIONAL(test_a_producer_does_not_follow_the_sync_of_another),
+		PRE_OPERATIONAL(test_a_producer_counts_from_1_to_the_overflow_value),
+		PRE_OPERATIONAL(test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_begins_with_1),
+		OPERATIONAL(test_the_start_value_holds_for_the_own_sync_too),
+		PRE_OPERATIONAL(test_the_identifier_does_not_change_while_sync_is_produced),
+		PRE_OPERATIONAL(test_the_counter_does_not_change_while_there_is_a_period),
+		PRE_OPERATIONAL(test_a_period_below_a_millisecond_is_refused),
+		PRE_OPERATIONAL(test_a_new_period_counts_from_now_and_0_ends_production),
+		PRE_OPERATIONAL(test_missed_syncs_are_not_sent_in_a_burst_and_a_late_one_keeps_the_phase),
+		PRE_OPERATIONAL(test_reset_communication_ends_production),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
