@@ -156,7 +156,7 @@ static void on_reset(void *ctx, enum od_group group)
 	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
 		d->configuration_changed = true; /* the contradiction is reported with the next sample */
 	/* faults that last are found and told anew */
-	d->sensor_lost = d->overrun = false;
+	d->sensor_lost = d->overrun = d->position_unsure = false;
 	d->bus_seen = CAN_STATE_ACTIVE;
 }
 
@@ -246,6 +246,18 @@ static void publish_sensor_counters(struct device *d)
 	d->values.sensor_counters.gaps = d->pipeline.gaps;
 }
 
+/* 2040h:9. The sensor may be well: it is the movement that lasts too long. */
+static void watch_uncertainty(struct device *d, unsigned status)
+{
+	bool unsure = status & PIPELINE_UNSURE;
+
+	if (unsure && !d->position_unsure)
+		canopen_error_set(&d->canopen, EMCY_POSITION_UNSURE, REGISTER_MANUFACTURER, NULL, d->now_us);
+	if (!unsure && d->position_unsure)
+		canopen_error_clear(&d->canopen, EMCY_POSITION_UNSURE, d->now_us);
+	d->position_unsure = unsure;
+}
+
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us)
 {
 	struct pipeline_output out;
@@ -264,6 +276,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	sensor_back(d);
 	publish_sample(&d->values, &out, counter);
 	publish_sensor_counters(d);
+	watch_uncertainty(d, out.status);
 	canopen_sample(&d->canopen, now_us);
 }
 

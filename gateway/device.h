@@ -45,7 +45,7 @@ struct device {
 	uint32_t dropped_seen;	 /* bus->counters.tx_dropped at the last look */
 	uint64_t overrun_us;	 /* the last look that found frames lost */
 	enum can_state bus_seen;
-	bool configuration_changed, sensor_lost, overrun, save_under_way;
+	bool configuration_changed, sensor_lost, position_unsure, overrun, save_under_way;
 	uint64_t now_us; /* the time of the call that is running */
 };
 

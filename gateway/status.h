@@ -17,6 +17,7 @@ enum {
 	EMCY_CAN_OVERRUN = 0x8110, /* frames were lost: the bus took none for too long */
 	EMCY_ERROR_PASSIVE = 0x8120,
 	EMCY_BUS_OFF_OVER = 0x8140,
+	EMCY_POSITION_UNSURE = 0xFF10, /* 1 sigma of the position exceeds 2040h:9 */
 };
 
 #endif

@@ -18,17 +18,21 @@ static const struct vec3 ZERO = {0, 0, 0};
  * sensor at room temperature. */
 static const double START_ANGLE_RAD = 0.035, START_VELOCITY_M_S = 0.1;
 static const double START_GYRO_BIAS_RAD_S = 0.005, START_ACCEL_BIAS_M_S2 = 0.05;
-/* Errors of the gyro's scale and cross-axis of 1 %, which a turn to and fro within seconds leaves behind in part: the
- * attitude walks by 0.01 of the rate, per square root of a second. */
-static const double SCALE_WALK_SQRT_S = 0.01;
+/* Errors of scale and cross-axis, the gyro's 0.5 %, the accelerometer's 0.3 %, which a motion to and fro within seconds
+ * leaves behind in part: attitude and velocity walk by that share of rate and acceleration, per square root of a second;
+ * and with each turn, other errors of the accelerometer meet gravity, so its bias walks, up to START_ACCEL_BIAS. */
+static const double GYRO_SCALE_SQRT_S = 0.005, ACCEL_SCALE_SQRT_S = 0.003;
 /* Biases walk by their instability in that time. */
 static const double BIAS_TIME_S = 100;
 /* What is left of the velocity at a standstill: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01;
-static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3;
+static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5, STILL_SURE_S = 5;
+/* A shorter standstill does not part two movements. */
+static const double STOOD_S = 1;
 static const double STILL_GATE_SIGMAS = 5;
-/* For how long a velocity, a heading stays as wrong as it is. */
-static const double VELOCITY_CORRELATION_S = 0.5, HEADING_CORRELATION_S = 20;
+/* For how long a velocity stays what it is (the quick part's does not for longer than 1 / (2 pi) of
+ * NAVIGATION_QUICK_S), and a heading of the fusion as wrong as it is, seen from here. */
+static const double VELOCITY_CORRELATION_S = 0.1, HEADING_CORRELATION_S = 3;
 static const double HEADING_SIGMA_RAD = 0.035;
 /* A heading further off than that is not an error but another north. */
 static const double HEADING_JUMP_RAD = 0.35;
@@ -107,8 +111,8 @@ static struct mat3 minus_cross(struct vec3 f)
 	return (struct mat3){{{0, f.z, -f.y}, {-f.z, 0, f.x}, {f.y, -f.x, 0}}};
 }
 
-static void sum_up(
-	struct navigation_sums *s, const struct mat3 *r_nb, struct vec3 omega_b, struct vec3 force_n, double dt)
+static void sum_up(struct navigation_sums *s, const struct mat3 *r_nb, struct vec3 omega_b, struct vec3 force_n,
+	struct vec3 accel_n, double dt)
 {
 	struct vec3 f_dt = vec3_scale(dt, force_n);
 
@@ -120,6 +124,7 @@ static void sum_up(
 	s->f = vec3_add(s->f, f_dt);
 	s->turned_b_rad = vec3_add(s->turned_b_rad, vec3_scale(dt, omega_b));
 	s->turned2_rad2_s += dt * vec3_dot(omega_b, omega_b);
+	s->shaken2_m2_s3 += dt * vec3_dot(accel_n, accel_n);
 	s->t_s += dt;
 }
 
@@ -176,8 +181,8 @@ static void propagate(struct navigation *n)
 	transit(n->p, s, n->still);
 
 	add_variance(n, THETA, square(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
-	add_variance(n, THETA, square(SCALE_WALK_SQRT_S) * s->turned2_rad2_s / 3);
-	add_variance(n, V, walk);
+	add_variance(n, THETA, square(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
+	add_variance(n, V, walk + square(ACCEL_SCALE_SQRT_S) * s->shaken2_m2_s3 / 3);
 	if (!n->still)
 		for (int i = 0; i < 3; i++) {
 			n->p[P + i][P + i] += walk * t * t / 3;
@@ -185,6 +190,9 @@ static void propagate(struct navigation *n)
 			n->p[V + i][P + i] += walk * t / 2;
 		}
 	add_variance(n, BG, square(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
+	for (int i = BA; i < BA + 3; i++)
+		n->p[i][i] += square(ACCEL_SCALE_SQRT_S * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
+			      fmax(0, 1 - n->p[i][i] / square(START_ACCEL_BIAS_M_S2));
 	add_variance(n, BA, square(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
 }
 
@@ -226,29 +234,41 @@ static void take(struct navigation *n, const double x[N])
 	n->accel_bias_b_m_s2 = vec3_add(n->accel_bias_b_m_s2, part(x, BA));
 }
 
-/* The scatter of gyro and accelerometer about their short mean is that of a sensor at rest, for a while. */
-static bool scatter_is_small(
+/* Moves the mean and the mean square of what is left; this at most 4 limits, so that what was large is soon forgotten.
+ * Returns whether it is below the limit. */
+static bool scatters_less(struct vec3 *mean, double *square_, struct vec3 value, double share, double limit)
+{
+	struct vec3 d = vec3_sub(value, *mean);
+
+	*mean = vec3_add(*mean, vec3_scale(share, d));
+	*square_ = fmin(*square_ + share * (vec3_dot(d, d) - *square_), 4 * square(limit));
+	return *square_ < square(limit);
+}
+
+/* Moves the slow mean and returns whether the short one is near it: a gentle start does not scatter. */
+static bool stays(struct vec3 *slow, struct vec3 mean, double share, double limit)
+{
+	struct vec3 d = vec3_sub(mean, *slow);
+
+	*slow = vec3_add(*slow, vec3_scale(share, d));
+	return vec3_dot(d, d) < square(limit);
+}
+
+static void watch_stillness(
 	struct stillness *s, const struct navigation_config *c, const struct navigation_input *in, double dt)
 {
-	double share = dt / (STILL_MEAN_S + dt);
-	struct vec3 gyro, force;
+	double share = dt / (STILL_MEAN_S + dt), slow;
+	bool still;
 
-	if (!s->primed) {
+	if (!s->primed)
 		*s = (struct stillness){.gyro_mean = in->gyro_b_rad_s, .force_mean = in->force_b_m_s2, .primed = true};
-		return false;
-	}
-	gyro = vec3_sub(in->gyro_b_rad_s, s->gyro_mean);
-	force = vec3_sub(in->force_b_m_s2, s->force_mean);
-	s->gyro_mean = vec3_add(s->gyro_mean, vec3_scale(share, gyro));
-	s->force_mean = vec3_add(s->force_mean, vec3_scale(share, force));
-	s->gyro_variance += share * (vec3_dot(gyro, gyro) - s->gyro_variance);
-	s->force_variance += share * (vec3_dot(force, force) - s->force_variance);
-	if (s->gyro_variance < square(c->still_gyro_rad_s / 2) && s->force_variance < square(c->still_accel_m_s2 / 2) &&
-		vec3_dot(s->gyro_mean, s->gyro_mean) < square(c->still_gyro_rad_s))
-		s->still_s += dt;
-	else
-		s->still_s = 0;
-	return s->still_s > STILL_TIME_S;
+	still = scatters_less(&s->gyro_mean, &s->gyro_square, in->gyro_b_rad_s, share, c->still_gyro_rad_s / 2);
+	still &= scatters_less(&s->force_mean, &s->force_square, in->force_b_m_s2, share, c->still_accel_m_s2 / 2);
+	still &= vec3_dot(s->gyro_mean, s->gyro_mean) < square(c->still_gyro_rad_s);
+	slow = still ? fmax(dt / (s->still_s + dt), dt / STILL_MEMORY_S) : 1;
+	still &= stays(&s->gyro_slow, s->gyro_mean, slow, c->still_gyro_rad_s / 5);
+	still &= stays(&s->force_slow, s->force_mean, slow, c->still_accel_m_s2 / 5);
+	s->still_s = still ? s->still_s + dt : 0;
 }
 
 static bool may_be_zero(double velocity, double var)
@@ -256,14 +276,15 @@ static bool may_be_zero(double velocity, double var)
 	return velocity * velocity < square(STILL_GATE_SIGMAS) * (var + square(STILL_VELOCITY_M_S));
 }
 
-/* A steady motion scatters no more than a standstill does: the velocity must agree, or rest be sure. */
-static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
+/* A steady motion scatters no more than a standstill does: the velocity must agree, or it lasts. */
+static bool stands_still(const struct navigation *n)
 {
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
+	double still_s = n->stillness.still_s;
 
-	if (!scatter_is_small(&n->stillness, &n->config, in, dt))
-		return false;
-	return in->rest || n->still || (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
+	if (still_s > STILL_SURE_S)
+		return true;
+	return still_s > STILL_TIME_S && may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z);
 }
 
 /* The covariance of the place begins anew; the correlation of places with what is learnt later is given up. */
@@ -273,6 +294,7 @@ static void begin_movement(struct navigation *n)
 	set_variance(n, P, 0);
 	n->quick_n_m_s = ZERO;
 	n->quick2_max = 0;
+	n->movements++;
 }
 
 static void measure_standstill(struct navigation *n, double x[N])
@@ -356,6 +378,7 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	struct navigation fresh = {.config = *config, .q_nb = q_nb, .started = true};
 
 	fresh.position_n_m = n->position_n_m;
+	fresh.gravity_m_s2 = 9.81;
 	fresh.earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
 	set_variance(&fresh, THETA, square(START_ANGLE_RAD));
 	set_variance(&fresh, V, square(START_VELOCITY_M_S));
@@ -377,26 +400,31 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
 {
-	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), before = n->velocity_n_m_s, force;
+	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), before = n->velocity_n_m_s, force, accel;
 	struct quat turn = quat_from_rotation_vector(vec3_scale(dt / 2, omega)), half = quat_multiply(n->q_nb, turn);
 	struct mat3 r_nb = mat3_from_quat(half);
 
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
-	sum_up(&n->sums, &r_nb, omega, force, dt);
+	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
+	sum_up(&n->sums, &r_nb, omega, force, accel, dt);
 	n->q_nb = quat_multiply(half, turn);
-	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, force));
-	n->velocity_n_m_s.z -= dt * in->gravity_m_s2;
+	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
 }
 
 void navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
-	bool still = stands_still(n, in, dt_s);
+	bool still;
 
-	if (n->still && !still)
+	watch_stillness(&n->stillness, &n->config, in, dt_s);
+	still = stands_still(n);
+	if (n->still && !still && n->stood_s > STOOD_S)
 		begin_movement(n);
+	n->stood_s = still ? n->stood_s + dt_s : 0;
 	n->still = still;
+	n->gravity_m_s2 = in->gravity_m_s2;
+	n->fused_variance_rad2 = in->attitude_variance_rad2;
 	integrate(n, in, dt_s);
 	if (n->sums.t_s < NAVIGATION_INTERVAL_S)
 		return;
@@ -418,13 +446,16 @@ static struct vec3 root(struct vec3 a)
 	return (struct vec3){sqrt(fmax(a.x, 0)), sqrt(fmax(a.y, 0)), sqrt(fmax(a.z, 0))};
 }
 
-/* The fusion is as far off as it is from here, and this from the truth. No time averages out an error of north. */
+/* What the fusion says of itself, or it is as far off as it is from here, and this from the truth. Beside that, an
+ * accelerometer's bias tilts what is taken for gravity, and no time averages out an error of north. */
 static struct vec3 attitude_variance(const struct navigation *n)
 {
-	struct vec3 var = vec3_add(variance(n, THETA), n->fused_apart2_rad2);
+	struct vec3 var = n->fused_variance_rad2, bias = variance(n, BA);
+	double tilt = (bias.x + bias.y + bias.z) / 3 / square(n->gravity_m_s2);
 
-	var.z += square(HEADING_SIGMA_RAD);
-	return var;
+	if (vec3_dot(var, var) == 0)
+		var = vec3_add(variance(n, THETA), n->fused_apart2_rad2);
+	return vec3_add(var, (struct vec3){tilt, tilt, square(HEADING_SIGMA_RAD)});
 }
 
 struct vec3 navigation_attitude_sigma_rad(const struct navigation *n)
@@ -447,11 +478,11 @@ struct vec3 navigation_position_sigma_m(const struct navigation *n)
 	return root(vec3_add(n->earlier_variance_m2, variance(n, P)));
 }
 
-struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double gravity_m_s2, double rate_hz)
+struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
 	double both = square(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
-	double g2 = gravity_m_s2 * gravity_m_s2;
+	double g2 = square(n->gravity_m_s2);
 
 	return root((struct vec3){g2 * angle.y + both, g2 * angle.x + both, both});
 }

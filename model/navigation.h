@@ -48,16 +48,16 @@ struct navigation_config {
 	int levelling;		   /* 0 or 1; the prior, if there is one, is used instead */
 	double velocity_prior_m_s; /* >= 0: 1 sigma of each component while it moves; 0: none */
 	struct noise_config noise;
-	/* standing still: gyro and accelerometer scatter by less than half of that, the gyro's mean is below it */
+	/* standing still: gyro and accelerometer scatter by less than half of that, and their mean does not move by a fifth */
 	double still_gyro_rad_s, still_accel_m_s2;
 };
 
 /** One calibrated sample and what is known beside it. */
 struct navigation_input {
 	struct vec3 gyro_b_rad_s, force_b_m_s2;
-	struct quat q_nb; /* the fusion's attitude */
+	struct quat q_nb;		    /* the fusion's attitude */
+	struct vec3 attitude_variance_rad2; /* what it says of it, about each axis of n; 0: nothing */
 	double gravity_m_s2;
-	bool rest; /* for sure: a standstill that contradicts the velocity is believed only then */
 };
 
 /** What the samples since the last propagation do to the errors: the sums above. */
@@ -67,11 +67,13 @@ struct navigation_sums {
 	struct mat3 s, u, v, w;
 	struct vec3 turned_b_rad; /* integral of the rate, less the bias */
 	double turned2_rad2_s;	  /* integral of its square */
+	double shaken2_m2_s3;	  /* integral of the squared acceleration */
 };
 
 struct stillness {
-	struct vec3 gyro_mean, force_mean;
-	double gyro_variance, force_variance, still_s;
+	struct vec3 gyro_mean, force_mean, gyro_slow, force_slow; /* over a short and a long time */
+	double gyro_square, force_square;			  /* mean square of the distance to the short mean */
+	double still_s;
 	bool primed;
 };
 
@@ -84,10 +86,14 @@ struct navigation {
 	double p[NAVIGATION_STATES][NAVIGATION_STATES];
 	struct vec3 earlier_variance_m2; /* of the position at the last standstill */
 	struct vec3 fused_apart2_rad2;	 /* mean square of the rotation from q_nb to the fusion's attitude, frame n */
+	struct vec3 fused_variance_rad2; /* as the fusion said last */
+	double gravity_m_s2;
 	bool started, still;
+	unsigned movements; /* begun after a standstill of a second */
 	/* PRIVATE */
 	struct navigation_sums sums;
 	struct stillness stillness;
+	double stood_s;		 /* for how long it is still */
 	struct vec3 quick_n_m_s; /* high-pass of the velocity */
 	double quick2_max;	 /* of its square, since the last standstill */
 };
@@ -114,6 +120,6 @@ struct vec3 navigation_velocity_sigma_m_s(const struct navigation *n);
 struct vec3 navigation_position_sigma_m(const struct navigation *n);
 struct vec3 navigation_displacement_sigma_m(const struct navigation *n);
 /** .. and of an acceleration sampled at rate_hz and turned by the fusion's attitude. */
-struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double gravity_m_s2, double rate_hz);
+struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double rate_hz);
 
 #endif

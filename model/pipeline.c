@@ -45,7 +45,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		},
 	.position =
 		{
-			.mode = POSITION_ZERO_VELOCITY_AT_REST,
+			.mode = POSITION_NAVIGATION,
 			.longest_integration_s = 60,
 			.navigation = {.levelling = 1},
 		},
@@ -258,15 +258,24 @@ static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double
 	return filter3_step(&p->accel_filter, accel);
 }
 
+static struct vec3 fusion_variance(const struct pipeline *p)
+{
+	const struct fusion_kalman *k = &p->fusion.kalman;
+
+	if (p->config.fusion.algorithm != FUSION_KALMAN)
+		return (struct vec3){0, 0, 0};
+	return (struct vec3){k->covariance[0][0], k->covariance[1][1], k->covariance[2][2]};
+}
+
 /* Without a gap, velocity and position of the reference point. */
 static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, double dt_s)
 {
 	const struct navigation_input in = {
 		.gyro_b_rad_s = s->gyro_rad_s,
 		.force_b_m_s2 = s->accel_m_s2,
-		.q_nb = fusion_attitude_now(&p->fusion, s->gyro_rad_s),
+		.q_nb = p->fusion.q_nb,
+		.attitude_variance_rad2 = fusion_variance(p),
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
-		.rest = rest,
 	};
 
 	if (p->config.position.mode != POSITION_NAVIGATION)
@@ -284,7 +293,7 @@ static void tell_sigma(const struct pipeline *p, struct pipeline_output *out)
 	out->displacement_n_m = p->position.displacement_n_m;
 	out->displacement_sigma_m = p->position.displacement_sigma_m;
 	out->attitude_sigma_n_rad = navigation_attitude_sigma_rad(n);
-	out->accel_sigma_n_m_s2 = navigation_accel_sigma_m_s2(n, p->config.estimator.gravity_m_s2, p->rate_hz);
+	out->accel_sigma_n_m_s2 = navigation_accel_sigma_m_s2(n, p->rate_hz);
 	out->velocity_sigma_n_m_s = navigation_velocity_sigma_m_s(n);
 	out->position_sigma_n_m = navigation_position_sigma_m(n);
 }

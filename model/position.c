@@ -110,7 +110,7 @@ static void follow(struct position *p, const struct navigation_input *in, struct
 void position_navigate(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double dt_s)
 {
 	struct navigation *n = &p->navigation;
-	bool was_still = n->still;
+	unsigned movements = n->movements;
 
 	if (!n->started) {
 		navigation_start(n, &p->config.navigation, in->q_nb);
@@ -118,7 +118,7 @@ void position_navigate(struct position *p, const struct navigation_input *in, st
 	}
 	navigation_step(n, in, dt_s);
 	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
-	if (was_still && !n->still)
+	if (n->movements != movements)
 		p->moved_from_n_m = p->position_n_m;
 	follow(p, in, lever_b_m);
 	if (n->still) {

@@ -445,6 +445,7 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_MAG_USED, "magnetometer"},
 		{PIPELINE_TIME_LIMIT, "position-held"},
 		{PIPELINE_GAP, "gap"},
+		{PIPELINE_UNSURE, "position-unsure"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
 	};

@@ -313,6 +313,22 @@ static void test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until
 	assert_int_equal(emcy_code(w), 0);
 }
 
+static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not(void **state)
+{
+	struct world *w = *state;
+	const float limit = 1e-6f, none = 0;
+
+	samples(w, 200);
+	assert_int_equal(sdo_write(w, 0x2040, 9, &limit, 4), 0);
+	samples(w, 10);
+	assert_int_equal(emcy_code(w), EMCY_POSITION_UNSURE);
+	assert_true(w->device.values.sample.status & PIPELINE_UNSURE);
+	assert_int_equal(sdo_write(w, 0x2040, 9, &none, 4), 0);
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+	assert_false(w->device.values.sample.status & PIPELINE_UNSURE);
+}
+
 /* ---- storage -------------------------------------------------------------------------------------------------------- */
 
 static uint32_t store_all(struct world *w)
@@ -557,6 +573,7 @@ int main(void)
 		TEST(test_the_reset_command_zeroes_the_position),
 		TEST(test_the_angle_resolution_takes_only_the_steps_of_cia_410),
 		TEST(test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended),
+		TEST(test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not),
 		TEST(test_stored_values_survive_a_power_cycle),
 		TEST(test_stored_values_win_over_the_file_and_the_file_over_the_defaults),
 		TEST(test_a_stored_default_wins_over_the_file_too),

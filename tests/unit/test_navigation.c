@@ -1,0 +1,436 @@
+/* Position by the error-state Kalman filter: its sums and covariance against plain oracles, its position against
+ * simulated truth. */
+#include "model_test.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "model/position.h"
+#include "model/sensor.h"
+
+enum { N = NAVIGATION_STATES };
+
+static const double DT_S = 0.005, G = 9.81;
+static const struct vec3 ZERO = {0, 0, 0};
+static const struct navigation_config BARE = {.still_gyro_rad_s = 2 * DEG, .still_accel_m_s2 = 0.5};
+
+static struct navigation_config levelling(void)
+{
+	struct navigation_config config = BARE;
+
+	config.levelling = 1;
+	config.noise = (struct noise_config){0.001, 0.03 * DEG, 0.01 * DEG, 220e-6 * G, 1e-4 * G};
+	return config;
+}
+
+static struct navigation_input any_input(struct quat q_nb)
+{
+	struct navigation_input in = {.gyro_b_rad_s = any_vec(3), .force_b_m_s2 = any_vec(15), .q_nb = q_nb};
+
+	in.gravity_m_s2 = G;
+	return in;
+}
+
+/* ---- the sums are the derivatives --------------------------------------------------------------------------------- */
+
+enum { SAMPLES = 7 };
+
+static struct navigation integrated(struct navigation n, const struct navigation_input *in)
+{
+	for (int k = 0; k < SAMPLES; k++)
+		navigation_step(&n, &in[k], DT_S);
+	return n;
+}
+
+/* The state with an error of `size` in component i. */
+static struct navigation erring(struct navigation n, int i, double size)
+{
+	struct vec3 turn = ZERO;
+	double *const at[N] = {&turn.x, &turn.y, &turn.z, &n.velocity_n_m_s.x, &n.velocity_n_m_s.y, &n.velocity_n_m_s.z,
+		&n.position_n_m.x, &n.position_n_m.y, &n.position_n_m.z, &n.gyro_bias_b_rad_s.x, &n.gyro_bias_b_rad_s.y,
+		&n.gyro_bias_b_rad_s.z, &n.accel_bias_b_m_s2.x, &n.accel_bias_b_m_s2.y, &n.accel_bias_b_m_s2.z};
+
+	*at[i] += size;
+	n.q_nb = quat_multiply(quat_from_rotation_vector(turn), n.q_nb);
+	return n;
+}
+
+static void error_of(const struct navigation *true_, const struct navigation *n, double size, double e[9])
+{
+	struct quat d = quat_multiply(true_->q_nb, quat_conjugate(n->q_nb));
+	struct vec3 v = vec3_sub(true_->velocity_n_m_s, n->velocity_n_m_s);
+	struct vec3 p = vec3_sub(true_->position_n_m, n->position_n_m);
+	const double all[9] = {2 * d.x, 2 * d.y, 2 * d.z, v.x, v.y, v.z, p.x, p.y, p.z};
+
+	for (int i = 0; i < 9; i++)
+		e[i] = all[i] / size;
+}
+
+static void block(double f[N][N], int row, int column, double sign, const struct mat3 *m)
+{
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			f[row + i][column + j] = sign * m->m[i][j];
+}
+
+static struct mat3 cross(struct vec3 a)
+{
+	return (struct mat3){{{0, -a.z, a.y}, {a.z, 0, -a.x}, {-a.y, a.x, 0}}};
+}
+
+/* The transition that the header promises. */
+static void transition(const struct navigation_sums *s, double f[N][N])
+{
+	struct mat3 f_cross = cross(s->f), ff_cross = cross(s->ff);
+
+	memset(f, 0, sizeof(double[N][N]));
+	for (int i = 0; i < N; i++)
+		f[i][i] = 1;
+	block(f, NAVIGATION_THETA, NAVIGATION_BG, -1, &s->s);
+	block(f, NAVIGATION_V, NAVIGATION_THETA, -1, &f_cross);
+	block(f, NAVIGATION_V, NAVIGATION_BG, 1, &s->v);
+	block(f, NAVIGATION_V, NAVIGATION_BA, -1, &s->s);
+	block(f, NAVIGATION_P, NAVIGATION_THETA, -1, &ff_cross);
+	block(f, NAVIGATION_P, NAVIGATION_BG, 1, &s->w);
+	block(f, NAVIGATION_P, NAVIGATION_BA, -1, &s->u);
+	for (int i = 0; i < 3; i++)
+		f[NAVIGATION_P + i][NAVIGATION_V + i] = s->t_s;
+}
+
+static void test_the_sums_are_the_derivatives_of_the_integration(void **state)
+{
+	struct navigation start = {.started = false}, n;
+	struct navigation_input in[SAMPLES];
+	double f[N][N], e[9], size = 1e-6;
+
+	(void)state;
+	navigation_start(&start, &BARE, any_attitude());
+	for (int k = 0; k < SAMPLES; k++)
+		in[k] = any_input(start.q_nb);
+	n = integrated(start, in);
+	assert_true(n.sums.t_s > 0);
+	transition(&n.sums, f);
+	for (int i = 0; i < N; i++) {
+		struct navigation moved = integrated(erring(start, i, size), in);
+
+		error_of(&moved, &n, size, e);
+		for (int j = 0; j < 9; j++) /* terms of dt^2 are left out */
+			assert_near(e[j], f[j][i], 0.01 * SAMPLES * DT_S * (j < 3 ? 1 : 15));
+	}
+}
+
+/* ---- the covariance against dense matrices ------------------------------------------------------------------------ */
+
+static void dense_propagate(double p[N][N], double f[N][N])
+{
+	double fp[N][N] = {{0}};
+
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			for (int k = 0; k < N; k++)
+				fp[i][j] += f[i][k] * p[k][j];
+	memset(p, 0, sizeof(double[N][N]));
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			for (int k = 0; k < N; k++)
+				p[i][j] += fp[i][k] * f[j][k];
+}
+
+static void test_the_covariance_is_that_of_dense_matrices(void **state)
+{
+	struct navigation n = {.started = false};
+	struct navigation_config never_still = BARE;
+	double p[N][N], f[N][N];
+
+	(void)state;
+	never_still.still_gyro_rad_s = 1e-9;
+	navigation_start(&n, &never_still, any_attitude());
+	for (int round = 0; round < 20; round++) {
+		struct navigation_sums sums = n.sums;
+		struct navigation_input in;
+
+		memcpy(p, n.p, sizeof(p));
+		do {
+			sums = n.sums;
+			in = any_input(n.q_nb);
+			in.force_b_m_s2 = quat_rotate_inverse(n.q_nb, (struct vec3){0, 0, G}); /* slow: no walk */
+			in.gyro_b_rad_s = vec3_scale(1e-4, in.gyro_b_rad_s);
+			navigation_step(&n, &in, DT_S);
+		} while (n.sums.t_s > 0);
+		/* one sample is missing from `sums`: an eighth of the interval, the same again */
+		for (int k = 0; k < 1; k++) {
+			struct mat3 r = mat3_from_quat(n.q_nb);
+			struct vec3 f_dt = {0, 0, G * DT_S};
+			struct mat3 fx = cross(f_dt);
+
+			transition(&sums, f);
+			dense_propagate(p, f);
+			memset(&sums, 0, sizeof(sums));
+			transition(&sums, f);
+			for (int i = 0; i < 3; i++)
+				for (int j = 0; j < 3; j++)
+					r.m[i][j] *= DT_S;
+			block(f, NAVIGATION_THETA, NAVIGATION_BG, -1, &r);
+			block(f, NAVIGATION_V, NAVIGATION_THETA, -1, &fx);
+			block(f, NAVIGATION_V, NAVIGATION_BA, -1, &r);
+			for (int i = 0; i < 3; i++)
+				f[NAVIGATION_P + i][NAVIGATION_V + i] = DT_S;
+			dense_propagate(p, f);
+		}
+		/* everything but what the heading is correlated with, which was measured */
+		for (int i = NAVIGATION_V; i < NAVIGATION_BG; i++)
+			for (int j = NAVIGATION_V; j < NAVIGATION_BG; j++)
+				assert_near(n.p[i][j], p[i][j], 1e-3 * sqrt(p[i][i] * p[j][j]));
+	}
+}
+
+static void test_the_covariance_stays_symmetric_and_positive(void **state)
+{
+	const struct navigation_config config = levelling();
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, any_attitude());
+	for (int k = 0; k < 100000; k++) {
+		bool quiet = k / 2000 % 3 == 0;
+		struct navigation_input in = any_input(n.q_nb);
+
+		if (quiet) {
+			in.gyro_b_rad_s = vec3_scale(1e-4, in.gyro_b_rad_s);
+			in.force_b_m_s2 = quat_rotate_inverse(n.q_nb, (struct vec3){0, 0, G});
+		}
+		navigation_step(&n, &in, DT_S);
+		for (int i = 0; i < N; i++) {
+			assert_true(n.p[i][i] >= 0);
+			for (int j = 0; j < i; j++)
+				assert_near(n.p[i][j], n.p[j][i], 1e-6 * sqrt(n.p[i][i] * n.p[j][j]) + 1e-15);
+		}
+	}
+}
+
+/* ---- position against truth --------------------------------------------------------------------------------------- */
+
+static const double REST_S = 5, END_S = 2;
+
+/* At rest, then along one way to another place, then at rest: s(t) from 0 to 1, smooth to its second derivative. */
+struct way {
+	double time_s;
+	struct vec3 to_n_m, turn_rad;
+};
+
+static void way_at(const struct way *way, double t, struct signal_truth *truth)
+{
+	double x = fmin(fmax((t - REST_S) / way->time_s, 0), 1), w = 2 * PI / way->time_s;
+	double s = x - sin(2 * PI * x) / (2 * PI), v = (1 - cos(2 * PI * x)) / way->time_s;
+	double a = w / way->time_s * sin(2 * PI * x);
+
+	*truth = (struct signal_truth){
+		.t_s = t,
+		.q_nb = quat_from_rotation_vector(vec3_scale(s, way->turn_rad)),
+		.omega_b_rad_s = vec3_scale(v, way->turn_rad),
+		.alpha_b_rad_s2 = vec3_scale(a, way->turn_rad),
+		.position_n_m = vec3_scale(s, way->to_n_m),
+		.velocity_n_m_s = vec3_scale(v, way->to_n_m),
+		.accel_n_m_s2 = vec3_scale(a, way->to_n_m),
+	};
+}
+
+/* Position at the end, the attitude of the fusion being true to 0.5 degrees. */
+static struct position travel(const struct way *way, const struct navigation_config *navigation, uint64_t seed)
+{
+	struct position_config config = {.mode = POSITION_NAVIGATION, .navigation = *navigation};
+	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
+	static struct sensor sensor;
+	struct position p;
+
+	chip.rate_hz = 200;
+	sensor_calibrate(&chip);
+	assert_int_equal(sensor_init(&sensor, &chip, seed), 0);
+	assert_int_equal(position_init(&p, &config), 0);
+	for (int k = 0; k < (int)lround((REST_S + way->time_s + END_S) / DT_S); k++) {
+		struct navigation_input in = {.gravity_m_s2 = chip.gravity_m_s2};
+		struct imu_sample sample;
+		struct signal_truth truth;
+
+		way_at(way, sensor_instant_s(&sensor), &truth);
+		sensor_measure(&sensor, &truth, &sample);
+		in.gyro_b_rad_s = sample.gyro_rad_s;
+		in.force_b_m_s2 = sample.accel_m_s2;
+		in.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0.5 * DEG, -0.5 * DEG, 0}), truth.q_nb);
+		position_navigate(&p, &in, ZERO, DT_S);
+	}
+	return p;
+}
+
+static void test_the_displacement_at_rest_is_right_and_its_sigma_honest(void **state)
+{
+	const struct navigation_config bare = {.noise = levelling().noise,
+		.still_gyro_rad_s = BARE.still_gyro_rad_s,
+		.still_accel_m_s2 = BARE.still_accel_m_s2};
+	const struct way way = {4, {3, -2, 0.5}, {0.2, -0.3, 1}};
+	double sum = 0, worst = 0;
+
+	(void)state;
+	for (uint64_t seed = 1; seed <= 20; seed++) {
+		struct position p = travel(&way, &bare, seed);
+		struct vec3 e = vec3_sub(p.displacement_n_m, way.to_n_m), s = p.displacement_sigma_m;
+
+		assert_true(p.navigation.still);
+		sum += (e.x * e.x / (s.x * s.x) + e.y * e.y / (s.y * s.y) + e.z * e.z / (s.z * s.z)) / 3 / 20;
+		worst = fmax(worst, vec3_norm(e));
+	}
+	print_message("displacement of %.1f m in %g s: worst error %.3f m, normalised %.2f\n", vec3_norm(way.to_n_m),
+		way.time_s, worst, sum);
+	assert_true(sum < 2);
+	assert_true(worst < 0.5);
+}
+
+static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
+{
+	const struct navigation_config config = levelling();
+	const struct way way = {6, {10, 0, 0}, {0, 0, 0.5}};
+
+	(void)state;
+	for (uint64_t seed = 1; seed <= 5; seed++) {
+		struct position p = travel(&way, &config, seed);
+
+		print_message("10 m in 6 s: %.2f %.2f %.2f\n", p.displacement_n_m.x, p.displacement_n_m.y,
+			p.displacement_n_m.z);
+		assert_near(p.displacement_n_m.x, 10, 1);
+	}
+}
+
+/* A constant error of acceleration shows as velocity at the standstill, and half of that velocity times the time is the
+ * error of the place: a smoother over the movement takes it back as a whole, and so must the filter. */
+static void test_a_standstill_corrects_the_whole_movement_before_it(void **state)
+{
+	const double error = 0.05, time_s = 10;
+	struct navigation n = {.started = false};
+	double before;
+
+	(void)state;
+	navigation_start(&n, &BARE, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(time_s / DT_S); k++) {
+		struct navigation_input in = {
+			.force_b_m_s2 = {error, 0, G + (k % 2 ? 3 : -3)}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+
+		navigation_step(&n, &in, DT_S);
+	}
+	before = n.position_n_m.x;
+	assert_near(before, error * time_s * time_s / 2, 0.05);
+	for (int k = 0; k < (int)(2 / DT_S); k++) {
+		struct navigation_input in = {.force_b_m_s2 = {error, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+
+		navigation_step(&n, &in, DT_S);
+	}
+	assert_true(n.still);
+	assert_near(n.position_n_m.x, 0, 0.1 * before);
+}
+
+static void test_a_prior_holds_the_velocity(void **state)
+{
+	struct navigation_config config = BARE;
+	double end[2];
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct navigation n = {.started = false};
+
+		config.velocity_prior_m_s = i ? 0.3 : 0;
+		navigation_start(&n, &config, quat_from_rotation_vector((struct vec3){0, 1 * DEG, 0}));
+		for (int k = 0; k < 4000; k++) {
+			struct navigation_input in = {.force_b_m_s2 = {0, 0, G + (k % 2 ? 3 : -3)}, .gravity_m_s2 = G};
+
+			in.q_nb = n.q_nb;
+			navigation_step(&n, &in, DT_S);
+		}
+		end[i] = fabs(n.velocity_n_m_s.x);
+	}
+	assert_true(end[0] > 3);
+	assert_true(end[1] < 0.3);
+}
+
+static void test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour(void **state)
+{
+	const struct way stay = {1, {0, 0, 0}, {0, 0, 0}};
+	const struct navigation_config config = levelling();
+	struct position p = travel(&stay, &config, 3), before;
+
+	(void)state;
+	before = p;
+	for (int k = 0; k < (int)(3600 / DT_S); k++) {
+		struct navigation_input in = {.force_b_m_s2 = {0.001 * any(), 0, G + 0.001 * any()},
+			.gyro_b_rad_s = any_vec(1e-4),
+			.q_nb = QUAT_IDENTITY,
+			.gravity_m_s2 = G};
+
+		position_navigate(&p, &in, ZERO, DT_S);
+	}
+	assert_vec_near(p.velocity_n_m_s, ZERO, 0);
+	assert_vec_near(p.position_n_m, before.position_n_m, 0.01);
+	assert_true(vec3_norm(navigation_position_sigma_m(&p.navigation)) < 0.05);
+}
+
+static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
+{
+	const struct way way = {4, {1, 0, 0}, {0, 0, 0}};
+	const struct navigation_config config = levelling();
+	struct position p = travel(&way, &config, 1);
+	struct vec3 place = p.position_n_m, sigma = navigation_position_sigma_m(&p.navigation);
+
+	(void)state;
+	position_skip(&p, ZERO, QUAT_IDENTITY, 2);
+	assert_vec_near(p.position_n_m, place, 0);
+	assert_true(navigation_position_sigma_m(&p.navigation).x > sigma.x + 2);
+	assert_true(navigation_velocity_sigma_m_s(&p.navigation).x > 2);
+}
+
+static void test_a_position_less_certain_than_its_limit_is_told(void **state)
+{
+	const struct way way = {4, {1, 0, 0}, {0, 0, 0}};
+	const struct navigation_config config = levelling();
+	struct position p = travel(&way, &config, 1);
+
+	(void)state;
+	assert_false(position_unsure(&p));
+	p.config.sigma_limit_m = 1e-4;
+	assert_true(position_unsure(&p));
+	position_reset(&p);
+	assert_false(position_unsure(&p));
+}
+
+static void test_another_north_turns_the_velocity_with_the_attitude(void **state)
+{
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &BARE, QUAT_IDENTITY);
+	n.velocity_n_m_s = (struct vec3){1, 0, 0};
+	for (int k = 0; k < 20; k++) {
+		struct navigation_input in = {.force_b_m_s2 = {0, 0, G + (k % 2 ? 3 : -3)}, .gravity_m_s2 = G};
+
+		in.q_nb = quat_from_rotation_vector((struct vec3){0, 0, PI / 2});
+		navigation_step(&n, &in, DT_S);
+	}
+	assert_quat_near(n.q_nb, quat_from_rotation_vector((struct vec3){0, 0, PI / 2}), 0.01);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0, 1, 0}), 0.05);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_sums_are_the_derivatives_of_the_integration),
+		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
+		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
+		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
+		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
+		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
+		cmocka_unit_test(test_a_prior_holds_the_velocity),
+		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour),
+		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
+		cmocka_unit_test(test_a_position_less_certain_than_its_limit_is_told),
+		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
