@@ -141,10 +141,10 @@ void publish_sample(struct od_values *v, const struct pipeline_output *out, uint
 	PUBLISH_REAL32(v->acceleration_global, out->accel_n_m_s2, x, y, z);
 	PUBLISH_REAL32(v->angles_deg, angles_deg, roll, pitch, yaw);
 	PUBLISH_REAL32(v->position_m, out->position_n_m, x, y, z);
-	PUBLISH_REAL32(v->attitude_sigma, vec3_scale(DEG_PER_RAD, out->attitude_sigma_n_rad), x, y, z);
-	PUBLISH_REAL32(v->acceleration_sigma, out->accel_sigma_n_m_s2, x, y, z);
-	PUBLISH_REAL32(v->velocity_sigma, out->velocity_sigma_n_m_s, x, y, z);
-	PUBLISH_REAL32(v->position_sigma, out->position_sigma_n_m, x, y, z);
+	PUBLISH_REAL32(v->attitude_sigma, vec3_scale(DEG_PER_RAD, out->sigma.attitude_rad), x, y, z);
+	PUBLISH_REAL32(v->acceleration_sigma, out->sigma.accel_m_s2, x, y, z);
+	PUBLISH_REAL32(v->velocity_sigma, out->sigma.velocity_m_s, x, y, z);
+	PUBLISH_REAL32(v->position_sigma, out->sigma.position_m, x, y, z);
 	PUBLISH_REAL32(v->displacement, out->displacement_n_m, x, y, z);
 	PUBLISH_REAL32(v->displacement_sigma, out->displacement_sigma_m, x, y, z);
 

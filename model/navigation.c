@@ -413,7 +413,7 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
 }
 
-void navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
+bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	bool still;
 
@@ -427,10 +427,11 @@ void navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->fused_variance_rad2 = in->attitude_variance_rad2;
 	integrate(n, in, dt_s);
 	if (n->sums.t_s < NAVIGATION_INTERVAL_S)
-		return;
+		return false;
 	propagate(n);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
+	return true;
 }
 
 void navigation_reset_position(struct navigation *n)
@@ -458,31 +459,18 @@ static struct vec3 attitude_variance(const struct navigation *n)
 	return vec3_add(var, (struct vec3){tilt, tilt, square(HEADING_SIGMA_RAD)});
 }
 
-struct vec3 navigation_attitude_sigma_rad(const struct navigation *n)
-{
-	return root(attitude_variance(n));
-}
-
-struct vec3 navigation_velocity_sigma_m_s(const struct navigation *n)
-{
-	return root(variance(n, V));
-}
-
-struct vec3 navigation_displacement_sigma_m(const struct navigation *n)
-{
-	return root(variance(n, P));
-}
-
-struct vec3 navigation_position_sigma_m(const struct navigation *n)
-{
-	return root(vec3_add(n->earlier_variance_m2, variance(n, P)));
-}
-
-struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double rate_hz)
+struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
-	double both = square(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
+	double force =
+		square(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
 	double g2 = square(n->gravity_m_s2);
 
-	return root((struct vec3){g2 * angle.y + both, g2 * angle.x + both, both});
+	return (struct navigation_sigma){
+		.attitude_rad = root(angle),
+		.accel_m_s2 = root((struct vec3){g2 * angle.y + force, g2 * angle.x + force, force}),
+		.velocity_m_s = root(variance(n, V)),
+		.position_m = root(vec3_add(n->earlier_variance_m2, variance(n, P))),
+		.displacement_m = root(variance(n, P)),
+	};
 }

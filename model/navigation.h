@@ -98,6 +98,12 @@ struct navigation {
 	double quick2_max;	 /* of its square, since the last standstill */
 };
 
+/** 1 sigma: of the fusion's attitude (rotation about each axis of n), of an acceleration turned by it, of velocity, of
+ * the position since the reset and since the last standstill. */
+struct navigation_sigma {
+	struct vec3 attitude_rad, accel_m_s2, velocity_m_s, position_m, displacement_m;
+};
+
 /** 0, or -EINVAL: a field out of its range. */
 int navigation_check(const struct navigation_config *config);
 
@@ -107,19 +113,14 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 /** Samples were missing: the velocity goes on, the attitude is the fusion's, and all is less certain. */
 void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s);
 
-/** One sample, dt_s > 0 after the one before. */
-void navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s);
+/** One sample, dt_s > 0 after the one before. Returns whether it was the last of an interval, with which the covariance
+ * changes. */
+bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s);
 
 /** Position zero, and certain. */
 void navigation_reset_position(struct navigation *n);
 
-/** 1 sigma of the fusion's attitude (rotation about each axis of n), of velocity, of position since the reset and since
- * the last standstill. */
-struct vec3 navigation_attitude_sigma_rad(const struct navigation *n);
-struct vec3 navigation_velocity_sigma_m_s(const struct navigation *n);
-struct vec3 navigation_position_sigma_m(const struct navigation *n);
-struct vec3 navigation_displacement_sigma_m(const struct navigation *n);
-/** .. and of an acceleration sampled at rate_hz and turned by the fusion's attitude. */
-struct vec3 navigation_accel_sigma_m_s2(const struct navigation *n, double rate_hz);
+/** rate_hz: at which the acceleration is sampled. */
+struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz);
 
 #endif

@@ -281,21 +281,7 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 	if (p->config.position.mode != POSITION_NAVIGATION)
 		position_step(&p->position, accel_n_m_s2, rest, dt_s);
 	else if (fusion_started(&p->fusion))
-		position_navigate(&p->position, &in, p->config.estimator.lever_arm_b_m, dt_s);
-}
-
-static void tell_sigma(const struct pipeline *p, struct pipeline_output *out)
-{
-	const struct navigation *n = &p->position.navigation;
-
-	if (!n->started)
-		return;
-	out->displacement_n_m = p->position.displacement_n_m;
-	out->displacement_sigma_m = p->position.displacement_sigma_m;
-	out->attitude_sigma_n_rad = navigation_attitude_sigma_rad(n);
-	out->accel_sigma_n_m_s2 = navigation_accel_sigma_m_s2(n, p->rate_hz);
-	out->velocity_sigma_n_m_s = navigation_velocity_sigma_m_s(n);
-	out->position_sigma_n_m = navigation_position_sigma_m(n);
+		position_navigate(&p->position, &in, p->config.estimator.lever_arm_b_m, p->rate_hz, dt_s);
 }
 
 static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
@@ -355,8 +341,10 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.accel_n_m_s2 = accel,
 		.velocity_n_m_s = p->position.velocity_n_m_s,
 		.position_n_m = p->position.position_n_m,
+		.displacement_n_m = p->position.displacement_n_m,
+		.displacement_sigma_m = p->position.displacement_sigma_m,
+		.sigma = p->position.sigma,
 		.status = status_of(p, rest, gap),
 	};
-	tell_sigma(p, out);
 	return 0;
 }

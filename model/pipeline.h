@@ -58,10 +58,9 @@ struct pipeline_output {
 	struct vec3 accel_n_m_s2; /* the same, global frame */
 	struct vec3 velocity_n_m_s;
 	struct vec3 position_n_m;
-	/* by navigation only, else 0: from one standstill to the next, and 1 sigma (of the attitude: of the rotation
-	 * about each axis) */
+	/* by navigation only, else 0: from one standstill to the next, and how certain all is */
 	struct vec3 displacement_n_m, displacement_sigma_m;
-	struct vec3 attitude_sigma_n_rad, accel_sigma_n_m_s2, velocity_sigma_n_m_s, position_sigma_n_m;
+	struct navigation_sigma sigma;
 	unsigned status;
 };
 

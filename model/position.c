@@ -15,8 +15,11 @@ int position_configure(struct position *p, const struct position_config *config)
 		return -EINVAL;
 	if (navigation_check(&config->navigation) < 0)
 		return -EINVAL;
-	if (config->mode != POSITION_NAVIGATION)
+	if (config->mode != POSITION_NAVIGATION) {
 		p->navigation.started = false;
+		p->sigma = (struct navigation_sigma){.attitude_rad = {0, 0, 0}};
+		p->displacement_n_m = p->displacement_sigma_m = (struct vec3){0, 0, 0};
+	}
 	p->navigation.config = config->navigation;
 	p->config = *config;
 	return 0;
@@ -38,6 +41,7 @@ void position_reset(struct position *p)
 	p->position_n_m = p->moved_from_n_m = (struct vec3){0, 0, 0};
 	p->moving_s = 0;
 	p->anchored = false;
+	p->sigma.position_m = p->sigma.displacement_m = (struct vec3){0, 0, 0};
 	navigation_reset_position(&p->navigation);
 }
 
@@ -50,7 +54,7 @@ bool position_limited(const struct position *p)
 bool position_unsure(const struct position *p)
 {
 	return p->navigation.started && p->config.sigma_limit_m > 0 &&
-	       vec3_norm(navigation_position_sigma_m(&p->navigation)) > p->config.sigma_limit_m;
+	       vec3_norm(p->sigma.position_m) > p->config.sigma_limit_m;
 }
 
 static void stand_still(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
@@ -107,7 +111,8 @@ static void follow(struct position *p, const struct navigation_input *in, struct
 			vec3_sub(n->velocity_n_m_s, quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)));
 }
 
-void position_navigate(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double dt_s)
+void position_navigate(
+	struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double rate_hz, double dt_s)
 {
 	struct navigation *n = &p->navigation;
 	unsigned movements = n->movements;
@@ -116,14 +121,15 @@ void position_navigate(struct position *p, const struct navigation_input *in, st
 		navigation_start(n, &p->config.navigation, in->q_nb);
 		p->anchored = false;
 	}
-	navigation_step(n, in, dt_s);
+	if (navigation_step(n, in, dt_s))
+		p->sigma = navigation_sigma(n, rate_hz);
 	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)
 		p->moved_from_n_m = p->position_n_m;
 	follow(p, in, lever_b_m);
 	if (n->still) {
 		p->displacement_n_m = vec3_sub(p->position_n_m, p->moved_from_n_m);
-		p->displacement_sigma_m = navigation_displacement_sigma_m(n);
+		p->displacement_sigma_m = p->sigma.displacement_m;
 	}
 	p->accel_n_m_s2 = (struct vec3){0, 0, 0};
 }

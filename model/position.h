@@ -22,6 +22,7 @@ struct position {
 	struct vec3 velocity_n_m_s, position_n_m;
 	/* by navigation: from one standstill to the next, all of it corrected by the last; stands until then */
 	struct vec3 displacement_n_m, displacement_sigma_m;
+	struct navigation_sigma sigma; /* by navigation */
 	struct navigation navigation;
 	/* PRIVATE */
 	struct vec3 accel_n_m_s2;    /* of the last sample */
@@ -40,8 +41,9 @@ int position_configure(struct position *p, const struct position_config *config)
 void position_reset(struct position *p);
 /** One sample, dt_s > 0 after the one before. */
 void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, double dt_s);
-/** The same by navigation; lever_b_m: from the reference point to the sensor. */
-void position_navigate(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double dt_s);
+/** The same by navigation; lever_b_m: from the reference point to the sensor; rate_hz: nominal. */
+void position_navigate(
+	struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double rate_hz, double dt_s);
 /** The same after missing samples, for both: nothing is integrated over the gap, but its time counts. */
 void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_nb, double dt_s);
 /** The longest integration time has passed. */

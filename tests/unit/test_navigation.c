@@ -257,7 +257,7 @@ static struct position travel(const struct way *way, const struct navigation_con
 		in.gyro_b_rad_s = sample.gyro_rad_s;
 		in.force_b_m_s2 = sample.accel_m_s2;
 		in.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0.5 * DEG, -0.5 * DEG, 0}), truth.q_nb);
-		position_navigate(&p, &in, ZERO, DT_S);
+		position_navigate(&p, &in, ZERO, 1 / DT_S, DT_S);
 	}
 	return p;
 }
@@ -364,11 +364,11 @@ static void test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour(void *
 			.q_nb = QUAT_IDENTITY,
 			.gravity_m_s2 = G};
 
-		position_navigate(&p, &in, ZERO, DT_S);
+		position_navigate(&p, &in, ZERO, 1 / DT_S, DT_S);
 	}
 	assert_vec_near(p.velocity_n_m_s, ZERO, 0);
 	assert_vec_near(p.position_n_m, before.position_n_m, 0.01);
-	assert_true(vec3_norm(navigation_position_sigma_m(&p.navigation)) < 0.05);
+	assert_true(vec3_norm(navigation_sigma(&p.navigation, 1 / DT_S).position_m) < 0.05);
 }
 
 static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
@@ -376,13 +376,13 @@ static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
 	const struct way way = {4, {1, 0, 0}, {0, 0, 0}};
 	const struct navigation_config config = levelling();
 	struct position p = travel(&way, &config, 1);
-	struct vec3 place = p.position_n_m, sigma = navigation_position_sigma_m(&p.navigation);
+	struct vec3 place = p.position_n_m, sigma = navigation_sigma(&p.navigation, 1 / DT_S).position_m;
 
 	(void)state;
 	position_skip(&p, ZERO, QUAT_IDENTITY, 2);
 	assert_vec_near(p.position_n_m, place, 0);
-	assert_true(navigation_position_sigma_m(&p.navigation).x > sigma.x + 2);
-	assert_true(navigation_velocity_sigma_m_s(&p.navigation).x > 2);
+	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).position_m.x > sigma.x + 2);
+	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).velocity_m_s.x > 2);
 }
 
 static void test_a_position_less_certain_than_its_limit_is_told(void **state)
