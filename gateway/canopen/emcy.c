@@ -10,16 +10,9 @@ static bool enabled(const struct emcy *emcy)
 
 static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	uint32_t old = *((struct canopen_node *)ctx)->emcy.cob_id;
-	uint32_t value = get_u32(wire);
-
 	(void)entry;
 	(void)size;
-	if (value & COB_ID_INVALID)
-		return value & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
-	if (value & COB_ID_NO_RTR || !cob_id_usable(value))
-		return OD_BAD_VALUE;
-	return !(old & COB_ID_INVALID) && value != old ? OD_BAD_VALUE : OD_OK; /* not while it is in use */
+	return cob_id_change(*((struct canopen_node *)ctx)->emcy.cob_id, get_u32(wire));
 }
 
 /* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
@@ -126,7 +119,7 @@ void emcy_check(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;
 
-	if (!enabled(emcy) || (!(*emcy->cob_id & COB_ID_NO_RTR) && cob_id_usable(*emcy->cob_id)))
+	if (!enabled(emcy) || cob_id_in_use(*emcy->cob_id))
 		return;
 	*emcy->cob_id |= COB_ID_INVALID;
 	node_bad_data(node, 0x1014);

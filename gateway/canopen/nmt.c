@@ -55,7 +55,7 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 	if (node->device.nmt_changed)
 		node->device.nmt_changed(node->device.ctx, state);
 	if (state == NMT_STOPPED)
-		sdo_server_reset(node);
+		sdo_server_stop(node);
 	if (state == NMT_OPERATIONAL)
 		pdo_start(node);
 	if (old == NMT_STOPPED && nmt_communicates(node))

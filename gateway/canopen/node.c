@@ -21,12 +21,14 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[4 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {0x000, node->sdo.request_id};
+	uint32_t ids[5 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {0x000, node->sdo_servers[0].request_id};
 	size_t n = 2;
 
 	if (node->sync.id != CAN_ID_NONE)
 		ids[n++] = node->sync.id;
 	ids[n++] = 0x700u + node->id;
+	if (node->sdo_servers[1].request_id != CAN_ID_NONE)
+		ids[n++] = node->sdo_servers[1].request_id;
 	for (size_t i = 0; i < node->heartbeat.count; i++)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
@@ -46,6 +48,20 @@ bool cob_id_usable(uint32_t cob_id)
 		if (id >= restricted[i].first && id <= restricted[i].last)
 			return false;
 	return id <= COB_ID_MASK;
+}
+
+bool cob_id_in_use(uint32_t cob_id)
+{
+	return !(cob_id & (COB_ID_INVALID | COB_ID_NO_RTR)) && cob_id_usable(cob_id);
+}
+
+enum od_status cob_id_change(uint32_t old, uint32_t value)
+{
+	if (value & COB_ID_INVALID)
+		return value & ~(COB_ID_INVALID | COB_ID_MASK) ? OD_BAD_VALUE : OD_OK;
+	if (!cob_id_in_use(value))
+		return OD_BAD_VALUE;
+	return !(old & COB_ID_INVALID) && value != old ? OD_BAD_VALUE : OD_OK;
 }
 
 void node_bad_data(struct canopen_node *node, uint16_t index)
@@ -134,10 +150,10 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 	}
 	if (msg->id == 0x000)
 		nmt_receive(node, msg);
-	else if (msg->id == node->sdo.request_id)
-		sdo_server_receive(node, msg);
 	else if (msg->id == node->sync.id)
 		sync_receive(node, msg);
+	else if (msg->id == node->sdo_servers[0].request_id || msg->id == node->sdo_servers[1].request_id)
+		sdo_server_receive(node, msg);
 	else if (msg->id > 0x700)
 		heartbeat_receive(node, msg);
 }

@@ -14,6 +14,7 @@ enum {
 	EMCY_QUEUE = 16,  /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
 	EMCY_HISTORY = 8, /* entries of 1003h */
 	HEARTBEAT_CONSUMERS = 8,
+	SDO_SERVERS = 2,
 };
 
 struct nmt {
@@ -80,6 +81,11 @@ struct sdo_server {
 	} block;
 };
 
+struct second_sdo {
+	struct od_hook hook;
+	const uint32_t *cob_id[2]; /* 1201h:1 and 2: request and response */
+};
+
 struct tpdo {
 	uint16_t index; /* 1800h + number */
 	uint32_t *cob_id;
@@ -143,6 +149,8 @@ struct emcy {
 struct store {
 	struct od_hook hook; /* 1010h, 1011h */
 	bool pending;
+	struct od_hook date_hook; /* every object */
+	uint32_t *date[2];	  /* 1020h:1 and 2: day and time of the configuration; NULL: none */
 };
 
 struct canopen_node {
@@ -154,7 +162,9 @@ struct canopen_node {
 	struct nmt nmt;
 	struct heartbeat heartbeat;
 	struct guard guard;
-	struct sdo_server sdo;
+	struct sdo_server sdo_servers[SDO_SERVERS];
+	struct sdo_server *sdo; /* the one that is served now */
+	struct second_sdo second_sdo;
 	struct pdo pdo;
 	struct sync sync;
 	struct emcy emcy;

@@ -64,7 +64,7 @@ static void open_transfer(struct sdo_server *sdo, const uint8_t request[8])
 /* The next sub-block may come. */
 static void expect_sub_block(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 
 	sdo->block.sequence = 0;
 	sdo->block.next_us = node->now_us + SILENCE_US;
@@ -74,7 +74,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 {
 	enum od_status status;
 
-	open_transfer(&node->sdo, request);
+	open_transfer(node->sdo, request);
 	status = sdo_open_download(node, request[0] & SIZE_INDICATED, get_u32(request + 4));
 	if (status != OD_OK) {
 		sdo_abort(node, canopen_abort_code(status));
@@ -88,7 +88,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 /* Says which segment was the last in order; the client goes on from there. */
 static void acknowledge(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	const uint8_t response[8] = {SCS_DOWNLOAD_ACKNOWLEDGE, sdo->block.sequence, DOWNLOAD_BLOCK_SIZE};
 
 	expect_sub_block(node);
@@ -100,7 +100,7 @@ static void acknowledge(struct canopen_node *node)
 /* A segment out of order is dropped: one before it was lost, and the client will repeat from there. */
 static void download_segment(struct canopen_node *node, const uint8_t request[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	uint8_t sequence = request[0] & 0x7F;
 	bool last = request[0] & LAST;
 
@@ -123,7 +123,7 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 static void end_download(struct canopen_node *node, const uint8_t request[8])
 {
 	static const uint8_t response[8] = {SCS_DOWNLOAD_END};
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 
 	sdo->done -= request[0] >> 2 & 7;
 	if (sdo->done > sdo->size)
@@ -153,7 +153,7 @@ static bool block_size_allowed(uint8_t size)
 
 static void initiate_upload(struct canopen_node *node, const uint8_t request[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	uint8_t switch_threshold = request[5]; /* bytes; up to there the client would rather have no block */
 	enum od_status status;
 
@@ -179,7 +179,7 @@ static bool bus_full(const struct canopen_node *node)
 
 static void send_segment(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t from = sdo->done + (size_t)sdo->block.sequence * SEGMENT_BYTES;
 	size_t left = sdo->size - from;
 	uint8_t segment[8] = {++sdo->block.sequence};
@@ -193,7 +193,7 @@ static void send_segment(struct canopen_node *node)
 /* A bus that is full gets no more until it has taken what waits: a PDO would have to stand in line. */
 static uint64_t send_burst(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t segments = sub_block_segments(sdo);
 
 	if (sdo->block.sequence < segments && node->now_us < sdo->block.next_us)
@@ -210,7 +210,7 @@ static uint64_t send_burst(struct canopen_node *node)
 
 static void send_end(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t in_last = sdo->size ? (sdo->size - 1) % SEGMENT_BYTES + 1 : 0;
 	uint8_t response[8] = {(uint8_t)(SCS_UPLOAD_END | (SEGMENT_BYTES - in_last) << 2)};
 
@@ -222,7 +222,7 @@ static void send_end(struct canopen_node *node)
 /* The client has the segments up to this one. The next sub-block begins with the one after it. */
 static void acknowledged(struct canopen_node *node, uint8_t sequence, uint8_t next_size)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t bytes = smaller((size_t)sequence * SEGMENT_BYTES, sdo->size - sdo->done);
 	bool all = sequence > 0 && sdo->done + bytes == sdo->size;
 
@@ -249,7 +249,7 @@ static void acknowledged(struct canopen_node *node, uint8_t sequence, uint8_t ne
 
 static bool receive_upload(struct canopen_node *node, const uint8_t request[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 
 	switch (request[0] & 3) {
 	case SUB_INITIATE:
@@ -277,7 +277,7 @@ static bool receive_download(struct canopen_node *node, const uint8_t request[8]
 {
 	if ((request[0] & 1) == SUB_INITIATE)
 		initiate_download(node, request);
-	else if (node->sdo.state == SDO_SERVER_BLOCK_DOWNLOAD_END)
+	else if (node->sdo->state == SDO_SERVER_BLOCK_DOWNLOAD_END)
 		end_download(node, request);
 	else
 		return false;
@@ -288,7 +288,7 @@ bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8])
 {
 	uint8_t sequence = request[0] & 0x7F;
 
-	if (node->sdo.state == SDO_SERVER_BLOCK_DOWNLOAD && request[0] != ABORT && sequence <= DOWNLOAD_BLOCK_SIZE) {
+	if (node->sdo->state == SDO_SERVER_BLOCK_DOWNLOAD && request[0] != ABORT && sequence <= DOWNLOAD_BLOCK_SIZE) {
 		if (sequence == 0)
 			sdo_abort(node, ABORT_SEQUENCE);
 		else
@@ -307,7 +307,7 @@ bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8])
 
 uint64_t sdo_block_tick(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 
 	switch (sdo->state) {
 	case SDO_SERVER_BLOCK_UPLOAD:

@@ -30,22 +30,72 @@ enum {
 	TOGGLE = 1 << 4,    /* segment */
 };
 
+/* ---- channels: the default one, and that of 1201h ---------------------------------------------------------------- */
+
+static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	const struct canopen_node *node = ctx;
+
+	(void)size;
+	return cob_id_change(*node->second_sdo.cob_id[entry->sub - 1], get_u32(wire));
+}
+
+/* The identifiers stay when the channel ends: whoever ends it by itself has its answer. */
+static void open_second(struct canopen_node *node)
+{
+	struct sdo_server *sdo = &node->sdo_servers[1];
+	const uint32_t *const *cob_id = node->second_sdo.cob_id;
+
+	sdo->state = SDO_SERVER_IDLE;
+	sdo->request_id = CAN_ID_NONE;
+	if (!cob_id[0] || !cob_id[1] || !cob_id_in_use(*cob_id[0]) || !cob_id_in_use(*cob_id[1]))
+		return;
+	sdo->request_id = *cob_id[0];
+	sdo->response_id = *cob_id[1];
+}
+
+static void after_cob_id(void *ctx, const struct od_entry *entry)
+{
+	(void)entry;
+	open_second(ctx);
+	node_filter(ctx);
+}
+
 void sdo_server_init(struct canopen_node *node)
 {
-	node->sdo.request_id = 0x600u + node->id;
-	node->sdo.response_id = 0x580u + node->id;
+	struct second_sdo *second = &node->second_sdo;
+
+	node->sdo = &node->sdo_servers[0];
+	node->sdo->request_id = 0x600u + node->id;
+	node->sdo->response_id = 0x580u + node->id;
+	for (uint8_t i = 0; i < 2; i++)
+		second->cob_id[i] = od_value(node->od, 0x1201, (uint8_t)(i + 1), sizeof(uint32_t));
+	second->hook = (struct od_hook){
+		.first = 0x1201, .last = 0x1201, .before = before_cob_id, .after = after_cob_id, .ctx = node};
+	od_attach(node->od, &second->hook);
+}
+
+void sdo_server_stop(struct canopen_node *node)
+{
+	for (size_t i = 0; i < SDO_SERVERS; i++)
+		node->sdo_servers[i].state = SDO_SERVER_IDLE;
 }
 
 void sdo_server_reset(struct canopen_node *node)
 {
-	node->sdo.state = SDO_SERVER_IDLE;
+	sdo_server_stop(node);
+	open_second(node);
+	for (size_t i = 0; i < 2; i++)
+		if (node->second_sdo.cob_id[i] && !(*node->second_sdo.cob_id[i] & COB_ID_INVALID) &&
+			!cob_id_in_use(*node->second_sdo.cob_id[i]))
+			node_bad_data(node, 0x1201);
 }
 
 /* ---- answers ----------------------------------------------------------------------------------------------------- */
 
 void sdo_send(struct canopen_node *node, const uint8_t data[8])
 {
-	node_send(node, node->sdo.response_id, data, 8);
+	node_send(node, node->sdo->response_id, data, 8);
 }
 
 static void fill(const struct sdo_server *sdo, uint8_t data[8], uint8_t command, uint32_t value)
@@ -60,27 +110,27 @@ void sdo_answer(struct canopen_node *node, uint8_t command, uint32_t value)
 {
 	uint8_t data[8];
 
-	fill(&node->sdo, data, command, value);
+	fill(node->sdo, data, command, value);
 	sdo_send(node, data);
 }
 
 void sdo_abort(struct canopen_node *node, uint32_t code)
 {
-	node->sdo.state = SDO_SERVER_IDLE;
+	node->sdo->state = SDO_SERVER_IDLE;
 	sdo_answer(node, SCS_ABORT, code);
 }
 
 void sdo_wait(struct canopen_node *node, enum sdo_server_state state)
 {
-	node->sdo.state = state;
-	node->sdo.deadline_us = node->now_us + SDO_TIMEOUT_US;
+	node->sdo->state = state;
+	node->sdo->deadline_us = node->now_us + SDO_TIMEOUT_US;
 }
 
 /* ---- download: the client writes --------------------------------------------------------------------------------- */
 
 static void finish_write(struct canopen_node *node, enum od_status status, const uint8_t response[8])
 {
-	node->sdo.state = SDO_SERVER_IDLE;
+	node->sdo->state = SDO_SERVER_IDLE;
 	if (status == OD_OK)
 		sdo_send(node, response);
 	else
@@ -89,7 +139,7 @@ static void finish_write(struct canopen_node *node, enum od_status status, const
 
 void sdo_write(struct canopen_node *node, const uint8_t response[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	enum od_status status = od_write(node->od, sdo->index, sdo->sub, sdo->buffer, sdo->done);
 
 	if (status == OD_PENDING) {
@@ -102,13 +152,16 @@ void sdo_write(struct canopen_node *node, const uint8_t response[8])
 
 void sdo_server_done(struct canopen_node *node, enum od_status status)
 {
-	if (node->sdo.state == SDO_SERVER_PENDING)
-		finish_write(node, status, node->sdo.response);
+	for (size_t i = 0; i < SDO_SERVERS; i++) {
+		node->sdo = &node->sdo_servers[i];
+		if (node->sdo->state == SDO_SERVER_PENDING)
+			finish_write(node, status, node->sdo->response);
+	}
 }
 
 enum od_status sdo_open_download(struct canopen_node *node, bool size_indicated, uint32_t size)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	enum od_status status;
 	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, &status);
 
@@ -135,7 +188,7 @@ static uint32_t indicated_size(const uint8_t request[8])
 
 static void initiate_download(struct canopen_node *node, const uint8_t request[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	enum od_status status = sdo_open_download(node, request[0] & INDICATED, indicated_size(request));
 	uint8_t response[8];
 
@@ -157,7 +210,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 
 static void download_segment(struct canopen_node *node, const uint8_t request[8])
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t n = SEGMENT_BYTES - (request[0] >> 1 & 7);
 	const uint8_t response[8] = {(uint8_t)(SCS_DOWNLOAD_SEGMENT | sdo->toggle)};
 
@@ -182,18 +235,18 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 
 static enum od_status open_domain(struct canopen_node *node)
 {
-	const struct od_domain *domain = od_find_domain(node->od, node->sdo.index, node->sdo.sub);
+	const struct od_domain *domain = od_find_domain(node->od, node->sdo->index, node->sdo->sub);
 
 	if (!domain)
 		return OD_NO_DATA;
-	node->sdo.data = domain->data;
-	node->sdo.size = domain->size;
+	node->sdo->data = domain->data;
+	node->sdo->size = domain->size;
 	return OD_OK;
 }
 
 enum od_status sdo_open_upload(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	const struct od_entry *entry = od_find(node->od->table, sdo->index, sdo->sub, NULL);
 
 	sdo->done = 0;
@@ -207,7 +260,7 @@ enum od_status sdo_open_upload(struct canopen_node *node)
 
 void sdo_start_upload(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	uint8_t response[8];
 
 	if (sdo->size >= 1 && sdo->size <= 4) {
@@ -233,7 +286,7 @@ static void initiate_upload(struct canopen_node *node)
 
 static void upload_segment(struct canopen_node *node)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = node->sdo;
 	size_t left = sdo->size - sdo->done;
 	size_t n = left < SEGMENT_BYTES ? left : SEGMENT_BYTES;
 	uint8_t response[8] = {(uint8_t)(SCS_UPLOAD_SEGMENT | sdo->toggle | (SEGMENT_BYTES - n) << 1)};
@@ -255,9 +308,9 @@ static void upload_segment(struct canopen_node *node)
 /* A new request ends what was under way, without a word: its client has given up on it. */
 static void initiate(struct canopen_node *node, const uint8_t request[8])
 {
-	node->sdo.state = SDO_SERVER_IDLE;
-	node->sdo.index = get_u16(request + 1);
-	node->sdo.sub = request[3];
+	node->sdo->state = SDO_SERVER_IDLE;
+	node->sdo->index = get_u16(request + 1);
+	node->sdo->sub = request[3];
 	if (request[0] >> 5 == CCS_DOWNLOAD)
 		initiate_download(node, request);
 	else
@@ -266,9 +319,9 @@ static void initiate(struct canopen_node *node, const uint8_t request[8])
 
 static void segment(struct canopen_node *node, const uint8_t request[8])
 {
-	if ((request[0] & TOGGLE) != node->sdo.toggle)
+	if ((request[0] & TOGGLE) != node->sdo->toggle)
 		sdo_abort(node, ABORT_TOGGLE);
-	else if (node->sdo.state == SDO_SERVER_DOWNLOAD)
+	else if (node->sdo->state == SDO_SERVER_DOWNLOAD)
 		download_segment(node, request);
 	else
 		upload_segment(node);
@@ -277,18 +330,19 @@ static void segment(struct canopen_node *node, const uint8_t request[8])
 /* Not a command that this server knows, or not one that it expects now. */
 static void refuse(struct canopen_node *node, const uint8_t request[8])
 {
-	if (node->sdo.state == SDO_SERVER_IDLE) {
-		node->sdo.index = get_u16(request + 1);
-		node->sdo.sub = request[3];
+	if (node->sdo->state == SDO_SERVER_IDLE) {
+		node->sdo->index = get_u16(request + 1);
+		node->sdo->sub = request[3];
 	}
 	sdo_abort(node, ABORT_COMMAND);
 }
 
 void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
 {
-	struct sdo_server *sdo = &node->sdo;
+	struct sdo_server *sdo = &node->sdo_servers[msg->id == node->sdo_servers[0].request_id ? 0 : 1];
 	uint8_t ccs = msg->data[0] >> 5;
 
+	node->sdo = sdo;
 	if (msg->len != 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
 		return;
 	if (ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD)
@@ -302,15 +356,27 @@ void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
 		refuse(node, msg->data);
 }
 
-uint64_t sdo_server_tick(struct canopen_node *node)
+static uint64_t tick(struct canopen_node *node)
 {
 	uint64_t deadline_us = sdo_block_tick(node);
-	const struct sdo_server *sdo = &node->sdo;
+	const struct sdo_server *sdo = node->sdo;
 
-	if (sdo->state == SDO_SERVER_IDLE || sdo->state == SDO_SERVER_PENDING)
+	if (sdo->state == SDO_SERVER_PENDING)
 		return UINT64_MAX;
 	if (node->now_us < sdo->deadline_us)
 		return earlier(deadline_us, sdo->deadline_us);
 	sdo_abort(node, ABORT_TIMEOUT);
 	return UINT64_MAX;
+}
+
+uint64_t sdo_server_tick(struct canopen_node *node)
+{
+	uint64_t deadline_us = UINT64_MAX;
+
+	for (size_t i = 0; i < SDO_SERVERS; i++) {
+		node->sdo = &node->sdo_servers[i];
+		if (node->sdo->state != SDO_SERVER_IDLE)
+			deadline_us = earlier(deadline_us, tick(node));
+	}
+	return deadline_us;
 }

@@ -46,6 +46,10 @@ void node_reset(struct canopen_node *node, enum od_group group);
 void node_bad_data(struct canopen_node *node, uint16_t index);
 /** False for 29-bit identifiers and those that CiA 301, 7.3.5 restricts. Bits 30 and 31 are not looked at. */
 bool cob_id_usable(uint32_t cob_id);
+/** EMCY and SDO: usable, and neither bit 30 nor bit 31 is set. */
+bool cob_id_in_use(uint32_t cob_id);
+/** Whether such a COB-ID may be written over another: not while that one is in use. */
+enum od_status cob_id_change(uint32_t old, uint32_t value);
 
 /* nmt.c */
 void nmt_init(struct canopen_node *node);
@@ -74,12 +78,14 @@ uint64_t guard_tick(struct canopen_node *node);
 /* sdo_server.c */
 void sdo_server_init(struct canopen_node *node);
 void sdo_server_reset(struct canopen_node *node);
+/** Transfers end without a word. */
+void sdo_server_stop(struct canopen_node *node);
 void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg);
 uint64_t sdo_server_tick(struct canopen_node *node);
 /** Gives the answer that waited for the device. */
 void sdo_server_done(struct canopen_node *node, enum od_status status);
 
-/* sdo_server.c, for sdo_block.c. An index and sub-index stand in node->sdo. */
+/* sdo_server.c, for sdo_block.c. The channel that is served is node->sdo, with index and sub-index. */
 void sdo_send(struct canopen_node *node, const uint8_t data[8]);
 /** Answers with command, index and sub-index of the transfer, and 4 bytes. */
 void sdo_answer(struct canopen_node *node, uint8_t command, uint32_t value);

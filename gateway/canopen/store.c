@@ -1,4 +1,4 @@
-/* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14. */
+/* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14; date of the configuration (1020h). */
 #include "gateway/canopen/service.h"
 
 #include <string.h>
@@ -20,8 +20,25 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	return status == OD_OK ? OD_CONSUMED : status;
 }
 
+/* What was configured is no longer what the tool wrote at that date. */
+static void after_any_write(void *ctx, const struct od_entry *entry)
+{
+	struct store *store = &((struct canopen_node *)ctx)->store;
+
+	if (!(entry->access & OD_STORED) || entry->index == 0x1020)
+		return;
+	for (size_t i = 0; i < 2; i++)
+		if (store->date[i])
+			*store->date[i] = 0;
+}
+
 void store_init(struct canopen_node *node)
 {
+	for (uint8_t i = 0; i < 2; i++)
+		node->store.date[i] = od_value(node->od, 0x1020, (uint8_t)(i + 1), sizeof(uint32_t));
+	node->store.date_hook =
+		(struct od_hook){.first = 0x1000, .last = 0xFFFF, .after = after_any_write, .ctx = node};
+	od_attach(node->od, &node->store.date_hook);
 	node->store.hook = (struct od_hook){.first = 0x1010, .last = 0x1011, .before = before_write, .ctx = node};
 	od_attach(node->od, &node->store.hook);
 }

@@ -463,6 +463,133 @@ static void test_every_object_reads_back_over_sdo_what_the_dictionary_holds(void
 	}
 }
 
+/* ---- the second channel (1201h) ---------------------------------------------------------------------------------- */
+
+static void open_second(struct bus *bus)
+{
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x6A0), 0);
+	assert_int_equal(bus_write(bus, 0x1201, 2, 4, 0x6A1), 0);
+}
+
+static void test_the_second_channel_is_closed_until_configured(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_read(bus, 0x1201, 1), 0x80000000);
+	assert_int_equal(bus_read(bus, 0x1201, 2), 0x80000000);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x6A0), 0);
+	bus_send(bus, "6A0 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_the_second_channel_answers_on_its_own_identifier(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	assert_int_equal(bus->filter_count, 5);
+	assert_int_equal(bus->filter[4], 0x6A0);
+	bus_exchange(bus, "6A0 40 00 10 00 00 00 00 00", "6A1 43 00 10 00 9A 01 04 00");
+}
+
+static void test_both_channels_transfer_at_the_same_time(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "6A0 40 08 10 00 00 00 00 00", "6A1 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
+	bus_exchange(bus, "6A0 60 00 00 00 00 00 00 00", "6A1 00 49 4D 55 39 20 43 41");
+	bus_exchange(bus, "610 70 00 00 00 00 00 00 00", "590 10 4E 6F 70 65 6E 20 67");
+	bus_exchange(bus, "6A0 70 00 00 00 00 00 00 00", "6A1 10 4E 6F 70 65 6E 20 67");
+}
+
+static void test_each_channel_has_its_own_timeout(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_run(bus, 500000);
+	bus_exchange(bus, "6A0 40 08 10 00 00 00 00 00", "6A1 41 08 10 00 14 00 00 00");
+	bus_run(bus, 500000);
+	bus_expect(bus, "590 80 08 10 00 00 00 04 05");
+	bus_expect_nothing(bus);
+	bus_run(bus, 500000);
+	bus_expect(bus, "6A1 80 08 10 00 00 00 04 05");
+}
+
+static void test_the_second_channel_gets_the_answer_of_its_own_store(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_send(bus, "6A0 23 10 10 01 73 61 76 65");
+	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
+	canopen_store_done(&bus->node, OD_OK, bus->now_us);
+	bus_expect(bus, "6A1 60 10 10 01 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_an_identifier_of_the_second_channel_does_not_change_while_in_use(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x6A2), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x800006A0), 0);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x6A2), 0);
+	bus_exchange(bus, "6A2 40 00 10 00 00 00 00 00", "6A1 43 00 10 00 9A 01 04 00");
+}
+
+static void test_restricted_29_bit_and_dynamic_identifiers_of_the_second_channel_are_refused(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x611), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x200006A0), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x400006A0), 0x06090030);
+	assert_int_equal(bus_write(bus, 0x1201, 2, 4, 0x591), 0x06090030);
+}
+
+static void test_a_channel_that_closes_itself_still_answers(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus_exchange(bus, "6A0 23 01 12 02 00 00 00 80", "6A1 60 01 12 02 00 00 00 00");
+	bus_send(bus, "6A0 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->filter_count, 4);
+}
+
+static void test_reset_communication_closes_the_second_channel(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus_exchange(bus, "000 82 10", "710 00");
+	bus_send(bus, "6A0 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_keeps_it_closed(void **state)
+{
+	struct bus *bus = bus_new();
+
+	bus_put(bus, 0x1201, 1, 4, 0x611);
+	bus_put(bus, 0x1201, 2, 4, 0x6A1);
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect(bus, "090 00 63 01 01 12 00 00 00");
+	bus_send(bus, "611 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	test_free(bus);
+	(void)state;
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -504,6 +631,16 @@ int main(void)
 		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo),
 		cmocka_unit_test(test_every_status_of_the_dictionary_has_its_abort_code),
 		PRE_OPERATIONAL(test_every_object_reads_back_over_sdo_what_the_dictionary_holds),
+		PRE_OPERATIONAL(test_the_second_channel_is_closed_until_configured),
+		PRE_OPERATIONAL(test_the_second_channel_answers_on_its_own_identifier),
+		PRE_OPERATIONAL(test_both_channels_transfer_at_the_same_time),
+		PRE_OPERATIONAL(test_each_channel_has_its_own_timeout),
+		PRE_OPERATIONAL(test_the_second_channel_gets_the_answer_of_its_own_store),
+		PRE_OPERATIONAL(test_an_identifier_of_the_second_channel_does_not_change_while_in_use),
+		PRE_OPERATIONAL(test_restricted_29_bit_and_dynamic_identifiers_of_the_second_channel_are_refused),
+		PRE_OPERATIONAL(test_a_channel_that_closes_itself_still_answers),
+		PRE_OPERATIONAL(test_reset_communication_closes_the_second_channel),
+		cmocka_unit_test(test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_keeps_it_closed),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

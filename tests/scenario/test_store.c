@@ -196,6 +196,65 @@ static void test_a_store_that_no_sdo_client_waits_for_sends_nothing(void **state
 	bus_expect_nothing(bus);
 }
 
+/* ---- date of the configuration (1020h) --------------------------------------------------------------------------- */
+
+static void set_date(struct bus *bus)
+{
+	assert_int_equal(bus_write(bus, 0x1020, 1, 4, 15666), 0);
+	assert_int_equal(bus_write(bus, 0x1020, 2, 4, 36000000), 0);
+}
+
+static void test_the_date_of_the_configuration_stays_as_it_was_written(void **state)
+{
+	struct bus *bus = *state;
+
+	set_date(bus);
+	assert_int_equal(bus_read(bus, 0x1020, 1), 15666);
+	assert_int_equal(bus_read(bus, 0x1020, 2), 36000000);
+}
+
+static void test_a_later_change_of_the_configuration_clears_its_date(void **state)
+{
+	struct bus *bus = *state;
+
+	set_date(bus);
+	assert_int_equal(bus_write(bus, 0x2001, 0, 1, 1), 0);
+	assert_int_equal(bus_read(bus, 0x1020, 1), 0);
+	assert_int_equal(bus_read(bus, 0x1020, 2), 0);
+}
+
+static void test_a_change_of_a_communication_object_clears_the_date_too(void **state)
+{
+	struct bus *bus = *state;
+
+	set_date(bus);
+	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 0), 0);
+	assert_int_equal(bus_read(bus, 0x1020, 1), 0);
+}
+
+static void test_a_command_or_a_refused_write_leaves_the_date(void **state)
+{
+	struct bus *bus = *state;
+
+	set_date(bus);
+	bus_exchange(bus, "610 23 10 10 01 73 61 76 65", "590 60 10 10 01 00 00 00 00");
+	assert_int_equal(bus_write(bus, 0x1003, 0, 1, 0), 0);
+	assert_int_equal(bus_write(bus, 0x2001, 0, 1, 200), 0x06090031);
+	assert_int_equal(bus_read(bus, 0x1020, 1), 15666);
+	assert_int_equal(bus_read(bus, 0x1020, 2), 36000000);
+}
+
+static void test_the_date_is_among_what_is_stored(void **state)
+{
+	struct bus *bus = *state;
+	const uint8_t kept[] = {1, 0, 0, 0, 0x20, 0x10, 1, 4, 0, 0, 0, 0x32, 0x3D, 0, 0};
+	uint8_t dcf[256];
+
+	assert_int_equal(bus_write(bus, 0x1020, 1, 4, 15666), 0);
+	assert_int_equal(od_encode(&bus->od, OD_GROUP_COMMUNICATION, &bus->power_on, dcf, sizeof(dcf)), sizeof(kept));
+	assert_memory_equal(dcf, kept, sizeof(kept));
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -213,6 +272,11 @@ int main(void)
 		PRE_OPERATIONAL(test_another_request_meanwhile_is_served_and_the_answer_of_the_store_is_dropped),
 		PRE_OPERATIONAL(test_the_clients_abort_a_stop_and_a_reset_drop_the_answer),
 		PRE_OPERATIONAL(test_a_store_that_no_sdo_client_waits_for_sends_nothing),
+		PRE_OPERATIONAL(test_the_date_of_the_configuration_stays_as_it_was_written),
+		PRE_OPERATIONAL(test_a_later_change_of_the_configuration_clears_its_date),
+		PRE_OPERATIONAL(test_a_change_of_a_communication_object_clears_the_date_too),
+		PRE_OPERATIONAL(test_a_command_or_a_refused_write_leaves_the_date),
+		PRE_OPERATIONAL(test_the_date_is_among_what_is_stored),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
