@@ -26,7 +26,7 @@ static const double GYRO_SCALE_SQRT_S = 0.005, ACCEL_SCALE_SQRT_S = 0.003;
 static const double BIAS_TIME_S = 100;
 /* What is left of the velocity at a standstill: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01;
-static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5, STILL_SURE_S = 5;
+static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5;
 /* A shorter standstill does not part two movements. */
 static const double STOOD_S = 1;
 static const double STILL_GATE_SIGMAS = 5;
@@ -46,7 +46,7 @@ int navigation_check(const struct navigation_config *c)
 {
 	const double positive[] = {c->still_gyro_rad_s, c->still_accel_m_s2};
 	const struct noise_config *noise = &c->noise;
-	const double not_negative[] = {c->velocity_prior_m_s, noise->gyro_density_rad_s_sqrt_hz,
+	const double not_negative[] = {c->velocity_prior_m_s, c->rest_s, noise->gyro_density_rad_s_sqrt_hz,
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
 		noise->accel_bias_instability_m_s2};
 
@@ -282,9 +282,10 @@ static bool stands_still(const struct navigation *n)
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
 	double still_s = n->stillness.still_s;
 
-	if (still_s > STILL_SURE_S)
-		return true;
-	return still_s > STILL_TIME_S && may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z);
+	if (still_s <= STILL_TIME_S)
+		return false;
+	return still_s > n->config.rest_s ||
+	       (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
 }
 
 /* The covariance of the place begins anew; the correlation of places with what is learnt later is given up. */

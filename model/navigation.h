@@ -50,6 +50,7 @@ struct navigation_config {
 	struct noise_config noise;
 	/* standing still: gyro and accelerometer scatter by less than half of that, and their mean does not move by a fifth */
 	double still_gyro_rad_s, still_accel_m_s2;
+	double rest_s; /* >= 0: after so long it is believed, whatever the velocity seems to be */
 };
 
 /** One calibrated sample and what is known beside it. */

@@ -80,6 +80,7 @@ static struct position_config position_config(const struct pipeline_config *conf
 	position.navigation.noise = config->noise;
 	position.navigation.still_gyro_rad_s = config->rest.gyro_threshold_rad_s;
 	position.navigation.still_accel_m_s2 = config->rest.accel_threshold_m_s2;
+	position.navigation.rest_s = config->rest.time_s;
 	return position;
 }
 

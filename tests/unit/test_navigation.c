@@ -12,7 +12,7 @@ enum { N = NAVIGATION_STATES };
 
 static const double DT_S = 0.005, G = 9.81;
 static const struct vec3 ZERO = {0, 0, 0};
-static const struct navigation_config BARE = {.still_gyro_rad_s = 2 * DEG, .still_accel_m_s2 = 0.5};
+static const struct navigation_config BARE = {.still_gyro_rad_s = 2 * DEG, .still_accel_m_s2 = 0.5, .rest_s = 1.5};
 
 static struct navigation_config levelling(void)
 {
@@ -327,6 +327,50 @@ static void test_a_standstill_corrects_the_whole_movement_before_it(void **state
 	assert_near(n.position_n_m.x, 0, 0.1 * before);
 }
 
+static void test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time(void **state)
+{
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &BARE, QUAT_IDENTITY);
+	n.velocity_n_m_s = (struct vec3){2, 0, 0};
+	for (int k = 0; k < (int)(2 / DT_S); k++) {
+		struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+
+		navigation_step(&n, &in, DT_S);
+		if (k * DT_S < 1)
+			assert_false(n.still);
+	}
+	assert_true(n.still);
+}
+
+static void test_after_the_longest_integration_time_the_place_is_held_until_it_is_corrected_at_rest(void **state)
+{
+	const struct way way = {6, {10, 0, 0}, {0, 0, 0}};
+	const struct navigation_config config = levelling();
+	struct position p = travel(&way, &config, 1), held;
+
+	(void)state;
+	p.config.longest_integration_s = 1;
+	for (int k = 0; k < (int)(8 / DT_S); k++) {
+		bool moves = k * DT_S < 3;
+		struct navigation_input in = {.force_b_m_s2 = {moves ? 1 : 0, 0, G + (moves && k % 2 ? 3 : 0)},
+			.q_nb = p.navigation.q_nb,
+			.gravity_m_s2 = G + (moves ? 1.5 : 0)};
+
+		position_navigate(&p, &in, ZERO, 1 / DT_S, DT_S);
+		if (k == (int)(1.5 / DT_S))
+			held = p;
+		if (k == (int)(2.9 / DT_S)) {
+			assert_true(position_limited(&p));
+			assert_vec_near(p.position_n_m, held.position_n_m, 0);
+			assert_vec_near(p.velocity_n_m_s, ZERO, 0);
+		}
+	}
+	assert_false(position_limited(&p));
+	assert_true(fabs(p.position_n_m.x - held.position_n_m.x) > 0.1);
+}
+
 static void test_a_prior_holds_the_velocity(void **state)
 {
 	struct navigation_config config = BARE;
@@ -425,6 +469,9 @@ int main(void)
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
 		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
+		cmocka_unit_test(test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time),
+		cmocka_unit_test(
+			test_after_the_longest_integration_time_the_place_is_held_until_it_is_corrected_at_rest),
 		cmocka_unit_test(test_a_prior_holds_the_velocity),
 		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour),
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
