@@ -14,8 +14,8 @@ enum {
 
 static const struct vec3 ZERO = {0, 0, 0};
 
-/* 1 sigma at the start: tilt of an attitude just found, a hand or a robot not yet moving, biases as of an uncalibrated
- * sensor at room temperature. */
+/* 1 sigma at the start: tilt of an attitude just found, a hand or a robot not yet moving, biases as a calibration leaves
+ * them. */
 static const double START_ANGLE_RAD = 0.035, START_VELOCITY_M_S = 0.1;
 static const double START_GYRO_BIAS_RAD_S = 0.005, START_ACCEL_BIAS_M_S2 = 0.05;
 /* Errors of scale and cross-axis, the gyro's 0.5 %, the accelerometer's 0.3 %, which a motion to and fro within seconds

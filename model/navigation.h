@@ -3,7 +3,7 @@
  * errors are estimated beside: attitude, velocity, position (global frame n), gyro and accelerometer bias (object frame
  * b). What corrects them:
  *   standing still: velocity zero, rate zero (and through both the tilt and the biases);
- *   the fusion: its heading, never its tilt, which is the less certain of the two;
+ *   the fusion: its heading, never its tilt, which rests on the same accelerometer;
  *   levelling, or a prior of the user's: the velocity of a movement has the mean 0 and a known spread.
  *
  * The error of the attitude is a small rotation in the global frame, q_true = exp(theta) q. So the way from one sample
