@@ -2,7 +2,7 @@
  * A CANopen device (CiA 301 V4.2) as a passive core: frames and time go in, frames come out through the CAN port. It
  * never reads a clock, sleeps, allocates or touches a file, so the same code runs in the daemon and, in simulated time,
  * in the scenario tests. One file a service: nmt.c, heartbeat.c (1016h), guard.c, sdo_server.c, pdo.c, sync.c, emcy.c,
- * store.c (1010h/1011h).
+ * store.c (1010h/1011h), lss.c (CiA 305).
  *
  * Use: canopen_init(), canopen_start(), then canopen_receive() for each frame, canopen_tick() whenever the deadline it
  * returned has come, canopen_sample() after each new sample was published in the dictionary. */
@@ -23,6 +23,8 @@ enum nmt_state { /* the values that the heartbeat carries */
 	NMT_PRE_OPERATIONAL = 0x7F,
 };
 
+enum { CANOPEN_UNCONFIGURED = 255 }; /* the node-ID of a node that waits for one by LSS */
+
 /** What the core asks of the device around it. All may be NULL in tests that do not need them. */
 struct canopen_device {
 	void *ctx;
@@ -34,6 +36,13 @@ struct canopen_device {
 	/** NMT reset: bring the dictionary back to its power-on values (defaults, then what was stored) for the
 	 * communication group (reset communication) or for all (reset node, which also restarts the application). */
 	void (*reset)(void *ctx, enum od_group group);
+	/** LSS: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate (0: as it is) for the next start. OD_OK, or else it
+	 * failed. NULL: the master is told that this is not supported. */
+	enum od_status (*store_lss)(void *ctx, uint8_t node_id, uint32_t bit_s);
+	/** LSS: whether the bus can be given this bit rate, and the order to do so: after `delay_ms`, and to be silent for
+	 * as long again. NULL: the bit rate cannot be changed from here. */
+	bool (*bit_rate_possible)(void *ctx, uint32_t bit_s);
+	void (*activate_bit_rate)(void *ctx, uint32_t bit_s, uint16_t delay_ms);
 	/** For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
 };
@@ -41,10 +50,11 @@ struct canopen_device {
 struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fields are the core's */
 
 /** Attaches to the dictionary and checks its communication objects. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory
- * object is missing from the dictionary, -ENOSPC: it has more TPDOs than the core (faults of the EDS). */
+ * object is missing from the dictionary, -ENOSPC: it has more TPDOs than the core (faults of the EDS). A node without
+ * a node-ID (CANOPEN_UNCONFIGURED, and so od_init()) waits for one by LSS, silent; LSS may change it later. */
 int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus, const struct canopen_device *device,
 	uint8_t node_id);
-/** Sends boot-up and enters pre-operational. */
+/** Sends boot-up and enters pre-operational, or waits for a node-ID. */
 void canopen_start(struct canopen_node *node, uint64_t now_us);
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us);
 /** Returns when it must be called again at the latest (UINT64_MAX: never). Any other call here, and a write to the

@@ -21,9 +21,15 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[5 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {0x000, node->sdo_servers[0].request_id};
-	size_t n = 2;
+	uint32_t ids[6 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {LSS_REQUEST_ID};
+	size_t n = 1;
 
+	if (node->id == CANOPEN_UNCONFIGURED) {
+		(void)can_filter(node->bus, ids, n);
+		return;
+	}
+	ids[n++] = 0x000;
+	ids[n++] = node->sdo_servers[0].request_id;
 	if (node->sync.id != CAN_ID_NONE)
 		ids[n++] = node->sync.id;
 	ids[n++] = 0x700u + node->id;
@@ -75,6 +81,11 @@ void node_bad_data(struct canopen_node *node, uint16_t index)
 /* Brings every service in line with the dictionary's values. */
 static void reset_services(struct canopen_node *node)
 {
+	if (node->id == CANOPEN_UNCONFIGURED) {
+		sdo_server_stop(node);
+		node_filter(node);
+		return;
+	}
 	emcy_check(node);
 	sdo_server_reset(node);
 	sync_reset(node);
@@ -89,7 +100,7 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 {
 	static const uint16_t mandatory[] = {0x1000, 0x1001, 0x1017, 0x1018};
 
-	if (node_id < 1 || node_id > 127)
+	if (node_id < 1 || (node_id > 127 && node_id != CANOPEN_UNCONFIGURED))
 		return -EINVAL;
 	for (size_t i = 0; i < sizeof(mandatory) / sizeof(mandatory[0]); i++)
 		if (!od_find(od->table, mandatory[i], 0, NULL))
@@ -98,6 +109,7 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 	*node = (struct canopen_node){.od = od, .bus = bus, .id = node_id};
 	if (device)
 		node->device = *device;
+	lss_init(node);
 	nmt_init(node);
 	heartbeat_init(node);
 	guard_init(node);
@@ -115,6 +127,9 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 void canopen_start(struct canopen_node *node, uint64_t now_us)
 {
 	node->now_us = now_us;
+	node->started = true;
+	if (node->id == CANOPEN_UNCONFIGURED)
+		return;
 	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
 	node->nmt.last_heartbeat_us = now_us;
 	nmt_enter(node, NMT_PRE_OPERATIONAL);
@@ -127,6 +142,7 @@ void node_reset(struct canopen_node *node, enum od_group group)
 	emcy_reset(node, group);
 	if (node->device.reset)
 		node->device.reset(node->device.ctx, group);
+	lss_reset(node, group);
 	reset_services(node);
 	canopen_start(node, node->now_us);
 }
@@ -142,8 +158,13 @@ static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us)
 {
 	node->now_us = now_us;
-	if (node->nmt.state == NMT_INITIALISING || msg->extended || msg->len > 8)
+	if (!node->started || msg->extended || msg->len > 8)
 		return;
+	if (node->nmt.state == NMT_INITIALISING) { /* no node-ID */
+		if (msg->id == LSS_REQUEST_ID && !msg->remote)
+			lss_receive(node, msg);
+		return;
+	}
 	if (msg->remote) {
 		receive_remote(node, msg);
 		return;
@@ -154,6 +175,8 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 		sync_receive(node, msg);
 	else if (msg->id == node->sdo_servers[0].request_id || msg->id == node->sdo_servers[1].request_id)
 		sdo_server_receive(node, msg);
+	else if (msg->id == LSS_REQUEST_ID)
+		lss_receive(node, msg);
 	else if (msg->id > 0x700)
 		heartbeat_receive(node, msg);
 }

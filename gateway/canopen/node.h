@@ -15,6 +15,7 @@ enum {
 	EMCY_HISTORY = 8, /* entries of 1003h */
 	HEARTBEAT_CONSUMERS = 8,
 	SDO_SERVERS = 2,
+	LSS_NUMBERS = 4, /* of an identity: vendor, product, revision, serial */
 };
 
 struct nmt {
@@ -153,11 +154,23 @@ struct store {
 	uint32_t *date[2];	  /* 1020h:1 and 2: day and time of the configuration; NULL: none */
 };
 
+struct lss {
+	const uint32_t *identity[LSS_NUMBERS]; /* 1018h */
+	uint8_t start_id;		       /* that the dictionary was made for */
+	uint8_t stored_id;		       /* from reset node on */
+	uint8_t node_id;		       /* from reset communication on */
+	uint32_t bit_s;			       /* configured, 0: none */
+	bool configuring;		       /* or else waiting */
+	uint8_t selected, identified;	       /* numbers that were right so far */
+	uint8_t scanned;		       /* fastscan: the number that is looked for */
+};
+
 struct canopen_node {
 	struct od *od;
 	struct can_port *bus;
 	struct canopen_device device;
 	uint8_t id;
+	bool started;
 	uint64_t now_us; /* the time of the last call: what a hook goes by */
 	struct nmt nmt;
 	struct heartbeat heartbeat;
@@ -169,6 +182,7 @@ struct canopen_node {
 	struct sync sync;
 	struct emcy emcy;
 	struct store store;
+	struct lss lss;
 };
 
 #endif

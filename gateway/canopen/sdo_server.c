@@ -66,8 +66,6 @@ void sdo_server_init(struct canopen_node *node)
 	struct second_sdo *second = &node->second_sdo;
 
 	node->sdo = &node->sdo_servers[0];
-	node->sdo->request_id = 0x600u + node->id;
-	node->sdo->response_id = 0x580u + node->id;
 	for (uint8_t i = 0; i < 2; i++)
 		second->cob_id[i] = od_value(node->od, 0x1201, (uint8_t)(i + 1), sizeof(uint32_t));
 	second->hook = (struct od_hook){
@@ -84,6 +82,8 @@ void sdo_server_stop(struct canopen_node *node)
 void sdo_server_reset(struct canopen_node *node)
 {
 	sdo_server_stop(node);
+	node->sdo_servers[0].request_id = 0x600u + node->id;
+	node->sdo_servers[0].response_id = 0x580u + node->id;
 	open_second(node);
 	for (size_t i = 0; i < 2; i++)
 		if (node->second_sdo.cob_id[i] && !(*node->second_sdo.cob_id[i] & COB_ID_INVALID) &&

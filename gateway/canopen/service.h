@@ -142,6 +142,13 @@ bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t
 /* store.c */
 void store_init(struct canopen_node *node);
 
+/* lss.c */
+enum { LSS_REQUEST_ID = 0x7E5, LSS_ANSWER_ID = 0x7E4 };
+void lss_init(struct canopen_node *node);
+/** Takes the node-ID that holds from this reset on, after the dictionary was reset. */
+void lss_reset(struct canopen_node *node, enum od_group group);
+void lss_receive(struct canopen_node *node, const struct can_msg *msg);
+
 static inline uint16_t get_u16(const uint8_t *wire)
 {
 	return (uint16_t)(wire[0] | wire[1] << 8);

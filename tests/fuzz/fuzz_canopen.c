@@ -36,7 +36,7 @@ static int port_send(struct can_port *port, const struct can_msg *msg)
 {
 	(void)port;
 	require(msg->id <= 0x7FF && msg->len <= 8 && !msg->extended && !msg->remote);
-	require(msg->id != 0 && (msg->id & 0x780) != 0x600); /* neither NMT nor an SDO request */
+	require(msg->id != 0 && (msg->id <= 0x600 || msg->id > 0x67F)); /* neither NMT nor an SDO request */
 	if (msg->id == 0x580 + NODE_ID)
 		require(msg->len == 8 && state_before != NMT_STOPPED);
 	return 0;
@@ -66,11 +66,33 @@ static enum od_status device_keep(void *ctx, enum od_group group)
 	return answer;
 }
 
+static enum od_status device_keep_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
+{
+	(void)ctx;
+	(void)bit_s;
+	require(node_id >= 1 && (node_id <= 127 || node_id == CANOPEN_UNCONFIGURED));
+	return answer;
+}
+
+static bool device_bit_rate_possible(void *ctx, uint32_t bit_s)
+{
+	(void)ctx;
+	return bit_s >= 125000;
+}
+
+static void device_activate_bit_rate(void *ctx, uint32_t bit_s, uint16_t delay_ms)
+{
+	(void)ctx;
+	(void)delay_ms;
+	require(bit_s >= 125000);
+}
+
 static struct can_msg take_frame(struct input *in)
 {
 	static const uint32_t ids[] = {0x000, 0x600 + NODE_ID, 0x600 + NODE_ID, 0x080};
+	static const uint32_t more[] = {0x7E5, 0x700 + NODE_ID, 0x720, 0x180 + NODE_ID};
 	uint8_t kind = take(in);
-	struct can_msg msg = {.id = ids[kind & 3],
+	struct can_msg msg = {.id = (kind & 0x84) == 0x04 ? more[kind & 3] : ids[kind & 3],
 		.len = 8,
 		.extended = (kind & 0x84) == 0x84,
 		.remote = (kind & 0x88) == 0x88,
@@ -80,6 +102,10 @@ static struct can_msg take_frame(struct input *in)
 		msg.len = 2;
 	if (msg.id == 0x080)
 		msg.len = 0;
+	if (msg.id > 0x700 && msg.id < 0x7E5) /* guarding, heartbeat */
+		msg.len = 1;
+	if (msg.id == 0x180 + NODE_ID || (msg.id == 0x700 + NODE_ID && kind & 0x40))
+		msg.remote = true;
 	if (kind & 0x20)
 		msg.len = take(in) % 9;
 	if (kind & 0x10)
@@ -106,7 +132,11 @@ static uint64_t pass_time(struct input *in, uint64_t now_us)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
 	static const struct can_ops ops = {.send = port_send, .receive = port_receive, .filter = port_filter};
-	static const struct canopen_device device = {.store = device_keep, .restore = device_keep};
+	static const struct canopen_device device = {.store = device_keep,
+		.restore = device_keep,
+		.store_lss = device_keep_lss,
+		.bit_rate_possible = device_bit_rate_possible,
+		.activate_bit_rate = device_activate_bit_rate};
 	static const uint8_t eds[1000] = {1, 2, 3};
 	static struct od_values values;
 	static struct can_port port;
@@ -114,13 +144,14 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	struct od od;
 	struct input in = {data, size};
 	uint64_t now_us = 1000;
+	uint8_t node_id = take(&in) == 0xFF ? CANOPEN_UNCONFIGURED : NODE_ID;
 
 	port = (struct can_port){.ops = &ops};
 	domain = (struct od_domain){.index = 0x1021, .data = eds, .size = sizeof(eds)};
 	state_before = NMT_INITIALISING;
-	od_init(&od, &imu9_od_table, &values, NODE_ID);
+	od_init(&od, &imu9_od_table, &values, node_id);
 	od_set_domain(&od, &domain);
-	require(canopen_init(&node, &od, &port, &device, NODE_ID) == 0);
+	require(canopen_init(&node, &od, &port, &device, node_id) == 0);
 	canopen_start(&node, now_us);
 	while (in.size > 0) {
 		uint8_t operation = take(&in);

@@ -74,20 +74,57 @@ static void device_nmt_changed(void *ctx, enum nmt_state nmt_state)
 		bus->states[bus->state_count++] = nmt_state;
 }
 
+static enum od_status device_store_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
+{
+	struct bus *bus = ctx;
+
+	bus->kept_node_id = node_id;
+	bus->kept_bit_s = bit_s;
+	return bus->storage_answer;
+}
+
+static bool device_bit_rate_possible(void *ctx, uint32_t bit_s)
+{
+	(void)ctx;
+	return bit_s != 800000;
+}
+
+static void device_activate_bit_rate(void *ctx, uint32_t bit_s, uint16_t delay_ms)
+{
+	struct bus *bus = ctx;
+
+	bus->active_bit_s = bit_s;
+	bus->switch_delay_ms = delay_ms;
+}
+
+bool bus_listens_to(const struct bus *bus, uint32_t id)
+{
+	for (size_t i = 0; i < bus->filter_count; i++)
+		if (bus->filter[i] == id)
+			return true;
+	return false;
+}
+
 void bus_tick(struct bus *bus)
 {
 	bus->deadline_us = canopen_tick(&bus->node, bus->now_us);
 }
 
-struct bus *bus_new(void)
+struct bus *bus_new_with_id(uint8_t node_id)
 {
 	struct bus *bus = test_calloc(1, sizeof(*bus));
 
 	bus->port.ops = &port_ops;
 	bus->now_us = 1000000;
-	od_init(&bus->od, &imu9_od_table, &bus->values, BUS_NODE_ID);
+	bus->node_id = node_id;
+	od_init(&bus->od, &imu9_od_table, &bus->values, node_id);
 	bus_put(bus, 0x1017, 0, 2, 0);
 	return bus;
+}
+
+struct bus *bus_new(void)
+{
+	return bus_new_with_id(BUS_NODE_ID);
 }
 
 void bus_start(struct bus *bus)
@@ -96,10 +133,13 @@ void bus_start(struct bus *bus)
 		.store = device_store,
 		.restore = device_restore,
 		.reset = device_reset,
+		.store_lss = device_store_lss,
+		.bit_rate_possible = device_bit_rate_possible,
+		.activate_bit_rate = device_activate_bit_rate,
 		.nmt_changed = device_nmt_changed};
 
 	bus->power_on = bus->values;
-	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, &device, BUS_NODE_ID), 0);
+	assert_int_equal(canopen_init(&bus->node, &bus->od, &bus->port, &device, bus->node_id), 0);
 	canopen_start(&bus->node, bus->now_us);
 	bus_tick(bus);
 }

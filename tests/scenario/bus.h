@@ -31,6 +31,7 @@ struct bus {
 	uint32_t filter[32];
 	size_t filter_count;
 
+	uint8_t node_id;
 	struct od od;
 	struct od_values values;
 	struct od_values power_on; /* what the device resets to */
@@ -40,6 +41,9 @@ struct bus {
 	enum od_status storage_answer; /* of store and restore */
 	enum od_group stored, restored, reset;
 	unsigned store_calls, restore_calls, reset_calls;
+	uint8_t kept_node_id; /* by LSS */
+	uint32_t kept_bit_s, active_bit_s;
+	uint16_t switch_delay_ms;
 	enum nmt_state states[64];
 	size_t state_count;
 };
@@ -54,6 +58,8 @@ int bus_teardown(void **state);
 /** The same by hand: values may be changed between the two. */
 struct bus *bus_new(void);
 void bus_start(struct bus *bus);
+/** With another node-ID, or CANOPEN_UNCONFIGURED. */
+struct bus *bus_new_with_id(uint8_t node_id);
 
 /** Puts a frame on the bus, now. The first form takes no more than 8 data bytes. */
 void bus_send(struct bus *bus, const char *frame);
@@ -64,6 +70,9 @@ void bus_expect_nothing(struct bus *bus);
 void bus_forget(struct bus *bus); /* whatever was sent is not of interest */
 /** bus_send(), and then this and nothing else is the answer. */
 void bus_exchange(struct bus *bus, const char *request, const char *response);
+
+/** Whether the node asked the bus for that identifier. */
+bool bus_listens_to(const struct bus *bus, uint32_t id);
 
 /** After a call of the core that did not go through here. */
 void bus_tick(struct bus *bus);

@@ -67,15 +67,16 @@ static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state
 	(void)state;
 }
 
-static void test_the_bus_is_asked_for_nmt_sdo_sync_and_guarding_only(void **state)
+static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_and_lss_only(void **state)
 {
 	struct bus *bus = *state;
 
-	assert_int_equal(bus->filter_count, 4);
-	assert_int_equal(bus->filter[0], 0x000);
-	assert_int_equal(bus->filter[1], 0x610);
-	assert_int_equal(bus->filter[2], 0x080);
-	assert_int_equal(bus->filter[3], 0x710);
+	assert_int_equal(bus->filter_count, 5);
+	assert_true(bus_listens_to(bus, 0x000));
+	assert_true(bus_listens_to(bus, 0x610));
+	assert_true(bus_listens_to(bus, 0x080));
+	assert_true(bus_listens_to(bus, 0x710));
+	assert_true(bus_listens_to(bus, 0x7E5));
 }
 
 static void test_the_master_starts_stops_and_readies_the_node(void **state)
@@ -255,9 +256,9 @@ static void test_a_reset_puts_the_sync_identifier_back(void **state)
 	struct bus *bus = *state;
 
 	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x0A0), 0);
-	assert_int_equal(bus->filter[2], 0x0A0);
+	assert_true(bus_listens_to(bus, 0x0A0));
 	bus_send(bus, "000 82 10");
-	assert_int_equal(bus->filter[2], 0x080);
+	assert_true(bus_listens_to(bus, 0x080));
 }
 
 /* ---- start-up ---------------------------------------------------------------------------------------------------- */
@@ -489,7 +490,7 @@ int main(void)
 		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
 		cmocka_unit_test(test_a_node_id_is_1_to_127),
 		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_and_guarding_only),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_and_lss_only),
 		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
 		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
 		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),

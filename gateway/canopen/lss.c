@@ -1,0 +1,277 @@
+/* LSS slave (CiA 305): a master without any configuration finds this node by its identity (1018h) and gives it a
+ * node-ID. Two states, waiting and configuring; LSS works in every NMT state, and it is all that a node without a
+ * node-ID does. */
+#include "gateway/canopen/service.h"
+
+#include <string.h>
+
+enum command {
+	SWITCH_GLOBAL = 0x04,
+	CONFIGURE_NODE_ID = 0x11,
+	CONFIGURE_BIT_TIMING = 0x13,
+	ACTIVATE_BIT_TIMING = 0x15,
+	STORE = 0x17,
+	SWITCH_SELECTIVE = 0x40, /* to 43h: vendor, product, revision, serial */
+	SWITCHED = 0x44,
+	IDENTIFY = 0x46, /* to 4Bh: vendor, product, revision from, to, serial from, to */
+	IDENTIFY_UNCONFIGURED = 0x4C,
+	IDENTIFIED = 0x4F,
+	IDENTIFIED_UNCONFIGURED = 0x50,
+	FASTSCAN = 0x51,
+	INQUIRE_IDENTITY = 0x5A, /* to 5Dh */
+	INQUIRE_NODE_ID = 0x5E,
+};
+
+enum answer {
+	ANSWER_OK = 0,
+	ANSWER_OUT_OF_RANGE = 1,  /* node-ID, bit timing */
+	ANSWER_NOT_SUPPORTED = 1, /* store */
+	ANSWER_STORE_FAILED = 2,
+};
+
+enum {
+	VENDOR,
+	PRODUCT,
+	REVISION,
+	SERIAL,
+	FASTSCAN_RESET = 0x80,
+};
+
+void lss_init(struct canopen_node *node)
+{
+	struct lss *lss = &node->lss;
+
+	for (uint8_t i = 0; i < LSS_NUMBERS; i++)
+		lss->identity[i] = node_value(node, 0x1018, (uint8_t)(i + 1), sizeof(uint32_t));
+	lss->start_id = lss->stored_id = lss->node_id = node->id;
+}
+
+static void answer(struct canopen_node *node, uint8_t command, uint32_t value)
+{
+	uint8_t data[8] = {command};
+
+	put_u32(data + 1, value);
+	node_send(node, LSS_ANSWER_ID, data, 8);
+}
+
+/* ---- node-ID ----------------------------------------------------------------------------------------------------- */
+
+static uint32_t offset(uint8_t node_id)
+{
+	return node_id == CANOPEN_UNCONFIGURED ? 0 : node_id;
+}
+
+/* What still is $NODEID + default for the node-ID of before becomes that for the new one. */
+static void follow_node_id(struct canopen_node *node, uint8_t old)
+{
+	const struct od_table *table = node->od->table;
+
+	for (size_t i = 0; i < table->count; i++) {
+		const struct od_entry *entry = &table->entries[i];
+		uint32_t *value = od_value(node->od, entry->index, entry->sub, sizeof(uint32_t));
+		uint32_t base;
+
+		if (!(entry->access & OD_NODE_ID) || !value)
+			continue;
+		memcpy(&base, (const uint8_t *)table->defaults + entry->offset, sizeof(base));
+		if (*value == base + offset(old) || *value == base + offset(node->lss.start_id))
+			*value = base + offset(node->id);
+	}
+}
+
+void lss_reset(struct canopen_node *node, enum od_group group)
+{
+	struct lss *lss = &node->lss;
+	uint8_t old = node->id;
+
+	if (group == OD_GROUP_ALL)
+		lss->node_id = lss->stored_id;
+	lss->configuring = false;
+	lss->selected = lss->identified = lss->scanned = 0;
+	node->id = lss->node_id;
+	follow_node_id(node, old);
+}
+
+static void configure_node_id(struct canopen_node *node, uint8_t node_id)
+{
+	bool right = (node_id >= 1 && node_id <= 127) || node_id == CANOPEN_UNCONFIGURED;
+
+	if (right)
+		node->lss.node_id = node_id;
+	answer(node, CONFIGURE_NODE_ID, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+}
+
+/* ---- bit timing and storage, as far as the device has them ------------------------------------------------------- */
+
+/* CiA 301, table 1, by index; 0: reserved */
+static uint32_t bit_rate_of(uint8_t table, uint8_t index)
+{
+	static const uint32_t rates[] = {1000000, 800000, 500000, 250000, 125000, 0, 50000, 20000, 10000};
+
+	return table == 0 && index < sizeof(rates) / sizeof(rates[0]) ? rates[index] : 0;
+}
+
+static void configure_bit_timing(struct canopen_node *node, uint8_t table, uint8_t index)
+{
+	const struct canopen_device *device = &node->device;
+	uint32_t bit_s = bit_rate_of(table, index);
+	bool right = bit_s && device->bit_rate_possible && device->bit_rate_possible(device->ctx, bit_s);
+
+	if (right)
+		node->lss.bit_s = bit_s;
+	answer(node, CONFIGURE_BIT_TIMING, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+}
+
+static void activate_bit_timing(struct canopen_node *node, uint16_t delay_ms)
+{
+	if (node->lss.bit_s && node->device.activate_bit_rate)
+		node->device.activate_bit_rate(node->device.ctx, node->lss.bit_s, delay_ms);
+}
+
+static enum answer store(struct canopen_node *node)
+{
+	struct lss *lss = &node->lss;
+
+	if (!node->device.store_lss)
+		return ANSWER_NOT_SUPPORTED;
+	if (node->device.store_lss(node->device.ctx, lss->node_id, lss->bit_s) != OD_OK)
+		return ANSWER_STORE_FAILED;
+	lss->stored_id = lss->node_id;
+	return ANSWER_OK;
+}
+
+/* ---- who is meant, who is there ---------------------------------------------------------------------------------- */
+
+/* A node that had none goes on the bus with its new node-ID. */
+static void switch_global(struct canopen_node *node, uint8_t mode)
+{
+	struct lss *lss = &node->lss;
+	bool was_configuring = lss->configuring;
+
+	if (mode > 1)
+		return;
+	lss->configuring = mode == 1;
+	if (was_configuring && !lss->configuring && node->id == CANOPEN_UNCONFIGURED && lss->node_id != node->id)
+		node_reset(node, OD_GROUP_COMMUNICATION);
+}
+
+/* The four numbers come one by one; the node that all of them name is switched. */
+static void switch_selective(struct canopen_node *node, unsigned number, uint32_t value)
+{
+	struct lss *lss = &node->lss;
+	bool right =
+		!lss->configuring && (number == VENDOR || number == lss->selected) && *lss->identity[number] == value;
+
+	lss->selected = right ? (uint8_t)(number + 1) : 0;
+	if (lss->selected < LSS_NUMBERS)
+		return;
+	lss->selected = 0;
+	lss->configuring = true;
+	answer(node, SWITCHED, 0);
+}
+
+/* Vendor, product, and ranges of revision and serial number. */
+static bool within(const struct lss *lss, unsigned step, uint32_t value)
+{
+	switch (step) {
+	case 2:
+		return *lss->identity[REVISION] >= value;
+	case 3:
+		return *lss->identity[REVISION] <= value;
+	case 4:
+		return *lss->identity[SERIAL] >= value;
+	case 5:
+		return *lss->identity[SERIAL] <= value;
+	default:
+		return *lss->identity[step] == value;
+	}
+}
+
+static void identify(struct canopen_node *node, unsigned step, uint32_t value)
+{
+	struct lss *lss = &node->lss;
+	bool right = (step == 0 || step == lss->identified) && within(lss, step, value);
+
+	lss->identified = right ? (uint8_t)(step + 1) : 0;
+	if (lss->identified < 6)
+		return;
+	lss->identified = 0;
+	answer(node, IDENTIFIED, 0);
+}
+
+/* Whether a node-ID neither is nor will be there. */
+static bool unconfigured(const struct canopen_node *node)
+{
+	return node->id == CANOPEN_UNCONFIGURED && node->lss.node_id == CANOPEN_UNCONFIGURED;
+}
+
+/* The master finds the identity bit by bit: all that agree down to bit `bit` answer. After the last bit of a number
+ * `next` tells which one follows; after the last number it is a smaller one, and the node is switched. */
+static void fastscan(struct canopen_node *node, const uint8_t data[8])
+{
+	struct lss *lss = &node->lss;
+	uint8_t bit = data[5], number = data[6], next = data[7];
+
+	if (!unconfigured(node) || lss->configuring)
+		return;
+	if (bit == FASTSCAN_RESET) {
+		lss->scanned = VENDOR;
+		answer(node, IDENTIFIED, 0);
+		return;
+	}
+	if (bit > 31 || number >= LSS_NUMBERS || next >= LSS_NUMBERS || number != lss->scanned ||
+		(*lss->identity[number] ^ get_u32(data + 1)) >> bit)
+		return;
+	if (bit == 0)
+		lss->scanned = next;
+	lss->configuring = bit == 0 && next < number;
+	answer(node, IDENTIFIED, 0);
+}
+
+/* ---- the frames of the master ------------------------------------------------------------------------------------ */
+
+/* In waiting state only the services that switch and identify are there. */
+static void receive_configuration(struct canopen_node *node, const uint8_t data[8])
+{
+	switch (data[0]) {
+	case CONFIGURE_NODE_ID:
+		configure_node_id(node, data[1]);
+		break;
+	case CONFIGURE_BIT_TIMING:
+		configure_bit_timing(node, data[1], data[2]);
+		break;
+	case ACTIVATE_BIT_TIMING:
+		activate_bit_timing(node, get_u16(data + 1));
+		break;
+	case STORE:
+		answer(node, STORE, store(node));
+		break;
+	case INQUIRE_NODE_ID:
+		answer(node, INQUIRE_NODE_ID, node->id);
+		break;
+	default:
+		if (data[0] >= INQUIRE_IDENTITY && data[0] < INQUIRE_IDENTITY + LSS_NUMBERS)
+			answer(node, data[0], *node->lss.identity[data[0] - INQUIRE_IDENTITY]);
+		break;
+	}
+}
+
+void lss_receive(struct canopen_node *node, const struct can_msg *msg)
+{
+	const uint8_t *data = msg->data;
+
+	if (msg->len != 8)
+		return;
+	if (data[0] == SWITCH_GLOBAL)
+		switch_global(node, data[1]);
+	else if (data[0] >= SWITCH_SELECTIVE && data[0] < SWITCH_SELECTIVE + LSS_NUMBERS)
+		switch_selective(node, data[0] - SWITCH_SELECTIVE, get_u32(data + 1));
+	else if (data[0] >= IDENTIFY && data[0] < IDENTIFY + 6)
+		identify(node, data[0] - IDENTIFY, get_u32(data + 1));
+	else if (data[0] == FASTSCAN)
+		fastscan(node, data);
+	else if (data[0] == IDENTIFY_UNCONFIGURED && unconfigured(node))
+		answer(node, IDENTIFIED_UNCONFIGURED, 0);
+	else if (node->lss.configuring)
+		receive_configuration(node, data);
+}

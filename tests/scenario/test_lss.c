@@ -1,0 +1,506 @@
+/* LSS slave: CiA 305. The identity of the node is vendor 00494D55h, product 9, revision 00010000h, serial 12345678h. */
+#include "tests/scenario/bus.h"
+
+#define VENDOR_IS_RIGHT	  "7E5 40 55 4D 49 00 00 00 00"
+#define PRODUCT_IS_RIGHT  "7E5 41 09 00 00 00 00 00 00"
+#define REVISION_IS_RIGHT "7E5 42 00 00 01 00 00 00 00"
+#define SERIAL_IS_RIGHT	  "7E5 43 78 56 34 12 00 00 00"
+
+static void set_serial(struct bus *bus)
+{
+	bus_put(bus, 0x1018, 4, 4, 0x12345678);
+}
+
+/* A node that has no node-ID. */
+static struct bus *unconfigured(void)
+{
+	struct bus *bus = bus_new_with_id(CANOPEN_UNCONFIGURED);
+
+	set_serial(bus);
+	bus_start(bus);
+	return bus;
+}
+
+static void configure(struct bus *bus)
+{
+	bus_send(bus, "7E5 04 01 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+/* ---- switching --------------------------------------------------------------------------------------------------- */
+
+static void test_switch_global_is_not_answered_but_opens_the_configuration(void **state)
+{
+	configure(*state);
+	bus_exchange(*state, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+}
+
+static void test_in_waiting_state_nothing_is_configured_or_told(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_send(bus, "7E5 5E 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 5A 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+	bus_send(bus, "7E5 13 00 02 00 00 00 00 00");
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_switch_global_0_closes_the_configuration(void **state)
+{
+	configure(*state);
+	bus_send(*state, "7E5 04 00 00 00 00 00 00 00");
+	bus_send(*state, "7E5 5E 00 00 00 00 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+static void test_the_node_whose_four_numbers_are_right_is_switched_and_says_so(void **state)
+{
+	struct bus *bus = *state;
+
+	set_serial(bus);
+	bus_send(bus, VENDOR_IS_RIGHT);
+	bus_send(bus, PRODUCT_IS_RIGHT);
+	bus_send(bus, REVISION_IS_RIGHT);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, SERIAL_IS_RIGHT, "7E4 44 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+}
+
+static void test_one_wrong_number_and_the_node_is_not_switched(void **state)
+{
+	struct bus *bus = *state;
+
+	set_serial(bus);
+	bus_send(bus, VENDOR_IS_RIGHT);
+	bus_send(bus, PRODUCT_IS_RIGHT);
+	bus_send(bus, "7E5 42 01 00 01 00 00 00 00");
+	bus_send(bus, SERIAL_IS_RIGHT);
+	bus_expect_nothing(bus);
+	bus_send(bus, "7E5 5E 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_the_last_number_alone_does_not_switch(void **state)
+{
+	set_serial(*state);
+	bus_send(*state, SERIAL_IS_RIGHT);
+	bus_expect_nothing(*state);
+}
+
+static void test_lss_frames_of_another_length_are_ignored(void **state)
+{
+	bus_send(*state, "7E5 04 01");
+	bus_send(*state, "7E5 5E 00 00 00 00 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+static void test_lss_is_there_in_operational_and_stopped(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_send(bus, "000 01 10");
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+	bus_send(bus, "000 02 10");
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+}
+
+static void test_a_reset_ends_the_configuration(void **state)
+{
+	configure(*state);
+	bus_exchange(*state, "000 82 10", "710 00");
+	bus_send(*state, "7E5 5E 00 00 00 00 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+/* ---- node-ID ----------------------------------------------------------------------------------------------------- */
+
+static void test_a_node_id_is_taken_at_once_and_holds_from_reset_communication_on(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "000 82 10", "720 00");
+	bus_exchange(bus, "620 40 00 10 00 00 00 00 00", "5A0 43 00 10 00 9A 01 04 00");
+	bus_send(bus, "610 40 00 10 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	assert_true(bus_listens_to(bus, 0x620));
+	assert_false(bus_listens_to(bus, 0x610));
+}
+
+static void test_identifiers_that_follow_the_node_id_follow_it(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+	bus_send(bus, "000 82 10");
+	bus_forget(bus);
+	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 A0 00 00 00");
+	bus_exchange(bus, "620 40 00 12 01 00 00 00 00", "5A0 43 00 12 01 20 06 00 00");
+	bus_send(bus, "000 01 20");
+	bus_send(bus, "080");
+	bus_expect(bus, "1A0 00 00 00 00 00 00 00 00");
+}
+
+static void test_identifiers_that_were_configured_otherwise_stay(void **state)
+{
+	struct bus *bus = *state;
+
+	bus->power_on.cob_id_emcy = 0x0AA; /* as if stored */
+	configure(bus);
+	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+	bus_send(bus, "000 82 10");
+	bus_forget(bus);
+	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 AA 00 00 00");
+}
+
+static void test_a_node_id_may_change_and_change_back(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+	bus_send(bus, "000 82 10");
+	bus_forget(bus);
+	configure(bus);
+	bus_send(bus, "7E5 11 10 00 00 00 00 00 00");
+	bus_send(bus, "000 82 20");
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1014, 0), 0x90);
+	assert_int_equal(bus_read(bus, 0x1200, 2), 0x590);
+	assert_int_equal(bus_read(bus, 0x1800, 1), 0x40000190);
+}
+
+static void test_a_node_id_of_0_or_128_to_254_is_refused(void **state)
+{
+	configure(*state);
+	bus_exchange(*state, "7E5 11 00 00 00 00 00 00 00", "7E4 11 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 11 80 00 00 00 00 00 00", "7E4 11 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 11 FE 00 00 00 00 00 00", "7E4 11 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 11 7F 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+}
+
+static void test_reset_node_brings_the_stored_node_id_back(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_exchange(bus, "000 82 10", "720 00");
+	bus_exchange(bus, "000 81 20", "710 00");
+	assert_int_equal(bus_read(bus, 0x1014, 0), 0x90);
+}
+
+static void test_a_stored_node_id_outlives_reset_node(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 00 00 00 00 00 00 00");
+	assert_int_equal(bus->kept_node_id, 0x20);
+	bus_exchange(bus, "000 81 10", "720 00");
+}
+
+static void test_a_storage_that_fails_is_told(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_CANNOT_STORE;
+	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 02 00 00 00 00 00 00");
+}
+
+static void test_a_device_that_cannot_store_says_so(void **state)
+{
+	struct bus *bus = *state;
+
+	bus->node.device.store_lss = NULL;
+	configure(bus);
+	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 01 00 00 00 00 00 00");
+}
+
+static void test_the_node_id_255_makes_the_node_silent_from_reset_communication_on(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00"); /* a transfer under way */
+	configure(bus);
+	bus_exchange(bus, "7E5 11 FF 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "000 82 10");
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_INITIALISING);
+	bus_exchange(bus, "7E5 4C 00 00 00 00 00 00 00", "7E4 50 00 00 00 00 00 00 00");
+}
+
+/* ---- a node without a node-ID ------------------------------------------------------------------------------------ */
+
+static void test_a_node_without_a_node_id_says_nothing_and_hears_lss_only(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	bus_send(bus, "000 01 00");
+	bus_send(bus, "080");
+	bus_sample(bus, 1);
+	bus_run(bus, 10000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->filter_count, 1);
+	assert_true(bus_listens_to(bus, 0x7E5));
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	configure(bus);
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E FF 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
+	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 A0 00 00 00");
+	bus_send(bus, "000 01 20");
+	bus_send(bus, "080");
+	bus_expect(bus, "1A0 00 00 00 00 00 00 00 00");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_without_a_node_id_identifies_itself_as_such(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	bus_exchange(bus, "7E5 4C 00 00 00 00 00 00 00", "7E4 50 00 00 00 00 00 00 00");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_with_a_node_id_does_not(void **state)
+{
+	bus_send(*state, "7E5 4C 00 00 00 00 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+/* ---- bit timing -------------------------------------------------------------------------------------------------- */
+
+static void test_a_bit_rate_is_taken_and_activated_after_the_switch_delay(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 13 00 02 00 00 00 00 00", "7E4 13 00 00 00 00 00 00 00");
+	assert_int_equal(bus->active_bit_s, 0);
+	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->active_bit_s, 500000);
+	assert_int_equal(bus->switch_delay_ms, 500);
+}
+
+static void test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused(void **state)
+{
+	configure(*state);
+	bus_exchange(*state, "7E5 13 01 02 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 13 00 05 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 13 00 09 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 13 00 01 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
+}
+
+static void test_where_the_bus_cannot_be_switched_no_bit_rate_is_taken(void **state)
+{
+	struct bus *bus = *state;
+
+	bus->node.device.bit_rate_possible = NULL;
+	configure(bus);
+	bus_exchange(bus, "7E5 13 00 02 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
+	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
+	assert_int_equal(bus->active_bit_s, 0);
+}
+
+static void test_the_bit_rate_is_stored_with_the_node_id(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 13 00 04 00 00 00 00 00", "7E4 13 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 00 00 00 00 00 00 00");
+	assert_int_equal(bus->kept_bit_s, 125000);
+	assert_int_equal(bus->kept_node_id, 0x10);
+}
+
+/* ---- inquiry and identification ---------------------------------------------------------------------------------- */
+
+static void test_each_number_of_the_identity_can_be_asked_for(void **state)
+{
+	set_serial(*state);
+	configure(*state);
+	bus_exchange(*state, "7E5 5A 00 00 00 00 00 00 00", "7E4 5A 55 4D 49 00 00 00 00");
+	bus_exchange(*state, "7E5 5B 00 00 00 00 00 00 00", "7E4 5B 09 00 00 00 00 00 00");
+	bus_exchange(*state, "7E5 5C 00 00 00 00 00 00 00", "7E4 5C 00 00 01 00 00 00 00");
+	bus_exchange(*state, "7E5 5D 00 00 00 00 00 00 00", "7E4 5D 78 56 34 12 00 00 00");
+}
+
+static void identify(struct bus *bus, const char *serial_from, const char *serial_to)
+{
+	set_serial(bus);
+	bus_send(bus, "7E5 46 55 4D 49 00 00 00 00");
+	bus_send(bus, "7E5 47 09 00 00 00 00 00 00");
+	bus_send(bus, "7E5 48 00 00 01 00 00 00 00");
+	bus_send(bus, "7E5 49 FF FF 01 00 00 00 00");
+	bus_send(bus, serial_from);
+	bus_expect_nothing(bus);
+	bus_send(bus, serial_to);
+}
+
+static void test_a_node_within_the_ranges_identifies_itself(void **state)
+{
+	identify(*state, "7E5 4A 78 56 34 12 00 00 00", "7E5 4B 78 56 34 12 00 00 00");
+	bus_expect(*state, "7E4 4F 00 00 00 00 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+static void test_a_node_below_the_range_does_not(void **state)
+{
+	identify(*state, "7E5 4A 79 56 34 12 00 00 00", "7E5 4B FF FF FF FF 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+static void test_a_node_above_the_range_does_not(void **state)
+{
+	identify(*state, "7E5 4A 00 00 00 00 00 00 00", "7E5 4B 77 56 34 12 00 00 00");
+	bus_expect_nothing(*state);
+}
+
+/* ---- fastscan ---------------------------------------------------------------------------------------------------- */
+
+static bool scan(struct bus *bus, uint32_t value, uint8_t bit, uint8_t number, uint8_t next)
+{
+	const struct can_msg msg = {.id = 0x7E5,
+		.len = 8,
+		.data = {0x51, (uint8_t)value, (uint8_t)(value >> 8), (uint8_t)(value >> 16), (uint8_t)(value >> 24),
+			bit, number, next}};
+	size_t before = bus->sent_count;
+
+	bus_send_msg(bus, &msg);
+	if (bus->sent_count == before)
+		return false;
+	bus_expect(bus, "7E4 4F 00 00 00 00 00 00 00");
+	return true;
+}
+
+/* As a master does it: each bit is 0 where somebody answers. */
+static uint32_t find_number(struct bus *bus, uint8_t number)
+{
+	uint32_t value = 0;
+
+	for (int bit = 31; bit >= 0; bit--)
+		if (!scan(bus, value, (uint8_t)bit, number, number))
+			value |= 1u << bit;
+	return value;
+}
+
+static void test_fastscan_finds_the_identity_and_switches_the_node(void **state)
+{
+	static const uint32_t identity[] = {0x00494D55, 9, 0x00010000, 0x12345678};
+	struct bus *bus = unconfigured();
+
+	assert_true(scan(bus, 0, 0x80, 0, 0));
+	for (uint8_t i = 0; i < 4; i++) {
+		assert_int_equal(find_number(bus, i), identity[i]);
+		assert_true(scan(bus, identity[i], 0, i, (i + 1) & 3));
+	}
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
+	test_free(bus);
+	(void)state;
+}
+
+static void test_fastscan_asks_for_one_number_at_a_time(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	assert_true(scan(bus, 0, 0x80, 0, 0));
+	assert_false(scan(bus, 9, 0, 1, 2));
+	test_free(bus);
+	(void)state;
+}
+
+static void test_fastscan_begins_anew_with_a_reset(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	assert_true(scan(bus, 0x00494D55, 0, 0, 1));
+	assert_true(scan(bus, 0, 0x80, 0, 0));
+	assert_false(scan(bus, 9, 0, 1, 2));
+	assert_true(scan(bus, 0x00494D55, 0, 0, 1));
+	assert_true(scan(bus, 9, 0, 1, 2));
+	test_free(bus);
+	(void)state;
+}
+
+static void test_fastscan_with_numbers_that_do_not_exist_is_ignored(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	assert_false(scan(bus, 0, 32, 0, 0));
+	assert_false(scan(bus, 0x00494D55, 0, 4, 0));
+	assert_false(scan(bus, 0x00494D55, 0, 0, 4));
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_node_with_a_node_id_does_not_answer_a_fastscan(void **state)
+{
+	assert_false(scan(*state, 0, 0x80, 0, 0));
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		PRE_OPERATIONAL(test_switch_global_is_not_answered_but_opens_the_configuration),
+		PRE_OPERATIONAL(test_in_waiting_state_nothing_is_configured_or_told),
+		PRE_OPERATIONAL(test_switch_global_0_closes_the_configuration),
+		PRE_OPERATIONAL(test_the_node_whose_four_numbers_are_right_is_switched_and_says_so),
+		PRE_OPERATIONAL(test_one_wrong_number_and_the_node_is_not_switched),
+		PRE_OPERATIONAL(test_the_last_number_alone_does_not_switch),
+		PRE_OPERATIONAL(test_lss_frames_of_another_length_are_ignored),
+		PRE_OPERATIONAL(test_lss_is_there_in_operational_and_stopped),
+		PRE_OPERATIONAL(test_a_reset_ends_the_configuration),
+		PRE_OPERATIONAL(test_a_node_id_is_taken_at_once_and_holds_from_reset_communication_on),
+		PRE_OPERATIONAL(test_identifiers_that_follow_the_node_id_follow_it),
+		PRE_OPERATIONAL(test_identifiers_that_were_configured_otherwise_stay),
+		PRE_OPERATIONAL(test_a_node_id_may_change_and_change_back),
+		PRE_OPERATIONAL(test_a_node_id_of_0_or_128_to_254_is_refused),
+		PRE_OPERATIONAL(test_reset_node_brings_the_stored_node_id_back),
+		PRE_OPERATIONAL(test_a_stored_node_id_outlives_reset_node),
+		PRE_OPERATIONAL(test_a_storage_that_fails_is_told),
+		PRE_OPERATIONAL(test_a_device_that_cannot_store_says_so),
+		PRE_OPERATIONAL(test_the_node_id_255_makes_the_node_silent_from_reset_communication_on),
+		cmocka_unit_test(test_a_node_without_a_node_id_says_nothing_and_hears_lss_only),
+		cmocka_unit_test(test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given),
+		cmocka_unit_test(test_a_node_without_a_node_id_identifies_itself_as_such),
+		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not),
+		PRE_OPERATIONAL(test_a_bit_rate_is_taken_and_activated_after_the_switch_delay),
+		PRE_OPERATIONAL(test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused),
+		PRE_OPERATIONAL(test_where_the_bus_cannot_be_switched_no_bit_rate_is_taken),
+		PRE_OPERATIONAL(test_the_bit_rate_is_stored_with_the_node_id),
+		PRE_OPERATIONAL(test_each_number_of_the_identity_can_be_asked_for),
+		PRE_OPERATIONAL(test_a_node_within_the_ranges_identifies_itself),
+		PRE_OPERATIONAL(test_a_node_below_the_range_does_not),
+		PRE_OPERATIONAL(test_a_node_above_the_range_does_not),
+		cmocka_unit_test(test_fastscan_finds_the_identity_and_switches_the_node),
+		cmocka_unit_test(test_fastscan_asks_for_one_number_at_a_time),
+		cmocka_unit_test(test_fastscan_begins_anew_with_a_reset),
+		cmocka_unit_test(test_fastscan_with_numbers_that_do_not_exist_is_ignored),
+		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_answer_a_fastscan),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
