@@ -38,6 +38,8 @@ static const double HEADING_SIGMA_RAD = 0.035;
 static const double HEADING_JUMP_RAD = 0.35;
 /* The slowest movement that levelling believes in. */
 static const double QUICK_MIN_M_S = 0.05;
+/* A shorter movement is told better by the accelerometer alone. */
+static const double LEVELLING_AFTER_S = 5;
 /* What may have happened in a gap. */
 static const double GAP_ACCEL_M_S2 = 2;
 static const double APART_TIME_S = 1;
@@ -295,6 +297,7 @@ static void begin_movement(struct navigation *n)
 	set_variance(n, P, 0);
 	n->quick_n_m_s = ZERO;
 	n->quick2_max = 0;
+	n->moving_s = 0;
 	n->movements++;
 }
 
@@ -322,9 +325,10 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 {
 	double spread2 = quick_variance(n, in->gravity_m_s2);
 
+	n->moving_s += n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
 		spread2 = square(n->config.velocity_prior_m_s);
-	else if (!n->config.levelling)
+	else if (!n->config.levelling || n->moving_s < LEVELLING_AFTER_S)
 		return;
 	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
 }

@@ -17,10 +17,10 @@
  * than one state.
  *
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration; every attitude filter
- * presumes that the acceleration averages out. Here the same is said of the velocity, and how firmly follows from the
- * movement itself: its spread is that of the quick part of the velocity (above 1 / (2 pi NAVIGATION_QUICK_S) Hz), which
- * tilt does not falsify. A vehicle that drives on at a constant speed for many seconds should switch it off, or give the
- * spread of its speed as the prior.
+ * presumes that the acceleration averages out. Here the same is said of the velocity, from 5 s into a movement on, and how
+ * firmly follows from the movement itself: its spread is that of the quick part of the velocity (above 1 / (2 pi
+ * NAVIGATION_QUICK_S) Hz), which tilt does not falsify. A vehicle that drives on at a constant speed for longer should
+ * switch it off, or give the spread of its speed as the prior.
  *
  * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
  * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state); H. Rauch,
@@ -97,6 +97,7 @@ struct navigation {
 	double stood_s;		 /* for how long it is still */
 	struct vec3 quick_n_m_s; /* high-pass of the velocity */
 	double quick2_max;	 /* of its square, since the last standstill */
+	double moving_s;	 /* since the last standstill */
 };
 
 /** 1 sigma: of the fusion's attitude (rotation about each axis of n), of an acceleration turned by it, of velocity, of

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "model/pipeline.h"
 #include "model/position.h"
 #include "model/sensor.h"
 
@@ -290,6 +291,37 @@ static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
 	}
 }
 
+/* Drives of 5 s are no movement to and fro: levelling must not hold them back (they came 0.4 m short when it did). */
+static void test_a_robot_that_stops_at_the_corners_of_its_square_is_followed(void **state)
+{
+	const struct signal *square = signal_find("square");
+	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+	double sum = 0, worst = 0;
+
+	(void)state;
+	sensor_calibrate(&config);
+	for (uint64_t seed = 1; seed <= 3; seed++) {
+		struct pipeline pipeline;
+		struct sensor sensor;
+
+		assert_int_equal(sensor_init(&sensor, &config, seed), 0);
+		assert_int_equal(pipeline_init(&pipeline, &PIPELINE_DEFAULTS, config.rate_hz), 0);
+		for (int k = 0; k < 4000; k++) {
+			struct signal_truth truth;
+			struct imu_sample sample;
+			struct pipeline_output out;
+
+			sensor_next(&sensor, square, &sample, &truth);
+			assert_int_equal(pipeline_step(&pipeline, &sample, &out), 0);
+			double error = vec3_norm(vec3_sub(out.position_n_m, truth.position_n_m));
+			sum += error * error / 12000;
+			worst = fmax(worst, error);
+		}
+	}
+	assert_true(sqrt(sum) < 0.15);
+	assert_true(worst < 0.4);
+}
+
 /* A constant error of acceleration shows as velocity at the standstill, and half of that velocity times the time is the
  * error of the place: a smoother over the movement takes it back as a whole, and so must the filter. */
 static void test_a_standstill_corrects_the_whole_movement_before_it(void **state)
@@ -458,6 +490,7 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
+		cmocka_unit_test(test_a_robot_that_stops_at_the_corners_of_its_square_is_followed),
 		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
 		cmocka_unit_test(test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time),
 		cmocka_unit_test(
