@@ -101,7 +101,8 @@ void emcy_reset(struct canopen_node *node, enum od_group group)
 {
 	struct emcy *emcy = &node->emcy;
 
-	emcy->queue_count = 0;
+	if (node->id != CANOPEN_UNCONFIGURED) /* or else nobody could hear them yet */
+		emcy->queue_count = 0;
 	emcy->inhibited_until_us = 0;
 	if (group == OD_GROUP_ALL) {
 		emcy->error_count = 0;

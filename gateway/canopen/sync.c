@@ -121,10 +121,11 @@ static void produce(struct canopen_node *node)
 	struct sync *sync = &node->sync;
 	bool counted = *sync->counter_overflow != 0;
 
-	sync->counter = counted ? (uint8_t)(sync->counter % *sync->counter_overflow + 1) : 0;
+	if (counted)
+		sync->counter = (uint8_t)(sync->counter % *sync->counter_overflow + 1);
 	node_send(node, *sync->cob_id & COB_ID_MASK, &sync->counter, counted ? 1 : 0);
 	if (node->nmt.state == NMT_OPERATIONAL)
-		pdo_sync(node, sync->counter, false);
+		pdo_sync(node, counted ? sync->counter : 0, false);
 }
 
 uint64_t sync_tick(struct canopen_node *node)

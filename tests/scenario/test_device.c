@@ -545,6 +545,16 @@ static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
 	assert_true(reported);
 }
 
+static void test_bus_off_ends_operational(void **state)
+{
+	struct world *w = *state;
+
+	nmt(w, 1);
+	w->bus.state = CAN_STATE_BUS_OFF;
+	sample(w);
+	assert_int_equal(canopen_nmt_state(&w->device.canopen), NMT_PRE_OPERATIONAL);
+}
+
 static void test_an_hour_of_syncs_gets_every_pdo(void **state)
 {
 	struct world *w = *state;
@@ -589,6 +599,7 @@ int main(void)
 		TEST(test_a_source_that_ends_raises_5030h_at_once),
 		TEST(test_error_passive_raises_8120h_and_lost_frames_8110h),
 		TEST(test_bus_off_that_is_over_is_reported_by_8140h),
+		TEST(test_bus_off_ends_operational),
 		TEST(test_an_hour_of_syncs_gets_every_pdo),
 	};
 

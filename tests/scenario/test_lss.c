@@ -274,6 +274,20 @@ static void test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given(voi
 	(void)state;
 }
 
+static void test_an_error_of_the_time_without_a_node_id_is_told_after_boot_up(void **state)
+{
+	struct bus *bus = unconfigured();
+
+	canopen_error_set(&bus->node, 0x5530, 0x80, NULL, bus->now_us);
+	configure(bus);
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
+	bus_expect(bus, "720 00");
+	bus_expect(bus, "0A0 30 55 81 00 00 00 00 00");
+	test_free(bus);
+	(void)state;
+}
+
 static void test_a_node_without_a_node_id_identifies_itself_as_such(void **state)
 {
 	struct bus *bus = unconfigured();
@@ -485,6 +499,7 @@ int main(void)
 		PRE_OPERATIONAL(test_the_node_id_255_makes_the_node_silent_from_reset_communication_on),
 		cmocka_unit_test(test_a_node_without_a_node_id_says_nothing_and_hears_lss_only),
 		cmocka_unit_test(test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given),
+		cmocka_unit_test(test_an_error_of_the_time_without_a_node_id_is_told_after_boot_up),
 		cmocka_unit_test(test_a_node_without_a_node_id_identifies_itself_as_such),
 		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not),
 		PRE_OPERATIONAL(test_a_bit_rate_is_taken_and_activated_after_the_switch_delay),
