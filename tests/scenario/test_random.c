@@ -83,6 +83,22 @@ static struct can_msg sync(uint32_t *seed)
 	return msg;
 }
 
+/* Every service but the one that gives another node-ID: the end of this test talks to node 10h. */
+static struct can_msg lss(uint32_t *seed)
+{
+	static const uint8_t commands[] = {0x04, 0x04, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x47, 0x48, 0x49,
+		0x4A, 0x4B, 0x4C, 0x51, 0x5A, 0x5D, 0x5E, 0x5F, 0xFF};
+	static const uint32_t values[] = {0, 1, 0x0200, 0x00494D55, 9, 0x00010000, 0xFFFFFFFF};
+	uint32_t value = values[below(seed, sizeof(values) / sizeof(values[0]))];
+	struct can_msg msg = {.id = 0x7E5, .len = 8};
+
+	fill(seed, msg.data);
+	msg.data[0] = commands[below(seed, sizeof(commands))];
+	for (int i = 0; i < 4; i++)
+		msg.data[1 + i] = (uint8_t)(value >> 8 * i);
+	return msg;
+}
+
 static void run_a_while(struct bus *bus, uint32_t *seed)
 {
 	uint64_t end_us = bus->now_us + below(seed, 1u << below(seed, 22));
@@ -98,7 +114,7 @@ static void step(struct bus *bus, uint32_t *seed)
 	static const enum od_status answers[] = {OD_OK, OD_PENDING, OD_CANNOT_STORE};
 	struct can_msg msg;
 
-	switch (below(seed, 12)) {
+	switch (below(seed, 13)) {
 	case 0:
 		msg = garbage(seed);
 		break;
@@ -115,6 +131,9 @@ static void step(struct bus *bus, uint32_t *seed)
 	case 7:
 	case 8:
 		msg = sync(seed);
+		break;
+	case 12:
+		msg = lss(seed);
 		break;
 	case 9:
 		bus_sample(bus, (uint16_t)next(seed));
@@ -148,6 +167,10 @@ static void check_what_was_said(const struct bus *bus)
 		if (msg->id == 0x700 + BUS_NODE_ID) {
 			assert_int_equal(msg->len, 1);
 			assert_true(msg->data[0] == 0 || msg->data[0] == (uint8_t)now);
+			continue;
+		}
+		if (msg->id == 0x7E4) {
+			assert_int_equal(msg->len, 8);
 			continue;
 		}
 		assert_true(now == NMT_PRE_OPERATIONAL || now == NMT_OPERATIONAL);
