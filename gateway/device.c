@@ -160,9 +160,19 @@ static void on_reset(void *ctx, enum od_group group)
 	d->bus_seen = CAN_STATE_ACTIVE;
 }
 
+/* LSS may have given another node-ID with the reset: what a reset begins with, and storing compares to, follows. */
+static void follow_node_id(struct device *d)
+{
+	if (d->canopen.id == d->node_id)
+		return;
+	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
+	d->node_id = d->canopen.id;
+	log_line("node-ID %u from now on, by LSS", d->node_id);
+}
+
 static void on_nmt_changed(void *ctx, enum nmt_state state)
 {
-	(void)ctx;
+	follow_node_id(ctx);
 	log_line("NMT state: %s", state == NMT_OPERATIONAL	 ? "operational"
 				  : state == NMT_PRE_OPERATIONAL ? "pre-operational"
 				  : state == NMT_STOPPED	 ? "stopped"
@@ -197,6 +207,7 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	d->storage = storage ? *storage : (struct device_storage){0};
 	d->stored = stored ? *stored : (struct store_image){0};
 	d->base = d->values;
+	d->node_id = node_id;
 	d->bus_seen = CAN_STATE_ACTIVE;
 	apply_stored(d, OD_GROUP_ALL);
 

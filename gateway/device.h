@@ -46,6 +46,7 @@ struct device {
 	uint64_t overrun_us;	 /* the last look that found frames lost */
 	enum can_state bus_seen;
 	bool configuration_changed, sensor_lost, position_unsure, overrun, save_under_way;
+	uint8_t node_id; /* that `base` is for */
 	uint64_t now_us; /* the time of the call that is running */
 };
 

@@ -12,6 +12,8 @@ static bool is_string(const struct od_entry *entry)
 	return entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING;
 }
 
+enum { NO_NODE_ID = 255 };
+
 static uint64_t host_get(const void *host, size_t size)
 {
 	uint8_t u8;
@@ -61,12 +63,25 @@ void od_init(struct od *od, const struct od_table *table, void *values, uint8_t 
 {
 	*od = (struct od){.table = table, .values = values};
 	memcpy(values, table->defaults, table->values_size);
+	od_follow_node_id(table, values, NO_NODE_ID, node_id);
+}
+
+static unsigned node_offset(uint8_t node_id)
+{
+	return node_id <= 127 ? node_id : 0;
+}
+
+void od_follow_node_id(const struct od_table *table, void *values, uint8_t old, uint8_t node_id)
+{
 	for (size_t i = 0; i < table->count; i++) {
 		const struct od_entry *entry = &table->entries[i];
-		uint8_t *value = place_of(od, entry);
+		uint8_t *value = (uint8_t *)values + entry->offset;
 
-		if ((entry->access & OD_NODE_ID) && node_id <= 127)
-			host_put(value, host_get(value, entry->size) + node_id, entry->size);
+		if (!(entry->access & OD_NODE_ID))
+			continue;
+		uint64_t base = host_get((const uint8_t *)table->defaults + entry->offset, entry->size);
+		if (host_get(value, entry->size) == base + node_offset(old))
+			host_put(value, base + node_offset(node_id), entry->size);
 	}
 }
 

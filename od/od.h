@@ -144,6 +144,10 @@ void od_init(struct od *od, const struct od_table *table, void *values, uint8_t 
  * a copy taken at start-up. No hook runs. */
 void od_reset(struct od *od, enum od_group group, const void *base);
 
+/** The entries of a values struct that are $NODEID + default for the node-ID `old` become those of `node_id` (1..127, or
+ * 255: none); what was configured otherwise stays. */
+void od_follow_node_id(const struct od_table *table, void *values, uint8_t old, uint8_t node_id);
+
 void od_attach(struct od *od, struct od_hook *hook);
 void od_set_domain(struct od *od, struct od_domain *domain);
 

@@ -56,29 +56,6 @@ static void answer(struct canopen_node *node, uint8_t command, uint32_t value)
 
 /* ---- node-ID ----------------------------------------------------------------------------------------------------- */
 
-static uint32_t offset(uint8_t node_id)
-{
-	return node_id == CANOPEN_UNCONFIGURED ? 0 : node_id;
-}
-
-/* What still is $NODEID + default for the node-ID of before becomes that for the new one. */
-static void follow_node_id(struct canopen_node *node, uint8_t old)
-{
-	const struct od_table *table = node->od->table;
-
-	for (size_t i = 0; i < table->count; i++) {
-		const struct od_entry *entry = &table->entries[i];
-		uint32_t *value = od_value(node->od, entry->index, entry->sub, sizeof(uint32_t));
-		uint32_t base;
-
-		if (!(entry->access & OD_NODE_ID) || !value)
-			continue;
-		memcpy(&base, (const uint8_t *)table->defaults + entry->offset, sizeof(base));
-		if (*value == base + offset(old) || *value == base + offset(node->lss.start_id))
-			*value = base + offset(node->id);
-	}
-}
-
 void lss_reset(struct canopen_node *node, enum od_group group)
 {
 	struct lss *lss = &node->lss;
@@ -89,7 +66,8 @@ void lss_reset(struct canopen_node *node, enum od_group group)
 	lss->configuring = false;
 	lss->selected = lss->identified = lss->scanned = 0;
 	node->id = lss->node_id;
-	follow_node_id(node, old);
+	od_follow_node_id(node->od->table, node->od->values, old, node->id);
+	od_follow_node_id(node->od->table, node->od->values, lss->start_id, node->id);
 }
 
 static void configure_node_id(struct canopen_node *node, uint8_t node_id)

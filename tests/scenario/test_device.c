@@ -418,6 +418,21 @@ static void test_a_preset_of_the_inclinometer_survives_a_power_cycle(void **stat
 	assert_int_equal(w->device.values.slope_long16_offset, offset);
 }
 
+static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones(void **state)
+{
+	struct world *w = *state;
+
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* configuration */
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, 5}); /* node-ID 5 */
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
+	nmt(w, 130);
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
+	receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	assert_int_equal(last(w, 0x585)->data[0], 0x60);
+	power_on(w, NULL); /* with node-ID 16: LSS cannot keep one here */
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x190);
+}
+
 static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored(void **state)
 {
 	struct world *w = *state;
@@ -590,6 +605,7 @@ int main(void)
 		TEST(test_restore_brings_back_what_was_there_before_storing_at_the_next_reset),
 		TEST(test_a_group_is_stored_alone),
 		TEST(test_a_preset_of_the_inclinometer_survives_a_power_cycle),
+		TEST(test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones),
 		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
 		TEST(test_a_second_store_while_one_is_under_way_is_refused),
