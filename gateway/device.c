@@ -196,6 +196,19 @@ static void attach_hooks(struct device *d)
 	od_set_domain(&d->od, &d->eds);
 }
 
+/* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
+ * line until they are mended, and says so with the first sample. */
+static int start_pipeline(struct device *d)
+{
+	struct pipeline_config config = settings_pipeline(&d->values);
+
+	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) == 0)
+		return 0;
+	d->configuration_changed = true;
+	config = settings_pipeline(&d->base);
+	return pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
+}
+
 int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
 	const struct store_image *stored, uint8_t node_id)
 {
@@ -211,8 +224,7 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	d->bus_seen = CAN_STATE_ACTIVE;
 	apply_stored(d, OD_GROUP_ALL);
 
-	struct pipeline_config config = settings_pipeline(&d->values);
-	int rc = pipeline_init(&d->pipeline, &config, imu->rate_hz);
+	int rc = start_pipeline(d);
 	if (rc < 0)
 		return rc;
 	attach_hooks(d);

@@ -51,7 +51,7 @@ struct device {
 };
 
 /** `values` hold the configuration of file and command line. `stored`: what store_read() gave, or
- * NULL. 0; -EINVAL: the configuration is contradictory (a singular calibration matrix, say) or
+ * NULL. 0; -EINVAL: file and command line contradict themselves (a singular calibration matrix, say) or
  * node_id is not 1..127; else canopen_init()'s. */
 int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
 	const struct store_image *stored, uint8_t node_id);

@@ -28,7 +28,8 @@ struct loop {
 	bool quit;
 };
 
-uint64_t loop_now_us(void)
+/* CLOCK_MONOTONIC. */
+static uint64_t now(void)
 {
 	struct timespec t;
 
@@ -151,7 +152,7 @@ static void wake(struct loop *l)
 {
 	struct epoll_event events[SOURCE_COUNT];
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, -1);
-	uint64_t now_us = loop_now_us();
+	uint64_t now_us = now();
 
 	for (int i = 0; i < n; i++)
 		on_event(l, (enum source)events[i].data.u32, now_us);
@@ -208,7 +209,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 	int rc = open_descriptors(&l);
 
 	if (rc == 0) {
-		uint64_t now_us = loop_now_us();
+		uint64_t now_us = now();
 
 		device_start(device, stored_damaged, now_us);
 		arm(&l, now_us);

@@ -15,7 +15,4 @@ void loop_hold_signals(void);
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
 	bool stored_damaged);
 
-/** CLOCK_MONOTONIC in microseconds. */
-uint64_t loop_now_us(void);
-
 #endif

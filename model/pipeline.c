@@ -336,7 +336,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.mag_b_uT = p->mag_b_uT,
 		.rate_b_rad_s = rates->omega_b_rad_s,
 		.alpha_b_rad_s2 = rates->alpha_b_rad_s2,
-		.q_nb = q_nb,
+		.q_nb = q_nb, /* of now (2030h:12); all else is of the instant that was measured */
 		.angles_rad = aerospace_from_quat(q_nb),
 		.accel_b_m_s2 = quat_rotate_inverse(p->fusion.q_nb, accel),
 		.accel_n_m_s2 = accel,

@@ -329,6 +329,19 @@ static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_n
 	assert_false(w->device.values.sample.status & PIPELINE_UNSURE);
 }
 
+static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(void **state)
+{
+	struct world *w = *state;
+	const float zero = 0;
+
+	assert_int_equal(sdo_write(w, 0x2051, 4, &zero, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
+	power_on(w, NULL);
+	sample(w);
+	assert_int_equal(emcy_code(w), EMCY_CONFIGURATION);
+	assert_int_equal(w->device.values.sample.status & PIPELINE_VALID, PIPELINE_VALID);
+}
+
 /* ---- storage -------------------------------------------------------------------------------------------------------- */
 
 static uint32_t store_all(struct world *w)
@@ -599,6 +612,7 @@ int main(void)
 		TEST(test_the_angle_resolution_takes_only_the_steps_of_cia_410),
 		TEST(test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended),
 		TEST(test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not),
+		TEST(test_a_stored_contradiction_does_not_keep_the_device_from_starting),
 		TEST(test_stored_values_survive_a_power_cycle),
 		TEST(test_stored_values_win_over_the_file_and_the_file_over_the_defaults),
 		TEST(test_a_stored_default_wins_over_the_file_too),
