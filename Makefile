@@ -16,7 +16,7 @@ WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
 	-MMD -MP $(CFLAGS) $(SAN)
-LDLIBS := -linih -lmpack -lm -pthread
+LDLIBS := -Wl,--as-needed -linih -lmpack -lsocketcan -lusb-1.0 -lmodbus -liio -lgpiod -lm -pthread
 
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))
@@ -25,7 +25,7 @@ GEN := $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md 
 
 MODEL_SRC := $(call sources,model/*.c)
 OD_SRC := $(call sources,od/*.c)
-DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c)
+DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c drivers/i2c/*.c)
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
 TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c tools/experiments/*.c))

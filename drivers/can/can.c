@@ -113,6 +113,11 @@ int can_filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return port->ops->filter(port, ids, n);
 }
 
+int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
+{
+	return port->ops->bit_rate ? port->ops->bit_rate(port, bit_s, dry_run) : -EOPNOTSUPP;
+}
+
 uint64_t can_service(struct can_port *port, uint64_t now_us)
 {
 	uint64_t next = port->ops->service == NULL ? UINT64_MAX : port->ops->service(port, now_us);

@@ -51,6 +51,9 @@ struct can_ops {
 	/** Housekeeping (re-open, recovery). Returns when to call again at the latest, in now_us's time; UINT64_MAX:
 	 * never. May be NULL. */
 	uint64_t (*service)(struct can_port *port, uint64_t now_us);
+	/** The bus's bit rate from now on (the bus is silent for a moment). 0; -EOPNOTSUPP: this bus has none, or this
+	 * adapter cannot do that one; -EPERM: not permitted. With dry_run nothing changes. May be NULL: -EOPNOTSUPP. */
+	int (*bit_rate)(struct can_port *port, uint32_t bit_s, bool dry_run);
 	void (*close)(struct can_port *port);
 };
 
@@ -79,6 +82,7 @@ void can_close(struct can_port *port);
 int can_send(struct can_port *port, const struct can_msg *msg, uint64_t now_us);
 int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 int can_filter(struct can_port *port, const uint32_t *ids, size_t n);
+int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run);
 /** Retries the queue and the driver's housekeeping. Returns the next deadline. */
 uint64_t can_service(struct can_port *port, uint64_t now_us);
 
