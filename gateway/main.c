@@ -250,7 +250,7 @@ int main(int argc, char **argv)
 	if (status >= 0)
 		return status;
 	loop_hold_signals();
-	if (imu_open(config.imu, &imu, why, sizeof(why)) < 0) {
+	if (imu_open(config.imu, NULL, &imu, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		return EXIT_FAILURE;
 	}

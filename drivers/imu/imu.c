@@ -10,7 +10,8 @@
 
 static const struct source {
 	const char *name;
-	int (*open)(char *args, struct imu_port **port, char *error, size_t error_size);
+	int (*open)(char *args, const struct imu_settings *settings, struct imu_port **port, char *error,
+		size_t error_size);
 } SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}};
 
 int source_positive(const char *text, double *value)
@@ -29,8 +30,10 @@ static const struct source *find(const char *name)
 	return NULL;
 }
 
-int imu_open(const char *src, struct imu_port **port, char *error, size_t error_size)
+int imu_open(
+	const char *src, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
 {
+	const struct imu_settings defaults = IMU_SETTINGS_DEFAULTS;
 	char text[4096], *args = text, *name;
 	const struct source *source;
 	int result;
@@ -48,7 +51,7 @@ int imu_open(const char *src, struct imu_port **port, char *error, size_t error_
 			name);
 		return -EINVAL;
 	}
-	result = source->open(args, port, error, error_size);
+	result = source->open(args, settings ? settings : &defaults, port, error, error_size);
 	if (result == -ENOMEM)
 		snprintf(error, error_size, "%s: out of memory", name);
 	return result;

@@ -60,7 +60,7 @@ static void replay_close(struct imu_port *port)
 	free(r);
 }
 
-static const struct imu_ops REPLAY_OPS = {replay_read, replay_close};
+static const struct imu_ops REPLAY_OPS = {.read = replay_read, .close = replay_close};
 
 static int parse_options(struct replay *r, char *options, char *error, size_t error_size)
 {
@@ -122,12 +122,13 @@ static int load_file(struct replay *r, const char *path, char *error, size_t err
 	return result;
 }
 
-int replay_open(char *args, struct imu_port **port, char *error, size_t error_size)
+int replay_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
 {
 	char *options = args, *path = strsep(&options, ",");
 	struct replay *r;
 	int result;
 
+	(void)settings;
 	if (!path || *path == '\0') {
 		snprintf(error, error_size, "replay: no file: use replay:FILE.imu.csv[,loop][,speed=X]");
 		return -EINVAL;

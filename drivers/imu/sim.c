@@ -44,7 +44,7 @@ static void sim_close(struct imu_port *port)
 	free(sim);
 }
 
-static const struct imu_ops SIM_OPS = {sim_read, sim_close};
+static const struct imu_ops SIM_OPS = {.read = sim_read, .close = sim_close};
 
 static void scenarios(char *text, size_t size)
 {
@@ -54,7 +54,7 @@ static void scenarios(char *text, size_t size)
 		n += (size_t)snprintf(text + n, size - n, "%s%s", n ? ", " : "", s->name);
 }
 
-int sim_open(char *args, struct imu_port **port, char *error, size_t error_size)
+int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
 {
 	struct sensor_config config = *sensor_preset(PRESET);
 	char *options = args, *name = strsep(&options, ",");
@@ -62,6 +62,7 @@ int sim_open(char *args, struct imu_port **port, char *error, size_t error_size)
 	struct sim *sim;
 	int result;
 
+	(void)settings;
 	if (!signal) {
 		char known[160];
 

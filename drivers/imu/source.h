@@ -6,8 +6,9 @@
 
 #include "drivers/ports/imu.h"
 
-int replay_open(char *args, struct imu_port **port, char *error, size_t error_size);
-int sim_open(char *args, struct imu_port **port, char *error, size_t error_size);
+int replay_open(
+	char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
+int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 
 /** imu_port.silence_us for samples that arrive at rate_hz: 100 ms, or ten intervals when that is longer. */
 uint64_t source_silence_us(double rate_hz);

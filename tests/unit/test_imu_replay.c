@@ -54,7 +54,7 @@ static struct imu_port *opened(const char *options)
 	char src[128], error[256];
 
 	snprintf(src, sizeof src, "replay:%s%s", path, options);
-	if (imu_open(src, &port, error, sizeof error) != 0)
+	if (imu_open(src, NULL, &port, error, sizeof error) != 0)
 		fail_msg("%s", error);
 	return port;
 }
@@ -178,7 +178,7 @@ static void assert_refused(const char *src, const char *word)
 	struct imu_port *port;
 	char error[256] = "";
 
-	assert_true(imu_open(src, &port, error, sizeof error) < 0);
+	assert_true(imu_open(src, NULL, &port, error, sizeof error) < 0);
 	if (!strstr(error, word))
 		fail_msg("%s: '%s' does not say '%s'", src, error, word);
 }

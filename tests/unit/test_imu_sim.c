@@ -22,7 +22,7 @@ static struct imu_port *opened(const char *src)
 	struct imu_port *port;
 	char error[256];
 
-	if (imu_open(src, &port, error, sizeof error) != 0)
+	if (imu_open(src, NULL, &port, error, sizeof error) != 0)
 		fail_msg("%s", error);
 	return port;
 }
@@ -92,7 +92,7 @@ static void test_an_unknown_scenario_or_option_is_refused_with_what_can(void **s
 
 	(void)state;
 	for (size_t i = 0; i < sizeof bad / sizeof *bad; i++) {
-		assert_true(imu_open(bad[i][0], &port, error, sizeof error) < 0);
+		assert_true(imu_open(bad[i][0], NULL, &port, error, sizeof error) < 0);
 		if (!strstr(error, bad[i][1]))
 			fail_msg("%s: '%s' does not say '%s'", bad[i][0], error, bad[i][1]);
 	}
