@@ -12,39 +12,49 @@ enum {
 	HEAD_SIZE = 2 + 1 + 4, /* index, sub-index, size of the data */
 };
 
+bool od_dcf_add(uint8_t *out, size_t capacity, size_t *used, const struct od_dcf_item *item)
+{
+	size_t from = *used ? *used : COUNT_SIZE;
+
+	if (capacity < from || capacity - from < HEAD_SIZE || capacity - from - HEAD_SIZE < item->size)
+		return false;
+	if (!*used)
+		wire_put(out, 0, COUNT_SIZE);
+	wire_put(out, wire_get(out, COUNT_SIZE) + 1, COUNT_SIZE);
+	wire_put(out + from, item->index, 2);
+	wire_put(out + from + 2, item->sub, 1);
+	wire_put(out + from + 3, item->size, 4);
+	if (item->size)
+		memcpy(out + from + HEAD_SIZE, item->data, item->size);
+	*used = from + HEAD_SIZE + item->size;
+	return true;
+}
+
 long od_encode(const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity)
 {
 	const uint8_t *values = od->values, *base_values = base;
 	uint8_t value[OD_VALUE_MAX];
-	size_t used = COUNT_SIZE;
-	uint32_t count = 0;
+	size_t used = 0;
 
 	if (capacity < COUNT_SIZE)
 		return -ENOSPC;
+	wire_put(out, 0, COUNT_SIZE);
 	for (size_t i = 0; i < od->table->count; i++) {
 		const struct od_entry *entry = &od->table->entries[i];
-		size_t size;
+		struct od_dcf_item item = {.index = entry->index, .sub = entry->sub, .data = value};
 
 		if (!(entry->access & OD_STORED) || (group != OD_GROUP_ALL && group != od_group_of(entry->index)))
 			continue;
 		if (!memcmp(values + entry->offset, base_values + entry->offset, entry->size))
 			continue;
-		size = od_get(od, entry, value, sizeof(value));
-		if (capacity - used < HEAD_SIZE + size)
+		item.size = od_get(od, entry, value, sizeof(value));
+		if (!od_dcf_add(out, capacity, &used, &item))
 			return -ENOSPC;
-		wire_put(out + used, entry->index, 2);
-		wire_put(out + used + 2, entry->sub, 1);
-		wire_put(out + used + 3, size, 4);
-		memcpy(out + used + HEAD_SIZE, value, size);
-		used += HEAD_SIZE + size;
-		count++;
 	}
-	wire_put(out, count, COUNT_SIZE);
-	return (long)used;
+	return used ? (long)used : COUNT_SIZE;
 }
 
-/* The bytes are what a count of entries says, neither more nor less. */
-static bool is_concise_dcf(const uint8_t *in, size_t size)
+bool od_dcf_valid(const uint8_t *in, size_t size)
 {
 	size_t used = COUNT_SIZE;
 	uint64_t count;
@@ -62,25 +72,36 @@ static bool is_concise_dcf(const uint8_t *in, size_t size)
 	return count == 0 && used == size;
 }
 
+bool od_dcf_next(const uint8_t *in, size_t size, size_t *used, struct od_dcf_item *item)
+{
+	size_t from = *used ? *used : COUNT_SIZE;
+
+	if (from >= size)
+		return false;
+	*item = (struct od_dcf_item){.index = (uint16_t)wire_get(in + from, 2),
+		.sub = in[from + 2],
+		.size = (size_t)wire_get(in + from + 3, 4),
+		.data = in + from + HEAD_SIZE};
+	*used = from + HEAD_SIZE + item->size;
+	return true;
+}
+
 long od_decode(struct od *od, const uint8_t *in, size_t size, size_t *skipped)
 {
-	size_t used = COUNT_SIZE;
+	struct od_dcf_item item;
+	size_t used = 0;
 	long applied = 0;
 
 	*skipped = 0;
-	if (!is_concise_dcf(in, size))
+	if (!od_dcf_valid(in, size))
 		return -EINVAL;
-	while (used < size) {
-		uint16_t index = (uint16_t)wire_get(in + used, 2);
-		size_t length = (size_t)wire_get(in + used + 3, 4);
-		const struct od_entry *entry = od_find(od->table, index, in[used + 2], NULL);
+	while (od_dcf_next(in, size, &used, &item)) {
+		const struct od_entry *entry = od_find(od->table, item.index, item.sub, NULL);
 
-		used += HEAD_SIZE;
-		if (entry && (entry->access & OD_STORED) && od_put(od, entry, in + used, length) == OD_OK)
+		if (entry && (entry->access & OD_STORED) && od_put(od, entry, item.data, item.size) == OD_OK)
 			applied++;
 		else
 			(*skipped)++;
-		used += length;
 	}
 	return applied;
 }

@@ -270,6 +270,15 @@ static void set(struct od *od, const struct od_entry *entry, const void *wire, s
 	memset(to + size, 0, entry->size - size);
 }
 
+static enum od_status write_domain(const struct od *od, const struct od_entry *entry, const void *data, size_t size)
+{
+	const struct od_domain *domain = od_find_domain(od, entry->index, entry->sub);
+
+	if (!domain || !domain->write)
+		return OD_UNSUPPORTED_ACCESS;
+	return size > OD_DOMAIN_MAX ? OD_TOO_LONG : domain->write(domain->ctx, data, size);
+}
+
 enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *wire, size_t size)
 {
 	enum od_status status;
@@ -279,6 +288,8 @@ enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *
 		return status;
 	if (!(entry->access & OD_WRITE))
 		return OD_READ_ONLY;
+	if (entry->type == OD_DOMAIN)
+		return write_domain(od, entry, wire, size);
 	status = od_check(entry, wire, size);
 	if (status)
 		return status;

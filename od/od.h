@@ -25,7 +25,7 @@ enum od_type {
 	OD_REAL32 = 0x08,
 	OD_VISIBLE_STRING = 0x09, /* held NUL-padded in a field of od_entry.size bytes */
 	OD_OCTET_STRING = 0x0A,	  /* fixed length: od_entry.size bytes */
-	OD_DOMAIN = 0x0F,	  /* no value of its own: see od_set_domain() */
+	OD_DOMAIN = 0x0F,	  /* no value of its own: see struct od_domain */
 	OD_REAL64 = 0x11,
 	OD_INTEGER64 = 0x15,
 	OD_UNSIGNED64 = 0x1B,
@@ -110,13 +110,22 @@ struct od_table {
 /** Longest value of any entry but a DOMAIN, in bytes; a buffer of this size always suffices for od_read(). */
 enum { OD_VALUE_MAX = 64 };
 
-/** A domain's bytes: owned by whoever set them, which must outlive the dictionary. */
+/** Longest domain that read() makes or write() takes, in bytes. Those that are memory may be longer. */
+enum { OD_DOMAIN_MAX = 16384 };
+
+/** What stands behind an object of type DOMAIN; owned by whoever set it, must outlive the dictionary. */
 struct od_domain {
 	struct od_domain *next;
 	uint16_t index;
 	uint8_t sub;
+	/** What is read: memory that never changes, or with read() != NULL what that puts into out[OD_DOMAIN_MAX] at the
+	 * beginning of a transfer; it returns the bytes, at most OD_DOMAIN_MAX. */
 	const uint8_t *data;
 	size_t size;
+	size_t (*read)(void *ctx, uint8_t *out);
+	/** Takes what was written, whole; NULL: cannot be written. When it refuses, nothing has changed. */
+	enum od_status (*write)(void *ctx, const uint8_t *data, size_t size);
+	void *ctx;
 };
 
 /** Someone who cares about writes to a range of indices. `before` sees the new value (wire form, type and limits
@@ -169,7 +178,7 @@ size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, siz
 const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub);
 
 /** A write from outside: access, size, limits (NaN and infinity refused), hooks, and only then the value. When it is
- * refused the old value stands. */
+ * refused the old value stands. A DOMAIN gets its bytes by od_domain.write(). */
 enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *wire, size_t size);
 
 /** Whether a value in wire form has the entry's size, type and limits: OD_OK, or what is wrong with it. */
@@ -194,6 +203,21 @@ const char *od_status_text(enum od_status status);
 /** The stored entries of a group that differ from those in `base` (a values struct), as a concise DCF (CiA 302-3: u32
  * count, then per entry u16 index, u8 sub, u32 size, data, all little-endian). Returns the length, or -ENOSPC. */
 long od_encode(const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity);
+
+/** One entry of a concise DCF. */
+struct od_dcf_item {
+	uint16_t index;
+	uint8_t sub;
+	const uint8_t *data;
+	size_t size;
+};
+
+/** Whether the bytes are a concise DCF: what its count says, neither more nor less. */
+bool od_dcf_valid(const uint8_t *in, size_t size);
+/** The entry at `*used` of a valid one; begin with 0. False: there is no more. */
+bool od_dcf_next(const uint8_t *in, size_t size, size_t *used, struct od_dcf_item *item);
+/** Adds an entry to the `*used` bytes of `out`; begin with 0. False: no room; what was there stands. */
+bool od_dcf_add(uint8_t *out, size_t capacity, size_t *used, const struct od_dcf_item *item);
 
 /** Applies a concise DCF with od_put(). Entries that this dictionary does not have, does not store or refuses are
  * skipped and counted in *skipped. Returns the number applied, or -EINVAL when the bytes are not a concise DCF (then

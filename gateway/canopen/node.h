@@ -70,7 +70,7 @@ struct sdo_server {
 	const uint8_t *data; /* upload: the buffer, or a domain's memory */
 	size_t size, done;   /* bytes */
 	uint64_t deadline_us;
-	uint8_t buffer[OD_VALUE_MAX + 6]; /* a block download fills its last segment up */
+	uint8_t buffer[OD_DOMAIN_MAX + 6]; /* a block download fills its last segment up */
 	uint8_t response[8];		  /* the one that waits in SDO_SERVER_PENDING */
 	struct {
 		uint8_t size;	  /* segments in this sub-block at the most */

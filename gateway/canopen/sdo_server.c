@@ -159,6 +159,18 @@ void sdo_server_done(struct canopen_node *node, enum od_status status)
 	}
 }
 
+static bool can_be_written(const struct od *od, const struct od_entry *entry)
+{
+	const struct od_domain *domain = od_find_domain(od, entry->index, entry->sub);
+
+	return domain && domain->write;
+}
+
+static size_t size_max(const struct od_entry *entry)
+{
+	return entry->type == OD_DOMAIN ? OD_DOMAIN_MAX : entry->size;
+}
+
 enum od_status sdo_open_download(struct canopen_node *node, bool size_indicated, uint32_t size)
 {
 	struct sdo_server *sdo = node->sdo;
@@ -169,14 +181,14 @@ enum od_status sdo_open_download(struct canopen_node *node, bool size_indicated,
 		return status;
 	if (!(entry->access & OD_WRITE))
 		return OD_READ_ONLY;
-	if (entry->type == OD_DOMAIN)
+	if (entry->type == OD_DOMAIN && !can_be_written(node->od, entry))
 		return OD_UNSUPPORTED_ACCESS;
-	if (size_indicated && size > entry->size)
+	if (size_indicated && size > size_max(entry))
 		return OD_TOO_LONG;
 	if (size_indicated && size < entry->size && entry->type != OD_VISIBLE_STRING)
 		return OD_TOO_SHORT;
 	sdo->size_indicated = size_indicated;
-	sdo->size = size_indicated ? size : entry->size;
+	sdo->size = size_indicated ? size : size_max(entry);
 	sdo->done = 0;
 	return OD_OK;
 }
@@ -239,6 +251,10 @@ static enum od_status open_domain(struct canopen_node *node)
 
 	if (!domain)
 		return OD_NO_DATA;
+	if (domain->read) {
+		node->sdo->size = domain->read(domain->ctx, node->sdo->buffer);
+		return OD_OK;
+	}
 	node->sdo->data = domain->data;
 	node->sdo->size = domain->size;
 	return OD_OK;
