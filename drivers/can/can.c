@@ -30,6 +30,14 @@ void can_close(struct can_port *port)
 	port->ops->close(port);
 }
 
+static void count_traffic(struct can_port *port, const struct can_msg *msg)
+{
+	if (port->ops->look)
+		return;
+	port->traffic.frames++;
+	port->traffic.bytes += msg->remote ? 0 : msg->len;
+}
+
 static bool bus_is_full(int result)
 {
 	return result == -ENOBUFS || result == -EAGAIN;
@@ -49,10 +57,12 @@ static int send_now(struct can_port *port, const struct can_msg *msg, uint64_t n
 		return result;
 	}
 	port->backoff_us = 0;
-	if (result < 0)
+	if (result < 0) {
 		port->counters.tx_dropped++;
-	else
-		port->counters.tx++;
+		return result;
+	}
+	port->counters.tx++;
+	count_traffic(port, msg);
 	return result;
 }
 
@@ -103,8 +113,10 @@ int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	int result = port->ops->receive(port, msg, now_us);
 
-	if (result > 0)
+	if (result > 0) {
 		port->counters.rx++;
+		count_traffic(port, msg);
+	}
 	return result;
 }
 
@@ -116,6 +128,17 @@ int can_filter(struct can_port *port, const uint32_t *ids, size_t n)
 int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
 	return port->ops->bit_rate ? port->ops->bit_rate(port, bit_s, dry_run) : -EOPNOTSUPP;
+}
+
+void can_look(struct can_port *port)
+{
+	if (port->ops->look)
+		port->ops->look(port);
+}
+
+int can_restart(struct can_port *port)
+{
+	return port->ops->restart ? port->ops->restart(port) : -EOPNOTSUPP;
 }
 
 uint64_t can_service(struct can_port *port, uint64_t now_us)

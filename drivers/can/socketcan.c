@@ -12,6 +12,7 @@
 #include <sys/ioctl.h>
 #include <unistd.h>
 
+#include "drivers/can/can_link.h"
 #include "drivers/can/rx_socket.h"
 
 enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
@@ -192,6 +193,28 @@ static int reopen(struct socketcan *can)
 	return 0;
 }
 
+/* Error frames tell of a change of state at once; this, of what was before, and of what a driver does not report. An
+ * interface that is down is service()'s. */
+static void socketcan_look(struct can_port *port)
+{
+	struct can_link link;
+
+	can_link_look(port->name, &link);
+	if (link.frames > 0)
+		port->traffic = (struct can_traffic){link.frames, link.bytes};
+	if (!link.controller)
+		return;
+	port->bit_s = link.bit_s;
+	port->tx_errors = link.tx_errors;
+	port->rx_errors = link.rx_errors;
+	if (port->state == CAN_STATE_DOWN || link.state > CAN_STATE_BUS_OFF)
+		return;
+	if (link.state == CAN_STATE_BUS_OFF)
+		set_bus_off(port);
+	else
+		port->state = (enum can_state)link.state;
+}
+
 static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 {
 	struct socketcan *can = of(port);
@@ -202,6 +225,7 @@ static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 		can->look_at_us = now_us + LOOK_AGAIN_US;
 		if (find_interface(port->name, can->rx.fd) == can->interface || reopen(can) == 0) {
 			port->state = CAN_STATE_ACTIVE;
+			socketcan_look(port);
 			return UINT64_MAX;
 		}
 	}
@@ -219,11 +243,29 @@ static void socketcan_close(struct can_port *port)
 	free(can);
 }
 
+/* The interface goes down for it and comes back: service() finds that. */
+static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
+{
+	int result = can_link_bit_rate(port->name, bit_s, dry_run);
+
+	if (result == 0 && !dry_run)
+		port->bit_s = bit_s;
+	return result;
+}
+
+static int socketcan_restart(struct can_port *port)
+{
+	return can_link_restart(port->name);
+}
+
 static const struct can_ops socketcan_ops = {
 	.send = socketcan_send,
 	.receive = socketcan_receive,
 	.filter = socketcan_filter,
 	.service = socketcan_service,
+	.bit_rate = socketcan_bit_rate,
+	.look = socketcan_look,
+	.restart = socketcan_restart,
 	.close = socketcan_close,
 };
 
@@ -280,6 +322,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 		socketcan_close(&can->port);
 		return result;
 	}
+	socketcan_look(&can->port); /* the controller may be passive already: nobody will tell */
 	*port = &can->port;
 	return 0;
 }

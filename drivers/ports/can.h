@@ -54,6 +54,12 @@ struct can_ops {
 	/** The bus's bit rate from now on (the bus is silent for a moment). 0; -EOPNOTSUPP: this bus has none, or this
 	 * adapter cannot do that one; -EPERM: not permitted. With dry_run nothing changes. May be NULL: -EOPNOTSUPP. */
 	int (*bit_rate)(struct can_port *port, uint32_t bit_s, bool dry_run);
+	/** Brings `state`, `bit_s`, the error counters and `traffic` up to date as far as the driver can ask for them.
+	 * Some 0.1 ms: once a second is enough. NULL: `traffic` is what went through this port. */
+	void (*look)(struct can_port *port);
+	/** Ends bus-off. 0; -EPERM: not permitted; -EOPNOTSUPP (or NULL): not from here, the kernel or the adapter does
+	 * so by itself, or nobody. */
+	int (*restart)(struct can_port *port);
 	void (*close)(struct can_port *port);
 };
 
@@ -66,6 +72,11 @@ struct can_port {
 	char name[64];
 	enum can_state state;
 	struct can_counters counters;
+	uint32_t bit_s;		      /* 0: not known. A bus that has none may be given one, for its load */
+	uint8_t tx_errors, rx_errors; /* error counters of the controller (TEC, REC); 0 where not known */
+	struct can_traffic {
+		uint64_t frames, bytes; /* of all nodes, in both directions; data bytes only */
+	} traffic;
 	struct can_msg queue[CAN_QUEUE_LEN];
 	size_t queue_head, queue_count;
 	uint64_t retry_at_us; /* not before: back-off after ENOBUFS */
@@ -83,6 +94,8 @@ int can_send(struct can_port *port, const struct can_msg *msg, uint64_t now_us);
 int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 int can_filter(struct can_port *port, const uint32_t *ids, size_t n);
 int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run);
+void can_look(struct can_port *port);
+int can_restart(struct can_port *port);
 /** Retries the queue and the driver's housekeeping. Returns the next deadline. */
 uint64_t can_service(struct can_port *port, uint64_t now_us);
 

@@ -36,13 +36,14 @@ struct canopen_device {
 	/** NMT reset: bring the dictionary back to its power-on values (defaults, then what was stored) for the
 	 * communication group (reset communication) or for all (reset node, which also restarts the application). */
 	void (*reset)(void *ctx, enum od_group group);
-	/** LSS: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate (0: as it is) for the next start. OD_OK, or else it
-	 * failed. NULL: the master is told that this is not supported. */
+	/** LSS: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate (0: as it was kept) for the next start. OD_OK;
+	 * OD_PENDING: canopen_lss_stored() will tell, the answer to the master waits for it; else it failed. NULL: the
+	 * master is told that this is not supported. */
 	enum od_status (*store_lss)(void *ctx, uint8_t node_id, uint32_t bit_s);
-	/** LSS: whether the bus can be given this bit rate, and the order to do so: after `delay_ms`, and to be silent for
-	 * as long again. NULL: the bit rate cannot be changed from here. */
+	/** LSS: whether the bus can be given this bit rate, and the order to do so now. The core keeps the two switch
+	 * delays, and is silent for them. NULL: the bit rate cannot be changed from here. */
 	bool (*bit_rate_possible)(void *ctx, uint32_t bit_s);
-	void (*activate_bit_rate)(void *ctx, uint32_t bit_s, uint16_t delay_ms);
+	void (*set_bit_rate)(void *ctx, uint32_t bit_s);
 	/** For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
 };
@@ -75,6 +76,10 @@ void canopen_bus_off(struct canopen_node *node, uint64_t now_us);
 
 /** Ends a store or restore that answered OD_PENDING. */
 void canopen_store_done(struct canopen_node *node, enum od_status status, uint64_t now_us);
+/** Ends a store_lss() that answered OD_PENDING. */
+void canopen_lss_stored(struct canopen_node *node, enum od_status status, uint64_t now_us);
+/** A master configures this node by LSS, or the node waits for one to do so. */
+bool canopen_lss_active(const struct canopen_node *node);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 

@@ -165,7 +165,7 @@ uint64_t emcy_tick(struct canopen_node *node)
 
 	if (!enabled(emcy))
 		emcy->queue_count = 0;
-	while (emcy->queue_count && nmt_communicates(node)) {
+	while (emcy->queue_count && nmt_communicates(node) && !lss_silent(node)) {
 		if (node->now_us < emcy->inhibited_until_us)
 			return emcy->inhibited_until_us;
 		node_send(node, *emcy->cob_id & COB_ID_MASK, emcy->queue[0].data, 8);

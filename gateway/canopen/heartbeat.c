@@ -102,6 +102,12 @@ void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg)
 	}
 }
 
+void heartbeat_pause(struct canopen_node *node)
+{
+	for (size_t i = 0; i < node->heartbeat.count; i++)
+		node->heartbeat.consumer[i].alive = false;
+}
+
 uint64_t heartbeat_tick(struct canopen_node *node)
 {
 	struct heartbeat *heartbeat = &node->heartbeat;

@@ -100,22 +100,87 @@ static void configure_bit_timing(struct canopen_node *node, uint8_t table, uint8
 	answer(node, CONFIGURE_BIT_TIMING, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
+/* All nodes get this at once, and switch together: silent at the old bit rate, then at the new one, each for the delay. */
 static void activate_bit_timing(struct canopen_node *node, uint16_t delay_ms)
-{
-	if (node->lss.bit_s && node->device.activate_bit_rate)
-		node->device.activate_bit_rate(node->device.ctx, node->lss.bit_s, delay_ms);
-}
-
-static enum answer store(struct canopen_node *node)
 {
 	struct lss *lss = &node->lss;
 
-	if (!node->device.store_lss)
-		return ANSWER_NOT_SUPPORTED;
-	if (node->device.store_lss(node->device.ctx, lss->node_id, lss->bit_s) != OD_OK)
-		return ANSWER_STORE_FAILED;
-	lss->stored_id = lss->node_id;
-	return ANSWER_OK;
+	if (!lss->bit_s || !node->device.set_bit_rate)
+		return;
+	sdo_server_stop(node);
+	lss->switching = SWITCH_OLD_RATE;
+	lss->switch_delay_us = delay_ms * 1000u;
+	lss->switch_us = node->now_us + lss->switch_delay_us;
+}
+
+bool lss_silent(const struct canopen_node *node)
+{
+	return node->lss.switching != SWITCH_NONE;
+}
+
+/* Nobody could be heard: those who watch one another begin anew. */
+static void end_silence(struct canopen_node *node)
+{
+	node->lss.switching = SWITCH_NONE;
+	node->guard.alive = false;
+	heartbeat_pause(node);
+}
+
+uint64_t lss_tick(struct canopen_node *node)
+{
+	struct lss *lss = &node->lss;
+
+	if (lss->switching == SWITCH_OLD_RATE && node->now_us >= lss->switch_us) {
+		node->device.set_bit_rate(node->device.ctx, lss->bit_s);
+		lss->switching = SWITCH_NEW_RATE;
+		lss->switch_us = node->now_us + lss->switch_delay_us;
+	}
+	if (lss->switching == SWITCH_NEW_RATE && node->now_us >= lss->switch_us)
+		end_silence(node);
+	return lss_silent(node) ? lss->switch_us : UINT64_MAX;
+}
+
+static void store_ended(struct canopen_node *node, enum od_status status)
+{
+	struct lss *lss = &node->lss;
+
+	if (status == OD_OK)
+		lss->stored_id = lss->storing_id;
+	if (lss->configuring && !lss_silent(node))
+		answer(node, STORE, status == OD_OK ? ANSWER_OK : ANSWER_STORE_FAILED);
+}
+
+void canopen_lss_stored(struct canopen_node *node, enum od_status status, uint64_t now_us)
+{
+	node->now_us = now_us;
+	node->lss.storing = false;
+	store_ended(node, status);
+}
+
+static void store(struct canopen_node *node)
+{
+	const struct canopen_device *device = &node->device;
+	struct lss *lss = &node->lss;
+	enum od_status status;
+
+	if (!device->store_lss) {
+		answer(node, STORE, ANSWER_NOT_SUPPORTED);
+		return;
+	}
+	if (lss->storing) {
+		answer(node, STORE, ANSWER_STORE_FAILED);
+		return;
+	}
+	lss->storing_id = lss->node_id;
+	status = device->store_lss(device->ctx, lss->node_id, lss->bit_s);
+	lss->storing = status == OD_PENDING;
+	if (!lss->storing)
+		store_ended(node, status);
+}
+
+bool canopen_lss_active(const struct canopen_node *node)
+{
+	return node->lss.configuring || node->id == CANOPEN_UNCONFIGURED;
 }
 
 /* ---- who is meant, who is there ---------------------------------------------------------------------------------- */
@@ -222,7 +287,7 @@ static void receive_configuration(struct canopen_node *node, const uint8_t data[
 		activate_bit_timing(node, get_u16(data + 1));
 		break;
 	case STORE:
-		answer(node, STORE, store(node));
+		store(node);
 		break;
 	case INQUIRE_NODE_ID:
 		answer(node, INQUIRE_NODE_ID, node->id);

@@ -158,7 +158,7 @@ static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us)
 {
 	node->now_us = now_us;
-	if (!node->started || msg->extended || msg->len > 8)
+	if (!node->started || lss_silent(node) || msg->extended || msg->len > 8)
 		return;
 	if (node->nmt.state == NMT_INITIALISING) { /* no node-ID */
 		if (msg->id == LSS_REQUEST_ID && !msg->remote)
@@ -186,6 +186,9 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	uint64_t deadline;
 
 	node->now_us = now_us;
+	deadline = lss_tick(node);
+	if (lss_silent(node))
+		return deadline;
 	deadline = earlier(heartbeat_tick(node), guard_tick(node)); /* before PDOs: they may end operational */
 	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, sync_tick(node));
@@ -197,5 +200,6 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 void canopen_sample(struct canopen_node *node, uint64_t now_us)
 {
 	node->now_us = now_us;
-	pdo_sample(node);
+	if (!lss_silent(node))
+		pdo_sample(node);
 }

@@ -159,10 +159,15 @@ struct lss {
 	uint8_t start_id;		       /* that the dictionary was made for */
 	uint8_t stored_id;		       /* from reset node on */
 	uint8_t node_id;		       /* from reset communication on */
-	uint32_t bit_s;			       /* configured, 0: none */
-	bool configuring;		       /* or else waiting */
-	uint8_t selected, identified;	       /* numbers that were right so far */
-	uint8_t scanned;		       /* fastscan: the number that is looked for */
+	bool storing;			       /* the answer waits for canopen_lss_stored() */
+	uint8_t storing_id;
+	uint32_t bit_s;							  /* configured, 0: none */
+	enum { SWITCH_NONE, SWITCH_OLD_RATE, SWITCH_NEW_RATE } switching; /* silent, unless SWITCH_NONE */
+	uint64_t switch_us;						  /* when the delay under way ends */
+	uint32_t switch_delay_us;
+	bool configuring;	      /* or else waiting */
+	uint8_t selected, identified; /* numbers that were right so far */
+	uint8_t scanned;	      /* fastscan: the number that is looked for */
 };
 
 struct canopen_node {

@@ -67,6 +67,8 @@ void nmt_start_up(struct canopen_node *node);
 void heartbeat_init(struct canopen_node *node);
 void heartbeat_reset(struct canopen_node *node);
 void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg);
+/** Watching begins anew with the next heartbeat of each node: none could be heard for a while. */
+void heartbeat_pause(struct canopen_node *node);
 uint64_t heartbeat_tick(struct canopen_node *node);
 
 /* guard.c */
@@ -148,6 +150,9 @@ void lss_init(struct canopen_node *node);
 /** Takes the node-ID that holds from this reset on, after the dictionary was reset. */
 void lss_reset(struct canopen_node *node, enum od_group group);
 void lss_receive(struct canopen_node *node, const struct can_msg *msg);
+/** The bit rate of the bus is being switched: nothing is sent, nothing heard, and time does not count. */
+bool lss_silent(const struct canopen_node *node);
+uint64_t lss_tick(struct canopen_node *node);
 
 static inline uint16_t get_u16(const uint8_t *wire)
 {

@@ -80,10 +80,9 @@ static bool device_bit_rate_possible(void *ctx, uint32_t bit_s)
 	return bit_s >= 125000;
 }
 
-static void device_activate_bit_rate(void *ctx, uint32_t bit_s, uint16_t delay_ms)
+static void device_set_bit_rate(void *ctx, uint32_t bit_s)
 {
 	(void)ctx;
-	(void)delay_ms;
 	require(bit_s >= 125000);
 }
 
@@ -136,7 +135,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		.restore = device_keep,
 		.store_lss = device_keep_lss,
 		.bit_rate_possible = device_bit_rate_possible,
-		.activate_bit_rate = device_activate_bit_rate};
+		.set_bit_rate = device_set_bit_rate};
 	static const uint8_t eds[1000] = {1, 2, 3};
 	static struct od_values values;
 	static struct can_port port;

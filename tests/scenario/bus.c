@@ -78,6 +78,7 @@ static enum od_status device_store_lss(void *ctx, uint8_t node_id, uint32_t bit_
 {
 	struct bus *bus = ctx;
 
+	bus->store_lss_calls++;
 	bus->kept_node_id = node_id;
 	bus->kept_bit_s = bit_s;
 	return bus->storage_answer;
@@ -89,12 +90,12 @@ static bool device_bit_rate_possible(void *ctx, uint32_t bit_s)
 	return bit_s != 800000;
 }
 
-static void device_activate_bit_rate(void *ctx, uint32_t bit_s, uint16_t delay_ms)
+static void device_set_bit_rate(void *ctx, uint32_t bit_s)
 {
 	struct bus *bus = ctx;
 
 	bus->active_bit_s = bit_s;
-	bus->switch_delay_ms = delay_ms;
+	bus->switched_us = bus->now_us;
 }
 
 bool bus_listens_to(const struct bus *bus, uint32_t id)
@@ -135,7 +136,7 @@ void bus_start(struct bus *bus)
 		.reset = device_reset,
 		.store_lss = device_store_lss,
 		.bit_rate_possible = device_bit_rate_possible,
-		.activate_bit_rate = device_activate_bit_rate,
+		.set_bit_rate = device_set_bit_rate,
 		.nmt_changed = device_nmt_changed};
 
 	bus->power_on = bus->values;

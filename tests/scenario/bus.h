@@ -43,7 +43,8 @@ struct bus {
 	unsigned store_calls, restore_calls, reset_calls;
 	uint8_t kept_node_id; /* by LSS */
 	uint32_t kept_bit_s, active_bit_s;
-	uint16_t switch_delay_ms;
+	uint64_t switched_us; /* when the bit rate was set */
+	unsigned store_lss_calls;
 	enum nmt_state states[64];
 	size_t state_count;
 };

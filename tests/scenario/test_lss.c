@@ -218,6 +218,81 @@ static void test_a_storage_that_fails_is_told(void **state)
 	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 02 00 00 00 00 00 00");
 }
 
+static void stored(struct bus *bus, enum od_status status)
+{
+	canopen_lss_stored(&bus->node, status, bus->now_us);
+	bus_tick(bus);
+}
+
+static void test_the_answer_to_a_store_waits_for_the_disk(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	bus_run(bus, 3000000);
+	bus_expect_nothing(bus);
+	stored(bus, OD_OK);
+	bus_expect(bus, "7E4 17 00 00 00 00 00 00 00");
+	bus_exchange(bus, "000 81 10", "720 00");
+}
+
+static void test_a_disk_that_fails_in_the_end_is_told_and_the_old_node_id_stays(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	stored(bus, OD_CANNOT_STORE);
+	bus_expect(bus, "7E4 17 02 00 00 00 00 00 00");
+	bus_exchange(bus, "000 81 10", "710 00");
+}
+
+static void test_a_second_store_while_one_is_under_way_fails(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 02 00 00 00 00 00 00");
+	assert_int_equal(bus->store_lss_calls, 1);
+	stored(bus, OD_OK);
+	bus_expect(bus, "7E4 17 00 00 00 00 00 00 00");
+}
+
+static void test_a_store_that_ends_after_the_configuration_is_not_answered(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
+	stored(bus, OD_OK);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "000 81 10", "720 00"); /* kept all the same */
+}
+
+static void test_what_is_configured_while_the_disk_works_is_not_taken_for_stored(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus->storage_answer = OD_PENDING;
+	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 11 21 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	stored(bus, OD_OK);
+	bus_forget(bus);
+	bus_exchange(bus, "000 81 10", "720 00");
+}
+
 static void test_a_device_that_cannot_store_says_so(void **state)
 {
 	struct bus *bus = *state;
@@ -312,10 +387,112 @@ static void test_a_bit_rate_is_taken_and_activated_after_the_switch_delay(void *
 	configure(bus);
 	bus_exchange(bus, "7E5 13 00 02 00 00 00 00 00", "7E4 13 00 00 00 00 00 00 00");
 	assert_int_equal(bus->active_bit_s, 0);
+	uint64_t start_us = bus->now_us;
 	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
-	bus_expect_nothing(bus);
+	bus_run(bus, 499999);
+	assert_int_equal(bus->active_bit_s, 0);
+	bus_run(bus, 1);
 	assert_int_equal(bus->active_bit_s, 500000);
-	assert_int_equal(bus->switch_delay_ms, 500);
+	assert_int_equal(bus->switched_us - start_us, 500000);
+	bus_expect_nothing(bus);
+}
+
+/* 500 ms at the old bit rate, 500 ms at the new one. */
+static void switch_bit_rate(struct bus *bus)
+{
+	configure(bus);
+	bus_exchange(bus, "7E5 13 00 02 00 00 00 00 00", "7E4 13 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
+}
+
+static void test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1017, 0, 2, 100);
+	bus_forget(bus);
+	switch_bit_rate(bus);
+	for (int i = 0; i < 9; i++) {
+		bus_run(bus, 100000);
+		bus_send(bus, "610 40 00 10 00 00 00 00 00");
+		bus_send(bus, "7E5 5E 00 00 00 00 00 00 00");
+		bus_send(bus, "000 01 00");
+		canopen_error_set(&bus->node, 0xFF00, 0x80, NULL, bus->now_us);
+		bus_sample(bus, 1);
+	}
+	bus_run(bus, 99999);
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
+}
+
+static void test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1017, 0, 2, 100);
+	bus_forget(bus);
+	switch_bit_rate(bus);
+	canopen_error_set(&bus->node, 0xFF00, 0x80, NULL, bus->now_us);
+	bus_run(bus, 1000000);
+	bus_expect(bus, "710 7F");
+	bus_expect(bus, "090 00 FF 81 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+}
+
+static void test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1016, 1, 4, 0x00200064);
+	bus_send(bus, "720 05");
+	switch_bit_rate(bus);
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "720 05");
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
+}
+
+static void test_a_switch_delay_of_0_switches_at_once(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_exchange(bus, "7E5 13 00 04 00 00 00 00 00", "7E4 13 00 00 00 00 00 00 00");
+	bus_send(bus, "7E5 15 00 00 00 00 00 00 00");
+	assert_int_equal(bus->active_bit_s, 125000);
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+}
+
+static void test_without_a_bit_rate_configured_activation_does_nothing(void **state)
+{
+	struct bus *bus = *state;
+
+	configure(bus);
+	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
+	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
+	bus_run(bus, 2000000);
+	assert_int_equal(bus->active_bit_s, 0);
+}
+
+static void test_every_bit_rate_of_the_table_goes_by_its_index(void **state)
+{
+	static const struct {
+		const char *request;
+		uint32_t bit_s;
+	} table[] = {{"7E5 13 00 00 00 00 00 00 00", 1000000}, {"7E5 13 00 02 00 00 00 00 00", 500000},
+		{"7E5 13 00 03 00 00 00 00 00", 250000}, {"7E5 13 00 04 00 00 00 00 00", 125000},
+		{"7E5 13 00 06 00 00 00 00 00", 50000}, {"7E5 13 00 07 00 00 00 00 00", 20000},
+		{"7E5 13 00 08 00 00 00 00 00", 10000}};
+	struct bus *bus = *state;
+
+	configure(bus);
+	for (size_t i = 0; i < sizeof(table) / sizeof(table[0]); i++) {
+		bus_exchange(bus, table[i].request, "7E4 13 00 00 00 00 00 00 00");
+		bus_send(bus, "7E5 15 00 00 00 00 00 00 00");
+		assert_int_equal(bus->active_bit_s, table[i].bit_s);
+	}
 }
 
 static void test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused(void **state)
@@ -495,6 +672,11 @@ int main(void)
 		PRE_OPERATIONAL(test_reset_node_brings_the_stored_node_id_back),
 		PRE_OPERATIONAL(test_a_stored_node_id_outlives_reset_node),
 		PRE_OPERATIONAL(test_a_storage_that_fails_is_told),
+		PRE_OPERATIONAL(test_the_answer_to_a_store_waits_for_the_disk),
+		PRE_OPERATIONAL(test_a_disk_that_fails_in_the_end_is_told_and_the_old_node_id_stays),
+		PRE_OPERATIONAL(test_a_second_store_while_one_is_under_way_fails),
+		PRE_OPERATIONAL(test_a_store_that_ends_after_the_configuration_is_not_answered),
+		PRE_OPERATIONAL(test_what_is_configured_while_the_disk_works_is_not_taken_for_stored),
 		PRE_OPERATIONAL(test_a_device_that_cannot_store_says_so),
 		PRE_OPERATIONAL(test_the_node_id_255_makes_the_node_silent_from_reset_communication_on),
 		cmocka_unit_test(test_a_node_without_a_node_id_says_nothing_and_hears_lss_only),
@@ -503,6 +685,12 @@ int main(void)
 		cmocka_unit_test(test_a_node_without_a_node_id_identifies_itself_as_such),
 		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not),
 		PRE_OPERATIONAL(test_a_bit_rate_is_taken_and_activated_after_the_switch_delay),
+		PRE_OPERATIONAL(test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over),
+		PRE_OPERATIONAL(test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told),
+		PRE_OPERATIONAL(test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched),
+		PRE_OPERATIONAL(test_a_switch_delay_of_0_switches_at_once),
+		PRE_OPERATIONAL(test_without_a_bit_rate_configured_activation_does_nothing),
+		PRE_OPERATIONAL(test_every_bit_rate_of_the_table_goes_by_its_index),
 		PRE_OPERATIONAL(test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused),
 		PRE_OPERATIONAL(test_where_the_bus_cannot_be_switched_no_bit_rate_is_taken),
 		PRE_OPERATIONAL(test_the_bit_rate_is_stored_with_the_node_id),
