@@ -1,0 +1,22 @@
+/* model/linalg.h
+ * Small symmetric systems: normal equations and covariances of the calibrations. Matrices are row-major arrays of the
+ * caller, n * n, n from 1 to LINALG_MAX; all elements are read and written, not one triangle only. */
+#ifndef MODEL_LINALG_H
+#define MODEL_LINALG_H
+
+enum { LINALG_MAX = 12 };
+
+/** a becomes its Cholesky factor L (lower triangle, zeros above): a = L L'. 0, or -EDOM: not positive definite, or so
+ * nearly singular that a pivot is below 1e-13 of its diagonal element, or not finite; a is then undefined. */
+int linalg_cholesky(int n, double *a);
+/** b becomes x of L L' x = b. */
+void linalg_cholesky_solve(int n, const double *l, double *b);
+/** b becomes x of a x = b; a becomes L. 0, or -EDOM as above, b untouched. */
+int linalg_solve(int n, double *a, double *b);
+/** a becomes its inverse. 0, or -EDOM as above. */
+int linalg_invert(int n, double *a);
+/** Eigenvalues in ascending order; row k of vectors is the unit vector of values[k]. a is destroyed. Cyclic Jacobi (Golub,
+ * Van Loan, Matrix Computations, 8.5). 0, or -EDOM: not finite. */
+int linalg_eigen(int n, double *a, double *values, double *vectors);
+
+#endif

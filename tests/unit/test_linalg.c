@@ -1,0 +1,117 @@
+/* Small symmetric systems, checked against what defines their answer. */
+#include "model_test.h"
+
+#include <string.h>
+
+#include "model/linalg.h"
+
+/* B B' + a little on the diagonal: positive definite */
+static void any_positive(int n, double *a)
+{
+	double b[LINALG_MAX * LINALG_MAX];
+
+	for (int i = 0; i < n * n; i++)
+		b[i] = any();
+	for (int i = 0; i < n; i++)
+		for (int j = 0; j < n; j++) {
+			a[i * n + j] = i == j ? 0.1 : 0;
+			for (int k = 0; k < n; k++)
+				a[i * n + j] += b[i * n + k] * b[j * n + k];
+		}
+}
+
+static void test_a_solution_solves_its_system(void **state)
+{
+	(void)state;
+	for (int n = 1; n <= LINALG_MAX; n++) {
+		double a[LINALG_MAX * LINALG_MAX], copy[LINALG_MAX * LINALG_MAX], x[LINALG_MAX], b[LINALG_MAX];
+
+		any_positive(n, a);
+		memcpy(copy, a, sizeof a);
+		for (int i = 0; i < n; i++)
+			x[i] = b[i] = any();
+		assert_int_equal(linalg_solve(n, copy, x), 0);
+		for (int i = 0; i < n; i++) {
+			double sum = 0;
+
+			for (int k = 0; k < n; k++)
+				sum += a[i * n + k] * x[k];
+			assert_near(sum, b[i], 1e-10);
+		}
+	}
+}
+
+static void test_a_matrix_times_its_inverse_is_one(void **state)
+{
+	(void)state;
+	for (int n = 1; n <= LINALG_MAX; n++) {
+		double a[LINALG_MAX * LINALG_MAX], inverse[LINALG_MAX * LINALG_MAX];
+
+		any_positive(n, a);
+		memcpy(inverse, a, sizeof a);
+		assert_int_equal(linalg_invert(n, inverse), 0);
+		for (int i = 0; i < n; i++)
+			for (int j = 0; j < n; j++) {
+				double sum = 0;
+
+				for (int k = 0; k < n; k++)
+					sum += a[i * n + k] * inverse[k * n + j];
+				assert_near(sum, i == j, 1e-9);
+			}
+	}
+}
+
+static void test_eigenvectors_are_only_stretched_by_their_ascending_eigenvalues(void **state)
+{
+	(void)state;
+	for (int n = 1; n <= LINALG_MAX; n++) {
+		double a[LINALG_MAX * LINALG_MAX], copy[LINALG_MAX * LINALG_MAX];
+		double values[LINALG_MAX], vectors[LINALG_MAX * LINALG_MAX];
+
+		for (int i = 0; i < n; i++)
+			for (int j = 0; j <= i; j++)
+				a[i * n + j] = a[j * n + i] = any();
+		memcpy(copy, a, sizeof a);
+		assert_int_equal(linalg_eigen(n, copy, values, vectors), 0);
+		for (int k = 0; k < n; k++) {
+			double length = 0;
+
+			assert_true(k == 0 || values[k] >= values[k - 1]);
+			for (int i = 0; i < n; i++) {
+				double sum = 0;
+
+				for (int j = 0; j < n; j++)
+					sum += a[i * n + j] * vectors[k * n + j];
+				assert_near(sum, values[k] * vectors[k * n + i], 1e-12);
+				length += vectors[k * n + i] * vectors[k * n + i];
+			}
+			assert_near(length, 1, 1e-12);
+		}
+	}
+}
+
+static void test_a_singular_an_indefinite_and_a_broken_matrix_are_refused(void **state)
+{
+	double singular[] = {1, 2, 2, 4}, indefinite[] = {1, 2, 2, 1}, broken[] = {1, 0, 0, NAN}, b[] = {3, 4};
+	double values[2], vectors[4];
+
+	(void)state;
+	assert_int_equal(linalg_solve(2, singular, b), -EDOM);
+	assert_int_equal(linalg_cholesky(2, indefinite), -EDOM);
+	assert_int_equal(linalg_invert(2, broken), -EDOM);
+	assert_true(b[0] == 3 && b[1] == 4);
+	broken[3] = NAN;
+	assert_int_equal(linalg_eigen(2, broken, values, vectors), -EDOM);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_solution_solves_its_system),
+		cmocka_unit_test(test_a_matrix_times_its_inverse_is_one),
+		cmocka_unit_test(test_eigenvectors_are_only_stretched_by_their_ascending_eigenvalues),
+		cmocka_unit_test(test_a_singular_an_indefinite_and_a_broken_matrix_are_refused),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
