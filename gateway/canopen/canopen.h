@@ -1,7 +1,7 @@
 /* gateway/canopen/canopen.h
  * A CANopen device (CiA 301 V4.2) as a passive core: frames and time go in, frames come out through the CAN port. It
  * never reads a clock, sleeps, allocates or touches a file, so the same code runs in the daemon and, in simulated time,
- * in the scenario tests. One file a service: nmt.c, heartbeat.c (1016h), guard.c, sdo_server.c, pdo.c, sync.c, emcy.c,
+ * in the scenario tests. One file a service: nmt.c, heartbeat.c (1016h), guard.c, sdo_server.c, pdo.c, tpdo.c, rpdo.c, sync.c, emcy.c,
  * store.c (1010h/1011h), lss.c (CiA 305).
  *
  * Use: canopen_init(), canopen_start(), then canopen_receive() for each frame, canopen_tick() whenever the deadline it
@@ -44,6 +44,9 @@ struct canopen_device {
 	 * delays, and is silent for them. NULL: the bit rate cannot be changed from here. */
 	bool (*bit_rate_possible)(void *ctx, uint32_t bit_s);
 	void (*set_bit_rate)(void *ctx, uint32_t bit_s);
+	/** By how many steps of the mapped integer, or by how much of the mapped real, a value has to move for a TPDO to be
+	 * sent by event (more than that). 0: any change counts; INFINITY: none does. NULL: every sample is an event. */
+	double (*change_threshold)(void *ctx, const struct od_entry *entry);
 	/** For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
 };

@@ -99,6 +99,8 @@ static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 /* Reset communication ends only the errors that the core found itself; the others are the application's to end. */
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
+	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_WINDOW,
+		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT};
 	struct emcy *emcy = &node->emcy;
 
 	if (node->id != CANOPEN_UNCONFIGURED) /* or else nobody could hear them yet */
@@ -109,10 +111,9 @@ void emcy_reset(struct canopen_node *node, enum od_group group)
 		update_register(emcy);
 		clear_history(emcy);
 	} else {
-		remove_error(emcy, EMCY_DATA_SET, EMCY_NO_SOURCE);
-		remove_error(emcy, EMCY_SYNC_LENGTH, EMCY_NO_SOURCE);
-		for (unsigned source = 0; source <= 127; source++)
-			remove_error(emcy, EMCY_HEARTBEAT, (uint8_t)source);
+		for (size_t i = 0; i < sizeof(own) / sizeof(own[0]); i++)
+			for (unsigned source = 0; source <= 127; source++)
+				remove_error(emcy, own[i], (uint8_t)source);
 	}
 }
 
@@ -196,7 +197,7 @@ void emcy_leave_stopped(struct canopen_node *node)
 	emcy->queue_count = i > 0 ? 1 : 0;
 }
 
-static void set_error(
+void emcy_set_info(
 	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5])
 {
 	struct emcy *emcy = &node->emcy;
@@ -219,7 +220,7 @@ static void set_error(
 
 void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits)
 {
-	set_error(node, code, source, register_bits, (const uint8_t[5]){source});
+	emcy_set_info(node, code, source, register_bits, (const uint8_t[5]){source});
 }
 
 void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
@@ -238,7 +239,7 @@ void canopen_error_set(
 	static const uint8_t no_info[5];
 
 	node->now_us = now_us;
-	set_error(node, code, EMCY_NO_SOURCE, register_bits, info ? info : no_info);
+	emcy_set_info(node, code, EMCY_NO_SOURCE, register_bits, info ? info : no_info);
 }
 
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us)

@@ -21,7 +21,7 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[6 + HEARTBEAT_CONSUMERS + TPDO_MAX] = {LSS_REQUEST_ID};
+	uint32_t ids[6 + HEARTBEAT_CONSUMERS + TPDO_MAX + RPDO_MAX] = {LSS_REQUEST_ID};
 	size_t n = 1;
 
 	if (node->id == CANOPEN_UNCONFIGURED) {
@@ -39,6 +39,7 @@ void node_filter(struct canopen_node *node)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
 	n += pdo_remote_ids(node, ids + n);
+	n += pdo_receive_ids(node, ids + n);
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
 }
 
@@ -179,6 +180,8 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 		lss_receive(node, msg);
 	else if (msg->id > 0x700)
 		heartbeat_receive(node, msg);
+	else
+		pdo_receive(node, msg);
 }
 
 uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)

@@ -8,7 +8,8 @@
 #include "gateway/canopen/canopen.h"
 
 enum {
-	TPDO_MAX = 8,	  /* PDOs looked for in 1800h..19FFh */
+	RPDO_MAX = 4,	  /* PDOs looked for in 1400h..15FFh */
+	TPDO_MAX = 8,	  /* .. and in 1800h..19FFh */
 	PDO_MAP_MAX = 8,  /* mapped objects in one PDO: bytes at the smallest */
 	EMCY_ERRORS = 16, /* errors standing at a time */
 	EMCY_QUEUE = 16,  /* EMCY messages waiting for the inhibit time, or for NMT stopped to end */
@@ -71,7 +72,7 @@ struct sdo_server {
 	size_t size, done;   /* bytes */
 	uint64_t deadline_us;
 	uint8_t buffer[OD_DOMAIN_MAX + 6]; /* a block download fills its last segment up */
-	uint8_t response[8];		  /* the one that waits in SDO_SERVER_PENDING */
+	uint8_t response[8];		   /* the one that waits in SDO_SERVER_PENDING */
 	struct {
 		uint8_t size;	  /* segments in this sub-block at the most */
 		uint8_t sequence; /* of the last segment that was sent, or received in order */
@@ -87,37 +88,56 @@ struct second_sdo {
 	const uint32_t *cob_id[2]; /* 1201h:1 and 2: request and response */
 };
 
-struct tpdo {
-	uint16_t index; /* 1800h + number */
+struct pdo {
+	uint16_t index; /* 1400h or 1800h + number */
 	uint32_t *cob_id;
 	const uint8_t *type, *sync_start, *map_count;
 	const uint16_t *inhibit_100us, *event_ms;
 	const uint32_t *map[PDO_MAP_MAX];
 
 	const struct od_entry *mapped[PDO_MAP_MAX];
-	uint8_t mapped_count; /* 0: not to be sent, because it is invalid or nothing is mapped */
-	bool event;	      /* a sample came that this PDO has not carried yet */
-	bool await_start;     /* no SYNC had the start value yet */
-	uint8_t syncs;	      /* SYNCs since the last transmission */
-	uint8_t sampled[8];   /* type 252: at the last SYNC */
-	uint8_t sampled_len;  /* 0: no SYNC came yet */
+	uint8_t mapped_count; /* 0: not in use, because it is invalid or nothing is mapped */
+	uint8_t bytes;	      /* of all that is mapped */
+};
+
+struct tpdo {
+	struct pdo pdo;
+	bool event;	  /* a sample is news, and this PDO has not carried it yet */
+	bool await_start; /* no SYNC had the start value yet */
+	uint8_t syncs;	  /* SYNCs since the last transmission */
+	bool sent_before;
+	uint8_t sent[8];     /* the last time */
+	uint8_t sampled[8];  /* type 252: at the last SYNC */
+	uint8_t sampled_len; /* 0: no SYNC came yet */
 	uint64_t inhibited_until_us;
 	uint64_t timer_start_us; /* the event timer runs from here */
 };
 
-struct pdo {
-	struct od_hook communication_hook, mapping_hook;
+struct rpdo {
+	struct pdo pdo;
+	uint8_t data[8]; /* received last */
+	bool waits;	 /* for a SYNC */
+	uint8_t faults;	 /* that stand, a bit each */
+	bool monitored;	 /* the next one has to come before deadline_us */
+	uint64_t deadline_us;
+};
+
+struct pdos {
+	struct od_hook hook;
+	struct rpdo rpdo[RPDO_MAX];
 	struct tpdo tpdo[TPDO_MAX];
-	size_t tpdo_count;
+	size_t rpdo_count, tpdo_count;
+	uint32_t late; /* synchronous RPDOs that came after the synchronous window */
 };
 
 struct sync {
 	struct od_hook hook; /* 1005h, 1006h, 1019h */
 	const uint32_t *cob_id, *period_us, *window_us;
 	const uint8_t *counter_overflow;
-	uint32_t id;   /* that is listened to; CAN_ID_NONE */
-	uint32_t late; /* SYNCs whose window had passed before the PDOs could be sent */
-	bool running;  /* the next SYNC of our own is due at next_us */
+	uint32_t id;	  /* that is listened to; CAN_ID_NONE */
+	uint32_t late;	  /* SYNCs whose window had passed before the PDOs could be sent */
+	uint64_t last_us; /* when the last one was on the bus; 0: none yet */
+	bool running;	  /* the next SYNC of our own is due at next_us */
 	uint64_t next_us;
 	uint8_t counter; /* of the last one */
 };
@@ -183,7 +203,7 @@ struct canopen_node {
 	struct sdo_server sdo_servers[SDO_SERVERS];
 	struct sdo_server *sdo; /* the one that is served now */
 	struct second_sdo second_sdo;
-	struct pdo pdo;
+	struct pdos pdos;
 	struct sync sync;
 	struct emcy emcy;
 	struct store store;

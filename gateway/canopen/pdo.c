@@ -1,330 +1,266 @@
-/* Transmit PDOs (CiA 301, 7.2.2): communication parameters 1800h.., mapping 1A00h... A PDO is packed from the
- * dictionary at the moment it is sent, and all PDOs of one SYNC in one go, so that they carry one sample. */
-#include "gateway/canopen/service.h"
+/* What RPDOs and TPDOs have in common (CiA 301, 7.2.2 and 7.5.2.35 to 7.5.2.38): communication parameters 1400h and
+ * 1800h, mapping 1600h and 1A00h, and the checks of both. */
+#include "gateway/canopen/pdo.h"
 
 #include <errno.h>
 
-enum {
-	TYPE_SYNC_ACYCLIC = 0,
-	TYPE_SYNC_MAX = 240,
-	TYPE_RTR_SYNC = 252, /* sampled at the SYNC, sent on request */
-	TYPE_RTR = 253,	     /* sampled and sent on request */
-	TYPE_EVENT = 254,
-	PDO_BYTES = 8,
-};
-
-static bool event_driven(const struct tpdo *tpdo)
-{
-	return *tpdo->type >= TYPE_EVENT;
-}
+enum { FIRST_RPDO = 0x1400, FIRST_TPDO = 0x1800, MAPPING = 0x200, PDO_INDICES = 0x200 };
 
 /* ---- parameters -------------------------------------------------------------------------------------------------- */
 
-static bool valid(const struct tpdo *tpdo)
+static bool receives(const struct pdo *pdo)
 {
-	return !(*tpdo->cob_id & COB_ID_INVALID);
+	return pdo->index < FIRST_TPDO;
 }
 
-static bool type_supported(uint8_t type)
+static bool valid(const struct pdo *pdo)
 {
-	return type <= TYPE_SYNC_MAX || type >= TYPE_RTR_SYNC;
+	return !(*pdo->cob_id & COB_ID_INVALID);
 }
 
-/* One mapping entry: index << 16 | sub-index << 8 | bits. */
-static enum od_status find_mapped(const struct od *od, uint32_t mapping, const struct od_entry **entry)
+static bool type_supported(const struct pdo *pdo, uint8_t type)
 {
-	*entry = od_find(od->table, (uint16_t)(mapping >> 16), (uint8_t)(mapping >> 8), NULL);
-	if (!*entry)
-		return OD_NO_OBJECT;
-	if (!((*entry)->access & OD_TPDO) || (mapping & 0xFF) != (*entry)->size * 8u)
-		return OD_NOT_MAPPABLE;
-	return OD_OK;
+	return type <= TYPE_SYNC_MAX || type >= (receives(pdo) ? TYPE_EVENT : TYPE_RTR_SYNC);
 }
 
-static enum od_status find_mapping(
-	const struct od *od, const struct tpdo *tpdo, size_t count, const struct od_entry *mapped[PDO_MAP_MAX])
+/* Of the data types those that [DummyUsage] of the EDS allows: INTEGER8 to UNSIGNED32. */
+static const struct od_entry *find_dummy(uint32_t mapping)
 {
-	size_t bytes = 0;
+	static const struct od_entry dummies[] = {{.index = OD_INTEGER8, .size = 1}, {.index = OD_INTEGER16, .size = 2},
+		{.index = OD_INTEGER32, .size = 4}, {.index = OD_UNSIGNED8, .size = 1},
+		{.index = OD_UNSIGNED16, .size = 2}, {.index = OD_UNSIGNED32, .size = 4}};
 
-	if (count > PDO_MAP_MAX)
-		return OD_PDO_LENGTH;
-	for (size_t i = 0; i < count; i++) {
-		enum od_status status = find_mapped(od, *tpdo->map[i], &mapped[i]);
-		if (status != OD_OK)
-			return status;
-		bytes += mapped[i]->size;
-	}
-	return bytes > PDO_BYTES ? OD_PDO_LENGTH : OD_OK;
-}
-
-/* Whether the PDO could be valid with what stands in the dictionary. */
-static enum od_status check(const struct od *od, const struct tpdo *tpdo, uint32_t cob_id)
-{
-	const struct od_entry *mapped[PDO_MAP_MAX];
-
-	if (!cob_id_usable(cob_id) || !type_supported(*tpdo->type))
-		return OD_BAD_VALUE;
-	return find_mapping(od, tpdo, *tpdo->map_count, mapped);
-}
-
-static void restart(struct canopen_node *node, struct tpdo *tpdo)
-{
-	tpdo->mapped_count = 0;
-	if (valid(tpdo) && find_mapping(node->od, tpdo, *tpdo->map_count, tpdo->mapped) == OD_OK)
-		tpdo->mapped_count = *tpdo->map_count;
-	tpdo->event = false;
-	tpdo->await_start = true;
-	tpdo->syncs = 0;
-	tpdo->sampled_len = 0;
-	tpdo->inhibited_until_us = 0;
-	tpdo->timer_start_us = node->now_us;
-}
-
-static struct tpdo *of_entry(struct canopen_node *node, const struct od_entry *entry)
-{
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		if ((node->pdo.tpdo[i].index & 0x1FF) == (entry->index & 0x1FF))
-			return &node->pdo.tpdo[i];
+	for (size_t i = 0; i < sizeof(dummies) / sizeof(dummies[0]); i++)
+		if (mapping >> 8 == (uint32_t)dummies[i].index << 8)
+			return &dummies[i];
 	return NULL;
 }
 
-static enum od_status before_cob_id(const struct od *od, const struct tpdo *tpdo, uint32_t value)
+/* One mapping entry: index << 16 | sub-index << 8 | bits. */
+static enum od_status find_mapped(
+	const struct od *od, const struct pdo *pdo, uint32_t mapping, const struct od_entry **entry)
+{
+	const struct od_entry *dummy = receives(pdo) ? find_dummy(mapping) : NULL;
+
+	*entry = dummy ? dummy : od_find(od->table, (uint16_t)(mapping >> 16), (uint8_t)(mapping >> 8), NULL);
+	if (!*entry)
+		return OD_NO_OBJECT;
+	if (!dummy && !((*entry)->access & (receives(pdo) ? OD_RPDO : OD_TPDO)))
+		return OD_NOT_MAPPABLE;
+	return (mapping & 0xFF) == (*entry)->size * 8u ? OD_OK : OD_NOT_MAPPABLE;
+}
+
+/* The first `count` mapping entries, and how many bytes they are. */
+static enum od_status find_mapping(const struct od *od, const struct pdo *pdo, size_t count,
+	const struct od_entry *mapped[PDO_MAP_MAX], size_t *bytes)
+{
+	*bytes = 0;
+	if (count > PDO_MAP_MAX)
+		return OD_PDO_LENGTH;
+	for (size_t i = 0; i < count; i++) {
+		enum od_status status = find_mapped(od, pdo, *pdo->map[i], &mapped[i]);
+		if (status != OD_OK)
+			return status;
+		*bytes += mapped[i]->size;
+	}
+	return *bytes > PDO_BYTES ? OD_PDO_LENGTH : OD_OK;
+}
+
+/* Whether the PDO could be valid with what stands in the dictionary. */
+static enum od_status check(const struct od *od, const struct pdo *pdo, uint32_t cob_id)
+{
+	const struct od_entry *mapped[PDO_MAP_MAX];
+	size_t bytes;
+
+	if (!cob_id_usable(cob_id) || !type_supported(pdo, *pdo->type))
+		return OD_BAD_VALUE;
+	return find_mapping(od, pdo, *pdo->map_count, mapped, &bytes);
+}
+
+static void restart(struct canopen_node *node, struct pdo *pdo)
+{
+	size_t bytes;
+
+	pdo->mapped_count = pdo->bytes = 0;
+	if (valid(pdo) && find_mapping(node->od, pdo, *pdo->map_count, pdo->mapped, &bytes) == OD_OK) {
+		pdo->mapped_count = *pdo->map_count;
+		pdo->bytes = (uint8_t)bytes;
+	}
+	if (receives(pdo))
+		rpdo_restart(node, (struct rpdo *)pdo);
+	else
+		tpdo_restart(node, (struct tpdo *)pdo);
+}
+
+/* RPDOs, then TPDOs; NULL: no more. */
+static struct pdo *nth(struct canopen_node *node, size_t n)
+{
+	struct pdos *pdos = &node->pdos;
+
+	if (n < pdos->rpdo_count)
+		return &pdos->rpdo[n].pdo;
+	n -= pdos->rpdo_count;
+	return n < pdos->tpdo_count ? &pdos->tpdo[n].pdo : NULL;
+}
+
+static struct pdo *of_entry(struct canopen_node *node, const struct od_entry *entry)
+{
+	struct pdo *pdo;
+
+	for (size_t i = 0; (pdo = nth(node, i)); i++)
+		if (pdo->index == (entry->index & ~MAPPING))
+			return pdo;
+	return NULL;
+}
+
+static enum od_status before_cob_id(const struct od *od, const struct pdo *pdo, uint32_t value)
 {
 	if (value & ~(COB_ID_INVALID | COB_ID_NO_RTR | COB_ID_MASK))
 		return OD_BAD_VALUE;
 	if (value & COB_ID_INVALID)
 		return OD_OK;
-	if (valid(tpdo))
-		return (value ^ *tpdo->cob_id) & COB_ID_MASK ? OD_BAD_VALUE : OD_OK;
-	return check(od, tpdo, value);
+	if (valid(pdo))
+		return (value ^ *pdo->cob_id) & COB_ID_MASK ? OD_BAD_VALUE : OD_OK;
+	return check(od, pdo, value);
 }
 
-static enum od_status before_communication(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+/* Sub-indices 3 and 6 are those of TPDOs. */
+static enum od_status before_communication(
+	const struct od *od, const struct pdo *pdo, uint8_t sub, const uint8_t *bytes)
 {
-	struct canopen_node *node = ctx;
-	const struct tpdo *tpdo = of_entry(node, entry);
-	const uint8_t *bytes = wire;
-
-	(void)size;
-	if (!tpdo)
-		return OD_OK;
-	switch (entry->sub) {
+	switch (sub) {
 	case 1:
-		return before_cob_id(node->od, tpdo, get_u32(bytes));
+		return before_cob_id(od, pdo, get_u32(bytes));
 	case 2:
-		return type_supported(bytes[0]) ? OD_OK : OD_BAD_VALUE;
+		return type_supported(pdo, bytes[0]) ? OD_OK : OD_BAD_VALUE;
 	case 3:
-		return valid(tpdo) && get_u16(bytes) != *tpdo->inhibit_100us ? OD_BAD_VALUE : OD_OK;
+		return valid(pdo) && get_u16(bytes) != *pdo->inhibit_100us ? OD_BAD_VALUE : OD_OK;
 	case 6:
-		return bytes[0] > TYPE_SYNC_MAX || (valid(tpdo) && bytes[0] != *tpdo->sync_start) ? OD_BAD_VALUE
-												  : OD_OK;
+		return bytes[0] > TYPE_SYNC_MAX || (valid(pdo) && bytes[0] != *pdo->sync_start) ? OD_BAD_VALUE : OD_OK;
 	default:
 		return OD_OK;
 	}
 }
 
-/* The mapping procedure (CiA 301, 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number of them. An
- * entry of 0 is an empty place, as masters write it. */
-static enum od_status before_mapping(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+/* The mapping procedure (CiA 301, 7.5.2.36 and 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number of
+ * them. An entry of 0 is an empty place, as masters write it. */
+static enum od_status before_mapping(const struct od *od, const struct pdo *pdo, uint8_t sub, const uint8_t *bytes)
+{
+	const struct od_entry *mapped[PDO_MAP_MAX];
+	size_t length;
+
+	if (valid(pdo))
+		return OD_UNSUPPORTED_ACCESS;
+	if (sub == 0)
+		return find_mapping(od, pdo, bytes[0], mapped, &length);
+	if (*pdo->map_count != 0)
+		return OD_UNSUPPORTED_ACCESS;
+	return get_u32(bytes) ? find_mapped(od, pdo, get_u32(bytes), &mapped[0]) : OD_OK;
+}
+
+static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct canopen_node *node = ctx;
-	const struct tpdo *tpdo = of_entry(node, entry);
-	const struct od_entry *mapped[PDO_MAP_MAX];
-	uint32_t mapping;
+	const struct pdo *pdo = of_entry(node, entry);
 
 	(void)size;
-	if (!tpdo)
+	if (!pdo)
 		return OD_OK;
-	if (valid(tpdo))
-		return OD_UNSUPPORTED_ACCESS;
-	if (entry->sub == 0)
-		return find_mapping(node->od, tpdo, *(const uint8_t *)wire, mapped);
-	if (*tpdo->map_count != 0)
-		return OD_UNSUPPORTED_ACCESS;
-	mapping = get_u32(wire);
-	return mapping ? find_mapped(node->od, mapping, &mapped[0]) : OD_OK;
+	if (entry->index & MAPPING)
+		return before_mapping(node->od, pdo, entry->sub, wire);
+	return before_communication(node->od, pdo, entry->sub, wire);
 }
 
 static void after_write(void *ctx, const struct od_entry *entry)
 {
-	struct tpdo *tpdo = of_entry(ctx, entry);
+	struct canopen_node *node = ctx;
+	struct pdo *pdo = of_entry(node, entry);
 
-	/* the event timer may change while it runs */
-	if (!tpdo || (entry->index == tpdo->index && entry->sub == 5))
+	if (!pdo)
 		return;
-	restart(ctx, tpdo);
-	node_filter(ctx);
+	if (entry->index == pdo->index && entry->sub == 5) { /* may change while the PDO is in use */
+		if (receives(pdo))
+			rpdo_stop_timer(node, (struct rpdo *)pdo);
+		return;
+	}
+	restart(node, pdo);
+	node_filter(node);
 }
 
-static void look_up(struct canopen_node *node, struct tpdo *tpdo, uint16_t index)
+static void look_up(struct canopen_node *node, struct pdo *pdo, uint16_t index)
 {
-	uint16_t mapping = (uint16_t)(index + 0x200);
+	uint16_t mapping = index | MAPPING;
 
-	tpdo->index = index;
-	tpdo->cob_id = od_value(node->od, index, 1, sizeof(uint32_t));
-	tpdo->type = node_value(node, index, 2, sizeof(uint8_t));
-	tpdo->inhibit_100us = node_value(node, index, 3, sizeof(uint16_t));
-	tpdo->event_ms = node_value(node, index, 5, sizeof(uint16_t));
-	tpdo->sync_start = node_value(node, index, 6, sizeof(uint8_t));
-	tpdo->map_count = node_value(node, mapping, 0, sizeof(uint8_t));
+	pdo->index = index;
+	pdo->cob_id = od_value(node->od, index, 1, sizeof(uint32_t));
+	pdo->type = node_value(node, index, 2, sizeof(uint8_t));
+	pdo->inhibit_100us = node_value(node, index, 3, sizeof(uint16_t));
+	pdo->event_ms = node_value(node, index, 5, sizeof(uint16_t));
+	pdo->sync_start = node_value(node, index, 6, sizeof(uint8_t));
+	pdo->map_count = node_value(node, mapping, 0, sizeof(uint8_t));
 	for (uint8_t i = 0; i < PDO_MAP_MAX; i++)
-		tpdo->map[i] = node_value(node, mapping, (uint8_t)(i + 1), sizeof(uint32_t));
+		pdo->map[i] = node_value(node, mapping, (uint8_t)(i + 1), sizeof(uint32_t));
 }
 
 int pdo_init(struct canopen_node *node)
 {
-	struct pdo *pdo = &node->pdo;
+	struct pdos *pdos = &node->pdos;
 
-	for (uint16_t index = 0x1800; index < 0x1A00; index++) {
-		if (!od_value(node->od, index, 1, sizeof(uint32_t)))
-			continue;
-		if (pdo->tpdo_count == TPDO_MAX)
-			return -ENOSPC;
-		look_up(node, &pdo->tpdo[pdo->tpdo_count++], index);
+	for (uint16_t i = 0; i < PDO_INDICES; i++) {
+		uint16_t rpdo = (uint16_t)(FIRST_RPDO + i), tpdo = (uint16_t)(FIRST_TPDO + i);
+
+		if (od_value(node->od, rpdo, 1, sizeof(uint32_t))) {
+			if (pdos->rpdo_count == RPDO_MAX)
+				return -ENOSPC;
+			look_up(node, &pdos->rpdo[pdos->rpdo_count++].pdo, rpdo);
+		}
+		if (od_value(node->od, tpdo, 1, sizeof(uint32_t))) {
+			if (pdos->tpdo_count == TPDO_MAX)
+				return -ENOSPC;
+			look_up(node, &pdos->tpdo[pdos->tpdo_count++].pdo, tpdo);
+		}
 	}
-	pdo->communication_hook = (struct od_hook){
-		.first = 0x1800, .last = 0x19FF, .before = before_communication, .after = after_write, .ctx = node};
-	pdo->mapping_hook = (struct od_hook){
-		.first = 0x1A00, .last = 0x1BFF, .before = before_mapping, .after = after_write, .ctx = node};
-	od_attach(node->od, &pdo->communication_hook);
-	od_attach(node->od, &pdo->mapping_hook);
+	pdos->hook = (struct od_hook){
+		.first = FIRST_RPDO, .last = 0x1BFF, .before = before_write, .after = after_write, .ctx = node};
+	od_attach(node->od, &pdos->hook);
 	return 0;
 }
 
 /* Stored values did not pass the hooks. A PDO that cannot be as they say is invalid, for all to see in its COB-ID. */
 void pdo_reset(struct canopen_node *node)
 {
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
-		struct tpdo *tpdo = &node->pdo.tpdo[i];
+	struct pdo *pdo;
 
-		if (valid(tpdo) && check(node->od, tpdo, *tpdo->cob_id) != OD_OK) {
-			*tpdo->cob_id |= COB_ID_INVALID;
-			node_bad_data(node, tpdo->index);
+	for (size_t i = 0; (pdo = nth(node, i)); i++) {
+		if (valid(pdo) && check(node->od, pdo, *pdo->cob_id) != OD_OK) {
+			*pdo->cob_id |= COB_ID_INVALID;
+			node_bad_data(node, pdo->index);
 		}
+		restart(node, pdo);
 	}
 }
 
-/* ---- transmission ------------------------------------------------------------------------------------------------ */
-
-static uint8_t pack(const struct canopen_node *node, const struct tpdo *tpdo, uint8_t data[PDO_BYTES])
-{
-	size_t len = 0;
-
-	for (size_t i = 0; i < tpdo->mapped_count; i++)
-		len += od_get(node->od, tpdo->mapped[i], data + len, PDO_BYTES - len);
-	return (uint8_t)len;
-}
-
-static void transmit(struct canopen_node *node, struct tpdo *tpdo)
-{
-	uint8_t data[PDO_BYTES];
-	uint8_t len = pack(node, tpdo, data);
-
-	node_send(node, *tpdo->cob_id & COB_ID_MASK, data, len);
-	tpdo->event = false;
-	tpdo->timer_start_us = node->now_us;
-	tpdo->inhibited_until_us = node->now_us + *tpdo->inhibit_100us * 100u;
-}
+/* ---- life -------------------------------------------------------------------------------------------------------- */
 
 void pdo_start(struct canopen_node *node)
 {
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		restart(node, &node->pdo.tpdo[i]);
+	struct pdo *pdo;
+
+	node->sync.last_us = 0;
+	for (size_t i = 0; (pdo = nth(node, i)); i++)
+		restart(node, pdo);
 }
 
-void pdo_sample(struct canopen_node *node)
-{
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		node->pdo.tpdo[i].event = true;
-	pdo_tick(node);
-}
-
-/* The SYNC with the start value counts as the first one received; without a counter every PDO has started. */
-static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
-{
-	if (tpdo->mapped_count == 0 || *tpdo->type > TYPE_SYNC_MAX)
-		return false;
-	if (tpdo->await_start && counter && *tpdo->sync_start && counter != *tpdo->sync_start)
-		return false;
-	tpdo->await_start = false;
-	if (*tpdo->type == TYPE_SYNC_ACYCLIC)
-		return tpdo->event;
-	if (++tpdo->syncs < *tpdo->type)
-		return false;
-	tpdo->syncs = 0;
-	return true;
-}
-
+/* What goes out is as it was at the SYNC; what came in before it holds from now on. */
 void pdo_sync(struct canopen_node *node, uint8_t counter, bool late)
 {
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
-		struct tpdo *tpdo = &node->pdo.tpdo[i];
-
-		if (due_on_sync(tpdo, counter) && !late)
-			transmit(node, tpdo);
-		else if (*tpdo->type == TYPE_RTR_SYNC)
-			tpdo->sampled_len = pack(node, tpdo, tpdo->sampled);
-	}
-}
-
-static bool answers_rtr(const struct tpdo *tpdo)
-{
-	return tpdo->mapped_count && !(*tpdo->cob_id & COB_ID_NO_RTR) && *tpdo->type >= TYPE_RTR_SYNC;
-}
-
-size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX])
-{
-	size_t n = 0;
-
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		if (answers_rtr(&node->pdo.tpdo[i]))
-			ids[n++] = *node->pdo.tpdo[i].cob_id & COB_ID_MASK;
-	return n;
-}
-
-static void request(struct canopen_node *node, struct tpdo *tpdo)
-{
-	if (*tpdo->type >= TYPE_EVENT)
-		tpdo->event = true; /* which waits for the inhibit time */
-	else if (*tpdo->type == TYPE_RTR)
-		transmit(node, tpdo);
-	else if (tpdo->sampled_len)
-		node_send(node, *tpdo->cob_id & COB_ID_MASK, tpdo->sampled, tpdo->sampled_len);
-}
-
-void pdo_receive_remote(struct canopen_node *node, uint32_t id)
-{
-	if (node->nmt.state != NMT_OPERATIONAL)
-		return;
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++)
-		if (answers_rtr(&node->pdo.tpdo[i]) && (*node->pdo.tpdo[i].cob_id & COB_ID_MASK) == id)
-			request(node, &node->pdo.tpdo[i]);
-	pdo_tick(node);
-}
-
-static uint64_t event_due_us(const struct tpdo *tpdo)
-{
-	if (tpdo->event)
-		return tpdo->inhibited_until_us;
-	if (*tpdo->event_ms)
-		return later(tpdo->timer_start_us + *tpdo->event_ms * 1000u, tpdo->inhibited_until_us);
-	return UINT64_MAX;
+	tpdo_sync(node, counter, late);
+	rpdo_sync(node);
 }
 
 uint64_t pdo_tick(struct canopen_node *node)
 {
-	uint64_t deadline = UINT64_MAX;
-
 	if (node->nmt.state != NMT_OPERATIONAL)
-		return deadline;
-	for (size_t i = 0; i < node->pdo.tpdo_count; i++) {
-		struct tpdo *tpdo = &node->pdo.tpdo[i];
-
-		if (tpdo->mapped_count == 0 || !event_driven(tpdo))
-			continue;
-		if (event_due_us(tpdo) <= node->now_us)
-			transmit(node, tpdo);
-		deadline = earlier(deadline, event_due_us(tpdo));
-	}
-	return deadline;
+		return UINT64_MAX;
+	return earlier(rpdo_tick(node), tpdo_tick(node));
 }

@@ -25,9 +25,15 @@ enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next *
 /* EMCY codes that the core itself raises (CiA 301, table 26). */
 enum {
 	EMCY_NO_ERROR = 0x0000,
-	EMCY_DATA_SET = 0x6300,	 /* a stored communication parameter is not usable; info: its index */
-	EMCY_HEARTBEAT = 0x8130, /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
+	EMCY_DATA_SET = 0x6300,	   /* a stored communication parameter is not usable; info: its index */
+	EMCY_HEARTBEAT = 0x8130,   /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
+	EMCY_SYNC_WINDOW = 0x8100, /* communication: a SYNC was seen after the synchronous window; info: 1007h */
+	/* of an RPDO; info: its index, and .. */
+	EMCY_PDO_CONTENT = 0x8200, /* protocol: .. index and sub-index of the object that refuses its value */
+	EMCY_PDO_SHORT = 0x8210,   /* .. bytes that came, bytes that are mapped */
+	EMCY_PDO_LONG = 0x8220,	   /* the same; the first bytes were used */
 	EMCY_SYNC_LENGTH = 0x8240,
+	EMCY_PDO_TIMEOUT = 0x8250,
 };
 enum {
 	ERROR_GENERIC = 1 << 0,
@@ -108,7 +114,7 @@ void sdo_start_upload(struct canopen_node *node);
 bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8]);
 uint64_t sdo_block_tick(struct canopen_node *node);
 
-/* pdo.c */
+/* pdo.c, tpdo.c, rpdo.c */
 int pdo_init(struct canopen_node *node);
 void pdo_reset(struct canopen_node *node);
 void pdo_start(struct canopen_node *node); /* operational begins */
@@ -117,14 +123,18 @@ void pdo_sample(struct canopen_node *node);
 void pdo_sync(struct canopen_node *node, uint8_t counter, bool late);
 /** The PDO with that identifier is asked for. */
 void pdo_receive_remote(struct canopen_node *node, uint32_t id);
-/** The identifiers of the PDOs that may be asked for; how many. */
+void pdo_receive(struct canopen_node *node, const struct can_msg *msg);
+/** The identifiers of the PDOs that may be asked for, and of those that are received; how many. */
 size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX]);
+size_t pdo_receive_ids(const struct canopen_node *node, uint32_t ids[RPDO_MAX]);
 uint64_t pdo_tick(struct canopen_node *node);
 
 /* sync.c */
 void sync_init(struct canopen_node *node);
 void sync_reset(struct canopen_node *node);
 void sync_receive(struct canopen_node *node, const struct can_msg *msg);
+/** Whether a synchronous RPDO came in time after the last SYNC. */
+bool sync_window_open(const struct canopen_node *node, const struct can_msg *msg);
 uint64_t sync_tick(struct canopen_node *node);
 
 /* emcy.c */
@@ -137,6 +147,9 @@ uint64_t emcy_tick(struct canopen_node *node);
  * the first byte of the manufacturer field. */
 enum { EMCY_NO_SOURCE = 0 };
 void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits);
+/** The same with another manufacturer field. */
+void emcy_set_info(
+	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5]);
 void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source);
 /** 1003h: nothing was recorded at this sub-index yet. */
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);

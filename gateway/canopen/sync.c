@@ -78,16 +78,40 @@ void sync_reset(struct canopen_node *node)
 {
 	node->sync.running = false;
 	node->sync.counter = 0;
+	node->sync.last_us = 0;
 	listen(node);
 	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, 0x1005, 0, NULL))
 		node_bad_data(node, 0x1005);
 }
 
-/* 1007h: how long after the SYNC its PDOs may still be sent. The core sends them as soon as it sees the SYNC, so
- * they are late only when the SYNC itself was seen late. */
-static bool window_passed(const struct canopen_node *node, const struct can_msg *msg)
+static uint64_t received_us(const struct canopen_node *node, const struct can_msg *msg)
 {
-	return *node->sync.window_us && msg->t_us && node->now_us > msg->t_us + *node->sync.window_us;
+	return msg->t_us ? msg->t_us : node->now_us;
+}
+
+bool sync_window_open(const struct canopen_node *node, const struct can_msg *msg)
+{
+	const struct sync *sync = &node->sync;
+
+	return *sync->window_us == 0 || sync->last_us == 0 ||
+	       received_us(node, msg) <= sync->last_us + *sync->window_us;
+}
+
+/* 1007h: how long after the SYNC its PDOs may still be sent. The core sends them as soon as it sees the SYNC, so
+ * they are late only when the SYNC itself was seen late. That is told by EMCY, as CiA 301, 7.5.2.7 allows. */
+static bool window_passed(struct canopen_node *node)
+{
+	struct sync *sync = &node->sync;
+	uint8_t info[5] = {0};
+
+	if (*sync->window_us == 0 || node->now_us <= sync->last_us + *sync->window_us) {
+		canopen_error_clear(node, EMCY_SYNC_WINDOW, node->now_us);
+		return false;
+	}
+	put_u16(info, 0x1007);
+	canopen_error_set(node, EMCY_SYNC_WINDOW, ERROR_COMMUNICATION, info, node->now_us);
+	sync->late++;
+	return true;
 }
 
 void sync_receive(struct canopen_node *node, const struct can_msg *msg)
@@ -103,9 +127,8 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg)
 	canopen_error_clear(node, EMCY_SYNC_LENGTH, node->now_us);
 	if (node->nmt.state != NMT_OPERATIONAL)
 		return;
-	bool late = window_passed(node, msg);
-	node->sync.late += late;
-	pdo_sync(node, counted ? msg->data[0] : 0, late);
+	node->sync.last_us = received_us(node, msg);
+	pdo_sync(node, counted ? msg->data[0] : 0, window_passed(node));
 }
 
 static bool produces(const struct canopen_node *node)
@@ -124,8 +147,10 @@ static void produce(struct canopen_node *node)
 	if (counted)
 		sync->counter = (uint8_t)(sync->counter % *sync->counter_overflow + 1);
 	node_send(node, *sync->cob_id & COB_ID_MASK, &sync->counter, counted ? 1 : 0);
-	if (node->nmt.state == NMT_OPERATIONAL)
-		pdo_sync(node, counted ? sync->counter : 0, false);
+	if (node->nmt.state != NMT_OPERATIONAL)
+		return;
+	sync->last_us = node->now_us;
+	pdo_sync(node, counted ? sync->counter : 0, false);
 }
 
 uint64_t sync_tick(struct canopen_node *node)

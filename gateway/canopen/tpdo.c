@@ -1,0 +1,206 @@
+/* Transmit PDOs (CiA 301, 7.2.2). A PDO is packed from the dictionary at the moment it is sent, and all PDOs of one SYNC
+ * in one go, so that they carry one sample. */
+#include "gateway/canopen/pdo.h"
+
+#include <math.h>
+#include <string.h>
+
+#include "od/wire.h"
+
+void tpdo_restart(struct canopen_node *node, struct tpdo *tpdo)
+{
+	tpdo->event = false;
+	tpdo->await_start = true;
+	tpdo->syncs = 0;
+	tpdo->sampled_len = 0;
+	tpdo->sent_before = false;
+	tpdo->inhibited_until_us = 0;
+	tpdo->timer_start_us = node->now_us;
+}
+
+static uint8_t pack(const struct canopen_node *node, const struct pdo *pdo, uint8_t data[PDO_BYTES])
+{
+	size_t len = 0;
+
+	for (size_t i = 0; i < pdo->mapped_count; i++)
+		len += od_get(node->od, pdo->mapped[i], data + len, PDO_BYTES - len);
+	return (uint8_t)len;
+}
+
+static void transmit(struct canopen_node *node, struct tpdo *tpdo)
+{
+	uint8_t len = pack(node, &tpdo->pdo, tpdo->sent);
+
+	node_send(node, pdo_can_id(&tpdo->pdo), tpdo->sent, len);
+	tpdo->sent_before = true;
+	tpdo->event = false;
+	tpdo->timer_start_us = node->now_us;
+	tpdo->inhibited_until_us = node->now_us + *tpdo->pdo.inhibit_100us * 100u;
+}
+
+/* ---- change of state --------------------------------------------------------------------------------------------- */
+
+static double distance(const struct od_entry *entry, const uint8_t *a, const uint8_t *b)
+{
+	float real[2];
+
+	switch ((enum od_type)entry->type) {
+	case OD_REAL32:
+		memcpy(&real[0], &(uint32_t){get_u32(a)}, sizeof(real[0]));
+		memcpy(&real[1], &(uint32_t){get_u32(b)}, sizeof(real[1]));
+		return fabs((double)real[0] - (double)real[1]);
+	case OD_INTEGER8:
+	case OD_INTEGER16:
+	case OD_INTEGER32:
+		return fabs((double)wire_signed(wire_get(a, entry->size), entry->size) -
+			    (double)wire_signed(wire_get(b, entry->size), entry->size));
+	case OD_BOOLEAN:
+	case OD_UNSIGNED8:
+	case OD_UNSIGNED16:
+	case OD_UNSIGNED32:
+		return fabs((double)wire_get(a, entry->size) - (double)wire_get(b, entry->size));
+	default:
+		return memcmp(a, b, entry->size) ? INFINITY : 0;
+	}
+}
+
+/* A sample is news when a value has moved by more than its threshold since the PDO was last sent. Where nothing has a
+ * threshold every sample is. */
+static bool is_news(const struct canopen_node *node, const struct tpdo *tpdo)
+{
+	const struct canopen_device *device = &node->device;
+	bool thresholds = false, moved = false;
+	uint8_t data[PDO_BYTES];
+	size_t at = 0;
+
+	if (!device->change_threshold || !tpdo->sent_before)
+		return true;
+	pack(node, &tpdo->pdo, data);
+	for (size_t i = 0; i < tpdo->pdo.mapped_count; i++) {
+		const struct od_entry *entry = tpdo->pdo.mapped[i];
+		double threshold = device->change_threshold(device->ctx, entry);
+
+		thresholds = thresholds || (threshold > 0 && threshold < INFINITY);
+		moved = moved || distance(entry, data + at, tpdo->sent + at) > threshold;
+		at += entry->size;
+	}
+	return moved || !thresholds;
+}
+
+static bool waits_for_news(const struct tpdo *tpdo)
+{
+	return tpdo->pdo.mapped_count && !tpdo->event &&
+	       (pdo_event_driven(&tpdo->pdo) || *tpdo->pdo.type == TYPE_SYNC_ACYCLIC);
+}
+
+void pdo_sample(struct canopen_node *node)
+{
+	struct pdos *pdos = &node->pdos;
+
+	if (node->nmt.state != NMT_OPERATIONAL)
+		return;
+	for (size_t i = 0; i < pdos->tpdo_count; i++)
+		if (waits_for_news(&pdos->tpdo[i]))
+			pdos->tpdo[i].event = is_news(node, &pdos->tpdo[i]);
+	tpdo_tick(node);
+}
+
+/* ---- SYNC -------------------------------------------------------------------------------------------------------- */
+
+/* The SYNC with the start value counts as the first one received; without a counter every PDO has started. */
+static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
+{
+	const struct pdo *pdo = &tpdo->pdo;
+
+	if (pdo->mapped_count == 0 || *pdo->type > TYPE_SYNC_MAX)
+		return false;
+	if (tpdo->await_start && counter && *pdo->sync_start && counter != *pdo->sync_start)
+		return false;
+	tpdo->await_start = false;
+	if (*pdo->type == TYPE_SYNC_ACYCLIC)
+		return tpdo->event;
+	if (++tpdo->syncs < *pdo->type)
+		return false;
+	tpdo->syncs = 0;
+	return true;
+}
+
+void tpdo_sync(struct canopen_node *node, uint8_t counter, bool late)
+{
+	for (size_t i = 0; i < node->pdos.tpdo_count; i++) {
+		struct tpdo *tpdo = &node->pdos.tpdo[i];
+
+		if (due_on_sync(tpdo, counter) && !late)
+			transmit(node, tpdo);
+		else if (*tpdo->pdo.type == TYPE_RTR_SYNC)
+			tpdo->sampled_len = pack(node, &tpdo->pdo, tpdo->sampled);
+	}
+}
+
+/* ---- RTR --------------------------------------------------------------------------------------------------------- */
+
+static bool answers_rtr(const struct tpdo *tpdo)
+{
+	const struct pdo *pdo = &tpdo->pdo;
+
+	return pdo->mapped_count && !(*pdo->cob_id & COB_ID_NO_RTR) && *pdo->type >= TYPE_RTR_SYNC;
+}
+
+size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX])
+{
+	size_t n = 0;
+
+	for (size_t i = 0; i < node->pdos.tpdo_count; i++)
+		if (answers_rtr(&node->pdos.tpdo[i]))
+			ids[n++] = pdo_can_id(&node->pdos.tpdo[i].pdo);
+	return n;
+}
+
+static void request(struct canopen_node *node, struct tpdo *tpdo)
+{
+	if (pdo_event_driven(&tpdo->pdo))
+		tpdo->event = true; /* which waits for the inhibit time */
+	else if (*tpdo->pdo.type == TYPE_RTR)
+		transmit(node, tpdo);
+	else if (tpdo->sampled_len)
+		node_send(node, pdo_can_id(&tpdo->pdo), tpdo->sampled, tpdo->sampled_len);
+}
+
+void pdo_receive_remote(struct canopen_node *node, uint32_t id)
+{
+	struct pdos *pdos = &node->pdos;
+
+	if (node->nmt.state != NMT_OPERATIONAL)
+		return;
+	for (size_t i = 0; i < pdos->tpdo_count; i++)
+		if (answers_rtr(&pdos->tpdo[i]) && pdo_can_id(&pdos->tpdo[i].pdo) == id)
+			request(node, &pdos->tpdo[i]);
+	tpdo_tick(node);
+}
+
+/* ---- time -------------------------------------------------------------------------------------------------------- */
+
+static uint64_t event_due_us(const struct tpdo *tpdo)
+{
+	if (tpdo->event)
+		return tpdo->inhibited_until_us;
+	if (*tpdo->pdo.event_ms)
+		return later(tpdo->timer_start_us + *tpdo->pdo.event_ms * 1000u, tpdo->inhibited_until_us);
+	return UINT64_MAX;
+}
+
+uint64_t tpdo_tick(struct canopen_node *node)
+{
+	uint64_t deadline = UINT64_MAX;
+
+	for (size_t i = 0; i < node->pdos.tpdo_count; i++) {
+		struct tpdo *tpdo = &node->pdos.tpdo[i];
+
+		if (tpdo->pdo.mapped_count == 0 || !pdo_event_driven(&tpdo->pdo))
+			continue;
+		if (event_due_us(tpdo) <= node->now_us)
+			transmit(node, tpdo);
+		deadline = earlier(deadline, event_due_us(tpdo));
+	}
+	return deadline;
+}
