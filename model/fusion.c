@@ -7,6 +7,10 @@
 
 /* The least horizontal part of the field, as a share of it, that shows a heading. */
 static const double LEAST_HORIZONTAL = 1e-3;
+/* Yaw is told from tilt only so far from looking straight up or down: cosine of the pitch. */
+static const double LEAST_LEVEL = 0.1;
+/* For so long the filters without a sigma go by a yaw from outside; memory of where the field points to meanwhile. */
+static const double TOLD_S = 10, NORTH_TIME_S = 10, TWO_PI = 6.28318530717958647692;
 
 static bool within(double value, double high)
 {
@@ -96,19 +100,33 @@ static void start(struct fusion *f, struct vec3 up_b, double force_m_s2)
  * north. */
 static void set_heading(struct fusion *f, struct vec3 h_n)
 {
-	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y)};
+	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y) - f->kalman.north_rad};
 
 	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
 	f->north_known = true;
 	fusion_kalman_north(&f->kalman, &f->config.kalman);
 }
 
+/* As long as a yaw from outside holds, where the field points to is learnt, not used. */
+static bool learn_north(struct fusion_kalman *k, struct vec3 h_n, double dt_s)
+{
+	double bearing = atan2(h_n.x, h_n.y);
+
+	if (k->north_open)
+		k->north_rad = bearing;
+	k->north_open = false;
+	if (k->yaw_s == 0)
+		return false;
+	k->north_rad += dt_s / (NORTH_TIME_S + dt_s) * remainder(bearing - k->north_rad, TWO_PI);
+	return true;
+}
+
 /* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010,
  * section 3.4), so that the field bears on the heading more than on the tilt. 0 where there is no
  * measurement to use. */
-static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample)
+static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
-	struct vec3 m, h_n, none = {0, 0, 0};
+	struct vec3 m, h_n, none = {0, 0, 0}, north;
 	double horizontal;
 
 	f->mag_used = false;
@@ -118,12 +136,15 @@ static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample
 	horizontal = hypot(h_n.x, h_n.y);
 	if (horizontal < LEAST_HORIZONTAL)
 		return none;
+	if (f->north_known && learn_north(&f->kalman, h_n, dt_s))
+		return none;
 	f->mag_used = true;
 	if (!f->north_known) {
 		set_heading(f, h_n);
 		return none;
 	}
-	return vec3_cross(m, quat_rotate_inverse(f->q_nb, (struct vec3){0, horizontal, h_n.z}));
+	north = (struct vec3){horizontal * sin(f->kalman.north_rad), horizontal * cos(f->kalman.north_rad), h_n.z};
+	return vec3_cross(m, quat_rotate_inverse(f->q_nb, north));
 }
 
 /* A step of fixed length against the gradient, but never beyond the minimum: half the error keeps
@@ -149,7 +170,8 @@ static void correct_by_error(struct fusion *f, const struct imu_sample *sample, 
 
 	if (direction(sample->accel_m_s2, &up))
 		error = vec3_cross(up, quat_rotate_inverse(f->q_nb, (struct vec3){0, 0, 1}));
-	error = vec3_add(error, field_error(f, sample));
+	error = vec3_add(error, field_error(f, sample, dt_s));
+	f->kalman.yaw_s = fmax(0, f->kalman.yaw_s - dt_s);
 	half = vec3_scale(dt_s / 2,
 		f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s) : mahony_turn(f, error, dt_s));
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
@@ -168,7 +190,7 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 	};
 
 	if (!f->north_known)
-		field_error(f, sample);
+		field_error(f, sample, dt_s);
 	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_bias_b_rad_s);
 }
 
@@ -181,7 +203,7 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 		if (!direction(sample->accel_m_s2, &up))
 			return;
 		start(f, up, vec3_norm(sample->accel_m_s2));
-		field_error(f, sample);
+		field_error(f, sample, dt_s);
 		return;
 	}
 	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, rate)));
@@ -199,4 +221,52 @@ struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s
 	if (!f->started)
 		return f->q_nb;
 	return quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(f->config.delay_s, rate)));
+}
+
+void fusion_set_attitude(struct fusion *f, struct quat q_nb)
+{
+	f->q_nb = quat_normalize(q_nb);
+	f->started = f->north_known = true;
+	fusion_kalman_set(&f->kalman);
+}
+
+static void turn_heading(struct fusion *f, double angle_rad)
+{
+	f->q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, angle_rad}), f->q_nb);
+}
+
+bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct vec3 gyro_b_rad_s)
+{
+	const struct vec3 now = aerospace_from_quat(fusion_attitude_now(f, gyro_b_rad_s));
+	double off = remainder(yaw_rad - now.z, TWO_PI), variance = sigma_rad * sigma_rad, own, turn;
+	bool first = !f->north_known;
+
+	if (!f->started || cos(now.y) < LEAST_LEVEL)
+		return false;
+	/* a wrong tilt shows as a wrong yaw, the more, the steeper the object stands */
+	variance += pow(tan(now.y), 2) * (f->kalman.covariance[0][0] + f->kalman.covariance[1][1]) / 2;
+	if (first) {
+		turn_heading(f, off);
+		f->north_known = true;
+		fusion_kalman_set_heading(&f->kalman, variance);
+		return true;
+	}
+	if (f->config.algorithm == FUSION_KALMAN)
+		return fusion_kalman_aid_heading(&f->kalman, off, variance, &f->q_nb, &f->gyro_bias_b_rad_s);
+	own = f->config.kalman.heading_sigma_rad * f->config.kalman.heading_sigma_rad;
+	turn = own / (own + variance) * off;
+	turn_heading(f, turn);
+	f->kalman.north_rad -= turn;
+	f->kalman.yaw_s = TOLD_S;
+	return false;
+}
+
+void fusion_aid_velocity(struct fusion *f, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 gyro_b_rad_s)
+{
+	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+	struct vec3 lever_n = quat_rotate(f->q_nb, vec3_cross(rate, f->config.lever_arm_b_m));
+
+	if (f->started && f->config.algorithm == FUSION_KALMAN)
+		fusion_kalman_aid_velocity(
+			&f->kalman, velocity_n_m_s, lever_n, sigma_m_s * sigma_m_s, &f->q_nb, &f->gyro_bias_b_rad_s);
 }

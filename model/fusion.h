@@ -71,13 +71,23 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 /** The attitude at the time stamp of a sample with this (calibrated) rate: ahead of q_nb by the delay. */
 struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s);
 
+/** The attitude from outside, taken as it is. Where the field points to from there is its north from now on. */
+void fusion_set_attitude(struct fusion *f, struct quat q_nb);
+/** The yaw at the time stamp of the last sample, of this (calibrated) rate, from outside. For FUSION_KALMAN a measurement;
+ * the others, which know no sigma of their own, take it for as good as heading_sigma. While it comes (10 s) the
+ * magnetometer does not count, but learns where its north lies. The first one, where north is not known, sets the heading.
+ * No use looking straight up or down. Returns whether the attitude jumped. */
+bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct vec3 gyro_b_rad_s);
+/** The velocity of the reference point from outside: FUSION_KALMAN then tells tilt from acceleration by it. */
+void fusion_aid_velocity(struct fusion *f, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 gyro_b_rad_s);
+
 /** q_nb is an attitude, not the identity it holds before the first usable sample. */
 static inline bool fusion_started(const struct fusion *f)
 {
 	return f->started;
 }
 
-/** A magnetometer measurement has set the heading since the start or restart. */
+/** A magnetometer measurement, or a yaw from outside, has set the heading since the start or restart. */
 static inline bool fusion_north_known(const struct fusion *f)
 {
 	return f->north_known;

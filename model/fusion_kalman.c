@@ -5,7 +5,8 @@
 
 #include "model/rotation.h"
 
-#define DEG (3.14159265358979323846 / 180)
+#define PI  3.14159265358979323846
+#define DEG (PI / 180)
 
 enum { BIAS = KALMAN_BIAS, VELOCITY = KALMAN_VELOCITY, HEADING = KALMAN_HEADING, STATES = KALMAN_STATES };
 
@@ -40,6 +41,14 @@ static const double UNDISTURBED_S = 0.25;
 static const double DISTURBANCE_SHARE = 0.2;
 /* At rest, the field of the first time counts, and one near it by this share of its length. */
 static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
+/* An attitude from outside is taken to be right within this. What is told from outside holds for so long. */
+static const double SET_ANGLE_RAD = 1 * DEG, TOLD_S = 10;
+/* A heading told that is further off is refused, but not the fifth in a row: then this filter is wrong; a velocity takes
+ * the place of what was. */
+static const double GATE_SIGMAS = 5;
+enum { YAW_REFUSED_MOST = 5 };
+/* Memory of where the field points to in the frame of the headings told. */
+static const double NORTH_TIME_S = 10;
 /* Time in bounds makes up for time in rejection; a field that counts though it is out of bounds counts for less. */
 static const double RECOVERY = 2, REJECTED_WEIGHT = 16;
 
@@ -124,6 +133,18 @@ void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_con
 	k->norm_uT = 0; /* the next field is the reference */
 }
 
+void fusion_kalman_set(struct fusion_kalman *k)
+{
+	for (int i = 0; i <= HEADING; i++)
+		renew(k, i, squared(SET_ANGLE_RAD));
+	renew_velocity(k);
+	if (k->covariance[BIAS][BIAS] == 0)
+		fusion_kalman_forget_bias(k);
+	k->norm_uT = 0;
+	k->north_open = true;
+	forget_gathered(k);
+}
+
 /* The errors' covariance carried over what was gathered. */
 static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
@@ -168,7 +189,8 @@ static void measure(struct fusion_kalman *k, double *error, int i, double measur
 static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	struct vec3 lever_n_m_s, bool rest, double *error)
 {
-	double x = k->velocity_n_m_s[0] - lever_n_m_s.x, y = k->velocity_n_m_s[1] - lever_n_m_s.y;
+	double x = k->velocity_n_m_s[0] - lever_n_m_s.x - k->told_n_m_s[0];
+	double y = k->velocity_n_m_s[1] - lever_n_m_s.y - k->told_n_m_s[1];
 	double most = squared(config->velocity_sigma_m_s), share = fmin(1, k->time_s / SPREAD_TIME_S), variance;
 
 	k->spread_m2_s2 += share * ((x * x + y * y) / 2 - k->spread_m2_s2);
@@ -264,13 +286,25 @@ static bool field_moved_at_rest(struct fusion_kalman *k, struct vec3 field_n_uT,
 	return vec3_norm(vec3_sub(field_n_uT, k->still_field_n_uT)) > STILL_FIELD_SHARE * k->norm_uT;
 }
 
+/* Where the field points to is the reference, too, and follows as long as the heading is told. Returns how far the
+ * attitude is off that. */
+static double off_north(struct fusion_kalman *k, double bearing_rad)
+{
+	if (k->north_open)
+		k->north_rad = bearing_rad;
+	k->north_open = false;
+	if (k->yaw_s > 0)
+		k->north_rad += k->time_s / (NORTH_TIME_S + k->time_s) * remainder(bearing_rad - k->north_rad, 2 * PI);
+	return remainder(bearing_rad - k->north_rad, 2 * PI);
+}
+
 static bool measure_heading(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, bool rest, double *error)
 {
 	struct vec3 m = vec3_scale(1.0 / k->fields, k->field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
 	double factor, variance = squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0],
-		       pose_s;
+		       pose_s, off;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT))
 		return false;
@@ -288,10 +322,13 @@ static bool measure_heading(
 	factor = judge_field(k, config, &f);
 	if (field_moved_at_rest(k, m, rest) || factor == 0)
 		return false;
+	off = off_north(k, atan2(m.x, m.y));
+	if (k->yaw_s > 0)
+		return false;
 	variance += DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
 		    squared(f.horizontal_uT);
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
-	measure(k, error, HEADING, atan2(m.x, m.y), factor * 2 * pose_s / k->time_s * variance);
+	measure(k, error, HEADING, off, factor * 2 * pose_s / k->time_s * variance);
 	return true;
 }
 
@@ -304,13 +341,96 @@ static bool sound(const struct fusion_kalman *k)
 	return true;
 }
 
+static void apply(struct fusion_kalman *k, const double *error, struct quat *q_nb, struct vec3 *bias)
+{
+	double norm;
+
+	*q_nb = quat_normalize(
+		quat_multiply(quat_from_rotation_vector((struct vec3){error[0], error[1], error[2]}), *q_nb));
+	k->velocity_n_m_s[0] += error[VELOCITY];
+	k->velocity_n_m_s[1] += error[VELOCITY + 1];
+	*bias = vec3_add(*bias, (struct vec3){error[BIAS], error[BIAS + 1], error[BIAS + 2]});
+	norm = vec3_norm(*bias);
+	if (norm > MOST_BIAS_RAD_S)
+		*bias = vec3_scale(MOST_BIAS_RAD_S / norm, *bias);
+}
+
+void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
+{
+	renew(k, HEADING, variance_rad2);
+	renew_velocity(k);
+	forget_gathered(k);
+	k->north_open = true;
+	k->yaw_s = TOLD_S;
+	k->yaw_refused = 0;
+}
+
+bool fusion_kalman_aid_heading(
+	struct fusion_kalman *k, double off_rad, double variance_rad2, struct quat *q_nb, struct vec3 *bias)
+{
+	double error[STATES] = {0}, total = k->covariance[HEADING][HEADING] + variance_rad2;
+
+	if (squared(off_rad) > squared(GATE_SIGMAS) * total) {
+		if (++k->yaw_refused < YAW_REFUSED_MOST)
+			return false;
+		*q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, off_rad}), *q_nb);
+		fusion_kalman_set_heading(k, variance_rad2);
+		return true;
+	}
+	measure(k, error, HEADING, off_rad, variance_rad2);
+	apply(k, error, q_nb, bias);
+	k->yaw_s = TOLD_S;
+	k->yaw_refused = 0;
+	return false;
+}
+
+void fusion_kalman_aid_velocity(struct fusion_kalman *k, struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s,
+	double variance_m2_s2, struct quat *q_nb, struct vec3 *bias)
+{
+	double error[STATES] = {0};
+
+	double x = velocity_n_m_s.x + lever_n_m_s.x - k->velocity_n_m_s[0];
+	double y = velocity_n_m_s.y + lever_n_m_s.y - k->velocity_n_m_s[1];
+	double total = k->covariance[VELOCITY][VELOCITY] + k->covariance[VELOCITY + 1][VELOCITY + 1];
+
+	/* the lever arm's share is known as well as the attitude */
+	variance_m2_s2 += vec3_dot(lever_n_m_s, lever_n_m_s) * k->covariance[HEADING][HEADING];
+
+	if (k->told_s == 0 || x * x + y * y > squared(GATE_SIGMAS) * (total + 2 * variance_m2_s2)) {
+		renew_velocity(k);
+		k->velocity_n_m_s[0] = velocity_n_m_s.x + lever_n_m_s.x;
+		k->velocity_n_m_s[1] = velocity_n_m_s.y + lever_n_m_s.y;
+	} else {
+		measure(k, error, VELOCITY, x, variance_m2_s2);
+		measure(k, error, VELOCITY + 1, y, variance_m2_s2);
+		apply(k, error, q_nb, bias);
+	}
+	k->told_n_m_s[0] = velocity_n_m_s.x;
+	k->told_n_m_s[1] = velocity_n_m_s.y;
+	k->told_s = TOLD_S;
+}
+
+/* What was told is forgotten after a while: without it, another velocity is expected. */
+static void age_what_was_told(struct fusion_kalman *k)
+{
+	k->yaw_s = fmax(0, k->yaw_s - k->time_s);
+	if (k->told_s == 0)
+		return;
+	k->told_s = fmax(0, k->told_s - k->time_s);
+	if (k->told_s > 0)
+		return;
+	k->told_n_m_s[0] = k->told_n_m_s[1] = 0;
+	renew_velocity(k);
+}
+
 static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct vec3 lever_n_m_s,
 	struct quat *q_nb, struct vec3 *bias)
 {
-	double error[STATES] = {0}, norm;
+	double error[STATES] = {0};
 	bool rest = k->rest_s > 0.5 * k->time_s, field_used;
 
 	predict(k, config);
+	age_what_was_told(k);
 	measure_velocity(k, config, lever_n_m_s, rest, error);
 	if (rest)
 		measure_bias(k, *bias, error);
@@ -320,14 +440,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 		fusion_kalman_start(k, config, 0);
 		return false;
 	}
-	*q_nb = quat_normalize(
-		quat_multiply(quat_from_rotation_vector((struct vec3){error[0], error[1], error[2]}), *q_nb));
-	k->velocity_n_m_s[0] += error[VELOCITY];
-	k->velocity_n_m_s[1] += error[VELOCITY + 1];
-	*bias = vec3_add(*bias, (struct vec3){error[BIAS], error[BIAS + 1], error[BIAS + 2]});
-	norm = vec3_norm(*bias);
-	if (norm > MOST_BIAS_RAD_S)
-		*bias = vec3_scale(MOST_BIAS_RAD_S / norm, *bias);
+	apply(k, error, q_nb, bias);
 	forget_gathered(k);
 	return field_used;
 }

@@ -14,6 +14,8 @@
  *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed. An object that does not turn
  *   sees the same error again and again: little is learnt from that.
  * - Gyro bias: learnt from tilt and heading in motion, from the gyro itself at rest.
+ * - From outside, a heading and a velocity: as measurements of their own. While they come, the magnetometer only learns
+ *   where its north lies in their frame, and the velocity expected is the one last told.
  *
  * Sources of the ideas: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and
  * magnetic disturbance rejection", Information Fusion 91, 2023 (low-pass in the almost inertial frame, limits and times
@@ -60,6 +62,11 @@ struct fusion_kalman {
 	struct vec3 still_field_n_uT; /* since the beginning of a rest */
 	double still_s;
 	double reference_s, undisturbed_s, rejected_s;
+	double north_rad; /* where the field points to, clockwise from y; open: the next field tells */
+	bool north_open;
+	double yaw_s; /* for so long the heading last told still holds */
+	int yaw_refused;
+	double told_n_m_s[2], told_s; /* the velocity last told, and for how long it still holds */
 };
 
 /** 0, or -EINVAL: a field out of its range. */
@@ -71,6 +78,18 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 /** Nothing is known of the bias. */
 void fusion_kalman_forget_bias(struct fusion_kalman *k);
+
+/** The attitude was set from outside, heading included, true to a degree. */
+void fusion_kalman_set(struct fusion_kalman *k);
+/** The heading was set from outside. */
+void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2);
+/** A heading from outside: the attitude is to be turned by off_rad about the vertical. What the filter does not believe is
+ * refused, the fifth time in a row it is taken as it is. Returns whether the attitude jumped. */
+bool fusion_kalman_aid_heading(
+	struct fusion_kalman *k, double off_rad, double variance_rad2, struct quat *q_nb, struct vec3 *bias_b_rad_s);
+/** The velocity of the reference point from outside; lever_n_m_s: that of the accelerometer beyond it. */
+void fusion_kalman_aid_velocity(struct fusion_kalman *k, struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s,
+	double variance_m2_s2, struct quat *q_nb, struct vec3 *bias_b_rad_s);
 
 /** The object frame was turned: v_new = R(turn) v_old. */
 void fusion_kalman_turn(struct fusion_kalman *k, struct quat turn);

@@ -40,6 +40,8 @@ static const double HEADING_JUMP_RAD = 0.35;
 static const double QUICK_MIN_M_S = 0.05;
 /* A shorter movement is told better by the accelerometer alone. */
 static const double LEVELLING_AFTER_S = 5;
+/* How long a velocity told holds, and how far it is from zero when it is no standstill's. An attitude told. */
+static const double AIDED_S = 5, AIDED_SIGMAS = 3, AIDED_GATE_SIGMAS = 5, SET_ANGLE_RAD = 0.0175;
 /* What may have happened in a gap. */
 static const double GAP_ACCEL_M_S2 = 2;
 static const double APART_TIME_S = 1;
@@ -284,7 +286,7 @@ static bool stands_still(const struct navigation *n)
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
 	double still_s = n->stillness.still_s;
 
-	if (still_s <= STILL_TIME_S)
+	if (still_s <= STILL_TIME_S || (n->aided_s > 0 && n->told_to_move))
 		return false;
 	return still_s > n->config.rest_s ||
 	       (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
@@ -325,7 +327,7 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 {
 	double spread2 = quick_variance(n, in->gravity_m_s2);
 
-	n->moving_s += n->sums.t_s;
+	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
 		spread2 = square(n->config.velocity_prior_m_s);
 	else if (!n->config.levelling || n->moving_s < LEVELLING_AFTER_S)
@@ -426,6 +428,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	still = stands_still(n);
 	if (n->still && !still && n->stood_s > STOOD_S)
 		begin_movement(n);
+	n->aided_s = fmax(0, n->aided_s - dt_s);
 	n->stood_s = still ? n->stood_s + dt_s : 0;
 	n->still = still;
 	n->gravity_m_s2 = in->gravity_m_s2;
@@ -437,6 +440,74 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
 	return true;
+}
+
+/* row . errors was measured */
+static void measure_sum(struct navigation *n, double x[N], const double row[N], double error, double noise)
+{
+	double h[N] = {0}, total = noise;
+
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			h[i] += n->p[i][j] * row[j];
+	for (int i = 0; i < N; i++) {
+		total += row[i] * h[i];
+		error -= row[i] * x[i];
+	}
+	for (int i = 0; i < N; i++) {
+		x[i] += h[i] / total * error;
+		for (int j = 0; j < N; j++)
+			n->p[i][j] -= h[i] / total * h[j];
+	}
+}
+
+/* The velocity of the sensor beyond that of the reference point is u = R (omega x r); with the errors of attitude and
+ * gyro bias it is u + theta x u - R (bg x r). */
+static void measure_aid(
+	struct navigation *n, struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double sigma_m_s)
+{
+	struct vec3 u = u_n_m_s, r = quat_rotate(n->q_nb, lever_b_m);
+	const double u_cross[3][3] = {{0, -u.z, u.y}, {u.z, 0, -u.x}, {-u.y, u.x, 0}};
+	const double r_cross[3][3] = {{0, -r.z, r.y}, {r.z, 0, -r.x}, {-r.y, r.x, 0}}, offs[3] = {off.x, off.y, off.z};
+	struct mat3 r_nb = mat3_from_quat(n->q_nb);
+	double x[N] = {0};
+
+	for (int i = 0; i < 3; i++) {
+		double row[N] = {0};
+
+		row[V + i] = 1;
+		for (int j = 0; j < 3; j++) {
+			row[THETA + j] = u_cross[i][j];
+			for (int k = 0; k < 3; k++)
+				row[BG + j] -= r_cross[i][k] * r_nb.m[k][j];
+		}
+		measure_sum(n, x, row, offs[i], square(sigma_m_s));
+	}
+	take(n, x);
+}
+
+void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, double sigma_m_s,
+	struct vec3 omega_b_rad_s, struct vec3 lever_b_m)
+{
+	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)), var = variance(n, V);
+	struct vec3 off = vec3_sub(vec3_add(velocity_n_m_s, u), n->velocity_n_m_s);
+
+	if (vec3_dot(off, off) > square(AIDED_GATE_SIGMAS) * (var.x + var.y + var.z + 3 * square(sigma_m_s))) {
+		n->velocity_n_m_s = vec3_add(velocity_n_m_s, u);
+		set_variance(n, V, square(sigma_m_s));
+	} else {
+		measure_aid(n, off, u, lever_b_m, sigma_m_s);
+	}
+	n->aided_s = AIDED_S;
+	n->told_to_move = vec3_norm(velocity_n_m_s) > AIDED_SIGMAS * sigma_m_s + STILL_VELOCITY_M_S;
+}
+
+void navigation_set_attitude(struct navigation *n, struct quat q_nb)
+{
+	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
+	n->q_nb = q_nb;
+	set_variance(n, THETA, square(SET_ANGLE_RAD));
+	memset(&n->sums, 0, sizeof(n->sums));
 }
 
 void navigation_reset_position(struct navigation *n)

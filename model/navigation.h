@@ -98,6 +98,8 @@ struct navigation {
 	struct vec3 quick_n_m_s; /* high-pass of the velocity */
 	double quick2_max;	 /* of its square, since the last standstill */
 	double moving_s;	 /* since the last standstill */
+	double aided_s;		 /* for how long the velocity last told still holds */
+	bool told_to_move;	 /* it was no standstill's */
 };
 
 /** 1 sigma: of the fusion's attitude (rotation about each axis of n), of an acceleration turned by it, of velocity, of
@@ -118,6 +120,15 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s);
 /** One sample, dt_s > 0 after the one before. Returns whether it was the last of an interval, with which the covariance
  * changes. */
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s);
+
+/** The velocity of the reference point from outside, global frame; lever_b_m: from it to the sensor, omega: of the last
+ * sample, without bias. A measurement, and where it is beyond belief taken in place of what was. For 5 s after the last
+ * one no levelling takes place, nor does a steady motion that it told of pass for a standstill. */
+void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, double sigma_m_s,
+	struct vec3 omega_b_rad_s, struct vec3 lever_b_m);
+
+/** The attitude from outside, true to a degree: the velocity turns with the object, the position stays. */
+void navigation_set_attitude(struct navigation *n, struct quat q_nb);
 
 /** Position zero, and certain. */
 void navigation_reset_position(struct navigation *n);

@@ -3,7 +3,8 @@
 #include <errno.h>
 #include <string.h>
 
-#define DEG (3.14159265358979323846 / 180)
+#define PI  3.14159265358979323846
+#define DEG (PI / 180)
 #define IDENTITY_TRIAD                                        \
 	{                                                     \
 		.matrix = { {1, 0, 0}, {0, 1, 0}, {0, 0, 1} } \
@@ -52,6 +53,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 };
 
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
+static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_RAD = 1e-4, ATTITUDE_NORM_OFF = 0.1;
 /* A gap longer than this leaves nothing of the attitude but the heading. */
 static const double ATTITUDE_HOLD_S = 1;
 /* A magnetometer slower than the samples still counts as used between its measurements. */
@@ -167,6 +169,44 @@ void pipeline_reset_position(struct pipeline *p)
 	position_reset(&p->position);
 }
 
+static bool plausible(struct vec3 v, double max)
+{
+	return fabs(v.x) <= max && fabs(v.y) <= max && fabs(v.z) <= max; /* false for NaN */
+}
+
+int pipeline_aid_velocity(struct pipeline *p, struct vec3 v_n_m_s, double sigma_m_s)
+{
+	if (!plausible(v_n_m_s, AID_MAX_M_S) || !(sigma_m_s >= AID_SIGMA_MIN_M_S && sigma_m_s <= AID_MAX_M_S))
+		return -EINVAL;
+	if (!p->started || !fusion_started(&p->fusion))
+		return 0;
+	fusion_aid_velocity(&p->fusion, v_n_m_s, sigma_m_s, p->last_gyro_b_rad_s);
+	position_aid_velocity(&p->position, v_n_m_s, sigma_m_s, p->config.estimator.lever_arm_b_m);
+	return 0;
+}
+
+int pipeline_aid_yaw(struct pipeline *p, double yaw_rad, double sigma_rad)
+{
+	if (!(fabs(yaw_rad) <= 2 * PI) || !(sigma_rad >= AID_SIGMA_MIN_RAD && sigma_rad <= PI))
+		return -EINVAL;
+	if (p->started && fusion_aid_yaw(&p->fusion, yaw_rad, sigma_rad, p->last_gyro_b_rad_s))
+		p->primed = false; /* what is differentiated and filtered begins anew */
+	return 0;
+}
+
+int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb)
+{
+	double norm = sqrt(q_nb.w * q_nb.w + q_nb.x * q_nb.x + q_nb.y * q_nb.y + q_nb.z * q_nb.z);
+	struct quat from = p->fusion.q_nb;
+
+	if (!(fabs(norm - 1) <= ATTITUDE_NORM_OFF))
+		return -EINVAL;
+	fusion_set_attitude(&p->fusion, q_nb);
+	position_set_attitude(&p->position, from, p->fusion.q_nb);
+	p->primed = false;
+	return 0;
+}
+
 static void start_over(struct pipeline *p)
 {
 	uint32_t gaps = p->gaps, refused = p->refused;
@@ -174,11 +214,6 @@ static void start_over(struct pipeline *p)
 	pipeline_init(p, &p->config, p->rate_hz);
 	p->gaps = gaps;
 	p->refused = refused;
-}
-
-static bool plausible(struct vec3 v, double max)
-{
-	return fabs(v.x) <= max && fabs(v.y) <= max && fabs(v.z) <= max; /* false for NaN */
 }
 
 static bool usable(const struct pipeline *p, const struct imu_sample *s)
@@ -327,6 +362,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	else
 		locate(p, &s, accel, rest, dt_s);
 	p->last_t_us = s.t_us;
+	p->last_gyro_b_rad_s = s.gyro_rad_s;
 	p->started = p->primed = true;
 
 	q_nb = fusion_attitude_now(&p->fusion, s.gyro_rad_s);

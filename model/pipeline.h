@@ -78,6 +78,7 @@ struct pipeline {
 	struct rest rest;
 	struct position position;
 	uint64_t last_t_us;
+	struct vec3 last_gyro_b_rad_s;
 	bool started; /* there is a sample before this one */
 	bool primed;  /* .. and the filters may go on from it */
 	struct vec3 mag_b_uT;
@@ -106,6 +107,21 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  * from this sample (without a magnetometer with the old heading). A sample marked
  * SAMPLE_DISCONTINUITY starts everything over. */
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out);
+
+/* What another device knows, told between two samples; it holds at the time stamp of the last one. 0, or -EINVAL with *p
+ * untouched: a value not finite or out of the range given. Before there is an attitude the two aids do nothing. A
+ * discontinuity forgets what was told. */
+
+/** The velocity of the reference point, global frame, +-1000 m/s each, with 1 sigma of 0.001..1000 m/s. In position mode 2
+ * a measurement of the navigation; in mode 1 it is taken as the velocity. FUSION_KALMAN also corrects its tilt by it. The
+ * longest integration time starts anew. */
+int pipeline_aid_velocity(struct pipeline *p, struct vec3 v_n_m_s, double sigma_m_s);
+/** The heading as yaw of pipeline_output.angles_rad, +-2 pi, with 1 sigma of 0.0001..pi: a measurement of the fusion
+ * (fusion_aid_yaw()). Its frame may have another north than the magnetic one. */
+int pipeline_aid_yaw(struct pipeline *p, double yaw_rad, double sigma_rad);
+/** The attitude, of length 1 within a tenth: taken as it is. The velocity turns with the object, the position stays; where
+ * the magnetic field points to from there is its north from now on. */
+int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb);
 
 /** Velocity and position to zero (2040h reset command). */
 void pipeline_reset_position(struct pipeline *p);

@@ -102,6 +102,7 @@ static void follow(struct position *p, const struct navigation_input *in, struct
 		p->anchor_n_m = vec3_sub(reference_n_m, p->position_n_m);
 		p->anchored = true;
 	}
+	p->omega_b_rad_s = omega_b_rad_s;
 	p->velocity_n_m_s = (struct vec3){0, 0, 0};
 	if (position_limited(p))
 		return;
@@ -140,4 +141,22 @@ void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_n
 		navigation_skip(&p->navigation, q_nb, dt_s);
 	p->accel_n_m_s2 = accel_n_m_s2;
 	p->moving_s += dt_s;
+}
+
+void position_aid_velocity(struct position *p, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 lever_b_m)
+{
+	p->moving_s = 0;
+	if (p->config.mode == POSITION_ZERO_VELOCITY_AT_REST)
+		p->velocity_n_m_s = velocity_n_m_s;
+	else if (p->navigation.started)
+		navigation_aid_velocity(&p->navigation, velocity_n_m_s, sigma_m_s, p->omega_b_rad_s, lever_b_m);
+}
+
+void position_set_attitude(struct position *p, struct quat from, struct quat to)
+{
+	p->velocity_n_m_s = quat_rotate(to, quat_rotate_inverse(from, p->velocity_n_m_s));
+	p->residual_n_m_s2 = (struct vec3){0, 0, 0};
+	p->anchored = false;
+	if (p->navigation.started)
+		navigation_set_attitude(&p->navigation, to);
 }

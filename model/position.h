@@ -27,7 +27,8 @@ struct position {
 	/* PRIVATE */
 	struct vec3 accel_n_m_s2;    /* of the last sample */
 	struct vec3 residual_n_m_s2; /* acceleration at the last rest */
-	double moving_s;	     /* since the last rest */
+	double moving_s;	     /* since the last rest, or velocity from outside */
+	struct vec3 omega_b_rad_s;   /* of the last sample, by navigation */
 	struct vec3 anchor_n_m;	     /* the navigation's position of the reference point where the position is 0 */
 	struct vec3 moved_from_n_m;
 	bool anchored;
@@ -46,6 +47,11 @@ void position_navigate(
 	struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double rate_hz, double dt_s);
 /** The same after missing samples, for both: nothing is integrated over the gap, but its time counts. */
 void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_nb, double dt_s);
+/** The velocity of the reference point from outside: to navigation a measurement, else taken as the velocity. The
+ * integration time starts anew. */
+void position_aid_velocity(struct position *p, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 lever_b_m);
+/** The attitude from outside, before it `from`: the velocity turns with the object, the position stays. */
+void position_set_attitude(struct position *p, struct quat from, struct quat to);
 /** The longest integration time has passed. */
 bool position_limited(const struct position *p);
 /** 1 sigma of the position exceeds the limit. Known by navigation only. */

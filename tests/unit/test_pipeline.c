@@ -597,6 +597,255 @@ static void test_the_same_samples_give_the_same_bits(void **state)
 	}
 }
 
+/* ---- what another device knows ---- */
+
+static struct pipeline_config by_algorithm(enum fusion_algorithm algorithm)
+{
+	struct pipeline_config config = with_lever();
+
+	config.fusion.algorithm = algorithm;
+	return config;
+}
+
+/* Samples from..to-1 of a body at rest, with the yaw told every tenth. */
+static struct pipeline_output stand_told(struct pipeline *p, double yaw_rad, double sigma_rad, int from, int to)
+{
+	struct pipeline_output out = {.t_us = 0};
+
+	for (int k = from; k < to; k++) {
+		if (k % 10 == 0)
+			assert_int_equal(pipeline_aid_yaw(p, yaw_rad, sigma_rad), 0);
+		out = run(p, standing, k, k + 1);
+	}
+	return out;
+}
+
+static void test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did(void **state)
+{
+	(void)state;
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
+		struct pipeline_config config = by_algorithm((enum fusion_algorithm)algorithm);
+		struct pipeline p;
+
+		config.fusion.use_magnetometer = 0;
+		p = pipeline(&config);
+		run(&p, standing, 0, 200);
+		assert_int_equal(pipeline_aid_yaw(&p, -2, 1 * DEG), 0);
+		assert_near(run(&p, standing, 200, 201).angles_rad.z, -2, 0.1 * DEG);
+	}
+}
+
+static void test_a_yaw_told_is_followed_and_the_magnetometer_does_not_fight_it(void **state)
+{
+	(void)state;
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
+		struct pipeline_config config = by_algorithm((enum fusion_algorithm)algorithm);
+		struct pipeline p = pipeline(&config);
+		double yaw = run(&p, standing, 0, 2000).angles_rad.z + 20 * DEG;
+		struct pipeline_output out = stand_told(&p, yaw, 1 * DEG, 2000, 6000);
+
+		assert_near(out.angles_rad.z, yaw, 0.5 * DEG);
+		assert_near(out.angles_rad.y, aerospace_from_quat(standing(0).q_nb).y, 0.1 * DEG);
+		assert_int_equal(out.status & PIPELINE_MAG_USED, 0);
+		/* 40 s after the last one the magnetometer counts again, and holds the heading that was told */
+		out = run(&p, standing, 6000, 14000);
+		assert_near(out.angles_rad.z, yaw, 1 * DEG);
+		assert_true(out.status & PIPELINE_MAG_USED);
+	}
+}
+
+static void test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	double yaw = run(&p, standing, 0, 2000).angles_rad.z;
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * DEG), 0);
+		assert_near(run(&p, standing, 2000 + i, 2001 + i).angles_rad.z, yaw, 0.5 * DEG);
+	}
+	assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * DEG), 0);
+	assert_near(run(&p, standing, 2004, 2005).angles_rad.z, yaw + 1.5, 0.5 * DEG);
+}
+
+static void test_a_yaw_told_weighs_by_its_sigma(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline sharp = pipeline(&config), vague;
+	double yaw = run(&sharp, standing, 0, 2000).angles_rad.z;
+
+	(void)state;
+	vague = sharp;
+	assert_int_equal(pipeline_aid_yaw(&sharp, yaw + 2 * DEG, 0.1 * DEG), 0);
+	assert_int_equal(pipeline_aid_yaw(&vague, yaw + 2 * DEG, 60 * DEG), 0);
+	assert_near(run(&sharp, standing, 2000, 2001).angles_rad.z, yaw + 2 * DEG, 0.2 * DEG);
+	assert_near(run(&vague, standing, 2000, 2001).angles_rad.z, yaw, 0.2 * DEG);
+}
+
+static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **state)
+{
+	const struct vec3 up_b = {0, 0, 1};
+
+	(void)state;
+	for (int mode = POSITION_ZERO_VELOCITY_AT_REST; mode <= POSITION_NAVIGATION; mode++) {
+		struct pipeline_config config = with_lever();
+		struct pipeline_output before, after;
+		struct quat turned, own;
+		struct pipeline p;
+
+		config.position.mode = (enum position_mode)mode;
+		config.fusion.delay_s = 0;
+		p = pipeline(&config);
+		before = run(&p, moving, 0, 600);
+		own = mode == POSITION_NAVIGATION ? p.position.navigation.q_nb : before.q_nb;
+		turned = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 1}), before.q_nb);
+		assert_int_equal(pipeline_reset_attitude(&p, turned), 0);
+		after = run(&p, moving, 600, 601);
+		assert_quat_near(after.q_nb,
+			quat_multiply(turned, quat_multiply(quat_conjugate(moving(599).q_nb), moving(600).q_nb)),
+			0.2 * DEG);
+		assert_vec_near(quat_rotate_inverse(after.q_nb, after.velocity_n_m_s),
+			quat_rotate_inverse(own, before.velocity_n_m_s), 0.1);
+		assert_vec_near(after.position_n_m, before.position_n_m, 0.02);
+		/* and stays: the magnetometer has another north now */
+		after = run(&p, moving, 601, 6000);
+		assert_near(quat_rotate(after.q_nb, up_b).z, quat_rotate(moving(5999).q_nb, up_b).z, 0.02);
+		assert_near(
+			remainder(after.angles_rad.z - aerospace_from_quat(moving(5999).q_nb).z, 2 * PI), 1, 3 * DEG);
+	}
+}
+
+static void test_an_attitude_told_before_the_first_sample_holds(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct quat north_up = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 2}), standing(0).q_nb);
+
+	(void)state;
+	assert_int_equal(pipeline_reset_attitude(&p, north_up), 0);
+	assert_quat_near(run(&p, standing, 0, 400).q_nb, north_up, 0.5 * DEG);
+}
+
+/* A vehicle on its way at 3 m/s that nothing shakes: nobody can tell by its sensors that it moves. */
+static void test_a_velocity_told_is_integrated_where_no_sensor_shows_it(void **state)
+{
+	const struct vec3 v = {3, -1, 0};
+
+	(void)state;
+	for (int mode = POSITION_ZERO_VELOCITY_AT_REST; mode <= POSITION_NAVIGATION; mode++) {
+		struct pipeline_config config = with_lever();
+		struct pipeline_output out = {.t_us = 0};
+		struct pipeline p;
+
+		config.position.mode = (enum position_mode)mode;
+		config.position.longest_integration_s = 2;
+		p = pipeline(&config);
+		run(&p, standing, 0, 100);
+		pipeline_reset_position(&p);
+		for (int k = 100; k < 100 + 10 * RATE_HZ; k++) {
+			if (k % 20 == 0)
+				assert_int_equal(pipeline_aid_velocity(&p, v, 0.05), 0);
+			out = run(&p, standing, k, k + 1);
+		}
+		if (mode == POSITION_NAVIGATION) {
+			assert_vec_near(out.velocity_n_m_s, v, 0.05);
+			assert_vec_near(out.position_n_m, vec3_scale(10, v), 0.7);
+			assert_true(out.sigma.velocity_m_s.x < 0.05);
+		}
+		assert_int_equal(out.status & PIPELINE_TIME_LIMIT, 0);
+	}
+}
+
+/* 2 m/s^2 to the east for 10 s: without the velocity every filter leans towards what it takes for gravity. */
+static void test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_attitude(void **state)
+{
+	double tilt[2];
+
+	(void)state;
+	for (int told = 0; told < 2; told++) {
+		struct pipeline_config config = PIPELINE_DEFAULTS;
+		struct pipeline p;
+		struct pipeline_output out = {.t_us = 0};
+
+		p = pipeline(&config);
+		for (int k = 0; k < 15 * RATE_HZ; k++) {
+			double t = (double)k / RATE_HZ - 5;
+			struct imu_sample s = {.t_us = (uint64_t)(k * INTERVAL_US),
+				.accel_m_s2 = {t > 0 ? 2 : 0, 0, G},
+				.mag_uT = FIELD_N,
+				.flags = SAMPLE_MAG};
+
+			if (told && k % 20 == 0)
+				pipeline_aid_velocity(&p, (struct vec3){t > 0 ? 2 * t : 0, 0, 0}, 0.05);
+			out = step(&p, &s);
+		}
+		tilt[told] = fabs(out.angles_rad.y);
+		if (told)
+			assert_near(out.velocity_n_m_s.x, 20, 0.3);
+	}
+	assert_true(tilt[1] < 0.3 * DEG);
+	assert_true(tilt[0] > 3 * tilt[1]);
+}
+
+static void test_the_velocity_told_is_that_of_the_reference_point(void **state)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct pipeline_output out = {.t_us = 0};
+	struct pipeline p;
+
+	(void)state;
+	config.estimator.lever_arm_b_m = (struct vec3){1, 0, 0};
+	p = pipeline(&config);
+	for (int k = 0; k < 10 * RATE_HZ; k++) { /* turns about its reference point at 1 rad/s */
+		struct quat q = quat_from_rotation_vector((struct vec3){0, 0, (double)k / RATE_HZ});
+		struct imu_sample s = {.t_us = (uint64_t)(k * INTERVAL_US),
+			.gyro_rad_s = {0, 0, 1},
+			.accel_m_s2 = {-1, 0, G},
+			.mag_uT = quat_rotate_inverse(q, FIELD_N),
+			.flags = SAMPLE_MAG};
+
+		if (k == 5 * RATE_HZ)
+			pipeline_reset_position(&p);
+		pipeline_aid_velocity(&p, ZERO, 0.01);
+		out = step(&p, &s);
+	}
+	assert_vec_near(out.velocity_n_m_s, ZERO, 0.05);
+	assert_vec_near(out.position_n_m, ZERO, 0.05);
+}
+
+static void test_what_no_device_can_mean_is_refused_and_nothing_of_it_taken(void **state)
+{
+	const double bad[] = {NAN, INFINITY, -INFINITY, 1001, -1001};
+	const double sigmas[] = {0, -1, NAN, INFINITY, 1001};
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config), before;
+
+	(void)state;
+	run(&p, moving, 0, 300);
+	before = p;
+	for (int i = 0; i < 5; i++) {
+		assert_int_equal(pipeline_aid_velocity(&p, (struct vec3){0, bad[i], 0}, 1), -EINVAL);
+		assert_int_equal(pipeline_aid_velocity(&p, ZERO, sigmas[i]), -EINVAL);
+		assert_int_equal(pipeline_aid_yaw(&p, bad[i], 1), -EINVAL);
+		assert_int_equal(pipeline_aid_yaw(&p, 0, sigmas[i]), -EINVAL);
+		assert_int_equal(pipeline_reset_attitude(&p, (struct quat){1, 0, bad[i], 0}), -EINVAL);
+	}
+	assert_int_equal(pipeline_reset_attitude(&p, (struct quat){0, 0, 0, 0}), -EINVAL);
+	assert_memory_equal(&p, &before, sizeof(p));
+}
+
+static void test_told_before_there_is_an_attitude_it_does_nothing(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline told = pipeline(&config), untold = told;
+
+	(void)state;
+	assert_int_equal(pipeline_aid_velocity(&told, (struct vec3){1, 2, 3}, 1), 0);
+	assert_int_equal(pipeline_aid_yaw(&told, 1, 1), 0);
+	assert_memory_equal(&told, &untold, sizeof(told));
+}
+
 static double wild(void)
 {
 	double odds = any();
@@ -640,6 +889,9 @@ static void test_no_input_makes_an_output_that_is_not_finite(void **state)
 			config.accel_filter.type = (enum filter_type)(k / 1200 % 3);
 			assert_int_equal(pipeline_configure(&p, &config), 0);
 		}
+		pipeline_aid_yaw(&p, wild(), fabs(wild()));
+		if (any() > 0.9)
+			pipeline_aid_velocity(&p, wild_vec(), fabs(wild()));
 		if (pipeline_step(&p, &s, &out) < 0)
 			continue;
 		taken++;
@@ -732,6 +984,17 @@ int main(void)
 		cmocka_unit_test(test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position),
 		cmocka_unit_test(test_a_bad_configuration_is_refused_and_nothing_of_it_taken),
 		cmocka_unit_test(test_the_same_samples_give_the_same_bits),
+		cmocka_unit_test(test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did),
+		cmocka_unit_test(test_a_yaw_told_is_followed_and_the_magnetometer_does_not_fight_it),
+		cmocka_unit_test(test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed),
+		cmocka_unit_test(test_a_yaw_told_weighs_by_its_sigma),
+		cmocka_unit_test(test_an_attitude_told_is_taken_as_it_is_and_the_place_stays),
+		cmocka_unit_test(test_an_attitude_told_before_the_first_sample_holds),
+		cmocka_unit_test(test_a_velocity_told_is_integrated_where_no_sensor_shows_it),
+		cmocka_unit_test(test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_attitude),
+		cmocka_unit_test(test_the_velocity_told_is_that_of_the_reference_point),
+		cmocka_unit_test(test_what_no_device_can_mean_is_refused_and_nothing_of_it_taken),
+		cmocka_unit_test(test_told_before_there_is_an_attitude_it_does_nothing),
 		cmocka_unit_test(test_no_input_makes_an_output_that_is_not_finite),
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
 	};
