@@ -38,6 +38,22 @@ static int set_number(unsigned *out, const char *key, const char *value, unsigne
 	return 0;
 }
 
+/* 255: wait for one by LSS. */
+static int set_node_id(unsigned *out, const char *key, const char *value, char *error)
+{
+	unsigned node_id;
+	int rc = set_number(&node_id, key, value, 1, 255, error);
+
+	if (rc == 0 && node_id > 127 && node_id != 255)
+		rc = -EINVAL;
+	if (rc < 0)
+		snprintf(error, CONFIG_ERROR_MAX,
+			"%s: '%.100s' is not a number from 1 to 127, or 255 (waits for one by LSS)", key, value);
+	else
+		*out = node_id;
+	return rc;
+}
+
 int config_option(struct config *c, const char *key, const char *value, char *error)
 {
 	if (strcmp(key, "imu") == 0)
@@ -47,7 +63,7 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 	if (strcmp(key, "store") == 0)
 		return set_text(c->store, key, value, error);
 	if (strcmp(key, "node_id") == 0)
-		return set_number(&c->node_id, key, value, 1, 127, error);
+		return set_node_id(&c->node_id, key, value, error);
 	if (strcmp(key, "bitrate") == 0)
 		return set_number(&c->bitrate, key, value, 10000, 1000000, error);
 	if (strcmp(key, "realtime") == 0)

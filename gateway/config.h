@@ -19,9 +19,9 @@ struct config {
 	char imu[CONFIG_TEXT_MAX];
 	char can[CONFIG_TEXT_MAX];
 	char store[CONFIG_TEXT_MAX]; /* folder; empty: the default one */
-	unsigned node_id;
-	unsigned bitrate;  /* bit/s; 0: as the interface is */
-	unsigned realtime; /* SCHED_FIFO priority; 0: ordinary scheduling */
+	unsigned node_id;	     /* 255: waits for one by LSS */
+	unsigned bitrate;	     /* bit/s; 0: as the interface is */
+	unsigned realtime;	     /* SCHED_FIFO priority; 0: ordinary scheduling */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

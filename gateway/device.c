@@ -8,9 +8,7 @@
 #include "gateway/settings.h"
 
 /* ERROR REGISTER bits (1001h); the core adds the generic bit */
-enum { REGISTER_COMMUNICATION = 1 << 4, REGISTER_MANUFACTURER = 1 << 7 };
-
-enum { OVERRUN_OVER_US = 1000000 };
+enum { REGISTER_MANUFACTURER = 1 << 7 };
 
 static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
 
@@ -119,11 +117,32 @@ static enum od_status on_restore(void *ctx, enum od_group group)
 	return save(d);
 }
 
+static enum od_status on_store_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
+{
+	struct device *d = ctx;
+
+	if (d->save_under_way)
+		return OD_DEVICE_STATE;
+	d->saving = d->stored;
+	d->saving.lss.node_id = node_id;
+	if (bit_s)
+		d->saving.lss.bit_s = bit_s;
+	enum od_status status = save(d);
+	d->lss_save = status == OD_PENDING;
+	return status;
+}
+
 void device_saved(struct device *d, int result, uint64_t now_us)
 {
+	enum od_status status = storage_result(d, result);
+
 	if (result < 0)
 		log_line("the values could not be stored: %s", strerror(-result));
-	canopen_store_done(&d->canopen, storage_result(d, result), now_us);
+	if (d->lss_save)
+		canopen_lss_stored(&d->canopen, status, now_us);
+	else
+		canopen_store_done(&d->canopen, status, now_us);
+	d->lss_save = false;
 }
 
 static void apply_stored(struct device *d, enum od_group group)
@@ -156,8 +175,8 @@ static void on_reset(void *ctx, enum od_group group)
 	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
 		d->configuration_changed = true; /* the contradiction is reported with the next sample */
 	/* faults that last are found and told anew */
-	d->sensor_lost = d->overrun = d->position_unsure = false;
-	d->bus_seen = CAN_STATE_ACTIVE;
+	d->sensor_lost = d->position_unsure = false;
+	bus_health_reset(&d->bus_health);
 }
 
 /* LSS may have given another node-ID with the reset: what a reset begins with, and storing compares to, follows. */
@@ -168,6 +187,16 @@ static void follow_node_id(struct device *d)
 	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
 	d->node_id = d->canopen.id;
 	log_line("node-ID %u from now on, by LSS", d->node_id);
+}
+
+static bool on_bit_rate_possible(void *ctx, uint32_t bit_s)
+{
+	return bus_health_bit_rate_possible(&((struct device *)ctx)->bus_health, bit_s);
+}
+
+static void on_set_bit_rate(void *ctx, uint32_t bit_s)
+{
+	bus_health_set_bit_rate(&((struct device *)ctx)->bus_health, bit_s);
 }
 
 static void on_nmt_changed(void *ctx, enum nmt_state state)
@@ -184,7 +213,7 @@ static void on_nmt_changed(void *ctx, enum nmt_state state)
 static void attach_hooks(struct device *d)
 {
 	d->configuration_hook =
-		(struct od_hook){.first = 0x2000, .last = 0x20FF, .after = on_configuration_changed, .ctx = d};
+		(struct od_hook){.first = 0x2000, .last = 0x206F, .after = on_configuration_changed, .ctx = d};
 	d->command_hook = (struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
 	d->resolution_hook = (struct od_hook){.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
 	d->preset_hook = (struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
@@ -212,8 +241,14 @@ static int start_pipeline(struct device *d)
 int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
 	const struct store_image *stored, uint8_t node_id)
 {
-	const struct canopen_device callbacks = {
-		.ctx = d, .store = on_store, .restore = on_restore, .reset = on_reset, .nmt_changed = on_nmt_changed};
+	const struct canopen_device callbacks = {.ctx = d,
+		.store = on_store,
+		.restore = on_restore,
+		.reset = on_reset,
+		.nmt_changed = on_nmt_changed,
+		.store_lss = storage ? on_store_lss : NULL,
+		.bit_rate_possible = on_bit_rate_possible,
+		.set_bit_rate = on_set_bit_rate};
 
 	d->bus = bus;
 	d->imu = imu;
@@ -221,13 +256,13 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	d->stored = stored ? *stored : (struct store_image){0};
 	d->base = d->values;
 	d->node_id = node_id;
-	d->bus_seen = CAN_STATE_ACTIVE;
 	apply_stored(d, OD_GROUP_ALL);
 
 	int rc = start_pipeline(d);
 	if (rc < 0)
 		return rc;
 	attach_hooks(d);
+	bus_health_init(&d->bus_health, bus, &d->canopen, &d->od);
 	return canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
 }
 
@@ -311,71 +346,15 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 	canopen_receive(&d->canopen, msg, now_us);
 }
 
-static void watch_bus_state(struct device *d)
-{
-	enum can_state state = d->bus->state, seen = d->bus_seen;
-
-	if (state == seen)
-		return;
-	d->bus_seen = state;
-	log_line("%s: %s", d->bus->name,
-		state == CAN_STATE_ACTIVE    ? "error active"
-		: state == CAN_STATE_WARNING ? "error warning"
-		: state == CAN_STATE_PASSIVE
-			? "error passive (is another node on the bus? cable, termination, bit rate)"
-		: state == CAN_STATE_BUS_OFF ? "bus-off"
-					     : "down (ip link set up?)");
-	if (state == CAN_STATE_BUS_OFF)
-		canopen_bus_off(&d->canopen, d->now_us);
-	if (state == CAN_STATE_PASSIVE)
-		canopen_error_set(&d->canopen, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, d->now_us);
-	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
-		canopen_error_clear(&d->canopen, EMCY_ERROR_PASSIVE, d->now_us);
-	if (seen == CAN_STATE_BUS_OFF) {
-		canopen_error_set(&d->canopen, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, d->now_us);
-		canopen_error_clear(&d->canopen, EMCY_BUS_OFF_OVER, d->now_us);
-	}
-}
-
-/* Lost frames are one error as long as more are lost within a second of the last. */
-static void watch_lost_frames(struct device *d)
-{
-	uint32_t dropped = d->bus->counters.tx_dropped;
-
-	if (dropped != d->dropped_seen && d->bus->state != CAN_STATE_DOWN) {
-		d->overrun = true;
-		d->overrun_us = d->now_us;
-		canopen_error_set(&d->canopen, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, d->now_us);
-	} else if (d->overrun && d->now_us - d->overrun_us > OVERRUN_OVER_US) {
-		d->overrun = false;
-		canopen_error_clear(&d->canopen, EMCY_CAN_OVERRUN, d->now_us);
-	}
-	d->dropped_seen = dropped;
-}
-
-static void publish_bus_counters(struct device *d)
-{
-	const struct can_counters *c = &d->bus->counters;
-
-	d->values.bus_counters.tx_frames = c->tx;
-	d->values.bus_counters.rx_frames = c->rx;
-	d->values.bus_counters.tx_retries = c->tx_retries;
-	d->values.bus_counters.tx_dropped = c->tx_dropped;
-	d->values.bus_counters.rx_dropped = c->rx_dropped;
-	d->values.bus_counters.error_frames = c->errors;
-	d->values.bus_counters.bus_off = c->bus_off;
-}
-
 uint64_t device_tick(struct device *d, uint64_t now_us)
 {
 	d->now_us = now_us;
 	if (now_us - d->last_sample_us >= d->imu->silence_us)
 		sensor_lost(d);
-	watch_bus_state(d);
-	watch_lost_frames(d);
-	publish_bus_counters(d);
 
-	uint64_t next = canopen_tick(&d->canopen, now_us);
+	uint64_t next = bus_health_tick(&d->bus_health, now_us);
+	uint64_t protocol = canopen_tick(&d->canopen, now_us);
+	next = protocol < next ? protocol : next;
 	uint64_t silent = d->last_sample_us + d->imu->silence_us;
 	return d->sensor_lost || next < silent ? next : silent;
 }

@@ -12,6 +12,7 @@
 
 #include "drivers/ports/can.h"
 #include "drivers/ports/imu.h"
+#include "gateway/bus_health.h"
 #include "gateway/canopen/node.h"
 #include "gateway/status.h"
 #include "gateway/store.h"
@@ -36,16 +37,15 @@ struct device {
 	struct device_storage storage;
 	struct pipeline pipeline;
 	struct canopen_node canopen;
+	struct bus_health bus_health;
 	struct can_port *bus;
 	struct imu_port *imu;
 	struct od_hook configuration_hook, command_hook, resolution_hook, preset_hook;
 	struct od_domain eds;
 	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
 	uint32_t samples;	 /* taken since the start */
-	uint32_t dropped_seen;	 /* bus->counters.tx_dropped at the last look */
-	uint64_t overrun_us;	 /* the last look that found frames lost */
-	enum can_state bus_seen;
-	bool configuration_changed, sensor_lost, position_unsure, overrun, save_under_way;
+	bool lss_save;		 /* the save under way is one of LSS */
+	bool configuration_changed, sensor_lost, position_unsure, save_under_way;
 	uint8_t node_id; /* that `base` is for */
 	uint64_t now_us; /* the time of the call that is running */
 };

@@ -17,25 +17,26 @@
 
 enum { EXIT_USAGE = 2 };
 
-static const char usage[] = "usage: imu9-gateway [OPTION]...\n"
-			    "Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
-			    "\n"
-			    "  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
-			    "      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
-			    "sim)\n"
-			    "      --can BUS         a CAN interface, or udp[:GROUP[:PORT]]                    "
-			    "(default vcan0)\n"
-			    "      --node-id N       1 to 127                                                  "
-			    "(default 1)\n"
-			    "      --bitrate B       bit/s; set it with `ip link`, this only says what is expected\n"
-			    "      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-			    "      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
-			    "                        ~/.local/state/imu9-gateway when not root)\n"
-			    "      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
-			    "      --help, --version\n"
-			    "\n"
-			    "Precedence: defaults < FILE < command line < values stored by 1010h.\n"
-			    "Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
+static const char usage[] =
+	"usage: imu9-gateway [OPTION]...\n"
+	"Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
+	"\n"
+	"  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
+	"      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
+	"sim)\n"
+	"      --can BUS         a CAN interface, or udp[:GROUP[:PORT]]                    "
+	"(default vcan0)\n"
+	"      --node-id N       1 to 127, or 255: waits for one by LSS                    "
+	"(default 1)\n"
+	"      --bitrate B       bit/s, set where that is permitted (CAP_NET_ADMIN)   (default: as it is)\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+	"      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
+	"                        ~/.local/state/imu9-gateway when not root)\n"
+	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
+	"      --help, --version\n"
+	"\n"
+	"Precedence: defaults < FILE < command line < what 1010h and LSS stored.\n"
+	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
 
 enum { OPT_KEY = 256, OPT_SET, OPT_HELP, OPT_VERSION }; /* OPT_KEY: a key of [gateway] */
 
@@ -131,20 +132,39 @@ static int read_configuration(struct config *config, int argc, char **argv)
 	return status;
 }
 
-static void store_path(char *path, size_t size, const struct config *config)
+static void store_folder(char *folder, size_t size, const struct config *config)
 {
 	const char *state = getenv("XDG_STATE_HOME"), *home = getenv("HOME");
-	char folder[CONFIG_TEXT_MAX * 2];
 
 	if (config->store[0])
-		snprintf(folder, sizeof(folder), "%s", config->store);
+		snprintf(folder, size, "%s", config->store);
 	else if (geteuid() == 0 || (!state && !home))
-		snprintf(folder, sizeof(folder), "/var/lib/imu9-gateway");
+		snprintf(folder, size, "/var/lib/imu9-gateway");
 	else if (state)
-		snprintf(folder, sizeof(folder), "%.400s/imu9-gateway", state);
+		snprintf(folder, size, "%.400s/imu9-gateway", state);
 	else
-		snprintf(folder, sizeof(folder), "%.400s/.local/state/imu9-gateway", home);
-	snprintf(path, size, "%s/node-%u.store", folder, config->node_id);
+		snprintf(folder, size, "%.400s/.local/state/imu9-gateway", home);
+}
+
+/* One file a bus: node-IDs change. */
+static void store_path(char *path, size_t size, const char *folder, const char *bus)
+{
+	int n = snprintf(path, size, "%s/", folder);
+
+	snprintf(path + n, size - (size_t)n, "%s.store", bus);
+	for (char *p = path + n; *p; p++)
+		if (strchr("/:[] ", *p))
+			*p = '_';
+}
+
+/* Files of version 0.1 are named by the node-ID. */
+static void take_over_old_store(const char *path, const char *folder, unsigned node_id)
+{
+	char old[STORE_PATH_MAX];
+
+	snprintf(old, sizeof(old), "%.500s/node-%u.store", folder, node_id);
+	if (access(path, F_OK) < 0 && errno == ENOENT && rename(old, path) == 0)
+		log_line("%s is %s from now on", old, path);
 }
 
 static void go_realtime(unsigned priority)
@@ -174,9 +194,18 @@ static struct store_writer writer;
  * runs all the same. */
 static struct store_writer *open_store(const struct config *config, bool *damaged)
 {
-	char path[STORE_PATH_MAX];
+	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX];
 
-	store_path(path, sizeof(path), config);
+	*damaged = false;
+	store_folder(folder, sizeof(folder), config);
+	store_path(path, sizeof(path), folder, config->can);
+	int opened = store_writer_open(&writer, path);
+	if (opened == -EADDRINUSE) {
+		log_line(
+			"%s belongs to another gateway that runs: nothing is stored; give a folder with --store", path);
+		return NULL;
+	}
+	take_over_old_store(path, folder, config->node_id);
 	int rc = store_read(&stored, path);
 	*damaged = rc < 0;
 	if (rc < 0)
@@ -184,12 +213,11 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 			rc == -EBADMSG	 ? "damaged; kept as .bad"
 			: rc == -ENOTSUP ? "of another version; kept as .bad"
 					 : strerror(-rc));
-	rc = store_writer_open(&writer, path);
-	if (rc < 0) {
-		log_line("%s: %s: 1010h cannot store; give a folder with --store", path, strerror(-rc));
+	if (opened < 0) {
+		log_line("%s: %s: 1010h cannot store; give a folder with --store", path, strerror(-opened));
 		return NULL;
 	}
-	log_line("1010h stores in %s", path);
+	log_line("1010h and LSS store in %s", path);
 	return &writer;
 }
 
@@ -211,23 +239,58 @@ static void identify(struct od_values *values, const struct imu_port *imu)
 		IMU9_VERSION);
 }
 
+/* The node-ID that LSS stored wins over the configured one, as every stored value does. */
+static uint8_t start_node_id(const struct config *config)
+{
+	unsigned node_id = stored.lss.node_id ? stored.lss.node_id : config->node_id;
+
+	if (node_id != config->node_id)
+		log_line("node-ID %u, stored by LSS, wins over the configured %u", node_id, config->node_id);
+	if (node_id == CANOPEN_UNCONFIGURED)
+		log_line("no node-ID: waits for one by LSS");
+	return (uint8_t)node_id;
+}
+
+/* So does the bit rate. */
+static void start_bit_rate(const struct config *config, struct can_port *bus)
+{
+	uint32_t bit_s = stored.lss.bit_s ? stored.lss.bit_s : config->bitrate;
+
+	if (bit_s == 0 || bit_s == bus->bit_s)
+		return;
+	int rc = can_bit_rate(bus, bit_s, false);
+	if (rc == 0)
+		log_line("%s: %u bit/s set%s", bus->name, bit_s, stored.lss.bit_s ? ", as stored by LSS" : "");
+	else if (rc == -EPERM)
+		log_line("%s runs at %u bit/s; %u is not permitted to be set (CAP_NET_ADMIN): `ip link set %s down; "
+			 "ip link set %s up type can bitrate %u`",
+			bus->name, bus->bit_s, bit_s, bus->name, bus->name, bit_s);
+	else if (rc == -EOPNOTSUPP && bus->bit_s == 0)
+		log_line("%s has no bit rate; its load is reckoned at %u bit/s", bus->name, bus->bit_s = bit_s);
+	else
+		log_line("%s: %u bit/s cannot be set: %s", bus->name, bit_s,
+			rc == -EOPNOTSUPP ? "the controller has no such bit rate" : strerror(-rc));
+}
+
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
 {
 	struct device_storage storage = {.ctx = &writer, .save = save_through_writer};
 	bool damaged;
 
-	od_init(&device.od, &imu9_od_table, &device.values, (uint8_t)config->node_id);
+	struct store_writer *store = open_store(config, &damaged);
+	uint8_t node_id = start_node_id(config);
+	start_bit_rate(config, bus);
+	od_init(&device.od, &imu9_od_table, &device.values, node_id);
 	config_apply(config, &device.od);
 	identify(&device.values, imu);
-	struct store_writer *store = open_store(config, &damaged);
-	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, (uint8_t)config->node_id);
+	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, node_id);
 	if (rc == -EINVAL)
 		log_line("the configuration contradicts itself: is a calibration matrix singular, "
 			 "or a filter order 0?");
 	else if (rc < 0)
 		log_line("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
-		log_line("node %u on %s, sensor %s at %.1f Hz", config->node_id, bus->name, imu->name, imu->rate_hz);
+		log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
 		go_realtime(config->realtime);
 		rc = loop_run(&device, bus, imu, store, damaged);
 		if (rc < 0)
@@ -259,10 +322,6 @@ int main(int argc, char **argv)
 		imu_close(imu);
 		return EXIT_FAILURE;
 	}
-	if (config.bitrate)
-		log_line("%u bit/s expected: a CAN interface gets it by `ip link set %s type can "
-			 "bitrate %u`",
-			config.bitrate, config.can, config.bitrate);
 	status = run(&config, bus, imu);
 	can_close(bus);
 	imu_close(imu);

@@ -6,11 +6,12 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/eventfd.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
-enum { VERSION = 1, HEADER_SIZE = sizeof(magic) + 8, CRC_SIZE = 4 };
+enum { VERSION = 2, VERSION_WITHOUT_LSS = 1, HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, CRC_SIZE = 4 };
 
 struct store_group *store_group(struct store_image *image, enum od_group group)
 {
@@ -40,6 +41,9 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 		memcpy(out + n + 4, g->dcf, g->size);
 		n += 4 + g->size;
 	}
+	put_u32(out + n, image->lss.node_id);
+	put_u32(out + n + 4, image->lss.bit_s);
+	n += LSS_SIZE;
 	memcpy(out, magic, sizeof(magic));
 	put_u32(out + 8, VERSION);
 	put_u32(out + 12, n - HEADER_SIZE);
@@ -47,7 +51,7 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	return n + CRC_SIZE;
 }
 
-/* The groups between header and CRC: false when they do not fill `size` exactly. */
+/* False when the groups do not fill `size` exactly. */
 static bool decode_groups(struct store_image *image, const uint8_t *in, size_t size)
 {
 	for (int i = 0; i < STORE_GROUPS; i++) {
@@ -64,6 +68,25 @@ static bool decode_groups(struct store_image *image, const uint8_t *in, size_t s
 	return size == 0;
 }
 
+static bool decode_lss(struct store_lss *lss, const uint8_t *in)
+{
+	uint32_t node_id = get_u32(in);
+
+	if (node_id > 127 && node_id != 255)
+		return false;
+	*lss = (struct store_lss){.node_id = (uint8_t)node_id, .bit_s = get_u32(in + 4)};
+	return true;
+}
+
+/* What stands between header and CRC. */
+static bool decode_body(struct store_image *image, const uint8_t *in, size_t size, uint32_t version)
+{
+	if (version == VERSION_WITHOUT_LSS)
+		return decode_groups(image, in, size);
+	return size >= LSS_SIZE && decode_groups(image, in, size - LSS_SIZE) &&
+	       decode_lss(&image->lss, in + size - LSS_SIZE);
+}
+
 int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 {
 	*image = (struct store_image){0};
@@ -71,10 +94,11 @@ int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 		return -EBADMSG;
 	if (get_u32(in + size - CRC_SIZE) != od_crc32(0, in, size - CRC_SIZE))
 		return -EBADMSG;
-	if (get_u32(in + 8) != VERSION)
+	uint32_t version = get_u32(in + 8);
+	if (version != VERSION && version != VERSION_WITHOUT_LSS)
 		return -ENOTSUP;
 	if (get_u32(in + 12) != size - HEADER_SIZE - CRC_SIZE ||
-		!decode_groups(image, in + HEADER_SIZE, size - HEADER_SIZE - CRC_SIZE)) {
+		!decode_body(image, in + HEADER_SIZE, size - HEADER_SIZE - CRC_SIZE, version)) {
 		*image = (struct store_image){0};
 		return -EBADMSG;
 	}
@@ -189,23 +213,46 @@ static int make_folders(const char *path)
 	return 0;
 }
 
+/* The kernel lets go of it however the process ends. */
+static int lock_path(const char *path)
+{
+	char name[STORE_PATH_MAX + 8];
+
+	snprintf(name, sizeof(name), "%s.lock", path);
+	int fd = open(name, O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+	if (fd < 0)
+		return -errno;
+	if (flock(fd, LOCK_EX | LOCK_NB) == 0)
+		return fd;
+	int rc = errno == EWOULDBLOCK ? -EADDRINUSE : -errno;
+	close(fd);
+	return rc;
+}
+
 int store_writer_open(struct store_writer *w, const char *path)
 {
-	*w = (struct store_writer){.fd = -1};
+	*w = (struct store_writer){.fd = -1, .claim = -1};
 	if (strlen(path) >= sizeof(w->path))
 		return -ENAMETOOLONG;
 	strcpy(w->path, path);
 	int rc = make_folders(path);
 	if (rc < 0)
 		return rc;
+	w->claim = lock_path(path);
+	if (w->claim < 0)
+		return w->claim;
 	w->fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-	if (w->fd < 0)
-		return -errno;
+	if (w->fd < 0) {
+		rc = -errno;
+		close(w->claim);
+		return rc;
+	}
 	pthread_mutex_init(&w->lock, NULL);
 	pthread_cond_init(&w->wake, NULL);
 	rc = pthread_create(&w->thread, NULL, writer_main, w);
 	if (rc != 0) {
 		close(w->fd);
+		close(w->claim);
 		w->fd = -1;
 	}
 	return -rc;
@@ -251,6 +298,7 @@ void store_writer_close(struct store_writer *w)
 	pthread_join(w->thread, NULL);
 	pthread_mutex_destroy(&w->lock);
 	pthread_cond_destroy(&w->wake);
+	close(w->claim);
 	close(w->fd);
 	w->fd = -1;
 }

@@ -1,10 +1,11 @@
 /* gateway/store.h
- * What 1010h keeps, through power cuts. The codec is pure; the file is written whole beside the old
+ * What 1010h and LSS keep, through power cuts. The codec is pure; the file is written whole beside the old
  * one, synced, and renamed over it, so that at any moment either the old or the new values are
  * there in full.
  *
  * File: "IMU9STOR", u32 version, u32 size of what follows up to the CRC, then for each group 2..4 a
- * u32 size and a concise DCF (od_encode()), u32 CRC-32 of all before. Little-endian. */
+ * u32 size and a concise DCF (od_encode()), u32 node-ID and u32 bit rate of LSS (since version 2; 0: none), u32 CRC-32 of
+ * all before. Little-endian. */
 #ifndef GATEWAY_STORE_H
 #define GATEWAY_STORE_H
 
@@ -27,6 +28,10 @@ struct store_image {
 		uint8_t dcf[STORE_GROUP_MAX];
 		size_t size; /* 0: nothing stored */
 	} groups[STORE_GROUPS];
+	struct store_lss {
+		uint8_t node_id; /* 1..127; 255: to wait for one; 0: nothing stored */
+		uint32_t bit_s;	 /* 0: nothing stored */
+	} lss;
 };
 
 /** The group's place in the image; group is OD_GROUP_COMMUNICATION, _APPLICATION or _MANUFACTURER.
@@ -48,6 +53,7 @@ int store_write(const char *path, const uint8_t *bytes, size_t size);
 /** A thread that does the blocking store_write(); `fd` becomes readable when one has ended. */
 struct store_writer {
 	int fd;
+	int claim; /* PATH.lock, held as long as the writer is open */
 	char path[STORE_PATH_MAX];
 	pthread_t thread;
 	pthread_mutex_t lock;
@@ -58,7 +64,7 @@ struct store_writer {
 	size_t size;
 };
 
-/** Makes the folder of `path` where it lacks. 0 or -errno. */
+/** Makes the folder of `path` where it lacks. 0; -EADDRINUSE: another process stores there; other -errno. */
 int store_writer_open(struct store_writer *w, const char *path);
 /** 0: under way; -EBUSY: one is under way already. Copies the bytes. */
 int store_writer_submit(struct store_writer *w, const uint8_t *bytes, size_t size);

@@ -1,0 +1,256 @@
+#include "gateway/bus_health.h"
+
+#include <errno.h>
+#include <string.h>
+
+#include "gateway/log.h"
+#include "gateway/status.h"
+
+enum { REGISTER_COMMUNICATION = 1 << 4 };
+
+enum {
+	LOOK_US = 1000000,
+	OVERRUN_OVER_US = 1000000,
+	RESTART_DELAY_MAX_MS = 60000,
+	DOUBLINGS_MAX = 16,
+	RESTART = 11, /* 2122h:11 */
+};
+
+/* ---- load -------------------------------------------------------------------------------------------------------- */
+
+/* Start of frame to interframe space: 47 bits without data (ISO 11898-1); 34 and the data are stuffed, after four bits
+ * one at the most. */
+uint64_t bus_health_bits(uint64_t frames, uint64_t bytes)
+{
+	return 47 * frames + 8 * bytes + (34 * frames + 8 * bytes) / 8;
+}
+
+static void publish_load(struct bus_health *h, uint64_t elapsed_us)
+{
+	const struct can_traffic *now = &h->bus->traffic, *then = &h->traffic;
+	uint64_t bits = bus_health_bits(now->frames - then->frames, now->bytes - then->bytes);
+	uint64_t room = h->bus->bit_s * elapsed_us / 1000000;
+	uint64_t permille = room > 0 ? bits * 1000 / room : 0;
+
+	if (now->frames < then->frames) /* another interface of that name */
+		permille = 0;
+	h->values->bus_health.load = (uint16_t)(permille < UINT16_MAX ? permille : UINT16_MAX);
+	if (h->values->bus_health.load > h->values->bus_health.highest_load)
+		h->values->bus_health.highest_load = h->values->bus_health.load;
+}
+
+static void look(struct bus_health *h)
+{
+	if (h->look_us > 0 && h->now_us - h->look_us < LOOK_US)
+		return;
+	can_look(h->bus);
+	if (h->look_us > 0)
+		publish_load(h, h->now_us - h->look_us);
+	h->traffic = h->bus->traffic;
+	h->look_us = h->now_us;
+}
+
+static void publish(struct bus_health *h)
+{
+	const struct can_port *bus = h->bus;
+	const struct can_counters *c = &bus->counters;
+	struct od_values *v = h->values;
+
+	v->bus_counters.tx_frames = c->tx;
+	v->bus_counters.rx_frames = c->rx;
+	v->bus_counters.tx_retries = c->tx_retries;
+	v->bus_counters.tx_dropped = c->tx_dropped;
+	v->bus_counters.rx_dropped = c->rx_dropped;
+	v->bus_counters.error_frames = c->errors;
+	v->bus_counters.bus_off = c->bus_off;
+	v->bus_health.bit_rate = bus->bit_s;
+	v->bus_health.state = (uint8_t)bus->state;
+	v->bus_health.tx_error_counter = bus->tx_errors;
+	v->bus_health.rx_error_counter = bus->rx_errors;
+}
+
+/* ---- bus-off ----------------------------------------------------------------------------------------------------- */
+
+/* Each restart that did not help for long doubles the delay. */
+static void plan_restart(struct bus_health *h)
+{
+	uint64_t delay_ms = h->values->bus_health.restart_delay;
+	unsigned limit = h->values->bus_health.restart_limit;
+
+	h->restart_us = UINT64_MAX;
+	if (delay_ms == 0)
+		return;
+	if (limit > 0 && h->tries >= limit) {
+		log_line("%s: stays bus-off after %u restarts (2122h:8); 2122h:11 = 1 restarts it", h->bus->name,
+			h->tries);
+		return;
+	}
+	delay_ms <<= h->tries < DOUBLINGS_MAX ? h->tries : DOUBLINGS_MAX;
+	h->restart_us = h->now_us + (delay_ms < RESTART_DELAY_MAX_MS ? delay_ms : RESTART_DELAY_MAX_MS) * 1000;
+}
+
+static void restart(struct bus_health *h)
+{
+	int rc = can_restart(h->bus);
+
+	h->restart_us = UINT64_MAX;
+	if (rc == 0) {
+		h->tries++;
+		h->restarted_us = h->now_us;
+		h->values->bus_health.restarts++;
+	} else if (rc == -EPERM) {
+		log_line("%s: restarting it is not permitted (CAP_NET_ADMIN): `ip link set %s type can restart-ms 100` "
+			 "lets the kernel do it",
+			h->bus->name, h->bus->name);
+	} else if (rc != -EOPNOTSUPP) {
+		h->tries++;
+		plan_restart(h);
+	}
+}
+
+static void tick_restart(struct bus_health *h)
+{
+	uint64_t calm_us = h->values->bus_health.restart_window * (uint64_t)1000000;
+
+	if (h->bus->state == CAN_STATE_BUS_OFF && h->now_us >= h->restart_us)
+		restart(h);
+	else if (h->bus->state != CAN_STATE_BUS_OFF && h->tries > 0 && h->now_us - h->restarted_us >= calm_us)
+		h->tries = 0;
+}
+
+/* 2122h:11 is written with 1. */
+static enum od_status on_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	struct bus_health *h = ctx;
+
+	(void)size;
+	if (entry->sub != RESTART)
+		return OD_OK;
+	if (*(const uint8_t *)wire != 1)
+		return OD_BAD_VALUE;
+	if (h->bus->state != CAN_STATE_BUS_OFF)
+		return OD_DEVICE_STATE;
+	h->tries = 0;
+	h->restart_us = h->now_us;
+	return OD_CONSUMED;
+}
+
+/* ---- faults ------------------------------------------------------------------------------------------------------ */
+
+static const char *state_text(enum can_state state)
+{
+	switch (state) {
+	case CAN_STATE_ACTIVE:
+		return "error active";
+	case CAN_STATE_WARNING:
+		return "error warning";
+	case CAN_STATE_PASSIVE:
+		return "error passive (is another node on the bus? cable, termination, bit rate)";
+	case CAN_STATE_BUS_OFF:
+		return "bus-off";
+	case CAN_STATE_DOWN:
+		break;
+	}
+	return "down (ip link set up?)";
+}
+
+static void went_off(struct bus_health *h)
+{
+	h->was_off = true;
+	canopen_bus_off(h->node, h->now_us);
+	plan_restart(h);
+}
+
+static void came_back(struct bus_health *h)
+{
+	h->was_off = false;
+	h->restart_us = UINT64_MAX;
+	canopen_error_set(h->node, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, h->now_us);
+	canopen_error_clear(h->node, EMCY_BUS_OFF_OVER, h->now_us);
+}
+
+static void watch_state(struct bus_health *h)
+{
+	enum can_state state = h->bus->state, seen = h->seen;
+
+	if (state == seen)
+		return;
+	h->seen = state;
+	log_line("%s: %s", h->bus->name, state_text(state));
+	if (state == CAN_STATE_BUS_OFF)
+		went_off(h);
+	if (state == CAN_STATE_PASSIVE)
+		canopen_error_set(h->node, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, h->now_us);
+	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
+		canopen_error_clear(h->node, EMCY_ERROR_PASSIVE, h->now_us);
+	if (h->was_off && state != CAN_STATE_BUS_OFF && state != CAN_STATE_DOWN)
+		came_back(h);
+}
+
+/* Lost frames are one error as long as more are lost within a second of the last. */
+static void watch_lost_frames(struct bus_health *h)
+{
+	uint32_t dropped = h->bus->counters.tx_dropped;
+
+	if (dropped != h->dropped_seen && h->bus->state != CAN_STATE_DOWN) {
+		h->overrun = true;
+		h->overrun_us = h->now_us;
+		canopen_error_set(h->node, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, h->now_us);
+	} else if (h->overrun && h->now_us - h->overrun_us > OVERRUN_OVER_US) {
+		h->overrun = false;
+		canopen_error_clear(h->node, EMCY_CAN_OVERRUN, h->now_us);
+	}
+	h->dropped_seen = dropped;
+}
+
+/* ---- bit rate ---------------------------------------------------------------------------------------------------- */
+
+static const char *why_not(int rc)
+{
+	return rc == -EPERM	   ? "not permitted (CAP_NET_ADMIN)"
+	       : rc == -EOPNOTSUPP ? "this bus has none to be set, or not that one"
+				   : strerror(-rc);
+}
+
+bool bus_health_bit_rate_possible(struct bus_health *h, uint32_t bit_s)
+{
+	int rc = can_bit_rate(h->bus, bit_s, true);
+
+	if (rc < 0)
+		log_line("%s: LSS asks for %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
+	return rc == 0;
+}
+
+void bus_health_set_bit_rate(struct bus_health *h, uint32_t bit_s)
+{
+	int rc = can_bit_rate(h->bus, bit_s, false);
+
+	log_line("%s: %u bit/s by LSS%s%s", h->bus->name, bit_s, rc < 0 ? " failed: " : "", rc < 0 ? why_not(rc) : "");
+}
+
+/* ---- life -------------------------------------------------------------------------------------------------------- */
+
+void bus_health_init(struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od)
+{
+	*h = (struct bus_health){.bus = bus, .node = node, .values = od->values, .restart_us = UINT64_MAX};
+	h->hook = (struct od_hook){.first = 0x2122, .last = 0x2122, .before = on_write, .ctx = h};
+	od_attach(od, &h->hook);
+}
+
+void bus_health_reset(struct bus_health *h)
+{
+	h->overrun = false;
+	h->seen = CAN_STATE_ACTIVE;
+	h->values->bus_health.highest_load = 0;
+}
+
+uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
+{
+	h->now_us = now_us;
+	look(h);
+	watch_state(h);
+	tick_restart(h);
+	watch_lost_frames(h);
+	publish(h);
+	return h->restart_us < h->look_us + LOOK_US ? h->restart_us : h->look_us + LOOK_US;
+}
