@@ -6,8 +6,9 @@
 #include <stdlib.h>
 #include <string.h>
 
-static const char *const COLUMNS[IMU_LOG_COLUMNS] = {"t", "gx", "gy", "gz", "ax", "ay", "az", "mx", "my", "mz"};
-enum { COLUMN_T, COLUMN_GYRO, COLUMN_ACCEL = 4, COLUMN_MAG = 7 };
+static const char *const COLUMNS[IMU_LOG_COLUMNS] = {
+	"t", "gx", "gy", "gz", "ax", "ay", "az", "mx", "my", "mz", "ref_al", "ref_as", "ref_at", "temperature"};
+enum { COLUMN_T, COLUMN_GYRO, COLUMN_ACCEL = 4, COLUMN_MAG = 7, COLUMN_REFERENCE = 10, COLUMN_TEMPERATURE = 13 };
 enum { FIELDS_MAX = IMU_LOG_LINE_MAX / 2 };
 static const double LATEST_T_S = 1e12; /* well inside uint64_t in microseconds */
 
@@ -98,11 +99,22 @@ static int column_named(const char *name)
 	return -1;
 }
 
+static int first_of_triad(int column)
+{
+	return column < COLUMN_REFERENCE ? COLUMN_MAG : COLUMN_REFERENCE;
+}
+
+/* Whether the header has one of the three columns at least. */
+static int any_named(const struct imu_log *log, int column)
+{
+	return log->field_of[column] >= 0 || log->field_of[column + 1] >= 0 || log->field_of[column + 2] >= 0;
+}
+
 static int read_header(struct imu_log *log, char *error, size_t error_size)
 {
 	char text[IMU_LOG_LINE_MAX], *field[FIELDS_MAX];
 	const char *bad;
-	int mags = 0, got = read_line(log, text, &bad);
+	int got = read_line(log, text, &bad);
 
 	if (got <= 0 || bad) {
 		snprintf(error, error_size, "%s:1: %s", log->path,
@@ -124,15 +136,11 @@ static int read_header(struct imu_log *log, char *error, size_t error_size)
 		if (column >= 0)
 			log->field_of[column] = i;
 	}
-	for (int column = COLUMN_MAG; column < IMU_LOG_COLUMNS; column++)
-		mags += log->field_of[column] >= 0;
-	for (int column = 0; column < IMU_LOG_COLUMNS; column++) {
-		int needed = column < COLUMN_MAG || mags > 0;
-
-		if (needed && log->field_of[column] < 0) {
+	for (int column = 0; column < COLUMN_TEMPERATURE; column++) {
+		if (log->field_of[column] < 0 && (column < COLUMN_MAG || any_named(log, first_of_triad(column)))) {
 			snprintf(error, error_size,
-				"%s:1: no column %s: the header must name "
-				"t,gx,gy,gz,ax,ay,az, and mx,my,mz all or none",
+				"%s:1: no column %s: the header must name t,gx,gy,gz,ax,ay,az, and mx,my,mz all or "
+				"none, ref_al,ref_as,ref_at likewise",
 				log->path, COLUMNS[column]);
 			return -EINVAL;
 		}
@@ -154,12 +162,36 @@ static int parse_triad(struct imu_log *log, char *const field[], int column, str
 	return 1;
 }
 
-static int has_magnetometer(const struct imu_log *log, char *const field[])
+/* Whether the row has something in one of the columns at least. */
+static int any_given(const struct imu_log *log, char *const field[], int column, int count)
 {
-	for (int column = COLUMN_MAG; column < IMU_LOG_COLUMNS; column++)
-		if (log->field_of[column] >= 0 && *field[log->field_of[column]] != '\0')
+	for (int i = column; i < column + count; i++)
+		if (log->field_of[i] >= 0 && *field[log->field_of[i]] != '\0')
 			return 1;
 	return 0;
+}
+
+/* What a row may leave empty. 0 when it was skipped. */
+static int parse_optional(struct imu_log *log, char *const field[], struct imu_sample *sample)
+{
+	if (any_given(log, field, COLUMN_MAG, 3)) {
+		if (!parse_triad(log, field, COLUMN_MAG, &sample->mag_uT))
+			return 0;
+		sample->flags |= SAMPLE_MAG;
+	}
+	if (any_given(log, field, COLUMN_REFERENCE, 3)) {
+		if (!parse_triad(log, field, COLUMN_REFERENCE, &sample->ref_accel_b_m_s2))
+			return 0;
+		sample->flags |= SAMPLE_REFERENCE;
+	}
+	if (any_given(log, field, COLUMN_TEMPERATURE, 1)) {
+		const char *text = field[log->field_of[COLUMN_TEMPERATURE]];
+
+		if (parse_number(text, &sample->temperature_degC) < 0)
+			return skip(log, "temperature is no finite number: '%.20s'", text);
+		sample->flags |= SAMPLE_TEMPERATURE;
+	}
+	return 1;
 }
 
 /* 1 and a sample, 0 when the row was skipped. */
@@ -182,13 +214,8 @@ static int parse_row(struct imu_log *log, char *text, struct imu_sample *sample)
 	if (log->started && t_us <= log->last_t_us)
 		return skip(log, "time does not increase: '%.20s'", text);
 	if (!parse_triad(log, field, COLUMN_GYRO, &sample->gyro_rad_s) ||
-		!parse_triad(log, field, COLUMN_ACCEL, &sample->accel_m_s2))
+		!parse_triad(log, field, COLUMN_ACCEL, &sample->accel_m_s2) || !parse_optional(log, field, sample))
 		return 0;
-	if (has_magnetometer(log, field)) {
-		if (!parse_triad(log, field, COLUMN_MAG, &sample->mag_uT))
-			return 0;
-		sample->flags = SAMPLE_MAG;
-	}
 	sample->t_us = t_us;
 	log->last_t_us = t_us;
 	log->started = 1;

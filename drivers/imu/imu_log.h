@@ -1,6 +1,8 @@
 /* drivers/imu/imu_log.h
  * Reads an IMU log: header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; s, rad/s, m/s^2, uT; magnetometer fields
- * may be empty (all three). Further columns are ignored, the order is free (the header names it).
+ * may be empty (all three). Optional: `temperature`, degC, and `ref_al,ref_as,ref_at`, the acceleration
+ * of the reference point as another device knows it (m/s^2, object frame, without gravity); empty where
+ * there is none. Further columns are ignored, the order is free (the header names it).
  * Bad rows (wrong count, not a number, NaN or infinity, time not increasing) are skipped and
  * counted; a bad header is an error. */
 #ifndef DRIVERS_IMU_IMU_LOG_H
@@ -11,14 +13,14 @@
 
 #include "model/sample.h"
 
-enum { IMU_LOG_COLUMNS = 10, IMU_LOG_LINE_MAX = 512, IMU_LOG_HEAD = 200 };
+enum { IMU_LOG_COLUMNS = 14, IMU_LOG_LINE_MAX = 512, IMU_LOG_HEAD = 200 };
 
 struct imu_log {
 	FILE *file;
 	char path[256];
 	long line;		       /* number of the line read last, from 1 */
 	int fields;		       /* in the header */
-	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. mz; -1: absent (magnetometer) */
+	int field_of[IMU_LOG_COLUMNS]; /* which field of the line holds t, gx, .. .. temperature; -1: absent */
 	uint64_t last_t_us;
 	int started;
 	uint32_t skipped;

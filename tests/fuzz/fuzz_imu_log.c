@@ -27,6 +27,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	for (int n = 0; imu_log_next(&log, &sample) == 1; n++) {
 		assert(n == 0 || sample.t_us > last_us);
 		assert(vec3_finite(sample.gyro_rad_s) && vec3_finite(sample.accel_m_s2) && vec3_finite(sample.mag_uT));
+		assert(vec3_finite(sample.ref_accel_b_m_s2) && isfinite(sample.temperature_degC));
 		last_us = sample.t_us;
 	}
 	imu_log_close(&log);

@@ -108,6 +108,40 @@ static void test_empty_magnetometer_fields_mean_no_measurement(void **state)
 	imu_log_close(&log);
 }
 
+static void test_temperature_and_reference_acceleration_are_taken_where_the_row_has_them(void **state)
+{
+	const char text[] = "t,gx,gy,gz,ax,ay,az,temperature,ref_al,ref_as,ref_at\n"
+			    "0,1,2,3,4,5,6,21.5,0.1,-0.2,0.3\n0.01,1,2,3,4,5,6,,,,\n";
+	struct imu_log log = opened(text, strlen(text));
+	struct imu_sample s;
+
+	(void)state;
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_int_equal(s.flags, SAMPLE_TEMPERATURE | SAMPLE_REFERENCE);
+	assert_true(s.temperature_degC == 21.5);
+	assert_true(s.ref_accel_b_m_s2.x == 0.1 && s.ref_accel_b_m_s2.y == -0.2 && s.ref_accel_b_m_s2.z == 0.3);
+	assert_int_equal(imu_log_next(&log, &s), 1);
+	assert_int_equal(s.flags, 0);
+	imu_log_close(&log);
+}
+
+static void test_a_row_with_half_a_reference_or_a_broken_temperature_is_skipped(void **state)
+{
+	const char text[] = "t,gx,gy,gz,ax,ay,az,temperature,ref_al,ref_as,ref_at\n0,1,2,3,4,5,6,,,,\n"
+			    "0.01,1,2,3,4,5,6,,1,,3\n0.02,1,2,3,4,5,6,nan,1,2,3\n0.03,1,2,3,4,5,6,20,1,2,3\n";
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_int_equal(count(&log), 2);
+	assert_int_equal(log.skipped, 2);
+}
+
+static void test_a_header_with_half_a_reference_is_refused(void **state)
+{
+	(void)state;
+	assert_refused("t,gx,gy,gz,ax,ay,az,ref_al,ref_at\n", -EINVAL, "ref_as");
+}
+
 static void test_the_header_may_leave_the_magnetometer_out(void **state)
 {
 	const char text[] = "t,gx,gy,gz,ax,ay,az\n0,1,2,3,4,5,6\n1,1,2,3,4,5,6\n";
@@ -308,6 +342,9 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_row_becomes_a_sample_in_si_units),
 		cmocka_unit_test(test_empty_magnetometer_fields_mean_no_measurement),
+		cmocka_unit_test(test_temperature_and_reference_acceleration_are_taken_where_the_row_has_them),
+		cmocka_unit_test(test_a_row_with_half_a_reference_or_a_broken_temperature_is_skipped),
+		cmocka_unit_test(test_a_header_with_half_a_reference_is_refused),
 		cmocka_unit_test(test_the_header_may_leave_the_magnetometer_out),
 		cmocka_unit_test(test_the_header_names_the_order_and_other_columns_are_ignored),
 		cmocka_unit_test(test_windows_line_ends_blanks_and_a_byte_order_mark_do_no_harm),
