@@ -67,16 +67,18 @@ static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state
 	(void)state;
 }
 
-static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_and_lss_only(void **state)
+static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_and_rpdos_only(void **state)
 {
 	struct bus *bus = *state;
 
-	assert_int_equal(bus->filter_count, 5);
+	assert_int_equal(bus->filter_count, 9);
 	assert_true(bus_listens_to(bus, 0x000));
 	assert_true(bus_listens_to(bus, 0x610));
 	assert_true(bus_listens_to(bus, 0x080));
 	assert_true(bus_listens_to(bus, 0x710));
 	assert_true(bus_listens_to(bus, 0x7E5));
+	for (uint32_t id = 0x210; id <= 0x510; id += 0x100)
+		assert_true(bus_listens_to(bus, id));
 }
 
 static void test_the_master_starts_stops_and_readies_the_node(void **state)
@@ -490,7 +492,7 @@ int main(void)
 		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
 		cmocka_unit_test(test_a_node_id_is_1_to_127),
 		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_and_lss_only),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_and_rpdos_only),
 		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
 		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
 		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),

@@ -518,7 +518,7 @@ static void test_more_than_eight_objects_are_too_many(void **state)
 
 	bus_write(bus, 0x1800, 1, 4, INVALID);
 	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 0), 0);
-	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 9), 0x06090031);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 9), 0x06040042);
 	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 254), 0x06090031); /* no multiplexed PDO */
 }
 
@@ -808,10 +808,10 @@ static void test_the_bus_is_asked_for_the_requests(void **state)
 	struct bus *bus = *state;
 
 	requestable(bus, 253);
-	assert_int_equal(bus->filter_count, 6);
+	assert_int_equal(bus->filter_count, 10);
 	assert_true(bus_listens_to(bus, 0x190));
 	assert_int_equal(bus_write(bus, 0x1800, 1, 4, NO_RTR | 0x190), 0);
-	assert_int_equal(bus->filter_count, 5);
+	assert_int_equal(bus->filter_count, 9);
 }
 
 /* ---- eight of them ----------------------------------------------------------------------------------------------- */
