@@ -303,6 +303,11 @@ int imu_log_next(struct imu_log *log, struct imu_sample *sample)
 	return read_row(log, sample);
 }
 
+int imu_log_has_reference(const struct imu_log *log)
+{
+	return log->field_of[COLUMN_REFERENCE] >= 0;
+}
+
 void imu_log_close(struct imu_log *log)
 {
 	if (log->file && log->file != stdin)

@@ -36,6 +36,8 @@ struct imu_log {
 int imu_log_open(struct imu_log *log, const char *path, char *error, size_t error_size);
 /** 1 and a sample, 0 at the end of the file, -EIO when reading fails. */
 int imu_log_next(struct imu_log *log, struct imu_sample *sample);
+/** The header has ref_al,ref_as,ref_at. */
+int imu_log_has_reference(const struct imu_log *log);
 void imu_log_close(struct imu_log *log);
 
 #endif
