@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "drivers/can/gs_usb.h"
+#include "drivers/can/slcan.h"
 #include "drivers/can/socketcan.h"
 #include "drivers/can/udp.h"
 
@@ -17,8 +19,14 @@ int can_open(const char *bus, struct can_port **port, char *error, size_t error_
 		return can_udp_open("", port, error, error_size);
 	if (strncmp(bus, "udp:", 4) == 0)
 		return can_udp_open(bus + 4, port, error, error_size);
+	if (strncmp(bus, "gs_usb", 6) == 0 && strchr(":,", bus[6]) != NULL) /* or the end */
+		return can_gs_usb_open(bus + 6 + (bus[6] == ':'), port, error, error_size);
+	if (strncmp(bus, "slcan:", 6) == 0)
+		return can_slcan_open(bus + 6, port, error, error_size);
 	if (bus[0] == '\0' || strpbrk(bus, ":/ ") != NULL) {
-		snprintf(error, error_size, "unknown bus '%s': use an interface name (vcan0) or udp[:GROUP[:PORT]]",
+		snprintf(error, error_size,
+			"unknown bus '%s': use an interface name (vcan0), gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX "
+			"or udp[:GROUP[:PORT]]",
 			bus);
 		return -EINVAL;
 	}

@@ -1,0 +1,47 @@
+/* drivers/can/slcan_codec.h
+ * The lines of slcan (Lawicel, CANable, CANUSB). Pure, no heap. */
+#ifndef DRIVERS_CAN_SLCAN_CODEC_H
+#define DRIVERS_CAN_SLCAN_CODEC_H
+
+#include "drivers/ports/can.h"
+
+enum { SLCAN_LINE_MAX = 32 }; /* a frame with 8 bytes takes 27, 31 with its time */
+
+/** The line with its CR, no NUL. Returns its length. */
+size_t slcan_encode(const struct can_msg *msg, char out[SLCAN_LINE_MAX]);
+
+/** The digit of the command S for a bit rate: '0' to '8'; '\0': there is none. */
+char slcan_bit_rate_code(uint32_t bit_s);
+
+enum slcan_kind {
+	SLCAN_NOTHING, /* the line goes on */
+	SLCAN_FRAME,   /* `msg` */
+	SLCAN_OK,      /* a command, or a frame, was taken */
+	SLCAN_REFUSED, /* BEL */
+	SLCAN_STATUS,  /* `flags`, the answer to F */
+	SLCAN_OTHER,   /* an answer of no use here: version, serial number */
+	SLCAN_BAD,     /* a line that is none of these, or has no end */
+};
+
+/* Of the answer to F. */
+enum {
+	SLCAN_RX_FULL = 1 << 0,
+	SLCAN_TX_FULL = 1 << 1,
+	SLCAN_WARNING = 1 << 2,
+	SLCAN_OVERRUN = 1 << 3,
+	SLCAN_PASSIVE = 1 << 5,
+	SLCAN_BUS_ERROR = 1 << 7,
+};
+
+struct slcan_reader {
+	char line[SLCAN_LINE_MAX];
+	size_t length;
+	bool skipping; /* the line is too long: to its end */
+	struct can_msg msg;
+	uint8_t flags;
+};
+
+/** One byte from the adapter. */
+enum slcan_kind slcan_read(struct slcan_reader *reader, char byte);
+
+#endif

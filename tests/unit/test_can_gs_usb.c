@@ -1,0 +1,455 @@
+/* Bit timing, bytes and clock of gs_usb adapters. Oracles: the bytes of the protocol as candleLight adapters send them,
+ * CiA 301's table of bit timings, what `ip -details link show` prints for the kernel's own gs_usb. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "drivers/can/error_frame.h"
+#include "drivers/can/gs_usb_codec.h"
+#include "drivers/can/id_filter.h"
+
+/* bxCAN at 48 MHz: the candleLight, and most others */
+static const struct can_link_limits candlelight = {48000000, 1, 1024, 1, 1, 16, 1, 8};
+
+static struct bit_timing timing_of(const struct can_link_limits *limits, uint32_t bit_s)
+{
+	struct bit_timing timing = {0};
+
+	assert_int_equal(bit_timing_find(limits, 4, bit_s, bit_timing_sample_point(bit_s), &timing), 0);
+	return timing;
+}
+
+static uint32_t quanta(const struct bit_timing *t)
+{
+	return 1 + t->prop + t->seg1 + t->seg2;
+}
+
+/* ---- bit timing ---- */
+
+static void test_500_kbit_s_is_what_the_kernel_sets(void **state)
+{
+	struct bit_timing t = timing_of(&candlelight, 500000);
+
+	(void)state; /* tq 125 prop-seg 6 phase-seg1 7 phase-seg2 2 sjw 1 brp 6 */
+	assert_int_equal(t.prop, 6);
+	assert_int_equal(t.seg1, 7);
+	assert_int_equal(t.seg2, 2);
+	assert_int_equal(t.sjw, 1);
+	assert_int_equal(t.brp, 6);
+}
+
+static void test_every_bit_rate_of_cia_301_is_exact_at_48_mhz(void **state)
+{
+	static const uint32_t rates[] = {10000, 20000, 50000, 125000, 250000, 500000, 800000, 1000000};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(rates) / sizeof(rates[0]); i++) {
+		struct bit_timing t = timing_of(&candlelight, rates[i]);
+
+		assert_int_equal(quanta(&t) * t.brp * rates[i], 48000000);
+	}
+}
+
+static void test_sample_points_are_those_of_cia_301(void **state)
+{
+	static const struct {
+		uint32_t bit_s, permille;
+	} table[] = {{1000000, 750}, {800000, 800}, {500000, 875}, {250000, 875}, {125000, 875}, {50000, 875},
+		{20000, 875}, {10000, 875}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(table) / sizeof(table[0]); i++) {
+		struct bit_timing t = timing_of(&candlelight, table[i].bit_s);
+
+		assert_int_equal((quanta(&t) - t.seg2) * 1000 / quanta(&t), table[i].permille);
+	}
+}
+
+static void test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate(void **state)
+{
+	static const struct can_link_limits sja1000 = {8000000, 1, 64, 1, 1, 16, 1, 8};
+	struct bit_timing t = timing_of(&sja1000, 83333);
+
+	(void)state; /* 8 MHz / 96 = 83333.3 bit/s */
+	assert_int_equal(quanta(&t) * t.brp, 96);
+}
+
+static void test_a_bit_rate_out_of_reach_is_refused(void **state)
+{
+	struct bit_timing t;
+
+	(void)state;
+	assert_int_equal(bit_timing_find(&candlelight, 4, 1000, 875, &t), -EOPNOTSUPP);
+	assert_int_equal(bit_timing_find(&candlelight, 4, 20000000, 875, &t), -EOPNOTSUPP);
+	assert_int_equal(bit_timing_find(&candlelight, 4, 0, 875, &t), -EOPNOTSUPP);
+}
+
+static void test_more_than_half_a_percent_off_is_refused(void **state)
+{
+	static const struct can_link_limits coarse = {8000000, 1, 64, 1, 1, 16, 1, 8};
+	struct bit_timing t;
+
+	(void)state; /* 8 MHz / 8 = 1 Mbit/s, / 9 = 889 kbit/s */
+	assert_int_equal(bit_timing_find(&coarse, 4, 950000, 875, &t), -EOPNOTSUPP);
+	assert_int_equal(bit_timing_find(&coarse, 4, 1004000, 750, &t), 0);
+}
+
+/* No combination that is tried one by one is better. */
+static void test_no_other_setting_is_nearer(void **state)
+{
+	static const struct can_link_limits odd = {36000000, 2, 96, 2, 3, 13, 2, 5};
+	struct bit_timing t;
+
+	(void)state;
+	for (uint32_t bit_s = 30000; bit_s <= 1000000; bit_s += 30000) {
+		if (bit_timing_find(&odd, 2, bit_s, 800, &t) < 0)
+			continue;
+		uint64_t off = (uint64_t)llabs((long long)quanta(&t) * t.brp * bit_s - 36000000);
+		double point = 1 - (double)t.seg2 / quanta(&t);
+
+		assert_in_range(t.prop + t.seg1, 3, 13);
+		assert_in_range(t.seg2, 2, 5);
+		assert_int_equal(t.brp % 2, 0);
+		for (uint32_t brp = 2; brp <= 96; brp += 2)
+			for (uint32_t one = 3; one <= 13; one++)
+				for (uint32_t two = 2; two <= 5; two++) {
+					uint32_t n = 1 + one + two;
+					uint64_t other = (uint64_t)llabs((long long)n * brp * bit_s - 36000000);
+					double other_point = 1 - (double)two / n;
+
+					assert_true(other >= off);
+					if (other == off)
+						assert_true(fabs(other_point - 0.8) >= fabs(point - 0.8) - 1e-5);
+				}
+	}
+}
+
+/* ---- the bytes ---- */
+
+static void test_a_frame_is_packed_as_the_adapter_expects_it(void **state)
+{
+	static const uint8_t expected[GS_USB_FRAME_LEN] = {7, 0, 0, 0, 0x81, 1, 0, 0, 3, 2, 0, 0, 0xAA, 0xBB, 0xCC};
+	const struct can_msg msg = {.id = 0x181, .len = 3, .data = {0xAA, 0xBB, 0xCC, 0xDD}};
+	uint8_t bytes[GS_USB_FRAME_LEN];
+
+	(void)state;
+	gs_usb_put_frame(&msg, 7, 2, bytes);
+	assert_memory_equal(bytes, expected, sizeof(expected));
+}
+
+static void test_extended_and_remote_are_flags_of_the_identifier(void **state)
+{
+	const struct can_msg msg = {.id = 0x12345678, .extended = true, .remote = true, .len = 4};
+	uint8_t bytes[GS_USB_FRAME_LEN];
+
+	(void)state;
+	gs_usb_put_frame(&msg, 0, 0, bytes);
+	assert_memory_equal(bytes + 4, "\x78\x56\x34\xD2\x04", 5);
+}
+
+static void test_requests_are_packed_little_endian(void **state)
+{
+	const struct bit_timing timing = {6, 7, 2, 1, 0x103};
+	uint8_t bytes[GS_USB_BIT_TIMING_LEN];
+
+	(void)state;
+	gs_usb_put_host_format(bytes);
+	assert_memory_equal(bytes, "\xEF\xBE\0\0", 4);
+	gs_usb_put_mode(GS_USB_MODE_START, GS_USB_FEATURE_TIMESTAMP, bytes);
+	assert_memory_equal(bytes, "\1\0\0\0\x10\0\0\0", 8);
+	gs_usb_put_bit_timing(&timing, bytes);
+	assert_memory_equal(bytes, "\6\0\0\0\7\0\0\0\2\0\0\0\1\0\0\0\3\1\0\0", 20);
+}
+
+static const uint8_t received[GS_USB_FRAME_STAMPED_LEN] = {
+	0xFF, 0xFF, 0xFF, 0xFF, 0x01, 0x06, 0, 0, 2, 1, 0, 0, 0x11, 0x22, 0, 0, 0, 0, 0, 0, 0x78, 0x56, 0x34, 0x12};
+
+static void test_a_received_frame_is_unpacked(void **state)
+{
+	struct gs_usb_frame frame;
+
+	(void)state;
+	assert_int_equal(gs_usb_get_frame(received, sizeof(received), true, &frame), 0);
+	assert_int_equal(frame.kind, GS_USB_RECEIVED);
+	assert_int_equal(frame.channel, 1);
+	assert_int_equal(frame.msg.id, 0x601);
+	assert_int_equal(frame.msg.len, 2);
+	assert_memory_equal(frame.msg.data, "\x11\x22\0\0\0\0\0\0", 8);
+	assert_true(frame.stamped);
+	assert_int_equal(frame.stamp_us, 0x12345678);
+}
+
+static void test_without_time_stamps_the_last_four_bytes_are_padding(void **state)
+{
+	struct gs_usb_frame frame;
+
+	(void)state;
+	assert_int_equal(gs_usb_get_frame(received, sizeof(received), false, &frame), 0);
+	assert_false(frame.stamped);
+	assert_int_equal(gs_usb_get_frame(received, GS_USB_FRAME_LEN, true, &frame), 0);
+	assert_false(frame.stamped);
+}
+
+static void test_an_echo_names_its_slot(void **state)
+{
+	uint8_t bytes[GS_USB_FRAME_LEN] = {9, 0, 0, 0, 0x81, 1};
+	struct gs_usb_frame frame;
+
+	(void)state;
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), 0);
+	assert_int_equal(frame.kind, GS_USB_ECHO);
+	assert_int_equal(frame.slot, 9);
+}
+
+static void test_packets_that_are_no_frame_are_refused(void **state)
+{
+	uint8_t bytes[GS_USB_FRAME_STAMPED_LEN];
+	struct gs_usb_frame frame;
+
+	(void)state;
+	assert_int_equal(gs_usb_get_frame(received, GS_USB_FRAME_LEN - 1, false, &frame), -EBADMSG);
+	assert_int_equal(gs_usb_get_frame(received, 0, false, &frame), -EBADMSG);
+	memcpy(bytes, received, sizeof(bytes));
+	bytes[8] = 9; /* DLC */
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), -EBADMSG);
+	bytes[8] = 8;
+	bytes[10] = 2; /* CAN FD */
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), -ENOTSUP);
+	bytes[0] = GS_USB_SLOTS; /* an echo of a slot that is not there */
+	bytes[1] = bytes[2] = bytes[3] = 0;
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), -EBADMSG);
+}
+
+static const uint8_t bt_const[GS_USB_LIMITS_LEN] = {0x3B, 0, 0, 0, 0, 0x6C, 0xDC, 2, 1, 0, 0, 0, 16, 0, 0, 0, 1, 0, 0,
+	0, 8, 0, 0, 0, 4, 0, 0, 0, 1, 0, 0, 0, 0, 4, 0, 0, 1, 0, 0, 0};
+
+static void test_the_limits_of_a_candlelight_are_unpacked(void **state)
+{
+	struct gs_usb_limits limits;
+
+	(void)state;
+	assert_int_equal(gs_usb_get_limits(bt_const, sizeof(bt_const), &limits), 0);
+	assert_int_equal(limits.features, 0x3B);
+	assert_int_equal(limits.sjw_max, 4);
+	assert_memory_equal(&limits.timing, &candlelight, sizeof(candlelight));
+}
+
+static void test_limits_that_no_controller_has_are_refused(void **state)
+{
+	struct gs_usb_limits limits;
+	uint8_t bytes[GS_USB_LIMITS_LEN];
+
+	(void)state;
+	assert_int_equal(gs_usb_get_limits(bt_const, GS_USB_LIMITS_LEN - 1, &limits), -EBADMSG);
+	for (size_t at = 4; at < 24; at += 4) { /* clock, segments: nought */
+		memcpy(bytes, bt_const, sizeof(bytes));
+		memset(bytes + at, 0, 4);
+		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
+	}
+	memcpy(bytes, bt_const, sizeof(bytes));
+	memset(bytes + 32, 0xFF, 4); /* four thousand million prescalers */
+	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
+}
+
+static void test_the_number_of_channels_is_one_more_than_the_adapter_says(void **state)
+{
+	static const uint8_t config[GS_USB_CONFIG_LEN] = {0, 0, 0, 1, 2, 0, 0, 0, 1, 0, 0, 0};
+
+	(void)state;
+	assert_int_equal(gs_usb_get_channels(config, sizeof(config)), 2);
+	assert_int_equal(gs_usb_get_channels(config, 11), -EBADMSG);
+}
+
+/* ---- error frames ---- */
+
+static struct can_port after_error(enum can_state before, uint32_t can_id, uint8_t controller)
+{
+	struct can_port port = {.state = before};
+	const uint8_t data[8] = {0, controller, 0, 0, 0, 0, 130, 7};
+
+	can_error_frame(&port, can_id, data);
+	assert_int_equal(port.counters.errors, 1);
+	return port;
+}
+
+static void test_error_frames_tell_the_state_of_the_bus(void **state)
+{
+	(void)state;
+	assert_int_equal(after_error(CAN_STATE_ACTIVE, 0x20000004, 0x08).state, CAN_STATE_WARNING);
+	assert_int_equal(after_error(CAN_STATE_ACTIVE, 0x20000004, 0x04).state, CAN_STATE_WARNING);
+	assert_int_equal(after_error(CAN_STATE_WARNING, 0x20000004, 0x20).state, CAN_STATE_PASSIVE);
+	assert_int_equal(after_error(CAN_STATE_WARNING, 0x20000004, 0x10).state, CAN_STATE_PASSIVE);
+	assert_int_equal(after_error(CAN_STATE_PASSIVE, 0x20000004, 0x40).state, CAN_STATE_ACTIVE);
+	assert_int_equal(after_error(CAN_STATE_PASSIVE, 0x20000004, 0).state, CAN_STATE_ACTIVE);
+	assert_int_equal(after_error(CAN_STATE_BUS_OFF, 0x20000100, 0).state, CAN_STATE_ACTIVE);
+	assert_int_equal(after_error(CAN_STATE_PASSIVE, 0x20000040, 0).state, CAN_STATE_BUS_OFF);
+}
+
+static void test_a_missing_acknowledge_alone_changes_no_state(void **state)
+{
+	(void)state;
+	assert_int_equal(after_error(CAN_STATE_WARNING, 0x20000020, 0).state, CAN_STATE_WARNING);
+}
+
+static void test_error_frames_bring_the_error_counters(void **state)
+{
+	struct can_port port = after_error(CAN_STATE_ACTIVE, 0x20000004, 0x20);
+
+	(void)state;
+	assert_int_equal(port.tx_errors, 130);
+	assert_int_equal(port.rx_errors, 7);
+}
+
+static void test_going_bus_off_is_counted_once(void **state)
+{
+	struct can_port port = after_error(CAN_STATE_PASSIVE, 0x20000040, 0);
+
+	(void)state;
+	assert_int_equal(port.counters.bus_off, 1);
+	can_error_frame(&port, 0x20000040, (const uint8_t[8]){0});
+	assert_int_equal(port.counters.bus_off, 1);
+}
+
+static void test_an_overflow_counts_as_a_lost_frame(void **state)
+{
+	struct can_port port = after_error(CAN_STATE_PASSIVE, 0x20000004, 0x01);
+
+	(void)state;
+	assert_int_equal(port.counters.rx_dropped, 1);
+	assert_int_equal(port.state, CAN_STATE_PASSIVE);
+}
+
+/* ---- the clock ---- */
+
+static void test_a_frame_that_came_late_has_the_time_it_was_on_the_bus(void **state)
+{
+	struct gs_usb_clock clock = {0};
+
+	(void)state;
+	assert_int_equal(gs_usb_clock_map(&clock, 5000, 1000000), 1000000);
+	assert_int_equal(gs_usb_clock_map(&clock, 7000, 1004000), 1002000); /* 2 ms late */
+}
+
+static void test_no_frame_comes_from_the_future(void **state)
+{
+	struct gs_usb_clock clock = {0};
+
+	(void)state;
+	gs_usb_clock_map(&clock, 5000, 1000000); /* itself 300 us late */
+	assert_int_equal(gs_usb_clock_map(&clock, 7300, 1002000), 1002000);
+	assert_int_equal(gs_usb_clock_map(&clock, 9300, 1004500), 1004000);
+}
+
+static void test_the_clock_of_the_adapter_may_wrap(void **state)
+{
+	struct gs_usb_clock clock = {0};
+
+	(void)state;
+	gs_usb_clock_map(&clock, UINT32_MAX - 999, 1000000);
+	assert_int_equal(gs_usb_clock_map(&clock, 1000, 1002500), 1002000);
+}
+
+/* An hour at 1 kHz with a crystal that is off: the error stays at the transport's jitter. */
+static void follow(int32_t ppm)
+{
+	struct gs_usb_clock clock = {0};
+	uint64_t worst_us = 0;
+
+	for (uint64_t t = 0; t < UINT64_C(3600000000); t += 1000) {
+		uint32_t stamp = (uint32_t)(t + (uint64_t)((int64_t)t * ppm / 1000000));
+		uint64_t now = 1000000 + t + (t / 1000 * 7919 % 400); /* 0 to 399 us late */
+		uint64_t mapped = gs_usb_clock_map(&clock, stamp, now);
+
+		if (t > 10000000) {
+			uint64_t off = mapped > 1000000 + t ? mapped - 1000000 - t : 1000000 + t - mapped;
+
+			worst_us = off > worst_us ? off : worst_us;
+		}
+	}
+	assert_in_range(worst_us, 0, 100);
+}
+
+static void test_a_fast_crystal_is_followed(void **state)
+{
+	(void)state;
+	follow(100);
+}
+
+static void test_a_slow_crystal_is_followed(void **state)
+{
+	(void)state;
+	follow(-100);
+}
+
+static void test_after_an_adapter_was_reset_the_clock_starts_anew(void **state)
+{
+	struct gs_usb_clock clock = {0};
+
+	(void)state;
+	gs_usb_clock_map(&clock, 900000000, 1000000000);
+	assert_int_equal(gs_usb_clock_map(&clock, 100, 1000500000), 1000500000);
+	assert_int_equal(gs_usb_clock_map(&clock, 1100, 1000502000), 1000501000);
+}
+
+/* ---- the filter ---- */
+
+static void test_a_filter_passes_the_wanted_identifiers_only(void **state)
+{
+	struct id_filter filter = {0};
+	struct can_msg msg = {.id = 0x605};
+
+	(void)state;
+	assert_true(id_filter_wants(&filter, &msg));
+	id_filter_set(&filter, (const uint32_t[]){0x000, 0x605, 0x7FF}, 3);
+	assert_true(id_filter_wants(&filter, &msg));
+	msg.id = 0x604;
+	assert_false(id_filter_wants(&filter, &msg));
+	msg = (struct can_msg){.id = 0x605, .extended = true};
+	assert_false(id_filter_wants(&filter, &msg));
+	id_filter_set(&filter, NULL, 0);
+	assert_true(id_filter_wants(&filter, &msg));
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_500_kbit_s_is_what_the_kernel_sets),
+		cmocka_unit_test(test_every_bit_rate_of_cia_301_is_exact_at_48_mhz),
+		cmocka_unit_test(test_sample_points_are_those_of_cia_301),
+		cmocka_unit_test(test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate),
+		cmocka_unit_test(test_a_bit_rate_out_of_reach_is_refused),
+		cmocka_unit_test(test_more_than_half_a_percent_off_is_refused),
+		cmocka_unit_test(test_no_other_setting_is_nearer),
+		cmocka_unit_test(test_a_frame_is_packed_as_the_adapter_expects_it),
+		cmocka_unit_test(test_extended_and_remote_are_flags_of_the_identifier),
+		cmocka_unit_test(test_requests_are_packed_little_endian),
+		cmocka_unit_test(test_a_received_frame_is_unpacked),
+		cmocka_unit_test(test_without_time_stamps_the_last_four_bytes_are_padding),
+		cmocka_unit_test(test_an_echo_names_its_slot),
+		cmocka_unit_test(test_packets_that_are_no_frame_are_refused),
+		cmocka_unit_test(test_the_limits_of_a_candlelight_are_unpacked),
+		cmocka_unit_test(test_limits_that_no_controller_has_are_refused),
+		cmocka_unit_test(test_the_number_of_channels_is_one_more_than_the_adapter_says),
+		cmocka_unit_test(test_error_frames_tell_the_state_of_the_bus),
+		cmocka_unit_test(test_a_missing_acknowledge_alone_changes_no_state),
+		cmocka_unit_test(test_error_frames_bring_the_error_counters),
+		cmocka_unit_test(test_going_bus_off_is_counted_once),
+		cmocka_unit_test(test_an_overflow_counts_as_a_lost_frame),
+		cmocka_unit_test(test_a_frame_that_came_late_has_the_time_it_was_on_the_bus),
+		cmocka_unit_test(test_no_frame_comes_from_the_future),
+		cmocka_unit_test(test_the_clock_of_the_adapter_may_wrap),
+		cmocka_unit_test(test_a_fast_crystal_is_followed),
+		cmocka_unit_test(test_a_slow_crystal_is_followed),
+		cmocka_unit_test(test_after_an_adapter_was_reset_the_clock_starts_anew),
+		cmocka_unit_test(test_a_filter_passes_the_wanted_identifiers_only),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
