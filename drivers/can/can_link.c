@@ -1,13 +1,176 @@
 #include "drivers/can/can_link.h"
 
 #include <errno.h>
-#include <libsocketcan.h>
+#include <linux/can/netlink.h>
 #include <linux/capability.h>
-#include <linux/if_link.h>
+#include <linux/rtnetlink.h>
+#include <net/if.h>
+#include <string.h>
+#include <sys/socket.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
-enum { PERMILLE_OFF = 5 };
+enum { ANSWER_MAX = 16384, OFF_PERMILLE = 5 };
+
+/* ---- one request, one answer ------------------------------------------------------------------------------------- */
+
+struct request {
+	struct nlmsghdr header;
+	struct ifinfomsg link;
+	char attributes[256];
+};
+
+static struct request request_of(uint16_t type, uint16_t flags, int interface)
+{
+	return (struct request){
+		.header = {.nlmsg_len = NLMSG_LENGTH(sizeof(struct ifinfomsg)),
+			.nlmsg_type = type,
+			.nlmsg_flags = (uint16_t)(NLM_F_REQUEST | flags)},
+		.link = {.ifi_family = AF_UNSPEC, .ifi_index = interface},
+	};
+}
+
+static struct rtattr *add(struct request *r, unsigned short type, const void *data, size_t size)
+{
+	struct rtattr *attribute = (struct rtattr *)((char *)r + NLMSG_ALIGN(r->header.nlmsg_len));
+
+	attribute->rta_type = type;
+	attribute->rta_len = (unsigned short)RTA_LENGTH(size);
+	if (size > 0)
+		memcpy(RTA_DATA(attribute), data, size);
+	r->header.nlmsg_len = (uint32_t)(NLMSG_ALIGN(r->header.nlmsg_len) + RTA_ALIGN(attribute->rta_len));
+	return attribute;
+}
+
+static void end_nested(const struct request *r, struct rtattr *outer)
+{
+	outer->rta_len = (unsigned short)((const char *)r + r->header.nlmsg_len - (const char *)outer);
+}
+
+/* The kernel has answered when send() returns. The answer's size, or -errno. */
+static ssize_t ask(const struct request *r, void *answer)
+{
+	int fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_ROUTE);
+	ssize_t size = -1;
+
+	if (fd >= 0 && send(fd, r, r->header.nlmsg_len, 0) >= 0)
+		size = recv(fd, answer, ANSWER_MAX, MSG_DONTWAIT);
+	int error = errno;
+	if (fd >= 0)
+		close(fd);
+	return size < 0 ? -error : size;
+}
+
+/* Of an order: what the kernel says about it. */
+static int order(const struct request *r)
+{
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
+	ssize_t size = ask(r, answer);
+
+	if (size < 0)
+		return (int)size;
+	if (!NLMSG_OK(header, (size_t)size) || header->nlmsg_type != NLMSG_ERROR)
+		return -EIO;
+	return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
+}
+
+/* ---- what there is ----------------------------------------------------------------------------------------------- */
+
+/* The attribute of that type among `size` bytes of them, or NULL. */
+static const struct rtattr *find(const void *first, size_t size, unsigned short type)
+{
+	const char *at = first, *end = at + size;
+
+	while (end - at >= (ptrdiff_t)sizeof(struct rtattr)) {
+		const struct rtattr *attribute = (const void *)at;
+
+		if (attribute->rta_len < sizeof(*attribute) || attribute->rta_len > end - at)
+			break;
+		if ((attribute->rta_type & NLA_TYPE_MASK) == type)
+			return attribute;
+		at += RTA_ALIGN(attribute->rta_len);
+	}
+	return NULL;
+}
+
+static const struct rtattr *find_in(const struct rtattr *outer, unsigned short type)
+{
+	return outer ? find(RTA_DATA(outer), RTA_PAYLOAD(outer), type) : NULL;
+}
+
+/* Copies as much as both sides know; the bytes that were there. */
+static size_t take(void *out, size_t size, const struct rtattr *attribute)
+{
+	size_t there = attribute ? RTA_PAYLOAD(attribute) : 0;
+
+	memset(out, 0, size);
+	if (there > 0)
+		memcpy(out, RTA_DATA(attribute), there < size ? there : size);
+	return there;
+}
+
+static void take_limits(struct can_link_limits *limits, const struct rtattr *data)
+{
+	struct can_bittiming_const c;
+	struct can_clock clock;
+
+	take(&c, sizeof(c), find_in(data, IFLA_CAN_BITTIMING_CONST));
+	take(&clock, sizeof(clock), find_in(data, IFLA_CAN_CLOCK));
+	*limits = (struct can_link_limits){
+		clock.freq, c.brp_min, c.brp_max, c.brp_inc, c.tseg1_min, c.tseg1_max, c.tseg2_min, c.tseg2_max};
+}
+
+static void take_controller(struct can_link *link, const struct rtattr *data)
+{
+	struct can_bittiming timing;
+	struct can_berr_counter errors;
+
+	/* every controller tells its state; vcan does not */
+	link->controller = take(&link->state, sizeof(link->state), find_in(data, IFLA_CAN_STATE)) > 0;
+	take(&timing, sizeof(timing), find_in(data, IFLA_CAN_BITTIMING));
+	take(&errors, sizeof(errors), find_in(data, IFLA_CAN_BERR_COUNTER));
+	take(&link->restart_ms, sizeof(link->restart_ms), find_in(data, IFLA_CAN_RESTART_MS));
+	take_limits(&link->limits, data);
+	size_t rates = take(link->rates, sizeof(link->rates), find_in(data, IFLA_CAN_BITRATE_CONST));
+	link->bit_s = timing.bitrate;
+	link->tx_errors = errors.txerr;
+	link->rx_errors = errors.rxerr;
+	link->rate_count = (rates < sizeof(link->rates) ? rates : sizeof(link->rates)) / sizeof(link->rates[0]);
+}
+
+static void take_link(struct can_link *link, const struct nlmsghdr *header)
+{
+	const void *first = IFLA_RTA(NLMSG_DATA(header));
+	size_t size = IFLA_PAYLOAD(header);
+	struct rtnl_link_stats64 stats;
+
+	take(&stats, sizeof(stats), find(first, size, IFLA_STATS64));
+	take_controller(link, find_in(find(first, size, IFLA_LINKINFO), IFLA_INFO_DATA));
+	/* vcan counts each frame in both directions */
+	link->frames = stats.tx_packets + (link->controller ? stats.rx_packets : 0);
+	link->bytes = stats.tx_bytes + (link->controller ? stats.rx_bytes : 0);
+}
+
+int can_link_look(int interface, struct can_link *link)
+{
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
+	const struct request r = request_of(RTM_GETLINK, 0, interface);
+	ssize_t size = ask(&r, answer);
+
+	*link = (struct can_link){0};
+	if (size < 0)
+		return (int)size;
+	if (!NLMSG_OK(header, (size_t)size))
+		return -EIO;
+	if (header->nlmsg_type == NLMSG_ERROR)
+		return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
+	take_link(link, header);
+	return 0;
+}
+
+/* ---- what can be changed ----------------------------------------------------------------------------------------- */
 
 static bool permitted(void)
 {
@@ -19,42 +182,7 @@ static bool permitted(void)
 	return (data[CAP_TO_INDEX(CAP_NET_ADMIN)].effective & CAP_TO_MASK(CAP_NET_ADMIN)) != 0;
 }
 
-/* libsocketcan returns -1 with or without errno. */
-static int result_of(int rc)
-{
-	if (rc == 0)
-		return 0;
-	return errno != 0 ? -errno : -EIO;
-}
-
-static uint8_t up_to_255(uint16_t count)
-{
-	return (uint8_t)(count < UINT8_MAX ? count : UINT8_MAX);
-}
-
-void can_link_look(const char *interface, struct can_link *link)
-{
-	struct can_bittiming timing = {0};
-	struct can_berr_counter errors = {0};
-	struct rtnl_link_stats64 stats = {0};
-
-	*link = (struct can_link){0};
-	link->controller = can_get_bittiming(interface, &timing) == 0 && can_get_state(interface, &link->state) == 0;
-	if (can_get_link_stats(interface, &stats) == 0) {
-		/* vcan counts each frame in both directions */
-		link->frames = stats.tx_packets + (link->controller ? stats.rx_packets : 0);
-		link->bytes = stats.tx_bytes + (link->controller ? stats.rx_bytes : 0);
-	}
-	if (!link->controller)
-		return;
-	link->bit_s = timing.bitrate;
-	if (can_get_berr_counter(interface, &errors) == 0) {
-		link->tx_errors = up_to_255(errors.txerr);
-		link->rx_errors = up_to_255(errors.rxerr);
-	}
-}
-
-bool can_link_divides(const struct can_link_limits *l, uint32_t bit_s)
+static bool divides(const struct can_link_limits *l, uint32_t bit_s)
 {
 	for (uint32_t brp = l->brp_min; brp > 0 && brp <= l->brp_max; brp += l->brp_inc > 0 ? l->brp_inc : 1) {
 		uint64_t quanta = (l->clock_hz / brp + bit_s / 2) / bit_s;
@@ -62,52 +190,81 @@ bool can_link_divides(const struct can_link_limits *l, uint32_t bit_s)
 		uint64_t off = got > l->clock_hz ? got - l->clock_hz : l->clock_hz - got;
 
 		if (quanta >= 1 + l->tseg1_min + l->tseg2_min && quanta <= 1 + l->tseg1_max + l->tseg2_max &&
-			off * 1000 <= (uint64_t)l->clock_hz * PERMILLE_OFF)
+			off * 1000 <= (uint64_t)l->clock_hz * OFF_PERMILLE)
 			return true;
 	}
 	return false;
 }
 
-/* A controller that does not tell its limits (slcan has a list instead) is asked by setting it. */
-static bool possible(const char *interface, uint32_t bit_s)
+bool can_link_has_rate(const struct can_link *link, uint32_t bit_s)
 {
-	struct can_bittiming_const c = {.name = ""};
-	struct can_clock clock = {0};
-
-	if (can_get_bittiming_const(interface, &c) != 0 || can_get_clock(interface, &clock) != 0 || clock.freq == 0)
-		return true;
-	const struct can_link_limits limits = {
-		clock.freq, c.brp_min, c.brp_max, c.brp_inc, c.tseg1_min, c.tseg1_max, c.tseg2_min, c.tseg2_max};
-	return can_link_divides(&limits, bit_s);
+	if (!link->controller || bit_s == 0)
+		return false;
+	if (link->rate_count == 0)
+		return link->limits.clock_hz == 0 || divides(&link->limits, bit_s); /* a setting will tell */
+	for (size_t i = 0; i < link->rate_count; i++)
+		if (link->rates[i] == bit_s)
+			return true;
+	return false;
 }
 
-int can_link_bit_rate(const char *interface, uint32_t bit_s, bool dry_run)
+static int switch_on(int interface, bool on)
 {
-	struct can_bittiming timing = {0};
+	struct request r = request_of(RTM_NEWLINK, NLM_F_ACK, interface);
 
-	if (can_get_bittiming(interface, &timing) != 0 || !possible(interface, bit_s))
+	r.link.ifi_change = IFF_UP;
+	r.link.ifi_flags = on ? IFF_UP : 0;
+	return order(&r);
+}
+
+/* An attribute of the controller. */
+static int set(int interface, unsigned short type, const void *data, size_t size)
+{
+	struct request r = request_of(RTM_NEWLINK, NLM_F_ACK, interface);
+	struct rtattr *info = add(&r, IFLA_LINKINFO, NULL, 0);
+
+	add(&r, IFLA_INFO_KIND, "can", 3);
+	struct rtattr *inner = add(&r, IFLA_INFO_DATA, NULL, 0);
+	add(&r, type, data, size);
+	end_nested(&r, inner);
+	end_nested(&r, info);
+	return order(&r);
+}
+
+int can_link_bit_rate(int interface, uint32_t bit_s, bool dry_run)
+{
+	const struct can_bittiming timing = {.bitrate = bit_s}; /* the kernel finds the rest */
+	struct can_link link;
+	int result = can_link_look(interface, &link);
+
+	if (result < 0)
+		return result;
+	if (!can_link_has_rate(&link, bit_s))
 		return -EOPNOTSUPP;
+	if (link.bit_s == bit_s)
+		return 0;
 	if (!permitted())
 		return -EPERM;
-	if (dry_run || timing.bitrate == bit_s)
+	if (dry_run)
 		return 0;
-	errno = 0;
-	int stopped = result_of(can_do_stop(interface));
-	int set = stopped < 0 ? stopped : result_of(can_set_bitrate(interface, bit_s));
-	int started = result_of(can_do_start(interface));
-	if (set < 0)
-		return set == -EINVAL ? -EOPNOTSUPP : set;
+	result = switch_on(interface, false);
+	if (result == 0)
+		result = set(interface, IFLA_CAN_BITTIMING, &timing, sizeof(timing));
+	int started = switch_on(interface, true);
+	if (result < 0)
+		return result == -EINVAL || result == -EDOM ? -EOPNOTSUPP : result;
 	return started;
 }
 
-int can_link_restart(const char *interface)
+int can_link_restart(int interface)
 {
-	uint32_t kernel_ms = 0;
+	const uint32_t now = 1;
+	struct can_link link;
+	int result = can_link_look(interface, &link);
 
-	if (can_get_restart_ms(interface, &kernel_ms) != 0 || kernel_ms > 0)
+	if (result < 0)
+		return result;
+	if (!link.controller || link.restart_ms > 0)
 		return -EOPNOTSUPP;
-	if (!permitted())
-		return -EPERM;
-	errno = 0;
-	return result_of(can_do_restart(interface));
+	return permitted() ? set(interface, IFLA_CAN_RESTART, &now, sizeof(now)) : -EPERM;
 }

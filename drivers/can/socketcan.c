@@ -199,14 +199,14 @@ static void socketcan_look(struct can_port *port)
 {
 	struct can_link link;
 
-	can_link_look(port->name, &link);
-	if (link.frames > 0)
-		port->traffic = (struct can_traffic){link.frames, link.bytes};
+	if (can_link_look(of(port)->interface, &link) < 0)
+		return;
+	port->traffic = (struct can_traffic){link.frames, link.bytes};
 	if (!link.controller)
 		return;
 	port->bit_s = link.bit_s;
-	port->tx_errors = link.tx_errors;
-	port->rx_errors = link.rx_errors;
+	port->tx_errors = (uint8_t)(link.tx_errors < UINT8_MAX ? link.tx_errors : UINT8_MAX);
+	port->rx_errors = (uint8_t)(link.rx_errors < UINT8_MAX ? link.rx_errors : UINT8_MAX);
 	if (port->state == CAN_STATE_DOWN || link.state > CAN_STATE_BUS_OFF)
 		return;
 	if (link.state == CAN_STATE_BUS_OFF)
@@ -246,7 +246,7 @@ static void socketcan_close(struct can_port *port)
 /* The interface goes down for it and comes back: service() finds that. */
 static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
-	int result = can_link_bit_rate(port->name, bit_s, dry_run);
+	int result = can_link_bit_rate(of(port)->interface, bit_s, dry_run);
 
 	if (result == 0 && !dry_run)
 		port->bit_s = bit_s;
@@ -255,7 +255,11 @@ static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_ru
 
 static int socketcan_restart(struct can_port *port)
 {
-	return can_link_restart(port->name);
+	int result = can_link_restart(of(port)->interface);
+
+	if (result == 0)
+		port->state = CAN_STATE_ACTIVE;
+	return result;
 }
 
 static const struct can_ops socketcan_ops = {
