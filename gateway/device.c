@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <string.h>
 
-#include "gateway/log.h"
 #include "gateway/publish.h"
 #include "gateway/settings.h"
 
@@ -23,15 +22,39 @@ static void on_configuration_changed(void *ctx, const struct od_entry *entry)
 }
 
 /* Between two samples: the new configuration whole, or the old one still. */
-static void take_configuration(struct device *d)
+static bool use_configuration(struct device *d)
 {
 	struct pipeline_config config = settings_pipeline(&d->values);
 
 	d->configuration_changed = false;
-	if (pipeline_configure(&d->pipeline, &config) == 0)
-		canopen_error_clear(&d->canopen, EMCY_CONFIGURATION, d->now_us);
-	else
+	if (pipeline_configure(&d->pipeline, &config) < 0)
+		return false;
+	canopen_error_clear(&d->canopen, EMCY_CONFIGURATION, d->now_us);
+	return true;
+}
+
+static void take_configuration(struct device *d)
+{
+	if (!use_configuration(d))
 		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
+}
+
+static bool on_snapshot_take(void *ctx)
+{
+	return use_configuration(ctx);
+}
+
+static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries, uint16_t index, uint8_t sub)
+{
+	struct device *d = ctx;
+
+	if (status == OD_OK)
+		event_log_line(&d->log, d->now_us, "configuration snapshot of %u entries taken over", entries);
+	else if (index)
+		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %04Xh:%02X: %s", index, sub,
+			od_status_text(status));
+	else
+		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %s", od_status_text(status));
 }
 
 /* 2040h:6 is written with 1: velocity and position begin anew at zero. */
@@ -136,8 +159,11 @@ void device_saved(struct device *d, int result, uint64_t now_us)
 {
 	enum od_status status = storage_result(d, result);
 
+	d->now_us = now_us;
 	if (result < 0)
-		log_line("the values could not be stored: %s", strerror(-result));
+		event_log_line(&d->log, now_us, "the values could not be stored: %s", strerror(-result));
+	else
+		event_log_add(&d->log, now_us, "stored");
 	if (d->lss_save)
 		canopen_lss_stored(&d->canopen, status, now_us);
 	else
@@ -159,7 +185,8 @@ static void apply_stored(struct device *d, enum od_group group)
 		skipped += refused;
 	}
 	if (skipped > 0)
-		log_line("%zu stored values do not fit this version and were left out", skipped);
+		event_log_line(
+			&d->log, d->now_us, "%zu stored values do not fit this version and were left out", skipped);
 }
 
 /* NMT reset: power-on values, and for reset node a new beginning of the application. */
@@ -167,6 +194,7 @@ static void on_reset(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
+	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	od_reset(&d->od, group, &d->base);
 	apply_stored(d, group);
 	if (group != OD_GROUP_ALL)
@@ -186,7 +214,7 @@ static void follow_node_id(struct device *d)
 		return;
 	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
 	d->node_id = d->canopen.id;
-	log_line("node-ID %u from now on, by LSS", d->node_id);
+	event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->node_id);
 }
 
 static bool on_bit_rate_possible(void *ctx, uint32_t bit_s)
@@ -201,11 +229,25 @@ static void on_set_bit_rate(void *ctx, uint32_t bit_s)
 
 static void on_nmt_changed(void *ctx, enum nmt_state state)
 {
-	follow_node_id(ctx);
-	log_line("NMT state: %s", state == NMT_OPERATIONAL	 ? "operational"
-				  : state == NMT_PRE_OPERATIONAL ? "pre-operational"
-				  : state == NMT_STOPPED	 ? "stopped"
-								 : "initialising");
+	struct device *d = ctx;
+
+	follow_node_id(d);
+	event_log_line(&d->log, d->now_us, "NMT state: %s",
+		state == NMT_OPERATIONAL       ? "operational"
+		: state == NMT_PRE_OPERATIONAL ? "pre-operational"
+		: state == NMT_STOPPED	       ? "stopped"
+					       : "initialising");
+}
+
+static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t info[5])
+{
+	struct device *d = ctx;
+
+	if (set)
+		event_log_add(&d->log, d->now_us, "error %04Xh, EMCY with %02X %02X %02X %02X %02X", code, info[0],
+			info[1], info[2], info[3], info[4]);
+	else
+		event_log_add(&d->log, d->now_us, "error %04Xh is over", code);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
@@ -223,6 +265,13 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->preset_hook);
 	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
+	event_log_attach(&d->log, &d->od);
+	d->snapshot.od = &d->od;
+	d->snapshot.node_id = &d->canopen.id;
+	d->snapshot.ctx = d;
+	d->snapshot.take = on_snapshot_take;
+	d->snapshot.done = on_snapshot_done;
+	snapshot_attach(&d->snapshot);
 }
 
 /* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
@@ -246,6 +295,7 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 		.restore = on_restore,
 		.reset = on_reset,
 		.nmt_changed = on_nmt_changed,
+		.error_changed = on_error_changed,
 		.store_lss = storage ? on_store_lss : NULL,
 		.bit_rate_possible = on_bit_rate_possible,
 		.set_bit_rate = on_set_bit_rate};
@@ -269,6 +319,8 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 {
 	d->now_us = d->last_sample_us = now_us;
+	event_log_start(&d->log, now_us);
+	event_log_add(&d->log, now_us, "started with node-ID %u on %s, IMU %s", d->node_id, d->bus->name, d->imu->name);
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
 		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
@@ -281,7 +333,8 @@ static void sensor_lost(struct device *d)
 	if (d->sensor_lost)
 		return;
 	d->sensor_lost = true;
-	log_line("no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name, EMCY_SENSOR_LOST);
+	event_log_line(&d->log, d->now_us, "no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name,
+		EMCY_SENSOR_LOST);
 	publish_sensor_lost(&d->values);
 	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, NULL, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
@@ -292,7 +345,7 @@ static void sensor_back(struct device *d)
 	if (!d->sensor_lost)
 		return;
 	d->sensor_lost = false;
-	log_line("samples from %s again", d->imu->name);
+	event_log_line(&d->log, d->now_us, "samples from %s again", d->imu->name);
 	canopen_error_clear(&d->canopen, EMCY_SENSOR_LOST, d->now_us);
 }
 

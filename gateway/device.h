@@ -14,6 +14,8 @@
 #include "drivers/ports/imu.h"
 #include "gateway/bus_health.h"
 #include "gateway/canopen/node.h"
+#include "gateway/event_log.h"
+#include "gateway/snapshot.h"
 #include "gateway/status.h"
 #include "gateway/store.h"
 #include "model/pipeline.h"
@@ -42,6 +44,8 @@ struct device {
 	struct imu_port *imu;
 	struct od_hook configuration_hook, command_hook, resolution_hook, preset_hook;
 	struct od_domain eds;
+	struct event_log log;
+	struct snapshot snapshot;
 	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
 	uint32_t samples;	 /* taken since the start */
 	bool lss_save;		 /* the save under way is one of LSS */

@@ -49,6 +49,7 @@ struct canopen_device {
 	double (*change_threshold)(void *ctx, const struct od_entry *entry);
 	/** For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
+	void (*error_changed)(void *ctx, uint16_t code, bool set, const uint8_t info[5]);
 };
 
 struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fields are the core's */

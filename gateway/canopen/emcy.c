@@ -197,6 +197,12 @@ void emcy_leave_stopped(struct canopen_node *node)
 	emcy->queue_count = i > 0 ? 1 : 0;
 }
 
+static void tell(const struct canopen_node *node, uint16_t code, bool set, const uint8_t info[5])
+{
+	if (node->device.error_changed)
+		node->device.error_changed(node->device.ctx, code, set, info);
+}
+
 void emcy_set_info(
 	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5])
 {
@@ -213,6 +219,7 @@ void emcy_set_info(
 	emcy->errors[emcy->error_count].bits = register_bits;
 	emcy->error_count++;
 	update_register(emcy);
+	tell(node, code, true, info);
 	record(emcy, code, info);
 	enqueue(emcy, code, source, info);
 	emcy_tick(node);
@@ -227,7 +234,10 @@ void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
 {
 	static const uint8_t no_info[5];
 
-	if (!remove_error(&node->emcy, code, source) || node->emcy.error_count)
+	if (!remove_error(&node->emcy, code, source))
+		return;
+	tell(node, code, false, no_info);
+	if (node->emcy.error_count)
 		return;
 	enqueue(&node->emcy, EMCY_NO_ERROR, EMCY_NO_SOURCE, no_info);
 	emcy_tick(node);

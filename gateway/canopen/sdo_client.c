@@ -1,6 +1,7 @@
 /* The command byte of each frame: CiA 301, 7.2.4.3.3-7.2.4.3.17; bits 7..5 are the command
  * specifier. */
 #include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/sdo_client_private.h"
 
 #include <string.h>
 
@@ -49,8 +50,7 @@ static uint32_t get_u32(const uint8_t *from)
 	return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
 }
 
-/* `payload` are bytes 1 to 7; shorter ones are filled with zeros. */
-static void send_request(
+void sdo_client_send(
 	struct sdo_client *client, unsigned int command, const uint8_t *payload, size_t size, uint64_t now_us)
 {
 	struct can_msg msg = {.id = 0x600u + client->node_id, .len = 8};
@@ -66,27 +66,26 @@ static void send_request(
 	}
 }
 
-/* A request that names the object: its multiplexer and four bytes. */
-static void send_start(struct sdo_client *client, unsigned int command, const uint8_t tail[4], uint64_t now_us)
+void sdo_client_send_start(struct sdo_client *client, unsigned int command, const uint8_t tail[4], uint64_t now_us)
 {
 	uint8_t payload[7] = {(uint8_t)client->index, (uint8_t)(client->index >> 8), client->sub};
 
 	memcpy(&payload[3], tail, 4);
-	send_request(client, command, payload, sizeof(payload), now_us);
+	sdo_client_send(client, command, payload, sizeof(payload), now_us);
 }
 
-static void abort_transfer(struct sdo_client *client, enum sdo_result result, uint32_t code, uint64_t now_us)
+void sdo_client_abort(struct sdo_client *client, enum sdo_result result, uint32_t code, uint64_t now_us)
 {
 	uint8_t tail[4];
 
 	put_u32(tail, code);
-	send_start(client, CS_ABORT, tail, now_us);
+	sdo_client_send_start(client, CS_ABORT, tail, now_us);
 	client->result = result;
 	client->abort_code = code;
 	client->aborted_by_server = false;
 }
 
-static void start(struct sdo_client *client, uint16_t index, uint8_t sub)
+void sdo_client_start(struct sdo_client *client, uint16_t index, uint8_t sub)
 {
 	client->result = SDO_RUNNING;
 	client->size = 0;
@@ -101,12 +100,12 @@ static void start(struct sdo_client *client, uint16_t index, uint8_t sub)
 void sdo_client_upload(
 	struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer, size_t capacity, uint64_t now_us)
 {
-	start(client, index, sub);
+	sdo_client_start(client, index, sub);
 	client->phase = SDO_UPLOAD_START;
 	client->in = buffer;
 	client->capacity = capacity;
 	client->total = SIZE_MAX;
-	send_start(client, CCS_UPLOAD, (const uint8_t[4]){0}, now_us);
+	sdo_client_send_start(client, CCS_UPLOAD, (const uint8_t[4]){0}, now_us);
 }
 
 void sdo_client_download(
@@ -115,7 +114,7 @@ void sdo_client_download(
 	uint8_t tail[4] = {0};
 	unsigned int command = CCS_DOWNLOAD | SIZE_INDICATED;
 
-	start(client, index, sub);
+	sdo_client_start(client, index, sub);
 	client->phase = SDO_DOWNLOAD_START;
 	client->out = data;
 	client->total = size;
@@ -127,12 +126,12 @@ void sdo_client_download(
 		put_u32(tail, (uint32_t)size);
 		client->segment = 0;
 	}
-	send_start(client, command, tail, now_us);
+	sdo_client_send_start(client, command, tail, now_us);
 }
 
 static void request_segment(struct sdo_client *client, uint64_t now_us)
 {
-	send_request(client, CCS_UPLOAD_SEGMENT | (client->toggle ? TOGGLE : 0u), NULL, 0, now_us);
+	sdo_client_send(client, CCS_UPLOAD_SEGMENT | (client->toggle ? TOGGLE : 0u), NULL, 0, now_us);
 }
 
 static void send_segment(struct sdo_client *client, uint64_t now_us)
@@ -146,18 +145,18 @@ static void send_segment(struct sdo_client *client, uint64_t now_us)
 	if (n == left)
 		command |= LAST_SEGMENT;
 	client->segment = n;
-	send_request(client, command, n ? client->out + client->size : NULL, n, now_us);
+	sdo_client_send(client, command, n ? client->out + client->size : NULL, n, now_us);
 }
 
 /* False, and the transfer is aborted, when more comes than was announced or than fits. */
 static bool take(struct sdo_client *client, const uint8_t *data, size_t n, uint64_t now_us)
 {
 	if (n > client->total - client->size) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
 		return false;
 	}
 	if (n > client->capacity - client->size) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
 		return false;
 	}
 	if (n)
@@ -166,7 +165,7 @@ static bool take(struct sdo_client *client, const uint8_t *data, size_t n, uint6
 	return true;
 }
 
-static void upload_started(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
+void sdo_client_upload_started(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
 {
 	bool sized = data[0] & SIZE_INDICATED;
 
@@ -180,7 +179,7 @@ static void upload_started(struct sdo_client *client, const uint8_t *data, uint6
 	if (sized)
 		client->total = get_u32(&data[4]);
 	if (sized && client->total > client->capacity) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_MEMORY, now_us);
 		return;
 	}
 	client->phase = SDO_UPLOAD_SEGMENT;
@@ -193,7 +192,7 @@ static void upload_segment(struct sdo_client *client, const uint8_t *data, uint6
 	bool last = data[0] & LAST_SEGMENT;
 
 	if (unused == SEGMENT_BYTES && !last) { /* it could go on like that for ever */
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
 		return;
 	}
 	if (!take(client, &data[1], SEGMENT_BYTES - unused, now_us))
@@ -204,7 +203,7 @@ static void upload_segment(struct sdo_client *client, const uint8_t *data, uint6
 		return;
 	}
 	if (client->total != SIZE_MAX && client->size != client->total) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
 		return;
 	}
 	client->result = SDO_DONE;
@@ -252,8 +251,10 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 		[SDO_DOWNLOAD_SEGMENT] = SCS_DOWNLOAD_SEGMENT,
 	};
 	const uint8_t *data = msg->data;
-	bool starting = client->phase == SDO_UPLOAD_START || client->phase == SDO_DOWNLOAD_START;
-	bool aborted = (data[0] & CS_MASK) == CS_ABORT;
+	bool starting = client->phase == SDO_UPLOAD_START || client->phase == SDO_DOWNLOAD_START ||
+			client->phase == SDO_BLOCK_UPLOAD_START || client->phase == SDO_BLOCK_DOWNLOAD_START;
+	/* a segment of a block begins with its number */
+	bool aborted = client->phase == SDO_BLOCK_UPLOAD ? data[0] == CS_ABORT : (data[0] & CS_MASK) == CS_ABORT;
 
 	if (!is_answer(client, msg))
 		return;
@@ -265,17 +266,19 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 		client->aborted_by_server = true;
 		return;
 	}
+	if (sdo_client_block_receive(client, data, now_us))
+		return;
 	if ((data[0] & CS_MASK) != expected[client->phase]) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
 		return;
 	}
 	if (!starting && client->toggle != !!(data[0] & TOGGLE)) {
-		abort_transfer(client, SDO_ABORTED, SDO_ABORT_TOGGLE, now_us);
+		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_TOGGLE, now_us);
 		return;
 	}
 	switch (client->phase) {
 	case SDO_UPLOAD_START:
-		upload_started(client, data, now_us);
+		sdo_client_upload_started(client, data, now_us);
 		break;
 	case SDO_UPLOAD_SEGMENT:
 		upload_segment(client, data, now_us);
@@ -286,16 +289,22 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 	case SDO_DOWNLOAD_SEGMENT:
 		download_segment(client, now_us);
 		break;
+	default:
+		break;
 	}
 }
 
 uint64_t sdo_client_tick(struct sdo_client *client, uint64_t now_us)
 {
+	uint64_t next_us;
+
 	if (client->result != SDO_RUNNING)
 		return UINT64_MAX;
+	if (sdo_client_block_tick(client, now_us, &next_us))
+		return next_us;
 	if (now_us < client->deadline_us)
 		return client->deadline_us;
-	abort_transfer(client, SDO_TIMEOUT, SDO_ABORT_TIMEOUT, now_us);
+	sdo_client_abort(client, SDO_TIMEOUT, SDO_ABORT_TIMEOUT, now_us);
 	return UINT64_MAX;
 }
 

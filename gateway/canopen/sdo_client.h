@@ -1,11 +1,11 @@
 /* gateway/canopen/sdo_client.h
  * The client's side of SDO (CiA 301, 7.2.4.3): reads and writes the objects of another node. A
  * passive core: frames and time go in, frames go out through the CAN port; one transfer at a time;
- * expedited and segmented.
+ * expedited, segmented, and in blocks with CRC (sdo_client_block.c).
  *
- * Use: sdo_client_init(), then sdo_client_upload() or sdo_client_download(); feed every received
- * frame to sdo_client_receive() and call sdo_client_tick() at the deadline it returns, while
- * `result` is SDO_RUNNING. */
+ * Use: sdo_client_init(), then one of the four that start a transfer; feed every received frame to
+ * sdo_client_receive() and call sdo_client_tick() at the deadline it returns, while `result` is
+ * SDO_RUNNING. */
 #ifndef GATEWAY_CANOPEN_SDO_CLIENT_H
 #define GATEWAY_CANOPEN_SDO_CLIENT_H
 
@@ -20,6 +20,9 @@ enum {
 	SDO_ABORT_TOGGLE = 0x05030000,
 	SDO_ABORT_TIMEOUT = 0x05040000,
 	SDO_ABORT_COMMAND = 0x05040001,
+	SDO_ABORT_BLOCK_SIZE = 0x05040002,
+	SDO_ABORT_SEQUENCE = 0x05040003,
+	SDO_ABORT_CRC = 0x05040004,
 	SDO_ABORT_MEMORY = 0x05040005,
 	SDO_ABORT_LENGTH = 0x06070010,
 };
@@ -47,7 +50,18 @@ struct sdo_client {
 	uint8_t node_id;
 	uint8_t sub;
 	uint16_t index;
-	enum { SDO_UPLOAD_START, SDO_UPLOAD_SEGMENT, SDO_DOWNLOAD_START, SDO_DOWNLOAD_SEGMENT } phase;
+	enum {
+		SDO_UPLOAD_START,
+		SDO_UPLOAD_SEGMENT,
+		SDO_DOWNLOAD_START,
+		SDO_DOWNLOAD_SEGMENT,
+		SDO_BLOCK_UPLOAD_START,
+		SDO_BLOCK_UPLOAD,     /* segments come */
+		SDO_BLOCK_UPLOAD_END, /* all came; the CRC is to come */
+		SDO_BLOCK_DOWNLOAD_START,
+		SDO_BLOCK_DOWNLOAD,	/* segments go, until they are acknowledged */
+		SDO_BLOCK_DOWNLOAD_END, /* the CRC is sent */
+	} phase;
 	bool toggle; /* of the segment under way */
 	uint8_t *in;
 	const uint8_t *out;
@@ -56,6 +70,12 @@ struct sdo_client {
 	size_t capacity;
 	size_t segment; /* download: bytes in the segment under way */
 	uint64_t deadline_us;
+	struct {
+		uint8_t size;	  /* segments in a sub-block at the most */
+		uint8_t sequence; /* of the last segment that came in order, or was sent */
+		uint8_t in_vain;  /* tries without progress */
+		bool crc;	  /* the server has one */
+	} block;
 };
 
 void sdo_client_init(struct sdo_client *client, struct can_port *bus, uint8_t node_id, uint64_t timeout_us);
@@ -67,6 +87,12 @@ void sdo_client_upload(
 
 /** Starts to write an object; `data` must live until the end. */
 void sdo_client_download(
+	struct sdo_client *client, uint16_t index, uint8_t sub, const void *data, size_t size, uint64_t now_us);
+
+/** The same in blocks: faster for large objects. A server without block transfer aborts (05040001h). */
+void sdo_client_block_upload(
+	struct sdo_client *client, uint16_t index, uint8_t sub, void *buffer, size_t capacity, uint64_t now_us);
+void sdo_client_block_download(
 	struct sdo_client *client, uint16_t index, uint8_t sub, const void *data, size_t size, uint64_t now_us);
 
 /** Frames of others, and late answers to earlier requests, are ignored. */
