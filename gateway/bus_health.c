@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <string.h>
 
-#include "gateway/log.h"
 #include "gateway/status.h"
 
 enum { REGISTER_COMMUNICATION = 1 << 4 };
@@ -81,7 +80,8 @@ static void plan_restart(struct bus_health *h)
 	if (delay_ms == 0)
 		return;
 	if (limit > 0 && h->tries >= limit) {
-		log_line("%s: stays bus-off after %u restarts (2122h:8); 2122h:11 = 1 restarts it", h->bus->name,
+		event_log_line(h->log, h->now_us,
+			"%s: stays bus-off after %u restarts (2122h:8); 2122h:11 = 1 restarts it", h->bus->name,
 			h->tries);
 		return;
 	}
@@ -99,8 +99,9 @@ static void restart(struct bus_health *h)
 		h->restarted_us = h->now_us;
 		h->values->bus_health.restarts++;
 	} else if (rc == -EPERM) {
-		log_line("%s: restarting it is not permitted (CAP_NET_ADMIN): `ip link set %s type can restart-ms 100` "
-			 "lets the kernel do it",
+		event_log_line(h->log, h->now_us,
+			"%s: restarting it is not permitted (CAP_NET_ADMIN): `ip link set %s type can restart-ms 100` "
+			"lets the kernel do it",
 			h->bus->name, h->bus->name);
 	} else if (rc != -EOPNOTSUPP) {
 		h->tries++;
@@ -176,7 +177,7 @@ static void watch_state(struct bus_health *h)
 	if (state == seen)
 		return;
 	h->seen = state;
-	log_line("%s: %s", h->bus->name, state_text(state));
+	event_log_line(h->log, h->now_us, "%s: %s", h->bus->name, state_text(state));
 	if (state == CAN_STATE_BUS_OFF)
 		went_off(h);
 	if (state == CAN_STATE_PASSIVE)
@@ -217,7 +218,7 @@ bool bus_health_bit_rate_possible(struct bus_health *h, uint32_t bit_s)
 	int rc = can_bit_rate(h->bus, bit_s, true);
 
 	if (rc < 0)
-		log_line("%s: LSS asks for %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
+		event_log_line(h->log, h->now_us, "%s: LSS asks for %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
 	return rc == 0;
 }
 
@@ -225,14 +226,16 @@ void bus_health_set_bit_rate(struct bus_health *h, uint32_t bit_s)
 {
 	int rc = can_bit_rate(h->bus, bit_s, false);
 
-	log_line("%s: %u bit/s by LSS%s%s", h->bus->name, bit_s, rc < 0 ? " failed: " : "", rc < 0 ? why_not(rc) : "");
+	event_log_line(h->log, h->now_us, "%s: %u bit/s by LSS%s%s", h->bus->name, bit_s, rc < 0 ? " failed: " : "",
+		rc < 0 ? why_not(rc) : "");
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
-void bus_health_init(struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od)
+void bus_health_init(
+	struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od, struct event_log *log)
 {
-	*h = (struct bus_health){.bus = bus, .node = node, .values = od->values, .restart_us = UINT64_MAX};
+	*h = (struct bus_health){.bus = bus, .node = node, .values = od->values, .log = log, .restart_us = UINT64_MAX};
 	h->hook = (struct od_hook){.first = 0x2122, .last = 0x2122, .before = on_write, .ctx = h};
 	od_attach(od, &h->hook);
 }

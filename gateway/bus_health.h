@@ -9,6 +9,7 @@
 
 #include "drivers/ports/can.h"
 #include "gateway/canopen/canopen.h"
+#include "gateway/event_log.h"
 #include "od_values.h"
 
 struct bus_health {
@@ -16,6 +17,7 @@ struct bus_health {
 	struct can_port *bus;
 	struct canopen_node *node;
 	struct od_values *values;
+	struct event_log *log;
 	struct od_hook hook;
 	enum can_state seen;
 	bool was_off, overrun;
@@ -30,7 +32,8 @@ struct bus_health {
 };
 
 /** Attaches to the dictionary; `node` may be initialised later. */
-void bus_health_init(struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od);
+void bus_health_init(
+	struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od, struct event_log *log);
 /** Reset node: faults that last are found and told anew. */
 void bus_health_reset(struct bus_health *h);
 /** Returns when to call again at the latest. */

@@ -312,7 +312,7 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	if (rc < 0)
 		return rc;
 	attach_hooks(d);
-	bus_health_init(&d->bus_health, bus, &d->canopen, &d->od);
+	bus_health_init(&d->bus_health, bus, &d->canopen, &d->od, &d->log);
 	return canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
 }
 

@@ -230,8 +230,10 @@ static void test_each_entry_of_the_snapshot_can_be_written_by_itself_in_its_orde
 
 		assert_true(item.size <= sizeof(data));
 		memcpy(data, item.data, item.size);
-		if ((item.index == 0x1014 || (item.index >= 0x1400 && item.index < 0x1A00)) && item.size == 4 &&
-			data[3] & 0x20) {
+		bool cob_id =
+			item.index == 0x1014 || (item.sub == 1 && (item.index >> 8 == 0x14 || item.index >> 8 == 0x18));
+
+		if (cob_id && data[3] & 0x20) {
 			data[3] &= 0xDF;
 			data[0] = (uint8_t)(data[0] + 16);
 		}
