@@ -5,6 +5,7 @@
 
 #include "gateway/publish.h"
 #include "gateway/settings.h"
+#include "gateway/threshold.h"
 
 /* ERROR REGISTER bits (1001h); the core adds the generic bit */
 enum { REGISTER_MANUFACTURER = 1 << 7 };
@@ -202,6 +203,7 @@ static void on_reset(void *ctx, enum od_group group)
 	struct pipeline_config config = settings_pipeline(&d->values);
 	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
 		d->configuration_changed = true; /* the contradiction is reported with the next sample */
+	aids_reset(&d->aids);
 	/* faults that last are found and told anew */
 	d->sensor_lost = d->position_unsure = false;
 	bus_health_reset(&d->bus_health);
@@ -225,6 +227,11 @@ static bool on_bit_rate_possible(void *ctx, uint32_t bit_s)
 static void on_set_bit_rate(void *ctx, uint32_t bit_s)
 {
 	bus_health_set_bit_rate(&((struct device *)ctx)->bus_health, bit_s);
+}
+
+static double change_threshold(void *ctx, const struct od_entry *entry)
+{
+	return threshold_of(&((struct device *)ctx)->values, entry);
 }
 
 static void on_nmt_changed(void *ctx, enum nmt_state state)
@@ -259,6 +266,7 @@ static void attach_hooks(struct device *d)
 	d->command_hook = (struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
 	d->resolution_hook = (struct od_hook){.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
 	d->preset_hook = (struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
+	aids_init(&d->aids, &d->od, &d->values, &d->pipeline);
 	od_attach(&d->od, &d->command_hook);
 	od_attach(&d->od, &d->configuration_hook);
 	od_attach(&d->od, &d->resolution_hook);
@@ -295,6 +303,7 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 		.restore = on_restore,
 		.reset = on_reset,
 		.nmt_changed = on_nmt_changed,
+		.change_threshold = change_threshold,
 		.error_changed = on_error_changed,
 		.store_lss = storage ? on_store_lss : NULL,
 		.bit_rate_possible = on_bit_rate_possible,
@@ -380,12 +389,14 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	}
 	if (d->configuration_changed)
 		take_configuration(d);
+	aids_step(&d->aids, now_us);
 	uint16_t counter = (uint16_t)d->samples++;
 	if (pipeline_step(&d->pipeline, sample, &out) < 0)
 		return;
 	d->last_sample_us = now_us;
 	sensor_back(d);
 	publish_sample(&d->values, &out, counter);
+	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
 	publish_sensor_counters(d);
 	watch_uncertainty(d, out.status);
 	canopen_sample(&d->canopen, now_us);

@@ -12,6 +12,7 @@
 
 #include "drivers/ports/can.h"
 #include "drivers/ports/imu.h"
+#include "gateway/aids.h"
 #include "gateway/bus_health.h"
 #include "gateway/canopen/node.h"
 #include "gateway/event_log.h"
@@ -38,6 +39,7 @@ struct device {
 	struct store_image saving; /* what it will hold when the save under way has ended */
 	struct device_storage storage;
 	struct pipeline pipeline;
+	struct aids aids;
 	struct canopen_node canopen;
 	struct bus_health bus_health;
 	struct can_port *bus;
