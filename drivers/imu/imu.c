@@ -12,7 +12,7 @@ static const struct source {
 	const char *name;
 	int (*open)(char *args, const struct imu_settings *settings, struct imu_port **port, char *error,
 		size_t error_size);
-} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}};
+} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}, {"i2c", i2c_open}};
 
 int source_positive(const char *text, double *value)
 {
@@ -46,8 +46,8 @@ int imu_open(
 	source = find(name);
 	if (!source) {
 		snprintf(error, error_size,
-			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ]] or "
-			"replay:FILE.imu.csv[,loop][,speed=X]",
+			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ][,board=B]], "
+			"replay:FILE.imu.csv[,loop][,speed=X] or i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,fifo=off]",
 			name);
 		return -EINVAL;
 	}

@@ -1,50 +1,19 @@
-/* A simulated IMU: a scenario of model/signal seen by a calibrated sensor of model/sensor, in real
- * time, for ever. */
+/* A simulated robot: the real driver on simulated chips (sim_chips.h) that feel a scenario of model/signal with the
+ * noise of model/sensor, calibrated, in real time, for ever. */
 #include <errno.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
-#include "drivers/imu/pace.h"
+#include "drivers/imu/i2c_imu.h"
+#include "drivers/imu/sim_chips.h"
 #include "drivers/imu/source.h"
-#include "model/sensor.h"
 
-static const char PRESET[] = "lsm303dlhc_l3gd20";
+static const char PRESET[] = "lsm303dlhc_l3gd20", BOARD[] = "v3";
 enum { SEED = 1 };
 /* from the robot's reference point to the sensor: the seed's 5 cm */
 static const struct vec3 LEVER_ARM_B_M = {0.05, 0, 0};
-
-struct sim {
-	struct imu_port port;
-	struct pace pace;
-	const struct signal *signal;
-	struct sensor sensor;
-};
-
-static int sim_read(struct imu_port *port, struct imu_sample *sample)
-{
-	struct sim *sim = (struct sim *)port;
-	double interval_ns = 1e9 / port->rate_hz;
-	int64_t late_ns = pace_since(&sim->pace, (int64_t)((double)sim->sensor.taken * interval_ns));
-
-	if (late_ns < 0)
-		return 0;
-	sensor_next(&sim->sensor, sim->signal, sample, NULL);
-	port->counters.samples++;
-	if ((double)late_ns > interval_ns)
-		port->counters.late++;
-	return 1;
-}
-
-static void sim_close(struct imu_port *port)
-{
-	struct sim *sim = (struct sim *)port;
-
-	pace_stop(&sim->pace);
-	free(sim);
-}
-
-static const struct imu_ops SIM_OPS = {.read = sim_read, .close = sim_close};
+/* oscillators as real ones are: not quite right, and not alike */
+static const double RATE_ERROR[] = {[IMU_CHIP_GYRO] = 0.004, [IMU_CHIP_ACCEL] = -0.006, [IMU_CHIP_MAG] = 0.01};
 
 static void scenarios(char *text, size_t size)
 {
@@ -54,47 +23,47 @@ static void scenarios(char *text, size_t size)
 		n += (size_t)snprintf(text + n, size - n, "%s%s", n ? ", " : "", s->name);
 }
 
+static int parse_option(const char *option, struct sim_config *sim, struct i2c_imu_config *driver)
+{
+	if (strncmp(option, "rate=", 5) == 0)
+		return source_positive(option + 5, &driver->rate_hz);
+	if (strncmp(option, "board=", 6) != 0)
+		return -EINVAL;
+	sim->board = option + 6;
+	return 0;
+}
+
 int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
 {
-	struct sensor_config config = *sensor_preset(PRESET);
-	char *options = args, *name = strsep(&options, ",");
-	const struct signal *signal = name && *name ? signal_find(name) : &SIGNALS[0];
-	struct sim *sim;
+	char *rest = args, *scenario = strsep(&rest, ","), *option, name[32];
+	struct sim_config config = {
+		.board = BOARD, .sensor = *sensor_preset(PRESET), .seed = SEED, .now_ns = i2c_imu_now_ns};
+	struct i2c_imu_config driver = {.name = name};
+	struct sim_board *board;
 	int result;
 
-	(void)settings;
-	if (!signal) {
+	config.signal = scenario && *scenario ? signal_find(scenario) : &SIGNALS[0];
+	if (!config.signal) {
 		char known[160];
 
 		scenarios(known, sizeof known);
-		snprintf(error, error_size, "sim: unknown scenario '%.40s': use one of %s", name, known);
+		snprintf(error, error_size, "sim: unknown scenario '%.40s': use one of %s", scenario, known);
 		return -EINVAL;
 	}
-	if (options && (strncmp(options, "rate=", 5) != 0 || source_positive(options + 5, &config.rate_hz) < 0 ||
-			       config.rate_hz < 1 || config.rate_hz > 10000)) {
-		snprintf(error, error_size, "sim: '%.40s': use rate=HZ, 1 to 10000", options);
-		return -EINVAL;
-	}
-	sim = calloc(1, sizeof *sim);
-	if (!sim)
-		return -ENOMEM;
-	sensor_calibrate(&config);
-	config.lever_arm_b_m = LEVER_ARM_B_M;
-	result = sensor_init(&sim->sensor, &config, SEED);
-	if (result == 0)
-		result = pace_start(&sim->pace);
+	while ((option = strsep(&rest, ",")))
+		if (parse_option(option, &config, &driver) < 0) {
+			snprintf(
+				error, error_size, "sim: '%.40s': use rate=HZ or board=v0, v1, v2, v3, v5, v6", option);
+			return -EINVAL;
+		}
+	sensor_calibrate(&config.sensor);
+	config.sensor.lever_arm_b_m = LEVER_ARM_B_M;
+	memcpy(config.rate_error, RATE_ERROR, sizeof RATE_ERROR);
+	snprintf(name, sizeof name, "sim:%s", config.signal->name);
+	result = sim_board_open(&config, &board);
 	if (result < 0) {
-		free(sim);
+		snprintf(error, error_size, "sim: no board '%.10s': use v0, v1, v2, v3, v5 or v6", config.board);
 		return result;
 	}
-	sim->signal = signal;
-	sim->port = (struct imu_port){
-		.ops = &SIM_OPS,
-		.fd = sim->pace.fd,
-		.rate_hz = config.rate_hz,
-		.silence_us = source_silence_us(config.rate_hz),
-	};
-	snprintf(sim->port.name, sizeof sim->port.name, "sim:%s", signal->name);
-	*port = &sim->port;
-	return 0;
+	return i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);
 }

@@ -17,6 +17,7 @@ struct imu_settings {
 	double rate_hz;
 	double gyro_range_deg_s, accel_range_g, mag_range_uT;
 	double bandwidth_hz; /* 0: half the rate, or next to it */
+	int realtime;	     /* SCHED_FIFO priority of the driver's own thread; 0: none */
 	int self_test;	     /* at the start, too; the sensor must be at rest then */
 };
 

@@ -1,0 +1,93 @@
+/* LSM6DS33 (DocID027423) and LSM6DSO (DS12140): accelerometer and gyro on one oscillator, sampled together. LIS3MDL
+ * (DocID024204): the magnetometer beside them. */
+#include "drivers/imu/chips.h"
+
+#define G   9.80665
+#define MG  (1e-3 * G)
+#define DPS (3.14159265358979323846 / 180)
+
+/* the code is FS_G and FS_125 as they stand in CTRL2_G */
+static const struct chip_range GYRO_RANGES[] = {{125, 4.375e-3 * DPS, 0, 0x02}, {250, 8.75e-3 * DPS, 0, 0x00},
+	{500, 17.5e-3 * DPS, 0, 0x04}, {1000, 35e-3 * DPS, 0, 0x08}, {2000, 70e-3 * DPS, 0, 0x0C}, {.full_scale = 0}};
+static const struct chip_range ACCEL_RANGES[] = {{2, 0.061 * MG, 0, 0x00}, {4, 0.122 * MG, 0, 0x08},
+	{8, 0.244 * MG, 0, 0x0C}, {16, 0.488 * MG, 0, 0x04}, {.full_scale = 0}};
+static const struct chip_rate RATES[] = {
+	{104, 4, {52}}, {208, 5, {104}}, {416, 6, {208}}, {833, 7, {416}}, {1660, 8, {830}}, {.hz = 0}};
+
+static void common(const struct chip_setup *setup, struct chip_registers *out)
+{
+	unsigned rate = (unsigned)setup->rate->code << 4;
+
+	chip_put(out, 0x0D, setup->data_ready ? 0x02 : 0x00); /* INT1_DRDY_G */
+	chip_put(out, 0x12, 0x44);			      /* BDU, IF_INC */
+	chip_put(out, 0x14, 0x00);			      /* no self-test, no rounding */
+	chip_put(out, 0x10, rate | setup->range[1]->code);
+	chip_put(out, 0x11, rate | setup->range[0]->code);
+}
+
+static void ds33(const struct chip_setup *setup, struct chip_registers *out)
+{
+	chip_put(out, 0x0A, 0x00); /* bypass: empties the FIFO */
+	common(setup, out);
+	chip_put(out, 0x08, setup->fifo ? 0x09 : 0x00); /* gyro and accelerometer, each sample */
+	chip_put(out, 0x0A, setup->fifo ? (unsigned)setup->rate->code << 3 | 0x06 : 0x00); /* continuous */
+}
+
+static void dso(const struct chip_setup *setup, struct chip_registers *out)
+{
+	chip_put(out, 0x0A, 0x00);
+	common(setup, out);
+	chip_put(out, 0x09, setup->fifo ? (unsigned)setup->rate->code * 0x11u : 0x00); /* batch both */
+	chip_put(out, 0x0A, setup->fifo ? 0x06 : 0x00);
+}
+
+#define LSM6(chip_name, who, fifo_kind, digits_per_degC, put, accel_noise, gyro_noise)                                 \
+	{                                                                                                              \
+		.name = (chip_name), .addresses = {0x6B, 0x6A}, .identity_at = 0x0F, .identity = {who},                \
+		.identity_size = 1, .status = 0x1E, .ready = 0x02, .data = 0x22, .data_size = 12, .fifo = (fifo_kind), \
+		.rates = RATES,                                                                                        \
+		.triads = {{.what = IMU_CHIP_GYRO,                                                                     \
+				   .ranges = GYRO_RANGES,                                                              \
+				   .order = {0, 1, 2},                                                                 \
+				   .density = (gyro_noise)*DPS,                                                        \
+				   .self_test = {0x14, 0x0C, 0x04, 20 * DPS, 700 * DPS}},                              \
+			{.what = IMU_CHIP_ACCEL,                                                                       \
+				.ranges = ACCEL_RANGES,                                                                \
+				.byte = 6,                                                                             \
+				.order = {0, 1, 2},                                                                    \
+				.density = (accel_noise)*1e-6 * G,                                                     \
+				.self_test = {0x14, 0x03, 0x01, 50 * MG, 1700 * MG}}},                                 \
+		.triad_count = 2, .temperature = {0x20, 2, 1.0 / (digits_per_degC), 25}, .registers = (put)            \
+	}
+
+const struct chip CHIP_LSM6DS33 = LSM6("LSM6DS33", 0x69, CHIP_FIFO_WORDS, 16, ds33, 90, 0.007);
+const struct chip CHIP_LSM6DSO = LSM6("LSM6DSO", 0x6C, CHIP_FIFO_TAGGED, 256, dso, 70, 0.0038);
+
+static const struct chip_range FIELD[] = {{400, 100.0 / 6842, 0, 0x00}, {800, 100.0 / 3421, 0, 0x20},
+	{1200, 100.0 / 2281, 0, 0x40}, {1600, 100.0 / 1711, 0, 0x60}, {.full_scale = 0}};
+static const struct chip_rate FIELD_RATES[] = {{10, 4, {5}}, {20, 5, {10}}, {40, 6, {20}}, {80, 7, {40}}, {.hz = 0}};
+
+static void lis3mdl(const struct chip_setup *setup, struct chip_registers *out)
+{
+	chip_put(out, 0x20, 0xE0u | (unsigned)setup->rate->code << 2); /* temperature, ultra-high performance */
+	chip_put(out, 0x21, setup->range[0]->code);
+	chip_put(out, 0x23, 0x0C); /* z: ultra-high performance */
+	chip_put(out, 0x24, 0x40); /* BDU */
+	chip_put(out, 0x22, 0x00); /* continuous */
+}
+
+const struct chip CHIP_LIS3MDL = {.name = "LIS3MDL",
+	.addresses = {0x1E, 0x1C},
+	.identity_at = 0x0F,
+	.identity = {0x3D},
+	.identity_size = 1,
+	.increment = 0x80,
+	.status = 0x27,
+	.ready = 0x08,
+	.overrun = 0x80,
+	.data = 0x28,
+	.data_size = 6,
+	.rates = FIELD_RATES,
+	.triads = {{.what = IMU_CHIP_MAG, .ranges = FIELD, .order = {0, 1, 2}, .density = 0.05}},
+	.triad_count = 1,
+	.registers = lis3mdl};

@@ -1,0 +1,130 @@
+#include "drivers/imu/sample_clock.h"
+
+#include <math.h>
+
+/* How fast an oscillator may change its period, as a fraction of it per second: warming up. */
+#define DRIFT_PER_S 1e-4
+/* The period is never believed to be known better than that. */
+#define FINEST 5e-5
+
+enum { ANCHOR_SAMPLES = 256, SMOOTHING = 8 };
+
+double sample_clock_period(const struct sample_clock *c)
+{
+	return (c->shortest_ns + c->longest_ns) / 2;
+}
+
+void sample_clock_start(struct sample_clock *c, double period_ns, double tolerance)
+{
+	*c = (struct sample_clock){.newest = -1,
+		.nominal_ns = period_ns,
+		.shortest_ns = period_ns * (1 - tolerance),
+		.longest_ns = period_ns * (1 + tolerance)};
+}
+
+static void begin(struct sample_clock *c, int64_t newest, double lo_ns, double hi_ns)
+{
+	c->newest = c->anchor = newest;
+	c->lo_ns = c->anchor_lo_ns = lo_ns;
+	c->hi_ns = c->anchor_hi_ns = hi_ns;
+	c->taken_ns = (lo_ns + hi_ns) / 2;
+}
+
+/* What the time since the anchor says about the period. */
+static void narrow_period(struct sample_clock *c)
+{
+	double n = (double)(c->newest - c->anchor), period_ns = sample_clock_period(c);
+	double shortest_ns, longest_ns;
+
+	if (n < 4)
+		return;
+	shortest_ns = fmax(c->shortest_ns, (c->lo_ns - c->anchor_hi_ns) / n);
+	longest_ns = fmin(c->longest_ns, (c->hi_ns - c->anchor_lo_ns) / n);
+	if (longest_ns - shortest_ns > 2 * FINEST * period_ns) {
+		c->shortest_ns = shortest_ns;
+		c->longest_ns = longest_ns;
+	}
+	if (n >= ANCHOR_SAMPLES) {
+		c->anchor = c->newest;
+		c->anchor_lo_ns = c->lo_ns;
+		c->anchor_hi_ns = c->hi_ns;
+	}
+}
+
+static void advance(struct sample_clock *c, int64_t newest)
+{
+	double n = (double)(newest - c->newest), drift = DRIFT_PER_S * n * c->nominal_ns * 1e-9;
+
+	c->taken_ns += n * sample_clock_period(c);
+	c->lo_ns += n * c->shortest_ns;
+	c->hi_ns += n * c->longest_ns;
+	c->newest = newest;
+	c->shortest_ns -= drift * c->nominal_ns;
+	c->longest_ns += drift * c->nominal_ns;
+}
+
+/* The newest sample was taken between these, too. Contradictions mean that the period has left its bounds: begin anew,
+ * with what this read says. */
+static void narrow(struct sample_clock *c, double lo_ns, double hi_ns)
+{
+	double guess_ns;
+
+	if (lo_ns > c->hi_ns || hi_ns < c->lo_ns) {
+		double spread_ns = fmax(c->longest_ns - c->shortest_ns, 0.002 * c->nominal_ns);
+
+		c->shortest_ns -= spread_ns;
+		c->longest_ns += spread_ns;
+		begin(c, c->newest, lo_ns, hi_ns);
+		return;
+	}
+	c->lo_ns = fmax(c->lo_ns, lo_ns);
+	c->hi_ns = fmin(c->hi_ns, hi_ns);
+	narrow_period(c);
+	guess_ns = c->taken_ns + ((c->lo_ns + c->hi_ns) / 2 - c->taken_ns) / SMOOTHING;
+	c->taken_ns = fmax(c->lo_ns, fmin(c->hi_ns, guess_ns));
+}
+
+void sample_clock_read(struct sample_clock *c, int64_t count, double from_ns, double to_ns)
+{
+	if (count == 0)
+		return;
+	if (c->newest < 0) {
+		begin(c, count - 1, from_ns - c->longest_ns, to_ns);
+		return;
+	}
+	if (count - 1 > c->newest)
+		advance(c, count - 1);
+	narrow(c, from_ns - c->longest_ns, to_ns);
+}
+
+void sample_clock_edge(struct sample_clock *c, double from_ns, double to_ns)
+{
+	int64_t index;
+
+	if (c->newest < 0)
+		return;
+	index = c->newest + (int64_t)floor((to_ns - c->taken_ns) / sample_clock_period(c) + 0.5);
+	if (index < c->newest)
+		return;
+	advance(c, index);
+	narrow(c, from_ns, to_ns);
+}
+
+double sample_clock_at(const struct sample_clock *c, int64_t index)
+{
+	return c->taken_ns + (double)(index - c->newest) * sample_clock_period(c);
+}
+
+/* In the middle of a wide bracket, to halve it; after the end of a narrow one, to find the sample. */
+double sample_clock_due(const struct sample_clock *c, int64_t index)
+{
+	double n = (double)(index - c->newest), period_ns = sample_clock_period(c);
+	double lo_ns = c->lo_ns + n * c->shortest_ns, hi_ns = c->hi_ns + n * c->longest_ns;
+
+	return hi_ns - lo_ns > period_ns / 16 ? (lo_ns + hi_ns) / 2 : hi_ns;
+}
+
+bool sample_clock_locked(const struct sample_clock *c)
+{
+	return c->newest >= 0 && c->hi_ns - c->lo_ns < sample_clock_period(c) / 6;
+}
