@@ -1,0 +1,796 @@
+/* What other devices tell this one (2070h to 2073h) and TPDOs on change (2118h), through the whole device in simulated
+ * time; in the end with recorded trials and their optical reference. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/device.h"
+#include "gateway/status.h"
+#include "model/rotation.h"
+#include "model/sensor.h"
+
+#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
+#define RAD_PER_DEG		     (3.14159265358979323846 / 180)
+
+enum { NODE_ID = 16, INTERVAL_US = 10000 };
+
+struct world {
+	struct can_port bus;
+	struct imu_port imu;
+	struct device device;
+	struct sensor sensor;
+	const struct signal *signal;
+	struct can_msg sdo_answer, emcy, tpdo1; /* the last of each */
+	unsigned tpdo1_count;
+	uint64_t now_us;
+};
+
+/* ---- the world around the device --------------------------------------------------------------------------------- */
+
+static int take_frame(struct can_port *port, const struct can_msg *msg)
+{
+	struct world *w = (struct world *)port;
+
+	if (msg->id == 0x580 + NODE_ID)
+		w->sdo_answer = *msg;
+	if (msg->id == 0x080 + NODE_ID)
+		w->emcy = *msg;
+	if (msg->id == 0x180 + NODE_ID) {
+		w->tpdo1 = *msg;
+		w->tpdo1_count++;
+	}
+	return 0;
+}
+
+static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port, (void)ids, (void)n;
+	return 0;
+}
+
+static void receive(struct world *w, uint32_t id, size_t len, const void *data)
+{
+	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
+
+	memcpy(msg.data, data, len);
+	device_receive(&w->device, &msg, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static void nmt(struct world *w, uint8_t command)
+{
+	receive(w, 0x000, 2, (const uint8_t[]){command, NODE_ID});
+}
+
+static struct world *new_world(const char *signal)
+{
+	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
+	struct world *w = calloc(1, sizeof(*w));
+	struct sensor_config sensor = *sensor_preset("ideal");
+
+	assert_non_null(w);
+	w->bus = (struct can_port){.ops = &ops, .fd = -1};
+	w->imu = (struct imu_port){.rate_hz = 100, .silence_us = 100000};
+	w->signal = signal_find(signal);
+	assert_non_null(w->signal);
+	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
+	device_start(&w->device, false, w->now_us);
+	nmt(w, 1);
+	return w;
+}
+
+static void sample(struct world *w)
+{
+	struct imu_sample s;
+
+	w->now_us += INTERVAL_US;
+	sensor_next(&w->sensor, w->signal, &s, NULL);
+	device_sample(&w->device, 1, &s, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static void samples(struct world *w, int n)
+{
+	while (n-- > 0)
+		sample(w);
+}
+
+static int set_up(void **state)
+{
+	struct world *w = new_world("tumble");
+
+	samples(w, 100);
+	*state = w;
+	return 0;
+}
+
+static int set_up_at_rest(void **state)
+{
+	*state = new_world("rest");
+	samples(*state, 100);
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	free(*state);
+	return 0;
+}
+
+/* Expedited download; the abort code, or 0. */
+static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
+{
+	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
+	const uint8_t *answer = w->sdo_answer.data;
+
+	memcpy(request + 4, value, size);
+	receive(w, 0x600 + NODE_ID, 8, request);
+	if (answer[0] == 0x60)
+		return 0;
+	assert_int_equal(answer[0], 0x80);
+	return (uint32_t)answer[4] | (uint32_t)answer[5] << 8 | (uint32_t)answer[6] << 16 | (uint32_t)answer[7] << 24;
+}
+
+static uint32_t write_real(struct world *w, uint16_t index, uint8_t sub, float value)
+{
+	return sdo_write(w, index, sub, &value, 4);
+}
+
+static uint32_t write_u8(struct world *w, uint16_t index, uint8_t sub, uint8_t value)
+{
+	return sdo_write(w, index, sub, &value, 1);
+}
+
+static void put_16(uint8_t *wire, double value, double lsb)
+{
+	int n = (int)lround(value / lsb);
+
+	wire[0] = (uint8_t)n;
+	wire[1] = (uint8_t)(n >> 8);
+}
+
+/* RPDO1 */
+static void tell_velocity(struct world *w, double x, double y, double z, double sigma)
+{
+	uint8_t data[8];
+
+	put_16(data, x, 0.001);
+	put_16(data + 2, y, 0.001);
+	put_16(data + 4, z, 0.001);
+	put_16(data + 6, sigma, 0.001);
+	receive(w, 0x200 + NODE_ID, 8, data);
+}
+
+/* RPDO2 */
+static void tell_yaw(struct world *w, double yaw_deg, double sigma_deg)
+{
+	float values[2] = {(float)yaw_deg, (float)sigma_deg};
+
+	receive(w, 0x300 + NODE_ID, 8, values);
+}
+
+/* RPDO3 */
+static void tell_attitude(struct world *w, double roll, double pitch, double yaw, uint8_t command)
+{
+	uint8_t data[7];
+
+	put_16(data, roll, 0.01);
+	put_16(data + 2, pitch, 0.01);
+	put_16(data + 4, yaw, 0.01);
+	data[6] = command;
+	receive(w, 0x400 + NODE_ID, 7, data);
+}
+
+/* RPDO4 */
+static void tell_commands(struct world *w, uint8_t commands)
+{
+	receive(w, 0x500 + NODE_ID, 2, (const uint8_t[]){commands, 0});
+}
+
+static bool in_use(const struct world *w)
+{
+	return w->device.values.sample.status & STATUS_EXTERNAL_AID;
+}
+
+static struct vec3 velocity(const struct world *w)
+{
+	const struct od_values *v = &w->device.values;
+
+	return (struct vec3){(double)v->velocity.x, (double)v->velocity.y, (double)v->velocity.z};
+}
+
+static void assert_velocity(const struct world *w, double x, double y, double z)
+{
+	assert_true(vec3_norm(vec3_sub(velocity(w), (struct vec3){x, y, z})) < 0.2);
+}
+
+static double turn_deg(double to, double from)
+{
+	return remainder(to - from, 360);
+}
+
+/* ---- velocity ---------------------------------------------------------------------------------------------------- */
+
+static void test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample(void **state)
+{
+	struct world *w = *state;
+
+	tell_velocity(w, 3, -2, 1, 0.001);
+	sample(w);
+	assert_velocity(w, 3, -2, 1);
+}
+
+static void test_a_velocity_by_sdo_is_used_when_its_sigma_is_written(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_real(w, 0x2070, 1, 3), 0);
+	assert_int_equal(write_real(w, 0x2070, 2, -2), 0);
+	assert_int_equal(write_real(w, 0x2070, 3, 1), 0);
+	sample(w);
+	assert_true(vec3_norm(velocity(w)) < 2);
+	assert_false(in_use(w));
+	assert_int_equal(write_real(w, 0x2070, 4, 0.001f), 0);
+	sample(w);
+	assert_velocity(w, 3, -2, 1);
+	assert_true(in_use(w));
+}
+
+static void test_a_sigma_of_zero_says_that_nothing_was_measured(void **state)
+{
+	struct world *w = *state, *twin = new_world("tumble");
+
+	samples(twin, 100);
+	tell_velocity(w, 3, -2, 1, 0);
+	sample(w);
+	sample(twin);
+	assert_memory_equal(
+		&w->device.values.velocity, &twin->device.values.velocity, sizeof(w->device.values.velocity));
+	assert_false(in_use(w));
+	free(twin);
+}
+
+static void test_a_velocity_in_the_object_frame_is_turned_into_the_global_one(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+	struct quat q = {
+		(double)v->quaternion.w, (double)v->quaternion.x, (double)v->quaternion.y, (double)v->quaternion.z};
+	struct vec3 global = quat_rotate(q, (struct vec3){3, 0, 0});
+
+	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
+	tell_velocity(w, 3, 0, 0, 0.001);
+	sample(w);
+	assert_true(fabs(global.x - 3) > 0.1); /* it makes a difference here */
+	assert_velocity(w, global.x, global.y, global.z);
+}
+
+static void test_before_there_is_an_attitude_an_aid_is_not_used(void **state)
+{
+	struct world *w = new_world("tumble");
+
+	tell_velocity(w, 3, -2, 1, 0.001);
+	sample(w);
+	assert_false(in_use(w));
+	assert_true(vec3_norm(velocity(w)) < 1);
+	free(w);
+	(void)state;
+}
+
+static void test_the_real_values_and_the_integers_are_two_views_of_one_value(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+
+	tell_velocity(w, 1.5, -0.25, 32.767, 0.04);
+	assert_near(v->velocity_aid.x, 1.5, 1e-6);
+	assert_near(v->velocity_aid.y, -0.25, 1e-6);
+	assert_near(v->velocity_aid.z, 32.767, 1e-5);
+	assert_near(v->velocity_aid.sigma, 0.04, 1e-6);
+	assert_int_equal(write_real(w, 0x2070, 1, -0.0016f), 0);
+	assert_int_equal(v->velocity_aid.x16, -2);
+	assert_int_equal(write_real(w, 0x2070, 2, -500), 0);
+	assert_int_equal(v->velocity_aid.y16, -32768); /* as near as it gets */
+	assert_int_equal(write_real(w, 0x2070, 4, 500), 0);
+	assert_int_equal(v->velocity_aid.sigma16, 65535);
+	tell_attitude(w, 1.25, -2.5, 180, 0);
+	assert_near(v->attitude_reset.roll, 1.25, 1e-6);
+	assert_near(v->attitude_reset.pitch, -2.5, 1e-6);
+	assert_near(v->attitude_reset.yaw, 180, 1e-5);
+	assert_int_equal(write_real(w, 0x2072, 2, 45), 0);
+	assert_int_equal(v->attitude_reset.pitch16, 4500);
+}
+
+/* ---- yaw --------------------------------------------------------------------------------------------------------- */
+
+static void test_a_yaw_by_rpdo_pulls_the_heading_there(void **state)
+{
+	struct world *w = *state, *free_run = new_world("tumble");
+	const float *yaw = &w->device.values.angles_deg.yaw;
+	double goal;
+
+	samples(free_run, 100);
+	for (int i = 0; i < 200; i++) {
+		sample(free_run);
+		goal = (double)free_run->device.values.angles_deg.yaw + 40;
+		tell_yaw(w, turn_deg(goal, 0), 0.01);
+		sample(w);
+	}
+	assert_near(turn_deg((double)*yaw, goal), 0, 2);
+	assert_true(in_use(w));
+	free(free_run);
+}
+
+static void test_a_yaw_with_a_sigma_of_zero_changes_nothing(void **state)
+{
+	struct world *w = *state, *twin = new_world("tumble");
+
+	samples(twin, 100);
+	tell_yaw(w, 90, 0);
+	sample(w);
+	sample(twin);
+	assert_memory_equal(
+		&w->device.values.quaternion, &twin->device.values.quaternion, sizeof(w->device.values.quaternion));
+	assert_false(in_use(w));
+	free(twin);
+}
+
+/* ---- refused ----------------------------------------------------------------------------------------------------- */
+
+static void test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old_value_stands(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_real(w, 0x2070, 1, NAN), 0x06090030);
+	assert_int_equal(write_real(w, 0x2070, 4, INFINITY), 0x06090030);
+	assert_int_equal(write_real(w, 0x2070, 4, -0.1f), 0x06090032);
+	assert_int_equal(write_real(w, 0x2070, 1, 1001), 0x06090031);
+	assert_int_equal(write_real(w, 0x2071, 2, -1), 0x06090032);
+	assert_int_equal(write_real(w, 0x2071, 1, 361), 0x06090031);
+	assert_int_equal(write_u8(w, 0x2072, 7, 2), 0x06090031);
+	assert_int_equal(sdo_write(w, 0x2073, 0, &(uint16_t){8}, 2), 0x06090031);
+	assert_true(w->device.values.velocity_aid.x == 0);
+	assert_true(w->device.values.velocity_aid.sigma == 0);
+}
+
+static void test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that_is_ends_it(void **state)
+{
+	struct world *w = *state;
+
+	tell_yaw(w, NAN, 1);
+	assert_memory_equal(w->emcy.data, ((const uint8_t[]){0x00, 0x82, 0x11, 0x01, 0x14, 0x71, 0x20, 0x01}), 8);
+	sample(w);
+	assert_false(in_use(w));
+	tell_yaw(w, 0, 0);
+	assert_memory_equal(w->emcy.data, ((const uint8_t[8]){0}), 8);
+}
+
+static void test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_real(w, 0x2070, 4, 1e-30f), 0);
+	assert_int_equal(write_real(w, 0x2071, 2, 1e-30f), 0);
+	sample(w);
+	assert_true(in_use(w));
+	assert_true(isfinite(velocity(w).x));
+}
+
+/* ---- attitude and commands --------------------------------------------------------------------------------------- */
+
+static void assert_attitude(const struct world *w, double roll, double pitch, double yaw, double tolerance_deg)
+{
+	assert_near(turn_deg((double)w->device.values.angles_deg.roll, roll), 0, tolerance_deg);
+	assert_near(w->device.values.angles_deg.pitch, pitch, tolerance_deg);
+	assert_near(turn_deg((double)w->device.values.angles_deg.yaw, yaw), 0, tolerance_deg);
+}
+
+static void test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands(void **state)
+{
+	struct world *w = *state;
+
+	tell_attitude(w, 20, -30, 135, 0);
+	sample(w);
+	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, 135)) > 10);
+	tell_attitude(w, 20, -30, 135, 1);
+	sample(w);
+	assert_attitude(w, 20, -30, 135, 6); /* and one sample of a tumble at up to 6 degrees each */
+	tell_attitude(w, -20, 30, -45, 1);
+	sample(w);
+	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, -45)) > 90);
+	tell_attitude(w, -20, 30, -45, 0);
+	tell_attitude(w, -20, 30, -45, 1);
+	sample(w);
+	assert_attitude(w, -20, 30, -45, 6);
+}
+
+static void test_commands_bit_0_zeroes_velocity_and_position_when_it_rises(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+
+	tell_velocity(w, 10, 0, 0, 0.001);
+	samples(w, 100);
+	assert_true(fabs((double)v->position_m.x) > 1);
+	tell_commands(w, 1);
+	sample(w);
+	assert_near(v->position_m.x, 0, 0.1);
+	tell_velocity(w, 10, 0, 0, 0.001);
+	samples(w, 100);
+	tell_commands(w, 1);
+	sample(w);
+	assert_true(fabs((double)v->position_m.x) > 1);
+	tell_commands(w, 0);
+	tell_commands(w, 1);
+	sample(w);
+	assert_near(v->position_m.x, 0, 0.1);
+}
+
+static void test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_from_each_write(void **state)
+{
+	struct world *w = *state;
+
+	tell_velocity(w, 10, 0, 0, 0.001);
+	sample(w);
+	tell_commands(w, 2);
+	samples(w, 50);
+	assert_true(vec3_norm(velocity(w)) < 0.2);
+	assert_true(w->device.aids.standstill_until_us <= w->now_us + INTERVAL_US);
+	samples(w, 101);
+	assert_false(in_use(w)); /* the master has gone: nothing is held for ever */
+	tell_commands(w, 2);
+	sample(w);
+	assert_true(in_use(w));
+	tell_commands(w, 0);
+	sample(w);
+	samples(w, 100);
+	assert_false(in_use(w));
+}
+
+static void test_commands_bit_2_makes_both_slopes_read_zero(void **state)
+{
+	struct world *w = *state;
+	struct od_values *v = &w->device.values;
+
+	assert_int_equal(write_u8(w, 0x6011, 0, 2), 0); /* with offsets */
+	assert_int_equal(write_u8(w, 0x6121, 0, 2), 0);
+	tell_attitude(w, 20, -30, 0, 1);
+	sample(w);
+	assert_true(abs(v->slope_long16) > 1000);
+	int long_before = v->slope_long16, lateral_before = v->slope_lateral32;
+	tell_commands(w, 4);
+	assert_int_equal(v->slope_long16_offset, -long_before);
+	assert_int_equal(v->slope_lateral32_offset, -lateral_before);
+}
+
+static void test_the_status_tells_an_aid_for_a_second(void **state)
+{
+	struct world *w = *state;
+
+	tell_velocity(w, 0, 0, 0, 0.1);
+	samples(w, 100);
+	assert_true(in_use(w));
+	sample(w);
+	assert_false(in_use(w));
+}
+
+static void test_reset_node_forgets_what_was_told(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+
+	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
+	tell_velocity(w, 1, 2, 3, 0.1);
+	tell_commands(w, 3);
+	sample(w);
+	nmt(w, 129);
+	assert_true(v->velocity_aid.x == 0 && v->velocity_aid.x16 == 0 && v->velocity_aid.sigma16 == 0);
+	assert_int_equal(v->commands, 0);
+	assert_int_equal(v->velocity_aid.highest_sub_index_supported, 9);
+	assert_int_equal(v->velocity_aid.frame, 0);
+	samples(w, 10);
+	assert_false(in_use(w));
+}
+
+static void test_what_is_told_is_no_configuration(void **state)
+{
+	struct world *w = *state;
+	static const uint16_t told[] = {0x2070, 0x2071, 0x2072, 0x2073};
+
+	assert_int_equal(sdo_write(w, 0x1020, 1, &(uint32_t){7}, 4), 0);
+	tell_velocity(w, 1, 2, 3, 0.1);
+	tell_yaw(w, 1, 1);
+	tell_attitude(w, 1, 1, 1, 1);
+	tell_commands(w, 7);
+	assert_false(w->device.configuration_changed);
+	assert_int_equal(w->device.values.verify_configuration.configuration_date, 7);
+	for (size_t i = 0; i < sizeof(told) / sizeof(told[0]); i++)
+		for (uint8_t sub = 0; sub < 9; sub++) {
+			const struct od_entry *entry = od_find(&imu9_od_table, told[i], sub, NULL);
+
+			assert_false(entry && entry->access & OD_STORED);
+		}
+}
+
+/* ---- TPDOs on change --------------------------------------------------------------------------------------------- */
+
+/* TPDO1 has the angles (two bytes each, 0.01 degrees) and the sample counter, by event. */
+static void angles_by_event(struct world *w)
+{
+	static const uint32_t mapping[] = {0x21010110, 0x21010210, 0x21010310, 0x210F0110};
+
+	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
+	assert_int_equal(write_u8(w, 0x1800, 2, 254), 0);
+	assert_int_equal(write_u8(w, 0x1A00, 0, 0), 0);
+	for (uint8_t i = 0; i < 4; i++)
+		assert_int_equal(sdo_write(w, 0x1A00, (uint8_t)(i + 1), &mapping[i], 4), 0);
+	assert_int_equal(write_u8(w, 0x1A00, 0, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
+}
+
+/* The attitude turns about z by `deg`, at rest otherwise. */
+static void turn(struct world *w, double deg)
+{
+	double yaw = turn_deg((double)w->device.values.angles_deg.yaw + deg, 0);
+
+	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 0);
+	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 1);
+	sample(w);
+}
+
+static void test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample(void **state)
+{
+	struct world *w = *state;
+
+	angles_by_event(w);
+	w->tpdo1_count = 0;
+	samples(w, 100);
+	assert_int_equal(w->tpdo1_count, 100);
+}
+
+static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then(void **state)
+{
+	struct world *w = *state;
+
+	angles_by_event(w);
+	assert_int_equal(write_u8(w, 0x2030, 2, 0), 0); /* no magnetometer: the heading stays where it is put */
+	assert_int_equal(write_real(w, 0x2118, 2, 1), 0);
+	samples(w, 300);
+	w->tpdo1_count = 0;
+	samples(w, 300);
+	assert_int_equal(w->tpdo1_count, 0);
+	turn(w, 0.6);
+	assert_int_equal(w->tpdo1_count, 0);
+	turn(w, 0.6); /* 1.2 since it was last sent */
+	assert_int_equal(w->tpdo1_count, 1);
+	turn(w, -0.6);
+	assert_int_equal(w->tpdo1_count, 1);
+	turn(w, -0.6);
+	assert_int_equal(w->tpdo1_count, 2);
+}
+
+/* ---- recorded trials --------------------------------------------------------------------------------------------- */
+
+enum { TRIAL_HZ = 286, AID_EVERY = 28 }; /* an aid ten times a second */
+
+struct reference { /* what the cameras saw, at the time of a sample */
+	bool seen, moving;
+	struct quat q_nb;
+	struct vec3 position_m;
+};
+
+static FILE *open_trial(const char *name, const char *kind)
+{
+	const char *folder = getenv("IMU9_BROAD");
+	char path[512];
+
+	snprintf(path, sizeof(path), "%s/%s.%s.csv", folder ? folder : "../shared/data/broad", name, kind);
+	return fopen(path, "r");
+}
+
+/* The next sample and what the cameras saw then; false at the end. */
+static bool next_row(FILE *imu, FILE *ref, struct imu_sample *s, struct reference *r)
+{
+	char a[512], b[512];
+	double t;
+	int moving;
+
+	do {
+		if (!fgets(a, sizeof(a), imu) || !fgets(b, sizeof(b), ref))
+			return false;
+		*s = (struct imu_sample){.flags = SAMPLE_MAG};
+	} while (sscanf(a, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &t, &s->gyro_rad_s.x, &s->gyro_rad_s.y,
+			 &s->gyro_rad_s.z, &s->accel_m_s2.x, &s->accel_m_s2.y, &s->accel_m_s2.z, &s->mag_uT.x,
+			 &s->mag_uT.y, &s->mag_uT.z) != 10);
+	s->t_us = (uint64_t)llround(t * 1e6);
+	r->seen = sscanf(b, "%*f,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%d", &r->q_nb.w, &r->q_nb.x, &r->q_nb.y, &r->q_nb.z,
+			  &r->position_m.x, &r->position_m.y, &r->position_m.z, &moving) == 8;
+	r->moving = r->seen && moving;
+	return true;
+}
+
+struct trial {
+	FILE *imu, *ref;
+	struct world *w;
+};
+
+static struct trial open_both(const char *name)
+{
+	struct trial trial = {open_trial(name, "imu"), open_trial(name, "ref"), NULL};
+
+	if (!trial.imu || !trial.ref) {
+		print_message("no recorded trials here (IMU9_BROAD)\n");
+		skip();
+	}
+	trial.w = new_world("rest");
+	trial.w->imu.rate_hz = TRIAL_HZ;
+	nmt(trial.w, 129);
+	nmt(trial.w, 1);
+	return trial;
+}
+
+static void close_both(struct trial *trial)
+{
+	fclose(trial->imu);
+	fclose(trial->ref);
+	free(trial->w);
+}
+
+static void step(struct world *w, const struct imu_sample *s)
+{
+	w->now_us = s->t_us + 1000000;
+	device_sample(&w->device, 1, s, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+/* RMS of the way from the first sight on [m]. With `aided`, the master tells the velocity that the cameras saw over the
+ * last tenth of a second. */
+static double position_error_m(const char *name, bool aided)
+{
+	struct trial trial = open_both(name);
+	const struct od_values *v = &trial.w->device.values;
+	struct reference r, told = {0}, first = {0};
+	struct vec3 origin_m = {0};
+	uint64_t told_us = 0;
+	struct imu_sample s;
+	double sum = 0;
+	int n = 0;
+
+	for (int row = 0; next_row(trial.imu, trial.ref, &s, &r); row++) {
+		step(trial.w, &s);
+		if (!r.seen || row < 5 * TRIAL_HZ)
+			continue;
+		struct vec3 here_m = {(double)v->position_m.x, (double)v->position_m.y, (double)v->position_m.z};
+		if (!first.seen) {
+			first = r;
+			origin_m = here_m;
+		}
+		struct vec3 error_m = vec3_sub(vec3_sub(here_m, origin_m), vec3_sub(r.position_m, first.position_m));
+		sum += vec3_dot(error_m, error_m);
+		n++;
+		if (row % AID_EVERY)
+			continue;
+		double dt_s = (double)(s.t_us - told_us) * 1e-6;
+		if (aided && told.seen && dt_s < 0.2) {
+			struct vec3 velocity_m_s = vec3_scale(1 / dt_s, vec3_sub(r.position_m, told.position_m));
+			tell_velocity(trial.w, velocity_m_s.x, velocity_m_s.y, velocity_m_s.z, 0.1);
+		}
+		told = r;
+		told_us = s.t_us;
+	}
+	close_both(&trial);
+	assert_true(n > 10000);
+	return sqrt(sum / n);
+}
+
+static double yaw_deg(struct quat q)
+{
+	return aerospace_from_quat(q).z / RAD_PER_DEG;
+}
+
+/* RMS while it moves [degrees]: the turn about the vertical that is left between the attitude and that of the cameras.
+ * With `aided`, the master tells the yaw that the cameras saw. */
+static double heading_error_deg(const char *name, bool aided)
+{
+	struct trial trial = open_both(name);
+	const struct od_values *v = &trial.w->device.values;
+	struct reference r;
+	struct imu_sample s;
+	double sum = 0;
+	int n = 0;
+
+	for (int row = 0; next_row(trial.imu, trial.ref, &s, &r); row++) {
+		step(trial.w, &s);
+		if (!r.seen)
+			continue;
+		if (r.moving) {
+			struct quat q = {(double)v->quaternion.w, (double)v->quaternion.x, (double)v->quaternion.y,
+				(double)v->quaternion.z};
+			struct quat left = quat_multiply(q, quat_conjugate(r.q_nb));
+			double heading = 2 * atan2(left.z, left.w) / RAD_PER_DEG;
+			sum += pow(turn_deg(heading, 0), 2);
+			n++;
+		}
+		if (aided && row % AID_EVERY == 0)
+			tell_yaw(trial.w, yaw_deg(r.q_nb), 0.5);
+	}
+	close_both(&trial);
+	assert_true(n > 10000);
+	return sqrt(sum / n);
+}
+
+static void test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true(void **state)
+{
+	double alone_m = position_error_m("09_undisturbed_fast_rotation_with_breaks_B", false);
+	double aided_m = position_error_m("09_undisturbed_fast_rotation_with_breaks_B", true);
+
+	print_message("position RMS: %.3f m alone, %.3f m with the velocity\n", alone_m, aided_m);
+	assert_true(aided_m < alone_m / 4);
+	(void)state;
+}
+
+static void test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet(void **state)
+{
+	double alone_deg = heading_error_deg("34_disturbed_attached_magnet_3cm", false);
+	double aided_deg = heading_error_deg("34_disturbed_attached_magnet_3cm", true);
+
+	print_message("heading RMS: %.2f degrees alone, %.2f with the yaw\n", alone_deg, aided_deg);
+	assert_true(aided_deg < 0.5 && aided_deg < alone_deg / 2);
+	(void)state;
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test_setup_teardown(
+			test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_velocity_by_sdo_is_used_when_its_sigma_is_written, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_sigma_of_zero_says_that_nothing_was_measured, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_velocity_in_the_object_frame_is_turned_into_the_global_one, set_up, tear_down),
+		cmocka_unit_test(test_before_there_is_an_attitude_an_aid_is_not_used),
+		cmocka_unit_test_setup_teardown(
+			test_the_real_values_and_the_integers_are_two_views_of_one_value, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_yaw_by_rpdo_pulls_the_heading_there, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_yaw_with_a_sigma_of_zero_changes_nothing, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old_value_stands, set_up,
+			tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that_is_ends_it, set_up,
+			tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree, set_up,
+			tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_commands_bit_0_zeroes_velocity_and_position_when_it_rises, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_from_each_write, set_up,
+			tear_down),
+		cmocka_unit_test_setup_teardown(test_commands_bit_2_makes_both_slopes_read_zero, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_the_status_tells_an_aid_for_a_second, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_reset_node_forgets_what_was_told, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_what_is_told_is_no_configuration, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample,
+			set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then,
+			set_up_at_rest, tear_down),
+		cmocka_unit_test(test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true),
+		cmocka_unit_test(test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
