@@ -195,6 +195,7 @@ static void on_reset(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
+	commissioning_reset(&d->commissioning);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	od_reset(&d->od, group, &d->base);
 	apply_stored(d, group);
@@ -271,6 +272,7 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->configuration_hook);
 	od_attach(&d->od, &d->resolution_hook);
 	od_attach(&d->od, &d->preset_hook);
+	commissioning_init(&d->commissioning, &d->od, &d->values, &d->pipeline);
 	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
@@ -395,7 +397,9 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 		return;
 	d->last_sample_us = now_us;
 	sensor_back(d);
+	commissioning_sample(&d->commissioning, sample, now_us);
 	publish_sample(&d->values, &out, counter);
+	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
 	publish_sensor_counters(d);
 	watch_uncertainty(d, out.status);

@@ -15,6 +15,7 @@
 #include "gateway/aids.h"
 #include "gateway/bus_health.h"
 #include "gateway/canopen/node.h"
+#include "gateway/commissioning.h"
 #include "gateway/event_log.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
@@ -39,6 +40,7 @@ struct device {
 	struct store_image saving; /* what it will hold when the save under way has ended */
 	struct device_storage storage;
 	struct pipeline pipeline;
+	struct commissioning commissioning;
 	struct aids aids;
 	struct canopen_node canopen;
 	struct bus_health bus_health;

@@ -5,9 +5,10 @@
 #define GATEWAY_STATUS_H
 
 enum {
-	STATUS_SATURATED = 1 << 8,     /* a scaled output exceeds its integer: raise the resolution object */
-	STATUS_SENSOR_LOST = 1 << 9,   /* no sample arrives; the values are those of the last one */
-	STATUS_EXTERNAL_AID = 1 << 11, /* velocity, yaw or standstill from outside took part in the last second */
+	STATUS_SATURATED = 1 << 8,	/* a scaled output exceeds its integer: raise the resolution object */
+	STATUS_SENSOR_LOST = 1 << 9,	/* no sample arrives; the values are those of the last one */
+	STATUS_EXTERNAL_AID = 1 << 11,	/* velocity, yaw or standstill from outside took part in the last second */
+	STATUS_COMMISSIONING = 1 << 12, /* an identification (2060h) or a calibration (2061h) runs */
 };
 
 enum {

@@ -448,6 +448,7 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_UNSURE, "position-unsure"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
+		{STATUS_COMMISSIONING, "commissioning"},
 	};
 	size_t used = 0;
 

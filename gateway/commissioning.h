@@ -1,0 +1,43 @@
+/* gateway/commissioning.h
+ * The lever arm finds itself (2060h): a command starts it, the result appears with its sigma and a verdict, and is taken
+ * over into 2000h or left. The acceleration of the reference point from outside comes with the sample (a log's columns) or
+ * by 2075h, from an RPDO or an SDO client.
+ *
+ * What was written to 2075h holds until the next write, 50 ms at most, as of the sample after the write: at 100 writes a
+ * second that is 5 ms late in the mean, beside what the bus takes. The identification estimates this delay, so nobody
+ * needs to know it; the steps are above its low-pass. */
+#ifndef GATEWAY_COMMISSIONING_H
+#define GATEWAY_COMMISSIONING_H
+
+#include "model/lever_identification.h"
+#include "model/pipeline.h"
+#include "od/od.h"
+#include "od_values.h"
+
+enum lever_state { LEVER_IDLE = 0, LEVER_RUNNING = 1, LEVER_DONE = 2, LEVER_REFUSED = 3 }; /* 2060h:2 */
+
+struct commissioning { /* PRIVATE */
+	struct od *od;
+	struct od_values *values;
+	const struct pipeline *pipeline;
+	struct od_hook lever_hook, reference_hook;
+	struct lever_identification lever;
+	struct vec3 arm_b_m; /* found: 2060h:6 to 8 before they are rounded */
+	bool started;	     /* the next sample is the first */
+	uint64_t started_us;
+	struct vec3 ref_b_m_s2; /* 2075h as it was when complete */
+	bool ref_written;	/* since the last sample */
+	uint64_t ref_until_us;
+};
+
+/** Attaches to the dictionary. */
+void commissioning_init(
+	struct commissioning *c, struct od *od, struct od_values *values, const struct pipeline *pipeline);
+/** NMT reset: what runs ends, and nothing was found. */
+void commissioning_reset(struct commissioning *c);
+/** A sample that the pipeline has just taken. */
+void commissioning_sample(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us);
+/** STATUS_COMMISSIONING, or 0. */
+unsigned commissioning_status(const struct commissioning *c);
+
+#endif
