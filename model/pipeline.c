@@ -135,7 +135,7 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 
 	if (memcmp(&p->config.calibration, config, sizeof(*config)) == 0)
 		return 0;
-	if (calibration_init(&p->calibration, config) < 0)
+	if (calibration_configure(&p->calibration, config) < 0)
 		return -EINVAL;
 	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
 	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)

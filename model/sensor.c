@@ -10,35 +10,37 @@
 #define GAUSS 100.0 /* uT */
 
 /* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8 .. 4096 s. */
+static const double START_DEGC = 25;
 static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.0794415416798357;
 
 /* Chips at a full scale and its digit: densities, offsets, digits and ranges are the datasheets' typical values (the
  * gyro's offset that of its finest range), bandwidths what they offer at about 100 Hz. For bias instability and random
  * walk the datasheets have no figure: usual ones of this class of chips. */
-#define L3G4200D(full_scale, digit)                                                                        \
-	{                                                                                                  \
-		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS, .random_walk = 0.0002 * DPS,        \
-		.bias_sigma = 10 * DPS, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 50, \
-		.step = (digit)*DPS, .range = (full_scale)*DPS                                             \
+#define L3G4200D(full_scale, digit)                                                                          \
+	{                                                                                                    \
+		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS, .random_walk = 0.0002 * DPS,          \
+		.bias_sigma = 10 * DPS, .temperature_sigma = 0.03 * DPS, .scale_sigma = 0.02,                \
+		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = (digit)*DPS, .range = (full_scale)*DPS \
 	}
-#define LSM303DLHC_ACCEL(full_scale, digit)                                                                \
-	{                                                                                                  \
-		.density = 220e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,            \
-		.bias_sigma = 0.06 * G, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 50, \
-		.step = (digit)*G, .range = (full_scale)*G                                                 \
+#define LSM303DLHC_ACCEL(full_scale, digit)                                                              \
+	{                                                                                                \
+		.density = 220e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,          \
+		.bias_sigma = 0.06 * G, .temperature_sigma = 0.5e-3 * G, .scale_sigma = 0.02,            \
+		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = (digit)*G, .range = (full_scale)*G \
 	}
-#define LSM303DLH_ACCEL(full_scale, digit)                                                                 \
-	{                                                                                                  \
-		.density = 218e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,            \
-		.bias_sigma = 0.02 * G, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, .bandwidth_hz = 74, \
-		.step = (digit)*G, .range = (full_scale)*G                                                 \
+#define LSM303DLH_ACCEL(full_scale, digit)                                                               \
+	{                                                                                                \
+		.density = 218e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,          \
+		.bias_sigma = 0.02 * G, .temperature_sigma = 0.2e-3 * G, .scale_sigma = 0.02,            \
+		.cross_axis_sigma = 0.01, .bandwidth_hz = 74, .step = (digit)*G, .range = (full_scale)*G \
 	}
 #define LSM303_MAG(noise_density, digits_per_gauss)                                                          \
 	{                                                                                                    \
 		.density = (noise_density), .bias_sigma = 10, .scale_sigma = 0.05, .cross_axis_sigma = 0.02, \
 		.step = GAUSS / (digits_per_gauss), .range = 1.3 * GAUSS                                     \
 	}
-#define COMMON .rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}
+#define COMMON \
+	.rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}, .warming_s = 120, .temperature_step_K = 1
 
 const struct sensor_config SENSOR_PRESETS[] = {
 	{.name = "lsm303dlhc_l3gd20",
@@ -82,13 +84,14 @@ void sensor_calibrate(struct sensor_config *config)
 		triads[i]->bias_sigma = 0;
 		triads[i]->scale_sigma = 0;
 		triads[i]->cross_axis_sigma = 0;
+		triads[i]->temperature_sigma = 0;
 	}
 }
 
 static int errors_valid(const struct triad_errors *e)
 {
 	const double all[] = {e->density, e->bias_instability, e->random_walk, e->bias_sigma, e->scale_sigma,
-		e->cross_axis_sigma, e->bandwidth_hz, e->step, e->range};
+		e->cross_axis_sigma, e->bandwidth_hz, e->step, e->range, e->temperature_sigma};
 
 	for (size_t i = 0; i < sizeof all / sizeof *all; i++)
 		if (!(all[i] >= 0 && isfinite(all[i])))
@@ -124,6 +127,8 @@ static void lag_init(struct triad *triad, double interval_s)
 
 static void triad_init(struct triad *triad, const struct triad_errors *errors, double rate_hz, uint64_t seed)
 {
+	struct rng slopes;
+
 	*triad = (struct triad){.errors = *errors};
 	rng_init(&triad->rng, seed);
 	triad->bias.x = errors->bias_sigma * rng_gauss(&triad->rng);
@@ -135,6 +140,11 @@ static void triad_init(struct triad *triad, const struct triad_errors *errors, d
 
 			triad->matrix[i][j] = i == j ? 1 + errors->scale_sigma * g : errors->cross_axis_sigma * g;
 		}
+	/* drawn apart, so that what was drawn before it stays as it was */
+	rng_init(&slopes, ~seed);
+	triad->slope.x = errors->temperature_sigma * rng_gauss(&slopes);
+	triad->slope.y = errors->temperature_sigma * rng_gauss(&slopes);
+	triad->slope.z = errors->temperature_sigma * rng_gauss(&slopes);
 	triad->white_sigma = errors->density * sqrt(rate_hz / 2);
 	triad->walk_sigma = errors->random_walk / sqrt(rate_hz);
 	flicker_init(triad, 1 / rate_hz);
@@ -149,7 +159,8 @@ int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint6
 
 	if (!(rate_hz > 0 && isfinite(rate_hz)) || !(config->jitter_s >= 0) || config->jitter_s * rate_hz > 0.1 ||
 		!(config->mag_rate_hz >= 0) || !errors_valid(&config->gyro) || !errors_valid(&config->accel) ||
-		!errors_valid(&config->mag))
+		!errors_valid(&config->mag) || !isfinite(config->warming_K) ||
+		(config->warming_K != 0 && !(config->warming_s > 0)) || !(config->temperature_step_K >= 0))
 		return -EINVAL;
 	rng_init(&seeds, seed);
 	*sensor = (struct sensor){.config = *config};
@@ -201,7 +212,7 @@ static double digitise(const struct triad_errors *errors, double value)
 	return value;
 }
 
-static struct vec3 triad_measure(struct triad *triad, struct vec3 in, int first)
+static struct vec3 triad_measure(struct triad *triad, struct vec3 in, double warmer_K, int first)
 {
 	double(*m)[3] = triad->matrix;
 	struct vec3 v = low_pass(triad, in, first);
@@ -211,6 +222,7 @@ static struct vec3 triad_measure(struct triad *triad, struct vec3 in, int first)
 		m[2][0] * v.x + m[2][1] * v.y + m[2][2] * v.z + triad->bias.z,
 	};
 
+	out = vec3_add(out, vec3_scale(warmer_K, triad->slope));
 	out.x = digitise(&triad->errors, out.x + noise(triad, 0));
 	out.y = digitise(&triad->errors, out.y + noise(triad, 1));
 	out.z = digitise(&triad->errors, out.z + noise(triad, 2));
@@ -242,22 +254,38 @@ static int mag_is_new(const struct sensor *sensor)
 	return sensor->taken == 0 || ratio <= 0 || ratio >= 1 || floor(k * ratio) > floor((k - 1) * ratio);
 }
 
+static double warmer(const struct sensor *sensor)
+{
+	const struct sensor_config *config = &sensor->config;
+
+	if (config->warming_K == 0)
+		return 0;
+	return config->warming_K * (1 - exp(-(double)sensor->taken / (config->rate_hz * config->warming_s)));
+}
+
 void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample)
 {
 	const struct sensor_config *config = &sensor->config;
 	const int first = sensor->taken == 0, mag = mag_is_new(sensor);
 	struct vec3 force = sensor_specific_force(truth, config->lever_arm_b_m, config->gravity_m_s2);
 	struct vec3 field = quat_rotate_inverse(truth->q_nb, config->field_n_uT);
+	double warmer_K = warmer(sensor);
 
 	*sample = (struct imu_sample){
 		.t_us = (uint64_t)floor((double)sensor->taken * 1e6 / config->rate_hz + 0.5),
-		.gyro_rad_s = triad_measure(&sensor->gyro, truth->omega_b_rad_s, first),
-		.accel_m_s2 = triad_measure(&sensor->accel, force, first),
-		.mag_uT = triad_measure(&sensor->mag, field, first),
+		.gyro_rad_s = triad_measure(&sensor->gyro, truth->omega_b_rad_s, warmer_K, first),
+		.accel_m_s2 = triad_measure(&sensor->accel, force, warmer_K, first),
+		.mag_uT = triad_measure(&sensor->mag, field, warmer_K, first),
 		.flags = mag ? SAMPLE_MAG : 0,
 	};
 	if (!mag)
 		sample->mag_uT = (struct vec3){0, 0, 0};
+	if (config->warming_K != 0) {
+		const struct triad_errors thermometer = {.step = config->temperature_step_K};
+
+		sample->temperature_degC = digitise(&thermometer, START_DEGC + warmer_K);
+		sample->flags |= SAMPLE_TEMPERATURE;
+	}
 	sensor->taken++;
 }
 

@@ -20,7 +20,8 @@ struct triad_errors {
 	double bias_instability; /* flicker noise, unit: the Allan deviation's floor is 0.664 of it */
 	double random_walk;	 /* of the rate: unit/sqrt(s) */
 	/* constant errors differ from device to device: 1-sigma, drawn once from the seed */
-	double bias_sigma; /* unit */
+	double bias_sigma;	  /* unit, at 25 degC */
+	double temperature_sigma; /* of the bias: unit/K */
 	double scale_sigma, cross_axis_sigma;
 	double bandwidth_hz; /* -3 dB of a first-order low-pass */
 	double step;	     /* quantisation: unit per digit */
@@ -36,6 +37,9 @@ struct sensor_config {
 	struct vec3 lever_arm_b_m; /* reference point -> accelerometer */
 	double gravity_m_s2;
 	struct vec3 field_n_uT; /* Earth's magnetic field */
+	/* Warms up from 25 degC by warming_K with the time constant warming_s; 0 K: at 25 degC, and samples without a
+	 * temperature. Shown in whole digits of temperature_step_K. */
+	double warming_K, warming_s, temperature_step_K;
 };
 
 /** Chips as in their datasheets, and `ideal`; ends with a NULL name. Rate 100 Hz, no lever arm. */
@@ -50,6 +54,7 @@ void sensor_calibrate(struct sensor_config *config);
 struct triad {
 	struct triad_errors errors;
 	struct vec3 bias;    /* as drawn: the known answer of a calibration */
+	struct vec3 slope;   /* of the bias: unit/K */
 	double matrix[3][3]; /* measured = matrix * true + bias */
 	struct rng rng;
 	double white_sigma, walk_sigma;
@@ -67,7 +72,8 @@ struct sensor {
 	uint64_t taken; /* samples so far */
 };
 
-/** 0, or -EINVAL: rate not above 0, jitter not below a tenth of the interval, or an error below 0. */
+/** 0, or -EINVAL: rate not above 0, jitter not below a tenth of the interval, an error below 0, or a warming
+ * without a time constant. */
 int sensor_init(struct sensor *sensor, const struct sensor_config *config, uint64_t seed);
 
 /** The instant of the next sample, to evaluate the motion at. Once a sample. Not before 0. */

@@ -160,6 +160,40 @@ static void tumble(const struct signal *signal, double t, struct motion *m)
 	m->yaw = scale(signal->angle_rad, sine(t, period / 4, 0));
 }
 
+/* Laid on every face, then held on every corner: angle is that of the corners' pitch. A rest in each, then a turn to the
+ * next that takes change_s. */
+static void multiposition(const struct signal *signal, double t, struct motion *m)
+{
+	enum { POSITIONS = 14 };
+	static const struct {
+		double roll_deg, corner, pitch_deg; /* pitch = corner * angle + pitch_deg */
+	} positions[POSITIONS + 1] = {{0, 0, 0}, {90, 0, 0}, {180, 0, 0}, {270, 0, 0}, {270, 0, 90}, {315, 1, 0},
+		{405, 1, 0}, {495, 1, 0}, {585, 1, 0}, {585, -1, 0}, {495, -1, 0}, {405, -1, 0}, {315, -1, 0},
+		{360, 0, -90}, {360, 0, 0}};
+	const double stay_s = signal->period_s / POSITIONS, turn_s = fmin(signal->change_s, stay_s);
+
+	t = fmod(t, signal->period_s);
+	for (int i = 0; i < POSITIONS; i++) {
+		struct jet step = smooth_step(t, (i + 1) * stay_s - turn_s, turn_s);
+		double roll = DEGREES * (positions[i + 1].roll_deg - positions[i].roll_deg);
+		double pitch = DEGREES * (positions[i + 1].pitch_deg - positions[i].pitch_deg) +
+			       signal->angle_rad * (positions[i + 1].corner - positions[i].corner);
+
+		m->roll = add(m->roll, scale(roll, step));
+		m->pitch = add(m->pitch, scale(pitch, step));
+	}
+}
+
+/* Held in the hand and turned slowly until every direction of the sensor has pointed everywhere. */
+static void figure(const struct signal *signal, double t, struct motion *m)
+{
+	double turn = TWO_PI / signal->change_s;
+
+	m->roll = (struct jet){turn * t, turn, 0};
+	m->pitch = scale(signal->angle_rad, sine(t, signal->period_s, 0));
+	m->yaw = scale(PI, sine(t, signal->period_s / 1.618, 0));
+}
+
 const struct signal SIGNALS[] = {
 	{"square", "robot on a manoeuvring square of 2 m: drives over rough ground, stops, turns", square, 3 * DEGREES,
 		0.2, 40},
@@ -169,6 +203,9 @@ const struct signal SIGNALS[] = {
 	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 10},
 	{"pendulum", "swing about the roll axis", pendulum, 30 * DEGREES, 1, 10},
 	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1, 10},
+	{"multiposition", "laid on six faces, then held on eight corners: to calibrate an accelerometer", multiposition,
+		35.264 * DEGREES, 1.5, 63},
+	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 75 * DEGREES, 8, 40},
 	{0},
 };
 

@@ -1,0 +1,180 @@
+#include "model/calibrate.h"
+
+#define RAD_PER_DEG (3.14159265358979323846 / 180)
+
+static const uint64_t BLOCK_US = 250000, GAP_US = 500000;
+static const double MEAN_TIME_BLOCKS = 8; /* 2 s */
+enum { LEAST_SAMPLES = 3 };
+
+const struct calibrate_stillness CALIBRATE_LYING = {1 * RAD_PER_DEG, 0.15}, CALIBRATE_HELD = {5 * RAD_PER_DEG, 0.4};
+
+const char *calibrate_text(enum calibrate_verdict verdict)
+{
+	switch (verdict) {
+	case CALIBRATE_COLLECTING:
+		return "under way";
+	case CALIBRATE_GOOD:
+		return "good";
+	case CALIBRATE_MOVED:
+		return "the sensor did not lie still long enough: put it down and do not touch it";
+	case CALIBRATE_TURNED:
+		return "the sensor turned slowly and steadily: gravity or the magnetic field moved in its axes";
+	case CALIBRATE_TOO_FEW_POSITIONS:
+		return "too few positions: hold each still for 3 s, turned by 20 deg or more from all others";
+	case CALIBRATE_POOR_COVERAGE:
+		return "the orientations do not span the sphere: turn every side up and down";
+	case CALIBRATE_LARGE_RESIDUAL:
+		return "the measurements contradict each other: vibration, a hand too unsteady, iron or a magnet "
+		       "moving "
+		       "nearby";
+	case CALIBRATE_NO_ELLIPSOID:
+		return "the magnetic measurements form no ellipsoid: move away from iron, and turn about all axes";
+	case CALIBRATE_IMPLAUSIBLE:
+		return "the errors found are larger than any healthy sensor has: check sensor, units and field "
+		       "strength";
+	case CALIBRATE_FACES_TURNED:
+		return "the faces are more than 5 deg off the sensor's axes: use a squarer fixture, or the free "
+		       "positions";
+	case CALIBRATE_NO_MAGNETOMETER:
+		return "no magnetometer values arrive";
+	case CALIBRATE_NO_TEMPERATURE:
+		return "no temperature arrives";
+	case CALIBRATE_SMALL_TEMPERATURE_SPAN:
+		return "the temperature at rest moved by less than 5 K: warm or cool the sensor more";
+	case CALIBRATE_SENSOR_LOST:
+		return "the sensor stopped";
+	case CALIBRATE_ABORTED:
+		return "aborted";
+	case CALIBRATE_VERDICTS:
+		break;
+	}
+	return "unknown verdict";
+}
+
+void calibrate_rest_init(struct calibrate_rest *rest, const struct calibrate_stillness *stillness)
+{
+	*rest = (struct calibrate_rest){.stillness = *stillness};
+}
+
+double calibrate_rest_time_s(const struct calibrate_rest *rest)
+{
+	return (double)rest->elapsed_us * 1e-6;
+}
+
+static struct vec3 squares(struct vec3 v)
+{
+	return (struct vec3){v.x * v.x, v.y * v.y, v.z * v.z};
+}
+
+static void begin_block(struct calibrate_rest *r, uint64_t t_us)
+{
+	r->sum = (struct calibrate_block){0};
+	r->gyro_squares = r->accel_squares = (struct vec3){0, 0, 0};
+	r->block_t_us = t_us;
+}
+
+/* The deviation from the slow mean is summed: far smaller squares than those of the raw values. */
+static void add(struct calibrate_rest *r, const struct imu_sample *s)
+{
+	struct calibrate_block *b = &r->sum;
+	struct vec3 gyro = vec3_sub(s->gyro_rad_s, r->gyro_mean), accel = vec3_sub(s->accel_m_s2, r->accel_mean);
+
+	b->samples++;
+	b->gyro_rad_s = vec3_add(b->gyro_rad_s, gyro);
+	b->accel_m_s2 = vec3_add(b->accel_m_s2, accel);
+	r->gyro_squares = vec3_add(r->gyro_squares, squares(gyro));
+	r->accel_squares = vec3_add(r->accel_squares, squares(accel));
+	if (s->flags & SAMPLE_MAG) {
+		b->mag_samples++;
+		b->mag_uT = vec3_add(b->mag_uT, s->mag_uT);
+	}
+	if (s->flags & SAMPLE_TEMPERATURE) {
+		b->temperature_samples++;
+		b->temperature_degC += s->temperature_degC;
+	}
+}
+
+/* Norm over the axes of the standard deviation, from sum and sum of squares. */
+static double spread(struct vec3 sum, struct vec3 square_sum, unsigned n)
+{
+	double variance = square_sum.x + square_sum.y + square_sum.z - vec3_dot(sum, sum) / n;
+
+	return sqrt(fmax(0, variance) / (n - 1));
+}
+
+/* Closes the block: its means in r->sum, and whether it was still. */
+static bool close_block(struct calibrate_rest *r)
+{
+	struct calibrate_block *b = &r->sum;
+	const struct calibrate_stillness *limit = &r->stillness;
+	bool first = r->run == 0, still;
+
+	if (b->samples < LEAST_SAMPLES)
+		return false;
+	still = spread(b->gyro_rad_s, r->gyro_squares, b->samples) < limit->gyro_rad_s &&
+		spread(b->accel_m_s2, r->accel_squares, b->samples) < limit->accel_m_s2;
+	b->gyro_rad_s = vec3_scale(1.0 / b->samples, b->gyro_rad_s);
+	b->accel_m_s2 = vec3_scale(1.0 / b->samples, b->accel_m_s2);
+	if (!first)
+		still = still && vec3_norm(b->gyro_rad_s) < limit->gyro_rad_s &&
+			vec3_norm(b->accel_m_s2) < limit->accel_m_s2;
+	b->gyro_rad_s = vec3_add(b->gyro_rad_s, r->gyro_mean);
+	b->accel_m_s2 = vec3_add(b->accel_m_s2, r->accel_mean);
+	if (b->mag_samples)
+		b->mag_uT = vec3_scale(1.0 / b->mag_samples, b->mag_uT);
+	if (b->temperature_samples)
+		b->temperature_degC /= b->temperature_samples;
+	b->end_s = calibrate_rest_time_s(r);
+	return still;
+}
+
+static enum calibrate_rest_event disturbed(struct calibrate_rest *r)
+{
+	enum calibrate_rest_event event = r->run >= 3 ? CALIBRATE_REST_ENDED : CALIBRATE_REST_NOTHING;
+
+	r->run = 0;
+	return event;
+}
+
+/* Of a row of still blocks the first and the last are left out: motion may reach into them. */
+static enum calibrate_rest_event take_block(struct calibrate_rest *r)
+{
+	bool still = close_block(r);
+	double share = r->run == 0 ? 1 : fmax(1 / MEAN_TIME_BLOCKS, 1.0 / (r->run + 1));
+
+	if (r->sum.samples >= LEAST_SAMPLES) {
+		r->gyro_mean = vec3_add(r->gyro_mean, vec3_scale(share, vec3_sub(r->sum.gyro_rad_s, r->gyro_mean)));
+		r->accel_mean = vec3_add(r->accel_mean, vec3_scale(share, vec3_sub(r->sum.accel_m_s2, r->accel_mean)));
+	}
+	if (!still)
+		return disturbed(r);
+	r->run++;
+	r->block = r->pending;
+	r->pending = r->sum;
+	return r->run >= 3 ? CALIBRATE_REST_BLOCK : CALIBRATE_REST_NOTHING;
+}
+
+enum calibrate_rest_event calibrate_rest_step(struct calibrate_rest *r, const struct imu_sample *raw)
+{
+	enum calibrate_rest_event event = CALIBRATE_REST_NOTHING;
+	bool gap;
+
+	if (!vec3_finite(raw->gyro_rad_s) || !vec3_finite(raw->accel_m_s2))
+		return CALIBRATE_REST_NOTHING;
+	if (!r->started)
+		begin_block(r, raw->t_us);
+	gap = (raw->flags & (SAMPLE_DISCONTINUITY | SAMPLE_SATURATED)) || raw->t_us < r->last_t_us ||
+	      raw->t_us - r->last_t_us > GAP_US;
+	if (r->started && !gap)
+		r->elapsed_us += raw->t_us - r->last_t_us;
+	if (gap)
+		event = disturbed(r);
+	else if (raw->t_us - r->block_t_us >= BLOCK_US)
+		event = take_block(r);
+	if (gap || raw->t_us - r->block_t_us >= BLOCK_US)
+		begin_block(r, raw->t_us);
+	r->started = true;
+	r->last_t_us = raw->t_us;
+	add(r, raw);
+	return event;
+}

@@ -1,0 +1,304 @@
+#include "model/calibrate_accelerometer.h"
+
+#include "model/ellipsoid.h"
+#include "model/linalg.h"
+
+#define RAD_PER_DEG (3.14159265358979323846 / 180)
+
+enum { BLOCKS_LEAST = 5, SIDES = 14 };	     /* 1.25 s */
+static const double ANOTHER_COS = 0.9396926; /* 20 deg: less is the same position again */
+static const double FACE_COS = 0.9396926;    /* more than 20 deg off is no face */
+static const double COVERAGE_LEAST = 0.4;
+static const double RESIDUAL_MAX = 0.008; /* of gravity */
+static const double BIAS_MAX = 0.5;	  /* of gravity */
+static const double SCALE_MIN = 0.7, SCALE_MAX = 1.4;
+static const double FACES_TURNED_MAX_RAD = 5 * RAD_PER_DEG;
+
+void calibrate_accelerometer_init(
+	struct calibrate_accelerometer *c, const struct calibrate_accelerometer_config *config)
+{
+	*c = (struct calibrate_accelerometer){.config = *config, .at = -1};
+	calibrate_rest_init(&c->rest, &CALIBRATE_HELD);
+}
+
+int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c)
+{
+	return c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : CALIBRATE_FREE_LEAST;
+}
+
+static double cosine(struct vec3 a, struct vec3 b)
+{
+	return vec3_dot(a, b) / (vec3_norm(a) * vec3_norm(b));
+}
+
+static struct vec3 side(int number)
+{
+	int corner = number - CALIBRATE_FACES - 1;
+	double sign = number % 2 ? 1 : -1;
+
+	switch (number) {
+	case 1:
+	case 2:
+		return (struct vec3){sign, 0, 0};
+	case 3:
+	case 4:
+		return (struct vec3){0, sign, 0};
+	case 5:
+	case 6:
+		return (struct vec3){0, 0, sign};
+	default:
+		return (struct vec3){corner & 1 ? -1 : 1, corner & 2 ? -1 : 1, corner & 4 ? -1 : 1};
+	}
+}
+
+int calibrate_accelerometer_next(const struct calibrate_accelerometer *c)
+{
+	const int sides = c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : SIDES;
+	double farthest = ANOTHER_COS;
+	int next = 0;
+
+	for (int i = 1; i <= sides; i++) {
+		double nearest = -1;
+
+		for (int k = 0; k < CALIBRATE_POSITIONS_MAX; k++)
+			if (c->position[k].blocks)
+				nearest = fmax(nearest, cosine(side(i), c->position[k].force_m_s2));
+		if (nearest < farthest - 1e-6) {
+			farthest = nearest;
+			next = i;
+		}
+	}
+	return next;
+}
+
+/* ---- the positions ----------------------------------------------------------------------------------------------- */
+
+/* Where a rest belongs; -1: nowhere. Faces have their places, 0 +x, 1 -x, .. 5 -z. */
+static int face_of(struct vec3 force)
+{
+	for (int i = 0; i < CALIBRATE_FACES; i++)
+		if (cosine(side(i + 1), force) > FACE_COS)
+			return i;
+	return -1;
+}
+
+static int place_of(const struct calibrate_accelerometer *c, struct vec3 force)
+{
+	int nearest = -1;
+	double most = ANOTHER_COS;
+
+	if (c->config.positions == CALIBRATE_SIX_FACES)
+		return face_of(force);
+	for (int i = 0; i < c->positions; i++)
+		if (cosine(c->position[i].force_m_s2, force) > most) {
+			most = cosine(c->position[i].force_m_s2, force);
+			nearest = i;
+		}
+	if (nearest >= 0)
+		return nearest;
+	return c->positions < CALIBRATE_POSITIONS_MAX ? c->positions : -1;
+}
+
+/* Takes the rest that lasts; a longer one replaces an earlier one of the same position. True: a new position. */
+static bool keep(struct calibrate_accelerometer *c)
+{
+	struct vec3 mean = vec3_scale(1.0 / c->blocks, c->sum_m_s2);
+	struct calibrate_position *p;
+	bool new;
+
+	if (c->at < 0)
+		c->at = place_of(c, mean);
+	if (c->at < 0)
+		return false;
+	p = &c->position[c->at];
+	new = p->blocks == 0;
+	if (c->blocks > p->blocks)
+		*p = (struct calibrate_position){mean, c->blocks};
+	c->positions += new;
+	return new;
+}
+
+/* ---- the answer -------------------------------------------------------------------------------------------------- */
+
+static double element(struct vec3 v, int i)
+{
+	return i == 0 ? v.x : i == 1 ? v.y : v.z;
+}
+
+static double determinant(double m[3][3])
+{
+	return m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+	       m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+}
+
+static void inverse(double m[3][3], double out[3][3])
+{
+	double det = determinant(m);
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++) {
+			int a = (j + 1) % 3, b = (j + 2) % 3, p = (i + 1) % 3, q = (i + 2) % 3;
+
+			out[i][j] = (m[a][p] * m[b][q] - m[a][q] * m[b][p]) / det;
+		}
+}
+
+/* raw = S f + bias with f = +-g along each axis, least squares: the bias is the mean of all faces, column i of S half the
+ * difference of the two faces of axis i. What is left, 18 values less 12 unknowns, is that the mean of each pair of faces
+ * is the bias. */
+static enum calibrate_verdict solve_faces(struct calibrate_accelerometer *c)
+{
+	struct calibrate_accelerometer_result *r = &c->result;
+	double s[3][3], squares = 0, g = c->config.gravity_m_s2, turned = 0;
+	struct vec3 bias = {0, 0, 0};
+
+	if (c->positions < CALIBRATE_FACES)
+		return CALIBRATE_TOO_FEW_POSITIONS;
+	for (int i = 0; i < CALIBRATE_FACES; i++)
+		bias = vec3_add(bias, vec3_scale(1.0 / CALIBRATE_FACES, c->position[i].force_m_s2));
+	for (int axis = 0; axis < 3; axis++) {
+		struct vec3 up = c->position[2 * axis].force_m_s2, down = c->position[2 * axis + 1].force_m_s2;
+		struct vec3 left = vec3_sub(vec3_scale(0.5, vec3_add(up, down)), bias);
+
+		squares += 2 * vec3_dot(left, left);
+		for (int i = 0; i < 3; i++)
+			s[i][axis] = element(vec3_sub(up, down), i) / (2 * g);
+	}
+	if (fabs(determinant(s)) < 0.1)
+		return CALIBRATE_IMPLAUSIBLE;
+	inverse(s, r->calibration.matrix);
+	r->calibration.bias = bias;
+	r->residual_m_s2 = sqrt(squares / 6);
+	r->bias_sigma_m_s2 = vec3_scale(r->residual_m_s2 / sqrt(6), (struct vec3){1, 1, 1});
+	r->matrix_sigma = r->residual_m_s2 / sqrt(2) / g;
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < i; j++)
+			turned += (s[i][j] - s[j][i]) * (s[i][j] - s[j][i]) / 4;
+	r->faces_turned_rad = sqrt(turned);
+	return r->faces_turned_rad > FACES_TURNED_MAX_RAD ? CALIBRATE_FACES_TURNED : CALIBRATE_GOOD;
+}
+
+static enum calibrate_verdict solve_free(struct calibrate_accelerometer *c)
+{
+	struct calibrate_accelerometer_result *r = &c->result;
+	struct vec3 points[CALIBRATE_POSITIONS_MAX];
+	struct ellipsoid e = {.matrix = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}};
+
+	for (int i = 0; i < c->positions; i++)
+		points[i] = c->position[i].force_m_s2;
+	if (ellipsoid_fit(points, c->positions, c->config.gravity_m_s2, false, &e) < 0)
+		return c->positions < CALIBRATE_FREE_LEAST ? CALIBRATE_TOO_FEW_POSITIONS : CALIBRATE_POOR_COVERAGE;
+	c->coverage = e.coverage;
+	r->calibration.bias = e.centre;
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			r->calibration.matrix[i][j] = e.matrix.m[i][j];
+	r->residual_m_s2 = e.rms;
+	r->bias_sigma_m_s2 = e.sigma;
+	r->matrix_sigma = e.matrix_sigma;
+	if (c->positions < CALIBRATE_FREE_LEAST)
+		return CALIBRATE_TOO_FEW_POSITIONS;
+	return e.coverage < COVERAGE_LEAST ? CALIBRATE_POOR_COVERAGE : CALIBRATE_GOOD;
+}
+
+static double with_drift(const struct calibrate_accelerometer *c, double sigma)
+{
+	double drift = CALIBRATE_DRIFT * c->config.bias_instability_m_s2;
+
+	return sqrt(sigma * sigma + drift * drift);
+}
+
+static bool plausible(const struct calibrate_accelerometer *c)
+{
+	const struct triad_calibration *t = &c->result.calibration;
+
+	if (!(vec3_norm(t->bias) < BIAS_MAX * c->config.gravity_m_s2))
+		return false;
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++) {
+			double m = t->matrix[i][j];
+
+			if (i == j ? !(m > SCALE_MIN && m < SCALE_MAX) : !(fabs(m) < SCALE_MAX - 1))
+				return false;
+		}
+	return true;
+}
+
+static enum calibrate_verdict solve(struct calibrate_accelerometer *c)
+{
+	enum calibrate_verdict verdict;
+
+	c->result = (struct calibrate_accelerometer_result){
+		.temperature_degC = c->temperatures ? c->temperature_sum_degC / c->temperatures : (double)NAN};
+	verdict = c->config.positions == CALIBRATE_SIX_FACES ? solve_faces(c) : solve_free(c);
+	c->result.bias_sigma_m_s2 = (struct vec3){with_drift(c, c->result.bias_sigma_m_s2.x),
+		with_drift(c, c->result.bias_sigma_m_s2.y), with_drift(c, c->result.bias_sigma_m_s2.z)};
+	if (verdict != CALIBRATE_GOOD)
+		return verdict;
+	if (c->result.residual_m_s2 > RESIDUAL_MAX * c->config.gravity_m_s2)
+		return CALIBRATE_LARGE_RESIDUAL;
+	return plausible(c) ? CALIBRATE_GOOD : CALIBRATE_IMPLAUSIBLE;
+}
+
+/* ---- sample by sample -------------------------------------------------------------------------------------------- */
+
+static void rest_over(struct calibrate_accelerometer *c)
+{
+	c->sum_m_s2 = (struct vec3){0, 0, 0};
+	c->blocks = 0;
+	c->at = -1;
+}
+
+/* Free positions that do not suffice yet may with the next ones. */
+static void new_position(struct calibrate_accelerometer *c)
+{
+	const bool free = c->config.positions == CALIBRATE_FREE;
+	enum calibrate_verdict verdict = solve(c);
+
+	if (!free)
+		c->coverage = c->positions / (double)CALIBRATE_FACES;
+	if (c->config.whole || c->positions < calibrate_accelerometer_wanted(c))
+		return;
+	if (verdict == CALIBRATE_GOOD || !free || c->positions == CALIBRATE_POSITIONS_MAX)
+		c->verdict = verdict;
+}
+
+static void rest_block(struct calibrate_accelerometer *c)
+{
+	const struct calibrate_block *b = &c->rest.block;
+
+	c->sum_m_s2 = vec3_add(c->sum_m_s2, b->accel_m_s2);
+	c->blocks++;
+	if (b->temperature_samples) {
+		c->temperature_sum_degC += b->temperature_degC;
+		c->temperatures++;
+	}
+	if (c->blocks >= BLOCKS_LEAST && keep(c))
+		new_position(c);
+}
+
+enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_accelerometer *c, const struct imu_sample *raw)
+{
+	if (c->verdict != CALIBRATE_COLLECTING)
+		return c->verdict;
+	switch (calibrate_rest_step(&c->rest, raw)) {
+	case CALIBRATE_REST_BLOCK:
+		rest_block(c);
+		break;
+	case CALIBRATE_REST_ENDED:
+		rest_over(c);
+		break;
+	case CALIBRATE_REST_NOTHING:
+		break;
+	}
+	if (c->verdict == CALIBRATE_COLLECTING && calibrate_rest_time_s(&c->rest) > c->config.patience_s)
+		c->verdict = solve(c);
+	return c->verdict;
+}
+
+enum calibrate_verdict calibrate_accelerometer_finish(struct calibrate_accelerometer *c)
+{
+	if (c->verdict == CALIBRATE_COLLECTING)
+		c->verdict = solve(c);
+	return c->verdict;
+}
