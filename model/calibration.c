@@ -65,7 +65,7 @@ int calibration_init(struct calibration *cal, const struct calibration_config *c
 	return 0;
 }
 
-static void take_temperature(struct calibration *cal, double temperature_degC)
+void calibration_temperature(struct calibration *cal, double temperature_degC)
 {
 	const struct calibration_config *c = &cal->config;
 
@@ -84,17 +84,15 @@ int calibration_configure(struct calibration *cal, const struct calibration_conf
 	if (calibration_init(&next, config) < 0)
 		return -EINVAL;
 	if (cal->temperature_known)
-		take_temperature(&next, cal->temperature_degC);
+		calibration_temperature(&next, cal->temperature_degC);
 	*cal = next;
 	return 0;
 }
 
-struct imu_sample calibration_apply(struct calibration *cal, const struct imu_sample *raw)
+struct imu_sample calibration_apply(const struct calibration *cal, const struct imu_sample *raw)
 {
 	struct imu_sample s = *raw;
 
-	if (raw->flags & SAMPLE_TEMPERATURE)
-		take_temperature(cal, raw->temperature_degC);
 	s.gyro_rad_s = mat3_apply(cal->gyro, vec3_sub(raw->gyro_rad_s, cal->gyro_bias));
 	s.accel_m_s2 = mat3_apply(cal->accel, vec3_sub(raw->accel_m_s2, cal->accel_bias));
 	if (raw->flags & SAMPLE_MAG)

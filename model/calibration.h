@@ -39,10 +39,10 @@ struct calibration {
 int calibration_init(struct calibration *cal, const struct calibration_config *config);
 /** The same while it runs: the temperature last known stays. */
 int calibration_configure(struct calibration *cal, const struct calibration_config *config);
-/** The sample with its three triads corrected and in the object frame; time and flags as they were. A temperature holds
- * until the next one (SAMPLE_TEMPERATURE); before the first one, and where it is beyond +-200 degC, nothing is compensated.
- */
-struct imu_sample calibration_apply(struct calibration *cal, const struct imu_sample *raw);
+/** The temperature from now on. Before the first one nothing is compensated; one beyond +-200 degC is not believed. */
+void calibration_temperature(struct calibration *cal, double temperature_degC);
+/** The sample with its three triads corrected and in the object frame; time and flags as they were. */
+struct imu_sample calibration_apply(const struct calibration *cal, const struct imu_sample *raw);
 /** How far the biases at that temperature are from those of the triads. */
 struct vec3 calibration_gyro_shift(const struct temperature_compensation *c, double temperature_degC);
 struct vec3 calibration_accel_shift(const struct temperature_compensation *c, double temperature_degC);

@@ -209,9 +209,11 @@ int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb)
 
 static void start_over(struct pipeline *p)
 {
+	struct calibration calibration = p->calibration;
 	uint32_t gaps = p->gaps, refused = p->refused;
 
 	pipeline_init(p, &p->config, p->rate_hz);
+	p->calibration = calibration; /* and the temperature it knows */
 	p->gaps = gaps;
 	p->refused = refused;
 }
@@ -330,13 +332,16 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
-	struct imu_sample s = calibration_apply(&p->calibration, sample);
+	struct imu_sample s;
 	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
 	struct vec3 gyro, accel;
 	struct quat q_nb;
 	bool gap, rest;
 	double dt_s;
 
+	if (sample->flags & SAMPLE_TEMPERATURE)
+		calibration_temperature(&p->calibration, sample->temperature_degC);
+	s = calibration_apply(&p->calibration, sample);
 	if (!usable(p, &s)) {
 		p->refused++;
 		return -EINVAL;
