@@ -3,7 +3,7 @@
  *
  *   od_values.h        struct od_values: one member per object, nested structs for arrays and
  * records od_table.c         the table that od/ works on, the defaults, and the bytes of the EDS
- * itself (1021h) objects.md         every object, for people imu9-gateway.dbc   the default TPDOs,
+ * itself (1021h) objects.md         every object, for people imu9-gateway.dbc   the default PDOs,
  * EMCY and heartbeat of node-ID 1, for tools that know CAN but not CANopen
  *
  * Built at compile time, so it may use the heap. The output depends on nothing but the EDS. */
@@ -409,7 +409,8 @@ static void print_row(FILE *out, const struct eds *eds, const struct od_entry *e
 	print_default_cell(out, eds, entry);
 	print_limits_cell(out, entry);
 	print_unit_cell(out, entry);
-	print_cell(out, entry->access & OD_TPDO ? "yes" : "");
+	bool sent = entry->access & OD_TPDO, received = entry->access & OD_RPDO;
+	print_cell(out, sent && received ? "both" : sent ? "TPDO" : received ? "RPDO" : "");
 	print_cell(out, entry->access & OD_STORED ? "yes" : "");
 	print_cell(out, entry->description);
 	fputc('\n', out);
@@ -447,8 +448,8 @@ static void print_markdown(FILE *out, const struct eds *eds)
 
 	fprintf(out,
 		"# Objects of the %s\n\n%s\n\n"
-		"*Unit* is the physical value of one step, at the default resolution. *PDO*: can be mapped into a "
-		"TPDO.\n"
+		"*Unit* is the physical value of one step, at the default resolution. *PDO*: can be mapped into "
+		"one.\n"
 		"*Stored*: kept by 1010h, and settable by its name in the configuration file and by `--set`. Sub-index "
 		"0 of\n"
 		"arrays and records is left out where it is only the highest sub-index.\n",
@@ -515,68 +516,88 @@ static uint32_t can_id(const struct eds *eds, uint16_t index, uint8_t sub)
 	return cob_id & CAN_ID_MASK;
 }
 
-static void print_message(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
+struct dbc_pdo {
+	const char *kind, *sender, *receiver;
+	uint16_t communication; /* index; that of the mapping is 200h higher */
+	unsigned number;	/* from 1 */
+	uint32_t id;
+};
+
+static const struct od_entry *signal_of(const struct eds *eds, const struct dbc_pdo *pdo, uint8_t sub)
 {
-	uint16_t mapping = (uint16_t)(0x1A00 + number);
+	return mapped_entry(eds, (uint16_t)(pdo->communication + 0x200), sub);
+}
+
+static void print_message(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo)
+{
 	const struct od_entry *entry;
 	char name[DBC_NAME_MAX + 1];
 	unsigned bytes = 0, bit = 0;
 
-	for (uint8_t sub = 1; (entry = mapped_entry(eds, mapping, sub)); sub++)
+	for (uint8_t sub = 1; (entry = signal_of(eds, pdo, sub)); sub++)
 		bytes += entry->size;
-	fprintf(out, "BO_ %u TPDO%u: %u IMU9\n", id, number + 1, bytes);
-	for (uint8_t sub = 1; (entry = mapped_entry(eds, mapping, sub)); sub++) {
-		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" Vector__XXX\n",
-			signal_name(entry, name), bit, 8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+',
-			entry->factor, entry->factor * raw_limit(entry, false), entry->factor * raw_limit(entry, true),
-			entry->unit);
+	fprintf(out, "BO_ %u %s%u: %u %s\n", pdo->id, pdo->kind, pdo->number, bytes, pdo->sender);
+	for (uint8_t sub = 1; (entry = signal_of(eds, pdo, sub)); sub++) {
+		fprintf(out, " SG_ %s : %u|%u@1%c (%.10g,0) [%.10g|%.10g] \"%s\" %s\n", signal_name(entry, name), bit,
+			8u * entry->size, is_signed(entry) || is_real(entry) ? '-' : '+', entry->factor,
+			entry->factor * raw_limit(entry, false), entry->factor * raw_limit(entry, true), entry->unit,
+			pdo->receiver);
 		bit += 8u * entry->size;
 	}
 	fputc('\n', out);
 }
 
-static void print_comments(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
+static void print_comments(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo)
 {
 	const struct od_entry *entry;
 	char name[DBC_NAME_MAX + 1];
 
 	for (size_t i = 0; i < eds->object_count; i++) {
-		if (eds->objects[i].index != 0x1800 + number)
+		if (eds->objects[i].index != pdo->communication)
 			continue;
-		fprintf(out, "CM_ BO_ %u ", id);
+		fprintf(out, "CM_ BO_ %u ", pdo->id);
 		print_c_string(out, eds->objects[i].description);
 		fputs(";\n", out);
 	}
-	for (uint8_t sub = 1; (entry = mapped_entry(eds, (uint16_t)(0x1A00 + number), sub)); sub++) {
+	for (uint8_t sub = 1; (entry = signal_of(eds, pdo, sub)); sub++) {
 		if (!*entry->description)
 			continue;
-		fprintf(out, "CM_ SG_ %u %s ", id, signal_name(entry, name));
+		fprintf(out, "CM_ SG_ %u %s ", pdo->id, signal_name(entry, name));
 		print_c_string(out, entry->description);
 		fputs(";\n", out);
 	}
 }
 
-static void print_float_types(FILE *out, const struct eds *eds, unsigned number, uint32_t id)
+static void print_float_types(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo)
 {
 	const struct od_entry *entry;
 	char name[DBC_NAME_MAX + 1];
 
-	for (uint8_t sub = 1; (entry = mapped_entry(eds, (uint16_t)(0x1A00 + number), sub)); sub++)
+	for (uint8_t sub = 1; (entry = signal_of(eds, pdo, sub)); sub++)
 		if (is_real(entry))
-			fprintf(out, "SIG_VALTYPE_ %u %s : %d;\n", id, signal_name(entry, name),
+			fprintf(out, "SIG_VALTYPE_ %u %s : %d;\n", pdo->id, signal_name(entry, name),
 				entry->type == OD_REAL32 ? 1 : 2);
 }
 
-/* For each TPDO that is switched on by default. */
-static void for_each_tpdo(
-	FILE *out, const struct eds *eds, void (*print)(FILE *out, const struct eds *eds, unsigned number, uint32_t id))
+/* For each PDO of one direction that is switched on by default; `first` is a PDO 1 yet without its CAN-ID. */
+static void for_each_pdo(FILE *out, const struct eds *eds, struct dbc_pdo first, unsigned count,
+	void (*print)(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo))
 {
-	for (unsigned number = 0; number < eds->info.tpdo_count; number++) {
-		uint32_t id = can_id(eds, (uint16_t)(0x1800 + number), 1);
-
-		if (id && mapped_entry(eds, (uint16_t)(0x1A00 + number), 1))
-			print(out, eds, number, id);
+	for (struct dbc_pdo pdo = first; pdo.number <= count; pdo.number++, pdo.communication++) {
+		pdo.id = can_id(eds, pdo.communication, 1);
+		if (pdo.id && signal_of(eds, &pdo, 1))
+			print(out, eds, &pdo);
 	}
+}
+
+static void for_all_pdos(
+	FILE *out, const struct eds *eds, void (*print)(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo))
+{
+	const struct dbc_pdo tpdo = {"TPDO", "IMU9", "Vector__XXX", 0x1800, 1, 0};
+	const struct dbc_pdo rpdo = {"RPDO", "Vector__XXX", "IMU9", 0x1400, 1, 0};
+
+	for_each_pdo(out, eds, tpdo, eds->info.tpdo_count, print);
+	for_each_pdo(out, eds, rpdo, eds->info.rpdo_count, print);
 }
 
 static void print_dbc(FILE *out, const struct eds *eds)
@@ -584,7 +605,7 @@ static void print_dbc(FILE *out, const struct eds *eds)
 	const uint32_t heartbeat = 0x700 + DBC_NODE_ID, emcy = can_id(eds, 0x1014, 0);
 
 	fputs("VERSION \"\"\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n", out);
-	for_each_tpdo(out, eds, print_message);
+	for_all_pdos(out, eds, print_message);
 	if (emcy)
 		fprintf(out,
 			"BO_ %u EMCY: 8 IMU9\n"
@@ -597,10 +618,10 @@ static void print_dbc(FILE *out, const struct eds *eds)
 		" SG_ nmt_state : 0|7@1+ (1,0) [0|127] \"\" Vector__XXX\n\n",
 		heartbeat);
 	fprintf(out, "CM_ \"%s Node-ID %d, default mapping and resolution.\";\n", NOTICE, DBC_NODE_ID);
-	for_each_tpdo(out, eds, print_comments);
+	for_all_pdos(out, eds, print_comments);
 	fprintf(out, "VAL_ %u nmt_state 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 \"pre-operational\" ;\n",
 		heartbeat);
-	for_each_tpdo(out, eds, print_float_types);
+	for_all_pdos(out, eds, print_float_types);
 }
 
 /* ---- files ---- */
@@ -674,7 +695,7 @@ static void check_names(const struct eds *eds, const char *path)
 		if (strstr(KEYWORDS, word))
 			die("%s:%u: the name%sis a word of the C language; choose another ParameterName", path,
 				eds->entries[i].line, word);
-		if ((entry->access & OD_TPDO) && strlen(entry->name) > DBC_NAME_MAX)
+		if ((entry->access & (OD_TPDO | OD_RPDO)) && strlen(entry->name) > DBC_NAME_MAX)
 			die("%s:%u: \"%s\" is longer than the %d characters of a signal in a DBC; shorten the "
 			    "ParameterName",
 				path, eds->entries[i].line, entry->name, DBC_NAME_MAX);

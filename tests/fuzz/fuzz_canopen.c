@@ -86,6 +86,12 @@ static void device_set_bit_rate(void *ctx, uint32_t bit_s)
 	require(bit_s >= 125000);
 }
 
+static double device_change_threshold(void *ctx, const struct od_entry *entry)
+{
+	(void)ctx;
+	return entry->sub & 1;
+}
+
 static struct can_msg take_frame(struct input *in)
 {
 	static const uint32_t ids[] = {0x000, 0x600 + NODE_ID, 0x600 + NODE_ID, 0x080};
@@ -97,6 +103,8 @@ static struct can_msg take_frame(struct input *in)
 		.remote = (kind & 0x88) == 0x88,
 		.t_us = (kind & 0x40) != 0};
 
+	if ((kind & 0x8C) == 0x0C) /* an RPDO */
+		msg.id = 0x200u + NODE_ID + 0x100u * (kind & 3);
 	if (msg.id == 0x000)
 		msg.len = 2;
 	if (msg.id == 0x080)
@@ -133,6 +141,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	static const struct can_ops ops = {.send = port_send, .receive = port_receive, .filter = port_filter};
 	static const struct canopen_device device = {.store = device_keep,
 		.restore = device_keep,
+		.change_threshold = device_change_threshold,
 		.store_lss = device_keep_lss,
 		.bit_rate_possible = device_bit_rate_possible,
 		.set_bit_rate = device_set_bit_rate};

@@ -137,21 +137,26 @@ def check_eds():
             expect(subs[0] == 0, "[%s]" % section, "no sub-index 0")
         else:
             expect(subs == [0], "[%s]" % section, "sub-indices of a VAR")
-    expect(int(eds["DeviceInfo"]["NrOfTXPDO"]) == sum(0x1800 <= i < 0x1A00 for i in indices), "[DeviceInfo]", "NrOfTXPDO")
+    for key, first in (("NrOfRXPDO", 0x1400), ("NrOfTXPDO", 0x1800)):
+        expect(int(eds["DeviceInfo"][key]) == sum(first <= i < first + 0x200 for i in indices), "[DeviceInfo]", key)
+    dummies = {"Dummy%04X" % i: "1" if 2 <= i <= 7 else "0" for i in range(1, 8)}
+    expect(dict(eds["DummyUsage"]) == dummies, "[DummyUsage]", "differs from what the device takes")
     return entries
 
 
-def mapped(entries, pdo):
-    """(key of the entry, bits) for each default mapping of one TPDO."""
+def mapped(entries, index):
+    """(key of the entry, bits) for each default mapping in the object `index`."""
     result = []
-    for sub in range(1, int(entries[0x1A00 + pdo, 0]["DefaultValue"]) + 1):
-        value = int(entries[0x1A00 + pdo, sub]["DefaultValue"], 0)
+    for sub in range(1, int(entries[index, 0]["DefaultValue"]) + 1):
+        value = int(entries[index, sub]["DefaultValue"], 0)
         key = value >> 16, value >> 8 & 0xFF
-        where = "[%04Xsub%X]" % (0x1A00 + pdo, sub)
+        where = "[%04Xsub%X]" % (index, sub)
         if key not in entries:
             faults.append("%s: maps %04X:%02X, which is not there" % (where, *key))
             continue
         expect(entries[key].get("PDOMapping") == "1", where, "maps what is not mappable")
+        access = ("wo", "rw", "rww") if index < 0x1800 else ("ro", "const", "rw", "rwr")
+        expect(entries[key]["AccessType"] in access, where, "maps what is for the other direction")
         expect(value & 0xFF == BITS[int(entries[key]["DataType"], 0)], where, "wrong length")
         result.append((key, value & 0xFF))
     return result
@@ -163,33 +168,35 @@ def without_groups(pattern):
 
 def check_dbc(entries):
     text = DBC.read_text("ascii")
-    signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" Vector__XXX\n'
-    message = r"BO_ (\d+) ([A-Za-z_]\w{0,31}): (\d) IMU9\n((?:%s)+)\n" % without_groups(signal)
+    signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" (?:Vector__XXX|IMU9)\n'
+    message = r"BO_ (\d+) ([A-Za-z_]\w{0,31}): (\d) (?:IMU9|Vector__XXX)\n((?:%s)+)\n" % without_groups(signal)
     tail = r'(?:CM_ (?:BO_ \d+ |SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
     whole = r'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n(?:%s)+%s' % (without_groups(message), tail)
     expect(re.fullmatch(whole, text), DBC.name, "does not follow the grammar")
     messages = {int(m[1]): m for m in re.finditer(message, text)}
-    if set(messages) != {0x181, 0x281, 0x381, 0x481, 0x81, 0x701}:
+    if set(messages) != {0x181, 0x281, 0x381, 0x481, 0x201, 0x301, 0x401, 0x501, 0x81, 0x701}:
         faults.append("%s: CAN-IDs %s" % (DBC.name, sorted(map(hex, messages))))
         return
-    for pdo in range(4):
-        found = re.findall(signal, messages[0x181 + 0x100 * pdo][4])
-        wanted = mapped(entries, pdo)
-        where = "%s TPDO%d" % (DBC.name, pdo + 1)
+    pdos = [("TPDO", 0x181, 0x1A00, n) for n in range(4)] + [("RPDO", 0x201, 0x1600, n) for n in range(4)]
+    for kind, first_id, mapping, pdo in pdos:
+        found = re.findall(signal, messages[first_id + 0x100 * pdo][4])
+        wanted = mapped(entries, mapping + pdo)
+        where = "%s %s%d" % (DBC.name, kind, pdo + 1)
+        expect(messages[first_id + 0x100 * pdo][2] == kind + str(pdo + 1), where, "name")
         expect(len(found) == len(wanted), where, "%d signals for %d mapped objects" % (len(found), len(wanted)))
         start = 0
         for (name, at, bits, sign, factor, low, high, unit), (key, length) in zip(found, wanted):
             entry = entries[key]
             scale = float(entry.get("Factor", "1"))
-            signed = int(entry["DataType"], 0) in SIGNED
-            raw = (-1 << length - 1, (1 << length - 1) - 1) if signed else (0, (1 << length) - 1)
+            real, signed = int(entry["DataType"], 0) in REAL, int(entry["DataType"], 0) in SIGNED
+            raw = (0, 0) if real else (-1 << length - 1, (1 << length - 1) - 1) if signed else (0, (1 << length) - 1)
             expect((int(at), int(bits)) == (start, length), where, name + " stands at the wrong bits")
-            expect(sign == ("-" if signed else "+"), where, name + " has the wrong sign")
+            expect(sign == ("-" if signed or real else "+"), where, name + " has the wrong sign")
             expect(float(factor) == scale and unit == entry.get("Unit", ""), where, name + " has the wrong unit or factor")
             for limit, bound in zip((low, high), raw):
                 expect(abs(float(limit) - bound * scale) < 1e-6, where, name + " has the wrong range")
             start += length
-        expect(start == 8 * int(messages[0x181 + 0x100 * pdo][3]) <= 64, where, "length")
+        expect(start == 8 * int(messages[first_id + 0x100 * pdo][3]) <= 64, where, "length")
 
 
 def check_with_python_canopen(entries):
