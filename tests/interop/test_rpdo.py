@@ -1,0 +1,135 @@
+"""Receive PDOs and PDOs on change, over a real bus: CiA 301, 7.2.2."""
+import math
+import struct
+
+import canopen_master as canopen
+import rig
+from rig import NODE
+
+RPDO = [0x200, 0x300, 0x400, 0x500]
+SENT, EXISTS_NOT = 1 << 30, 1 << 31
+EXTERNAL_AID = 1 << 11  # in the status word 210Fh:3
+NOT_MAPPABLE, PDO_LENGTH, UNSUPPORTED_ACCESS, BAD_VALUE = 0x06040041, 0x06040042, 0x06010000, 0x06090030
+
+
+def u8(value):
+    return struct.pack("<B", value)
+
+
+def u16(value):
+    return struct.pack("<H", value)
+
+
+def u32(value):
+    return struct.pack("<I", value)
+
+
+class ReceivePdos(rig.OnTheBus):
+    def send(self, number, data):
+        self.master.send(RPDO[number - 1] + NODE, data)
+
+    def commands(self):
+        return struct.unpack("<H", self.read(0x2073))[0]
+
+    def emcy(self):
+        return canopen.emergency(self.master.wait(canopen.EMCY + NODE))
+
+    def test_the_four_exist_with_the_predefined_identifiers(self):
+        for number in range(4):
+            self.assertEqual(self.read(0x1400 + number, 1), u32(RPDO[number] + NODE))
+
+    def test_a_pdo_is_in_the_dictionary_at_once_and_in_operational_only(self):
+        self.send(1, struct.pack("<hhhH", 1, 1, 1, 0))
+        self.assertEqual(self.read(0x2070, 5), struct.pack("<h", 0))
+        self.start()
+        self.send(1, struct.pack("<hhhH", 1500, -2, 0, 0))
+        self.assertEqual([self.read(0x2070, sub) for sub in (5, 6)], [struct.pack("<h", v) for v in (1500, -2)])
+        self.assertAlmostEqual(struct.unpack("<f", self.read(0x2070, 1))[0], 1.5, places=5)
+        self.send(1, bytes(8))
+
+    def test_a_synchronous_pdo_waits_for_the_sync(self):
+        self.write(0x1403, 2, u8(1))
+        self.start()
+        self.send(4, u16(1))
+        self.assertEqual(self.commands(), 0)
+        self.master.sync()
+        self.assertEqual(self.commands(), 1)
+        self.send(4, u16(0))
+        self.master.sync()
+        self.assertEqual(self.commands(), 0)
+
+    def test_a_wrong_length_is_told_by_8210h_or_8220h_and_its_end_too(self):
+        self.start()
+        self.send(4, b"\1")
+        self.assertEqual(self.emcy(), (0x8210, 0x11, bytes.fromhex("0314010200")))
+        self.assertEqual(self.commands(), 0)
+        self.send(4, u16(0))
+        self.assertEqual(self.emcy(), (0x0000, 0x00, bytes(5)))
+        self.send(4, b"\0\0\0")
+        self.assertEqual(self.emcy(), (0x8220, 0x11, bytes.fromhex("0314030200")))
+        self.send(4, u16(0))
+        self.assertEqual(self.emcy()[0], 0x0000)
+
+    def test_a_pdo_that_stays_away_is_told_by_8250h_in_time_and_its_return_too(self):
+        self.write(0x1403, 5, u16(100))
+        self.start()
+        self.send(4, u16(0))
+        sent = self.master.wait(RPDO[3] + NODE)
+        frame = self.master.wait(canopen.EMCY + NODE)
+        self.assertEqual(canopen.emergency(frame), (0x8250, 0x11, bytes.fromhex("0314000000")))
+        self.assertAlmostEqual(frame.timestamp - sent.timestamp, 0.1, delta=0.02)
+        self.send(4, u16(0))
+        self.assertEqual(self.emcy()[0], 0x0000)
+
+    def test_a_value_beyond_its_limits_is_told_by_8200h_and_nothing_of_the_pdo_is_used(self):
+        self.start()
+        self.send(3, struct.pack("<hhhB", 1, 2, 3, 2))
+        self.assertEqual(self.emcy(), (0x8200, 0x11, bytes.fromhex("0214722007")))
+        self.assertEqual(self.read(0x2072, 4), struct.pack("<h", 0))
+        self.send(3, bytes(7))
+        self.assertEqual(self.emcy()[0], 0x0000)
+
+    def test_the_mapping_procedure_with_a_dummy_takes_effect_live(self):
+        self.start()
+        self.write(0x1400, 1, u32(EXISTS_NOT | RPDO[0] + NODE))
+        self.write(0x1600, 0, u8(0))
+        self.write(0x1600, 1, u32(0x00060010))
+        self.write(0x1600, 2, u32(0x20730010))
+        self.write(0x1600, 0, u8(2))
+        self.write(0x1400, 1, u32(RPDO[0] + NODE))
+        self.send(1, bytes.fromhex("FFFF0100"))
+        self.assertEqual(self.commands(), 1)
+        self.send(1, bytes(4))
+
+    def test_what_may_not_be_is_refused(self):
+        self.assert_aborts(UNSUPPORTED_ACCESS, self.write, 0x1600, 0, u8(0))
+        self.assert_aborts(BAD_VALUE, self.write, 0x1400, 2, u8(252))
+        self.assert_aborts(BAD_VALUE, self.write, 0x1400, 1, u32(0x211))
+        self.write(0x1400, 1, u32(EXISTS_NOT | RPDO[0] + NODE))
+        self.write(0x1600, 0, u8(0))
+        self.assert_aborts(NOT_MAPPABLE, self.write, 0x1600, 1, u32(0x21000110))  # for TPDOs
+        self.assert_aborts(PDO_LENGTH, self.write, 0x1600, 0, u8(9))
+
+    def test_a_velocity_told_is_the_one_reported_and_the_status_says_so(self):
+        self.master.remap(NODE, 1, [(0x2104, 1, 32), (0x2104, 2, 32)], transmission=254)
+        self.start()
+        self.master.listen(0.3)
+        self.send(1, struct.pack("<hhhH", 3000, -2000, 0, 1))
+        told = self.master.wait(RPDO[0] + NODE)
+        self.master.listen(0.1)
+        after = [f for f in self.pdos(self.master.frames) if f.timestamp > told.timestamp]
+        x, y = canopen.decode(after[1].data, "ff")
+        self.assertLess(math.hypot(x - 3, y + 2), 0.5)
+        self.assertTrue(struct.unpack("<H", self.read(0x210F, 3))[0] & EXTERNAL_AID)
+
+    def test_with_a_threshold_an_event_driven_pdo_is_rare(self):
+        self.master.remap(NODE, 1, [(0x2101, 1, 16), (0x210F, 1, 16)], transmission=254)
+        self.start()
+        self.master.listen(0.2)
+        often = len(self.pdos(self.master.listen(1.0)))
+        self.write(0x2118, 2, struct.pack("<f", 1000.0))
+        self.master.listen(0.1)
+        rare = len(self.pdos(self.master.listen(1.0)))
+        self.write(0x2118, 2, struct.pack("<f", 0.0))
+        self.assertGreater(often, 50)
+        self.assertEqual(rare, 0)
