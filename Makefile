@@ -39,6 +39,7 @@ TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scen
 	tests/interop/test_*.c))
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
+RIG_PROGRAMS := $(patsubst %.c,$(BUILD)/%,$(filter-out tests/rig/uml_xstate.c,$(call sources,tests/rig/*.c)))
 # what the tests of one folder share: its .c files that are no program of their own
 helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wildcard $(1)/*.c)))
 
@@ -88,6 +89,10 @@ $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
 
+$(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(LIBS) $(LDLIBS)
+
 Q = $(if $(V),,@echo "  build   $@";)
 
 # ---- the two commands of the README --------------------------------------------------------------------------------
@@ -101,6 +106,15 @@ test: ## install what is missing, build, and run every test: unit, scenario, and
 	@DEPS=$(DEPS) tools/deps build test
 	@$(MAKE) --no-print-directory -j2 all tests check-layers
 	@BUILD=$(BUILD) tests/run unit scenario interop
+
+.PHONY: rig test-rig
+rig: ## what the drivers need to be tested without hardware: a guest kernel (five minutes, once), emulated adapters
+	@DEPS=$(DEPS) tools/deps build test rig
+	@tests/rig/kernel/build
+	@$(MAKE) --no-print-directory -j2 all $(RIG_PROGRAMS)
+
+test-rig: rig ## test them in there, through the kernel's own USB, CAN, I2C and IIO
+	@BUILD=$(BUILD) tests/rig/run
 
 .PHONY: experiments
 experiments: ## the seed paper's figures and tables, and what beats them: build/experiments
@@ -139,7 +153,8 @@ $(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c $(LIBS)
 	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
 
 bench: all $(BENCHES) ## print the measured figures
-	@for b in $(BENCHES); do echo "== $$(basename $$b)"; $$b || exit 1; done
+	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done
+	@echo "== bench_bus"; BUILD=$(BUILD) tests/rig/vcan-run $(BUILD)/tests/bench/bench_bus
 
 lint: $(BUILD)/gen/od_values.h ## clang-tidy and cppcheck
 	clang-tidy --quiet $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) -- \
@@ -176,15 +191,17 @@ check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must n
 
 # ---- installing ----------------------------------------------------------------------------------------------------
 .PHONY: install uninstall clean help
-install: all ## install programs and EDS under $(DESTDIR)$(PREFIX)
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/imu9-gateway
+install: all ## install programs, EDS and udev rule under $(DESTDIR)$(PREFIX)
+	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/imu9-gateway $(DESTDIR)$(PREFIX)/lib/udev/rules.d
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
 	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
 		$(DESTDIR)$(PREFIX)/share/imu9-gateway
+	install -m 644 tools/70-imu9-gateway.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d
 
 uninstall: ## remove what install put there
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(PROGRAMS)))
 	rm -rf $(DESTDIR)$(PREFIX)/share/imu9-gateway
+	rm -f $(DESTDIR)$(PREFIX)/lib/udev/rules.d/70-imu9-gateway.rules
 
 clean: ## remove everything built
 	rm -rf $(BUILD)
