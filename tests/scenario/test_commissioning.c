@@ -1,0 +1,343 @@
+/* The lever arm that finds itself: a robot in simulated time, SDO from start to accept. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/commissioning.h"
+#include "gateway/device.h"
+#include "model/sensor.h"
+
+#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
+
+enum { NODE_ID = 16, INTERVAL_US = 5000 };
+enum { ABORT_HELD = 0, START_HELD = 1, START_REFERENCE = 2, ACCEPT = 3, DISCARD = 4 };
+static const uint32_t DEVICE_STATE = 0x08000022;
+static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */
+
+struct world {
+	struct can_port bus;
+	struct imu_port imu;
+	struct device device;
+	struct sensor sensor;
+	struct signal signal;
+	bool travels;		   /* the reference point, which stands still in the signal */
+	bool told;		   /* 2075h is written, every second sample */
+	struct can_msg answer;	   /* the last SDO answer */
+	struct signal_truth truth; /* of the last sample */
+	uint64_t now_us;
+	unsigned count;
+};
+
+/* ---- the world around the device --------------------------------------------------------------------------------- */
+
+static int take_frame(struct can_port *port, const struct can_msg *msg)
+{
+	struct world *w = (struct world *)port;
+
+	if (msg->id == 0x580 + NODE_ID)
+		w->answer = *msg;
+	return 0;
+}
+
+static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port, (void)ids, (void)n;
+	return 0;
+}
+
+static int set_up(void **state)
+{
+	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
+	struct sensor_config sensor = *sensor_preset("lsm303dlhc_l3gd20_fine");
+	struct world *w = calloc(1, sizeof(*w));
+
+	assert_non_null(w);
+	*state = w;
+	sensor.rate_hz = 1e6 / INTERVAL_US;
+	sensor.lever_arm_b_m = ARM;
+	sensor.gyro.range = sensor.accel.range = 1e3;
+	sensor_calibrate(&sensor);
+	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
+	w->signal = *signal_find("tumble");
+	w->bus = (struct can_port){.ops = &ops, .fd = -1};
+	w->imu = (struct imu_port){.rate_hz = sensor.rate_hz, .silence_us = 100000};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
+	device_start(&w->device, false, 0);
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	free(*state);
+	return 0;
+}
+
+static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
+{
+	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
+
+	memcpy(msg.data, data, len);
+	device_receive(&w->device, &msg, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+/* Expedited download; the abort code, or 0. */
+static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
+{
+	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
+
+	memcpy(request + 4, value, size);
+	receive(w, 0x600 + NODE_ID, 8, request);
+	if (w->answer.data[0] == 0x60)
+		return 0;
+	assert_int_equal(w->answer.data[0], 0x80);
+	return (uint32_t)w->answer.data[4] | (uint32_t)w->answer.data[5] << 8 | (uint32_t)w->answer.data[6] << 16 |
+	       (uint32_t)w->answer.data[7] << 24;
+}
+
+static uint32_t command(struct world *w, uint8_t value)
+{
+	return sdo_write(w, 0x2060, 1, &value, 1);
+}
+
+static void tell_reference(struct world *w, struct vec3 accel_b_m_s2)
+{
+	const float l = (float)accel_b_m_s2.x, s = (float)accel_b_m_s2.y, t = (float)accel_b_m_s2.z;
+
+	assert_int_equal(sdo_write(w, 0x2075, 1, &l, 4), 0);
+	assert_int_equal(sdo_write(w, 0x2075, 2, &s, 4), 0);
+	assert_int_equal(sdo_write(w, 0x2075, 3, &t, 4), 0);
+}
+
+static void sample(struct world *w)
+{
+	struct imu_sample s;
+
+	w->now_us += INTERVAL_US;
+	signal_at(&w->signal, sensor_instant_s(&w->sensor), &w->truth);
+	if (w->travels)
+		w->truth.accel_n_m_s2 =
+			(struct vec3){4 * sin(5 * w->truth.t_s), 3 * sin(7 * w->truth.t_s), sin(8 * w->truth.t_s)};
+	sensor_measure(&w->sensor, &w->truth, &s);
+	device_sample(&w->device, 1, &s, w->now_us);
+	device_tick(&w->device, w->now_us);
+	if (w->told && w->count++ % 2 == 0)
+		tell_reference(w, quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2));
+}
+
+static void seconds(struct world *w, double s)
+{
+	for (int n = (int)(s * 1e6 / INTERVAL_US); n > 0; n--)
+		sample(w);
+}
+
+/* RMS error of the published acceleration. */
+static double error_over(struct world *w, double s)
+{
+	const int n = (int)(s * 1e6 / INTERVAL_US);
+	double sum = 0;
+
+	for (int i = 0; i < n; i++) {
+		sample(w);
+		struct vec3 truth_b = quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2);
+		struct vec3 out = {(double)w->device.values.acceleration_object.l,
+			(double)w->device.values.acceleration_object.s, (double)w->device.values.acceleration_object.t};
+		struct vec3 off = vec3_sub(out, truth_b);
+		sum += vec3_dot(off, off);
+	}
+	return sqrt(sum / n);
+}
+
+static void assert_lever_arm_is_found(const struct world *w)
+{
+	const struct od_values *v = &w->device.values;
+
+	if (v->lever_arm_identification.state != LEVER_DONE)
+		fail_msg(
+			"state %u, verdict %u", v->lever_arm_identification.state, v->lever_arm_identification.verdict);
+	assert_int_equal(v->lever_arm_identification.verdict, LEVER_FOUND);
+	assert_int_equal(v->lever_arm_identification.progress, 100);
+	assert_near(v->lever_arm_identification.l, ARM.x, 0.001);
+	assert_near(v->lever_arm_identification.s, ARM.y, 0.001);
+	assert_near(v->lever_arm_identification.t, ARM.z, 0.001);
+	assert_true(v->lever_arm_identification.sigma_l > 0 && v->lever_arm_identification.sigma_l < 0.003f);
+}
+
+/* ---- from start to accept ---------------------------------------------------------------------------------------- */
+
+static void test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it(void **state)
+{
+	struct world *w = *state;
+	double before, after;
+
+	seconds(w, 5);
+	before = error_over(w, 10);
+	assert_int_equal(command(w, START_HELD), 0);
+	seconds(w, 32);
+	assert_lever_arm_is_found(w);
+	assert_near(w->device.values.lever_arm.l, 0, 0); /* not before it is accepted */
+	assert_int_equal(command(w, ACCEPT), 0);
+	assert_near(w->device.values.lever_arm.l, ARM.x, 0.001);
+	assert_near(w->device.values.lever_arm.s, ARM.y, 0.001);
+	assert_near(w->device.values.lever_arm.t, ARM.z, 0.001);
+	after = error_over(w, 10);
+	print_message("acceleration error before %.3f, after %.3f m/s^2\n", before, after);
+	assert_true(after < before / 2);
+}
+
+static void test_an_accepted_lever_arm_is_used_by_the_next_sample(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(command(w, START_HELD), 0);
+	seconds(w, 32);
+	assert_lever_arm_is_found(w);
+	assert_int_equal(command(w, ACCEPT), 0);
+	sample(w);
+	assert_near(w->device.pipeline.config.estimator.lever_arm_b_m.x, w->device.values.lever_arm.l, 0);
+	assert_true(w->device.pipeline.config.estimator.lever_arm_b_m.x > 0.05);
+}
+
+static void test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well(void **state)
+{
+	struct world *w = *state;
+
+	w->travels = true;
+	w->told = true;
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	seconds(w, 32);
+	assert_lever_arm_is_found(w);
+	assert_true(w->device.values.lever_arm_identification.delay > 0.0025f);
+	assert_true(w->device.values.lever_arm_identification.delay < 0.01f);
+}
+
+static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **state)
+{
+	struct world *w = *state;
+	const int16_t l = 200, s = -400, t = 1;
+
+	assert_int_equal(sdo_write(w, 0x2075, 4, &l, 2), 0);
+	assert_int_equal(sdo_write(w, 0x2075, 5, &s, 2), 0);
+	assert_int_equal(sdo_write(w, 0x2075, 6, &t, 2), 0);
+	assert_near(w->device.commissioning.ref_b_m_s2.x, 1, 1e-12);
+	assert_near(w->device.commissioning.ref_b_m_s2.y, -2, 1e-12);
+	assert_near(w->device.commissioning.ref_b_m_s2.z, 0.005, 1e-12);
+}
+
+/* ---- refusals ---------------------------------------------------------------------------------------------------- */
+
+static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **state)
+{
+	struct world *w = *state;
+
+	tell_reference(w, (struct vec3){0, 0, 0});
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	seconds(w, 89);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
+	seconds(w, 2); /* three times the duration */
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NO_REFERENCE);
+	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
+	assert_int_equal(command(w, DISCARD), 0);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+	assert_int_equal(w->device.values.lever_arm_identification.verdict, 0);
+}
+
+static void test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands(void **state)
+{
+	struct world *w = *state;
+
+	w->travels = true;
+	assert_int_equal(command(w, START_HELD), 0);
+	seconds(w, 32);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NOT_HELD);
+	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
+	assert_near(w->device.values.lever_arm.l, 0, 0);
+}
+
+static void test_commands_in_a_wrong_state_are_refused_with_08000022h(void **state)
+{
+	struct world *w = *state;
+	const uint8_t five = 5;
+
+	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
+	assert_int_equal(command(w, DISCARD), DEVICE_STATE);
+	assert_int_equal(command(w, ABORT_HELD), 0);
+	assert_int_equal(command(w, START_HELD), 0);
+	assert_int_equal(command(w, START_HELD), DEVICE_STATE);
+	assert_int_equal(command(w, START_REFERENCE), DEVICE_STATE);
+	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
+	assert_int_equal(command(w, DISCARD), DEVICE_STATE);
+	assert_int_equal(sdo_write(w, 0x2060, 1, &five, 1), 0x06090031);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
+}
+
+/* ---- life -------------------------------------------------------------------------------------------------------- */
+
+static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void **state)
+{
+	struct world *w = *state;
+
+	sample(w);
+	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, 0);
+	assert_int_equal(command(w, START_HELD), 0);
+	sample(w);
+	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, STATUS_COMMISSIONING);
+	assert_int_equal(command(w, ABORT_HELD), 0);
+	sample(w);
+	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, 0);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+}
+
+static void test_nmt_reset_ends_it(void **state)
+{
+	const uint8_t resets[] = {129, 130};
+	struct world *w = *state;
+
+	for (int i = 0; i < 2; i++) {
+		assert_int_equal(command(w, START_HELD), 0);
+		seconds(w, 5);
+		assert_int_not_equal(w->device.values.lever_arm_identification.progress, 0);
+		receive(w, 0, 2, (const uint8_t[]){resets[i], NODE_ID});
+		assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+		assert_int_equal(w->device.values.lever_arm_identification.progress, 0);
+	}
+}
+
+static void test_progress_follows_the_duration_that_was_asked_for(void **state)
+{
+	struct world *w = *state;
+	const float duration = 100;
+
+	assert_int_equal(sdo_write(w, 0x2060, 5, &duration, 4), 0);
+	assert_int_equal(command(w, START_HELD), 0);
+	seconds(w, 21);
+	assert_int_equal(w->device.values.lever_arm_identification.progress, 20);
+}
+
+int main(void)
+{
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+	const struct CMUnitTest tests[] = {
+		TEST(test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it),
+		TEST(test_an_accepted_lever_arm_is_used_by_the_next_sample),
+		TEST(test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well),
+		TEST(test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2),
+		TEST(test_a_reference_that_stops_after_50_ms_ends_in_a_refusal),
+		TEST(test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands),
+		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
+		TEST(test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it),
+		TEST(test_nmt_reset_ends_it),
+		TEST(test_progress_follows_the_duration_that_was_asked_for),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}

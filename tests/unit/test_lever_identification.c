@@ -1,0 +1,445 @@
+/* The lever arm from motion: simulated sensors on formulas of motion, with the known answer. */
+#include <string.h>
+
+#include "model/lever_identification.h"
+#include "model/sensor.h"
+#include "tests/unit/model_test.h"
+
+static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */
+
+/* How the object turns and how its reference point moves. */
+struct scene {
+	struct vec3 swing_rad, swing_hz; /* roll, pitch, yaw to and fro */
+	struct vec3 travel_m, travel_hz; /* of the reference point to and fro, global frame */
+	double travel_ahead_s;
+	double seconds, rate_hz;
+	const char *sensor;
+	struct vec3 arm_b_m;
+	bool reference, estimate_delay;
+	double delay_s; /* of the reference */
+	int hold;	/* samples that one value of the reference lasts */
+	struct vec3 gyro_bias_rad_s, accel_bias_m_s2;
+	int every_lost; /* each n-th sample does not come */
+	uint64_t seed;
+};
+
+static const struct scene BY_HAND = {
+	.swing_rad = {0.9, 0.7, 1.1},
+	.swing_hz = {0.61, 0.83, 0.47},
+	.seconds = 30,
+	.rate_hz = 100,
+	.sensor = "lsm303dlhc_l3gd20_fine",
+	.arm_b_m = {0.06, -0.05, 0.0624},
+	.hold = 1,
+};
+
+static struct scene with_reference(double delay_s)
+{
+	struct scene s = BY_HAND;
+
+	s.travel_m = (struct vec3){0.3, 0.2, 0.1};
+	s.travel_hz = (struct vec3){0.7, 0.9, 1.1};
+	s.reference = s.estimate_delay = true;
+	s.delay_s = delay_s;
+	return s;
+}
+
+static double swing(double size, double hz, double t_s, double derivative[2])
+{
+	const double w = 2 * PI * hz, phase = w * t_s;
+
+	derivative[0] = size * w * cos(phase);
+	derivative[1] = -size * w * w * sin(phase);
+	return size * sin(phase);
+}
+
+static struct quat attitude(const struct scene *s, double t_s)
+{
+	double unused[2];
+
+	return quat_multiply(
+		quat_from_rotation_vector((struct vec3){0, 0, swing(s->swing_rad.z, s->swing_hz.z, t_s, unused)}),
+		quat_multiply(quat_from_rotation_vector(
+				      (struct vec3){0, swing(s->swing_rad.y, s->swing_hz.y, t_s, unused), 0}),
+			quat_from_rotation_vector(
+				(struct vec3){swing(s->swing_rad.x, s->swing_hz.x, t_s, unused), 0, 0})));
+}
+
+/* The body's rate from two attitudes an instant apart: exact to 1e-9. */
+static struct vec3 rate(const struct scene *s, double t_s)
+{
+	const double h = 1e-4;
+	struct quat d = quat_multiply(quat_conjugate(attitude(s, t_s - h)), attitude(s, t_s + h));
+
+	return vec3_scale((d.w < 0 ? -1 : 1) / h, (struct vec3){d.x, d.y, d.z});
+}
+
+static struct vec3 travel_accel(const struct scene *s, double t_s)
+{
+	double x[2], y[2], z[2];
+
+	swing(s->travel_m.x, s->travel_hz.x, t_s + s->travel_ahead_s, x);
+	swing(s->travel_m.y, s->travel_hz.y, t_s + s->travel_ahead_s, y);
+	swing(s->travel_m.z, s->travel_hz.z, t_s + s->travel_ahead_s, z);
+	return (struct vec3){x[1], y[1], z[1]};
+}
+
+static struct vec3 reference_at(const struct scene *s, double t_s)
+{
+	return quat_rotate_inverse(attitude(s, t_s), travel_accel(s, t_s));
+}
+
+static void truth_at(const struct scene *s, double t_s, struct signal_truth *truth)
+{
+	const double h = 1e-3;
+
+	*truth = (struct signal_truth){.t_s = t_s, .q_nb = attitude(s, t_s), .omega_b_rad_s = rate(s, t_s)};
+	truth->alpha_b_rad_s2 = vec3_scale(1 / (2 * h), vec3_sub(rate(s, t_s + h), rate(s, t_s - h)));
+	truth->accel_n_m_s2 = travel_accel(s, t_s);
+}
+
+static struct sensor sensor_of(const struct scene *s)
+{
+	struct sensor_config config = *sensor_preset(s->sensor);
+	struct sensor sensor;
+
+	config.rate_hz = s->rate_hz;
+	config.lever_arm_b_m = s->arm_b_m;
+	config.gyro.range = config.accel.range = 1e3;
+	sensor_calibrate(&config);
+	assert_int_equal(sensor_init(&sensor, &config, s->seed), 0);
+	return sensor;
+}
+
+static struct lever_estimate identify(const struct scene *s)
+{
+	static struct lever_identification id;
+	const struct lever_identification_config config = {.rate_hz = s->rate_hz,
+		.duration_s = 30,
+		.reference = s->reference,
+		.estimate_delay = s->estimate_delay};
+	struct sensor sensor = sensor_of(s);
+	const int count = (int)(s->seconds * s->rate_hz);
+	struct vec3 ref = {0, 0, 0};
+
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (int k = 0; k < count; k++) {
+		struct signal_truth truth;
+		struct imu_sample sample;
+		const double t_s = sensor_instant_s(&sensor);
+
+		truth_at(s, t_s, &truth);
+		sensor_measure(&sensor, &truth, &sample);
+		if (k % s->hold == 0)
+			ref = reference_at(s, t_s - s->delay_s);
+		if (s->every_lost && k % s->every_lost == 0)
+			continue;
+		lever_identification_step(&id, sample.t_us, vec3_add(sample.gyro_rad_s, s->gyro_bias_rad_s),
+			vec3_add(sample.accel_m_s2, s->accel_bias_m_s2), s->reference ? &ref : NULL);
+	}
+	return lever_identification_estimate(&id);
+}
+
+static void assert_found(const struct lever_estimate *e, struct vec3 arm_b_m, double tolerance_m)
+{
+	if (e->verdict != LEVER_FOUND)
+		fail_msg("%s", lever_verdict_text(e->verdict));
+	assert_vec_near(e->lever_arm_b_m, arm_b_m, tolerance_m);
+}
+
+/* ---- held still -------------------------------------------------------------------------------------------------- */
+
+static void test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_the_reference_point_is_held(void **state)
+{
+	(void)state;
+	for (uint64_t seed = 1; seed <= 5; seed++) {
+		struct scene s = BY_HAND;
+
+		s.seed = seed;
+		struct lever_estimate e = identify(&s);
+		assert_found(&e, ARM, 0.001);
+		assert_int_equal(e.progress_percent, 96); /* 29 windows of a second: the filters settle first */
+	}
+}
+
+static void test_it_is_found_at_every_usual_rate(void **state)
+{
+	const double rates_hz[] = {50, 100, 200, 286, 500, 1000};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(rates_hz) / sizeof(rates_hz[0]); i++) {
+		struct scene s = BY_HAND;
+
+		s.rate_hz = rates_hz[i];
+		struct lever_estimate e = identify(&s);
+		assert_found(&e, ARM, 0.001);
+	}
+}
+
+static void test_biases_and_lost_samples_hardly_matter(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.gyro_bias_rad_s = (struct vec3){0.3 * DEG, -0.3 * DEG, 0.2 * DEG};
+	s.accel_bias_m_s2 = (struct vec3){0.3, -0.2, 0.4};
+	s.every_lost = 17;
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
+static void test_no_lever_arm_is_found_to_be_none(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.arm_b_m = (struct vec3){0, 0, 0};
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, s.arm_b_m, 0.0005);
+}
+
+/* ---- acceleration from outside ----------------------------------------------------------------------------------- */
+
+static void test_it_is_found_within_a_hundredth_while_the_reference_point_moves_as_told_from_outside(void **state)
+{
+	(void)state;
+	for (uint64_t seed = 1; seed <= 5; seed++) {
+		struct scene s = with_reference(0);
+
+		s.seed = seed;
+		struct lever_estimate e = identify(&s);
+		assert_found(&e, ARM, 0.001);
+	}
+}
+
+static void test_a_late_or_early_reference_is_found_out(void **state)
+{
+	const double delays_s[] = {-0.01, -0.002, 0.005, 0.01};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(delays_s) / sizeof(delays_s[0]); i++) {
+		struct scene s = with_reference(delays_s[i]);
+		struct lever_estimate e = identify(&s);
+
+		assert_found(&e, ARM, 0.001);
+		assert_near(
+			e.delay_s, delays_s[i] - 1 / (2 * PI * 50), 0.001); /* the sensor's own bandwidth lags, too */
+	}
+}
+
+static void test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz(void **state)
+{
+	struct scene s = with_reference(0.004);
+
+	(void)state;
+	s.rate_hz = 200;
+	s.hold = 2;
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
+static void test_a_delay_that_is_not_to_be_estimated_widens_sigma_by_what_it_would_change(void **state)
+{
+	struct scene s = with_reference(0.01);
+
+	(void)state;
+	/* sideways a quarter of a period ahead of the roll: what comes late looks like a longer lever arm */
+	s.travel_m = (struct vec3){0, 0.5, 0};
+	s.travel_hz.y = s.swing_hz.x;
+	s.travel_ahead_s = 0.25 / s.swing_hz.x;
+	struct lever_estimate heeded = identify(&s);
+	s.estimate_delay = false;
+	struct lever_estimate e = identify(&s);
+	struct vec3 off = vec3_sub(e.lever_arm_b_m, heeded.lever_arm_b_m);
+	assert_true(vec3_norm(off) > 0.002);
+	assert_true(e.sigma_b_m.x >= fabs(off.x) && e.sigma_b_m.y >= fabs(off.y) && e.sigma_b_m.z >= fabs(off.z));
+	assert_near(e.delay_s, heeded.delay_s, 1e-6);
+}
+
+/* ---- sigma ------------------------------------------------------------------------------------------------------- */
+
+/* A coarse sensor, its noise above every systematic error, over 60 seeds: the squared error in units of its variance has
+ * the mean 1 where sigma is honest (a Student distribution of few windows: a little more). */
+static void test_the_noise_sigma_is_honest_over_many_seeds_and_the_truth_is_inside_three_of_the_whole(void **state)
+{
+	double squares = 0;
+	const int seeds = 60;
+
+	(void)state;
+	for (int seed = 1; seed <= seeds; seed++) {
+		struct scene s = BY_HAND;
+
+		s.sensor = "lsm303dlhc_l3gd20";
+		s.seed = (uint64_t)seed;
+		s.swing_hz = (struct vec3){0.31, 0.43, 0.37};
+		struct lever_estimate e = identify(&s);
+		struct vec3 off = vec3_sub(e.lever_arm_b_m, ARM), n = e.noise_sigma_b_m;
+		assert_int_equal(e.verdict, LEVER_FOUND);
+		assert_true(fabs(off.x) < 3 * e.sigma_b_m.x && fabs(off.y) < 3 * e.sigma_b_m.y &&
+			    fabs(off.z) < 3 * e.sigma_b_m.z);
+		squares +=
+			(off.x * off.x / (n.x * n.x) + off.y * off.y / (n.y * n.y) + off.z * off.z / (n.z * n.z)) / 3;
+	}
+	print_message("normalised error squared: %.2f\n", squares / seeds);
+	assert_true(squares / seeds > 0.5 && squares / seeds < 2);
+}
+
+/* ---- refusals ---------------------------------------------------------------------------------------------------- */
+
+static void test_a_turn_about_one_axis_only_is_refused_and_the_axis_named(void **state)
+{
+	const enum lever_verdict blind[] = {LEVER_BLIND_L, LEVER_BLIND_S, LEVER_BLIND_T};
+
+	(void)state;
+	for (int axis = 0; axis < 3; axis++) {
+		struct scene s = BY_HAND;
+
+		s.swing_rad = (struct vec3){axis == 0, axis == 1, axis == 2};
+		assert_int_equal(identify(&s).verdict, blind[axis]);
+	}
+}
+
+static void test_a_turn_about_two_axes_is_enough(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.swing_rad.z = 0;
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
+static void test_a_reference_point_that_moves_is_refused_as_not_held(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.travel_m = (struct vec3){0.03, 0.03, 0.03};
+	s.travel_hz = (struct vec3){0.8, 0.9, 1.1};
+	assert_int_equal(identify(&s).verdict, LEVER_NOT_HELD);
+}
+
+static void test_the_reference_of_another_motion_is_refused(void **state)
+{
+	struct scene s = with_reference(0.3);
+
+	(void)state;
+	assert_int_equal(identify(&s).verdict, LEVER_NOT_HELD);
+}
+
+static void test_a_robot_at_rest_and_a_slow_one_are_too_slow(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.swing_rad = (struct vec3){0, 0, 0};
+	assert_int_equal(identify(&s).verdict, LEVER_TOO_SLOW);
+	s.swing_rad = (struct vec3){0.2, 0.2, 0.2};
+	s.swing_hz = (struct vec3){0.1, 0.12, 0.14};
+	assert_int_equal(identify(&s).verdict, LEVER_TOO_SLOW);
+}
+
+static void test_too_little_motion_is_too_short(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.seconds = 9;
+	assert_int_equal(identify(&s).verdict, LEVER_TOO_SHORT);
+}
+
+static void test_a_reference_that_does_not_come_is_told(void **state)
+{
+	static struct lever_identification id;
+	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30, .reference = true};
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (uint64_t k = 0; k < 3000; k++)
+		lever_identification_step(&id, k * 10000, any_vec(1), any_vec(10), NULL);
+	assert_int_equal(lever_identification_estimate(&id).verdict, LEVER_NO_REFERENCE);
+}
+
+static void test_a_configuration_out_of_range_is_refused(void **state)
+{
+	static struct lever_identification id;
+	struct lever_identification_config config = {.rate_hz = 20, .duration_s = 30};
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
+	config = (struct lever_identification_config){.rate_hz = NAN, .duration_s = 30};
+	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
+	config = (struct lever_identification_config){.rate_hz = 100, .duration_s = 1};
+	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
+}
+
+static void test_whatever_comes_the_estimate_stays_finite(void **state)
+{
+	static struct lever_identification id;
+	const struct lever_identification_config config = {
+		.rate_hz = 100, .duration_s = 30, .reference = true, .estimate_delay = true};
+	const double odd[] = {NAN, INFINITY, -INFINITY, 1e300, 0, 1e4};
+	uint64_t t_us = 0;
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (int k = 0; k < 30000; k++) {
+		struct vec3 gyro = any_vec(900), force = any_vec(9e4), ref = any_vec(9e4);
+
+		t_us += k % 500 ? 10000 : (uint64_t)(2e6 * (1 + any()));
+		if (k % 300 == 0)
+			gyro.x = odd[k / 300 % 6];
+		if (k % 700 == 0)
+			force.y = odd[k / 700 % 6];
+		if (k % 1100 == 0)
+			ref.z = odd[k / 1100 % 6];
+		lever_identification_step(&id, t_us, gyro, force, k % 1300 ? &ref : NULL);
+	}
+	struct lever_estimate e = lever_identification_estimate(&id);
+	assert_int_not_equal(e.verdict, LEVER_FOUND);
+	assert_true(vec3_finite(e.lever_arm_b_m) && vec3_finite(e.sigma_b_m) && isfinite(e.residual_m_s2) &&
+		    isfinite(e.delay_s));
+}
+
+static void test_hours_need_no_more_memory_and_the_estimate_only_gets_better(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	struct lever_estimate first = identify(&s);
+	s.seconds = 300; /* the blocks are put together three times */
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+	assert_true(e.noise_sigma_b_m.x < first.noise_sigma_b_m.x && e.noise_sigma_b_m.z < first.noise_sigma_b_m.z);
+	assert_int_equal(e.progress_percent, 100);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(
+			test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_the_reference_point_is_held),
+		cmocka_unit_test(test_it_is_found_at_every_usual_rate),
+		cmocka_unit_test(test_biases_and_lost_samples_hardly_matter),
+		cmocka_unit_test(test_no_lever_arm_is_found_to_be_none),
+		cmocka_unit_test(
+			test_it_is_found_within_a_hundredth_while_the_reference_point_moves_as_told_from_outside),
+		cmocka_unit_test(test_a_late_or_early_reference_is_found_out),
+		cmocka_unit_test(test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz),
+		cmocka_unit_test(test_a_delay_that_is_not_to_be_estimated_widens_sigma_by_what_it_would_change),
+		cmocka_unit_test(
+			test_the_noise_sigma_is_honest_over_many_seeds_and_the_truth_is_inside_three_of_the_whole),
+		cmocka_unit_test(test_a_turn_about_one_axis_only_is_refused_and_the_axis_named),
+		cmocka_unit_test(test_a_turn_about_two_axes_is_enough),
+		cmocka_unit_test(test_a_reference_point_that_moves_is_refused_as_not_held),
+		cmocka_unit_test(test_the_reference_of_another_motion_is_refused),
+		cmocka_unit_test(test_a_robot_at_rest_and_a_slow_one_are_too_slow),
+		cmocka_unit_test(test_too_little_motion_is_too_short),
+		cmocka_unit_test(test_a_reference_that_does_not_come_is_told),
+		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
+		cmocka_unit_test(test_whatever_comes_the_estimate_stays_finite),
+		cmocka_unit_test(test_hours_need_no_more_memory_and_the_estimate_only_gets_better),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
