@@ -400,11 +400,13 @@ const char *watch_emcy_text(uint16_t code)
 		{0xFFFF, EMCY_SENSOR_LOST, "the IMU delivers no samples"},
 		{0xFFFF, EMCY_STORE_DAMAGED, "the stored values could not be read, defaults are in use"},
 		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
+		{0xFFFF, 0x8100, "a SYNC was seen after its window"},
 		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
 		{0xFFFF, 0x8120, "CAN error-passive"},
 		{0xFFFF, 0x8130, "heartbeat of another node lost"},
 		{0xFFFF, 0x8140, "recovered from bus-off"},
 		{0xFFFF, 0x8150, "COB-ID collision"},
+		{0xFFFF, 0x8200, "a value in an RPDO is out of range"},
 		{0xFFFF, 0x8210, "PDO not processed: wrong length"},
 		{0xFFFF, 0x8220, "PDO longer than its mapping"},
 		{0xFFFF, 0x8240, "SYNC of unexpected length"},
@@ -448,6 +450,7 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_UNSURE, "position-unsure"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
+		{STATUS_EXTERNAL_AID, "external-aid"},
 		{STATUS_COMMISSIONING, "commissioning"},
 	};
 	size_t used = 0;

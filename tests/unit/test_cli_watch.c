@@ -269,8 +269,8 @@ static void test_status_bits_are_told_in_words(void **state)
 
 	watch_status_text(0, text, sizeof(text));
 	assert_string_equal(text, "none");
-	watch_status_text(1 << 0 | 1 << 1 | 1 << 9, text, sizeof(text));
-	assert_string_equal(text, "valid,rest,sensor-lost");
+	watch_status_text(1 << 0 | 1 << 1 | 1 << 9 | 1 << 11, text, sizeof(text));
+	assert_string_equal(text, "valid,rest,sensor-lost,external-aid");
 }
 
 int main(void)
