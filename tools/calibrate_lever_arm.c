@@ -100,8 +100,12 @@ static void take(struct run *r, const struct imu_sample *sample)
 
 	if (pipeline_step(&r->pipeline, sample, &out) < 0)
 		return;
-	lever_identification_step(&r->identification, s.t_us,
-		vec3_sub(s.gyro_rad_s, r->pipeline.fusion.gyro_bias_b_rad_s), s.accel_m_s2, reference_of(r, &s));
+	if (s.flags & (SAMPLE_SATURATED | SAMPLE_DISCONTINUITY))
+		lever_identification_break(&r->identification);
+	else
+		lever_identification_step(&r->identification, s.t_us,
+			vec3_sub(s.gyro_rad_s, r->pipeline.fusion.gyro_bias_b_rad_s), s.accel_m_s2,
+			reference_of(r, &s));
 	if (r->samples++ == 0)
 		r->first_us = s.t_us;
 	r->last_us = s.t_us;
