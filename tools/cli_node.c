@@ -2,16 +2,29 @@
 
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "tools/cli_value.h"
 
-void cli_node_open(struct cli_node *node, const char *bus, uint8_t id, unsigned int timeout_ms)
+enum {
+	LARGE_BYTES = 64, /* from here on blocks need fewer frames for sure */
+	PROGRESS_US = 100000,
+	BAR_WIDTH = 40,
+};
+
+void cli_node_use(
+	struct cli_node *node, struct can_port *bus, const char *bus_name, uint8_t id, unsigned int timeout_ms)
 {
 	uint32_t answers = 0x580u + id;
 
-	*node = (struct cli_node){.bus = cli_open_bus(bus), .bus_name = bus, .id = id, .timeout_ms = timeout_ms};
+	*node = (struct cli_node){.bus = bus, .bus_name = bus_name, .id = id, .timeout_ms = timeout_ms};
 	can_filter(node->bus, &answers, 1);
 	sdo_client_init(&node->sdo, node->bus, id, (uint64_t)timeout_ms * 1000);
+}
+
+void cli_node_open(struct cli_node *node, const char *bus, uint8_t id, unsigned int timeout_ms)
+{
+	cli_node_use(node, cli_open_bus(bus), bus, id, timeout_ms);
 }
 
 void cli_node_close(struct cli_node *node)
@@ -19,7 +32,41 @@ void cli_node_close(struct cli_node *node)
 	can_close(node->bus);
 }
 
-static bool finish(struct cli_node *node)
+static void draw(const struct sdo_client *sdo, uint64_t since_us)
+{
+	bool known = sdo->total != SIZE_MAX && sdo->total > 0;
+	int filled = known ? (int)(BAR_WIDTH * (sdo->size < sdo->total ? sdo->size : sdo->total) / sdo->total) : 0;
+	char bar[BAR_WIDTH + 1] = "";
+
+	memset(bar, '#', (size_t)filled);
+	memset(bar + filled, '.', (size_t)(BAR_WIDTH - filled));
+	fprintf(stderr, "\r[%s] %zu bytes, %.1f kB/s ", bar, sdo->size,
+		since_us ? (double)sdo->size * 1e3 / (double)since_us : 0);
+}
+
+struct progress {
+	bool shown;
+	uint64_t start_us, next_us;
+};
+
+static void show(struct progress *progress, const struct sdo_client *sdo, uint64_t now_us)
+{
+	if (now_us < progress->next_us)
+		return;
+	progress->next_us = now_us + PROGRESS_US;
+	progress->shown = true;
+	draw(sdo, now_us - progress->start_us);
+}
+
+static void end_progress(const struct progress *progress, const struct sdo_client *sdo)
+{
+	if (!progress->shown)
+		return;
+	draw(sdo, cli_now_us() - progress->start_us);
+	fputc('\n', stderr);
+}
+
+static bool finish(struct cli_node *node, struct progress *progress)
 {
 	struct sdo_client *sdo = &node->sdo;
 	struct can_msg msg;
@@ -33,6 +80,8 @@ static bool finish(struct cli_node *node)
 		uint64_t now_us = cli_now_us();
 		while (can_receive(node->bus, &msg, now_us) > 0)
 			sdo_client_receive(sdo, &msg, now_us);
+		if (progress)
+			show(progress, sdo, now_us);
 	}
 	return sdo->result == SDO_DONE;
 }
@@ -40,13 +89,59 @@ static bool finish(struct cli_node *node)
 bool cli_node_read(struct cli_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity)
 {
 	sdo_client_upload(&node->sdo, index, sub, wire, capacity, cli_now_us());
-	return finish(node);
+	return finish(node, NULL);
 }
 
 bool cli_node_write(struct cli_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size)
 {
 	sdo_client_download(&node->sdo, index, sub, wire, size, cli_now_us());
-	return finish(node);
+	return finish(node, NULL);
+}
+
+static bool finish_large(struct cli_node *node)
+{
+	uint64_t now_us = cli_now_us();
+	struct progress progress = {.start_us = now_us, .next_us = now_us + 3 * (uint64_t)PROGRESS_US};
+	bool visible = node->show_progress && isatty(STDERR_FILENO);
+	bool done = finish(node, visible ? &progress : NULL);
+
+	end_progress(&progress, &node->sdo);
+	return done;
+}
+
+/* A node without block transfer says so; then it goes in segments. */
+static bool knows_no_blocks(const struct cli_node *node)
+{
+	return node->blocks != CLI_BLOCKS_ALWAYS && node->sdo.result == SDO_ABORTED && node->sdo.aborted_by_server &&
+	       (node->sdo.abort_code == SDO_ABORT_COMMAND || node->sdo.abort_code == 0x06010000);
+}
+
+bool cli_node_read_large(struct cli_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity)
+{
+	if (node->blocks != CLI_BLOCKS_NEVER) {
+		sdo_client_block_upload(&node->sdo, index, sub, wire, capacity, cli_now_us());
+		if (finish_large(node))
+			return true;
+		if (!knows_no_blocks(node))
+			return false;
+	}
+	sdo_client_upload(&node->sdo, index, sub, wire, capacity, cli_now_us());
+	return finish_large(node);
+}
+
+bool cli_node_write_large(struct cli_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size)
+{
+	bool in_blocks = node->blocks == CLI_BLOCKS_ALWAYS || (node->blocks == CLI_BLOCKS_LARGE && size >= LARGE_BYTES);
+
+	if (in_blocks) {
+		sdo_client_block_download(&node->sdo, index, sub, wire, size, cli_now_us());
+		if (finish_large(node))
+			return true;
+		if (!knows_no_blocks(node))
+			return false;
+	}
+	sdo_client_download(&node->sdo, index, sub, wire, size, cli_now_us());
+	return finish_large(node);
 }
 
 static void explain_abort(const struct cli_node *node, const struct od_entry *entry)

@@ -30,6 +30,7 @@ struct draft {
 	unsigned label_line, default_line;
 	union od_number number; /* the default of a number */
 	const char *text;	/* the default of a string */
+	const char *value;	/* ParameterValue */
 };
 
 struct loader {
@@ -310,6 +311,8 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 	snprintf(full, sizeof(full), "%s%s%s", object->name, name ? "." : "", name ? name : "");
 	entry->name = eds_copy(&l->file, full);
 	draft.default_line = draft.label_line;
+	if (*take_text(l, source->section, "ParameterValue"))
+		draft.value = take_text(l, source->section, "ParameterValue");
 	entry->unit = take_text(l, source->section, "Unit");
 	entry->description = take_text(l, source->section, "Description");
 	if (take_access(l, source, entry) || take_factor(l, source->section, &entry->factor))
@@ -686,7 +689,7 @@ static int build_table(struct loader *l)
 		return l->file.result;
 	for (size_t i = 0; i < l->draft_count; i++) {
 		entries[i] = l->drafts[i].entry;
-		eds->entries[i] = (struct eds_entry){l->drafts[i].label, l->drafts[i].label_line};
+		eds->entries[i] = (struct eds_entry){l->drafts[i].label, l->drafts[i].label_line, l->drafts[i].value};
 		place_default(&l->drafts[i], defaults);
 	}
 	eds->table = (struct od_table){entries, l->draft_count, defaults, values_size};
@@ -707,6 +710,7 @@ static int take_info(struct loader *l)
 		{"DeviceInfo", "RevisionNumber", &info->revision_number},
 		{"DeviceInfo", "NrOfRXPDO", &info->rpdo_count},
 		{"DeviceInfo", "NrOfTXPDO", &info->tpdo_count},
+		{"DeviceComissioning", "NodeID", &info->node_id},
 	};
 
 	for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
@@ -718,6 +722,28 @@ static int take_info(struct loader *l)
 	info->product_name = take_text(l, "DeviceInfo", "ProductName");
 	info->order_code = take_text(l, "DeviceInfo", "OrderCode");
 	return 0;
+}
+
+enum od_status eds_value(
+	const struct od_entry *entry, const char *text, uint8_t node_id, void *wire, size_t capacity, size_t *size)
+{
+	const struct eds_type *type = eds_type_of(entry->type);
+	bool number = type && (type->bits || eds_is_real(type));
+	char rest[EDS_LINE_MAX], plain[32];
+	union od_number value;
+	bool relative = number && eds_split_node_id(text, rest, sizeof(rest));
+
+	if (!number || capacity < entry->size)
+		return od_parse(entry, text, wire, capacity, size);
+	if (!eds_parse_number(relative ? rest : text, type, &value))
+		return OD_BAD_VALUE;
+	if (eds_is_real(type))
+		snprintf(plain, sizeof(plain), "%.17g", value.f);
+	else if (type->is_signed)
+		snprintf(plain, sizeof(plain), "%lld", (long long)value.i);
+	else
+		snprintf(plain, sizeof(plain), "%llu", (unsigned long long)(value.u + (relative ? node_id : 0)));
+	return od_parse(entry, plain, wire, capacity, size);
 }
 
 /* ---- what only our own file must fulfil ---- */

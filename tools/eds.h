@@ -38,6 +38,7 @@ struct eds_entry {
 	const char *label; /* ParameterName as written: of the object for a VAR, else of the
 			      sub-index */
 	unsigned line;
+	const char *value; /* DCF: its ParameterValue; NULL: none */
 };
 
 struct eds_info {
@@ -46,6 +47,7 @@ struct eds_info {
 	const char *vendor_name, *product_name, *order_code; /* [DeviceInfo] */
 	uint32_t vendor_number, product_number, revision_number;
 	uint32_t rpdo_count, tpdo_count;
+	uint32_t node_id; /* [DeviceComissioning] of a DCF; 0: none */
 };
 
 struct eds {
@@ -66,6 +68,10 @@ int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, 
 	size_t error_size);
 
 void eds_free(struct eds *eds);
+
+/** A value as an EDS or DCF writes it, for that node-ID: $NODEID, hexadecimal, IEEE 754 bits. */
+enum od_status eds_value(
+	const struct od_entry *entry, const char *text, uint8_t node_id, void *wire, size_t capacity, size_t *size);
 
 /** A ParameterName in its normalised form: lower case, runs of other characters than letters and
  * digits as one '_', none at the ends. Returns its length, cut to fit. */

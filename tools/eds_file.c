@@ -84,6 +84,18 @@ void *eds_grow(struct eds_file *file, void *array, size_t count, size_t *capacit
 	return array;
 }
 
+/* A key of our own stands in a comment, ";Unit=m": others would stumble over keys that they do not know. */
+static bool is_own_key(const char *from, size_t size)
+{
+	static const char *const keys[] = {"Unit=", "Factor=", "Description=", "RealDefault=", "RealLowLimit=",
+		"RealHighLimit=", "StringSize=", "Stored="};
+
+	for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
+		if (size > strlen(keys[i]) && !memcmp(from, keys[i], strlen(keys[i])))
+			return true;
+	return false;
+}
+
 /* inih's reader. Counts the lines (inih keeps its count to itself), notes section headers, and
  * takes leading blanks away, which inih would read as the continuation of the line before. */
 static char *read_line(char *buffer, int capacity, void *ctx)
@@ -101,6 +113,10 @@ static char *read_line(char *buffer, int capacity, void *ctx)
 	while (from < end && (*from == ' ' || *from == '\t'))
 		from++;
 	size = (size_t)(end - from);
+	if (size && *from == ';' && is_own_key(from + 1, size - 1)) {
+		from++;
+		size--;
+	}
 	if (size && *from == ';')
 		size = 0;
 	if (memchr(from, '\0', size)) {
