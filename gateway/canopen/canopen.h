@@ -47,6 +47,10 @@ struct canopen_device {
 	/** By how many steps of the mapped integer, or by how much of the mapped real, a value has to move for a TPDO to be
 	 * sent by event (more than that). 0: any change counts; INFINITY: none does. NULL: every sample is an event. */
 	double (*change_threshold)(void *ctx, const struct od_entry *entry);
+	/** TIME came (1012h bit 31): days since 1984-01-01 and ms since midnight, at `t_us`. */
+	void (*time)(void *ctx, uint16_t day, uint32_t ms, uint64_t t_us);
+	/** Another node sends with `id`, an identifier of this one (EMCY 8150h). For the log. */
+	void (*collision)(void *ctx, uint32_t id);
 	/** For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
 	void (*error_changed)(void *ctx, uint16_t code, bool set, const uint8_t info[5]);
@@ -84,6 +88,12 @@ void canopen_store_done(struct canopen_node *node, enum od_status status, uint64
 void canopen_lss_stored(struct canopen_node *node, enum od_status status, uint64_t now_us);
 /** A master configures this node by LSS, or the node waits for one to do so. */
 bool canopen_lss_active(const struct canopen_node *node);
+
+/** Sends TIME, where 1012h bit 30 and the NMT state want it: true. */
+bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uint64_t now_us);
+
+/** Whether this error stands, from any source. */
+bool canopen_error_stands(const struct canopen_node *node, uint16_t code);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 

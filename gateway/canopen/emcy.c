@@ -15,6 +15,12 @@ static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, con
 	return cob_id_change(*((struct canopen_node *)ctx)->emcy.cob_id, get_u32(wire));
 }
 
+static void after_cob_id(void *ctx, const struct od_entry *entry)
+{
+	(void)entry;
+	node_filter(ctx);
+}
+
 /* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
 static enum od_status before_history(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
@@ -53,7 +59,8 @@ void emcy_init(struct canopen_node *node)
 			break;
 		emcy->history_size++;
 	}
-	emcy->cob_id_hook = (struct od_hook){.first = 0x1014, .last = 0x1014, .before = before_cob_id, .ctx = node};
+	emcy->cob_id_hook = (struct od_hook){
+		.first = 0x1014, .last = 0x1014, .before = before_cob_id, .after = after_cob_id, .ctx = node};
 	emcy->history_hook = (struct od_hook){
 		.first = 0x1003, .last = 0x1003, .before = before_history, .after = after_history, .ctx = node};
 	od_attach(node->od, &emcy->cob_id_hook);
@@ -84,6 +91,14 @@ static size_t find_error(const struct emcy *emcy, uint16_t code, uint8_t source)
 	return i;
 }
 
+bool canopen_error_stands(const struct canopen_node *node, uint16_t code)
+{
+	for (size_t i = 0; i < node->emcy.error_count; i++)
+		if (node->emcy.errors[i].code == code)
+			return true;
+	return false;
+}
+
 static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 {
 	size_t i = find_error(emcy, code, source);
@@ -100,7 +115,7 @@ static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
 	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_WINDOW,
-		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT};
+		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT, EMCY_COLLISION};
 	struct emcy *emcy = &node->emcy;
 
 	if (node->id != CANOPEN_UNCONFIGURED) /* or else nobody could hear them yet */

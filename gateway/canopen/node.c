@@ -21,7 +21,7 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[6 + HEARTBEAT_CONSUMERS + TPDO_MAX + RPDO_MAX] = {LSS_REQUEST_ID};
+	uint32_t ids[6 + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {LSS_REQUEST_ID};
 	size_t n = 1;
 
 	if (node->id == CANOPEN_UNCONFIGURED) {
@@ -32,14 +32,15 @@ void node_filter(struct canopen_node *node)
 	ids[n++] = node->sdo_servers[0].request_id;
 	if (node->sync.id != CAN_ID_NONE)
 		ids[n++] = node->sync.id;
-	ids[n++] = 0x700u + node->id;
+	if (node->time.id != CAN_ID_NONE)
+		ids[n++] = node->time.id;
 	if (node->sdo_servers[1].request_id != CAN_ID_NONE)
 		ids[n++] = node->sdo_servers[1].request_id;
 	for (size_t i = 0; i < node->heartbeat.count; i++)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
-	n += pdo_remote_ids(node, ids + n);
 	n += pdo_receive_ids(node, ids + n);
+	n += collision_ids(node, ids + n);   /* guarding and requests for PDOs come with them, too */
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
 }
 
@@ -90,6 +91,8 @@ static void reset_services(struct canopen_node *node)
 	emcy_check(node);
 	sdo_server_reset(node);
 	sync_reset(node);
+	time_reset(node);
+	collision_reset(node);
 	heartbeat_reset(node);
 	guard_reset(node);
 	pdo_reset(node);
@@ -116,6 +119,7 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 	guard_init(node);
 	sdo_server_init(node);
 	sync_init(node);
+	time_init(node);
 	emcy_init(node);
 	store_init(node);
 	int err = pdo_init(node);
@@ -178,6 +182,10 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 		sdo_server_receive(node, msg);
 	else if (msg->id == LSS_REQUEST_ID)
 		lss_receive(node, msg);
+	else if (msg->id == node->time.id)
+		time_receive(node, msg);
+	else if (collision_receive(node, msg))
+		return;
 	else if (msg->id > 0x700)
 		heartbeat_receive(node, msg);
 	else
@@ -196,6 +204,7 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, sync_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));
+	deadline = earlier(deadline, collision_tick(node));
 	deadline = earlier(deadline, emcy_tick(node));
 	return earlier(deadline, sdo_server_tick(node));
 }

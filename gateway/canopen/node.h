@@ -190,6 +190,17 @@ struct lss {
 	uint8_t scanned;	      /* fastscan: the number that is looked for */
 };
 
+struct time {
+	struct od_hook hook; /* 1012h */
+	const uint32_t *cob_id;
+	uint32_t id; /* that is listened to; CAN_ID_NONE */
+};
+
+struct collision {
+	bool stands;
+	uint64_t over_us; /* when no more of such frames come */
+};
+
 struct canopen_node {
 	struct od *od;
 	struct can_port *bus;
@@ -208,6 +219,8 @@ struct canopen_node {
 	struct emcy emcy;
 	struct store store;
 	struct lss lss;
+	struct time time;
+	struct collision collision;
 };
 
 #endif

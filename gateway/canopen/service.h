@@ -32,6 +32,7 @@ enum {
 	EMCY_PDO_CONTENT = 0x8200, /* protocol: .. index and sub-index of the object that refuses its value */
 	EMCY_PDO_SHORT = 0x8210,   /* .. bytes that came, bytes that are mapped */
 	EMCY_PDO_LONG = 0x8220,	   /* the same; the first bytes were used */
+	EMCY_COLLISION = 0x8150,   /* info: the identifier */
 	EMCY_SYNC_LENGTH = 0x8240,
 	EMCY_PDO_TIMEOUT = 0x8250,
 };
@@ -124,8 +125,6 @@ void pdo_sync(struct canopen_node *node, uint8_t counter, bool late);
 /** The PDO with that identifier is asked for. */
 void pdo_receive_remote(struct canopen_node *node, uint32_t id);
 void pdo_receive(struct canopen_node *node, const struct can_msg *msg);
-/** The identifiers of the PDOs that may be asked for, and of those that are received; how many. */
-size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX]);
 size_t pdo_receive_ids(const struct canopen_node *node, uint32_t ids[RPDO_MAX]);
 uint64_t pdo_tick(struct canopen_node *node);
 
@@ -156,6 +155,20 @@ bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t
 
 /* store.c */
 void store_init(struct canopen_node *node);
+
+/* time.c */
+void time_init(struct canopen_node *node);
+void time_reset(struct canopen_node *node);
+void time_receive(struct canopen_node *node, const struct can_msg *msg);
+
+/* collision.c */
+enum { COLLISION_IDS_MAX = 2 + SDO_SERVERS + TPDO_MAX };
+/** The identifiers that only this node sends with; how many. */
+size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX]);
+/** True: the frame has one of them. */
+bool collision_receive(struct canopen_node *node, const struct can_msg *msg);
+void collision_reset(struct canopen_node *node);
+uint64_t collision_tick(struct canopen_node *node);
 
 /* lss.c */
 enum { LSS_REQUEST_ID = 0x7E5, LSS_ANSWER_ID = 0x7E4 };

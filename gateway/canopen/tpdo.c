@@ -146,16 +146,6 @@ static bool answers_rtr(const struct tpdo *tpdo)
 	return pdo->mapped_count && !(*pdo->cob_id & COB_ID_NO_RTR) && *pdo->type >= TYPE_RTR_SYNC;
 }
 
-size_t pdo_remote_ids(const struct canopen_node *node, uint32_t ids[TPDO_MAX])
-{
-	size_t n = 0;
-
-	for (size_t i = 0; i < node->pdos.tpdo_count; i++)
-		if (answers_rtr(&node->pdos.tpdo[i]))
-			ids[n++] = pdo_can_id(&node->pdos.tpdo[i].pdo);
-	return n;
-}
-
 static void request(struct canopen_node *node, struct tpdo *tpdo)
 {
 	if (pdo_event_driven(&tpdo->pdo))

@@ -98,6 +98,24 @@ static void device_set_bit_rate(void *ctx, uint32_t bit_s)
 	bus->switched_us = bus->now_us;
 }
 
+static void device_time(void *ctx, uint16_t day, uint32_t ms, uint64_t t_us)
+{
+	struct bus *bus = ctx;
+
+	bus->times++;
+	bus->time_day = day;
+	bus->time_ms = ms;
+	bus->time_us = t_us;
+}
+
+static void device_collision(void *ctx, uint32_t id)
+{
+	struct bus *bus = ctx;
+
+	bus->collisions++;
+	bus->collision_id = id;
+}
+
 bool bus_listens_to(const struct bus *bus, uint32_t id)
 {
 	for (size_t i = 0; i < bus->filter_count; i++)
@@ -137,6 +155,8 @@ void bus_start(struct bus *bus)
 		.store_lss = device_store_lss,
 		.bit_rate_possible = device_bit_rate_possible,
 		.set_bit_rate = device_set_bit_rate,
+		.time = device_time,
+		.collision = device_collision,
 		.nmt_changed = device_nmt_changed};
 
 	bus->power_on = bus->values;

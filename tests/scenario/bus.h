@@ -45,6 +45,10 @@ struct bus {
 	uint32_t kept_bit_s, active_bit_s;
 	uint64_t switched_us; /* when the bit rate was set */
 	unsigned store_lss_calls;
+	unsigned times, collisions;
+	uint16_t time_day;
+	uint32_t time_ms, collision_id;
+	uint64_t time_us;
 	enum nmt_state states[64];
 	size_t state_count;
 };

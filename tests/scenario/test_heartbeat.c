@@ -168,7 +168,7 @@ static void test_the_bus_is_asked_for_the_watched_nodes(void **state)
 	struct bus *bus = *state;
 
 	watch(bus);
-	assert_int_equal(bus->filter_count, 10);
+	assert_int_equal(bus->filter_count, 16);
 	assert_true(bus_listens_to(bus, 0x720));
 }
 

@@ -67,11 +67,11 @@ static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state
 	(void)state;
 }
 
-static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_and_rpdos_only(void **state)
+static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only(void **state)
 {
 	struct bus *bus = *state;
 
-	assert_int_equal(bus->filter_count, 9);
+	assert_int_equal(bus->filter_count, 15);
 	assert_true(bus_listens_to(bus, 0x000));
 	assert_true(bus_listens_to(bus, 0x610));
 	assert_true(bus_listens_to(bus, 0x080));
@@ -492,7 +492,7 @@ int main(void)
 		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
 		cmocka_unit_test(test_a_node_id_is_1_to_127),
 		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_and_rpdos_only),
+		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only),
 		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
 		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
 		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),

@@ -398,7 +398,7 @@ static void test_a_request_to_another_node_is_not_answered(void **state)
 	struct bus *bus = *state;
 
 	bus_send(bus, "611 40 00 10 00 00 00 00 00");
-	bus_send(bus, "590 40 00 10 00 00 00 00 00");
+	bus_send(bus, "591 40 00 10 00 00 00 00 00");
 	bus_expect_nothing(bus);
 }
 
@@ -487,7 +487,7 @@ static void test_the_second_channel_answers_on_its_own_identifier(void **state)
 	struct bus *bus = *state;
 
 	open_second(bus);
-	assert_int_equal(bus->filter_count, 10);
+	assert_int_equal(bus->filter_count, 17);
 	assert_true(bus_listens_to(bus, 0x6A0));
 	bus_exchange(bus, "6A0 40 00 10 00 00 00 00 00", "6A1 43 00 10 00 9A 01 04 00");
 }
@@ -562,7 +562,7 @@ static void test_a_channel_that_closes_itself_still_answers(void **state)
 	bus_exchange(bus, "6A0 23 01 12 02 00 00 00 80", "6A1 60 01 12 02 00 00 00 00");
 	bus_send(bus, "6A0 40 00 10 00 00 00 00 00");
 	bus_expect_nothing(bus);
-	assert_int_equal(bus->filter_count, 9);
+	assert_int_equal(bus->filter_count, 15);
 }
 
 static void test_reset_communication_closes_the_second_channel(void **state)

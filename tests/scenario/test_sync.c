@@ -13,7 +13,7 @@ static void test_the_sync_identifier_can_be_moved(void **state)
 
 	tpdo1_only(bus);
 	bus_exchange(bus, "610 23 05 10 00 A0 00 00 00", "590 60 05 10 00 00 00 00 00");
-	assert_int_equal(bus->filter_count, 9);
+	assert_int_equal(bus->filter_count, 12);
 	assert_true(bus_listens_to(bus, 0x0A0));
 	bus_send(bus, "080");
 	bus_expect_nothing(bus);
@@ -255,7 +255,7 @@ static void test_a_producer_does_not_follow_the_sync_of_another(void **state)
 	struct bus *bus = *state;
 
 	produce(bus);
-	assert_int_equal(bus->filter_count, 8);
+	assert_int_equal(bus->filter_count, 14);
 	bus_send(bus, "080");
 	bus_expect_nothing(bus);
 }

@@ -1,0 +1,74 @@
+/* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. What the time is and when it is sent is
+ * the device's business. */
+#include "gateway/canopen/service.h"
+
+#define TIME_CONSUMER (1u << 31)
+#define TIME_PRODUCER (1u << 30)
+
+enum { TIME_SIZE = 6, MS_PER_DAY = 86400000 };
+
+/* The identifier does not change while TIME is consumed or produced. */
+static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	uint32_t old = *((struct canopen_node *)ctx)->time.cob_id, value = get_u32(wire);
+
+	(void)entry;
+	(void)size;
+	if (!cob_id_usable(value) || (old & (TIME_CONSUMER | TIME_PRODUCER) && (old ^ value) & COB_ID_MASK))
+		return OD_BAD_VALUE;
+	return OD_OK;
+}
+
+static void listen(struct canopen_node *node)
+{
+	uint32_t cob_id = *node->time.cob_id;
+
+	node->time.id = cob_id & TIME_CONSUMER && cob_id_usable(cob_id) ? cob_id & COB_ID_MASK : CAN_ID_NONE;
+}
+
+static void after_write(void *ctx, const struct od_entry *entry)
+{
+	(void)entry;
+	listen(ctx);
+	node_filter(ctx);
+}
+
+void time_init(struct canopen_node *node)
+{
+	struct time *time = &node->time;
+
+	time->cob_id = node_value(node, 0x1012, 0, sizeof(uint32_t));
+	time->hook = (struct od_hook){
+		.first = 0x1012, .last = 0x1012, .before = before_write, .after = after_write, .ctx = node};
+	od_attach(node->od, &time->hook);
+}
+
+void time_reset(struct canopen_node *node)
+{
+	listen(node);
+	if (!cob_id_usable(*node->time.cob_id) && od_find(node->od->table, 0x1012, 0, NULL))
+		node_bad_data(node, 0x1012);
+}
+
+void time_receive(struct canopen_node *node, const struct can_msg *msg)
+{
+	uint32_t ms = get_u32(msg->data) & 0x0FFFFFFF; /* the upper bits are reserved */
+
+	if (!nmt_communicates(node) || msg->len != TIME_SIZE || ms >= MS_PER_DAY || !node->device.time)
+		return;
+	node->device.time(node->device.ctx, get_u16(msg->data + 4), ms, msg->t_us ? msg->t_us : node->now_us);
+}
+
+bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uint64_t now_us)
+{
+	uint32_t cob_id = *node->time.cob_id;
+	uint8_t data[TIME_SIZE];
+
+	node->now_us = now_us;
+	if (!(cob_id & TIME_PRODUCER) || !cob_id_usable(cob_id) || !nmt_communicates(node) || lss_silent(node))
+		return false;
+	put_u32(data, ms);
+	put_u16(data + 4, day);
+	node_send(node, cob_id & COB_ID_MASK, data, sizeof(data));
+	return true;
+}

@@ -1,0 +1,57 @@
+/* gateway/led.h
+ * The two status LEDs of CiA 303-3: what they show (2123h), and how, on LEDs of Linux (/sys/class/leds). */
+#ifndef GATEWAY_LED_H
+#define GATEWAY_LED_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "drivers/ports/can.h"
+#include "gateway/canopen/canopen.h"
+#include "od_values.h"
+
+/** The values of 2123h. */
+enum led_state {
+	LED_OFF,
+	LED_ON,
+	LED_FLICKERING, /* 10 Hz, the two LEDs in turn */
+	LED_BLINKING,	/* 2.5 Hz */
+	LED_SINGLE_FLASH,
+	LED_DOUBLE_FLASH,
+	LED_TRIPLE_FLASH,
+	LED_QUADRUPLE_FLASH,
+};
+
+/** The green one. */
+enum led_state led_run(const struct canopen_node *node);
+/** The red one: of several errors that which comes last in the table of CiA 303-3. */
+enum led_state led_error(const struct canopen_node *node, enum can_state bus);
+
+/** Whether a LED in that state is lit `t_us` after some beginning common to both, and when this changes next (UINT64_MAX:
+ * never). `second`: the one that flickers in turn with the first. */
+bool led_lit(enum led_state state, bool second, uint64_t t_us, uint64_t *change_us);
+
+struct led {
+	int brightness; /* descriptor of the file; -1: no LED */
+	bool second, lit;
+	enum led_state state;
+};
+
+struct leds {
+	struct od_values *values;
+	const struct canopen_node *node;
+	const struct can_port *bus;
+	struct led run, error;
+};
+
+void leds_init(
+	struct leds *leds, struct od_values *values, const struct canopen_node *node, const struct can_port *bus);
+/** Shows them on the LEDs of that name in `folder` (/sys/class/leds), "" for none: takes them from their trigger. 0, or
+ * -errno and the name in *which. */
+int leds_open(struct leds *leds, const char *folder, const char *run, const char *error, const char **which);
+void leds_close(struct leds *leds);
+/** Publishes, and switches what has to be switched: one write() of sysfs each. Returns when to call again at the latest;
+ * UINT64_MAX where no LED is open. */
+uint64_t leds_tick(struct leds *leds, uint64_t now_us);
+
+#endif
