@@ -11,6 +11,7 @@ enum {
 	COMMAND_DISCARD = 4,
 };
 
+enum { CALIBRATION_RUNNING = 1 }; /* 2061h:2 */
 enum { REFERENCE_HOLDS_US = 50000 };
 /* Motion that stops and starts, or a reference that does not come, ends it after so many times its duration. */
 enum { PATIENCE = 3 };
@@ -63,7 +64,8 @@ static enum od_status start(struct commissioning *c, bool reference)
 		.estimate_delay = reference,
 	};
 
-	if (state_of(c) == LEVER_RUNNING || lever_identification_init(&c->lever, &config) < 0)
+	if (state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATION_RUNNING ||
+		lever_identification_init(&c->lever, &config) < 0)
 		return OD_DEVICE_STATE;
 	forget(c);
 	c->started = true;

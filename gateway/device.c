@@ -196,6 +196,7 @@ static void on_reset(void *ctx, enum od_group group)
 	struct device *d = ctx;
 
 	commissioning_reset(&d->commissioning);
+	calibrating_reset(&d->calibrating);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	od_reset(&d->od, group, &d->base);
 	apply_stored(d, group);
@@ -273,6 +274,7 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->resolution_hook);
 	od_attach(&d->od, &d->preset_hook);
 	commissioning_init(&d->commissioning, &d->od, &d->values, &d->pipeline);
+	calibrating_init(&d->calibrating, &d->od, &d->values);
 	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
@@ -347,6 +349,7 @@ static void sensor_lost(struct device *d)
 	event_log_line(&d->log, d->now_us, "no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name,
 		EMCY_SENSOR_LOST);
 	publish_sensor_lost(&d->values);
+	calibrating_sensor_lost(&d->calibrating);
 	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, NULL, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
 }
@@ -398,8 +401,10 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	d->last_sample_us = now_us;
 	sensor_back(d);
 	commissioning_sample(&d->commissioning, sample, now_us);
+	calibrating_sample(&d->calibrating, sample);
 	publish_sample(&d->values, &out, counter);
 	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);
+	d->values.sample.status |= (uint16_t)calibrating_status(&d->calibrating);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
 	publish_sensor_counters(d);
 	watch_uncertainty(d, out.status);

@@ -15,6 +15,7 @@
 #include "gateway/aids.h"
 #include "gateway/bus_health.h"
 #include "gateway/canopen/node.h"
+#include "gateway/calibrating.h"
 #include "gateway/commissioning.h"
 #include "gateway/event_log.h"
 #include "gateway/snapshot.h"
@@ -41,6 +42,7 @@ struct device {
 	struct device_storage storage;
 	struct pipeline pipeline;
 	struct commissioning commissioning;
+	struct calibrating calibrating;
 	struct aids aids;
 	struct canopen_node canopen;
 	struct bus_health bus_health;

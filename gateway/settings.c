@@ -18,6 +18,25 @@
 		.cutoff_hz = (double)(record).cutoff,    \
 	})
 
+static struct temperature_compensation temperature_compensation(const struct od_values *v)
+{
+	return (struct temperature_compensation){
+		.gyro_slope = {(double)v->temperature_compensation.gyro_slope_x,
+			(double)v->temperature_compensation.gyro_slope_y,
+			(double)v->temperature_compensation.gyro_slope_z},
+		.gyro_quadratic = {(double)v->temperature_compensation.gyro_quadratic_x,
+			(double)v->temperature_compensation.gyro_quadratic_y,
+			(double)v->temperature_compensation.gyro_quadratic_z},
+		.accel_slope = {(double)v->temperature_compensation.accelerometer_slope_x,
+			(double)v->temperature_compensation.accelerometer_slope_y,
+			(double)v->temperature_compensation.accelerometer_slope_z},
+		.accel_quadratic = {(double)v->temperature_compensation.accelerometer_quadratic_x,
+			(double)v->temperature_compensation.accelerometer_quadratic_y,
+			(double)v->temperature_compensation.accelerometer_quadratic_z},
+		.reference_degC = (double)v->temperature_compensation.reference_temperature,
+	};
+}
+
 struct pipeline_config settings_pipeline(const struct od_values *v)
 {
 	struct pipeline_config c = PIPELINE_DEFAULTS;
@@ -25,6 +44,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.calibration.gyro = TRIAD(v->gyro_calibration);
 	c.calibration.accel = TRIAD(v->accelerometer_calibration);
 	c.calibration.mag = TRIAD(v->magnetometer_calibration);
+	c.calibration.temperature = temperature_compensation(v);
 	c.calibration.mounting_rad = (struct vec3){(double)v->mounting.roll * RAD_PER_DEG,
 		(double)v->mounting.pitch * RAD_PER_DEG, (double)v->mounting.yaw * RAD_PER_DEG};
 

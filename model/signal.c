@@ -191,7 +191,7 @@ static void figure(const struct signal *signal, double t, struct motion *m)
 
 	m->roll = (struct jet){turn * t, turn, 0};
 	m->pitch = scale(signal->angle_rad, sine(t, signal->period_s, 0));
-	m->yaw = scale(PI, sine(t, signal->period_s / 1.618, 0));
+	m->yaw = scale(PI, sine(t, signal->period_s / 3, 0));
 }
 
 const struct signal SIGNALS[] = {

@@ -1,0 +1,275 @@
+#include "gateway/calibrating.h"
+
+#include "gateway/settings.h"
+#include "gateway/status.h"
+
+enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 and 2061h:14 to 25 */
+enum { FOUND_FIRST = 14, LEVER_ARM_RUNNING = 1 };
+static const double ACCELEROMETER_PATIENCE_S = 900, MAGNETOMETER_PATIENCE_S = 180;
+
+static enum calibrating_state state_of(const struct calibrating *c)
+{
+	return (enum calibrating_state)c->values->calibration.state;
+}
+
+static void enter(struct calibrating *c, enum calibrating_state state)
+{
+	c->values->calibration.state = (uint8_t)state;
+}
+
+static uint8_t percent(double share)
+{
+	return (uint8_t)(100 * fmax(0, fmin(1, share)));
+}
+
+/* ---- what it found ----------------------------------------------------------------------------------------------- */
+
+/* Value i of the triad, 2061h:14 to 25. */
+static float *found(const struct calibrating *c, int i)
+{
+	return od_value(c->od, 0x2061, (uint8_t)(FOUND_FIRST + i), sizeof(float));
+}
+
+static void publish_triad(struct calibrating *c, const struct triad_calibration *t)
+{
+	const double bias[3] = {t->bias.x, t->bias.y, t->bias.z};
+
+	for (int i = 0; i < TRIAD_VALUES; i++)
+		*found(c, i) = (float)(i < 3 ? bias[i] : t->matrix[(i - 3) / 3][i % 3]);
+}
+
+static void publish_temperature(struct calibrating *c, double temperature_degC)
+{
+	c->values->calibration.temperature =
+		isnan(temperature_degC) ? (float)CALIBRATING_NO_TEMPERATURE : (float)temperature_degC;
+}
+
+static void forget(struct calibrating *c)
+{
+	const struct triad_calibration none = {.bias = {0, 0, 0}};
+
+	enter(c, CALIBRATING_IDLE);
+	c->values->calibration.kind = 0;
+	c->values->calibration.verdict = CALIBRATE_COLLECTING;
+	c->values->calibration.progress = 0;
+	c->values->calibration.positions = c->values->calibration.positions_wanted = 0;
+	c->values->calibration.next_side = 0;
+	c->values->calibration.quality = 0;
+	c->values->calibration.coverage = 0;
+	c->values->calibration.field = 0;
+	publish_temperature(c, (double)NAN);
+	publish_triad(c, &none);
+}
+
+static void refuse(struct calibrating *c, enum calibrate_verdict why)
+{
+	c->values->calibration.verdict = (uint8_t)why;
+	enter(c, CALIBRATING_REFUSED);
+}
+
+/* ---- one function a kind, each a sample -------------------------------------------------------------------------- */
+
+static enum calibrate_verdict gyro_sample(struct calibrating *c, const struct imu_sample *raw)
+{
+	struct calibrate_gyro *g = &c->gyro;
+	const struct calibrate_gyro_result *r = &g->result;
+	struct triad_calibration triad;
+	enum calibrate_verdict verdict = calibrate_gyro_step(g, raw);
+
+	c->values->calibration.progress = percent(calibrate_gyro_progress(g));
+	if (verdict == CALIBRATE_COLLECTING)
+		return verdict;
+	triad = settings_pipeline(c->values).calibration.gyro; /* the matrix stays */
+	triad.bias = r->bias_rad_s;
+	publish_triad(c, &triad);
+	publish_temperature(c, r->temperature_degC);
+	c->values->calibration.quality = (float)fmax(r->sigma_rad_s.x, fmax(r->sigma_rad_s.y, r->sigma_rad_s.z));
+	return verdict;
+}
+
+static enum calibrate_verdict accelerometer_sample(struct calibrating *c, const struct imu_sample *raw)
+{
+	struct calibrate_accelerometer *a = &c->accelerometer;
+	const int before = a->positions, wanted = calibrate_accelerometer_wanted(a);
+	enum calibrate_verdict verdict = calibrate_accelerometer_step(a, raw);
+
+	if (a->positions != before || before == 0)
+		c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(a);
+
+	c->values->calibration.progress =
+		verdict == CALIBRATE_COLLECTING ? percent(fmin(0.99, (double)a->positions / wanted)) : 100;
+	c->values->calibration.positions = (uint8_t)a->positions;
+	c->values->calibration.positions_wanted = (uint8_t)wanted;
+	c->values->calibration.coverage = percent(a->coverage);
+	if (verdict == CALIBRATE_COLLECTING)
+		return verdict;
+	c->values->calibration.next_side = 0;
+	c->values->calibration.quality = (float)a->result.residual_m_s2;
+	publish_triad(c, &a->result.calibration);
+	publish_temperature(c, a->result.temperature_degC);
+	return verdict;
+}
+
+static enum calibrate_verdict magnetometer_sample(struct calibrating *c, const struct imu_sample *raw)
+{
+	struct calibrate_magnetometer *m = &c->magnetometer;
+	enum calibrate_verdict verdict = calibrate_magnetometer_step(m, raw);
+
+	c->values->calibration.progress = percent(calibrate_magnetometer_progress(m));
+	c->values->calibration.coverage = percent(m->coverage);
+	if (verdict == CALIBRATE_COLLECTING)
+		return verdict;
+	c->values->calibration.quality = (float)(100 * m->result.residual);
+	c->values->calibration.field = (float)m->result.field_uT;
+	publish_triad(c, &m->result.calibration);
+	return verdict;
+}
+
+void calibrating_sample(struct calibrating *c, const struct imu_sample *raw)
+{
+	enum calibrate_verdict verdict = CALIBRATE_COLLECTING;
+
+	if (state_of(c) != CALIBRATING_RUNNING)
+		return;
+	switch (c->values->calibration.kind) {
+	case CALIBRATING_GYRO:
+		verdict = gyro_sample(c, raw);
+		break;
+	case CALIBRATING_SIX_FACES:
+	case CALIBRATING_FREE:
+		verdict = accelerometer_sample(c, raw);
+		break;
+	case CALIBRATING_MAGNETOMETER:
+		verdict = magnetometer_sample(c, raw);
+		break;
+	}
+	c->values->calibration.verdict = (uint8_t)verdict;
+	if (verdict != CALIBRATE_COLLECTING)
+		enter(c, verdict == CALIBRATE_GOOD ? CALIBRATING_DONE : CALIBRATING_REFUSED);
+}
+
+/* ---- commands ---------------------------------------------------------------------------------------------------- */
+
+static enum od_status start(struct calibrating *c, uint8_t kind)
+{
+	const struct pipeline_config config = settings_pipeline(c->values);
+	struct calibrate_gyro_config gyro = CALIBRATE_GYRO_DEFAULTS;
+	const struct calibrate_accelerometer_config accelerometer = {
+		.positions = kind == CALIBRATING_SIX_FACES ? CALIBRATE_SIX_FACES : CALIBRATE_FREE,
+		.gravity_m_s2 = config.estimator.gravity_m_s2,
+		.bias_instability_m_s2 = config.noise.accel_bias_instability_m_s2,
+		.patience_s = ACCELEROMETER_PATIENCE_S,
+	};
+	const struct calibrate_magnetometer_config magnetometer = {
+		.field_uT = (double)c->values->calibration.field_strength,
+		.patience_s = MAGNETOMETER_PATIENCE_S,
+	};
+
+	if (state_of(c) == CALIBRATING_RUNNING || c->values->lever_arm_identification.state == LEVER_ARM_RUNNING)
+		return OD_DEVICE_STATE;
+	gyro.bias_instability_rad_s = config.noise.gyro_bias_instability_rad_s;
+	forget(c);
+	c->values->calibration.kind = kind;
+	if (kind == CALIBRATING_GYRO)
+		calibrate_gyro_init(&c->gyro, &gyro);
+	else if (kind == CALIBRATING_MAGNETOMETER)
+		calibrate_magnetometer_init(&c->magnetometer, &magnetometer);
+	else
+		calibrate_accelerometer_init(&c->accelerometer, &accelerometer);
+	enter(c, CALIBRATING_RUNNING);
+	return OD_CONSUMED;
+}
+
+/* With 2054h the biases of the objects are those at its reference temperature, not at that of the measurement. */
+static void to_reference_temperature(const struct calibrating *c, float v[TRIAD_VALUES])
+{
+	const struct temperature_compensation t = settings_pipeline(c->values).calibration.temperature;
+	const double at_degC = (double)c->values->calibration.temperature;
+	struct vec3 shift;
+
+	if (c->values->calibration.kind == CALIBRATING_MAGNETOMETER || !(at_degC > CALIBRATING_NO_TEMPERATURE))
+		return;
+	shift = c->values->calibration.kind == CALIBRATING_GYRO ? calibration_gyro_shift(&t, at_degC)
+								: calibration_accel_shift(&t, at_degC);
+	v[0] -= (float)shift.x;
+	v[1] -= (float)shift.y;
+	v[2] -= (float)shift.z;
+}
+
+static enum od_status accept(struct calibrating *c)
+{
+	const uint8_t kind = c->values->calibration.kind;
+	const uint16_t index = kind == CALIBRATING_GYRO ? 0x2050 : kind == CALIBRATING_MAGNETOMETER ? 0x2052 : 0x2051;
+	enum od_status status = OD_OK;
+	float v[TRIAD_VALUES];
+
+	if (state_of(c) != CALIBRATING_DONE)
+		return OD_DEVICE_STATE;
+	for (int i = 0; i < TRIAD_VALUES; i++)
+		v[i] = *found(c, i);
+	to_reference_temperature(c, v);
+	for (uint8_t i = 0; i < TRIAD_VALUES && status == OD_OK; i++)
+		status = od_check(od_find(c->od->table, index, (uint8_t)(i + 1), NULL), &v[i], sizeof(v[i]));
+	for (uint8_t i = 0; i < TRIAD_VALUES && status == OD_OK; i++)
+		status = od_write(c->od, index, (uint8_t)(i + 1), &v[i], sizeof(v[i]));
+	if (status != OD_OK)
+		return status;
+	enter(c, CALIBRATING_IDLE);
+	return OD_CONSUMED;
+}
+
+static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+{
+	struct calibrating *c = ctx;
+	uint8_t command;
+
+	if (entry->sub != 1 || size != 1)
+		return OD_OK;
+	command = *(const uint8_t *)wire;
+	switch (command) {
+	case CALIBRATING_ABORT:
+		if (state_of(c) == CALIBRATING_RUNNING)
+			refuse(c, CALIBRATE_ABORTED);
+		return OD_CONSUMED;
+	case CALIBRATING_GYRO:
+	case CALIBRATING_SIX_FACES:
+	case CALIBRATING_FREE:
+	case CALIBRATING_MAGNETOMETER:
+		return start(c, command);
+	case CALIBRATING_ACCEPT:
+		return accept(c);
+	case CALIBRATING_DISCARD:
+		if (state_of(c) != CALIBRATING_DONE && state_of(c) != CALIBRATING_REFUSED)
+			return OD_DEVICE_STATE;
+		forget(c);
+		return OD_CONSUMED;
+	}
+	return OD_BAD_VALUE;
+}
+
+void calibrating_sensor_lost(struct calibrating *c)
+{
+	if (state_of(c) == CALIBRATING_RUNNING)
+		refuse(c, CALIBRATE_SENSOR_LOST);
+}
+
+unsigned calibrating_status(const struct calibrating *c)
+{
+	return state_of(c) == CALIBRATING_RUNNING ? STATUS_COMMISSIONING : 0;
+}
+
+/* ---- life -------------------------------------------------------------------------------------------------------- */
+
+void calibrating_reset(struct calibrating *c)
+{
+	forget(c);
+}
+
+void calibrating_init(struct calibrating *c, struct od *od, struct od_values *values)
+{
+	c->od = od;
+	c->values = values;
+	c->hook = (struct od_hook){.first = 0x2061, .last = 0x2061, .before = on_command, .ctx = c};
+	od_attach(od, &c->hook);
+	forget(c);
+}
