@@ -202,6 +202,8 @@ static void on_reset(void *ctx, enum od_group group)
 	apply_stored(d, group);
 	if (group != OD_GROUP_ALL)
 		return;
+	sensor_watch_apply(&d->sensor_watch);
+	sensor_watch_reset(&d->sensor_watch);
 	struct pipeline_config config = settings_pipeline(&d->values);
 	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
 		d->configuration_changed = true; /* the contradiction is reported with the next sample */
@@ -319,7 +321,10 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	d->stored = stored ? *stored : (struct store_image){0};
 	d->base = d->values;
 	d->node_id = node_id;
+	const struct imu_settings opened = sensor_settings(&d->base);
 	apply_stored(d, OD_GROUP_ALL);
+	sensor_watch_init(&d->sensor_watch, imu, &opened, &d->od, &d->values, &d->canopen, &d->log);
+	sensor_watch_apply(&d->sensor_watch);
 
 	int rc = start_pipeline(d);
 	if (rc < 0)
@@ -343,14 +348,20 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 
 static void sensor_lost(struct device *d)
 {
+	uint8_t info[5];
+	char why[64];
+
 	if (d->sensor_lost)
 		return;
 	d->sensor_lost = true;
-	event_log_line(&d->log, d->now_us, "no samples from %s: EMCY %04Xh, outputs marked invalid", d->imu->name,
-		EMCY_SENSOR_LOST);
+	sensor_watch_info(&d->sensor_watch, info);
+	sensor_fault_text(info, why, sizeof(why));
+	event_log_line(&d->log, d->now_us, "no samples from %s%s: EMCY %04Xh, outputs marked invalid", d->imu->name,
+		why, EMCY_SENSOR_LOST);
 	publish_sensor_lost(&d->values);
 	calibrating_sensor_lost(&d->calibrating);
-	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, NULL, d->now_us);
+	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
+	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, info, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
 }
 
@@ -402,10 +413,12 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	sensor_back(d);
 	commissioning_sample(&d->commissioning, sample, now_us);
 	calibrating_sample(&d->calibrating, sample);
+	sensor_watch_sample(&d->sensor_watch, sample);
 	publish_sample(&d->values, &out, counter);
 	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);
 	d->values.sample.status |= (uint16_t)calibrating_status(&d->calibrating);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
+	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
 	publish_sensor_counters(d);
 	watch_uncertainty(d, out.status);
 	canopen_sample(&d->canopen, now_us);
@@ -424,6 +437,7 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	d->now_us = now_us;
 	if (now_us - d->last_sample_us >= d->imu->silence_us)
 		sensor_lost(d);
+	sensor_watch_tick(&d->sensor_watch, now_us);
 
 	uint64_t next = bus_health_tick(&d->bus_health, now_us);
 	uint64_t protocol = canopen_tick(&d->canopen, now_us);

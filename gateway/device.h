@@ -18,6 +18,7 @@
 #include "gateway/calibrating.h"
 #include "gateway/commissioning.h"
 #include "gateway/event_log.h"
+#include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
 #include "gateway/store.h"
@@ -44,6 +45,7 @@ struct device {
 	struct commissioning commissioning;
 	struct calibrating calibrating;
 	struct aids aids;
+	struct sensor_watch sensor_watch;
 	struct canopen_node canopen;
 	struct bus_health bus_health;
 	struct can_port *bus;

@@ -301,6 +301,19 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	return rc < 0 ? EXIT_FAILURE : EXIT_SUCCESS;
 }
 
+/* The sensor is opened before there is a device. What 1010h stored of it follows when the device starts. */
+static struct imu_settings settings_of(const struct config *config)
+{
+	static struct od_values values;
+	static struct od od;
+
+	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
+	config_apply(config, &od);
+	struct imu_settings settings = sensor_settings(&values);
+	settings.realtime = (int)config->realtime;
+	return settings;
+}
+
 int main(int argc, char **argv)
 {
 	static struct config config;
@@ -313,7 +326,8 @@ int main(int argc, char **argv)
 	if (status >= 0)
 		return status;
 	loop_hold_signals();
-	if (imu_open(config.imu, NULL, &imu, why, sizeof(why)) < 0) {
+	const struct imu_settings settings = settings_of(&config);
+	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		return EXIT_FAILURE;
 	}

@@ -7,16 +7,19 @@
 enum {
 	STATUS_SATURATED = 1 << 8,	/* a scaled output exceeds its integer: raise the resolution object */
 	STATUS_SENSOR_LOST = 1 << 9,	/* no sample arrives; the values are those of the last one */
+	STATUS_SENSOR_FAULT = 1 << 10,	/* a chip has a fault (2124h), or a value stands at the end of its range */
 	STATUS_EXTERNAL_AID = 1 << 11,	/* velocity, yaw or standstill from outside took part in the last second */
 	STATUS_COMMISSIONING = 1 << 12, /* an identification (2060h) or a calibration (2061h) runs */
 };
 
 enum {
-	EMCY_SENSOR_LOST = 0x5030,   /* no sample arrives */
-	EMCY_STORE_DAMAGED = 0x5530, /* the stored values could not be read: defaults are in use */
+	EMCY_SENSOR_LOST = 0x5030,     /* no sample arrives; enum imu_fault and imu_chip in the manufacturer's bytes */
+	EMCY_SENSOR_DEGRADED = 0x5031, /* a fault that samples go on with; bytes the same */
+	EMCY_STORE_DAMAGED = 0x5530,   /* the stored values could not be read: defaults are in use */
 	EMCY_CONFIGURATION =
-		0x6320,		   /* the configuration objects contradict each other: the last good set stays in use */
-	EMCY_CAN_OVERRUN = 0x8110, /* frames were lost: the bus took none for too long */
+		0x6320, /* the configuration objects contradict each other: the last good set stays in use */
+	EMCY_SENSOR_SETTINGS = 0x6321, /* 2058h asks for what the sensor has not: it goes on as it was */
+	EMCY_CAN_OVERRUN = 0x8110,     /* frames were lost: the bus took none for too long */
 	EMCY_ERROR_PASSIVE = 0x8120,
 	EMCY_BUS_OFF_OVER = 0x8140,
 	EMCY_POSITION_UNSURE = 0xFF10, /* 1 sigma of the position exceeds 2040h:9 */

@@ -554,9 +554,9 @@ static int read_fifo_tagged(struct board *b, struct stream *s)
 	if (result < 0)
 		return result;
 	entries = status[0] | (status[1] & 0x03) << 8;
-	if (entries > 2 * FIFO_DEPTH)
-		entries = 2 * FIFO_DEPTH;
 	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48, from_ns, now_ns(b));
+	if (entries > 2 * FIFO_DEPTH) /* the rest next time */
+		entries = 2 * FIFO_DEPTH;
 	for (int64_t left = entries; left > 0; left -= AT_ONCE) {
 		size_t n = left < AT_ONCE ? (size_t)left : AT_ONCE;
 

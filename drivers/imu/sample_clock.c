@@ -3,11 +3,14 @@
 #include <math.h>
 
 /* How fast an oscillator may change its period, as a fraction of it per second: warming up. */
-#define DRIFT_PER_S 1e-4
+#define DRIFT_PER_S 3e-5
 /* The period is never believed to be known better than that. */
 #define FINEST 5e-5
 
-enum { ANCHOR_SAMPLES = 256, SMOOTHING = 8 };
+/* The period is measured over so long: the mean of a longer time would not be that of now. */
+#define ANCHOR_NS 2.5e9
+
+enum { SMOOTHING = 8 };
 
 double sample_clock_period(const struct sample_clock *c)
 {
@@ -36,7 +39,7 @@ static void narrow_period(struct sample_clock *c)
 	double n = (double)(c->newest - c->anchor), period_ns = sample_clock_period(c);
 	double shortest_ns, longest_ns;
 
-	if (n < 4)
+	if (n < 1)
 		return;
 	shortest_ns = fmax(c->shortest_ns, (c->lo_ns - c->anchor_hi_ns) / n);
 	longest_ns = fmin(c->longest_ns, (c->hi_ns - c->anchor_lo_ns) / n);
@@ -44,7 +47,9 @@ static void narrow_period(struct sample_clock *c)
 		c->shortest_ns = shortest_ns;
 		c->longest_ns = longest_ns;
 	}
-	if (n >= ANCHOR_SAMPLES) {
+	if (n * c->nominal_ns >= ANCHOR_NS ||
+		(n * c->nominal_ns < ANCHOR_NS / 4 &&
+			c->hi_ns - c->lo_ns < 0.8 * (c->anchor_hi_ns - c->anchor_lo_ns))) {
 		c->anchor = c->newest;
 		c->anchor_lo_ns = c->lo_ns;
 		c->anchor_hi_ns = c->hi_ns;
@@ -86,15 +91,20 @@ static void narrow(struct sample_clock *c, double lo_ns, double hi_ns)
 
 void sample_clock_read(struct sample_clock *c, int64_t count, double from_ns, double to_ns)
 {
-	if (count == 0)
+	double ahead;
+
+	if (count == 0) {
+		c->none_ns = from_ns;
 		return;
+	}
 	if (c->newest < 0) {
-		begin(c, count - 1, from_ns - c->longest_ns, to_ns);
+		begin(c, count - 1, fmax(c->none_ns, from_ns - c->longest_ns), to_ns);
 		return;
 	}
 	if (count - 1 > c->newest)
 		advance(c, count - 1);
-	narrow(c, from_ns - c->longest_ns, to_ns);
+	ahead = (double)(c->newest - (count - 1)); /* an edge may be known before its sample is read */
+	narrow(c, from_ns - c->longest_ns + ahead * c->shortest_ns, to_ns + ahead * c->longest_ns);
 }
 
 void sample_clock_edge(struct sample_clock *c, double from_ns, double to_ns)

@@ -187,7 +187,7 @@ static void test_a_source_that_cannot_be_is_refused_with_what_can(void **state)
 {
 	(void)state;
 	assert_refused("", "unknown IMU source '': use sim");
-	assert_refused("i2c:/dev/i2c-1", "use sim[:SCENARIO[,rate=HZ]] or replay:FILE");
+	assert_refused("spi:/dev/spidev0.0", "use sim[:SCENARIO[,rate=HZ][,board=B]], replay:FILE");
 	assert_refused("replay", "no file");
 	assert_refused("replay:", "no file");
 	assert_refused("replay:/nonexistent.csv", "/nonexistent.csv: No such file");

@@ -1,0 +1,49 @@
+/* gateway/sensor_watch.h
+ * The settings of the sensor (2058h), how its chips are (2124h, EMCY 5031h, status bit 10) and how warm (6511h). */
+#ifndef GATEWAY_SENSOR_WATCH_H
+#define GATEWAY_SENSOR_WATCH_H
+
+#include <stdbool.h>
+
+#include "drivers/ports/imu.h"
+#include "gateway/canopen/node.h"
+#include "gateway/event_log.h"
+#include "od_values.h"
+
+struct sensor_watch {
+	/* PRIVATE */
+	struct imu_port *imu;
+	struct od_values *values;
+	struct canopen_node *canopen;
+	struct event_log *log;
+	struct od_hook hook;
+	struct imu_settings in_use;
+	bool refused, refusal_told;
+	bool saturated;			 /* the last sample was */
+	uint8_t degraded, degraded_chip; /* as told by EMCY */
+};
+
+/** What 2058h says, without the priority of the driver's thread. */
+struct imu_settings sensor_settings(const struct od_values *values);
+
+/** `opened` is what the sensor was opened with. */
+void sensor_watch_init(struct sensor_watch *watch, struct imu_port *imu, const struct imu_settings *opened,
+	struct od *od, struct od_values *values, struct canopen_node *canopen, struct event_log *log);
+
+/** At the start and with reset node: what 2058h says goes to the sensor where it differs. May change imu->rate_hz. */
+void sensor_watch_apply(struct sensor_watch *watch);
+void sensor_watch_reset(struct sensor_watch *watch); /* errors are told anew */
+
+void sensor_watch_sample(struct sensor_watch *watch, const struct imu_sample *sample);
+void sensor_watch_tick(struct sensor_watch *watch, uint64_t now_us);
+
+/** Bits of the status word. */
+unsigned sensor_watch_status(const struct sensor_watch *watch);
+
+/** The manufacturer's bytes of EMCY 5030h: enum imu_fault, enum imu_chip; 0 when the driver cannot tell. */
+void sensor_watch_info(const struct sensor_watch *watch, uint8_t info[5]);
+
+/** The same in words, for the log: ": the gyro does not answer", or "". */
+void sensor_fault_text(const uint8_t info[5], char *text, size_t size);
+
+#endif

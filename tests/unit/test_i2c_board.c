@@ -1,0 +1,521 @@
+/* The I2C driver on simulated chips, in simulated time: detection, scales, times, settings. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+#include <errno.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "tests/unit/i2c_world.h"
+
+#define DPS (3.14159265358979323846 / 180)
+#define G   9.80665
+
+static const char *const BOARDS[] = {"v0", "v1", "v2", "v3", "v5", "v6"};
+enum { BOARD_COUNT = 6 };
+
+/* ---- detection --------------------------------------------------------------------------------------------------- */
+
+static void test_each_board_is_recognised(void **state)
+{
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_make(BOARDS[i], "rest", true);
+
+		world_detect(w);
+		assert_string_equal(w->board.name, BOARDS[i]);
+		world_free(w);
+	}
+}
+
+static int nobody(struct world *w, const struct sim_access *access)
+{
+	(void)w, (void)access;
+	return -ENXIO;
+}
+
+static void test_an_empty_bus_is_refused_with_where_was_looked(void **state)
+{
+	struct world *w = world_make("v3", "rest", true);
+	const struct board_clock clock = w->board.clock;
+	char why[200];
+
+	(void)state;
+	w->before = nobody;
+	assert_int_equal(board_detect(&w->board, w->bus, &clock, why, sizeof why), -ENXIO);
+	assert_non_null(strstr(why, "no gyro answers at 68h to 6Bh"));
+	world_free(w);
+}
+
+static void other_identity(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	if (!access->write && access->sub == 0x0F)
+		access->bytes[0] = 0x33;
+}
+
+static void test_chips_that_are_none_of_ours_are_refused(void **state)
+{
+	struct world *w = world_make("v6", "rest", true);
+	const struct board_clock clock = w->board.clock;
+	char why[200];
+
+	(void)state;
+	w->after = other_identity;
+	assert_true(board_detect(&w->board, w->bus, &clock, why, sizeof why) < 0);
+	world_free(w);
+}
+
+/* ---- scales and axes, against the data sheets' figures ------------------------------------------------------------ */
+
+enum { X = 4000, Y = -1600, Z = 800 }; /* multiples of 16 */
+
+struct layout {
+	uint8_t address, data; /* of the chip; its first data register */
+	bool big_endian;
+	int y, z; /* places of y and z; x comes first */
+};
+
+static struct layout layout; /* what disguise() has to know */
+
+static void put_word(uint8_t *at, int value, bool big)
+{
+	at[big ? 1 : 0] = (uint8_t)value;
+	at[big ? 0 : 1] = (uint8_t)((unsigned)value >> 8);
+}
+
+/* Every read of the data shows X, Y, Z, and the next one their negatives: never the same twice. */
+static void disguise(struct world *w, const struct sim_access *access)
+{
+	const uint8_t first = access->sub & 0x7F;
+	static int sign = 1;
+
+	(void)w;
+	if (access->write || access->address != layout.address || first > layout.data ||
+		first + access->n < layout.data + 6u)
+		return;
+	uint8_t *at = access->bytes + (layout.data - first);
+
+	sign = -sign;
+	put_word(at, sign * X, layout.big_endian);
+	put_word(at + 2 * layout.y, sign * Y, layout.big_endian);
+	put_word(at + 2 * layout.z, sign * Z, layout.big_endian);
+}
+
+struct scale {
+	const char *board;
+	enum imu_chip chip;
+	double range;		  /* as set: deg/s, g, uT */
+	double digit_xy, digit_z; /* of the 16-bit word: deg/s, g, uT */
+	struct layout layout;
+};
+
+static const struct scale SCALES[] = {
+	{"v0", IMU_CHIP_GYRO, 250, 0.00875, 0.00875, {0x69, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_GYRO, 500, 0.0175, 0.0175, {0x69, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_GYRO, 2000, 0.070, 0.070, {0x69, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_ACCEL, 2, 0.001 / 16, 0.001 / 16, {0x18, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_ACCEL, 4, 0.002 / 16, 0.002 / 16, {0x18, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_ACCEL, 8, 0.0039 / 16, 0.0039 / 16, {0x18, 0x28, false, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 130, 100. / 1055, 100. / 950, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 190, 100. / 795, 100. / 710, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 250, 100. / 635, 100. / 570, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 400, 100. / 430, 100. / 385, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 470, 100. / 375, 100. / 335, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 560, 100. / 320, 100. / 285, {0x1E, 0x03, true, 1, 2}},
+	{"v0", IMU_CHIP_MAG, 810, 100. / 230, 100. / 205, {0x1E, 0x03, true, 1, 2}},
+	{"v1", IMU_CHIP_MAG, 130, 100. / 1100, 100. / 980, {0x1E, 0x03, true, 2, 1}},
+	{"v1", IMU_CHIP_MAG, 810, 100. / 230, 100. / 205, {0x1E, 0x03, true, 2, 1}},
+	{"v2", IMU_CHIP_GYRO, 250, 0.00875, 0.00875, {0x6B, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_GYRO, 2000, 0.070, 0.070, {0x6B, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_ACCEL, 2, 0.001 / 16, 0.001 / 16, {0x19, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_ACCEL, 4, 0.002 / 16, 0.002 / 16, {0x19, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_ACCEL, 8, 0.004 / 16, 0.004 / 16, {0x19, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_ACCEL, 16, 0.012 / 16, 0.012 / 16, {0x19, 0x28, false, 1, 2}},
+	{"v2", IMU_CHIP_MAG, 130, 100. / 1100, 100. / 980, {0x1E, 0x03, true, 2, 1}},
+	{"v2", IMU_CHIP_MAG, 560, 100. / 330, 100. / 295, {0x1E, 0x03, true, 2, 1}},
+	{"v3", IMU_CHIP_GYRO, 250, 0.00875, 0.00875, {0x6B, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_GYRO, 500, 0.0175, 0.0175, {0x6B, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_GYRO, 2000, 0.070, 0.070, {0x6B, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_ACCEL, 2, 0.000061, 0.000061, {0x1D, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_ACCEL, 4, 0.000122, 0.000122, {0x1D, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_ACCEL, 6, 0.000183, 0.000183, {0x1D, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_ACCEL, 8, 0.000244, 0.000244, {0x1D, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_ACCEL, 16, 0.000732, 0.000732, {0x1D, 0x28, false, 1, 2}},
+	{"v3", IMU_CHIP_MAG, 200, 0.0080, 0.0080, {0x1D, 0x08, false, 1, 2}},
+	{"v3", IMU_CHIP_MAG, 400, 0.0160, 0.0160, {0x1D, 0x08, false, 1, 2}},
+	{"v3", IMU_CHIP_MAG, 800, 0.0320, 0.0320, {0x1D, 0x08, false, 1, 2}},
+	{"v3", IMU_CHIP_MAG, 1200, 0.0479, 0.0479, {0x1D, 0x08, false, 1, 2}},
+	{"v5", IMU_CHIP_GYRO, 125, 0.004375, 0.004375, {0x6B, 0x22, false, 1, 2}},
+	{"v5", IMU_CHIP_GYRO, 1000, 0.035, 0.035, {0x6B, 0x22, false, 1, 2}},
+	{"v5", IMU_CHIP_ACCEL, 2, 0.000061, 0.000061, {0x6B, 0x28, false, 1, 2}},
+	{"v5", IMU_CHIP_ACCEL, 16, 0.000488, 0.000488, {0x6B, 0x28, false, 1, 2}},
+	{"v5", IMU_CHIP_MAG, 400, 100. / 6842, 100. / 6842, {0x1E, 0x28, false, 1, 2}},
+	{"v5", IMU_CHIP_MAG, 1600, 100. / 1711, 100. / 1711, {0x1E, 0x28, false, 1, 2}},
+	{"v6", IMU_CHIP_GYRO, 250, 0.00875, 0.00875, {0x6B, 0x22, false, 1, 2}},
+	{"v6", IMU_CHIP_GYRO, 500, 0.0175, 0.0175, {0x6B, 0x22, false, 1, 2}},
+	{"v6", IMU_CHIP_GYRO, 2000, 0.070, 0.070, {0x6B, 0x22, false, 1, 2}},
+	{"v6", IMU_CHIP_ACCEL, 4, 0.000122, 0.000122, {0x6B, 0x28, false, 1, 2}},
+	{"v6", IMU_CHIP_ACCEL, 8, 0.000244, 0.000244, {0x6B, 0x28, false, 1, 2}},
+};
+
+/* The field is turned on with the (noisy) gyro to the sample's time: not quite what was read. */
+static bool shown(struct vec3 got, const struct scale *s, double unit)
+{
+	const double tolerance = s->chip == IMU_CHIP_MAG ? 0.1 : 1e-9;
+	const double xy = s->digit_xy * unit, z = s->digit_z * unit;
+	const double sign = got.x < 0 ? -1 : 1;
+
+	return fabs(got.x - sign * X * xy) < tolerance && fabs(got.y - sign * Y * xy) < tolerance &&
+	       fabs(got.z - sign * Z * z) < tolerance;
+}
+
+static void test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets(void **state)
+{
+	(void)state;
+	for (size_t i = 0; i < sizeof SCALES / sizeof *SCALES; i++) {
+		const struct scale *s = &SCALES[i];
+		struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+		struct world *w = world_make(s->board, "rest", false);
+		struct imu_sample sample;
+		struct vec3 got = {0, 0, 0};
+
+		*(s->chip == IMU_CHIP_GYRO	    ? &settings.gyro_range_deg_s
+			: s->chip == IMU_CHIP_ACCEL ? &settings.accel_range_g
+						    : &settings.mag_range_uT) = s->range;
+		world_detect(w);
+		world_set_up(w, &settings, false);
+		layout = s->layout;
+		w->after = disguise;
+		do
+			assert_true(world_sample(w, &sample, 500000));
+		while (s->chip == IMU_CHIP_MAG && !(sample.flags & SAMPLE_MAG));
+		got = s->chip == IMU_CHIP_GYRO	? sample.gyro_rad_s
+		      : s->chip == IMU_CHIP_MAG ? sample.mag_uT
+						: sample.accel_m_s2;
+		if (s->chip == IMU_CHIP_ACCEL && w->board.accel != w->board.gyro) /* between its two signs */
+			got = w->board.accel->readings[w->board.accel->first].value[0];
+		if (!shown(got, s, s->chip == IMU_CHIP_GYRO ? DPS : s->chip == IMU_CHIP_ACCEL ? G : 1))
+			fail_msg("%s, range %g: %g %g %g", s->board, s->range, got.x, got.y, got.z);
+		world_free(w);
+	}
+}
+
+/* ---- the signal comes through ------------------------------------------------------------------------------------- */
+
+/* digits at 2000 deg/s, 8 g and the finest field range */
+static const struct {
+	double gyro_dps, accel_g;
+} DIGITS[BOARD_COUNT] = {
+	{0.07, 0.0039}, {0.07, 0.0039}, {0.07, 0.004}, {0.07, 0.000244}, {0.07, 0.000244}, {0.07, 0.000244}};
+
+static double worst(struct vec3 a, struct vec3 b)
+{
+	return fmax(fabs(a.x - b.x), fmax(fabs(a.y - b.y), fabs(a.z - b.z)));
+}
+
+static void test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 2 * BOARD_COUNT; i++) {
+		const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+		struct world *w = world_make(BOARDS[i / 2], "tumble", true);
+		struct imu_sample sample;
+
+		world_detect(w);
+		world_set_up(w, &settings, i % 2); /* without and with FIFO */
+		for (int n = 0; n < 600; n++) {
+			struct signal_truth truth;
+
+			assert_true(world_sample(w, &sample, 200000));
+			truth = world_truth(w, &sample);
+			if (n < 20)
+				continue;
+			/* |alpha| < 40 rad/s^2 and |jerk| < 300 m/s^3 here */
+			assert_true(worst(sample.gyro_rad_s, truth.omega_b_rad_s) <
+				    DIGITS[i / 2].gyro_dps * DPS + 0.001 * 40);
+			assert_true(worst(sample.accel_m_s2,
+					    sensor_specific_force(&truth, w->config.sensor.lever_arm_b_m, 9.81)) <
+				    DIGITS[i / 2].accel_g * G + 0.0001 * 300);
+			if (sample.flags & SAMPLE_MAG)
+				assert_true(worst(sample.mag_uT, quat_rotate_inverse(truth.q_nb,
+									 w->config.sensor.field_n_uT)) < 0.4);
+		}
+		world_free(w);
+	}
+}
+
+/* How far the time of a sample is from an instant at which the gyro took one, in samples. */
+static double time_error(struct world *w, const struct imu_sample *sample, double rate_hz)
+{
+	double newest_ns, n;
+
+	sim_board_taken(w->sim, IMU_CHIP_GYRO, &newest_ns);
+	n = (1e3 * (double)sample->t_us + 500 - newest_ns) * 1e-9 * rate_hz * 1.013;
+	return fabs(n - floor(n + 0.5));
+}
+
+static void test_late_reads_do_not_show_in_the_time_stamps(void **state)
+{
+	const double rates[] = {100, 200, 400, 800};
+
+	(void)state;
+	for (int i = 0; i < 4; i++)
+		for (int64_t late_ms = 0; late_ms <= 12; late_ms += 4) {
+			struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+			struct world *w = world_make("v3", "tumble", false);
+			struct imu_sample sample;
+			uint64_t last_us = 0;
+
+			settings.rate_hz = rates[i];
+			world_detect(w);
+			world_set_up(w, &settings, true);
+			w->late_ns = late_ms * 1000000;
+			for (int n = 0; n < 6 * rates[i]; n++) {
+				double interval;
+
+				assert_true(world_sample(w, &sample, 500000));
+				interval = 1e-6 * (double)(sample.t_us - last_us) * rates[i] * 1.013;
+				last_us = sample.t_us;
+				if (n < 2 * rates[i])
+					continue;
+				if (time_error(w, &sample, rates[i]) > 0.1)
+					fail_msg("%g Hz, %d ms late: sample %d off by %g", rates[i], (int)late_ms, n,
+						time_error(w, &sample, rates[i]));
+				assert_true(fabs(interval - 1) < 0.1); /* and none is missing */
+			}
+			world_free(w);
+		}
+}
+
+static void test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right(void **state)
+{
+	(void)state;
+	for (int i = 2; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "tumble", false);
+		struct imu_sample sample;
+		const double nominal_hz = w->board.gyro->setup.rate->hz;
+
+		world_run(w, 3000000);
+		w->now_ns += 6000000000;
+		world_run(w, 1000000);
+		assert_true(w->board.health.overruns > 0);
+		for (int n = 0; n < 100; n++) {
+			assert_true(world_sample(w, &sample, 200000));
+			assert_true(time_error(w, &sample, nominal_hz) < 0.1);
+		}
+		world_free(w);
+	}
+}
+
+static void test_the_rate_is_measured(void **state)
+{
+	struct world *w = world_new("v3", "rest", false);
+
+	(void)state;
+	world_run(w, 5000000);
+	assert_true(fabs((double)w->board.health.rate_hz - 101.3) < 0.1);
+	world_free(w);
+}
+
+static void test_a_data_ready_edge_tells_the_time_of_its_sample(void **state)
+{
+	struct world *w = world_new("v3", "tumble", false);
+	struct imu_sample sample;
+
+	(void)state;
+	for (int n = 0; n < 100; n++) {
+		double newest_ns;
+
+		assert_true(world_sample(w, &sample, 200000));
+		sim_board_taken(w->sim, IMU_CHIP_GYRO, &newest_ns);
+		board_data_ready(&w->board, (int64_t)newest_ns + 20000);
+	}
+	assert_true(time_error(w, &sample, 100) < 0.012); /* 0.1 ms is what an interrupt may be late */
+	world_free(w);
+}
+
+static void test_the_temperature_comes_with_a_sample_once_a_second(void **state)
+{
+	const char *const with[] = {"v0", "v3", "v5", "v6"};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct world *w = world_new(with[i], "rest", false);
+		struct imu_sample sample;
+		int count = 0;
+
+		while (w->now_ns < w->start_ns + 5000000000) {
+			assert_true(world_sample(w, &sample, 200000));
+			if (!(sample.flags & SAMPLE_TEMPERATURE))
+				continue;
+			assert_true(sample.temperature_degC == 30);
+			count++;
+		}
+		assert_in_range(count, 4, 6);
+		world_free(w);
+	}
+}
+
+/* ---- settings ----------------------------------------------------------------------------------------------------- */
+
+static void assert_impossible(const char *board, const struct imu_settings *settings, const char *expected)
+{
+	struct world *w = world_make(board, "rest", true);
+	struct board_plan plan;
+	char why[200] = "";
+
+	world_detect(w);
+	assert_int_equal(board_plan(&w->board, settings, true, false, &plan, why, sizeof why), -EINVAL);
+	assert_string_equal(why, expected);
+	world_free(w);
+}
+
+static void test_what_the_chips_cannot_is_refused_with_what_they_can(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	settings.rate_hz = 1000;
+	assert_impossible("v3", &settings, "sensor rate 1000 Hz: the L3GD20H goes to 800 Hz");
+	settings = IMU_SETTINGS_DEFAULTS;
+	settings.gyro_range_deg_s = 4000;
+	assert_impossible("v0", &settings, "gyro range 4000 deg/s: the L3G4200D goes to 2000");
+	settings = IMU_SETTINGS_DEFAULTS;
+	settings.accel_range_g = 16;
+	assert_impossible("v1", &settings, "accelerometer range 16 g: the LSM303DLH goes to 8");
+	settings = IMU_SETTINGS_DEFAULTS;
+	settings.mag_range_uT = 1300;
+	assert_impossible("v3", &settings, "magnetometer range 1300 uT: the LSM303D goes to 1200");
+	settings.mag_range_uT = NAN;
+	assert_impossible("v3", &settings, "magnetometer range nan uT: the LSM303D goes to 1200");
+}
+
+static void test_the_smallest_values_that_are_enough_are_taken(void **state)
+{
+	struct imu_settings settings = {
+		.rate_hz = 150, .gyro_range_deg_s = 250, .accel_range_g = 3, .mag_range_uT = 250};
+	struct world *w = world_make("v3", "rest", true);
+	struct board_plan plan;
+	char why[200];
+
+	(void)state;
+	settings.bandwidth_hz = 40;
+	world_detect(w);
+	assert_int_equal(board_plan(&w->board, &settings, true, false, &plan, why, sizeof why), 0);
+	assert_true(plan.rate_hz == 200);
+	assert_true(plan.setup[0].range[0]->full_scale == 245); /* near enough to 250 */
+	assert_true(plan.setup[0].bandwidth_hz == 70);
+	assert_true(plan.setup[1].range[0]->full_scale == 4);
+	assert_true(plan.setup[1].bandwidth_hz == 50);
+	assert_true(plan.setup[2].range[0]->full_scale == 400);
+	world_free(w);
+}
+
+/* Control registers as the data sheets' tables give them for 100 Hz, 2000 deg/s, 8 g, the finest field range. */
+static void test_the_registers_hold_what_the_data_sheets_say(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t address, value;
+	} expected[] = {
+		{"v0", IMU_CHIP_GYRO, 0x20, 0x1F},  /* 100 Hz, 25 Hz, on, all axes */
+		{"v0", IMU_CHIP_GYRO, 0x23, 0xA0},  /* BDU, 2000 deg/s */
+		{"v0", IMU_CHIP_GYRO, 0x2E, 0x40},  /* stream */
+		{"v0", IMU_CHIP_ACCEL, 0x20, 0x37}, /* normal, 400 Hz */
+		{"v0", IMU_CHIP_ACCEL, 0x23, 0xB0}, /* BDU, 8 g */
+		{"v0", IMU_CHIP_MAG, 0x00, 0x18},   /* 75 Hz */
+		{"v0", IMU_CHIP_MAG, 0x01, 0x20},   /* 1.3 gauss */
+		{"v0", IMU_CHIP_MAG, 0x02, 0x00},
+		{"v2", IMU_CHIP_ACCEL, 0x20, 0x77}, /* 400 Hz */
+		{"v2", IMU_CHIP_ACCEL, 0x23, 0xA8}, /* BDU, 8 g, high resolution */
+		{"v2", IMU_CHIP_ACCEL, 0x24, 0x40},
+		{"v2", IMU_CHIP_ACCEL, 0x2E, 0x80},
+		{"v3", IMU_CHIP_GYRO, 0x39, 0x00},
+		{"v3", IMU_CHIP_ACCEL, 0x20, 0x8F}, /* 400 Hz, BDU */
+		{"v3", IMU_CHIP_ACCEL, 0x21, 0xD8}, /* 50 Hz, 8 g */
+		{"v3", IMU_CHIP_MAG, 0x24, 0xF0},   /* temperature, high resolution, 50 Hz */
+		{"v3", IMU_CHIP_MAG, 0x25, 0x00},
+		{"v5", IMU_CHIP_GYRO, 0x11, 0x4C}, /* 104 Hz, 2000 deg/s */
+		{"v5", IMU_CHIP_GYRO, 0x10, 0x4C}, /* 104 Hz, 8 g */
+		{"v5", IMU_CHIP_GYRO, 0x08, 0x09},
+		{"v5", IMU_CHIP_GYRO, 0x0A, 0x26},
+		{"v5", IMU_CHIP_MAG, 0x20, 0xFC}, /* 80 Hz, ultra-high performance */
+		{"v6", IMU_CHIP_GYRO, 0x09, 0x44},
+		{"v6", IMU_CHIP_GYRO, 0x0A, 0x06},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
+		struct world *w = world_new(expected[i].board, "rest", false);
+		uint8_t value;
+
+		world_run(w, 50000);
+		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+		if (value != expected[i].value)
+			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
+				expected[i].address, value, expected[i].value);
+		world_free(w);
+	}
+}
+
+/* ---- self-test ---------------------------------------------------------------------------------------------------- */
+
+static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
+{
+	static const uint8_t passed[BOARD_COUNT] = {0x03, 0x03, 0x01, 0x03, 0x03, 0x03};
+	struct imu_sample sample;
+
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "rest", false);
+
+		world_run(w, 100000);
+		board_self_test(&w->board);
+		assert_int_equal(w->board.health.self_test, passed[i]);
+		assert_int_equal(w->board.health.degraded, 0);
+		assert_true(world_sample(w, &sample, 300000)); /* and measures again */
+		assert_true(vec3_norm(vec3_sub(sample.accel_m_s2, (struct vec3){0, 0, 9.81})) < 0.5);
+		world_free(w);
+	}
+}
+
+static void test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes(void **state)
+{
+	struct world *w = world_new("v3", "rest", false);
+
+	(void)state;
+	sim_board_break_self_test(w->sim, IMU_CHIP_ACCEL);
+	board_self_test(&w->board);
+	assert_int_equal(w->board.health.self_test, 0x21);
+	assert_int_equal(w->board.health.degraded, IMU_FAULT_SELF_TEST);
+	assert_int_equal(w->board.health.degraded_chip, IMU_CHIP_ACCEL);
+	world_free(w);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_each_board_is_recognised),
+		cmocka_unit_test(test_an_empty_bus_is_refused_with_where_was_looked),
+		cmocka_unit_test(test_chips_that_are_none_of_ours_are_refused),
+		cmocka_unit_test(test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets),
+		cmocka_unit_test(test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample),
+		cmocka_unit_test(test_late_reads_do_not_show_in_the_time_stamps),
+		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
+		cmocka_unit_test(test_the_rate_is_measured),
+		cmocka_unit_test(test_a_data_ready_edge_tells_the_time_of_its_sample),
+		cmocka_unit_test(test_the_temperature_comes_with_a_sample_once_a_second),
+		cmocka_unit_test(test_what_the_chips_cannot_is_refused_with_what_they_can),
+		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_taken),
+		cmocka_unit_test(test_the_registers_hold_what_the_data_sheets_say),
+		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
+		cmocka_unit_test(test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
