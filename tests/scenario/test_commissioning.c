@@ -27,7 +27,7 @@ struct world {
 	struct sensor sensor;
 	struct signal signal;
 	bool travels;		   /* the reference point, which stands still in the signal */
-	bool told;		   /* 2075h is written, every second sample */
+	bool told, by_rpdo;	   /* 2075h is written, every second sample; not by SDO */
 	struct can_msg answer;	   /* the last SDO answer */
 	struct signal_truth truth; /* of the last sample */
 	uint64_t now_us;
@@ -107,6 +107,16 @@ static uint32_t command(struct world *w, uint8_t value)
 	return sdo_write(w, 0x2060, 1, &value, 1);
 }
 
+static void tell_reference_by_rpdo(struct world *w, struct vec3 accel_b_m_s2)
+{
+	const int16_t twins[] = {(int16_t)lround(accel_b_m_s2.x / 0.005), (int16_t)lround(accel_b_m_s2.y / 0.005),
+		(int16_t)lround(accel_b_m_s2.z / 0.005)};
+	uint8_t data[sizeof(twins)];
+
+	memcpy(data, twins, sizeof(data));
+	receive(w, 0x200 + NODE_ID, sizeof(data), data);
+}
+
 static void tell_reference(struct world *w, struct vec3 accel_b_m_s2)
 {
 	const float l = (float)accel_b_m_s2.x, s = (float)accel_b_m_s2.y, t = (float)accel_b_m_s2.z;
@@ -129,7 +139,8 @@ static void sample(struct world *w)
 	device_sample(&w->device, 1, &s, w->now_us);
 	device_tick(&w->device, w->now_us);
 	if (w->told && w->count++ % 2 == 0)
-		tell_reference(w, quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2));
+		(w->by_rpdo ? tell_reference_by_rpdo : tell_reference)(
+			w, quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2));
 }
 
 static void seconds(struct world *w, double s)
@@ -231,6 +242,34 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	assert_near(w->device.commissioning.ref_b_m_s2.z, 0.005, 1e-12);
 }
 
+static void map_reference_into_rpdo1(struct world *w)
+{
+	const uint32_t off = 0x80000200 + NODE_ID, on = 0x200 + NODE_ID;
+	const uint32_t entries[] = {0x20750410, 0x20750510, 0x20750610};
+	const uint8_t none = 0, three = 3, at_once = 255;
+
+	assert_int_equal(sdo_write(w, 0x1400, 1, &off, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1400, 2, &at_once, 1), 0);
+	assert_int_equal(sdo_write(w, 0x1600, 0, &none, 1), 0);
+	for (uint8_t i = 0; i < 3; i++)
+		assert_int_equal(sdo_write(w, 0x1600, (uint8_t)(i + 1), &entries[i], 4), 0);
+	assert_int_equal(sdo_write(w, 0x1600, 0, &three, 1), 0);
+	assert_int_equal(sdo_write(w, 0x1400, 1, &on, 4), 0);
+	receive(w, 0, 2, (const uint8_t[]){1, NODE_ID});
+}
+
+static void test_one_rpdo_can_carry_the_reference(void **state)
+{
+	struct world *w = *state;
+
+	map_reference_into_rpdo1(w);
+	w->travels = true;
+	w->told = w->by_rpdo = true;
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	seconds(w, 32);
+	assert_lever_arm_is_found(w);
+}
+
 /* ---- refusals ---------------------------------------------------------------------------------------------------- */
 
 static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **state)
@@ -330,6 +369,7 @@ int main(void)
 		TEST(test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it),
 		TEST(test_an_accepted_lever_arm_is_used_by_the_next_sample),
 		TEST(test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well),
+		TEST(test_one_rpdo_can_carry_the_reference),
 		TEST(test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2),
 		TEST(test_a_reference_that_stops_after_50_ms_ends_in_a_refusal),
 		TEST(test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands),
