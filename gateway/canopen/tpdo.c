@@ -5,8 +5,6 @@
 #include <math.h>
 #include <string.h>
 
-#include "od/wire.h"
-
 void tpdo_restart(struct canopen_node *node, struct tpdo *tpdo)
 {
 	tpdo->event = false;
@@ -40,28 +38,32 @@ static void transmit(struct canopen_node *node, struct tpdo *tpdo)
 
 /* ---- change of state --------------------------------------------------------------------------------------------- */
 
-static double distance(const struct od_entry *entry, const uint8_t *a, const uint8_t *b)
+static double number(const struct od_entry *entry, const uint8_t *wire)
 {
-	float real[2];
+	uint32_t raw = entry->size == 1 ? wire[0] : entry->size == 2 ? get_u16(wire) : get_u32(wire);
+	float real;
 
 	switch ((enum od_type)entry->type) {
 	case OD_REAL32:
-		memcpy(&real[0], &(uint32_t){get_u32(a)}, sizeof(real[0]));
-		memcpy(&real[1], &(uint32_t){get_u32(b)}, sizeof(real[1]));
-		return fabs((double)real[0] - (double)real[1]);
+		memcpy(&real, &raw, sizeof(real));
+		return (double)real;
 	case OD_INTEGER8:
+		return (int8_t)raw;
 	case OD_INTEGER16:
+		return (int16_t)raw;
 	case OD_INTEGER32:
-		return fabs((double)wire_signed(wire_get(a, entry->size), entry->size) -
-			    (double)wire_signed(wire_get(b, entry->size), entry->size));
-	case OD_BOOLEAN:
-	case OD_UNSIGNED8:
-	case OD_UNSIGNED16:
-	case OD_UNSIGNED32:
-		return fabs((double)wire_get(a, entry->size) - (double)wire_get(b, entry->size));
+		return (int32_t)raw;
 	default:
-		return memcmp(a, b, entry->size) ? INFINITY : 0;
+		return raw;
 	}
+}
+
+/* From one value to another; of what is longer than 4 bytes only whether they differ. */
+static double distance(const struct od_entry *entry, const uint8_t *a, const uint8_t *b)
+{
+	if (entry->size == 1 || entry->size == 2 || entry->size == 4)
+		return fabs(number(entry, a) - number(entry, b));
+	return memcmp(a, b, entry->size) ? INFINITY : 0;
 }
 
 /* A sample is news when a value has moved by more than its threshold since the PDO was last sent. Where nothing has a

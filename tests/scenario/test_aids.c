@@ -13,6 +13,7 @@
 
 #include "gateway/device.h"
 #include "gateway/status.h"
+#include "gateway/threshold.h"
 #include "model/rotation.h"
 #include "model/sensor.h"
 
@@ -245,6 +246,21 @@ static void test_a_velocity_by_sdo_is_used_when_its_sigma_is_written(void **stat
 	assert_true(in_use(w));
 }
 
+static void test_a_component_alone_is_not_used(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_real(w, 0x2070, 4, 0.1f), 0);
+	samples(w, 101);
+	assert_false(in_use(w));
+	for (uint8_t sub = 5; sub <= 7; sub++)
+		assert_int_equal(sdo_write(w, 0x2070, sub, &(int16_t){1}, 2), 0);
+	assert_int_equal(write_u8(w, 0x2070, 9, 0), 0);
+	assert_int_equal(write_real(w, 0x2071, 1, 1), 0);
+	sample(w);
+	assert_false(in_use(w));
+}
+
 static void test_a_sigma_of_zero_says_that_nothing_was_measured(void **state)
 {
 	struct world *w = *state, *twin = new_world("tumble");
@@ -379,10 +395,13 @@ static void test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_
 	struct world *w = *state;
 
 	assert_int_equal(write_real(w, 0x2070, 4, 1e-30f), 0);
+	sample(w);
+	assert_true(in_use(w));
+	samples(w, 101);
+	assert_false(in_use(w));
 	assert_int_equal(write_real(w, 0x2071, 2, 1e-30f), 0);
 	sample(w);
 	assert_true(in_use(w));
-	assert_true(isfinite(velocity(w).x));
 }
 
 /* ---- attitude and commands --------------------------------------------------------------------------------------- */
@@ -523,18 +542,30 @@ static void test_what_is_told_is_no_configuration(void **state)
 
 /* ---- TPDOs on change --------------------------------------------------------------------------------------------- */
 
-/* TPDO1 has the angles (two bytes each, 0.01 degrees) and the sample counter, by event. */
-static void angles_by_event(struct world *w)
+/* TPDO1 has the yaw (two bytes, 0.01 degrees) and two more of these, by event. The heading stays where it is put. */
+static void yaw_by_event(struct world *w, uint32_t second, uint32_t third)
 {
-	static const uint32_t mapping[] = {0x21010110, 0x21010210, 0x21010310, 0x210F0110};
+	const uint32_t mapping[] = {0x21010310, second, third};
 
+	assert_int_equal(write_u8(w, 0x2030, 2, 0), 0); /* no magnetometer */
 	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
 	assert_int_equal(write_u8(w, 0x1800, 2, 254), 0);
 	assert_int_equal(write_u8(w, 0x1A00, 0, 0), 0);
-	for (uint8_t i = 0; i < 4; i++)
+	for (uint8_t i = 0; i < 3; i++)
 		assert_int_equal(sdo_write(w, 0x1A00, (uint8_t)(i + 1), &mapping[i], 4), 0);
-	assert_int_equal(write_u8(w, 0x1A00, 0, 4), 0);
+	assert_int_equal(write_u8(w, 0x1A00, 0, 3), 0);
 	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
+}
+
+enum { COUNTER = 0x210F0110, STATUS = 0x210F0310, TIME = 0x210F0220 };
+
+/* How many were sent since this was asked the last time. */
+static unsigned sent(struct world *w)
+{
+	unsigned count = w->tpdo1_count;
+
+	w->tpdo1_count = 0;
+	return count;
 }
 
 /* The attitude turns about z by `deg`, at rest otherwise. */
@@ -551,31 +582,132 @@ static void test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample
 {
 	struct world *w = *state;
 
-	angles_by_event(w);
-	w->tpdo1_count = 0;
+	yaw_by_event(w, COUNTER, TIME);
+	sent(w);
 	samples(w, 100);
-	assert_int_equal(w->tpdo1_count, 100);
+	assert_int_equal(sent(w), 100);
+}
+
+/* One degree from here on. */
+static void one_degree(struct world *w)
+{
+	samples(w, 300);
+	assert_int_equal(write_real(w, 0x2118, 2, 1), 0);
+	samples(w, 20);
+	sent(w);
+	samples(w, 300);
+	assert_int_equal(sent(w), 0);
 }
 
 static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then(void **state)
 {
 	struct world *w = *state;
 
-	angles_by_event(w);
-	assert_int_equal(write_u8(w, 0x2030, 2, 0), 0); /* no magnetometer: the heading stays where it is put */
-	assert_int_equal(write_real(w, 0x2118, 2, 1), 0);
-	samples(w, 300);
-	w->tpdo1_count = 0;
-	samples(w, 300);
-	assert_int_equal(w->tpdo1_count, 0);
+	yaw_by_event(w, COUNTER, TIME);
+	one_degree(w);
 	turn(w, 0.6);
-	assert_int_equal(w->tpdo1_count, 0);
+	assert_int_equal(sent(w), 0);
 	turn(w, 0.6); /* 1.2 since it was last sent */
-	assert_int_equal(w->tpdo1_count, 1);
+	assert_int_equal(sent(w), 1);
 	turn(w, -0.6);
-	assert_int_equal(w->tpdo1_count, 1);
+	assert_int_equal(sent(w), 0);
 	turn(w, -0.6);
-	assert_int_equal(w->tpdo1_count, 2);
+	assert_int_equal(sent(w), 1);
+}
+
+static void test_a_status_that_changes_is_sent_whatever_the_threshold(void **state)
+{
+	struct world *w = *state;
+
+	yaw_by_event(w, COUNTER, STATUS);
+	one_degree(w);
+	tell_velocity(w, 0, 0, 0, 0.1);
+	sample(w);
+	assert_int_equal(sent(w), 1); /* an aid in use */
+	samples(w, 90);
+	assert_int_equal(sent(w), 0);
+	samples(w, 20);
+	assert_int_equal(sent(w), 1); /* and no more */
+}
+
+static void test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_undone_meanwhile(void **state)
+{
+	struct world *w = *state;
+
+	yaw_by_event(w, COUNTER, TIME);
+	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1800, 3, &(uint16_t){1000}, 2), 0); /* 100 ms */
+	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
+	one_degree(w);
+	turn(w, 2);
+	assert_int_equal(sent(w), 1);
+	turn(w, 2);
+	turn(w, -2);
+	assert_int_equal(sent(w), 0);
+	samples(w, 20);
+	assert_int_equal(sent(w), 1);
+}
+
+static void test_with_a_threshold_the_first_sample_of_operational_is_sent_and_the_event_timer_goes_on(void **state)
+{
+	struct world *w = *state;
+
+	yaw_by_event(w, COUNTER, TIME);
+	assert_int_equal(write_real(w, 0x2118, 2, 1000), 0);
+	nmt(w, 128);
+	nmt(w, 1);
+	sent(w);
+	samples(w, 10);
+	assert_int_equal(sent(w), 1);
+	assert_int_equal(sdo_write(w, 0x1800, 5, &(uint16_t){100}, 2), 0);
+	samples(w, 100);
+	assert_in_range(sent(w), 9, 11);
+}
+
+static void test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change(void **state)
+{
+	struct world *w = *state;
+
+	yaw_by_event(w, COUNTER, TIME);
+	assert_int_equal(write_u8(w, 0x1800, 2, 0), 0);
+	sample(w);
+	receive(w, 0x080, 0, "");
+	one_degree(w);
+	receive(w, 0x080, 0, ""); /* what was news while there was no threshold */
+	sent(w);
+	sample(w);
+	receive(w, 0x080, 0, "");
+	assert_int_equal(sent(w), 0);
+	turn(w, 2);
+	assert_int_equal(sent(w), 0);
+	receive(w, 0x080, 0, "");
+	assert_int_equal(sent(w), 1);
+}
+
+static double threshold(const struct world *w, uint16_t index, uint8_t sub)
+{
+	return threshold_of(&w->device.values, od_find(&imu9_od_table, index, sub, NULL));
+}
+
+static void test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps(void **state)
+{
+	struct world *w = *state;
+	const float thresholds[] = {0.5f, 2, 0.25f, 0.125f, 4};
+
+	for (uint8_t i = 0; i < 5; i++)
+		assert_int_equal(write_real(w, 0x2118, (uint8_t)(i + 1), thresholds[i]), 0);
+	assert_near(threshold(w, 0x2100, 1), 100, 1e-9); /* m/s^2, 0.005 each */
+	assert_near(threshold(w, 0x2107, 1), 0.5, 1e-9);
+	assert_near(threshold(w, 0x2101, 1), 200, 1e-9); /* deg, 0.01 each */
+	assert_near(threshold(w, 0x6110, 0), 200, 1e-9);
+	assert_near(threshold(w, 0x2105, 1), 0.25, 1e-9);  /* rad/s */
+	assert_near(threshold(w, 0x2104, 1), 0.125, 1e-9); /* m/s */
+	assert_near(threshold(w, 0x2102, 1), 4000, 1e-9);  /* m, 0.001 each */
+	assert_true(threshold(w, 0x210F, 1) == INFINITY);
+	assert_true(threshold(w, 0x210F, 2) == INFINITY);
+	assert_true(threshold(w, 0x210F, 3) == 0);
+	assert_int_equal(sdo_write(w, 0x6000, 0, &(uint16_t){1000}, 2), 0);
+	assert_near(threshold(w, 0x2101, 1), 2, 1e-9);
 }
 
 /* ---- recorded trials --------------------------------------------------------------------------------------------- */
@@ -755,6 +887,7 @@ int main(void)
 			test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_velocity_by_sdo_is_used_when_its_sigma_is_written, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_component_alone_is_not_used, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_sigma_of_zero_says_that_nothing_was_measured, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_velocity_in_the_object_frame_is_turned_into_the_global_one, set_up, tear_down),
@@ -787,6 +920,18 @@ int main(void)
 			set_up_at_rest, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then,
+			set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_status_that_changes_is_sent_whatever_the_threshold, set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_undone_meanwhile,
+			set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_with_a_threshold_the_first_sample_of_operational_is_sent_and_the_event_timer_goes_on,
+			set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change, set_up_at_rest, tear_down),
+		cmocka_unit_test_setup_teardown(test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps,
 			set_up_at_rest, tear_down),
 		cmocka_unit_test(test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true),
 		cmocka_unit_test(test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet),

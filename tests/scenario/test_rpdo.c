@@ -249,6 +249,40 @@ static void test_the_window_does_not_concern_a_pdo_that_takes_effect_at_once(voi
 	assert_int_equal(bus->values.commands, 5);
 }
 
+static void test_with_a_sync_of_ones_own_the_window_holds_too(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1403, 2, 1, 1), 0);
+	assert_int_equal(bus_write(bus, 0x1007, 0, 4, 2000), 0);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x40000080), 0);
+	bus_run(bus, 10000 + 2001);
+	bus_send(bus, "510 05 00");
+	bus_run(bus, 10000);
+	assert_int_equal(bus->values.commands, 0);
+	bus_send(bus, "510 05 00"); /* 2001 us after the next one, and late again */
+	bus_run(bus, 9000);
+	bus_send(bus, "510 03 00");
+	assert_int_equal(bus->values.commands, 0);
+	bus_run(bus, 10000);
+	assert_int_equal(bus->values.commands, 3);
+}
+
+static void test_at_a_sync_the_tpdos_go_out_before_what_was_received_takes_effect(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1402, 2, 1, 1), 0);
+	bus_send(bus, "410 00 00 00 00 00 00 02"); /* no such command */
+	bus_send(bus, "080");
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "390 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "490 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "090 00 82 11 02 14 72 20 07");
+}
+
 static void test_before_the_first_sync_there_is_no_window(void **state)
 {
 	struct bus *bus = *state;
@@ -725,6 +759,8 @@ int main(void)
 		OPERATIONAL(test_what_waits_for_a_sync_is_forgotten_when_operational_begins_anew),
 		OPERATIONAL(test_a_synchronous_pdo_after_the_window_is_discarded_until_the_next_sync),
 		OPERATIONAL(test_the_window_does_not_concern_a_pdo_that_takes_effect_at_once),
+		OPERATIONAL(test_with_a_sync_of_ones_own_the_window_holds_too),
+		OPERATIONAL(test_at_a_sync_the_tpdos_go_out_before_what_was_received_takes_effect),
 		OPERATIONAL(test_before_the_first_sync_there_is_no_window),
 		OPERATIONAL(test_a_pdo_that_is_too_short_is_not_used_and_told_once_by_8210h_until_one_is_right),
 		OPERATIONAL(test_a_pdo_that_is_too_long_is_used_as_far_as_mapped_and_told_by_8220h),
