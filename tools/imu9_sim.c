@@ -23,6 +23,8 @@ static const char usage[] =
 	"  -r, --rate HZ         samples a second (default 100)\n"
 	"  -s, --sensor PRESET   whose errors it has (default lsm303dlhc_l3gd20)\n"
 	"      --uncalibrated    with the bias, scale and cross-axis errors of a chip as it leaves the factory\n"
+	"      --warming K           it warms up from 25 degC by K, its biases follow, and the log has a column "
+	"temperature\n"
 	"      --jitter S        1-sigma of the instant of sampling, seconds (default 0)\n"
 	"      --seed N          another seed is another chip with other noise (default 1)\n"
 	"      --lever-arm L,S,T metres from the reference point to the accelerometer (default 0,0,0)\n"
@@ -84,6 +86,8 @@ static void write_sample(struct csv_row *row, const struct imu_sample *sample)
 		csv_vec3(row, sample->mag_uT, 3);
 	else
 		csv_empty(row, 3);
+	if (sample->flags & SAMPLE_TEMPERATURE)
+		csv_number(row, sample->temperature_degC, 3);
 }
 
 static int write_log(const struct request *request, FILE *file)
@@ -95,7 +99,8 @@ static int write_log(const struct request *request, FILE *file)
 	if (sensor_init(&sensor, &request->sensor, request->seed) < 0)
 		cli_usage_error(
 			"--jitter %g: more than a tenth of the interval between samples", request->sensor.jitter_s);
-	fprintf(file, "%s%s\n", HEADER, request->truth ? TRUTH_HEADER : "");
+	fprintf(file, "%s%s%s\n", HEADER, request->sensor.warming_K != 0 ? ",temperature" : "",
+		request->truth ? TRUTH_HEADER : "");
 	for (uint64_t k = 0; k < count && !ferror(file); k++) {
 		struct imu_sample sample;
 		struct signal_truth truth;
@@ -154,13 +159,24 @@ static const struct sensor_config *sensor_option(const char *name)
 	return preset;
 }
 
-enum { OPT_UNCALIBRATED = 256, OPT_JITTER, OPT_SEED, OPT_LEVER_ARM, OPT_ANGLE, OPT_CHANGE, OPT_HELP, OPT_VERSION };
+enum {
+	OPT_UNCALIBRATED = 256,
+	OPT_WARMING,
+	OPT_JITTER,
+	OPT_SEED,
+	OPT_LEVER_ARM,
+	OPT_ANGLE,
+	OPT_CHANGE,
+	OPT_HELP,
+	OPT_VERSION
+};
 
 static const struct option options[] = {
 	{"duration", required_argument, NULL, 'd'},
 	{"rate", required_argument, NULL, 'r'},
 	{"sensor", required_argument, NULL, 's'},
 	{"uncalibrated", no_argument, NULL, OPT_UNCALIBRATED},
+	{"warming", required_argument, NULL, OPT_WARMING},
 	{"jitter", required_argument, NULL, OPT_JITTER},
 	{"seed", required_argument, NULL, OPT_SEED},
 	{"lever-arm", required_argument, NULL, OPT_LEVER_ARM},
@@ -178,7 +194,7 @@ static const struct option options[] = {
 struct wishes {
 	const struct sensor_config *sensor;
 	struct vec3 lever_arm_b_m;
-	double duration_s, rate_hz, jitter_s, angle_rad, change_s;
+	double duration_s, rate_hz, warming_K, jitter_s, angle_rad, change_s;
 	uint64_t seed;
 	bool uncalibrated, truth;
 	const char *output;
@@ -204,6 +220,9 @@ static void take_option(struct wishes *w, int option, char **argv)
 		break;
 	case OPT_UNCALIBRATED:
 		w->uncalibrated = true;
+		break;
+	case OPT_WARMING:
+		w->warming_K = cli_real_option("--warming", optarg, -100, 100);
 		break;
 	case OPT_JITTER:
 		w->jitter_s = cli_real_option("--jitter", optarg, 0, 1);
@@ -260,6 +279,7 @@ static struct request request_of(const struct wishes *w, const char *name)
 		request.signal.change_s = w->change_s;
 	if (w->rate_hz > 0)
 		request.sensor.rate_hz = w->rate_hz;
+	request.sensor.warming_K = w->warming_K;
 	request.sensor.jitter_s = w->jitter_s;
 	request.sensor.lever_arm_b_m = w->lever_arm_b_m;
 	if (!w->uncalibrated)

@@ -23,10 +23,14 @@ static void scenarios(char *text, size_t size)
 		n += (size_t)snprintf(text + n, size - n, "%s%s", n ? ", " : "", s->name);
 }
 
-static int parse_option(const char *option, struct sim_config *sim, struct i2c_imu_config *driver)
+static int parse_option(const char *option, struct sim_config *sim, struct i2c_imu_config *driver, bool *uncalibrated)
 {
 	if (strncmp(option, "rate=", 5) == 0)
 		return source_positive(option + 5, &driver->rate_hz);
+	if (strcmp(option, "uncalibrated") == 0) {
+		*uncalibrated = true;
+		return 0;
+	}
 	if (strncmp(option, "board=", 6) != 0)
 		return -EINVAL;
 	sim->board = option + 6;
@@ -40,6 +44,7 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 		.board = BOARD, .sensor = *sensor_preset(PRESET), .seed = SEED, .now_ns = i2c_imu_now_ns};
 	struct i2c_imu_config driver = {.name = name};
 	struct sim_board *board;
+	bool uncalibrated = false;
 	int result;
 
 	config.signal = scenario && *scenario ? signal_find(scenario) : &SIGNALS[0];
@@ -51,12 +56,13 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 		return -EINVAL;
 	}
 	while ((option = strsep(&rest, ",")))
-		if (parse_option(option, &config, &driver) < 0) {
-			snprintf(
-				error, error_size, "sim: '%.40s': use rate=HZ or board=v0, v1, v2, v3, v5, v6", option);
+		if (parse_option(option, &config, &driver, &uncalibrated) < 0) {
+			snprintf(error, error_size,
+				"sim: '%.40s': use rate=HZ or board=v0, v1, v2, v3, v5, v6, or uncalibrated", option);
 			return -EINVAL;
 		}
-	sensor_calibrate(&config.sensor);
+	if (!uncalibrated)
+		sensor_calibrate(&config.sensor);
 	config.sensor.lever_arm_b_m = LEVER_ARM_B_M;
 	memcpy(config.rate_error, RATE_ERROR, sizeof RATE_ERROR);
 	snprintf(name, sizeof name, "sim:%s", config.signal->name);
