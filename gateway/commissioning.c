@@ -61,7 +61,6 @@ static enum od_status start(struct commissioning *c, bool reference)
 		.rate_hz = c->pipeline->rate_hz,
 		.duration_s = (double)c->values->lever_arm_identification.duration,
 		.reference = reference,
-		.estimate_delay = reference,
 	};
 
 	if (state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATION_RUNNING ||
@@ -143,7 +142,10 @@ static const struct vec3 *reference_of(struct commissioning *c, const struct imu
 	c->ref_written = false;
 	if (sample->flags & SAMPLE_REFERENCE)
 		return &sample->ref_accel_b_m_s2;
-	return now_us < c->ref_until_us ? &c->ref_b_m_s2 : NULL;
+	if (now_us >= c->ref_until_us)
+		return NULL;
+	c->lever.config.estimate_delay = true;
+	return &c->ref_b_m_s2;
 }
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */

@@ -5,7 +5,7 @@
  *
  * What was written to 2075h holds until the next write, 50 ms at most, as of the sample after the write: at 100 writes a
  * second that is 5 ms late in the mean, beside what the bus takes. The identification estimates this delay, so nobody
- * needs to know it; the steps are above its low-pass. */
+ * needs to know it; the steps are above its low-pass. What comes with the sample is believed to be of its instant. */
 #ifndef GATEWAY_COMMISSIONING_H
 #define GATEWAY_COMMISSIONING_H
 

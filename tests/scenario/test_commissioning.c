@@ -27,6 +27,7 @@ struct world {
 	struct sensor sensor;
 	struct signal signal;
 	bool travels;		   /* the reference point, which stands still in the signal */
+	bool with_sample;	   /* the sample brings the acceleration of the reference point */
 	bool told, by_rpdo;	   /* 2075h is written, every second sample; not by SDO */
 	struct can_msg answer;	   /* the last SDO answer */
 	struct signal_truth truth; /* of the last sample */
@@ -136,6 +137,10 @@ static void sample(struct world *w)
 		w->truth.accel_n_m_s2 =
 			(struct vec3){4 * sin(5 * w->truth.t_s), 3 * sin(7 * w->truth.t_s), sin(8 * w->truth.t_s)};
 	sensor_measure(&w->sensor, &w->truth, &s);
+	if (w->with_sample) {
+		s.ref_accel_b_m_s2 = quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2);
+		s.flags |= SAMPLE_REFERENCE;
+	}
 	device_sample(&w->device, 1, &s, w->now_us);
 	device_tick(&w->device, w->now_us);
 	if (w->told && w->count++ % 2 == 0)
@@ -240,6 +245,18 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	assert_near(w->device.commissioning.ref_b_m_s2.x, 1, 1e-12);
 	assert_near(w->device.commissioning.ref_b_m_s2.y, -2, 1e-12);
 	assert_near(w->device.commissioning.ref_b_m_s2.z, 0.005, 1e-12);
+}
+
+static void test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time(void **state)
+{
+	struct world *w = *state;
+
+	w->travels = true;
+	w->with_sample = true;
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	seconds(w, 32);
+	assert_lever_arm_is_found(w);
+	assert_false(w->device.commissioning.lever.config.estimate_delay);
 }
 
 static void map_reference_into_rpdo1(struct world *w)
@@ -369,6 +386,7 @@ int main(void)
 		TEST(test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it),
 		TEST(test_an_accepted_lever_arm_is_used_by_the_next_sample),
 		TEST(test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well),
+		TEST(test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time),
 		TEST(test_one_rpdo_can_carry_the_reference),
 		TEST(test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2),
 		TEST(test_a_reference_that_stops_after_50_ms_ends_in_a_refusal),
