@@ -36,8 +36,10 @@ static bool value_text(const struct session *s, const struct od_entry *entry, co
 /* [1A00sub3]: its entry, or NULL. */
 static const struct od_entry *entry_of_section(const struct od_table *table, const char *section, size_t length)
 {
+	const struct od_entry *entry;
 	char text[16], *end;
 	unsigned long index, sub = 0;
+	bool is_sub = false;
 
 	if (length < 4 || length >= sizeof(text) || !isxdigit((unsigned char)section[0]))
 		return NULL;
@@ -46,9 +48,13 @@ static const struct od_entry *entry_of_section(const struct od_table *table, con
 	index = strtoul(text, &end, 16);
 	if (end != text + 4)
 		return NULL;
-	if (strncasecmp(end, "sub", 3) == 0 && isxdigit((unsigned char)end[3]))
+	if (strncasecmp(end, "sub", 3) == 0 && isxdigit((unsigned char)end[3])) {
+		is_sub = true;
 		sub = strtoul(end + 3, &end, 16);
-	return *end || sub > 0xFF ? NULL : od_find(table, (uint16_t)index, (uint8_t)sub, NULL);
+	}
+	entry = *end || sub > 0xFF ? NULL : od_find(table, (uint16_t)index, (uint8_t)sub, NULL);
+	/* a record has no value of its own */
+	return entry && is_sub == (strchr(entry->name, '.') != NULL) ? entry : NULL;
 }
 
 struct save {

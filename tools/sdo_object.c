@@ -152,10 +152,9 @@ int sdo_command_write(struct session *s, int argc, char **argv)
 	take_block_options(s, &argc, argv);
 	if (argc != 2 || sdo_targets(s, argv[0], &target, 1) != 1)
 		cli_usage_error("usage: imu9-sdo write OBJECT VALUE (a DOMAIN: FILE)");
-	if (is_domain(&target))
-		return write_file_to(s, &target, argv[1]);
-	if (strncmp(argv[1], "file:", 5) == 0 && (!target.entry || target.entry->type != OD_VISIBLE_STRING))
-		return write_file_to(s, &target, argv[1] + 5);
+	bool named = strncmp(argv[1], "file:", 5) == 0 && (!target.entry || target.entry->type != OD_VISIBLE_STRING);
+	if (named || is_domain(&target))
+		return write_file_to(s, &target, argv[1] + (named ? 5 : 0));
 	parse_value(&target, argv[1], wire, sizeof(wire), &size);
 	open_with_blocks(s);
 	bool done = s->node.blocks == CLI_BLOCKS_ALWAYS

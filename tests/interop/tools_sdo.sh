@@ -85,7 +85,104 @@ check "and every part of the dictionary" says "6000h:00"
 run imu9-sdo -e eds/imu9-gateway.eds dump
 check "dump by an EDS file" says "2000h:01"
 
+# ---- DOMAINs: in blocks, in segments, to and from files
+imu9-sdo read eds -o "$work/eds"
+check "a DOMAIN goes into a file, in blocks" cmp -s "$work/eds" eds/imu9-gateway.eds
+imu9-sdo read --no-block eds -o "$work/eds"
+check "and in segments" cmp -s "$work/eds" eds/imu9-gateway.eds
+run imu9-sdo -q read --block 1008h
+check "a small value in a block" prints "IMU9 CANopen gateway"
+run imu9-sdo write --block gravity 9.81
+check "written in a block" ends 0
+run imu9-sdo -q read gravity
+check "and it stands" prints 9.81
+run imu9-sdo read snapshot -o "$work/snapshot"
+check "the snapshot of the configuration" ends 0
+imu9-sdo write gravity 9.79
+run imu9-sdo dcf compare "$work/snapshot"
+check "compared with the node: what differs" fails 1 "1 differ"
+check "is named" says "gravity (2003h:00)  node: D7 A3 1C 41  file: C3 F5 1C 41"
+run imu9-sdo write snapshot "$work/snapshot"
+check "written back" ends 0
+run imu9-sdo -q read gravity
+check "brings the value back" prints 9.81
+run imu9-sdo dcf compare "$work/snapshot"
+check "all is as in the snapshot" ends 0
+imu9-sdo write gravity 9.79
+run imu9-sdo dcf apply "$work/snapshot"
+check "a concise DCF is applied entry by entry" ends 0
+run imu9-sdo dcf compare "$work/snapshot"
+check "completely" ends 0
+printf '\1\0\0\0\3\40\0\4\0\0\0\0\0\300\177' >"$work/bad"
+run imu9-sdo write snapshot "$work/bad"
+check "a snapshot with a value that is not allowed" fails 1 "this value is not allowed (abort 06090030h)"
+run imu9-sdo write 0x2130 "file:$work/bad"
+check "by index, as a file" fails 1 "abort 06090030h"
+head -c 20000 /dev/zero >"$work/long"
+run imu9-sdo write snapshot "$work/long"
+check "a snapshot that is too long" fails 1 "too long"
+run imu9-sdo write snapshot "$work/none"
+check "a file that is not there" fails 1 "$work/none: No such file"
+run imu9-sdo log
+check "the event log begins with the start" says "0.000000 started with node-ID 16 on $IMU9_CAN"
+check "and tells what was refused" says "configuration snapshot refused: 2003h:00: "
+run imu9-sdo watch gravity lever_arm_model --rate 50 --count 3
+check "watch" says "gravity = 9.81 m/s^2  lever_arm_model = 2"
+check "as many lines as asked for" test "$(wc -l <<<"$out")" = 3
+run imu9-sdo -q watch lever_arm_model --rate 100 --count 2
+check "watch with bare values" prints $'2\n2'
+
+# ---- DCF
+run imu9-sdo dcf save "$work/a.dcf"
+check "dcf save" ends 0
+run grep -c '^\[DeviceComissioning\]' "$work/a.dcf"
+check "a DCF says which node it is of" prints 1
+run imu9-sdo dcf compare "$work/a.dcf"
+check "nothing differs from it" ends 0
+imu9-sdo write gravity 9.5
+imu9-sdo write tpdo2_communication.transmission_type 7
+run imu9-sdo dcf compare "$work/a.dcf"
+check "what differs is told" fails 1 "2 differ"
+check "with both values" says "node: 9.5 m/s^2  file: 9.81"
+run imu9-sdo dcf apply "$work/a.dcf"
+check "dcf apply writes what differs" ends 0
+run imu9-sdo -q dcf compare "$work/a.dcf"
+check "and then nothing differs" prints ""
+run imu9-sdo -e "$work/a.dcf" read gravity
+check "a DCF serves as EDS" prints "gravity = 9.81 m/s^2"
+run imu9-sdo dcf apply "$work/eds"
+check "an EDS has no values to apply" fails 1 "is it a DCF?"
+sed 's/^ParameterValue=0x411CF5C3/ParameterValue=x/' "$work/a.dcf" >"$work/b.dcf"
+run imu9-sdo dcf apply "$work/b.dcf"
+check "a bad value is named" fails 1 "gravity: ParameterValue=x"
+
+# ---- who is there
+run imu9-sdo scan
+check "scan finds the node, its state and identity" says " 16  pre-operational  type 0004019Ah  vendor 00494D55h"
+for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255" "lss bit-rate 333" "lss --serial" "dcf apply" "dcf frob x" \
+	"watch" "watch gravity --rate 0" "read gravity 0x1017 -o x" "read --block --no-block gravity" "write snapshot"; do
+	run imu9-sdo $arguments
+	check "wrong usage: '$arguments'" fails 2 "imu9-sdo: "
+done
+run imu9-sdo lss inquire
+check "lss inquire" says "node-ID 16  vendor 00494D55h  product 00000009h  revision 00010000h  serial "
+serial=${out##*serial } serial=0x${serial%h}
+run imu9-sdo lss inquire --serial 1
+check "a node that is not there is not answered for" fails 1 "no node with vendor 00494D55h"
+run imu9-sdo lss node-id 18 --serial "$serial"
+check "lss node-id, of the one with that serial number" ends 0
+imu9-sdo nmt reset-comm
+sleep 0.3
+run imu9-sdo -q -n 18 read gravity
+check "from reset communication on" prints 9.81
+run imu9-sdo lss node-id 16
+imu9-sdo -n 18 nmt reset-comm
+sleep 0.3
+run imu9-sdo lss assign 19
+check "nobody to be assigned to" fails 1 "no node without a node-ID"
+
 # ---- save, load, store, restore
+imu9-sdo write gravity 9.80665
 imu9-sdo write lever_arm.s 0.25
 imu9-sdo write tpdo2_communication.transmission_type 5
 run imu9-sdo save "$work/a.ini"
@@ -152,4 +249,31 @@ run imu9-sdo load "$work/a.ini"
 check "load to another node" ends 0
 run imu9-sdo -q read 0x1800:1 0x1014
 check "moves the COB-IDs that follow the node-ID" prints $'1073742225\n145'
+
+# ---- a node without a node-ID
+stop_gateway
+start_unconfigured() {
+	imu9-gateway --imu sim --can "$IMU9_CAN" --node-id 255 --store "$work/store2" 2>"$work/log" &
+	gateway=$!
+	for _ in 1 2 3 4 5 6 7 8 9 10; do
+		imu9-sdo -t 300 lss inquire >/dev/null 2>&1 && return
+	done
+}
+start_unconfigured
+run imu9-sdo lss scan
+check "lss scan finds it by its identity, bit by bit" prints "vendor 00494D55h  product 00000009h  revision 00010000h  serial ${serial#0x}h"
+run imu9-sdo scan
+check "scan does not see it, and says where to look" fails 1 "imu9-sdo lss scan"
+run imu9-sdo lss assign 42 --store
+check "lss assign gives it a node-ID" fails 0 "it is node 42 now"
+run imu9-sdo -q -n 42 read 0x1018:4
+check "which it has at once" ends 0
+run imu9-sdo lss scan
+check "and nobody is left without one" prints ""
+stop_gateway
+start_unconfigured
+run imu9-sdo -t 1000 -n 42 read 0x1000
+check "it keeps its node-ID over a restart" ends 0
+run imu9-sdo lss node-id 255
+check "and can lose it again" ends 0
 finish
