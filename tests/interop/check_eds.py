@@ -2,14 +2,22 @@
 """check_eds.py: the EDS and the DBC made of it, read by rules other than our own.
 
 The EDS with Python's configparser, key by key as python-canopen does it (case-sensitive keys, int(x, 0), float(), no
-key it would stumble over), and against the lists, counts and types of CiA 306. The DBC by its grammar, signal by signal
-against the mapping objects. Needs no bus. Status 1 and one line for each fault; uses python-canopen too if it is there.
+key it would stumble over), against the lists, counts and types of CiA 306, and by what lely's dcfchk accepts: there a
+key that CiA 306 does not have, or a number in another form, makes the whole file invalid, so that our own keys stand in
+comments. The DBC by its grammar, signal by signal against the mapping objects. Needs no bus. Status 1 and one line for
+each fault; uses python-canopen and dcfchk too if they are there. With --fix it first puts the ';' before our own keys.
 """
 import configparser
 import os
 import pathlib
 import re
+import shutil
+import subprocess
 import sys
+
+sys.dont_write_bytecode = True
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
+from eds_file import OWN_KEYS, with_own_keys
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 EDS = ROOT / "eds/imu9-gateway.eds"
@@ -83,6 +91,53 @@ def check_variable(eds, section):
     expect(high is None or default <= high, where, "default above HighLimit")
 
 
+NUMBER = re.compile(r"(\$NODEID\+)?(-?0x[0-9A-Fa-f]+|-?[0-9]+)")
+
+
+def strict_number(text, data_type, where):
+    """An integer, decimal or 0x, within its type whatever the node-ID; a REAL as the bits of it."""
+    match = NUMBER.fullmatch(text)
+    if not match:
+        faults.append("%s: %r is no number to every reader" % (where, text))
+        return None
+    value = int(match[2], 0)
+    bits = BITS[data_type]
+    low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if data_type in SIGNED else (0, (1 << bits) - 1)
+    expect(low <= value <= high - (127 if match[1] else 0), where, "%s does not fit its type" % text)
+    return value
+
+
+def check_strictly(text):
+    """What a reader that knows CiA 306 and nothing else accepts."""
+    eds = configparser.ConfigParser(inline_comment_prefixes=("#", ";"), interpolation=None, strict=True)
+    eds.optionxform = str
+    eds.read_string(text)
+    known = {"FileInfo": FILE_KEYS, "DeviceInfo": DEVICE_KEYS}
+    for name in eds.sections():
+        section, where = eds[name], "[%s]" % name
+        match = re.fullmatch("[0-9A-F]{4}(sub[0-9A-F]+)?", name)
+        if name in known:
+            expect(set(section) <= known[name], where, "keys %s" % sorted(set(section) - known[name]))
+        elif name == "DummyUsage":
+            for key, value in section.items():
+                expect(re.fullmatch("Dummy[0-9A-F]{4}", key) and value in "01", where, key)
+        elif match:
+            strange = set(section) - VAR_KEYS - {"SubNumber", "CompactSubObj"}
+            expect(not strange, where, "%s: put ';' before a key of our own" % ", ".join(sorted(strange)))
+            if "SubNumber" not in section and int(section["DataType"], 0) in BITS:
+                data_type = int(section["DataType"], 0)
+                low, value, high = (strict_number(section[key], data_type, where) if key in section else None
+                                    for key in ("LowLimit", "DefaultValue", "HighLimit"))
+                for a, b in ((low, value), (value, high)):
+                    expect(a is None or b is None or a <= b, where, "the default is beyond a limit")
+            elif "SubNumber" in section:
+                expect(name + "sub0" in eds and int(eds[name + "sub0"]["DataType"], 0) == 5, where, "sub-index 0 is no UNSIGNED8")
+            else:
+                expect("LowLimit" not in section and "HighLimit" not in section, where, "limits of a string")
+        else:
+            expect(name in LISTS + ("Comments",), where, "unknown section")
+
+
 def check_eds():
     raw = EDS.read_bytes()
     expect(raw.count(b"\r\n") == raw.count(b"\n"), EDS.name, "a line without CRLF")
@@ -90,7 +145,8 @@ def check_eds():
     expect(max(map(len, text.splitlines())) < 190, EDS.name, "a line of 190 characters or more")
     eds = configparser.RawConfigParser(inline_comment_prefixes=(";",), strict=True)
     eds.optionxform = str
-    eds.read_string(text)
+    check_strictly(text)
+    eds.read_string(with_own_keys(text))
     for section in eds.sections():
         for key, value in eds[section].items():
             expect(value.strip(), "[%s]" % section, "%s is empty" % key)
@@ -199,7 +255,7 @@ def check_dbc(entries):
         expect(start == 8 * int(messages[first_id + 0x100 * pdo][3]) <= 64, where, "length")
 
 
-def check_with_python_canopen(entries):
+def check_with_python_canopen():
     """Returns what was done about it, for the log."""
     try:
         import canopen
@@ -216,21 +272,45 @@ def check_with_python_canopen(entries):
     dictionary = canopen.import_od(str(EDS), node_id=1)
     for line in log:
         faults.append("python-canopen: " + line)
-    for (index, sub), entry in entries.items():
-        variable = dictionary[index]
-        variable = variable[sub] if hasattr(variable, "subindices") else variable
-        expect(variable.data_type == int(entry["DataType"], 0), "python-canopen", "type of %04X:%02X" % (index, sub))
-        expect(variable.unit == entry.get("Unit", ""), "python-canopen", "unit of %04X:%02X" % (index, sub))
+    plain = configparser.RawConfigParser(inline_comment_prefixes=(";",))
+    plain.optionxform = str
+    plain.read_string(EDS.read_text("ascii"))
+    for section in plain.sections():
+        match = re.fullmatch("([0-9A-F]{4})(?:sub([0-9A-F]+))?", section)
+        if match and "DataType" in plain[section]:
+            variable = dictionary[int(match[1], 16)]
+            variable = variable[int(match[2], 16)] if match[2] else variable
+            expect(variable.data_type == int(plain[section]["DataType"], 0), "python-canopen", "type of " + section)
     return "python-canopen agrees"
 
 
+def check_with_dcfchk():
+    if not shutil.which("dcfchk"):
+        return "dcfchk is not here: not asked"
+    done = subprocess.run(["dcfchk", "-n", "1", str(EDS)], capture_output=True, text=True)
+    for line in done.stderr.splitlines():
+        faults.append("dcfchk: " + line)
+    expect(done.returncode == 0, "dcfchk", "status %d" % done.returncode)
+    return "dcfchk agrees"
+
+
+def fix():
+    """Plain keys of our own become comments."""
+    text = EDS.read_bytes().decode("ascii")
+    start, end = text.index("[DummyUsage]"), text.index("[Comments]")
+    objects = re.sub(r"(?m)^(?=(?:%s)=)" % "|".join(OWN_KEYS), ";", text[start:end])
+    EDS.write_bytes((text[:start] + objects + text[end:]).encode("ascii"))
+
+
 def main():
+    if sys.argv[1:] == ["--fix"]:
+        fix()
     entries = check_eds()
     if DBC.exists():
         check_dbc(entries)
     else:
         faults.append("%s is missing: run make first" % DBC)
-    note = check_with_python_canopen(entries)
+    note = check_with_python_canopen() + "; " + check_with_dcfchk()
     for fault in faults:
         print(fault)
     print("%d entries checked, %d faults; %s" % (len(entries), len(faults), note))

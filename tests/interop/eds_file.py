@@ -4,6 +4,14 @@ import re
 import struct
 from dataclasses import dataclass
 
+OWN_KEYS = ("Unit", "Factor", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize", "Stored")
+
+
+def with_own_keys(text):
+    """The keys that our EDS keeps in comments (";Unit=m"), as keys."""
+    return re.sub(r"(?m)^;(?=(?:%s)=)" % "|".join(OWN_KEYS), "", text)
+
+
 # CiA 301 table 44: data type -> struct form
 FORMS = {
     0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d", 0x15: "q", 0x1B: "Q"}
@@ -75,7 +83,7 @@ def read(path, node_id):
     parser = configparser.ConfigParser(interpolation=None, delimiters=("=",), comment_prefixes=(";",), strict=True)
     parser.optionxform = str
     with open(path, newline=None, encoding="latin-1") as file:
-        parser.read_file(file)
+        parser.read_string(with_own_keys(file.read()))
     entries = {}
     for name in parser.sections():
         match = re.fullmatch(r"([0-9A-Fa-f]{4})(?:sub([0-9A-Fa-f]{1,2}))?", name)
