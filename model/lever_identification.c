@@ -22,8 +22,9 @@ static const double SETTLING_S = 0.3;
  * each. */
 static const double BRIDGED = 3, RATE_SHARE = 0.01;
 
-/* Refusals. An RMS of alpha x + omega x omega x along the weakest direction below BLIND_S2 could be the noise of a gyro
- * (0.03 deg/s/sqrt(Hz) below 8 Hz: 0.05); the slowest turn that tells r well is 20 degrees to and fro, once in two seconds. */
+/* Refusals. The RMS of alpha x + omega x omega x of a unit lever arm along the direction that the motion tells least of,
+ * absolute and as a share of the best one, and along the best one. The noise of a gyro alone (0.03 deg/s/sqrt(Hz), below
+ * 8 Hz) makes 0.05; slow movements by hand have 4 and more, quick ones 50. */
 static const double SLOW_S2 = 1, BLIND_S2 = 0.4, BLIND_SHARE = 0.05;
 /* What is left over of a held point, of an outside reference, and the share of the lever arm's own acceleration. */
 static const double HELD_M_S2 = 0.3, REFERENCE_M_S2 = 1, LEFT_SHARE = 0.1;
@@ -196,7 +197,7 @@ static void make_terms(const struct lever_identification *id, struct vec3 term[L
 		term[i] = quat_rotate(at->q, term[i]);
 }
 
-static void restart(struct lever_identification *id)
+void lever_identification_break(struct lever_identification *id)
 {
 	id->raw_count = id->settling = 0;
 	empty_window(id);
@@ -250,39 +251,43 @@ static void take(struct lever_identification *id, struct lever_raw raw)
 		gather(id, term);
 }
 
+/* The samples lost before this one, as a straight line; too many of them begin a new window. */
+static void bridge(struct lever_identification *id, const struct lever_raw *to, double interval_s)
+{
+	const double intervals = fmax(floor(interval_s * id->config.rate_hz + 0.5), 1);
+	const struct lever_raw from = id->raw[id->raw_count > 0 ? id->raw_count - 1 : 0];
+
+	if (!(interval_s > 0 && intervals <= 1 + BRIDGED))
+		lever_identification_break(id);
+	if (id->raw_count == 0)
+		return;
+	id->dt_s += RATE_SHARE * (interval_s / intervals - id->dt_s);
+	for (double k = 1; k < intervals; k++)
+		take(id, (struct lever_raw){
+				 .gyro_b_rad_s = between(from.gyro_b_rad_s, to->gyro_b_rad_s, k / intervals),
+				 .force_b_m_s2 = between(from.force_b_m_s2, to->force_b_m_s2, k / intervals),
+				 .ref_b_m_s2 = between(from.ref_b_m_s2, to->ref_b_m_s2, k / intervals),
+				 .q = QUAT_IDENTITY,
+			 });
+}
+
 void lever_identification_step(struct lever_identification *id, uint64_t t_us, struct vec3 gyro_b_rad_s,
 	struct vec3 force_b_m_s2, const struct vec3 *ref_b_m_s2)
 {
-	const bool wanted = id->config.reference;
 	const double interval_s = (double)(t_us - id->last_t_us) * 1e-6;
-	const double missing = floor(interval_s * id->config.rate_hz + 0.5) - 1;
+	const bool missing = id->config.reference && !ref_b_m_s2;
 	struct lever_raw raw = {.gyro_b_rad_s = gyro_b_rad_s, .force_b_m_s2 = force_b_m_s2, .q = QUAT_IDENTITY};
 
+	if (id->config.reference && ref_b_m_s2)
+		raw.ref_b_m_s2 = *ref_b_m_s2;
 	id->last_t_us = t_us;
 	id->samples++;
-	if (wanted && ref_b_m_s2)
-		raw.ref_b_m_s2 = *ref_b_m_s2;
-	if (wanted && !ref_b_m_s2)
-		id->without_reference++;
-	if ((wanted && !ref_b_m_s2) || !usable(gyro_b_rad_s) || !usable(force_b_m_s2) || !usable(raw.ref_b_m_s2)) {
-		restart(id);
+	id->without_reference += missing;
+	if (missing || !usable(gyro_b_rad_s) || !usable(force_b_m_s2) || !usable(raw.ref_b_m_s2)) {
+		lever_identification_break(id);
 		return;
 	}
-	if (!(missing >= 0 && missing <= BRIDGED))
-		restart(id);
-	if (id->raw_count > 0) {
-		const struct lever_raw last = id->raw[id->raw_count - 1];
-
-		id->dt_s += RATE_SHARE * (interval_s / (missing + 1) - id->dt_s);
-		for (double k = 1; k <= missing; k++) {
-			const double share = k / (missing + 1);
-
-			take(id, (struct lever_raw){.gyro_b_rad_s = between(last.gyro_b_rad_s, gyro_b_rad_s, share),
-					 .force_b_m_s2 = between(last.force_b_m_s2, force_b_m_s2, share),
-					 .ref_b_m_s2 = between(last.ref_b_m_s2, raw.ref_b_m_s2, share),
-					 .q = QUAT_IDENTITY});
-		}
-	}
+	bridge(id, &raw, interval_s);
 	take(id, raw);
 }
 
