@@ -12,9 +12,9 @@
 /* Values of a data sheet that near to the one asked for are it: 95 Hz for 100, 245 deg/s for 250. */
 #define NEARLY 0.94
 /* A chip may have so much less noise than its data sheet's typical figure. */
-#define LEAST_NOISE 0.5
+#define LEAST_NOISE 0.7
 /* Chance that noise alone repeats itself often enough to be taken for frozen data. */
-#define FROZEN_CHANCE 1e-13
+#define FROZEN_CHANCE 1e-9
 
 enum {
 	FIRST_BACKOFF_MS = 10,
@@ -625,7 +625,7 @@ static void watch_stream(struct board *b, struct stream *s)
 		return;
 	if (s->failures == 0 && t_ns - s->fresh_ns > STOPPED_MS * MS + 2 * period_ns)
 		stream_fail(b, s, IMU_FAULT_STOPPED);
-	else if (s->same >= s->same_limit && t_ns - s->same_ns >= FROZEN_MS * MS)
+	else if (s->saturated == 0 && s->same >= s->same_limit && t_ns - s->same_ns >= FROZEN_MS * MS)
 		stream_fail(b, s, IMU_FAULT_FROZEN);
 	else if (s->saturated >= 4 && t_ns - s->saturated_ns >= SATURATED_MS * MS)
 		stream_fail(b, s, IMU_FAULT_SATURATED);

@@ -97,7 +97,7 @@ static void mag_registers(const struct chip_setup *setup, struct chip_registers 
 	chip_put(out, 0x02, 0x00); /* continuous */
 }
 
-#define LSM303_MAG(chip_name, at, who, size, field, y, z)                                                 \
+#define LSM303_MAG(chip_name, at, who, size, field, noise, y, z)                                          \
 	{                                                                                                 \
 		.name = (chip_name), .addresses = {0x1E}, .identity_at = (at), .identity = who,           \
 		.identity_size = (size), .big_endian = true, .status = 0x09, .ready = 0x01, .data = 0x03, \
@@ -105,7 +105,7 @@ static void mag_registers(const struct chip_setup *setup, struct chip_registers 
 		.triads = {{.what = IMU_CHIP_MAG,                                                         \
 			.ranges = (field),                                                                \
 			.order = {0, y, z},                                                               \
-			.density = 0.02,                                                                  \
+			.density = (noise),                                                               \
 			.overflow = -4096}},                                                              \
 		.triad_count = 1, .registers = mag_registers                                              \
 	}
@@ -119,9 +119,9 @@ static void mag_registers(const struct chip_setup *setup, struct chip_registers 
 	}
 
 /* Words stand as x, y, z on the DLH and as x, z, y on its successors. */
-const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH_FIELD, 1, 2);
-const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 2, 1);
-const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 2, 1);
+const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH_FIELD, 0.1, 1, 2);
+const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 0.02, 2, 1);
+const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 0.02, 2, 1);
 
 /* ---- LSM303D: one address, 16 bits; two oscillators' worth of samples --------------------------------------------- */
 

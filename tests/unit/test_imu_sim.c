@@ -3,6 +3,7 @@
 #include <setjmp.h>
 #include <stdint.h>
 #include <cmocka.h>
+#include <errno.h>
 #include <poll.h>
 #include <string.h>
 #include <time.h>
@@ -102,12 +103,68 @@ static void test_an_unknown_scenario_or_option_is_refused_with_what_can(void **s
 	}
 }
 
+static void test_other_settings_are_taken_while_it_runs(void **state)
+{
+	struct imu_port *port = opened("sim:rest");
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	struct imu_sample sample;
+	uint64_t last_us = 0;
+	char error[160];
+
+	(void)state;
+	wait_and_read(port, &sample);
+	settings.rate_hz = 400;
+	assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof error), 0);
+	assert_true(port->rate_hz == 400);
+	for (int i = 0; i < 60; i++) {
+		last_us = sample.t_us;
+		wait_and_read(port, &sample);
+	}
+	assert_in_range(sample.t_us - last_us, 2300, 2700);
+	imu_close(port);
+}
+
+static void test_settings_that_cannot_be_are_refused_and_the_old_ones_stay(void **state)
+{
+	struct imu_port *port = opened("sim:rest,board=v2");
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	struct imu_sample sample;
+	char error[160];
+
+	(void)state;
+	settings.accel_range_g = 32;
+	assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof error), -EINVAL);
+	assert_string_equal(error, "accelerometer range 32 g: the LSM303DLHC goes to 16");
+	wait_and_read(port, &sample);
+	settings = (struct imu_settings)IMU_SETTINGS_DEFAULTS;
+	settings.rate_hz = 700;
+	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof error), 0);
+	assert_true(port->rate_hz == 95); /* only asked whether it could */
+	imu_close(port);
+}
+
+static void test_a_self_test_on_command_tells_its_result(void **state)
+{
+	struct imu_port *port = opened("sim:rest");
+	struct imu_sample sample;
+
+	(void)state;
+	port->ops->self_test(port);
+	for (int i = 0; i < 400 && port->health.self_test == 0; i++)
+		wait_and_read(port, &sample);
+	assert_int_equal(port->health.self_test, 3);
+	imu_close(port);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_default_is_the_robot_on_the_square_at_100_hz),
 		cmocka_unit_test(test_samples_come_in_real_time_at_the_rate_asked_for),
 		cmocka_unit_test(test_at_rest_the_sensor_shows_g_and_its_noise),
+		cmocka_unit_test(test_other_settings_are_taken_while_it_runs),
+		cmocka_unit_test(test_settings_that_cannot_be_are_refused_and_the_old_ones_stay),
+		cmocka_unit_test(test_a_self_test_on_command_tells_its_result),
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_can),
 	};
 

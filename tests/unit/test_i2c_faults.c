@@ -1,0 +1,417 @@
+/* Faults of the simulated chips and of the bus: each is found within 100 ms, told as what it is, and is over when the
+ * chip is well again. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+#include <errno.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "tests/unit/i2c_world.h"
+
+static const char *const BOARDS[] = {"v0", "v1", "v2", "v3", "v5", "v6"};
+enum { BOARD_COUNT = 6, FOUND_US = 100000, WELL_US = 3000000 };
+
+/* Runs a second, so that everything is settled. */
+static struct world *settled(const char *board)
+{
+	struct world *w = world_new(board, "square", false);
+
+	world_run(w, 1000000);
+	assert_int_equal(w->board.health.fault, 0);
+	assert_int_equal(w->board.health.degraded, 0);
+	return w;
+}
+
+/* The chip that answers for a triad: the accelerometer of an LSM6 is told as the gyro, its chip. */
+static enum imu_chip told_as(const struct world *w, enum imu_chip chip)
+{
+	return chip == IMU_CHIP_ACCEL && w->board.accel == w->board.gyro ? IMU_CHIP_GYRO : chip;
+}
+
+typedef void fault_of_chip(struct sim_board *, enum imu_chip, bool);
+
+static void assert_found_and_over(fault_of_chip *put, enum imu_fault fault)
+{
+	for (int i = 0; i < BOARD_COUNT; i++)
+		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
+			struct world *w = settled(BOARDS[i]);
+			int64_t us;
+
+			put(w->sim, chip, true);
+			us = world_until_fault(w, fault, told_as(w, chip), 2 * FOUND_US);
+			if (us < 0 || us > FOUND_US)
+				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
+			world_run(w, 500000);
+			assert_true(w->board.health.fault || w->board.health.degraded); /* still */
+			put(w->sim, chip, false);
+			assert_true(world_until_well(w, WELL_US) >= 0);
+			world_free(w);
+		}
+}
+
+static void test_a_chip_that_does_not_answer_is_found_and_comes_back(void **state)
+{
+	(void)state;
+	assert_found_and_over(sim_board_silence, IMU_FAULT_SILENT);
+}
+
+static void test_a_chip_that_measures_nothing_new_is_found_and_comes_back(void **state)
+{
+	struct world *w;
+
+	(void)state;
+	/* not the triads of an LSM6: they stop together */
+	for (int i = 0; i < 4; i++)
+		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
+			w = settled(BOARDS[i]);
+			sim_board_stop(w->sim, chip, true);
+			assert_in_range(world_until_fault(w, IMU_FAULT_STOPPED, chip, 2 * FOUND_US), 1, FOUND_US);
+			sim_board_stop(w->sim, chip, false);
+			assert_true(world_until_well(w, WELL_US) >= 0);
+			world_free(w);
+		}
+}
+
+static void test_frozen_data_are_found_and_over_with_the_first_other_value(void **state)
+{
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++)
+		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
+			struct world *w = settled(BOARDS[i]);
+			int64_t us;
+
+			sim_board_freeze(w->sim, chip, true);
+			if (w->board.accel == w->board.gyro) /* one chip: both freeze */
+				sim_board_freeze(w->sim, chip == IMU_CHIP_GYRO ? IMU_CHIP_ACCEL : IMU_CHIP_GYRO, true);
+			us = world_until_fault(w, IMU_FAULT_FROZEN,
+				w->board.accel == w->board.gyro && chip == IMU_CHIP_MAG ? IMU_CHIP_MAG
+											: told_as(w, chip),
+				2 * FOUND_US);
+			if (us < 0 || us > FOUND_US)
+				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
+			world_run(w, 1000000);
+			assert_true(w->board.health.fault || w->board.health.degraded);
+			for (enum imu_chip all = IMU_CHIP_GYRO; all <= IMU_CHIP_MAG; all++)
+				sim_board_freeze(w->sim, all, false);
+			assert_true(world_until_well(w, WELL_US) >= 0);
+			world_free(w);
+		}
+}
+
+static void test_saturated_data_are_found_and_over_with_the_first_good_value(void **state)
+{
+	(void)state;
+	assert_found_and_over(sim_board_saturate, IMU_FAULT_SATURATED);
+}
+
+static void test_a_short_saturation_is_only_flagged(void **state)
+{
+	struct world *w = settled("v3");
+	struct imu_sample sample;
+	int flagged = 0;
+
+	(void)state;
+	sim_board_saturate(w->sim, IMU_CHIP_GYRO, true);
+	for (int i = 0; i < 4; i++) {
+		assert_true(world_sample(w, &sample, 100000));
+		flagged += (sample.flags & SAMPLE_SATURATED) != 0;
+	}
+	assert_true(flagged >= 2);
+	sim_board_saturate(w->sim, IMU_CHIP_GYRO, false);
+	world_run(w, 200000);
+	assert_int_equal(w->board.health.restarts, 0);
+	assert_true(world_sample(w, &sample, 100000));
+	assert_false(sample.flags & SAMPLE_SATURATED);
+	world_free(w);
+}
+
+static void test_a_brown_out_is_found_and_the_chip_set_up_anew(void **state)
+{
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++)
+		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
+			struct world *w = settled(BOARDS[i]);
+			struct imu_sample sample;
+			int64_t us;
+
+			sim_board_brown_out(w->sim, chip);
+			us = world_until_fault(w, IMU_FAULT_CONFIGURATION, told_as(w, chip), 2 * FOUND_US);
+			if (us < 0 || us > FOUND_US)
+				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
+			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_sample(w, &sample, 200000));
+			assert_true(w->board.health.restarts > 0);
+			world_free(w);
+		}
+}
+
+static void other_gyro(struct world *w, const struct sim_access *access)
+{
+	if (!access->write && access->sub == 0x0F && access->address == sim_board_address(w->sim, IMU_CHIP_GYRO))
+		access->bytes[0] = 0xD4;
+}
+
+static void test_another_chip_in_its_place_is_not_taken(void **state)
+{
+	struct world *w = settled("v3");
+
+	(void)state;
+	w->after = other_gyro;
+	sim_board_brown_out(w->sim, IMU_CHIP_GYRO);
+	world_run(w, 2000000);
+	assert_int_equal(w->board.health.fault_chip, IMU_CHIP_GYRO);
+	assert_int_equal(w->board.gyro->state, STREAM_DOWN);
+	w->after = NULL;
+	assert_true(world_until_well(w, WELL_US) >= 0);
+	world_free(w);
+}
+
+static void test_without_its_magnetometer_the_sensor_goes_on_without_gyro_it_does_not(void **state)
+{
+	struct world *w = settled("v3");
+	struct imu_sample sample;
+
+	(void)state;
+	sim_board_stop(w->sim, IMU_CHIP_MAG, true);
+	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_MAG, FOUND_US) > 0);
+	for (int i = 0; i < 20; i++) {
+		assert_true(world_sample(w, &sample, 50000));
+		assert_false(sample.flags & SAMPLE_MAG);
+	}
+	sim_board_stop(w->sim, IMU_CHIP_GYRO, true);
+	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, FOUND_US) > 0);
+	assert_false(world_sample(w, &sample, 500000));
+	world_free(w);
+}
+
+static int count_starts(struct world *w, const struct sim_access *access)
+{
+	if (access->sub != 0x0F || access->write)
+		return 0;
+	w->fault_count++;
+	return -EIO;
+}
+
+static void test_a_dead_chip_is_tried_again_less_and_less_often_but_every_second(void **state)
+{
+	struct world *w = settled("v3");
+	unsigned long first_second, later;
+
+	(void)state;
+	sim_board_stop(w->sim, IMU_CHIP_GYRO, true);
+	world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, FOUND_US);
+	w->before = count_starts;
+	world_run(w, 1000000);
+	first_second = w->fault_count;
+	assert_in_range(first_second, 5, 8); /* after 10, 20, 40 .. 640 ms */
+	world_run(w, 10000000);
+	later = w->fault_count - first_second;
+	assert_in_range(later, 9, 12);
+	world_free(w);
+}
+
+static int every_tenth(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	return access->number % 10 == 0 ? -EIO : 0;
+}
+
+static void test_a_tenth_of_all_transfers_may_fail(void **state)
+{
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = settled(BOARDS[i]);
+		struct imu_sample sample;
+
+		w->before = every_tenth;
+		for (int n = 0; n < 500; n++)
+			assert_true(world_sample(w, &sample, 150000));
+		assert_int_equal(w->board.health.fault, 0);
+		assert_true(w->board.health.bus_errors > 100);
+		world_free(w);
+	}
+}
+
+/* ---- every access of the start and of the first reads, one run each ------------------------------------------------ */
+
+enum { FOR_EVER = 1000000 };
+
+static bool hit(const struct world *w, const struct sim_access *access)
+{
+	return access->number >= w->fault_at && access->number < w->fault_at + w->fault_count;
+}
+
+static int fails(struct world *w, const struct sim_access *access)
+{
+	return hit(w, access) ? -EREMOTEIO : 0;
+}
+
+static int write_is_lost(struct world *w, const struct sim_access *access)
+{
+	return access->write && hit(w, access) ? 1 : 0;
+}
+
+static void inverted(struct world *w, const struct sim_access *access)
+{
+	for (size_t i = 0; i < access->n && !access->write && hit(w, access); i++)
+		access->bytes[i] = (uint8_t)~access->bytes[i];
+}
+
+static void all_ones(struct world *w, const struct sim_access *access)
+{
+	if (!access->write && hit(w, access))
+		memset(access->bytes, 0xFF, access->n);
+}
+
+static void all_zeroes(struct world *w, const struct sim_access *access)
+{
+	if (!access->write && hit(w, access))
+		memset(access->bytes, 0x00, access->n);
+}
+
+/* Detects and sets up with the fault of that access; false: refused, with a reason. */
+static bool begun(struct world *w)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	const struct board_clock clock = w->board.clock;
+	char why[200] = "";
+
+	if (board_detect(&w->board, w->bus, &clock, why, sizeof why) < 0) {
+		assert_true(why[0] != '\0');
+		return false;
+	}
+	world_set_up(w, &settings, true);
+	return true;
+}
+
+static struct world *with_fault(const char *board, unsigned long at, unsigned long count,
+	int (*before)(struct world *, const struct sim_access *),
+	void (*after)(struct world *, const struct sim_access *))
+{
+	struct world *w = world_make(board, "square", false);
+
+	world_detect(w); /* for its clock */
+	w->fault_at = at + w->accesses;
+	w->fault_count = count;
+	w->before = before;
+	w->after = after;
+	return w;
+}
+
+/* One disturbed access: whatever it brings about, it is over within a second, and samples come. */
+static void assert_one_is_overcome(int (*before)(struct world *, const struct sim_access *),
+	void (*after)(struct world *, const struct sim_access *))
+{
+	for (int i = 0; i < BOARD_COUNT; i++)
+		for (unsigned long at = 0; at < 120; at++) {
+			struct world *w = with_fault(BOARDS[i], at, 1, before, after);
+			struct imu_sample sample;
+
+			if (begun(w) || begun(w)) {
+				world_run(w, 1000000);
+				if (w->board.health.fault || w->board.health.degraded ||
+					!world_sample(w, &sample, 200000))
+					fail_msg("%s, access %lu: fault %d of %d, degraded %d", BOARDS[i], at,
+						w->board.health.fault, w->board.health.fault_chip,
+						w->board.health.degraded);
+			}
+			world_free(w);
+		}
+}
+
+/* From that access on for ever: within 100 ms there is a fault, or there was no start; and when it ends, so does it. */
+static void assert_all_from_there_are_found(int (*before)(struct world *, const struct sim_access *),
+	void (*after)(struct world *, const struct sim_access *))
+{
+	for (int i = 0; i < BOARD_COUNT; i++)
+		for (unsigned long at = 0; at < 120; at++) {
+			struct world *w = with_fault(BOARDS[i], at, FOR_EVER, before, after);
+			struct imu_sample sample;
+			bool faulty;
+
+			if (begun(w)) {
+				while (w->accesses < w->fault_at)
+					world_run(w, 1000);
+				world_run(w, FOUND_US);
+				faulty = w->board.health.fault || w->board.health.degraded;
+				if (!faulty)
+					fail_msg("%s, from access %lu on: no fault after 100 ms", BOARDS[i], at);
+			}
+			w->before = NULL;
+			w->after = NULL;
+			assert_true(w->board.gyro && w->board.mag ? true : begun(w));
+			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_sample(w, &sample, 300000));
+			world_free(w);
+		}
+}
+
+static void test_one_failed_transfer_anywhere_is_overcome(void **state)
+{
+	(void)state;
+	assert_one_is_overcome(fails, NULL);
+}
+
+static void test_one_transfer_with_wrong_data_anywhere_is_overcome(void **state)
+{
+	(void)state;
+	assert_one_is_overcome(NULL, inverted);
+}
+
+static void test_one_lost_write_anywhere_is_overcome(void **state)
+{
+	(void)state;
+	assert_one_is_overcome(write_is_lost, NULL);
+}
+
+static void test_a_bus_that_fails_from_any_access_on_is_found(void **state)
+{
+	(void)state;
+	assert_all_from_there_are_found(fails, NULL);
+}
+
+static void test_a_bus_stuck_at_one_from_any_access_on_is_found(void **state)
+{
+	(void)state;
+	assert_all_from_there_are_found(NULL, all_ones);
+}
+
+static void test_a_bus_stuck_at_zero_from_any_access_on_is_found(void **state)
+{
+	(void)state;
+	assert_all_from_there_are_found(NULL, all_zeroes);
+}
+
+static void test_wrong_data_from_any_access_on_are_found(void **state)
+{
+	(void)state;
+	assert_all_from_there_are_found(NULL, inverted);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_chip_that_does_not_answer_is_found_and_comes_back),
+		cmocka_unit_test(test_a_chip_that_measures_nothing_new_is_found_and_comes_back),
+		cmocka_unit_test(test_frozen_data_are_found_and_over_with_the_first_other_value),
+		cmocka_unit_test(test_saturated_data_are_found_and_over_with_the_first_good_value),
+		cmocka_unit_test(test_a_short_saturation_is_only_flagged),
+		cmocka_unit_test(test_a_brown_out_is_found_and_the_chip_set_up_anew),
+		cmocka_unit_test(test_another_chip_in_its_place_is_not_taken),
+		cmocka_unit_test(test_without_its_magnetometer_the_sensor_goes_on_without_gyro_it_does_not),
+		cmocka_unit_test(test_a_dead_chip_is_tried_again_less_and_less_often_but_every_second),
+		cmocka_unit_test(test_a_tenth_of_all_transfers_may_fail),
+		cmocka_unit_test(test_one_failed_transfer_anywhere_is_overcome),
+		cmocka_unit_test(test_one_transfer_with_wrong_data_anywhere_is_overcome),
+		cmocka_unit_test(test_one_lost_write_anywhere_is_overcome),
+		cmocka_unit_test(test_a_bus_that_fails_from_any_access_on_is_found),
+		cmocka_unit_test(test_a_bus_stuck_at_one_from_any_access_on_is_found),
+		cmocka_unit_test(test_a_bus_stuck_at_zero_from_any_access_on_is_found),
+		cmocka_unit_test(test_wrong_data_from_any_access_on_are_found),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
