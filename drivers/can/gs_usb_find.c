@@ -18,14 +18,11 @@ static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 	int fd = openat(dir, file, O_RDONLY | O_CLOEXEC);
 	ssize_t n = fd < 0 ? -1 : read(fd, out, GS_USB_TEXT - 1);
 
-	out[0] = '\0';
 	if (fd >= 0)
 		close(fd);
-	if (n < 0)
-		return false;
-	out[n] = '\0';
+	out[n > 0 ? n : 0] = '\0';
 	out[strcspn(out, "\n")] = '\0';
-	return true;
+	return n >= 0;
 }
 
 static bool is_known(const char *vendor, const char *product)
