@@ -19,7 +19,9 @@ struct scene {
 	double delay_s; /* of the reference */
 	int hold;	/* samples that one value of the reference lasts */
 	struct vec3 gyro_bias_rad_s, accel_bias_m_s2;
-	int every_lost; /* each n-th sample does not come */
+	double nominal_hz; /* what the driver believes the rate to be; 0: it is right */
+	int pause_each;	   /* the sensor is silent for the second half of each so many samples */
+	int every_lost;	   /* each n-th sample does not come */
 	uint64_t seed;
 };
 
@@ -111,10 +113,11 @@ static struct sensor sensor_of(const struct scene *s)
 	return sensor;
 }
 
+static struct lever_identification id;
+
 static struct lever_estimate identify(const struct scene *s)
 {
-	static struct lever_identification id;
-	const struct lever_identification_config config = {.rate_hz = s->rate_hz,
+	const struct lever_identification_config config = {.rate_hz = s->nominal_hz > 0 ? s->nominal_hz : s->rate_hz,
 		.duration_s = 30,
 		.reference = s->reference,
 		.estimate_delay = s->estimate_delay};
@@ -133,6 +136,8 @@ static struct lever_estimate identify(const struct scene *s)
 		if (k % s->hold == 0)
 			ref = reference_at(s, t_s - s->delay_s);
 		if (s->every_lost && k % s->every_lost == 0)
+			continue;
+		if (s->pause_each && k % s->pause_each > s->pause_each / 2)
 			continue;
 		lever_identification_step(&id, sample.t_us, vec3_add(sample.gyro_rad_s, s->gyro_bias_rad_s),
 			vec3_add(sample.accel_m_s2, s->accel_bias_m_s2), s->reference ? &ref : NULL);
@@ -188,6 +193,40 @@ static void test_biases_and_lost_samples_hardly_matter(void **state)
 	assert_found(&e, ARM, 0.001);
 }
 
+static void test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_acceleration(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	struct lever_estimate without = identify(&s);
+	s.gyro_bias_rad_s = (struct vec3){1 * DEG, -1 * DEG, 1 * DEG};
+	struct lever_estimate with = identify(&s);
+	assert_found(&with, ARM, 0.001);
+	assert_true(with.residual_m_s2 < 2 * without.residual_m_s2);
+}
+
+static void test_pauses_of_the_sensor_part_the_motion_and_do_no_harm(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.pause_each = 700; /* 3.5 s, and a pause as long */
+	s.seconds = 60;
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
+static void test_a_rate_that_is_not_the_nominal_one_is_followed(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.rate_hz = 104;
+	s.nominal_hz = 100;
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
 static void test_no_lever_arm_is_found_to_be_none(void **state)
 {
 	struct scene s = BY_HAND;
@@ -225,6 +264,18 @@ static void test_a_late_or_early_reference_is_found_out(void **state)
 		assert_near(
 			e.delay_s, delays_s[i] - 1 / (2 * PI * 50), 0.001); /* the sensor's own bandwidth lags, too */
 	}
+}
+
+static void test_a_reference_of_a_quick_movement_may_be_15_ms_late(void **state)
+{
+	struct scene s = with_reference(0.015);
+
+	(void)state;
+	s.travel_m = (struct vec3){0.02, 0.02, 0.02};
+	s.travel_hz = (struct vec3){3.1, 3.7, 4.3};
+	struct lever_estimate e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+	assert_true(e.residual_m_s2 < 0.15); /* of accelerations up to 15 m/s^2: to the second order of the delay */
 }
 
 static void test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz(void **state)
@@ -350,7 +401,6 @@ static void test_too_little_motion_is_too_short(void **state)
 
 static void test_a_reference_that_does_not_come_is_told(void **state)
 {
-	static struct lever_identification id;
 	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30, .reference = true};
 
 	(void)state;
@@ -362,7 +412,6 @@ static void test_a_reference_that_does_not_come_is_told(void **state)
 
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
-	static struct lever_identification id;
 	struct lever_identification_config config = {.rate_hz = 20, .duration_s = 30};
 
 	(void)state;
@@ -375,7 +424,6 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 
 static void test_whatever_comes_the_estimate_stays_finite(void **state)
 {
-	static struct lever_identification id;
 	const struct lever_identification_config config = {
 		.rate_hz = 100, .duration_s = 30, .reference = true, .estimate_delay = true};
 	const double odd[] = {NAN, INFINITY, -INFINITY, 1e300, 0, 1e4};
@@ -412,6 +460,10 @@ static void test_hours_need_no_more_memory_and_the_estimate_only_gets_better(voi
 	assert_found(&e, ARM, 0.001);
 	assert_true(e.noise_sigma_b_m.x < first.noise_sigma_b_m.x && e.noise_sigma_b_m.z < first.noise_sigma_b_m.z);
 	assert_int_equal(e.progress_percent, 100);
+	for (int b = 0; b < id.blocks - 1; b++)
+		assert_near(id.block[b].samples, id.windows_per_block * id.window_size, 0);
+	assert_near(id.block[id.blocks - 1].samples, id.last_block_windows * id.window_size, 0);
+	assert_int_equal((id.blocks - 1) * id.windows_per_block + id.last_block_windows, id.windows);
 }
 
 int main(void)
@@ -421,10 +473,14 @@ int main(void)
 			test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_the_reference_point_is_held),
 		cmocka_unit_test(test_it_is_found_at_every_usual_rate),
 		cmocka_unit_test(test_biases_and_lost_samples_hardly_matter),
+		cmocka_unit_test(test_a_rate_that_is_not_the_nominal_one_is_followed),
+		cmocka_unit_test(test_pauses_of_the_sensor_part_the_motion_and_do_no_harm),
+		cmocka_unit_test(test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_acceleration),
 		cmocka_unit_test(test_no_lever_arm_is_found_to_be_none),
 		cmocka_unit_test(
 			test_it_is_found_within_a_hundredth_while_the_reference_point_moves_as_told_from_outside),
 		cmocka_unit_test(test_a_late_or_early_reference_is_found_out),
+		cmocka_unit_test(test_a_reference_of_a_quick_movement_may_be_15_ms_late),
 		cmocka_unit_test(test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz),
 		cmocka_unit_test(test_a_delay_that_is_not_to_be_estimated_widens_sigma_by_what_it_would_change),
 		cmocka_unit_test(
