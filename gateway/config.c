@@ -62,6 +62,10 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 		return set_text(c->can, key, value, error);
 	if (strcmp(key, "store") == 0)
 		return set_text(c->store, key, value, error);
+	if (strcmp(key, "run_led") == 0)
+		return set_text(c->run_led, key, value, error);
+	if (strcmp(key, "error_led") == 0)
+		return set_text(c->error_led, key, value, error);
 	if (strcmp(key, "node_id") == 0)
 		return set_node_id(&c->node_id, key, value, error);
 	if (strcmp(key, "bitrate") == 0)
@@ -69,7 +73,7 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 	if (strcmp(key, "realtime") == 0)
 		return set_number(&c->realtime, key, value, 0, 99, error);
 	snprintf(error, CONFIG_ERROR_MAX,
-		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store and realtime are "
+		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store, realtime, run_led and error_led are "
 		"known",
 		key);
 	return -ENOENT;

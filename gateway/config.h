@@ -3,7 +3,7 @@
  * by the device).
  *
  * FILE is INI: a section [gateway] with the process's own keys (imu, can, node_id, bitrate, store,
- * realtime), and every object of the dictionary by its EDS name, as `lever_arm.l = 0.05` before any
+ * realtime, run_led, error_led), and every object of the dictionary by its EDS name, as `lever_arm.l = 0.05` before any
  * section or `l = 0.05` in [lever_arm]. Anything unknown is an error that names file:line. */
 #ifndef GATEWAY_CONFIG_H
 #define GATEWAY_CONFIG_H
@@ -18,10 +18,11 @@ enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 256 }
 struct config {
 	char imu[CONFIG_TEXT_MAX];
 	char can[CONFIG_TEXT_MAX];
-	char store[CONFIG_TEXT_MAX]; /* folder; empty: the default one */
-	unsigned node_id;	     /* 255: waits for one by LSS */
-	unsigned bitrate;	     /* bit/s; 0: as the interface is */
-	unsigned realtime;	     /* SCHED_FIFO priority; 0: ordinary scheduling */
+	char store[CONFIG_TEXT_MAX];				   /* folder; empty: the default one */
+	char run_led[CONFIG_TEXT_MAX], error_led[CONFIG_TEXT_MAX]; /* under /sys/class/leds; empty: none */
+	unsigned node_id;					   /* 255: waits for one by LSS */
+	unsigned bitrate;					   /* bit/s; 0: as the interface is */
+	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

@@ -233,6 +233,19 @@ static void on_set_bit_rate(void *ctx, uint32_t bit_s)
 	bus_health_set_bit_rate(&((struct device *)ctx)->bus_health, bit_s);
 }
 
+static void on_time(void *ctx, uint16_t day, uint32_t ms, uint64_t t_us)
+{
+	utc_time(&((struct device *)ctx)->utc, day, ms, t_us);
+}
+
+static void on_collision(void *ctx, uint32_t id)
+{
+	struct device *d = ctx;
+
+	event_log_line(&d->log, d->now_us, "another node sends with %03Xh, which is ours: is node-ID %u given twice?",
+		id, d->canopen.id);
+}
+
 static double change_threshold(void *ctx, const struct od_entry *entry)
 {
 	return threshold_of(&((struct device *)ctx)->values, entry);
@@ -313,7 +326,9 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 		.error_changed = on_error_changed,
 		.store_lss = storage ? on_store_lss : NULL,
 		.bit_rate_possible = on_bit_rate_possible,
-		.set_bit_rate = on_set_bit_rate};
+		.set_bit_rate = on_set_bit_rate,
+		.time = on_time,
+		.collision = on_collision};
 
 	d->bus = bus;
 	d->imu = imu;
@@ -331,6 +346,8 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 		return rc;
 	attach_hooks(d);
 	bus_health_init(&d->bus_health, bus, &d->canopen, &d->od, &d->log);
+	leds_init(&d->leds, &d->values, &d->canopen, bus);
+	utc_init(&d->utc, &d->values, &d->canopen);
 	return canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
 }
 
@@ -415,6 +432,8 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	calibrating_sample(&d->calibrating, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
 	publish_sample(&d->values, &out, counter);
+	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)
+		d->values.sample.status |= STATUS_UTC;
 	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);
 	d->values.sample.status |= (uint16_t)calibrating_status(&d->calibrating);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
@@ -432,6 +451,16 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 	canopen_receive(&d->canopen, msg, now_us);
 }
 
+void device_host_clock(struct device *d, bool synchronised, int64_t offset_us)
+{
+	utc_host_clock(&d->utc, synchronised, offset_us);
+}
+
+static uint64_t earlier(uint64_t a, uint64_t b)
+{
+	return a < b ? a : b;
+}
+
 uint64_t device_tick(struct device *d, uint64_t now_us)
 {
 	d->now_us = now_us;
@@ -440,8 +469,9 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	sensor_watch_tick(&d->sensor_watch, now_us);
 
 	uint64_t next = bus_health_tick(&d->bus_health, now_us);
-	uint64_t protocol = canopen_tick(&d->canopen, now_us);
-	next = protocol < next ? protocol : next;
+	next = earlier(next, utc_tick(&d->utc, now_us));
+	next = earlier(next, canopen_tick(&d->canopen, now_us));
+	next = earlier(next, leds_tick(&d->leds, now_us));
 	uint64_t silent = d->last_sample_us + d->imu->silence_us;
 	return d->sensor_lost || next < silent ? next : silent;
 }

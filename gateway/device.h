@@ -14,6 +14,8 @@
 #include "drivers/ports/imu.h"
 #include "gateway/aids.h"
 #include "gateway/bus_health.h"
+#include "gateway/led.h"
+#include "gateway/utc.h"
 #include "gateway/canopen/node.h"
 #include "gateway/calibrating.h"
 #include "gateway/commissioning.h"
@@ -48,6 +50,8 @@ struct device {
 	struct sensor_watch sensor_watch;
 	struct canopen_node canopen;
 	struct bus_health bus_health;
+	struct leds leds;
+	struct utc utc;
 	struct can_port *bus;
 	struct imu_port *imu;
 	struct od_hook configuration_hook, command_hook, resolution_hook, preset_hook;
@@ -74,6 +78,8 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
  * ended). */
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us);
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us);
+/** What the host's clock is ahead of `now_us`'s, and whether it is synchronised. To be told once a second. */
+void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);
 void device_saved(struct device *d, int result, uint64_t now_us);
 /** Time-driven work. Returns when to call again at the latest. */
 uint64_t device_tick(struct device *d, uint64_t now_us);

@@ -5,6 +5,7 @@
 #include <sys/epoll.h>
 #include <sys/signalfd.h>
 #include <sys/timerfd.h>
+#include <sys/timex.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -25,6 +26,7 @@ struct loop {
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
+	uint64_t clock_us; /* when the host's clock was looked at last */
 	bool quit;
 };
 
@@ -148,12 +150,27 @@ static void arm(struct loop *l, uint64_t deadline_us)
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
+/* Once a second at most. Whether something (an NTP or PTP daemon) keeps the host's clock, the kernel knows. */
+static void look_at_clock(struct loop *l, uint64_t now_us)
+{
+	struct timex timex = {0};
+	struct timespec t;
+
+	if (l->clock_us && now_us - l->clock_us < 1000000)
+		return;
+	l->clock_us = now_us;
+	bool synchronised = adjtimex(&timex) >= 0 && (timex.status & STA_UNSYNC) == 0;
+	clock_gettime(CLOCK_REALTIME, &t);
+	device_host_clock(l->device, synchronised, (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)now());
+}
+
 static void wake(struct loop *l)
 {
 	struct epoll_event events[SOURCE_COUNT];
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, -1);
 	uint64_t now_us = now();
 
+	look_at_clock(l, now_us);
 	for (int i = 0; i < n; i++)
 		on_event(l, (enum source)events[i].data.u32, now_us);
 	uint64_t next_us = device_tick(l->device, now_us);

@@ -33,6 +33,7 @@ static const char usage[] =
 	"      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
+	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
 	"Precedence: defaults < FILE < command line < what 1010h and LSS stored.\n"
@@ -49,6 +50,8 @@ static const struct option options[] = {
 	{"set", required_argument, NULL, OPT_SET},
 	{"store", required_argument, NULL, OPT_KEY},
 	{"realtime", required_argument, NULL, OPT_KEY},
+	{"run-led", required_argument, NULL, OPT_KEY},
+	{"error-led", required_argument, NULL, OPT_KEY},
 	{"help", no_argument, NULL, OPT_HELP},
 	{"version", no_argument, NULL, OPT_VERSION},
 	{0},
@@ -272,6 +275,15 @@ static void start_bit_rate(const struct config *config, struct can_port *bus)
 			rc == -EOPNOTSUPP ? "the controller has no such bit rate" : strerror(-rc));
 }
 
+static void open_leds(const struct config *config)
+{
+	const char *name;
+	int rc = leds_open(&device.leds, "/sys/class/leds", config->run_led, config->error_led, &name);
+
+	if (rc < 0)
+		log_line("/sys/class/leds/%s/brightness: %s: this LED is not used", name, strerror(-rc));
+}
+
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
 {
 	struct device_storage storage = {.ctx = &writer, .save = save_through_writer};
@@ -291,10 +303,12 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		log_line("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
 		log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
+		open_leds(config);
 		go_realtime(config->realtime);
 		rc = loop_run(&device, bus, imu, store, damaged);
 		if (rc < 0)
 			log_line("cannot run: %s", strerror(-rc));
+		leds_close(&device.leds);
 	}
 	if (store)
 		store_writer_close(store);

@@ -10,6 +10,7 @@ enum {
 	STATUS_SENSOR_FAULT = 1 << 10,	/* a chip has a fault (2124h), or a value stands at the end of its range */
 	STATUS_EXTERNAL_AID = 1 << 11,	/* velocity, yaw or standstill from outside took part in the last second */
 	STATUS_COMMISSIONING = 1 << 12, /* an identification (2060h) or a calibration (2061h) runs */
+	STATUS_UTC = 1 << 13,		/* 2117h is the time of the sample */
 };
 
 enum {

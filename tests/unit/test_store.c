@@ -15,7 +15,7 @@
 
 #include "gateway/store.h"
 
-static char folder[64], path[128], bad_path[160], new_path[160];
+static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
 
 static int make_folder(void **state)
 {
@@ -26,6 +26,7 @@ static int make_folder(void **state)
 	snprintf(path, sizeof(path), "%s/node-1.store", folder);
 	snprintf(bad_path, sizeof(bad_path), "%s.bad", path);
 	snprintf(new_path, sizeof(new_path), "%s.new", path);
+	snprintf(lock_path, sizeof(lock_path), "%s.lock", path);
 	return 0;
 }
 
@@ -35,6 +36,7 @@ static int remove_folder(void **state)
 	unlink(path);
 	unlink(bad_path);
 	unlink(new_path);
+	unlink(lock_path);
 	return rmdir(folder);
 }
 
@@ -187,8 +189,62 @@ static void test_the_thread_makes_the_folder_writes_and_tells(void **state)
 	assert_int_equal(store_read(&back, deep), 0);
 	assert_same(&image, &back);
 	unlink(deep);
+	strcat(deep, ".lock");
+	unlink(deep);
 	snprintf(deep, sizeof(deep), "%s/a", folder);
 	rmdir(deep);
+}
+
+static void test_one_file_has_one_writer(void **state)
+{
+	static struct store_writer first, second;
+
+	(void)state;
+	assert_int_equal(store_writer_open(&first, path), 0);
+	assert_int_equal(store_writer_open(&second, path), -EADDRINUSE);
+	store_writer_close(&first);
+	assert_int_equal(store_writer_open(&second, path), 0);
+	store_writer_close(&second);
+}
+
+static void test_what_lss_stored_is_read_back_and_begins_as_nothing(void **state)
+{
+	struct store_image image = example(1, 10), back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), 0);
+	assert_int_equal(back.lss.node_id, 0);
+	assert_int_equal(back.lss.bit_s, 0);
+	image.lss = (struct store_lss){.node_id = 255, .bit_s = 125000};
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), 0);
+	assert_int_equal(back.lss.node_id, 255);
+	assert_int_equal(back.lss.bit_s, 125000);
+}
+
+static void test_a_node_id_that_cannot_be_is_damage(void **state)
+{
+	struct store_image image = {.lss.node_id = 200}, back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), -EBADMSG);
+	assert_int_equal(back.lss.node_id, 0);
+}
+
+/* Version 1 has no LSS. One group of 3 bytes, two empty ones; the CRC by python's zlib. */
+static void test_a_file_of_version_1_is_read(void **state)
+{
+	static const uint8_t old[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x01, 0x00, 0x00, 0x00, 0x0F,
+		0x00, 0x00, 0x00, 0x03, 0x00, 0x00, 0x00, 0xAA, 0xBB, 0xCC, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+		0x00, 0xB3, 0x9C, 0x74, 0x37};
+	struct store_image back;
+
+	(void)state;
+	assert_int_equal(store_decode(&back, old, sizeof(old)), 0);
+	assert_int_equal(back.groups[0].size, 3);
+	assert_int_equal(back.groups[0].dcf[2], 0xCC);
+	assert_int_equal(back.lss.node_id, 0);
 }
 
 static void test_closing_waits_for_a_write_under_way(void **state)
@@ -219,6 +275,10 @@ int main(void)
 		TEST(test_a_cut_while_writing_leaves_the_old_values),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
 		TEST(test_the_thread_makes_the_folder_writes_and_tells),
+		TEST(test_one_file_has_one_writer),
+		cmocka_unit_test(test_what_lss_stored_is_read_back_and_begins_as_nothing),
+		cmocka_unit_test(test_a_node_id_that_cannot_be_is_damage),
+		cmocka_unit_test(test_a_file_of_version_1_is_read),
 		TEST(test_closing_waits_for_a_write_under_way),
 	};
 
