@@ -147,6 +147,7 @@ void publish_sample(struct od_values *v, const struct pipeline_output *out, uint
 	PUBLISH_REAL32(v->position_sigma, out->sigma.position_m, x, y, z);
 	PUBLISH_REAL32(v->displacement, out->displacement_n_m, x, y, z);
 	PUBLISH_REAL32(v->displacement_sigma, out->displacement_sigma_m, x, y, z);
+	v->latency.acceleration_filter = (float)out->accel_delay_s;
 
 	PUBLISH_SCALED(v->acceleration, out->accel_b_m_s2, acceleration_lsb_m_s2, l, s, t);
 	PUBLISH_SCALED(v->angles, out->angles_rad, slope_lsb_rad(v), roll, pitch, yaw);

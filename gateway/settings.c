@@ -62,7 +62,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.fusion.kalman.rejection_time_s = (double)v->fusion.rejection_time;
 	c.fusion.kalman.gyro_error = (double)v->fusion.gyro_error;
 	c.fusion.kalman.bias_walk_rad_s_sqrt_s = (double)v->fusion.bias_walk * RAD_PER_DEG;
-	c.fusion.delay_s = (double)v->fusion.delay;
+	c.latency = (struct latency_config){(double)v->latency.sensor, (double)v->latency.accelerometer};
 
 	c.noise = (struct noise_config){
 		.angle_sigma_rad = (double)v->noise.angle_sigma * RAD_PER_DEG,

@@ -194,19 +194,32 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_bias_b_rad_s);
 }
 
+/* Over a longer time, the rate was not just between its samples. */
+static const double STEADY_S = 0.1;
+
+static struct vec3 turned(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
+{
+	struct vec3 now = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+
+	return dt_s > STEADY_S ? vec3_scale(dt_s, now)
+			       : rotation_between(vec3_sub(f->last_gyro_b_rad_s, f->gyro_bias_b_rad_s), now, dt_s);
+}
+
 /* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
 	struct vec3 up, rate = vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s);
 
 	if (!f->started) {
+		f->last_gyro_b_rad_s = sample->gyro_rad_s;
 		if (!direction(sample->accel_m_s2, &up))
 			return;
 		start(f, up, vec3_norm(sample->accel_m_s2));
 		field_error(f, sample, dt_s);
 		return;
 	}
-	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, rate)));
+	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(turned(f, sample->gyro_rad_s, dt_s)));
+	f->last_gyro_b_rad_s = sample->gyro_rad_s;
 	if (f->config.algorithm == FUSION_KALMAN)
 		correct_by_kalman(f, sample, rate, dt_s);
 	else

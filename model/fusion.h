@@ -30,7 +30,7 @@ struct fusion_config {
 	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error */
 	struct fusion_kalman_config kalman;
 	struct vec3 lever_arm_b_m; /* reference point -> accelerometer; the Kalman filter heeds it */
-	double delay_s;		   /* 0..0.1: age of a sample at its time stamp, by the sensor's own low-pass */
+	double delay_s;		   /* 0..0.1: age of the gyro's sample at its time stamp */
 };
 
 struct fusion {
@@ -40,6 +40,7 @@ struct fusion {
 	/* PRIVATE */
 	struct fusion_kalman kalman;
 	double bias_time_s; /* of rest, learnt from */
+	struct vec3 last_gyro_b_rad_s;
 	bool started, north_known, mag_used, resting;
 };
 

@@ -17,7 +17,7 @@ static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_
 /* No working gyro has more bias than this. */
 static const double MOST_BIAS_RAD_S = 2 * DEG;
 /* White noise of the gyro, rad/s/sqrt(Hz): in motion with what else goes wrong there, and at rest. */
-static const double GYRO_NOISE = 0.1 * DEG, REST_GYRO_NOISE = 0.03 * DEG;
+static const double GYRO_NOISE = 0.12 * DEG, REST_GYRO_NOISE = 0.03 * DEG;
 /* For how long the gyro's error in motion, and a velocity, keep their sign. */
 static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.5;
 /* The spread of the velocity: its memory, and the least of it as a share of the configured. */

@@ -38,10 +38,10 @@ struct fusion_kalman_config {
 	double bias_walk_rad_s_sqrt_s; /* 0..0.1: how the gyro bias wanders */
 };
 
-#define FUSION_KALMAN_DEFAULTS                                                                                     \
-	{                                                                                                          \
-		.velocity_sigma_m_s = 1, .heading_sigma_rad = 3 * 0.0174532925199433, .field_limit = 0.1,          \
-		.rejection_time_s = 60, .gyro_error = 0.002, .bias_walk_rad_s_sqrt_s = 0.005 * 0.0174532925199433, \
+#define FUSION_KALMAN_DEFAULTS                                                                                       \
+	{                                                                                                            \
+		.velocity_sigma_m_s = 1, .heading_sigma_rad = 3 * 0.0174532925199433, .field_limit = 0.1,            \
+		.rejection_time_s = 60, .gyro_error = 0.0015, .bias_walk_rad_s_sqrt_s = 0.0025 * 0.0174532925199433, \
 	}
 
 /* errors of attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object) */

@@ -402,22 +402,25 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	add_variance(
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
-	n->stillness.primed = n->still = false;
+	n->stillness.primed = n->still = n->sampled = false;
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
 {
 	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), before = n->velocity_n_m_s, force, accel;
-	struct quat turn = quat_from_rotation_vector(vec3_scale(dt / 2, omega)), half = quat_multiply(n->q_nb, turn);
-	struct mat3 r_nb = mat3_from_quat(half);
+	struct vec3 last = n->sampled ? vec3_sub(n->last_gyro_b_rad_s, n->gyro_bias_b_rad_s) : omega;
+	struct mat3 r_nb;
 
+	n->q_nb = quat_multiply(n->q_nb, quat_from_rotation_vector(rotation_between(last, omega, dt)));
+	r_nb = mat3_from_quat(n->q_nb);
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
 	sum_up(&n->sums, &r_nb, omega, force, accel, dt);
-	n->q_nb = quat_multiply(half, turn);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
+	n->sampled = true;
+	n->last_gyro_b_rad_s = in->gyro_b_rad_s;
 }
 
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
@@ -506,6 +509,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 {
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
+	n->sampled = false;
 	set_variance(n, THETA, square(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
 }

@@ -100,6 +100,8 @@ struct navigation {
 	double moving_s;	 /* since the last standstill */
 	double aided_s;		 /* for how long the velocity last told still holds */
 	bool told_to_move;	 /* it was no standstill's */
+	bool sampled;		 /* there is a sample before the next: */
+	struct vec3 last_gyro_b_rad_s;
 };
 
 /** 1 sigma: of the fusion's attitude (rotation about each axis of n), of an acceleration turned by it, of velocity, of

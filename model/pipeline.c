@@ -13,7 +13,7 @@
 const struct pipeline_config PIPELINE_DEFAULTS = {
 	.calibration = {.gyro = IDENTITY_TRIAD, .accel = IDENTITY_TRIAD, .mag = IDENTITY_TRIAD},
 	.accel_filter = {.type = FILTER_OFF, .order = 2, .cutoff_hz = 40},
-	.rate_filter = {.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 30},
+	.rate_filter = {.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 40},
 	.fusion =
 		{
 			.algorithm = FUSION_KALMAN,
@@ -22,8 +22,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.mahony_kp_rad_s = 0.3,
 			.mahony_ki_rad_s2 = 0.0012,
 			.kalman = FUSION_KALMAN_DEFAULTS,
-			.delay_s = 0.0018,
 		},
+	.latency = {.sensor_s = 0.0042, .accelerometer_s = -0.0016},
 	.noise =
 		{
 			.angle_sigma_rad = 0.05 * DEG,
@@ -53,6 +53,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 };
 
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
+/* Bandwidth of the derivative that carries the acceleration over its latency: that of the quickest hand. */
+static const double CHANGE_CUTOFF_HZ = 40;
 static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_RAD = 1e-4, ATTITUDE_NORM_OFF = 0.1;
 /* A gap longer than this leaves nothing of the attitude but the heading. */
 static const double ATTITUDE_HOLD_S = 1;
@@ -65,12 +67,25 @@ static void weigh_rates(struct pipeline *p)
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
 }
 
+static double accel_age_s(const struct latency_config *latency)
+{
+	return latency->sensor_s + latency->accelerometer_s;
+}
+
+static int latency_check(const struct latency_config *latency)
+{
+	bool known = latency->sensor_s >= 0 && latency->sensor_s <= 0.1 && fabs(latency->accelerometer_s) <= 0.05;
+
+	return known && accel_age_s(latency) >= 0 ? 0 : -EINVAL;
+}
+
 /* The estimator's lever arm holds for the fusion, too. */
 static struct fusion_config fusion_config(const struct pipeline_config *config)
 {
 	struct fusion_config fusion = config->fusion;
 
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
+	fusion.delay_s = config->latency.sensor_s;
 	return fusion;
 }
 
@@ -96,12 +111,14 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 	fresh.config = *config;
 	fresh.rate_hz = rate_hz;
 	fresh.since_mag_s = INFINITY;
-	if (calibration_init(&fresh.calibration, &config->calibration) < 0 ||
+	if (latency_check(&config->latency) < 0 || calibration_init(&fresh.calibration, &config->calibration) < 0 ||
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
 		fusion_init(&fresh.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
 		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &position) < 0)
 		return -EINVAL;
+	fresh.accel_delay_s = filter3_delay_s(&fresh.accel_filter, rate_hz);
+	differentiator3_tune(&fresh.accel_change, CHANGE_CUTOFF_HZ, rate_hz);
 	weigh_rates(&fresh);
 	*p = fresh;
 	return 0;
@@ -120,6 +137,7 @@ static int configure_filters(struct pipeline *p, const struct pipeline_config *c
 		if (filter3_init(&p->accel_filter, &config->accel_filter, p->rate_hz) < 0)
 			return -EINVAL;
 		filter3_prime(&p->accel_filter, last);
+		p->accel_delay_s = filter3_delay_s(&p->accel_filter, p->rate_hz);
 	}
 	if (!same_filter(&p->config.rate_filter, &config->rate_filter))
 		return rates_configure(&p->rates, &config->rate_filter, p->rate_hz);
@@ -150,9 +168,10 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 	struct position_config position = position_config(config);
 	struct pipeline next = *p;
 
-	if (configure_calibration(&next, &config->calibration) < 0 || configure_filters(&next, config) < 0 ||
-		fusion_configure(&next.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
-		rest_configure(&next.rest, &config->rest) < 0 || position_configure(&next.position, &position) < 0)
+	if (latency_check(&config->latency) < 0 || configure_calibration(&next, &config->calibration) < 0 ||
+		configure_filters(&next, config) < 0 || fusion_configure(&next.fusion, &fusion) < 0 ||
+		estimator_check(&config->estimator) < 0 || rest_configure(&next.rest, &config->rest) < 0 ||
+		position_configure(&next.position, &position) < 0)
 		return -EINVAL;
 	bool other_noise = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
 			   p->config.estimator.rates_from != config->estimator.rates_from ||
@@ -279,21 +298,35 @@ static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force
 	return accel_n(p, before, force_b_m_s2, all);
 }
 
-/* The reference point's acceleration, low-passed in the global frame: there gravity is removed before the delay of the
- * filter could let the object turn away from it. After a change of the estimator the filter goes on as if the new one
- * had always been in use. */
+/* The accelerometer saw another instant than the gyro: what it saw, in the object's axes at the gyro's. */
+static struct vec3 at_the_gyros_instant(const struct pipeline *p, const struct imu_sample *s)
+{
+	struct vec3 rate = vec3_sub(s->gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+
+	return quat_rotate(
+		quat_from_rotation_vector(vec3_scale(-p->config.latency.accelerometer_s, rate)), s->accel_m_s2);
+}
+
+/* The reference point's acceleration as of the time stamp, low-passed in the global frame: there gravity is removed
+ * before the delay of the filter could let the object turn away from it. After a change of the estimator derivative and
+ * filter go on as if the new one had always been in use. */
 static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
 {
-	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s));
+	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s)), change, other;
 
 	if (!fusion_started(&p->fusion))
 		return (struct vec3){0, 0, 0};
-	if (!p->primed)
+	if (!p->primed) {
+		differentiator3_prime(&p->accel_change, accel);
 		filter3_prime(&p->accel_filter, accel);
-	else if (memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0)
-		filter3_shift(&p->accel_filter, vec3_sub(accel, accel_n_as_before(p, force_b_m_s2)));
+	} else if (memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0) {
+		other = vec3_sub(accel, accel_n_as_before(p, force_b_m_s2));
+		p->accel_change.value = vec3_add(p->accel_change.value, other);
+		filter3_shift(&p->accel_filter, other);
+	}
 	p->last_estimator = p->config.estimator;
-	return filter3_step(&p->accel_filter, accel);
+	change = differentiator3_step(&p->accel_change, accel, dt_s);
+	return filter3_step(&p->accel_filter, vec3_add(accel, vec3_scale(accel_age_s(&p->config.latency), change)));
 }
 
 static struct vec3 fusion_variance(const struct pipeline *p)
@@ -334,7 +367,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 {
 	struct imu_sample s;
 	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
-	struct vec3 gyro, accel;
+	struct vec3 gyro, accel, force;
 	struct quat q_nb;
 	bool gap, rest;
 	double dt_s;
@@ -355,6 +388,8 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		p->primed = false;
 	}
 
+	force = s.accel_m_s2;
+	s.accel_m_s2 = at_the_gyros_instant(p, &s);
 	rest = fuse(p, &s, dt_s);
 	gyro = vec3_sub(s.gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
 	if (p->primed)
@@ -373,11 +408,11 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	q_nb = fusion_attitude_now(&p->fusion, s.gyro_rad_s);
 	*out = (struct pipeline_output){
 		.t_us = s.t_us,
-		.force_b_m_s2 = s.accel_m_s2,
+		.force_b_m_s2 = force,
 		.mag_b_uT = p->mag_b_uT,
 		.rate_b_rad_s = rates->omega_b_rad_s,
 		.alpha_b_rad_s2 = rates->alpha_b_rad_s2,
-		.q_nb = q_nb, /* of now (2030h:12); all else is of the instant that was measured */
+		.q_nb = q_nb,
 		.angles_rad = aerospace_from_quat(q_nb),
 		.accel_b_m_s2 = quat_rotate_inverse(p->fusion.q_nb, accel),
 		.accel_n_m_s2 = accel,
@@ -386,6 +421,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
 		.sigma = p->position.sigma,
+		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};
 	return 0;

@@ -4,6 +4,10 @@
  * each in a file of its own; this one composes them. Pure: the same samples and configuration give
  * the same bits, in the gateway and in imu9-replay.
  *
+ * Time: attitude and acceleration are published as of the time stamp, carried over the sensor's latency by the rate and by
+ * the acceleration's derivative; rates, velocity and position as of the instant that was measured. Gyro and accelerometer
+ * are brought to one instant before anything else. What the acceleration filter delays stays delayed (2031h:3).
+ *
  * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n
  * = global (ENU: x east, y magnetic north, z up). q_nb turns b into n. */
 #ifndef MODEL_PIPELINE_H
@@ -19,13 +23,21 @@
 #include "model/rest.h"
 #include "model/sample.h"
 
+/* Each sample is older than its time stamp by its sensor's low-pass and buffers. */
+struct latency_config {
+	double sensor_s;	/* 0..0.1: of the gyro's */
+	double accelerometer_s; /* -0.05..0.05: by how much longer of the accelerometer's; not so that it comes before
+				   it happens */
+};
+
 struct pipeline_config { /* start from PIPELINE_DEFAULTS */
 	struct calibration_config calibration;
 	struct filter_config accel_filter; /* on the acceleration of the reference point, global frame (2010h) */
 	struct filter_config rate_filter;  /* on the rates, or on the angles before they are
 					      differentiated (2011h) */
-	struct fusion_config fusion;
-	struct noise_config noise; /* of the sensors (2020h) */
+	struct latency_config latency;	   /* (2031h) */
+	struct fusion_config fusion; /* the lever arm and the delay are taken from the estimator and the latency */
+	struct noise_config noise;   /* of the sensors (2020h) */
 	struct estimator_config estimator;
 	struct rest_config rest;
 	struct position_config position;
@@ -54,13 +66,14 @@ struct pipeline_output {
 	struct quat q_nb;
 	struct vec3 angles_rad;	  /* roll, pitch, yaw: aerospace z-y'-x'' of q_nb, yaw from east,
 				     counter-clockwise */
-	struct vec3 accel_b_m_s2; /* of the reference point, gravity removed, object frame */
+	struct vec3 accel_b_m_s2; /* of the reference point, gravity removed, in the object's axes as the rates are */
 	struct vec3 accel_n_m_s2; /* the same, global frame */
 	struct vec3 velocity_n_m_s;
 	struct vec3 position_n_m;
 	/* by navigation only, else 0: from one standstill to the next, and how certain all is */
 	struct vec3 displacement_n_m, displacement_sigma_m;
 	struct navigation_sigma sigma;
+	double accel_delay_s; /* by which the accelerations stay behind t_us: the acceleration filter's */
 	unsigned status;
 };
 
@@ -68,8 +81,10 @@ struct pipeline {
 	struct pipeline_config config;
 	struct estimator_config last_estimator; /* of the last sample */
 	double rate_hz;
+	double accel_delay_s; /* of the acceleration filter */
 	/* PRIVATE: the state of each step */
 	struct calibration calibration;
+	struct differentiator3 accel_change;
 	struct filter3 accel_filter;
 	struct fusion fusion;
 	struct rates rates;
@@ -89,7 +104,7 @@ struct pipeline {
 
 enum { PIPELINE_GAP_INTERVALS = 10 };
 
-/** 0, or -EINVAL with *p untouched when a field of the configuration is out of range (see each
+/** 0, or -EINVAL with *p untouched when a field of the configuration is out of range (see above and each
  * step's header). */
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz);
 

@@ -56,4 +56,14 @@ static inline struct quat quat_from_rotation_vector(struct vec3 angle_rad)
 	return (struct quat){cos(a / 2), k * angle_rad.x, k * angle_rad.y, k * angle_rad.z};
 }
 
+/** The rotation vector from one sample of the angular rate to the next: exact to the third power of dt while the rate
+ * changes steadily, its axis included (coning: J. Bortz, "A new mathematical formulation for strapdown inertial
+ * navigation", IEEE AES 7(1), 1971). */
+static inline struct vec3 rotation_between(struct vec3 before_rad_s, struct vec3 after_rad_s, double dt_s)
+{
+	struct vec3 mean = vec3_scale(dt_s / 2, vec3_add(before_rad_s, after_rad_s));
+
+	return vec3_add(mean, vec3_scale(dt_s * dt_s / 12, vec3_cross(before_rad_s, after_rad_s)));
+}
+
 #endif

@@ -5,6 +5,7 @@
 
 static void tune(struct rates *r, const struct filter_config *config, double rate_hz)
 {
+	r->delay_s = filter3_delay_s(&r->filter[0], rate_hz);
 	double cutoff_hz = config->type == FILTER_BUTTERWORTH ? config->cutoff_hz : rate_hz;
 
 	for (int i = 0; i < RATE_SOURCES; i++)
@@ -31,11 +32,14 @@ int rates_configure(struct rates *r, const struct filter_config *config, double 
 
 	if (filter3_init(&filter, config, rate_hz) < 0)
 		return -EINVAL;
-	for (int i = 0; i < RATE_SOURCES; i++) {
+	for (int i = 0; i < RATE_SOURCES; i++)
 		r->filter[i] = filter;
-		filter3_prime(&r->filter[i], r->out[i].omega_b_rad_s);
-	}
 	tune(r, config, rate_hz);
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		struct vec3 behind = vec3_scale(r->delay_s, r->out[i].alpha_b_rad_s2);
+
+		filter3_prime(&r->filter[i], vec3_sub(r->out[i].omega_b_rad_s, behind));
+	}
 	return 0;
 }
 
@@ -66,10 +70,11 @@ void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, dou
 		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, rotation_vector(turn)),
 	};
 
-	for (int i = 0; i < RATE_SOURCES; i++)
-		r->out[i] = (struct body_rates){
-			.omega_b_rad_s = filter3_step(&r->filter[i], in[i]),
-			.alpha_b_rad_s2 = differentiator3_step(&r->differentiator[i], in[i], dt_s),
-		};
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		struct vec3 omega = filter3_step(&r->filter[i], in[i]);
+		struct vec3 alpha = differentiator3_step(&r->differentiator[i], in[i], dt_s);
+
+		r->out[i] = (struct body_rates){vec3_add(omega, vec3_scale(r->delay_s, alpha)), alpha};
+	}
 	r->q_nb = q_nb;
 }

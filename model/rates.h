@@ -3,7 +3,10 @@
  * change of attitude (the seed's way: its filtered angles differentiated). Both always run, so that
  * a switch between them (2002h) shows no transient. Filtering and differentiating commute, so the
  * attitude is differentiated before the low-pass: the rotation between two samples has no wrap and
- * no gimbal lock. */
+ * no gimbal lock.
+ *
+ * Both outputs are of the instant of the sample: the delay of the low-pass is made up for by the angular acceleration, whose
+ * differentiator has none. */
 #ifndef MODEL_RATES_H
 #define MODEL_RATES_H
 
@@ -24,6 +27,7 @@ struct rates {
 	struct filter3 filter[RATE_SOURCES];
 	struct differentiator3 differentiator[RATE_SOURCES];
 	struct quat q_nb;
+	double delay_s; /* of the filter */
 };
 
 /** 0, or -EINVAL as filter3_init(). */

@@ -104,6 +104,7 @@ static void test_a_constant_turn_is_followed_exactly(void **state)
 		struct quat turn = quat_from_rotation_vector(vec3_scale(DT_S, omega));
 		struct fusion f = standing(configs[i], truth);
 
+		f.last_gyro_b_rad_s = omega;
 		for (int k = 0; k < 1000; k++) {
 			struct imu_sample s;
 
