@@ -24,17 +24,16 @@
 #include "model/filter.h"
 #include "model/quat.h"
 
-enum lever_verdict {
-	LEVER_FOUND = 0,
-	LEVER_TOO_SHORT = 1,	/* less than LEVER_LEAST_WINDOWS windows */
-	LEVER_NO_REFERENCE = 2, /* hardly any sample had the acceleration from outside */
-	LEVER_TOO_SLOW = 3,	/* the object hardly turned */
-	LEVER_BLIND_L = 4,	/* it turned about the axis l only, or almost: that says nothing of r along l */
-	LEVER_BLIND_S = 5,
-	LEVER_BLIND_T = 6,
-	LEVER_NOT_HELD =
-		7,	  /* what is left over is too much: the reference point moved, or the reference is another's */
-	LEVER_UNSURE = 8, /* all well, but not enough of it */
+enum lever_verdict { /* 0 is left for "none yet" */
+	LEVER_FOUND = 1,
+	LEVER_TOO_SHORT = 2,	/* less than LEVER_LEAST_WINDOWS windows */
+	LEVER_NO_REFERENCE = 3, /* hardly any sample had the acceleration from outside */
+	LEVER_TOO_SLOW = 4,	/* the object hardly turned */
+	LEVER_BLIND_L = 5,	/* it turned about the axis l only, or almost: that says nothing of r along l */
+	LEVER_BLIND_S = 6,
+	LEVER_BLIND_T = 7,
+	LEVER_NOT_HELD = 8, /* too much is left over: the point moved, or the reference is another's */
+	LEVER_UNSURE = 9,   /* all well, but not enough of it */
 };
 
 /** One line for people: what is wrong, and what to do. */
@@ -116,6 +115,9 @@ int lever_identification_init(struct lever_identification *id, const struct leve
  * new window; so does anything not finite. */
 void lever_identification_step(struct lever_identification *id, uint64_t t_us, struct vec3 gyro_b_rad_s,
 	struct vec3 force_b_m_s2, const struct vec3 *ref_b_m_s2);
+
+/** The motion jumps here, or the sample was not to be used: a new window. */
+void lever_identification_break(struct lever_identification *id);
 
 /** A window has ended with the last step: there is news for lever_identification_estimate(). */
 bool lever_identification_news(const struct lever_identification *id);
