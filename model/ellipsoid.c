@@ -206,17 +206,33 @@ static double mean_distance(const struct vec3 *points, int count, const struct e
 	return sum / count;
 }
 
+/* As if the points were those of a sphere of radius 1: only their directions count. */
+static double coverage(const struct problem *p, const struct ellipsoid *e)
+{
+	double information[N * N] = {0}, values[N], vectors[N * N];
+
+	for (int i = 0; i < p->count; i++) {
+		struct vec3 f = mat3_apply(e->matrix, vec3_sub(p->points[i], e->centre));
+		struct vec3 n = vec3_scale(1 / fmax(vec3_norm(f), 1e-9 * e->radius), f);
+		const double row[N] = {
+			n.x, n.y, n.z, n.x * n.x, n.y * n.y, n.z * n.z, 2 * n.x * n.y, 2 * n.x * n.z, 2 * n.y * n.z};
+
+		for (int j = 0; j < N; j++)
+			for (int k = 0; k < N; k++)
+				information[j * N + k] += row[j] * row[k] / p->count;
+	}
+	if (linalg_eigen(N, information, values, vectors) < 0)
+		return 0;
+	return sqrt(fmin(1, fmax(0, values[0]) / BEST_INFORMATION));
+}
+
 /* What the fit is worth. */
 static int judge(const struct problem *p, struct ellipsoid *e)
 {
-	double normal[N * N], copy[N * N], right[N], values[N], vectors[N * N], sum = 0, variance;
+	double normal[N * N], right[N], copy[9], values[3], vectors[9], sum = 0, variance;
 
 	normal_equations(p, e, normal, right);
-	for (int j = 0; j < N * N; j++)
-		copy[j] = normal[j] / p->count;
-	if (linalg_eigen(N, copy, values, vectors) < 0)
-		return -EDOM;
-	e->coverage = sqrt(fmin(1, fmax(0, values[0]) / BEST_INFORMATION));
+	e->coverage = coverage(p, e);
 	for (int i = 0; i < p->count; i++)
 		sum += distance(e, p->points[i]) * distance(e, p->points[i]);
 	e->rms = sqrt(sum / (p->count - N));

@@ -191,7 +191,7 @@ static void figure(const struct signal *signal, double t, struct motion *m)
 
 	m->roll = (struct jet){turn * t, turn, 0};
 	m->pitch = scale(signal->angle_rad, sine(t, signal->period_s, 0));
-	m->yaw = scale(PI, sine(t, signal->period_s / 3, 0));
+	m->yaw = (struct jet){TWO_PI * 2 * t / signal->period_s, TWO_PI * 2 / signal->period_s, 0};
 }
 
 const struct signal SIGNALS[] = {
@@ -205,7 +205,7 @@ const struct signal SIGNALS[] = {
 	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1, 10},
 	{"multiposition", "laid on six faces, then held on eight corners: to calibrate an accelerometer", multiposition,
 		35.264 * DEGREES, 1.5, 63},
-	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 75 * DEGREES, 8, 40},
+	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 60 * DEGREES, 5, 40},
 	{0},
 };
 

@@ -1,0 +1,654 @@
+/* Calibrations find the errors that a simulated chip was given, within the sigma they state, and refuse what can not tell
+ * them. Every chip of model/sensor is another draw of bias, scale, cross-axis errors and noise. */
+#include "model_test.h"
+
+#include <stdlib.h>
+#include <string.h>
+
+#include "model/calibrate_accelerometer.h"
+#include "model/calibrate_gyro.h"
+#include "model/calibrate_magnetometer.h"
+#include "model/calibrate_temperature.h"
+#include "model/ellipsoid.h"
+#include "model/sensor.h"
+
+#define G 9.81
+
+enum { CHIPS = 24 };
+static const char FINE[] = "lsm303dlhc_l3gd20_fine";
+
+/* ---- simulated chips --------------------------------------------------------------------------------------------- */
+
+static struct sensor sensor;
+static struct sensor_config chip;
+
+static void new_chip(uint64_t seed)
+{
+	chip = *sensor_preset(FINE);
+	assert_int_equal(sensor_init(&sensor, &chip, seed), 0);
+}
+
+static struct imu_sample next(const struct signal *signal)
+{
+	struct imu_sample s;
+
+	sensor_next(&sensor, signal, &s, NULL);
+	return s;
+}
+
+static double square(double error, double sigma)
+{
+	return error * error / (sigma * sigma);
+}
+
+/* Mean over the axes: 1 where sigma is honest. */
+static double normalised(struct vec3 found, struct vec3 truth, struct vec3 sigma)
+{
+	struct vec3 e = vec3_sub(found, truth);
+
+	return (square(e.x, sigma.x) + square(e.y, sigma.y) + square(e.z, sigma.z)) / 3;
+}
+
+/* matrix * (what the chip makes of v) */
+static struct vec3 corrected(const struct triad_calibration *c, const struct triad *t, struct vec3 v)
+{
+	struct mat3 m, s;
+
+	memcpy(m.m, c->matrix, sizeof m.m);
+	memcpy(s.m, t->matrix, sizeof s.m);
+	return mat3_apply(m, vec3_sub(vec3_add(mat3_apply(s, v), t->bias), c->bias));
+}
+
+/* ---- gyro -------------------------------------------------------------------------------------------------------- */
+
+static struct calibrate_gyro gyro;
+
+static enum calibrate_verdict calibrate_gyro_on(const struct signal *signal, double seconds)
+{
+	calibrate_gyro_init(&gyro, &CALIBRATE_GYRO_DEFAULTS);
+	for (int i = 0; i < seconds * 100 && gyro.verdict == CALIBRATE_COLLECTING; i++) {
+		struct imu_sample s = next(signal);
+
+		calibrate_gyro_step(&gyro, &s);
+	}
+	return gyro.verdict;
+}
+
+static void test_the_gyro_bias_is_found_within_its_sigma(void **state)
+{
+	double sum = 0;
+
+	(void)state;
+	for (uint64_t seed = 0; seed < CHIPS; seed++) {
+		new_chip(seed);
+		assert_int_equal(calibrate_gyro_on(signal_find("rest"), 15), CALIBRATE_GOOD);
+		sum += normalised(gyro.result.bias_rad_s, sensor.gyro.bias, gyro.result.sigma_rad_s);
+	}
+	assert_true(sum / CHIPS > 0.4 && sum / CHIPS < 2.2);
+}
+
+static void test_a_gyro_that_is_moved_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	assert_int_equal(calibrate_gyro_on(signal_find("tumble"), 100), CALIBRATE_MOVED);
+}
+
+static void test_a_gyro_waits_for_the_rest_after_a_motion(void **state)
+{
+	(void)state;
+	new_chip(1);
+	calibrate_gyro_init(&gyro, &CALIBRATE_GYRO_DEFAULTS);
+	for (int i = 0; i < 3000 && gyro.verdict == CALIBRATE_COLLECTING; i++) {
+		struct imu_sample s = next(signal_find(i < 1000 ? "tumble" : "rest"));
+
+		calibrate_gyro_step(&gyro, &s);
+	}
+	assert_int_equal(gyro.verdict, CALIBRATE_GOOD);
+	assert_vec_near(gyro.result.bias_rad_s, sensor.gyro.bias, 0.1 * DEG);
+}
+
+/* About the vertical only the magnetometer sees it, about a horizontal axis gravity moves. */
+static void test_a_slow_steady_turn_about_the_vertical_is_no_rest(void **state)
+{
+	struct signal slow = *signal_find("turntable");
+
+	(void)state;
+	new_chip(1);
+	slow.angle_rad = 0.3 * DEG;
+	assert_int_equal(calibrate_gyro_on(&slow, 15), CALIBRATE_TURNED);
+}
+
+static void test_a_slow_steady_tilt_is_no_rest(void **state)
+{
+	struct signal slow = *signal_find("roll_step");
+
+	(void)state;
+	new_chip(1);
+	slow.period_s = 1000;
+	slow.change_s = 200;
+	slow.angle_rad = 8 * DEG;
+	for (int i = 0; i < 34500; i++)
+		next(&slow); /* to the middle of the turn: 0.09 deg/s */
+	assert_int_equal(calibrate_gyro_on(&slow, 15), CALIBRATE_TURNED);
+}
+
+static void test_a_log_without_a_rest_of_five_seconds_is_refused(void **state)
+{
+	const struct calibrate_gyro_config whole = {(double)INFINITY, (double)INFINITY, 1e-4};
+
+	(void)state;
+	new_chip(1);
+	calibrate_gyro_init(&gyro, &whole);
+	for (int i = 0; i < 450; i++) {
+		struct imu_sample s = next(signal_find("rest"));
+
+		calibrate_gyro_step(&gyro, &s);
+	}
+	assert_int_equal(calibrate_gyro_finish(&gyro), CALIBRATE_MOVED);
+}
+
+/* ---- accelerometer ----------------------------------------------------------------------------------------------- */
+
+static struct calibrate_accelerometer accel;
+
+static void begin_accelerometer(enum calibrate_positions positions)
+{
+	const struct calibrate_accelerometer_config config = {positions, G, chip.accel.bias_instability, false, 120};
+
+	calibrate_accelerometer_init(&accel, &config);
+}
+
+static enum calibrate_verdict calibrate_accelerometer_on(const struct signal *signal, double seconds)
+{
+	for (int i = 0; i < seconds * 100 && accel.verdict == CALIBRATE_COLLECTING; i++) {
+		struct imu_sample s = next(signal);
+
+		calibrate_accelerometer_step(&accel, &s);
+	}
+	return accel.verdict;
+}
+
+static void test_free_positions_find_the_bias_within_its_sigma_and_make_gravity_g_everywhere(void **state)
+{
+	double sum = 0;
+
+	(void)state;
+	for (uint64_t seed = 0; seed < CHIPS; seed++) {
+		new_chip(seed);
+		begin_accelerometer(CALIBRATE_FREE);
+		assert_int_equal(calibrate_accelerometer_on(signal_find("multiposition"), 130), CALIBRATE_GOOD);
+		sum += normalised(accel.result.calibration.bias, sensor.accel.bias, accel.result.bias_sigma_m_s2);
+		for (int i = 0; i < 20; i++) {
+			struct vec3 g = quat_rotate(any_attitude(), (struct vec3){0, 0, G});
+
+			assert_near(vec3_norm(corrected(&accel.result.calibration, &sensor.accel, g)), G, 0.01);
+		}
+	}
+	assert_true(sum / CHIPS > 0.4 && sum / CHIPS < 2);
+}
+
+static void test_the_matrix_of_free_positions_is_symmetric(void **state)
+{
+	double(*m)[3] = accel.result.calibration.matrix;
+
+	(void)state;
+	new_chip(5);
+	begin_accelerometer(CALIBRATE_FREE);
+	calibrate_accelerometer_on(signal_find("multiposition"), 130);
+	assert_true(m[0][1] == m[1][0] && m[0][2] == m[2][0] && m[1][2] == m[2][1] && m[0][1] != 0);
+}
+
+static void test_six_faces_find_the_whole_matrix_with_its_rotation(void **state)
+{
+	double sum = 0;
+
+	(void)state;
+	for (uint64_t seed = 0; seed < CHIPS; seed++) {
+		new_chip(seed);
+		begin_accelerometer(CALIBRATE_SIX_FACES);
+		assert_int_equal(calibrate_accelerometer_on(signal_find("multiposition"), 130), CALIBRATE_GOOD);
+		sum += normalised(accel.result.calibration.bias, sensor.accel.bias, accel.result.bias_sigma_m_s2);
+		for (int i = 0; i < 20; i++) {
+			struct vec3 g = quat_rotate(any_attitude(), (struct vec3){0, 0, G});
+
+			assert_vec_near(corrected(&accel.result.calibration, &sensor.accel, g), g, 0.02);
+		}
+	}
+	assert_true(sum / CHIPS > 0.4 && sum / CHIPS < 2);
+}
+
+/* Holds the simulated accelerometer with `up` up for three seconds. */
+static void hold(struct vec3 up, double shake_m_s2)
+{
+	static uint64_t t_us;
+	static struct rng rng;
+
+	if (t_us == 0)
+		rng_init(&rng, 1);
+	for (int i = 0; i < 300; i++) {
+		struct imu_sample s = {.t_us = t_us += 10000, .accel_m_s2 = vec3_scale(G / vec3_norm(up), up)};
+
+		s.accel_m_s2.x += shake_m_s2 * rng_gauss(&rng);
+		s.accel_m_s2.y += shake_m_s2 * rng_gauss(&rng);
+		s.accel_m_s2.z += shake_m_s2 * rng_gauss(&rng);
+		calibrate_accelerometer_step(&accel, &s);
+	}
+}
+
+static void test_the_same_position_twice_counts_once(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	hold((struct vec3){0, 0, 1}, 0.01);
+	hold((struct vec3){1, 0, 0}, 0.01);
+	hold((struct vec3){0.1, 0, 1}, 0.01);
+	assert_int_equal(accel.positions, 2);
+}
+
+static void test_too_few_positions_are_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	calibrate_accelerometer_on(signal_find("multiposition"), 40);
+	assert_int_equal(accel.positions, 9);
+	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_TOO_FEW_POSITIONS);
+}
+
+static void test_positions_of_one_half_of_the_sphere_are_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	for (int i = 0; i < 6; i++)
+		for (int ring = 0; ring < 2; ring++)
+			hold((struct vec3){cos(i * PI / 3 + ring), sin(i * PI / 3 + ring), ring ? 0.4 : 1.2}, 0.01);
+	assert_int_equal(accel.positions, 12);
+	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_POOR_COVERAGE);
+}
+
+static void test_positions_that_contradict_each_other_are_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	accel.config.whole = true;
+	for (int i = 0; i < 14; i++) {
+		struct vec3 up = i < 6 ? (struct vec3){i / 2 == 0, i / 2 == 1, i / 2 == 2}
+				       : (struct vec3){i & 1 ? -1 : 1, i & 2 ? -1 : 1, i & 4 ? 1 : -1};
+
+		hold(vec3_scale(i < 6 && i % 2 ? -1 : 1, up), 0.01);
+		/* no ellipsoid bulges at every other corner of a cube */
+		if (i >= 6 && (i ^ i >> 1 ^ i >> 2) & 1)
+			accel.position[i].force_m_s2 = vec3_scale(1.04, accel.position[i].force_m_s2);
+	}
+	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_LARGE_RESIDUAL);
+}
+
+static void test_a_hand_that_shakes_is_no_rest(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	hold((struct vec3){0, 0, 1}, 0.5);
+	assert_int_equal(accel.positions, 0);
+}
+
+static void test_faces_that_are_no_faces_of_the_sensor_are_refused(void **state)
+{
+	const struct quat turn = quat_from_aerospace((struct vec3){7 * DEG, 0, 0});
+
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_SIX_FACES);
+	for (int i = 0; i < 6; i++) {
+		struct vec3 up = {i / 2 == 0, i / 2 == 1, i / 2 == 2};
+
+		hold(quat_rotate(turn, vec3_scale(i % 2 ? -1 : 1, up)), 0.01);
+	}
+	assert_int_equal(accel.verdict, CALIBRATE_FACES_TURNED);
+}
+
+static void test_an_accelerometer_in_units_of_g_is_refused_as_implausible(void **state)
+{
+	struct imu_sample s;
+
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_SIX_FACES);
+	for (int i = 0; i < 6300 && accel.verdict == CALIBRATE_COLLECTING; i++) {
+		s = next(signal_find("multiposition"));
+		s.accel_m_s2 = vec3_scale(1 / G, s.accel_m_s2);
+		calibrate_accelerometer_step(&accel, &s);
+	}
+	assert_int_equal(accel.verdict, CALIBRATE_IMPLAUSIBLE);
+}
+
+static void test_the_next_side_is_one_that_was_not_up_yet(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_SIX_FACES);
+	hold((struct vec3){0, 0, 1}, 0.01);
+	assert_int_equal(calibrate_accelerometer_next(&accel), 6); /* -z is farthest from +z */
+	hold((struct vec3){0, 0, -1}, 0.01);
+	hold((struct vec3){1, 0, 0}, 0.01);
+	assert_int_equal(calibrate_accelerometer_next(&accel), 2);
+}
+
+/* ---- magnetometer ------------------------------------------------------------------------------------------------ */
+
+static struct calibrate_magnetometer mag;
+
+static void begin_magnetometer(double field_uT)
+{
+	const struct calibrate_magnetometer_config config = {field_uT, false, 60};
+
+	calibrate_magnetometer_init(&mag, &config);
+}
+
+/* distort: what the surroundings do to the field in the sensor's axes */
+static enum calibrate_verdict calibrate_magnetometer_on(
+	const struct signal *signal, struct vec3 (*distort)(struct vec3 field_uT, double t_s))
+{
+	for (int i = 0; i < 7000 && mag.verdict == CALIBRATE_COLLECTING; i++) {
+		struct imu_sample s = next(signal);
+
+		if (distort)
+			s.mag_uT = distort(s.mag_uT, i * 0.01);
+		calibrate_magnetometer_step(&mag, &s);
+	}
+	return mag.verdict;
+}
+
+static void test_hard_and_soft_iron_are_found_within_their_sigma(void **state)
+{
+	const double field_uT = vec3_norm(sensor_preset(FINE)->field_n_uT);
+	double sum = 0;
+
+	(void)state;
+	for (uint64_t seed = 0; seed < CHIPS; seed++) {
+		new_chip(seed);
+		begin_magnetometer(field_uT);
+		assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), NULL), CALIBRATE_GOOD);
+		sum += normalised(mag.result.calibration.bias, sensor.mag.bias, mag.result.bias_sigma_uT);
+		for (int i = 0; i < 20; i++) {
+			struct vec3 f = quat_rotate(any_attitude(), (struct vec3){0, 0, field_uT});
+			double length = vec3_norm(corrected(&mag.result.calibration, &sensor.mag, f));
+
+			assert_near(length, field_uT, 0.005 * field_uT);
+		}
+	}
+	assert_true(sum / CHIPS > 0.5 && sum / CHIPS < 2);
+}
+
+static struct vec3 car(struct vec3 f, double t_s)
+{
+	(void)t_s;
+	return (struct vec3){1.3 * f.x + 0.1 * f.y + 90, 0.9 * f.y - 60, 0.1 * f.x + 0.8 * f.z + 40};
+}
+
+static void test_hard_iron_of_twice_the_field_is_found(void **state)
+{
+	(void)state;
+	new_chip(3);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), car), CALIBRATE_GOOD);
+	assert_true(mag.result.residual < 0.01);
+	assert_vec_near(mag.result.calibration.bias, car(sensor.mag.bias, 0), 0.2);
+}
+
+static void test_without_a_given_field_the_volume_of_the_ellipsoid_stays(void **state)
+{
+	double(*m)[3] = mag.result.calibration.matrix;
+	double det;
+
+	(void)state;
+	new_chip(4);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), NULL), CALIBRATE_GOOD);
+	det = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) - m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+	      m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+	assert_near(det, 1, 1e-9);
+}
+
+static void test_a_magnetometer_turned_about_one_axis_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_not_equal(calibrate_magnetometer_on(signal_find("turntable"), NULL), CALIBRATE_GOOD);
+	assert_true(mag.verdict == CALIBRATE_POOR_COVERAGE || mag.verdict == CALIBRATE_NO_ELLIPSOID);
+}
+
+static void test_a_magnetometer_at_rest_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("rest"), NULL), CALIBRATE_POOR_COVERAGE);
+}
+
+static struct vec3 passing_iron(struct vec3 f, double t_s)
+{
+	f.x += 12 * sin(2 * t_s);
+	f.y += 12 * cos(3.1 * t_s);
+	return f;
+}
+
+static void test_a_field_that_changes_while_turning_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), passing_iron), CALIBRATE_LARGE_RESIDUAL);
+}
+
+static struct vec3 flat(struct vec3 f, double t_s)
+{
+	(void)t_s;
+	f.z *= 0.3;
+	return f;
+}
+
+static void test_an_ellipsoid_flatter_than_any_soft_iron_makes_it_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), flat), CALIBRATE_NO_ELLIPSOID);
+}
+
+static struct vec3 gauss(struct vec3 f, double t_s)
+{
+	(void)t_s;
+	return vec3_scale(10, f);
+}
+
+static void test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), gauss), CALIBRATE_IMPLAUSIBLE);
+}
+
+static void test_no_magnetometer_is_told_after_five_seconds(void **state)
+{
+	struct imu_sample s = {.t_us = 0};
+
+	(void)state;
+	begin_magnetometer(0);
+	for (int i = 0; i < 600; i++) {
+		s.t_us += 10000;
+		calibrate_magnetometer_step(&mag, &s);
+	}
+	assert_int_equal(mag.verdict, CALIBRATE_NO_MAGNETOMETER);
+}
+
+static void test_values_that_are_not_finite_are_left_out(void **state)
+{
+	struct imu_sample s = {.t_us = 1, .flags = SAMPLE_MAG, .mag_uT = {NAN, 0, 0}, .accel_m_s2 = {INFINITY, 0, 0}};
+
+	(void)state;
+	begin_magnetometer(0);
+	begin_accelerometer(CALIBRATE_FREE);
+	calibrate_magnetometer_step(&mag, &s);
+	calibrate_accelerometer_step(&accel, &s);
+	assert_int_equal(mag.count, 0);
+	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_TOO_FEW_POSITIONS);
+}
+
+/* ---- temperature ------------------------------------------------------------------------------------------------- */
+
+static struct calibrate_temperature temperature;
+
+static enum calibrate_verdict calibrate_temperature_on(const struct signal *signal, double warming_K, double seconds)
+{
+	chip.warming_K = warming_K;
+	sensor.config.warming_K = warming_K;
+	calibrate_temperature_init(&temperature);
+	for (int i = 0; i < seconds * 100; i++) {
+		struct imu_sample s = next(signal);
+
+		calibrate_temperature_step(&temperature, &s);
+	}
+	return calibrate_temperature_finish(&temperature);
+}
+
+static void test_slopes_of_the_biases_are_found_while_it_warms_up(void **state)
+{
+	const struct temperature_compensation *t = &temperature.result.compensation;
+
+	(void)state;
+	for (uint64_t seed = 0; seed < 4; seed++) {
+		new_chip(seed);
+		assert_int_equal(calibrate_temperature_on(signal_find("rest"), 20, 300), CALIBRATE_GOOD);
+		assert_vec_near(t->gyro_slope, sensor.gyro.slope, 0.003 * DEG);
+		assert_vec_near(t->accel_slope, sensor.accel.slope, 5e-4);
+	}
+}
+
+static void test_a_temperature_that_hardly_moves_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	assert_int_equal(calibrate_temperature_on(signal_find("rest"), 3, 300), CALIBRATE_SMALL_TEMPERATURE_SPAN);
+}
+
+static void test_a_log_without_temperature_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	assert_int_equal(calibrate_temperature_on(signal_find("rest"), 0, 60), CALIBRATE_NO_TEMPERATURE);
+}
+
+static void test_temperature_without_a_rest_is_refused(void **state)
+{
+	(void)state;
+	new_chip(1);
+	assert_int_equal(calibrate_temperature_on(signal_find("tumble"), 20, 60), CALIBRATE_MOVED);
+}
+
+/* Bias 0.002 rad/s + 1e-5 (T - 25) + 2e-6 (T - 25)^2, exactly: found as such at the mean temperature. */
+static void test_a_parabola_is_found_where_it_explains_more(void **state)
+{
+	const struct temperature_compensation *t = &temperature.result.compensation;
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}, .flags = SAMPLE_TEMPERATURE};
+
+	(void)state;
+	calibrate_temperature_init(&temperature);
+	for (int i = 0; i < 10000; i++) {
+		double d = 30.0 * i / 10000;
+
+		s.t_us += 10000;
+		s.temperature_degC = 25 + d;
+		s.gyro_rad_s.x = 0.002 + 1e-5 * d + 2e-6 * d * d;
+		calibrate_temperature_step(&temperature, &s);
+	}
+	assert_int_equal(calibrate_temperature_finish(&temperature), CALIBRATE_GOOD);
+	assert_true(temperature.result.quadratic);
+	double d0 = t->reference_degC - 25;
+	assert_near(t->gyro_quadratic.x, 2e-6, 1e-9);
+	assert_near(t->gyro_slope.x, 1e-5 + 4e-6 * d0, 1e-9);
+	assert_near(temperature.result.gyro_rad_s.x, 0.002 + 1e-5 * d0 + 2e-6 * d0 * d0, 1e-7);
+}
+
+/* ---- everybody --------------------------------------------------------------------------------------------------- */
+
+static void test_every_verdict_has_a_text_of_its_own(void **state)
+{
+	(void)state;
+	for (int a = 0; a < CALIBRATE_VERDICTS; a++)
+		for (int b = 0; b <= a; b++)
+			assert_int_equal(strcmp(calibrate_text((enum calibrate_verdict)a),
+						 calibrate_text((enum calibrate_verdict)b)) == 0,
+				a == b);
+}
+
+/* The inverse is numpy's. */
+static void test_exact_points_of_an_ellipsoid_give_it_back(void **state)
+{
+	const struct mat3 m = {{{1.1, 0.05, -0.02}, {0.05, 0.9, 0.03}, {-0.02, 0.03, 1.2}}};
+	const struct mat3 inverse = {{{0.911717740096, -0.0512001622183, 0.0164752997237},
+		{-0.0512001622183, 1.11491310336, -0.0287261636208},
+		{0.0164752997237, -0.0287261636208, 0.834326075753}}};
+	struct vec3 points[40];
+	struct ellipsoid e;
+
+	(void)state;
+	for (int i = 0; i < 40; i++) {
+		struct vec3 u = quat_rotate(any_attitude(), (struct vec3){0, 0, 50});
+
+		points[i] = vec3_add((struct vec3){100, -20, 5}, mat3_apply(inverse, u));
+	}
+	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), 0);
+	assert_int_equal(ellipsoid_fit(points, 40, 50, true, &e), 0);
+	assert_vec_near(e.centre, ((struct vec3){100, -20, 5}), 1e-6);
+	for (int i = 0; i < 9; i++)
+		assert_near(e.matrix.m[i / 3][i % 3], m.m[i / 3][i % 3], 1e-8);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_gyro_bias_is_found_within_its_sigma),
+		cmocka_unit_test(test_a_gyro_that_is_moved_is_refused),
+		cmocka_unit_test(test_a_gyro_waits_for_the_rest_after_a_motion),
+		cmocka_unit_test(test_a_slow_steady_turn_about_the_vertical_is_no_rest),
+		cmocka_unit_test(test_a_slow_steady_tilt_is_no_rest),
+		cmocka_unit_test(test_a_log_without_a_rest_of_five_seconds_is_refused),
+		cmocka_unit_test(test_free_positions_find_the_bias_within_its_sigma_and_make_gravity_g_everywhere),
+		cmocka_unit_test(test_the_matrix_of_free_positions_is_symmetric),
+		cmocka_unit_test(test_six_faces_find_the_whole_matrix_with_its_rotation),
+		cmocka_unit_test(test_the_same_position_twice_counts_once),
+		cmocka_unit_test(test_too_few_positions_are_refused),
+		cmocka_unit_test(test_positions_of_one_half_of_the_sphere_are_refused),
+		cmocka_unit_test(test_positions_that_contradict_each_other_are_refused),
+		cmocka_unit_test(test_a_hand_that_shakes_is_no_rest),
+		cmocka_unit_test(test_faces_that_are_no_faces_of_the_sensor_are_refused),
+		cmocka_unit_test(test_an_accelerometer_in_units_of_g_is_refused_as_implausible),
+		cmocka_unit_test(test_the_next_side_is_one_that_was_not_up_yet),
+		cmocka_unit_test(test_hard_and_soft_iron_are_found_within_their_sigma),
+		cmocka_unit_test(test_hard_iron_of_twice_the_field_is_found),
+		cmocka_unit_test(test_without_a_given_field_the_volume_of_the_ellipsoid_stays),
+		cmocka_unit_test(test_a_magnetometer_turned_about_one_axis_is_refused),
+		cmocka_unit_test(test_a_magnetometer_at_rest_is_refused),
+		cmocka_unit_test(test_a_field_that_changes_while_turning_is_refused),
+		cmocka_unit_test(test_an_ellipsoid_flatter_than_any_soft_iron_makes_it_is_refused),
+		cmocka_unit_test(test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible),
+		cmocka_unit_test(test_no_magnetometer_is_told_after_five_seconds),
+		cmocka_unit_test(test_values_that_are_not_finite_are_left_out),
+		cmocka_unit_test(test_slopes_of_the_biases_are_found_while_it_warms_up),
+		cmocka_unit_test(test_a_temperature_that_hardly_moves_is_refused),
+		cmocka_unit_test(test_a_log_without_temperature_is_refused),
+		cmocka_unit_test(test_temperature_without_a_rest_is_refused),
+		cmocka_unit_test(test_a_parabola_is_found_where_it_explains_more),
+		cmocka_unit_test(test_every_verdict_has_a_text_of_its_own),
+		cmocka_unit_test(test_exact_points_of_an_ellipsoid_give_it_back),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
