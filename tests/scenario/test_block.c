@@ -378,6 +378,61 @@ static void test_a_large_upload_survives_any_loss(void **state)
 	}
 }
 
+static void test_every_block_size_from_1_to_127_gives_the_same_bytes(void **state)
+{
+	struct bus *bus = *state;
+	uint8_t content[1000];
+
+	for (size_t i = 0; i < sizeof(content); i++)
+		content[i] = (uint8_t)(i * 31 + i / 7);
+	set_domain(bus, content, sizeof(content));
+	for (uint8_t block_size = 1; block_size <= 127; block_size++) {
+		struct can_msg open = {.id = 0x610, .len = 8, .data = {0xA0, 0x21, 0x10, 0, block_size}};
+		struct can_msg acknowledge = {.id = 0x610, .len = 8, .data = {0xA3}};
+		uint8_t got[1008];
+		size_t size = 0;
+		bool last = false;
+
+		bus->sent_count = bus->seen = 0;
+		bus_send_msg(bus, &open);
+		bus_expect(bus, "590 C6 21 10 00 E8 03 00 00");
+		while (!last) {
+			uint8_t sequence = 0;
+
+			bus_send_msg(bus, &acknowledge);
+			bus_run(bus, 1000);
+			while (bus->seen < bus->sent_count) {
+				const uint8_t *segment = bus->sent[bus->seen++].msg.data;
+
+				assert_int_equal(segment[0] & 0x7F, ++sequence);
+				memcpy(got + size, segment + 1, 7);
+				size += 7;
+				last = segment[0] & 0x80;
+			}
+			assert_true(sequence == block_size || last);
+			acknowledge = (struct can_msg){.id = 0x610, .len = 8, .data = {0xA2, sequence, block_size}};
+		}
+		bus_send_msg(bus, &acknowledge);
+		bus_expect(bus, "590 C5 00 00 00 00 00 00 00");
+		bus_send(bus, "610 A1 00 00 00 00 00 00 00");
+		assert_memory_equal(got, content, sizeof(content));
+	}
+}
+
+static void test_bits_and_bytes_that_mean_nothing_are_ignored_in_blocks(void **state)
+{
+	struct bus *bus = *state;
+
+	set_domain(bus, "123456789", 9);
+	bus_exchange(bus, "610 BC 21 10 00 7F 00 EE EE", "590 C6 21 10 00 09 00 00 00");
+	bus_send(bus, "610 BF EE EE EE EE EE EE EE");
+	bus_forget(bus);
+	bus_exchange(bus, "610 BE 02 7F EE EE EE EE EE", "590 D5 C3 31 00 00 00 00 00");
+	bus_send(bus, "610 BD EE EE EE EE EE EE EE");
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+}
+
 /* ---- download ---------------------------------------------------------------------------------------------------- */
 
 static void test_a_block_download_is_written_at_its_end(void **state)
@@ -641,6 +696,8 @@ int main(void)
 		PRE_OPERATIONAL(test_a_slow_bus_does_not_time_a_sub_block_out),
 		PRE_OPERATIONAL(test_a_bus_that_stays_full_ends_the_upload),
 		PRE_OPERATIONAL(test_a_large_upload_survives_any_loss),
+		PRE_OPERATIONAL(test_every_block_size_from_1_to_127_gives_the_same_bytes),
+		PRE_OPERATIONAL(test_bits_and_bytes_that_mean_nothing_are_ignored_in_blocks),
 		PRE_OPERATIONAL(test_a_block_download_is_written_at_its_end),
 		PRE_OPERATIONAL(test_a_wrong_crc_is_refused_and_the_old_value_stands),
 		PRE_OPERATIONAL(test_of_a_client_without_crc_none_is_checked),

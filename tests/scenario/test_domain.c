@@ -470,6 +470,77 @@ static void test_a_snapshot_that_is_too_long_is_refused_before_it_comes(void **s
 	assert_int_equal(w->client.size, 0);
 }
 
+static void request(struct world *w, const uint8_t data[8])
+{
+	struct can_msg msg = {.id = 0x610, .len = 8};
+
+	memcpy(msg.data, data, 8);
+	w->answer_count = 0;
+	device_receive(&w->device, &msg, w->now_us);
+}
+
+static void assert_answer(const struct world *w, const uint8_t data[8])
+{
+	assert_int_equal(w->answer_count, 1);
+	assert_memory_equal(w->answers[0].data, data, 8);
+}
+
+/* A client that does not say how much it has. */
+static void test_a_segmented_download_without_a_size_ends_where_the_buffer_does(void **state)
+{
+	struct world *w = *state;
+	uint8_t toggle = 0;
+
+	request(w, (const uint8_t[8]){0x20, 0x30, 0x21});
+	for (size_t done = 0; done + 7 <= OD_DOMAIN_MAX; done += 7, toggle ^= 0x10) {
+		request(w, (const uint8_t[8]){toggle});
+		assert_answer(w, (const uint8_t[8]){0x20 | toggle});
+	}
+	request(w, (const uint8_t[8]){toggle});
+	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
+}
+
+static void test_a_block_download_without_a_size_ends_where_the_buffer_does(void **state)
+{
+	struct world *w = *state;
+	size_t done = 0;
+	uint8_t sequence = 0;
+
+	request(w, (const uint8_t[8]){0xC0, 0x30, 0x21});
+	assert_answer(w, (const uint8_t[8]){0xA4, 0x30, 0x21, 0, 31});
+	while (done < OD_DOMAIN_MAX) {
+		sequence = sequence % 31 + 1;
+		request(w, (const uint8_t[8]){sequence});
+		assert_int_equal(w->answer_count, sequence == 31);
+		done += 7;
+	}
+	request(w, (const uint8_t[8]){sequence + 1});
+	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
+}
+
+static void test_four_bytes_are_a_domain_too(void **state)
+{
+	struct world *w = *state;
+
+	request(w, (const uint8_t[8]){0x23, 0x30, 0x21}); /* no entries */
+	assert_answer(w, (const uint8_t[8]){0x60, 0x30, 0x21});
+	request(w, (const uint8_t[8]){0x27, 0x30, 0x21}); /* three bytes are nothing */
+	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x43, 0x00, 0x04, 0x06});
+}
+
+static void test_a_wrong_crc_takes_nothing_over(void **state)
+{
+	struct world *w = *state;
+
+	request(w, (const uint8_t[8]){0xC6, 0x30, 0x21, 0, 13});
+	request(w, (const uint8_t[8]){1, 1, 0, 0, 0, 0x17, 0x10, 0});
+	request(w, (const uint8_t[8]){0x82, 2, 0, 0, 0, 0x09, 0x03});
+	request(w, (const uint8_t[8]){0xC5, 0x12, 0x34});
+	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x04, 0x00, 0x04, 0x05});
+	w->answer_count = 0;
+	assert_int_equal(value_u32(w, 0x1017, 0), 1000);
+}
+
 static void test_a_download_that_is_broken_off_leaves_nothing(void **state)
 {
 	struct world *w = *state;
@@ -658,6 +729,10 @@ int main(void)
 		WITH_DEVICE(test_values_that_contradict_each_other_are_refused),
 		WITH_DEVICE(test_bytes_that_are_no_concise_dcf_are_refused),
 		WITH_DEVICE(test_a_snapshot_that_is_too_long_is_refused_before_it_comes),
+		WITH_DEVICE(test_a_segmented_download_without_a_size_ends_where_the_buffer_does),
+		WITH_DEVICE(test_a_block_download_without_a_size_ends_where_the_buffer_does),
+		WITH_DEVICE(test_four_bytes_are_a_domain_too),
+		WITH_DEVICE(test_a_wrong_crc_takes_nothing_over),
 		WITH_DEVICE(test_a_download_that_is_broken_off_leaves_nothing),
 		WITH_DEVICE(test_a_domain_that_is_only_read_refuses_a_write),
 		WITH_DEVICE(test_the_log_tells_the_start_and_each_change_of_the_nmt_state),

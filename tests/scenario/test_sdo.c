@@ -393,6 +393,19 @@ static void test_a_request_of_wrong_length_is_ignored(void **state)
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
 }
 
+static void test_bits_and_bytes_that_mean_nothing_are_ignored(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "610 5F 17 10 00 EE EE EE EE", "590 4B 17 10 00 00 00 00 00"); /* upload */
+	bus_exchange(bus, "610 3B 17 10 00 F4 01 EE EE", "590 60 17 10 00 00 00 00 00"); /* expedited: bit 4 */
+	bus_exchange(bus, "610 40 17 10 00 00 00 00 00", "590 4B 17 10 00 F4 01 00 00");
+	bus_write(bus, 0x1017, 0, 2, 0);
+	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
+	bus_exchange(bus, "610 6F EE EE EE EE EE EE EE", "590 00 49 4D 55 39 20 43 41"); /* upload segment */
+	bus_exchange(bus, "610 7F EE EE EE EE EE EE EE", "590 10 4E 6F 70 65 6E 20 67");
+}
+
 static void test_a_request_to_another_node_is_not_answered(void **state)
 {
 	struct bus *bus = *state;
@@ -627,6 +640,7 @@ int main(void)
 		PRE_OPERATIONAL(test_an_unknown_command_is_refused_and_ends_the_transfer),
 		PRE_OPERATIONAL(test_a_segment_of_the_other_direction_is_refused),
 		PRE_OPERATIONAL(test_a_request_of_wrong_length_is_ignored),
+		PRE_OPERATIONAL(test_bits_and_bytes_that_mean_nothing_are_ignored),
 		PRE_OPERATIONAL(test_a_request_to_another_node_is_not_answered),
 		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo),
 		cmocka_unit_test(test_every_status_of_the_dictionary_has_its_abort_code),

@@ -1,0 +1,58 @@
+#!/bin/bash
+# tools_sdo_lss.sh [BUS]: imu9-sdo finds the nodes of a bus and gives them node-IDs.
+. "$(dirname "$0")/tools_common.bash"
+
+start_gateway
+
+# ---- who is there
+run imu9-sdo scan
+check "scan finds the node, its state and identity" says " 16  pre-operational  type 0004019Ah  vendor 00494D55h"
+for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255" "lss bit-rate 333" "lss --serial" "dcf apply" "dcf frob x" \
+	"watch" "watch gravity --rate 0" "read gravity 0x1017 -o x" "read --block --no-block gravity" "write snapshot"; do
+	run imu9-sdo $arguments
+	check "wrong usage: '$arguments'" fails 2 "imu9-sdo: "
+done
+run imu9-sdo lss inquire
+check "lss inquire" says "node-ID 16  vendor 00494D55h  product 00000009h  revision 00010000h  serial "
+serial=${out##*serial } serial=0x${serial%h}
+run imu9-sdo lss inquire --serial 1
+check "a node that is not there is not answered for" fails 1 "no node with vendor 00494D55h"
+run imu9-sdo lss node-id 18 --serial "$serial"
+check "lss node-id, of the one with that serial number" ends 0
+imu9-sdo nmt reset-comm
+sleep 0.3
+run imu9-sdo -q -n 18 read gravity
+check "from reset communication on" prints 9.81
+run imu9-sdo lss node-id 16
+imu9-sdo -n 18 nmt reset-comm
+sleep 0.3
+run imu9-sdo lss assign 19
+check "nobody to be assigned to" fails 1 "no node without a node-ID"
+
+# ---- a node without a node-ID
+stop_gateway
+start_unconfigured() {
+	imu9-gateway --imu sim --can "$IMU9_CAN" --node-id 255 --store "$work/store2" 2>"$work/log" &
+	gateway=$!
+	for _ in 1 2 3 4 5 6 7 8 9 10; do
+		imu9-sdo -t 300 lss inquire >/dev/null 2>&1 && return
+	done
+}
+start_unconfigured
+run imu9-sdo lss scan
+check "lss scan finds it by its identity, bit by bit" prints "vendor 00494D55h  product 00000009h  revision 00010000h  serial ${serial#0x}h"
+run imu9-sdo scan
+check "scan does not see it, and says where to look" fails 1 "imu9-sdo lss scan"
+run imu9-sdo lss assign 42 --store
+check "lss assign gives it a node-ID" fails 0 "it is node 42 now"
+run imu9-sdo -q -n 42 read 0x1018:4
+check "which it has at once" ends 0
+run imu9-sdo lss scan
+check "and nobody is left without one" prints ""
+stop_gateway
+start_unconfigured
+run imu9-sdo -t 1000 -n 42 read 0x1000
+check "it keeps its node-ID over a restart" ends 0
+run imu9-sdo lss node-id 255
+check "and can lose it again" ends 0
+finish

@@ -1,0 +1,465 @@
+/* The SDO client's block transfers against scripted frames, byte for byte as CiA 301, 7.2.4.3.9 to 7.2.4.3.16 draw them.
+ * The CRC of "123456789" is 31C3h. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <string.h>
+#include <cmocka.h>
+
+#include "gateway/canopen/sdo_client.h"
+
+enum { NODE = 5, TIMEOUT_US = 500000, SENT_MAX = 200, T0 = 1000 };
+
+struct bench {
+	struct can_port bus; /* first: ops->send() gets it back */
+	struct sdo_client client;
+	struct can_msg sent[SENT_MAX];
+	size_t sent_count, seen;
+	uint8_t value[100];
+};
+
+static int capture(struct can_port *port, const struct can_msg *msg)
+{
+	struct bench *bench = (struct bench *)port;
+
+	assert_true(bench->sent_count < SENT_MAX);
+	bench->sent[bench->sent_count++] = *msg;
+	return 0;
+}
+
+static struct bench *bench_reset(void)
+{
+	static const struct can_ops capturing = {.send = capture};
+	static struct bench bench;
+
+	bench = (struct bench){.bus = {.ops = &capturing, .fd = -1}};
+	sdo_client_init(&bench.client, &bench.bus, NODE, TIMEOUT_US);
+	return &bench;
+}
+
+static void answer(struct bench *bench, const uint8_t data[8])
+{
+	struct can_msg msg = {.id = 0x580 + NODE, .len = 8};
+
+	memcpy(msg.data, data, 8);
+	sdo_client_receive(&bench->client, &msg, T0);
+}
+
+#define ANSWER(bench, ...) answer(bench, (const uint8_t[8]){__VA_ARGS__})
+
+/* The next frame that the client sent. */
+#define ASSERT_SENT(bench, ...)                                                                                 \
+	do {                                                                                                    \
+		assert_true((bench)->seen < (bench)->sent_count);                                               \
+		assert_int_equal((bench)->sent[(bench)->seen].id, 0x600 + NODE);                                \
+		assert_memory_equal((bench)->sent[(bench)->seen++].data, ((const uint8_t[8]){__VA_ARGS__}), 8); \
+	} while (0)
+#define ASSERT_NOTHING_SENT(bench) assert_int_equal((bench)->seen, (bench)->sent_count)
+
+static struct bench *upload(size_t capacity)
+{
+	struct bench *bench = bench_reset();
+
+	sdo_client_block_upload(&bench->client, 0x1021, 0, bench->value, capacity, T0);
+	ASSERT_SENT(bench, 0xA4, 0x21, 0x10, 0, 127);
+	return bench;
+}
+
+static struct bench *download(const char *text)
+{
+	struct bench *bench = bench_reset();
+
+	sdo_client_block_download(&bench->client, 0x2130, 0, text, strlen(text), T0);
+	ASSERT_SENT(bench, 0xC6, 0x30, 0x21, 0, (uint8_t)strlen(text));
+	return bench;
+}
+
+static void assert_aborted(struct bench *bench, uint16_t index, uint32_t code)
+{
+	assert_int_equal(bench->client.result, SDO_ABORTED);
+	assert_int_equal(bench->client.abort_code, code);
+	assert_false(bench->client.aborted_by_server);
+	ASSERT_SENT(bench, 0x80, (uint8_t)index, (uint8_t)(index >> 8), 0, (uint8_t)code, (uint8_t)(code >> 8),
+		(uint8_t)(code >> 16), (uint8_t)(code >> 24));
+}
+
+/* Sends until the client waits for the server. */
+static void let_it_send(struct bench *bench)
+{
+	while (sdo_client_tick(&bench->client, T0) <= T0)
+		;
+}
+
+/* ---- upload ------------------------------------------------------------------------------------------------------ */
+
+static void test_an_upload_acknowledges_the_segments_and_checks_the_crc(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC6, 0x21, 0x10, 0, 9);
+	ASSERT_SENT(bench, 0xA3);
+	ANSWER(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
+	ASSERT_NOTHING_SENT(bench);
+	ANSWER(bench, 0x82, '8', '9');
+	ASSERT_SENT(bench, 0xA2, 2, 127);
+	ANSWER(bench, 0xD5, 0xC3, 0x31);
+	ASSERT_SENT(bench, 0xA1);
+	assert_int_equal(bench->client.result, SDO_DONE);
+	assert_int_equal(bench->client.size, 9);
+	assert_memory_equal(bench->value, "123456789", 9);
+}
+
+static void test_a_wrong_crc_is_aborted(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC6, 0x21, 0x10, 0, 9);
+	ANSWER(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
+	ANSWER(bench, 0x82, '8', '8');
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xD5, 0xC3, 0x31);
+	assert_aborted(bench, 0x1021, 0x05040004);
+}
+
+static void test_a_server_without_crc_is_believed(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC2, 0x21, 0x10, 0, 2);
+	ANSWER(bench, 0x81, 'a', 'b');
+	ANSWER(bench, 0xD5, 0, 0);
+	assert_int_equal(bench->client.result, SDO_DONE);
+}
+
+static void test_after_a_lost_segment_the_last_one_in_order_is_acknowledged(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	ASSERT_SENT(bench, 0xA3);
+	ANSWER(bench, 0x01, 'a', 'b', 'c', 'd', 'e', 'f', 'g');
+	ANSWER(bench, 0x83, 'o', 'p'); /* the second is lost */
+	ASSERT_SENT(bench, 0xA2, 1, 127);
+	ANSWER(bench, 0x01, 'h', 'i', 'j', 'k', 'l', 'm', 'n');
+	ANSWER(bench, 0x82, 'o', 'p');
+	ASSERT_SENT(bench, 0xA2, 2, 127);
+	assert_memory_equal(bench->value, "abcdefghijklmnop", 16);
+}
+
+static void test_when_the_last_segment_is_lost_silence_asks_for_it_once(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	ASSERT_SENT(bench, 0xA3);
+	ANSWER(bench, 0x01, 'a', 'b', 'c', 'd', 'e', 'f', 'g');
+	assert_int_equal(sdo_client_tick(&bench->client, T0 + TIMEOUT_US), T0 + 2 * TIMEOUT_US);
+	ASSERT_SENT(bench, 0xA2, 1, 127);
+	assert_true(sdo_client_tick(&bench->client, T0 + 2 * TIMEOUT_US) == UINT64_MAX);
+	assert_int_equal(bench->client.result, SDO_TIMEOUT);
+	ASSERT_SENT(bench, 0x80, 0x21, 0x10, 0, 0, 0, 0x04, 0x05);
+}
+
+static void test_segment_127_ends_a_sub_block(void **state)
+{
+	struct bench *bench = bench_reset();
+	static uint8_t value[2000];
+
+	(void)state;
+	sdo_client_block_upload(&bench->client, 0x1021, 0, value, sizeof(value), T0);
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	bench->seen = bench->sent_count;
+	for (uint8_t i = 1; i < 127; i++)
+		ANSWER(bench, i);
+	ASSERT_NOTHING_SENT(bench);
+	ANSWER(bench, 127);
+	ASSERT_SENT(bench, 0xA2, 127, 127);
+	ANSWER(bench, 0x81, 'x');
+	ASSERT_SENT(bench, 0xA2, 1, 127);
+}
+
+static void test_a_value_larger_than_the_buffer_is_aborted_at_once(void **state)
+{
+	struct bench *bench = upload(10);
+
+	(void)state;
+	ANSWER(bench, 0xC6, 0x21, 0x10, 0, 11);
+	assert_aborted(bench, 0x1021, 0x05040005);
+}
+
+static void test_a_value_of_unknown_size_never_overruns_the_buffer(void **state)
+{
+	struct bench *bench = upload(10);
+
+	(void)state;
+	memset(bench->value, 0xEE, sizeof(bench->value));
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	ANSWER(bench, 0x01, 1, 2, 3, 4, 5, 6, 7);
+	ANSWER(bench, 0x02, 1, 2, 3, 4, 5, 6, 7);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0x03, 1, 2, 3, 4, 5, 6, 7);
+	assert_aborted(bench, 0x1021, 0x05040005);
+	assert_int_equal(bench->value[9], 3);
+	assert_int_equal(bench->value[10], 0xEE);
+}
+
+static void test_more_or_less_than_announced_is_aborted(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC2, 0x21, 0x10, 0, 7);
+	ANSWER(bench, 0x01, 1, 2, 3, 4, 5, 6, 7);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0x82, 1);
+	assert_aborted(bench, 0x1021, 0x06070010);
+
+	bench = upload(100);
+	ANSWER(bench, 0xC2, 0x21, 0x10, 0, 7);
+	ANSWER(bench, 0x81, 1, 2, 3);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xD1, 0, 0);
+	assert_aborted(bench, 0x1021, 0x06070010);
+}
+
+static void test_an_empty_value_is_one_empty_segment(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC6, 0x21, 0x10, 0, 0);
+	ANSWER(bench, 0x81);
+	ANSWER(bench, 0xDD, 0, 0);
+	assert_int_equal(bench->client.result, SDO_DONE);
+	assert_int_equal(bench->client.size, 0);
+}
+
+static void test_a_server_that_would_rather_not_use_blocks_is_followed(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0x4B, 0x21, 0x10, 0, 0xE8, 0x03);
+	assert_int_equal(bench->client.result, SDO_DONE);
+	assert_int_equal(bench->client.size, 2);
+
+	bench = upload(100);
+	ANSWER(bench, 0x41, 0x21, 0x10, 0, 5);
+	ASSERT_SENT(bench, 0x60);
+	ANSWER(bench, 0x05, 'h', 'e', 'l', 'l', 'o');
+	assert_int_equal(bench->client.result, SDO_DONE);
+}
+
+static void test_an_abort_in_the_midst_of_the_segments_is_seen(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	ANSWER(bench, 0x80, 0x21, 0x10, 0, 0, 0, 0x04, 0x05);
+	assert_int_equal(bench->client.result, SDO_ABORTED);
+	assert_true(bench->client.aborted_by_server);
+}
+
+static void test_a_server_without_blocks_says_so(void **state)
+{
+	struct bench *bench = upload(100);
+
+	(void)state;
+	ANSWER(bench, 0x80, 0x21, 0x10, 0, 0x01, 0, 0x04, 0x05);
+	assert_int_equal(bench->client.result, SDO_ABORTED);
+	assert_int_equal(bench->client.abort_code, 0x05040001);
+	assert_true(bench->client.aborted_by_server);
+}
+
+/* ---- download ---------------------------------------------------------------------------------------------------- */
+
+static void test_a_download_sends_the_segments_and_the_crc(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
+	ASSERT_SENT(bench, 0x82, '8', '9');
+	ASSERT_NOTHING_SENT(bench);
+	ANSWER(bench, 0xA2, 2, 127);
+	ASSERT_SENT(bench, 0xD5, 0xC3, 0x31);
+	ANSWER(bench, 0xA1);
+	assert_int_equal(bench->client.result, SDO_DONE);
+	assert_int_equal(bench->client.size, 9);
+}
+
+static void test_a_server_without_crc_gets_none(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA0, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xA2, 2, 127);
+	ASSERT_SENT(bench, 0xD5, 0, 0);
+}
+
+static void test_the_server_sets_the_size_of_each_sub_block(void **state)
+{
+	struct bench *bench = download("abcdefghijklmnopqrstuvwxyz");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 1);
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x01, 'a', 'b', 'c', 'd', 'e', 'f', 'g');
+	ASSERT_NOTHING_SENT(bench);
+	ANSWER(bench, 0xA2, 1, 2);
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x01, 'h', 'i', 'j', 'k', 'l', 'm', 'n');
+	ASSERT_SENT(bench, 0x02, 'o', 'p', 'q', 'r', 's', 't', 'u');
+	ASSERT_NOTHING_SENT(bench);
+	ANSWER(bench, 0xA2, 2, 127);
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x81, 'v', 'w', 'x', 'y', 'z');
+}
+
+static void test_what_the_server_lacks_is_sent_again(void **state)
+{
+	struct bench *bench = download("abcdefghijklmnopqrstuvwxyz");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xA2, 3, 127); /* the last one is lost */
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x81, 'v', 'w', 'x', 'y', 'z');
+	ANSWER(bench, 0xA2, 0, 127); /* again */
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x81, 'v', 'w', 'x', 'y', 'z');
+	ANSWER(bench, 0xA2, 1, 127);
+	ASSERT_SENT(bench, 0xC9, 0xAC, 0x63);
+}
+
+static void test_a_server_that_never_gets_anything_is_given_up(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	for (int i = 0; i < 4; i++) {
+		let_it_send(bench);
+		bench->seen = bench->sent_count;
+		ANSWER(bench, 0xA2, 0, 127);
+	}
+	assert_aborted(bench, 0x2130, 0x05040003);
+}
+
+static void test_an_acknowledgement_of_what_was_not_sent_is_aborted(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xA2, 3, 127);
+	assert_aborted(bench, 0x2130, 0x05040003);
+}
+
+static void test_a_block_size_of_0_or_above_127_is_aborted(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 0);
+	assert_aborted(bench, 0x2130, 0x05040002);
+	bench = download("123456789");
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 128);
+	assert_aborted(bench, 0x2130, 0x05040002);
+}
+
+static void test_an_empty_value_is_sent_as_one_empty_segment(void **state)
+{
+	struct bench *bench = download("");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	ASSERT_SENT(bench, 0x81);
+	ANSWER(bench, 0xA2, 1, 127);
+	ASSERT_SENT(bench, 0xDD, 0, 0);
+}
+
+static void test_a_full_bus_is_waited_for(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	bench->bus.queue_count = 1;
+	assert_int_equal(sdo_client_tick(&bench->client, T0), T0 + 1000);
+	ASSERT_NOTHING_SENT(bench);
+	bench->bus.queue_count = 0;
+	sdo_client_tick(&bench->client, T0 + 1000);
+	ASSERT_SENT(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
+}
+
+static void test_a_server_that_does_not_acknowledge_is_timed_out(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	sdo_client_tick(&bench->client, T0 + TIMEOUT_US);
+	assert_int_equal(bench->client.result, SDO_TIMEOUT);
+	ASSERT_SENT(bench, 0x80, 0x30, 0x21, 0, 0, 0, 0x04, 0x05);
+}
+
+static void test_an_unexpected_command_is_aborted(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0x60, 0x30, 0x21, 0);
+	assert_aborted(bench, 0x2130, 0x05040001);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_an_upload_acknowledges_the_segments_and_checks_the_crc),
+		cmocka_unit_test(test_a_wrong_crc_is_aborted),
+		cmocka_unit_test(test_a_server_without_crc_is_believed),
+		cmocka_unit_test(test_after_a_lost_segment_the_last_one_in_order_is_acknowledged),
+		cmocka_unit_test(test_when_the_last_segment_is_lost_silence_asks_for_it_once),
+		cmocka_unit_test(test_segment_127_ends_a_sub_block),
+		cmocka_unit_test(test_a_value_larger_than_the_buffer_is_aborted_at_once),
+		cmocka_unit_test(test_a_value_of_unknown_size_never_overruns_the_buffer),
+		cmocka_unit_test(test_more_or_less_than_announced_is_aborted),
+		cmocka_unit_test(test_an_empty_value_is_one_empty_segment),
+		cmocka_unit_test(test_a_server_that_would_rather_not_use_blocks_is_followed),
+		cmocka_unit_test(test_an_abort_in_the_midst_of_the_segments_is_seen),
+		cmocka_unit_test(test_a_server_without_blocks_says_so),
+		cmocka_unit_test(test_a_download_sends_the_segments_and_the_crc),
+		cmocka_unit_test(test_a_server_without_crc_gets_none),
+		cmocka_unit_test(test_the_server_sets_the_size_of_each_sub_block),
+		cmocka_unit_test(test_what_the_server_lacks_is_sent_again),
+		cmocka_unit_test(test_a_server_that_never_gets_anything_is_given_up),
+		cmocka_unit_test(test_an_acknowledgement_of_what_was_not_sent_is_aborted),
+		cmocka_unit_test(test_a_block_size_of_0_or_above_127_is_aborted),
+		cmocka_unit_test(test_an_empty_value_is_sent_as_one_empty_segment),
+		cmocka_unit_test(test_a_full_bus_is_waited_for),
+		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_timed_out),
+		cmocka_unit_test(test_an_unexpected_command_is_aborted),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
