@@ -89,8 +89,8 @@ int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 
 /** What `settings` come to on this board. Reads nothing but what detection found: callable beside board_step().
- * 0; -EINVAL: impossible, one line in `error`. */
-int board_plan(const struct board *board, const struct imu_settings *settings, bool fifo, bool data_ready,
+ * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty. 0; -EINVAL: impossible, one line in `error`. */
+int board_plan(const struct board *board, const struct imu_settings *settings, bool stub, bool data_ready,
 	struct board_plan *plan, char *error, size_t error_size);
 
 /** Starts the chips anew with that plan, from the next step on. */

@@ -45,6 +45,7 @@ struct chip_setup {
 	uint8_t bandwidth_code;
 	bool fifo;
 	bool data_ready; /* on its interrupt line */
+	bool stub;	 /* see board_plan() */
 };
 
 enum chip_fifo {

@@ -219,7 +219,7 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 
 	if (imu->config.rate_hz > 0)
 		wanted.rate_hz = imu->config.rate_hz;
-	return board_plan(&imu->board, &wanted, !imu->config.no_fifo, imu->drdy != NULL, plan, error, error_size);
+	return board_plan(&imu->board, &wanted, imu->config.stub, imu->drdy != NULL, plan, error, error_size);
 }
 
 static void use_rate(struct imu_port *port, double rate_hz)
@@ -380,8 +380,8 @@ static int parse_option(char *option, struct i2c_imu_config *config)
 {
 	char *line, *end;
 
-	if (strcmp(option, "fifo=off") == 0) {
-		config->no_fifo = true;
+	if (strcmp(option, "stub") == 0) {
+		config->stub = true;
 		return 0;
 	}
 	if (strncmp(option, "drdy=", 5) != 0 || !(line = strchr(option, ':')) || line == option + 5)
@@ -400,12 +400,12 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 	int result;
 
 	if (!path || *path == '\0') {
-		snprintf(error, error_size, "i2c: no bus: use i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,fifo=off]");
+		snprintf(error, error_size, "i2c: no bus: use i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub]");
 		return -EINVAL;
 	}
 	while ((option = strsep(&rest, ",")))
 		if (parse_option(option, &config) < 0) {
-			snprintf(error, error_size, "i2c: '%.40s': use drdy=GPIOCHIP:LINE or fifo=off", option);
+			snprintf(error, error_size, "i2c: '%.40s': use drdy=GPIOCHIP:LINE or stub", option);
 			return -EINVAL;
 		}
 	snprintf(name, sizeof name, "i2c:%.40s", path);

@@ -47,7 +47,7 @@ int imu_open(
 	if (!source) {
 		snprintf(error, error_size,
 			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ][,board=B]], "
-			"replay:FILE.imu.csv[,loop][,speed=X] or i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,fifo=off]",
+			"replay:FILE.imu.csv[,loop][,speed=X] or i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub]",
 			name);
 		return -EINVAL;
 	}

@@ -6,6 +6,8 @@
 #define DRIFT_PER_S 3e-5
 /* The period is never believed to be known better than that. */
 #define FINEST 5e-5
+/* Added to either bound of it when they were wrong. */
+#define LOOSEN 5e-4
 
 /* The period is measured over so long: the mean of a longer time would not be that of now. */
 #define ANCHOR_NS 2.5e9
@@ -21,6 +23,7 @@ void sample_clock_start(struct sample_clock *c, double period_ns, double toleran
 {
 	*c = (struct sample_clock){.newest = -1,
 		.nominal_ns = period_ns,
+		.tolerance = tolerance,
 		.shortest_ns = period_ns * (1 - tolerance),
 		.longest_ns = period_ns * (1 + tolerance)};
 }
@@ -56,6 +59,12 @@ static void narrow_period(struct sample_clock *c)
 	}
 }
 
+static void clamp_period(struct sample_clock *c)
+{
+	c->shortest_ns = fmax(c->shortest_ns, c->nominal_ns * (1 - c->tolerance));
+	c->longest_ns = fmin(c->longest_ns, c->nominal_ns * (1 + c->tolerance));
+}
+
 static void advance(struct sample_clock *c, int64_t newest)
 {
 	double n = (double)(newest - c->newest), drift = DRIFT_PER_S * n * c->nominal_ns * 1e-9;
@@ -66,20 +75,34 @@ static void advance(struct sample_clock *c, int64_t newest)
 	c->newest = newest;
 	c->shortest_ns -= drift * c->nominal_ns;
 	c->longest_ns += drift * c->nominal_ns;
+	clamp_period(c);
 }
 
-/* The newest sample was taken between these, too. Contradictions mean that the period has left its bounds: begin anew,
- * with what this read says. */
+/* What was known and what this read says contradict each other: the period has left its bounds, or samples come
+ * unevenly. A little: the truth is about between the two. Much: begin anew, with what this read says. */
+static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
+{
+	const double little_ns = c->nominal_ns / 4, taken_ns = c->taken_ns;
+
+	c->shortest_ns -= LOOSEN * c->nominal_ns;
+	c->longest_ns += LOOSEN * c->nominal_ns;
+	clamp_period(c);
+	if (lo_ns > c->hi_ns && lo_ns - c->hi_ns < little_ns)
+		begin(c, c->newest, c->hi_ns, lo_ns);
+	else if (hi_ns < c->lo_ns && c->lo_ns - hi_ns < little_ns)
+		begin(c, c->newest, hi_ns, c->lo_ns);
+	else
+		begin(c, c->newest, lo_ns, hi_ns);
+	c->taken_ns = fmax(c->lo_ns, fmin(c->hi_ns, taken_ns));
+}
+
+/* The newest sample was taken between these, too. */
 static void narrow(struct sample_clock *c, double lo_ns, double hi_ns)
 {
 	double guess_ns;
 
 	if (lo_ns > c->hi_ns || hi_ns < c->lo_ns) {
-		double spread_ns = fmax(c->longest_ns - c->shortest_ns, 0.002 * c->nominal_ns);
-
-		c->shortest_ns -= spread_ns;
-		c->longest_ns += spread_ns;
-		begin(c, c->newest, lo_ns, hi_ns);
+		reconcile(c, lo_ns, hi_ns);
 		return;
 	}
 	c->lo_ns = fmax(c->lo_ns, lo_ns);

@@ -18,7 +18,7 @@ struct sample_clock {
 	double taken_ns;		/* best guess, smooth */
 	double shortest_ns, longest_ns; /* the period is between */
 	/* PRIVATE */
-	double nominal_ns;
+	double nominal_ns, tolerance;
 	double none_ns; /* nothing had been sampled then */
 	int64_t anchor;
 	double anchor_lo_ns, anchor_hi_ns;

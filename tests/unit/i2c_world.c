@@ -78,7 +78,7 @@ void world_set_up(struct world *w, const struct imu_settings *settings, bool fif
 	struct board_plan plan;
 	char why[200];
 
-	if (board_plan(&w->board, settings, fifo, false, &plan, why, sizeof why) < 0) {
+	if (board_plan(&w->board, settings, !fifo, false, &plan, why, sizeof why) < 0) {
 		fprintf(stderr, "%s\n", why);
 		abort();
 	}

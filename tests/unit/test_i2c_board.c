@@ -369,7 +369,7 @@ static void assert_impossible(const char *board, const struct imu_settings *sett
 	char why[200] = "";
 
 	world_detect(w);
-	assert_int_equal(board_plan(&w->board, settings, true, false, &plan, why, sizeof why), -EINVAL);
+	assert_int_equal(board_plan(&w->board, settings, false, false, &plan, why, sizeof why), -EINVAL);
 	assert_string_equal(why, expected);
 	world_free(w);
 }
@@ -405,7 +405,7 @@ static void test_the_smallest_values_that_are_enough_are_taken(void **state)
 	(void)state;
 	settings.bandwidth_hz = 40;
 	world_detect(w);
-	assert_int_equal(board_plan(&w->board, &settings, true, false, &plan, why, sizeof why), 0);
+	assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
 	assert_true(plan.rate_hz == 200);
 	assert_true(plan.setup[0].range[0]->full_scale == 245); /* near enough to 250 */
 	assert_true(plan.setup[0].bandwidth_hz == 70);

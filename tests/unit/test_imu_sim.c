@@ -136,7 +136,7 @@ static void test_settings_that_cannot_be_are_refused_and_the_old_ones_stay(void 
 	assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof error), -EINVAL);
 	assert_string_equal(error, "accelerometer range 32 g: the LSM303DLHC goes to 16");
 	wait_and_read(port, &sample);
-	settings = (struct imu_settings)IMU_SETTINGS_DEFAULTS;
+	settings = IMU_SETTINGS_DEFAULTS;
 	settings.rate_hz = 700;
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof error), 0);
 	assert_true(port->rate_hz == 95); /* only asked whether it could */

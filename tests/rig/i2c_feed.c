@@ -1,0 +1,224 @@
+/* tests/rig/i2c_feed.c
+ * i2c_feed [-b BOARD] [-s SCENARIO] [-n] BUS: makes the chips of a board of an i2c-stub, e.g. of /dev/i2c-0.
+ *
+ * The simulated chips (drivers/imu/sim_chips.h) live in here; every millisecond what the driver wrote into the stub's
+ * registers goes to them, and what changed in theirs goes to the stub: a burst at its register and, since a stub takes
+ * no notice of the bit that asks for more, at that with bit 7. The stub cannot tell that something was read: a sample's
+ * ready bit goes after two thirds of its time, and the driver must know (i2c:BUS,stub).
+ *
+ * -n: without noise. Prints "start US", the CLOCK_MONOTONIC of the scenario's beginning, when the registers stand.
+ * Lines on stdin: brownout|freeze|stop|saturate gyro|accel|mag [0|1]. Ends with stdin's "quit" or a signal. */
+#include <errno.h>
+#include <fcntl.h>
+#include <linux/i2c-dev.h>
+#include <linux/i2c.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/ioctl.h>
+#include <sys/prctl.h>
+#include <unistd.h>
+
+#include "drivers/imu/i2c_imu.h"
+#include "drivers/imu/sim_chips.h"
+
+enum { WATCHED = 0x40, GAP = 2, EVERY_MS = 1, CHIPS = 3, SEED = 1 };
+
+struct fed {
+	enum imu_chip chip; /* one of those at that address */
+	uint8_t address;
+	uint8_t shadow[128]; /* as the stub has them */
+};
+
+struct triad_ready {
+	uint64_t taken;
+	double last_ns, clear_ns;
+};
+
+static int bus_fd;
+static struct sim_board *board;
+
+static void die(const char *what)
+{
+	fprintf(stderr, "i2c_feed: %s: %s\n", what, strerror(errno));
+	exit(1);
+}
+
+static void block(uint8_t address, uint8_t direction, uint8_t at, uint8_t *bytes, size_t n)
+{
+	union i2c_smbus_data data = {.block = {(uint8_t)n}};
+	struct i2c_smbus_ioctl_data transfer = {
+		.read_write = direction, .command = at, .size = I2C_SMBUS_I2C_BLOCK_DATA, .data = &data};
+
+	memcpy(data.block + 1, bytes, n);
+	if (ioctl(bus_fd, I2C_SLAVE, (unsigned long)address) < 0 || ioctl(bus_fd, I2C_SMBUS, &transfer) < 0)
+		die("stub");
+	memcpy(bytes, data.block + 1, n);
+}
+
+/* What the driver wrote goes to the chips. */
+static void from_stub(struct fed *f)
+{
+	uint8_t now[WATCHED];
+
+	block(f->address, I2C_SMBUS_READ, 0, now, 32);
+	block(f->address, I2C_SMBUS_READ, 32, now + 32, 32);
+	for (uint8_t reg = 0; reg < WATCHED; reg++) {
+		if (now[reg] == f->shadow[reg])
+			continue;
+		i2c_write(sim_board_bus(board), f->address, reg, now[reg]);
+		f->shadow[reg] = now[reg];
+	}
+}
+
+static void put_run(struct fed *f, size_t first, size_t last)
+{
+	for (size_t at = first; at <= last; at += 32) {
+		size_t n = last - at + 1 < 32 ? last - at + 1 : 32;
+
+		block(f->address, I2C_SMBUS_WRITE, (uint8_t)at, f->shadow + at, n);
+		block(f->address, I2C_SMBUS_WRITE, (uint8_t)(at | 0x80), f->shadow + at, n);
+	}
+}
+
+/* Registers that changed, near ones in one burst: status and data must not be seen apart. */
+static void to_stub(struct fed *f)
+{
+	const uint8_t *regs = sim_board_registers(board, f->chip);
+	size_t first = 0, last = 0;
+	bool open = false;
+
+	for (size_t reg = 0; reg < sizeof f->shadow; reg++) {
+		if (regs[reg] == f->shadow[reg])
+			continue;
+		f->shadow[reg] = regs[reg];
+		if (open && reg - last > GAP) {
+			put_run(f, first, last);
+			open = false;
+		}
+		if (!open)
+			first = reg;
+		open = true;
+		last = reg;
+	}
+	if (open)
+		put_run(f, first, last);
+}
+
+/* Reads the data where nobody else can, so that the next sample's ready bit is a new one. */
+static void clear_ready(enum imu_chip chip, struct triad_ready *r)
+{
+	const double now_ns = (double)i2c_imu_now_ns(NULL);
+	uint64_t taken;
+	uint8_t byte; /* the last one */
+	double t_ns;
+
+	taken = sim_board_taken(board, chip, &t_ns);
+	if (taken != r->taken) {
+		r->clear_ns = t_ns + 2 * (t_ns - r->last_ns) / 3 / (double)(taken > r->taken ? taken - r->taken : 1);
+		r->last_ns = t_ns;
+		r->taken = taken;
+	}
+	if (r->clear_ns == 0 || now_ns < r->clear_ns)
+		return;
+	r->clear_ns = 0;
+	i2c_read(sim_board_bus(board), sim_board_address(board, chip), (uint8_t)(sim_board_data_at(board, chip) + 5),
+		&byte, 1);
+}
+
+static bool obey(char *line)
+{
+	static const struct {
+		const char *name;
+		void (*put)(struct sim_board *, enum imu_chip, bool);
+	} faults[] = {{"freeze", sim_board_freeze}, {"stop", sim_board_stop}, {"saturate", sim_board_saturate}};
+	char what[16] = "", which[16] = "";
+	int on = 1;
+	enum imu_chip chip;
+
+	if (sscanf(line, "%15s %15s %d", what, which, &on) < 1 || strcmp(what, "quit") == 0)
+		return false;
+	chip = which[0] == 'g' ? IMU_CHIP_GYRO : which[0] == 'a' ? IMU_CHIP_ACCEL : IMU_CHIP_MAG;
+	if (strcmp(what, "brownout") == 0)
+		sim_board_brown_out(board, chip);
+	for (size_t i = 0; i < sizeof faults / sizeof *faults; i++)
+		if (strcmp(what, faults[i].name) == 0)
+			faults[i].put(board, chip, on);
+	return true;
+}
+
+/* Chips in `fed`, each address once. */
+static size_t gather(struct fed *fed)
+{
+	size_t n = 0;
+
+	for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
+		bool known = false;
+
+		for (size_t i = 0; i < n; i++)
+			known |= fed[i].address == sim_board_address(board, chip);
+		if (!known)
+			fed[n++] = (struct fed){.chip = chip, .address = sim_board_address(board, chip)};
+	}
+	return n;
+}
+
+static void feed(void)
+{
+	struct fed fed[CHIPS];
+	struct triad_ready ready[CHIPS + 1] = {0};
+	struct pollfd in = {STDIN_FILENO, POLLIN, 0};
+	size_t n = gather(fed);
+	char line[80];
+
+	for (size_t i = 0; i < n; i++) {
+		memcpy(fed[i].shadow, sim_board_registers(board, fed[i].chip), sizeof fed[i].shadow);
+		put_run(&fed[i], 0, sizeof fed[i].shadow - 1);
+	}
+	printf("start %lld\n", (long long)(sim_board_start_ns(board) / 1000));
+	fflush(stdout);
+	for (;;) {
+		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++)
+			clear_ready(chip, &ready[chip]);
+		for (size_t i = 0; i < n; i++) {
+			from_stub(&fed[i]);
+			to_stub(&fed[i]);
+		}
+		if (poll(&in, 1, EVERY_MS) <= 0)
+			continue;
+		if (!fgets(line, sizeof line, stdin))
+			in.fd = -1; /* closed: goes on until a signal */
+		else if (!obey(line))
+			return;
+	}
+}
+
+int main(int argc, char **argv)
+{
+	struct sim_config config = {
+		.board = "v3", .sensor = *sensor_preset("lsm303dlhc_l3gd20"), .seed = SEED, .now_ns = i2c_imu_now_ns};
+	const char *scenario = "square";
+	int option;
+
+	while ((option = getopt(argc, argv, "b:s:n")) != -1) {
+		if (option == 'b')
+			config.board = optarg;
+		else if (option == 's')
+			scenario = optarg;
+		else if (option == 'n')
+			config.sensor = *sensor_preset("ideal");
+	}
+	config.signal = signal_find(scenario);
+	sensor_calibrate(&config.sensor);
+	if (optind + 1 != argc || !config.signal || sim_board_open(&config, &board) < 0) {
+		fprintf(stderr, "usage: i2c_feed [-b v0|v1|v2|v3|v5|v6] [-s SCENARIO] [-n] /dev/i2c-N\n");
+		return 2;
+	}
+	bus_fd = open(argv[optind], O_RDWR | O_CLOEXEC);
+	if (bus_fd < 0)
+		die(argv[optind]);
+	prctl(PR_SET_TIMERSLACK, 1UL);
+	feed();
+	return 0;
+}
