@@ -64,6 +64,7 @@ static void power_on(struct world *w, const char *const *settings)
 	const struct device_storage storage = {.ctx = w, .save = save_to_disk};
 	struct sensor_config sensor = *sensor_preset("ideal");
 	static struct config config;
+	uint8_t node_id = w->disk.lss.node_id ? w->disk.lss.node_id : NODE_ID; /* as main() does */
 	char why[CONFIG_ERROR_MAX];
 
 	w->bus = (struct can_port){.ops = &ops, .fd = -1};
@@ -76,9 +77,9 @@ static void power_on(struct world *w, const char *const *settings)
 	config_init(&config, &imu9_od_table);
 	for (; settings && *settings; settings++)
 		assert_int_equal(config_set(&config, *settings, why), 0);
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
 	config_apply(&config, &w->device.od);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, NODE_ID), 0);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, node_id), 0);
 	device_start(&w->device, false, w->now_us);
 }
 
@@ -442,8 +443,117 @@ static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
 	receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
 	assert_int_equal(last(w, 0x585)->data[0], 0x60);
-	power_on(w, NULL); /* with node-ID 16: LSS cannot keep one here */
+	power_on(w, NULL); /* with node-ID 16: LSS has not stored the other */
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x190);
+}
+
+static void lss_store_node_id(struct world *w, uint8_t node_id)
+{
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1});
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x17});
+}
+
+static void assert_lss_stored(const struct world *w, uint8_t error)
+{
+	const struct can_msg *answer = last(w, 0x7E4);
+
+	assert_non_null(answer);
+	assert_int_equal(answer->data[0], 0x17);
+	assert_int_equal(answer->data[1], error);
+}
+
+static void test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_identifiers(void **state)
+{
+	struct world *w = *state;
+
+	lss_store_node_id(w, 5);
+	assert_lss_stored(w, 0);
+	power_on(w, NULL);
+	assert_non_null(last(w, 0x705));
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
+}
+
+static void test_a_node_that_lss_stored_as_unconfigured_is_silent_after_a_power_cycle(void **state)
+{
+	struct world *w = *state;
+
+	lss_store_node_id(w, 255);
+	power_on(w, NULL);
+	w->frame_count = 0;
+	samples(w, 100);
+	assert_int_equal(w->frame_count, 0);
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x4C});
+	assert_int_equal(last(w, 0x7E4)->data[0], 0x50);
+}
+
+static void test_restoring_the_defaults_keeps_what_lss_stored(void **state)
+{
+	struct world *w = *state;
+
+	lss_store_node_id(w, 5);
+	assert_int_equal(sdo_write(w, 0x1011, 1, "load", 4), 0);
+	assert_int_equal(w->disk.lss.node_id, 5);
+}
+
+static void test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round(void **state)
+{
+	struct world *w = *state;
+
+	write_lever_arm(w, 1, 2, 3);
+	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
+	lss_store_node_id(w, 5);
+	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
+	power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 1, 0);
+	assert_non_null(last(w, 0x705));
+}
+
+static void test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before(void **state)
+{
+	struct world *w = *state;
+
+	w->disk_answer = -EINPROGRESS;
+	lss_store_node_id(w, 5);
+	samples(w, 100);
+	assert_int_equal(last(w, 0x7E4)->data[0], 0x11);
+	device_saved(&w->device, 0, w->now_us);
+	assert_lss_stored(w, 0);
+}
+
+static void test_lss_is_told_that_the_disk_failed(void **state)
+{
+	struct world *w = *state;
+
+	w->disk_answer = -EIO;
+	lss_store_node_id(w, 5);
+	assert_lss_stored(w, 2);
+	power_on(w, NULL);
+	assert_non_null(last(w, 0x700 + NODE_ID));
+}
+
+static void test_lss_does_not_store_while_1010h_does(void **state)
+{
+	struct world *w = *state;
+
+	w->disk_answer = -EINPROGRESS;
+	receive(w, 0x600 + NODE_ID, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	lss_store_node_id(w, 5);
+	assert_lss_stored(w, 2);
+	device_saved(&w->device, 0, w->now_us);
+	assert_int_equal(last(w, 0x580 + NODE_ID)->data[0], 0x60);
+}
+
+static void test_the_status_says_that_the_time_of_a_sample_is_utc(void **state)
+{
+	struct world *w = *state;
+
+	sample(w);
+	assert_int_equal(w->device.values.sample.status & 1 << 13, 0);
+	device_host_clock(&w->device, true, INT64_C(1795953600000000));
+	sample(w);
+	assert_int_equal(w->device.values.sample.status & 1 << 13, 1 << 13);
+	assert_int_equal(w->device.values.utc.day, 15673);
 }
 
 static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored(void **state)
@@ -620,6 +730,14 @@ int main(void)
 		TEST(test_a_group_is_stored_alone),
 		TEST(test_a_preset_of_the_inclinometer_survives_a_power_cycle),
 		TEST(test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones),
+		TEST(test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_identifiers),
+		TEST(test_a_node_that_lss_stored_as_unconfigured_is_silent_after_a_power_cycle),
+		TEST(test_restoring_the_defaults_keeps_what_lss_stored),
+		TEST(test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round),
+		TEST(test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before),
+		TEST(test_lss_is_told_that_the_disk_failed),
+		TEST(test_lss_does_not_store_while_1010h_does),
+		TEST(test_the_status_says_that_the_time_of_a_sample_is_utc),
 		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
 		TEST(test_a_second_store_while_one_is_under_way_is_refused),
