@@ -77,11 +77,11 @@ static bool finish(struct cli_node *node, struct progress *progress)
 		if (sdo->result != SDO_RUNNING)
 			break;
 		cli_wait(node->bus, -1, deadline_us);
-		uint64_t now_us = cli_now_us();
-		while (can_receive(node->bus, &msg, now_us) > 0)
-			sdo_client_receive(sdo, &msg, now_us);
-		if (progress)
-			show(progress, sdo, now_us);
+		while (can_receive(node->bus, &msg, cli_now_us()) > 0) { /* a whole block may come in this loop */
+			sdo_client_receive(sdo, &msg, cli_now_us());
+			if (progress)
+				show(progress, sdo, cli_now_us());
+		}
 	}
 	return sdo->result == SDO_DONE;
 }
