@@ -243,14 +243,18 @@ static void socketcan_close(struct can_port *port)
 	free(can);
 }
 
-/* The interface goes down for it and comes back: service() finds that. */
+/* The interface goes down for it and comes back. That leaves an error on the socket, which would cost the next frame. */
 static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
 	int result = can_link_bit_rate(of(port)->interface, bit_s, dry_run);
+	int error;
+	socklen_t size = sizeof(error);
 
-	if (result == 0 && !dry_run)
-		port->bit_s = bit_s;
-	return result;
+	if (result < 0 || dry_run)
+		return result;
+	(void)getsockopt(of(port)->rx.fd, SOL_SOCKET, SO_ERROR, &error, &size); /* takes it away */
+	port->bit_s = bit_s;
+	return 0;
 }
 
 static int socketcan_restart(struct can_port *port)
