@@ -80,16 +80,33 @@ static void drop_oldest(struct can_port *port)
 	port->queue_count--;
 }
 
-/* When full, the oldest goes: of what a device sends the newest is worth most, and an SDO client that lost an answer
- * asks again. */
+/* The i-th of those that wait. */
+static struct can_msg *waiting(struct can_port *port, size_t i)
+{
+	return &port->queue[(port->queue_head + i) % CAN_QUEUE_LEN];
+}
+
+/* The oldest with that identifier, whose value is superseded; if there is none, the oldest of all. So a flood of PDOs does
+ * not push out the EMCY that tells of it. */
+static void make_room(struct can_port *port, const struct can_msg *msg)
+{
+	size_t i = 0;
+
+	while (i < port->queue_count &&
+		(waiting(port, i)->id != msg->id || waiting(port, i)->extended != msg->extended))
+		i++;
+	for (i %= port->queue_count; i > 0; i--)
+		*waiting(port, i) = *waiting(port, i - 1);
+	drop_oldest(port);
+	port->counters.tx_dropped++;
+}
+
+/* Of what a device sends the newest is worth most, and an SDO client that lost an answer asks again. */
 static void enqueue(struct can_port *port, const struct can_msg *msg)
 {
-	if (port->queue_count == CAN_QUEUE_LEN) {
-		drop_oldest(port);
-		port->counters.tx_dropped++;
-	}
-	port->queue[(port->queue_head + port->queue_count) % CAN_QUEUE_LEN] = *msg;
-	port->queue_count++;
+	if (port->queue_count == CAN_QUEUE_LEN)
+		make_room(port, msg);
+	*waiting(port, port->queue_count++) = *msg;
 }
 
 static void flush(struct can_port *port, uint64_t now_us)

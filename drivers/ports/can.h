@@ -63,7 +63,8 @@ struct can_ops {
 	void (*close)(struct can_port *port);
 };
 
-/** Frames waiting for a bus that was full, oldest first. When there are more the oldest is dropped. */
+/** Frames waiting for a bus that was full, oldest first. When there are more, the oldest with the new one's identifier is
+ * dropped, or else the oldest of all. */
 enum { CAN_QUEUE_LEN = 128 };
 
 struct can_port {

@@ -68,12 +68,18 @@ class ThroughTheKernel(unittest.TestCase):
 
     def start(self, *options):
         self.gateway = rig.Gateway(*options, bus=self.bus)
-        self.addCleanup(self.gateway.close)
+        self.addCleanup(self.stop, self.gateway)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
         self.master.download(NODE, 0x1800, 2, b"\xFE")  # TPDO1 by its timer
         self.master.download(NODE, 0x1800, 5, u16(10))  # ms
         self.master.nmt(canopen.START, NODE)
         self.pdos_come()
+
+    @staticmethod
+    def stop(gateway):
+        """Politely: only then the kernel's driver gets the adapter back."""
+        if gateway.process.poll() is None:
+            gateway.end()
 
     def pdos_come(self, seconds=10):
         self.master.wait(canopen.TPDO[0] + NODE, seconds)
@@ -91,14 +97,15 @@ class ThroughTheKernel(unittest.TestCase):
         self.start()
         self.master.drain()
         frames = self.master.listen(5)
-        pdos = [f for f in frames if f.arbitration_id == canopen.TPDO[0] + NODE]
-        self.assertAlmostEqual(len(pdos), 500, delta=5)
+        counters = [int.from_bytes(f.data[6:8], "little") for f in frames if f.arbitration_id == canopen.TPDO[0] + NODE]
+        self.assertGreater(len(counters), 450)
+        self.assertEqual([b for a, b in zip(counters, counters[1:]) if b - a & 0xFFFF > 1], [], "samples are missing")
         begun = time.monotonic()
         for value in range(1000, 1200):
             self.master.download(NODE, 0x1017, 0, u16(value))
             self.assertEqual(self.master.upload(NODE, 0x1017, 0), u16(value))
         self.note = "%d PDOs in 5 s; an SDO transfer takes %.2f ms beside them" % (
-            len(pdos), (time.monotonic() - begun) / 400 * 1000)
+            len(counters), (time.monotonic() - begun) / 400 * 1000)
         self.assertEqual([self.counter(TX_DROPPED), self.counter(RX_DROPPED)], [0, 0])
 
     def test_a_warning_is_counted_and_told_but_no_emergency(self):
@@ -233,7 +240,7 @@ class ThroughLibusb(ThroughTheKernel):
         master = rig.open_master("vcan1")
         self.addCleanup(master.close)
         gateway = rig.Gateway(bus="gs_usb:%s:1" % UsbAdapter.serial)
-        self.addCleanup(gateway.close)
+        self.addCleanup(self.stop, gateway)
         master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
         self.assertEqual(master.upload(NODE, 0x1000, 0)[:2], u16(410))
 
@@ -244,7 +251,7 @@ class ThroughLibusb(ThroughTheKernel):
 
     def test_what_is_wrong_is_said(self):
         for bus, words in (("gs_usb:NOSUCH", "there is gs_usb:%s" % UsbAdapter.serial), ("gs_usb::2", "no channel 2"),
-                           ("gs_usb,bitrate=999999", "can do neither 999999 bit/s"), ("gs_usb,speed=1", "bitrate=")):
+                           ("gs_usb,bitrate=930000", "can do neither 930000 bit/s"), ("gs_usb,speed=1", "bitrate=")):
             done = self.monitor(bus)
             self.assertNotEqual(done.returncode, 0)
             self.assertIn(words, done.stderr)

@@ -8,11 +8,14 @@
 
 #include <errno.h>
 #include <math.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/stat.h>
 
 #include "drivers/can/error_frame.h"
 #include "drivers/can/gs_usb_codec.h"
+#include "drivers/can/gs_usb_find.h"
 #include "drivers/can/id_filter.h"
 
 /* bxCAN at 48 MHz: the candleLight, and most others */
@@ -417,6 +420,119 @@ static void test_a_filter_passes_the_wanted_identifiers_only(void **state)
 	assert_true(id_filter_wants(&filter, &msg));
 }
 
+/* ---- which adapters there are ---- */
+
+static void put_file(const char *folder, const char *name, const char *text)
+{
+	char path[200];
+	FILE *f;
+
+	snprintf(path, sizeof(path), "%s/%s", folder, name);
+	f = fopen(path, "w");
+	assert_non_null(f);
+	fprintf(f, "%s\n", text);
+	fclose(f);
+}
+
+/* A device as sysfs shows it, in a folder of that name below `root`. */
+static void put_device(const char *root, const char *place, const char *vendor, const char *product, const char *serial)
+{
+	char folder[100];
+
+	snprintf(folder, sizeof(folder), "%s/%s", root, place);
+	assert_int_equal(mkdir(folder, 0700), 0);
+	put_file(folder, "idVendor", vendor);
+	put_file(folder, "idProduct", product);
+	put_file(folder, "busnum", "3");
+	put_file(folder, "devnum", "12");
+	put_file(folder, "product", "candleLight");
+	if (serial[0])
+		put_file(folder, "serial", serial);
+}
+
+static void test_sysfs_tells_the_adapters_from_other_devices(void **state)
+{
+	char root[] = "/tmp/imu9-sysfs.XXXXXX", command[100];
+	struct gs_usb_adapter list[GS_USB_ADAPTERS];
+
+	(void)state;
+	assert_non_null(mkdtemp(root));
+	put_device(root, "3-2", "1d50", "606f", "");
+	put_device(root, "3-1", "1209", "2323", "0042");
+	put_device(root, "usb3", "1d6b", "0002", "dummy");
+	put_device(root, "3-4", "1d50", "6018", "not this one");
+	put_device(root, "3-1:1.0", "1d50", "606f", "an interface");
+	assert_int_equal(gs_usb_list(root, list), 2);
+	assert_string_equal(list[0].place, "3-1");
+	assert_string_equal(list[0].serial, "0042");
+	assert_string_equal(list[0].node, "/dev/bus/usb/003/012");
+	assert_string_equal(list[1].place, "3-2");
+	assert_string_equal(list[1].serial, "");
+	assert_int_equal(gs_usb_list("/no/such/folder", list), 0);
+	snprintf(command, sizeof(command), "rm -r %s", root);
+	assert_int_equal(system(command), 0);
+}
+
+static const struct gs_usb_adapter two[] = {
+	{"3-1", "0042", "candleLight", "/dev/bus/usb/003/012"}, {"3-2", "0043", "CANable", "/dev/bus/usb/003/013"}};
+
+static int choose(const struct gs_usb_adapter *list, size_t n, const char *wanted, const char *place, const char *words)
+{
+	struct gs_usb_adapter found = {.place = ""};
+	char error[300] = "";
+	int result = gs_usb_choose(list, n, wanted, &found, error, sizeof(error));
+
+	assert_string_equal(found.place, place);
+	assert_non_null(strstr(error, words));
+	return result;
+}
+
+static void test_an_adapter_is_chosen_by_serial_number_or_place(void **state)
+{
+	(void)state;
+	assert_int_equal(choose(two, 2, "0043", "3-2", ""), 0);
+	assert_int_equal(choose(two, 2, "3-1", "3-1", ""), 0);
+	assert_int_equal(choose(two, 1, "", "3-1", ""), 0);
+}
+
+static void test_when_the_choice_is_not_clear_the_adapters_are_listed(void **state)
+{
+	struct gs_usb_adapter alike[2] = {two[0], two[1]};
+
+	(void)state;
+	assert_int_equal(
+		choose(two, 2, "", "", "gs_usb:0042 (candleLight at 3-1), gs_usb:0043 (CANable at 3-2)"), -ENOTUNIQ);
+	assert_int_equal(choose(two, 2, "0044", "", "'0044'; there is gs_usb:0042"), -ENODEV);
+	assert_int_equal(choose(two, 0, "", "", "no gs_usb adapter"), -ENODEV);
+	strcpy(alike[1].serial, "0042");
+	assert_int_equal(choose(alike, 2, "0042", "", "several"), -ENOTUNIQ);
+	assert_int_equal(choose(alike, 2, "3-2", "3-2", ""), 0);
+}
+
+static void test_the_udev_rule_names_every_adapter_that_is_known(void **state)
+{
+	char root[] = "/tmp/imu9-sysfs.XXXXXX", line[300], vendor[5], product[5], place[16], command[100];
+	struct gs_usb_adapter list[GS_USB_ADAPTERS];
+	FILE *rule = fopen("tools/70-imu9-gateway.rules", "r");
+	size_t named = 0;
+
+	(void)state;
+	if (rule == NULL)
+		skip(); /* not started in the project's folder */
+	assert_non_null(mkdtemp(root));
+	while (fgets(line, sizeof(line), rule))
+		if (sscanf(line, "ATTR{idVendor}==\"%4[0-9a-f]\", ATTR{idProduct}==\"%4[0-9a-f]\"", vendor, product) ==
+			2) {
+			snprintf(place, sizeof(place), "1-%zu", named++);
+			put_device(root, place, vendor, product, "");
+		}
+	fclose(rule);
+	assert_int_equal(named, 6);
+	assert_int_equal(gs_usb_list(root, list), named);
+	snprintf(command, sizeof(command), "rm -r %s", root);
+	assert_int_equal(system(command), 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -449,6 +565,10 @@ int main(void)
 		cmocka_unit_test(test_a_slow_crystal_is_followed),
 		cmocka_unit_test(test_after_an_adapter_was_reset_the_clock_starts_anew),
 		cmocka_unit_test(test_a_filter_passes_the_wanted_identifiers_only),
+		cmocka_unit_test(test_sysfs_tells_the_adapters_from_other_devices),
+		cmocka_unit_test(test_an_adapter_is_chosen_by_serial_number_or_place),
+		cmocka_unit_test(test_when_the_choice_is_not_clear_the_adapters_are_listed),
+		cmocka_unit_test(test_the_udev_rule_names_every_adapter_that_is_known),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

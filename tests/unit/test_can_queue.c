@@ -14,7 +14,7 @@ struct fake {
 	struct can_port port;
 	int room;    /* frames that the bus takes before it is full */
 	int refusal; /* what it says then */
-	uint32_t sent[1000];
+	uint32_t sent[1200];
 	size_t sent_count, attempts;
 };
 
@@ -210,6 +210,41 @@ static void test_a_full_queue_drops_the_oldest_frame_and_counts_it(void **state)
 
 /* A bus of 10 frames of room that drains one frame every 250 us, fed in bursts beyond that for a while: all frames
  * arrive, in order. */
+static void test_in_a_full_queue_a_new_value_takes_the_place_of_the_oldest_of_its_identifier(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 0x90, 1000); /* an EMCY among PDOs */
+	for (int i = 1; i < CAN_QUEUE_LEN + 1000; i++)
+		send_id(&fake, 0x190, 1000);
+	assert_int_equal(fake.port.queue_count, CAN_QUEUE_LEN);
+	assert_int_equal(fake.port.counters.tx_dropped, 1000);
+	fake.room = CAN_QUEUE_LEN;
+	can_service(&fake.port, 1000000);
+	assert_int_equal(fake.sent_count, CAN_QUEUE_LEN);
+	assert_int_equal(fake.sent[0], 0x90);
+	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 0x190);
+}
+
+static void test_what_waits_keeps_its_order_when_a_superseded_frame_is_dropped(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	for (uint32_t id = 0; id < CAN_QUEUE_LEN; id++)
+		send_id(&fake, id, 1000);
+	send_id(&fake, 5, 1000);
+	fake.room = CAN_QUEUE_LEN;
+	can_service(&fake.port, 1000000);
+	assert_int_equal(fake.sent_count, CAN_QUEUE_LEN);
+	for (uint32_t i = 0; i < CAN_QUEUE_LEN - 1; i++)
+		assert_int_equal(fake.sent[i], i < 5 ? i : i + 1);
+	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 5);
+}
+
 static void test_order_holds_through_many_refusals(void **state)
 {
 	struct fake fake;
@@ -282,9 +317,9 @@ static void test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are(void
 	char error[200] = "";
 
 	(void)state;
-	assert_int_equal(can_open("slcan:/dev/ttyACM0", &port, error, sizeof(error)), -EINVAL);
-	assert_string_equal(error, "unknown bus 'slcan:/dev/ttyACM0': use an interface name "
-				   "(vcan0) or udp[:GROUP[:PORT]]");
+	assert_int_equal(can_open("pcan:1", &port, error, sizeof(error)), -EINVAL);
+	assert_string_equal(error, "unknown bus 'pcan:1': use an interface name (vcan0), gs_usb[:SERIAL[:CHANNEL]], "
+				   "slcan:/dev/ttyX or udp[:GROUP[:PORT]]");
 	assert_null(port);
 }
 
@@ -325,6 +360,8 @@ int main(void)
 		cmocka_unit_test(test_a_new_frame_that_comes_when_the_wait_is_over_takes_the_waiting_along),
 		cmocka_unit_test(test_nothing_is_lost_until_the_queue_is_full),
 		cmocka_unit_test(test_a_full_queue_drops_the_oldest_frame_and_counts_it),
+		cmocka_unit_test(test_in_a_full_queue_a_new_value_takes_the_place_of_the_oldest_of_its_identifier),
+		cmocka_unit_test(test_what_waits_keeps_its_order_when_a_superseded_frame_is_dropped),
 		cmocka_unit_test(test_order_holds_through_many_refusals),
 		cmocka_unit_test(test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted),
 		cmocka_unit_test(test_frames_that_wait_when_the_bus_goes_down_are_dropped_and_counted),

@@ -1,0 +1,495 @@
+/* The slcan driver against the other end of a pseudo terminal. Oracle: the lines as Lawicel's manual has them. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+#include "drivers/ports/can.h"
+
+struct rig {
+	int adapter; /* the adapter's end */
+	char link[64];
+	struct can_port *port;
+	uint64_t now_us;
+	char folder[32];
+};
+
+/* A pseudo terminal under a name that stays. */
+static void plug(struct rig *r)
+{
+	r->adapter = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
+	assert_true(r->adapter >= 0);
+	assert_int_equal(grantpt(r->adapter), 0);
+	assert_int_equal(unlockpt(r->adapter), 0);
+	unlink(r->link);
+	assert_int_equal(symlink(ptsname(r->adapter), r->link), 0);
+}
+
+static int set_up(void **state)
+{
+	struct rig *r = calloc(1, sizeof(*r));
+
+	strcpy(r->folder, "/tmp/imu9-slcan.XXXXXX");
+	assert_non_null(mkdtemp(r->folder));
+	snprintf(r->link, sizeof(r->link), "%s/tty", r->folder);
+	r->now_us = 1000000;
+	plug(r);
+	*state = r;
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	struct rig *r = *state;
+
+	if (r->port)
+		can_close(r->port);
+	if (r->adapter >= 0)
+		close(r->adapter);
+	unlink(r->link);
+	rmdir(r->folder);
+	free(r);
+	return 0;
+}
+
+static int try_open(struct rig *r, const char *options, char error[300])
+{
+	char bus[128];
+
+	snprintf(bus, sizeof(bus), "slcan:%s%s", r->link, options);
+	return can_open(bus, &r->port, error, 300);
+}
+
+static void assert_hears(struct rig *r, const char *expected)
+{
+	char heard[512] = "";
+	ssize_t n = read(r->adapter, heard, sizeof(heard) - 1);
+
+	heard[n > 0 ? n : 0] = '\0';
+	assert_string_equal(heard, expected);
+}
+
+static void open_bus(struct rig *r, const char *options)
+{
+	char error[300] = "";
+
+	assert_int_equal(try_open(r, options, error), 0);
+}
+
+/* On the bus, and the adapter has said that it is. */
+static void go_on_bus(struct rig *r)
+{
+	struct can_msg msg;
+
+	open_bus(r, "");
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS6\rO\r");
+	assert_int_equal(write(r->adapter, "\r\r\r", 3), 3);
+	assert_int_equal(can_receive(r->port, &msg, r->now_us), 0);
+}
+
+static void say(struct rig *r, const char *text)
+{
+	assert_int_equal(write(r->adapter, text, strlen(text)), strlen(text));
+}
+
+static bool is_readable(const struct can_port *port)
+{
+	struct pollfd fd = {.fd = port->fd, .events = POLLIN};
+
+	return poll(&fd, 1, 0) == 1;
+}
+
+static void assert_receives(struct rig *r, const struct can_msg *expected)
+{
+	struct can_msg msg = {0};
+
+	assert_int_equal(can_receive(r->port, &msg, r->now_us), 1);
+	assert_int_equal(msg.id, expected->id);
+	assert_int_equal(msg.extended, expected->extended);
+	assert_int_equal(msg.remote, expected->remote);
+	assert_int_equal(msg.len, expected->len);
+	assert_memory_equal(msg.data, expected->data, sizeof(msg.data));
+	assert_int_equal(msg.t_us, r->now_us);
+}
+
+static void assert_receives_nothing(struct rig *r)
+{
+	struct can_msg msg;
+
+	assert_int_equal(can_receive(r->port, &msg, r->now_us), 0);
+}
+
+/* ---- going on the bus ---- */
+
+static void test_the_adapter_is_closed_set_and_opened_with_the_first_service(void **state)
+{
+	struct rig *r = *state;
+
+	open_bus(r, "");
+	assert_hears(r, "");
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS6\rO\r");
+}
+
+static void test_bit_rate_and_listening_are_options_of_the_bus(void **state)
+{
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 1};
+
+	open_bus(r, "@921600,bitrate=125000,listen-only");
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS4\rL\r");
+	assert_int_equal(can_send(r->port, &msg, r->now_us), -EPERM);
+	assert_hears(r, "");
+}
+
+static void test_a_bit_rate_given_after_opening_holds_from_the_beginning(void **state)
+{
+	struct rig *r = *state;
+
+	open_bus(r, "");
+	assert_int_equal(can_bit_rate(r->port, 250000, false), 0);
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS5\rO\r");
+	assert_int_equal(r->port->bit_s, 250000);
+}
+
+static void test_the_bit_rate_can_be_changed_on_the_bus(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	assert_int_equal(can_bit_rate(r->port, 1000000, true), 0);
+	assert_int_equal(can_bit_rate(r->port, 83333, false), -EOPNOTSUPP);
+	can_service(r->port, r->now_us);
+	assert_hears(r, "");
+	assert_int_equal(can_bit_rate(r->port, 1000000, false), 0);
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS8\rO\r");
+}
+
+static void test_closing_takes_the_adapter_off_the_bus(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	can_close(r->port);
+	r->port = NULL;
+	assert_hears(r, "C\r");
+}
+
+static void test_an_adapter_that_refuses_to_open_is_tried_again(void **state)
+{
+	struct rig *r = *state;
+
+	open_bus(r, "");
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS6\rO\r");
+	say(r, "\a\r\a");
+	assert_receives_nothing(r);
+	assert_int_equal(r->port->state, CAN_STATE_DOWN);
+	r->now_us += 600000;
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS6\rO\r");
+	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+}
+
+static void test_an_adapter_that_was_closed_already_may_refuse_to_close(void **state)
+{
+	struct rig *r = *state;
+
+	open_bus(r, "");
+	can_service(r->port, r->now_us);
+	say(r, "\a\r\r");
+	assert_receives_nothing(r);
+	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	assert_int_equal(r->port->counters.tx_dropped, 0);
+}
+
+static void test_what_is_wrong_is_said(void **state)
+{
+	struct rig *r = *state;
+	char error[300] = "";
+
+	assert_int_equal(try_open(r, "@1234", error), -EINVAL);
+	assert_non_null(strstr(error, "slcan:DEVICE[@BAUD]"));
+	assert_int_equal(try_open(r, ",bitrate=83333", error), -EOPNOTSUPP);
+	assert_non_null(strstr(error, "125000"));
+	assert_int_equal(try_open(r, ",speed=1", error), -EINVAL);
+	assert_non_null(strstr(error, "'speed=1'"));
+	assert_int_equal(can_open("slcan:/dev/null", &r->port, error, sizeof(error)), -ENOTTY);
+	assert_string_equal(error, "/dev/null is no serial device");
+	assert_int_equal(can_open("slcan:/no/such", &r->port, error, sizeof(error)), -ENOENT);
+	assert_null(r->port);
+}
+
+/* ---- frames ---- */
+
+static void test_frames_are_sent_as_lines(void **state)
+{
+	static const struct can_msg frames[] = {
+		{.id = 0x181, .len = 3, .data = {0xAB, 0x0C, 0xFF}},
+		{.id = 0x701, .len = 0},
+		{.id = 0x1ABCDEF0, .extended = true, .len = 8, .data = {1, 2, 3, 4, 5, 6, 7, 8}},
+		{.id = 0x701, .remote = true, .len = 1},
+		{.id = 1, .extended = true, .remote = true},
+	};
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	for (size_t i = 0; i < sizeof(frames) / sizeof(frames[0]); i++)
+		assert_int_equal(can_send(r->port, &frames[i], r->now_us), 0);
+	assert_hears(r, "t1813AB0CFF\rt7010\rT1ABCDEF080102030405060708\rr7011\rR000000010\r");
+}
+
+static void test_lines_are_received_as_frames(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	say(r, "t6018aBcDeF0102030405\rT1FFFFFFF1AA\rr1234\rR000000008\r");
+	assert_receives(r, &(struct can_msg){.id = 0x601, .len = 8, .data = {0xAB, 0xCD, 0xEF, 1, 2, 3, 4, 5}});
+	assert_receives(r, &(struct can_msg){.id = 0x1FFFFFFF, .extended = true, .len = 1, .data = {0xAA}});
+	assert_receives(r, &(struct can_msg){.id = 0x123, .remote = true, .len = 4});
+	assert_receives(r, &(struct can_msg){.id = 0, .extended = true, .remote = true, .len = 8});
+	assert_receives_nothing(r);
+}
+
+static void test_the_time_of_an_adapter_that_adds_it_is_taken_for_no_data(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	say(r, "t10021122EA5F\r");
+	assert_receives(r, &(struct can_msg){.id = 0x100, .len = 2, .data = {0x11, 0x22}});
+	assert_int_equal(r->port->counters.rx_dropped, 0);
+}
+
+static void test_a_line_may_come_in_pieces(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	say(r, "t1");
+	assert_receives_nothing(r);
+	say(r, "0011");
+	assert_receives_nothing(r);
+	say(r, "2\r");
+	assert_receives(r, &(struct can_msg){.id = 0x100, .len = 1, .data = {0x12}});
+}
+
+static void test_garbage_is_counted_and_the_next_frame_is_received(void **state)
+{
+	static const char *const garbage[] = {"x", "t", "t12", "t1239", "t123200", "t12320011FFFFF", "T2000000000",
+		"t8000", "t1G00", "F1", "\xFF\x01", "t100112\a"};
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	for (size_t i = 0; i < sizeof(garbage) / sizeof(garbage[0]); i++) {
+		say(r, garbage[i]);
+		say(r, "\rt1000\r");
+		assert_receives(r, &(struct can_msg){.id = 0x100});
+		assert_int_equal(r->port->counters.rx_dropped, i + 1);
+	}
+}
+
+static void test_a_line_without_an_end_is_bounded(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	for (int i = 0; i < 100; i++) {
+		say(r, "t123812345678901234567890");
+		assert_receives_nothing(r);
+	}
+	say(r, "\rt1000\r");
+	assert_receives(r, &(struct can_msg){.id = 0x100});
+	assert_int_equal(r->port->counters.rx_dropped, 1);
+}
+
+static void test_the_descriptor_stays_readable_while_frames_wait_in_the_driver(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	assert_false(is_readable(r->port));
+	say(r, "t1000\rt1010\r");
+	assert_receives(r, &(struct can_msg){.id = 0x100});
+	assert_true(is_readable(r->port));
+	assert_receives(r, &(struct can_msg){.id = 0x101});
+	assert_receives_nothing(r);
+	assert_false(is_readable(r->port));
+}
+
+static void test_a_filter_passes_the_wanted_identifiers_only(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	assert_int_equal(can_filter(r->port, (const uint32_t[]){0x101}, 1), 0);
+	say(r, "t1000\rt1010\rT000001010\r");
+	assert_receives(r, &(struct can_msg){.id = 0x101});
+	assert_receives_nothing(r);
+}
+
+static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn(void **state)
+{
+	struct rig *r = *state;
+	char heard[64 * 1024], line[32];
+	size_t length = 0, at = 0;
+	ssize_t n;
+
+	go_on_bus(r);
+	for (uint32_t i = 0; i < 1000; i++) {
+		const struct can_msg msg = {.id = i, .len = 8};
+
+		assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
+		/* the reader is slower than the writer at first */
+		for (int k = 0; r->port->queue_count > CAN_QUEUE_LEN / 2 && k < 1000; k++) {
+			n = read(r->adapter, heard + length, 100);
+			length += n > 0 ? (size_t)n : 0;
+			can_service(r->port, r->now_us += 20000);
+		}
+	}
+	for (int k = 0; k < 1000; k++) {
+		n = read(r->adapter, heard + length, 1000);
+		length += n > 0 ? (size_t)n : 0;
+		can_service(r->port, r->now_us += 20000);
+	}
+	heard[length] = '\0';
+	assert_int_equal(r->port->counters.tx_dropped, 0);
+	assert_true(r->port->counters.tx_retries > 0);
+	for (uint32_t i = 0; i < 1000; i++) {
+		if (strncmp(heard + at, "F\r", 2) == 0)
+			at += 2; /* asked for the state in between */
+		snprintf(line, sizeof(line), "t%03X80000000000000000\r", i);
+		assert_memory_equal(heard + at, line, strlen(line));
+		at += strlen(line);
+	}
+}
+
+/* ---- the state of the bus ---- */
+
+static void ask(struct rig *r, const char *answer)
+{
+	r->now_us += 1000000;
+	can_service(r->port, r->now_us);
+	assert_hears(r, "F\r");
+	say(r, answer);
+	assert_receives_nothing(r);
+}
+
+static void test_the_state_is_asked_for_once_a_second(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	assert_int_equal(can_service(r->port, r->now_us), 2000000);
+	ask(r, "F20\r");
+	assert_int_equal(r->port->state, CAN_STATE_PASSIVE);
+	ask(r, "F04\r");
+	assert_int_equal(r->port->state, CAN_STATE_WARNING);
+	ask(r, "F00\r");
+	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	ask(r, "F89\r");
+	assert_int_equal(r->port->counters.errors, 1);
+	assert_int_equal(r->port->counters.rx_dropped, 1);
+}
+
+static void test_an_adapter_that_does_not_know_the_question_is_not_asked_again(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	ask(r, "\a");
+	assert_int_equal(r->port->counters.tx_dropped, 0);
+	r->now_us += 5000000;
+	assert_true(can_service(r->port, r->now_us) == UINT64_MAX);
+	assert_hears(r, "");
+}
+
+static void test_a_refused_frame_is_counted_as_lost(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	say(r, "z\r\a");
+	assert_receives_nothing(r);
+	assert_int_equal(r->port->counters.tx_dropped, 1);
+}
+
+/* ---- unplugging ---- */
+
+static void test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again(void **state)
+{
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 0x181};
+	int fd;
+
+	go_on_bus(r);
+	fd = r->port->fd;
+	close(r->adapter);
+	r->adapter = -1;
+	assert_receives_nothing(r);
+	assert_int_equal(r->port->state, CAN_STATE_DOWN);
+	assert_int_equal(can_send(r->port, &msg, r->now_us), -ENETDOWN);
+	unlink(r->link);
+	r->now_us += 600000;
+	assert_int_equal(can_service(r->port, r->now_us), r->now_us + 500000);
+	plug(r);
+	r->now_us += 600000;
+	can_service(r->port, r->now_us);
+	assert_hears(r, "C\rS6\rO\r");
+	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	assert_int_equal(r->port->fd, fd);
+	assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
+	assert_hears(r, "t1810\r");
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test_setup_teardown(
+			test_the_adapter_is_closed_set_and_opened_with_the_first_service, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_bit_rate_and_listening_are_options_of_the_bus, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_bit_rate_given_after_opening_holds_from_the_beginning, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_the_bit_rate_can_be_changed_on_the_bus, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_closing_takes_the_adapter_off_the_bus, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_an_adapter_that_refuses_to_open_is_tried_again, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_was_closed_already_may_refuse_to_close, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_what_is_wrong_is_said, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_frames_are_sent_as_lines, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_lines_are_received_as_frames, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_the_time_of_an_adapter_that_adds_it_is_taken_for_no_data, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_line_may_come_in_pieces, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_garbage_is_counted_and_the_next_frame_is_received, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_line_without_an_end_is_bounded, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_the_descriptor_stays_readable_while_frames_wait_in_the_driver, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_filter_passes_the_wanted_identifiers_only, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_the_state_is_asked_for_once_a_second, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_does_not_know_the_question_is_not_asked_again, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_refused_frame_is_counted_as_lost, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again, set_up, tear_down),
+	};
+
+	return cmocka_run_group_tests_name("can_slcan", tests, NULL, NULL);
+}
