@@ -117,6 +117,59 @@ static void test_a_singular_or_non_finite_calibration_is_refused(void **state)
 	assert_int_equal(calibration_init(&cal, &config), -EINVAL);
 }
 
+/* ---- temperature ------------------------------------------------------------------------------------------------- */
+
+static const struct temperature_compensation WARM = {
+	.gyro_slope = {0.01, 0, 0},
+	.gyro_quadratic = {0.001, 0, 0},
+	.accel_slope = {0, 0.2, 0},
+	.reference_degC = 25,
+};
+
+static void test_biases_follow_the_temperature_by_slope_and_parabola(void **state)
+{
+	struct calibration_config config = IDEAL;
+	struct calibration cal;
+	struct imu_sample s;
+
+	(void)state;
+	config.temperature = WARM;
+	assert_int_equal(calibration_init(&cal, &config), 0);
+	calibration_temperature(&cal, 35);
+	s = calibration_apply(&cal, &RAW);
+	assert_vec_near(s.gyro_rad_s, ((struct vec3){0.1 - 0.1 - 0.1, 0.2, 0.3}), 1e-15);
+	assert_vec_near(s.accel_m_s2, ((struct vec3){1, 2 - 2, 9}), 1e-15);
+	assert_vec_near(s.mag_uT, RAW.mag_uT, 0);
+}
+
+static void test_without_a_temperature_or_with_an_impossible_one_nothing_is_compensated(void **state)
+{
+	const double impossible[] = {NAN, INFINITY, -300, 1e9};
+	struct calibration_config config = IDEAL;
+	struct calibration cal;
+
+	(void)state;
+	config.temperature = WARM;
+	assert_int_equal(calibration_init(&cal, &config), 0);
+	assert_vec_near(calibration_apply(&cal, &RAW).gyro_rad_s, RAW.gyro_rad_s, 0);
+	for (int i = 0; i < 4; i++)
+		calibration_temperature(&cal, impossible[i]);
+	assert_vec_near(calibration_apply(&cal, &RAW).gyro_rad_s, RAW.gyro_rad_s, 0);
+}
+
+static void test_a_new_configuration_keeps_the_temperature(void **state)
+{
+	struct calibration_config config = IDEAL;
+	struct calibration cal;
+
+	(void)state;
+	assert_int_equal(calibration_init(&cal, &config), 0);
+	calibration_temperature(&cal, 35);
+	config.temperature = WARM;
+	assert_int_equal(calibration_configure(&cal, &config), 0);
+	assert_near(calibration_apply(&cal, &RAW).accel_m_s2.y, 0, 1e-15);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -127,6 +180,9 @@ int main(void)
 		cmocka_unit_test(test_the_mounting_comes_after_the_matrix),
 		cmocka_unit_test(test_a_missing_magnetometer_stays_as_it_is),
 		cmocka_unit_test(test_a_singular_or_non_finite_calibration_is_refused),
+		cmocka_unit_test(test_biases_follow_the_temperature_by_slope_and_parabola),
+		cmocka_unit_test(test_without_a_temperature_or_with_an_impossible_one_nothing_is_compensated),
+		cmocka_unit_test(test_a_new_configuration_keeps_the_temperature),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
