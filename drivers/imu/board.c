@@ -36,9 +36,21 @@ enum {
 	FIFO_DEPTH = 32,
 };
 
+/* The clock is read before and after what takes time, and is the same for all that follows. */
+static int64_t read_clock(struct board *b)
+{
+	return b->now_ns = b->clock.now_ns(b->clock.ctx);
+}
+
 static int64_t now_ns(const struct board *b)
 {
-	return b->clock.now_ns(b->clock.ctx);
+	return b->now_ns;
+}
+
+static void sleep_until(struct board *b, int64_t ns)
+{
+	b->clock.sleep_until(b->clock.ctx, ns);
+	read_clock(b);
 }
 
 /* ---- what is there ----------------------------------------------------------------------------------------------- */
@@ -339,6 +351,7 @@ static void stream_start(struct board *b, struct stream *s)
 {
 	int result = set_up(b, s);
 
+	read_clock(b);
 	if (s->fault != IMU_FAULT_NONE)
 		b->health.restarts++;
 	if (result < 0) {
@@ -366,7 +379,7 @@ void board_apply(struct board *b, const struct board_plan *plan)
 		s->registers = (struct chip_registers){0};
 		s->chip->registers(&s->setup, &s->registers);
 		s->backoff_ns = FIRST_BACKOFF_MS * MS;
-		s->retry_ns = now_ns(b);
+		s->retry_ns = read_clock(b);
 		s->state = STREAM_DOWN;
 		s->count = 0;
 	}
@@ -465,10 +478,10 @@ static int read_registers(struct board *b, struct stream *s)
 	const size_t offset = (uint8_t)(chip->data - chip->status);
 	const bool together = chip->data > chip->status && offset + chip->data_size <= I2C_BLOCK_MAX;
 	uint8_t bytes[I2C_BLOCK_MAX], *set = bytes + (together ? offset : 1);
-	int64_t from_ns = now_ns(b), to_ns;
+	int64_t from_ns = read_clock(b), to_ns;
 	int result = read_chip(b, chip, s->address, chip->status, bytes, together ? offset + chip->data_size : 1);
 
-	to_ns = now_ns(b);
+	to_ns = read_clock(b);
 	if (result < 0)
 		return result;
 	if (!(bytes[0] & chip->ready)) {
@@ -507,21 +520,21 @@ static int take_sets(struct board *b, struct stream *s, uint8_t at, int64_t leve
 
 static int read_fifo_sets(struct board *b, struct stream *s)
 {
-	int64_t from_ns = now_ns(b);
+	int64_t from_ns = read_clock(b);
 	uint8_t source;
 	int result = read_chip(b, s->chip, s->address, FIFO_SOURCE, &source, 1);
 	int64_t level = source & 0x40 ? FIFO_DEPTH : source & 0x1F;
 
 	if (result < 0)
 		return result;
-	observe(b, s, level, source & 0x40, from_ns, now_ns(b));
+	observe(b, s, level, source & 0x40, from_ns, read_clock(b));
 	return take_sets(b, s, s->chip->data, level);
 }
 
 /* LSM6DS33: the status tells which word of the set comes next; after an overrun it may be one in the middle. */
 static int read_fifo_words(struct board *b, struct stream *s)
 {
-	int64_t from_ns = now_ns(b), words;
+	int64_t from_ns = read_clock(b), words;
 	uint8_t status[4], skipped[10];
 	int result = read_chip(b, s->chip, s->address, 0x3A, status, sizeof status), next;
 
@@ -534,7 +547,7 @@ static int read_fifo_words(struct board *b, struct stream *s)
 		if ((result = read_chip(b, s->chip, s->address, 0x3E, skipped, (size_t)(6 - next) * 2)) < 0)
 			return result;
 	}
-	observe(b, s, words / 6, status[1] & 0x40, from_ns, now_ns(b));
+	observe(b, s, words / 6, status[1] & 0x40, from_ns, read_clock(b));
 	return take_sets(b, s, 0x3E, words / 6 < FIFO_DEPTH ? words / 6 : FIFO_DEPTH);
 }
 
@@ -557,14 +570,14 @@ static void take_tagged(struct board *b, struct stream *s, const uint8_t *entry)
 static int read_fifo_tagged(struct board *b, struct stream *s)
 {
 	enum { ENTRY = 7, AT_ONCE = 4 };
-	int64_t from_ns = now_ns(b), entries;
+	int64_t from_ns = read_clock(b), entries;
 	uint8_t status[2], bytes[ENTRY * AT_ONCE];
 	int result = read_chip(b, s->chip, s->address, 0x3A, status, sizeof status);
 
 	if (result < 0)
 		return result;
 	entries = status[0] | (status[1] & 0x03) << 8;
-	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48, from_ns, now_ns(b));
+	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48, from_ns, read_clock(b));
 	if (entries > 2 * FIFO_DEPTH) /* the rest next time */
 		entries = 2 * FIFO_DEPTH;
 	for (int64_t left = entries; left > 0; left -= AT_ONCE) {
@@ -623,7 +636,7 @@ static void verify_next(struct board *b, struct stream *s)
 		return;
 	}
 	s->verify = (s->verify + 1) % s->registers.n;
-	s->verify_ns = now_ns(b) + VERIFY_MS * MS;
+	s->verify_ns = now_ns(b) + (VERIFY_MS - 1) * MS;
 	count_errors(b, s, result);
 }
 
@@ -716,7 +729,7 @@ static int64_t wake_of(const struct stream *s)
 {
 	if (s->state == STREAM_DOWN)
 		return s->retry_ns;
-	return s->due_ns < s->verify_ns ? s->due_ns : s->verify_ns;
+	return s->due_ns < s->verify_ns + VERIFY_MS / 2 * MS ? s->due_ns : s->verify_ns + VERIFY_MS / 2 * MS;
 }
 
 static void read_temperature(struct board *b)
@@ -741,6 +754,7 @@ int64_t board_step(struct board *b)
 {
 	int64_t wake_ns = INT64_MAX;
 
+	read_clock(b);
 	for (size_t i = 0; i < b->stream_count; i++)
 		step_stream(b, &b->streams[i]);
 	/* it may wait for a sample of the gyro that has just been read */
@@ -852,7 +866,7 @@ enum { TEST_READS = 16, TEST_SETTLE_MS = 200 };
 /* Mean of what the data registers show. */
 static int mean_of(struct board *b, const struct stream *s, struct vec3 mean[CHIP_TRIADS])
 {
-	int64_t next_ns = now_ns(b), period_ns = (int64_t)(1e9 / s->setup.rate->hz);
+	int64_t next_ns = read_clock(b), period_ns = (int64_t)(1e9 / s->setup.rate->hz);
 	uint8_t set[CHIP_TRIADS * 6];
 	bool saturated = false;
 
@@ -864,7 +878,7 @@ static int mean_of(struct board *b, const struct stream *s, struct vec3 mean[CHI
 			return result;
 		for (size_t i = 0; i < s->chip->triad_count; i++)
 			mean[i] = vec3_add(mean[i], vec3_scale(1.0 / TEST_READS, decode(s, i, set, &saturated)));
-		b->clock.sleep_until(b->clock.ctx, next_ns += period_ns);
+		sleep_until(b, next_ns += period_ns);
 	}
 	return saturated ? -ERANGE : 0;
 }
@@ -885,7 +899,7 @@ static bool test_triad(struct board *b, const struct stream *s, size_t i)
 	value = (uint8_t)((value & ~t->self_test.mask) | t->self_test.on);
 	if (i2c_write(b->bus, s->address, t->self_test.address, value) < 0)
 		return false;
-	b->clock.sleep_until(b->clock.ctx, now_ns(b) + TEST_SETTLE_MS * MS);
+	sleep_until(b, now_ns(b) + TEST_SETTLE_MS * MS);
 	if (mean_of(b, s, on) < 0)
 		return false;
 	change = vec3_sub(on[i], off[i]);
@@ -909,7 +923,7 @@ static void test_stream(struct board *b, struct stream *s)
 		s->registers = (struct chip_registers){0};
 		s->chip->registers(&s->setup, &s->registers);
 		passed = set_up(b, s) == 0;
-		b->clock.sleep_until(b->clock.ctx, now_ns(b) + TEST_SETTLE_MS * MS);
+		sleep_until(b, now_ns(b) + TEST_SETTLE_MS * MS);
 		passed = passed && test_triad(b, s, i);
 		b->health.self_test |= (uint8_t)(1u << (t->what - 1) << (passed ? 0 : 4));
 		if (!passed && !b->self_test_failed)

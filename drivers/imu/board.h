@@ -6,7 +6,7 @@
  * Each chip samples by its own oscillator (sample_clock.h). A sample of the board is one of the gyro, the accelerometer
  * interpolated to its instant. What goes wrong with a chip is found within 100 ms: it does not answer (20 ms), measures
  * nothing (50 ms), gives the same raw values more often than its noise allows (50 ms), stands at the end of its range (60 ms),
- * or its registers are not what was written (each read back in turn, one in 10 ms of each chip). It is then started
+ * or its registers are not what was written (each read back in turn, one in about 10 ms of each chip). It is then started
  * anew, after 10 ms, 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_BOARD_H
 #define DRIVERS_IMU_BOARD_H
@@ -67,6 +67,7 @@ struct board {
 	/* PRIVATE */
 	struct i2c_bus *bus;
 	struct board_clock clock;
+	int64_t now_ns; /* as last read */
 	struct stream streams[BOARD_STREAMS];
 	size_t stream_count;
 	struct stream *gyro, *accel, *mag; /* accel == gyro where one chip is both */
