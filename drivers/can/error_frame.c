@@ -29,7 +29,7 @@ static void take_controller_state(struct can_port *port, uint8_t controller)
 void can_error_frame(struct can_port *port, uint32_t can_id, const uint8_t data[8])
 {
 	port->counters.errors++;
-	if ((can_id & CAN_ERR_CRTL) != 0)
+	if ((can_id & CAN_ERR_CRTL) != 0 && (can_id & CAN_ERR_BUSOFF) == 0)
 		take_controller_state(port, data[1]);
 	if ((can_id & (CAN_ERR_CRTL | ERROR_HAS_COUNTS)) != 0) {
 		port->tx_errors = data[6];

@@ -13,6 +13,7 @@
 #include <unistd.h>
 
 #include "drivers/can/can_link.h"
+#include "drivers/can/error_frame.h"
 #include "drivers/can/rx_socket.h"
 
 enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
@@ -56,34 +57,6 @@ static int socketcan_send(struct can_port *port, const struct can_msg *msg)
 	return 0;
 }
 
-static void set_bus_off(struct can_port *port)
-{
-	if (port->state != CAN_STATE_BUS_OFF)
-		port->counters.bus_off++;
-	port->state = CAN_STATE_BUS_OFF;
-}
-
-static void take_error_frame(struct can_port *port, const struct can_frame *frame)
-{
-	port->counters.errors++;
-	if ((frame->can_id & CAN_ERR_CRTL) != 0) {
-		uint8_t controller = frame->data[1];
-
-		if ((controller & CAN_ERR_CRTL_RX_OVERFLOW) != 0)
-			port->counters.rx_dropped++;
-		if ((controller & (CAN_ERR_CRTL_RX_PASSIVE | CAN_ERR_CRTL_TX_PASSIVE)) != 0)
-			port->state = CAN_STATE_PASSIVE;
-		else if ((controller & (CAN_ERR_CRTL_RX_WARNING | CAN_ERR_CRTL_TX_WARNING)) != 0)
-			port->state = CAN_STATE_WARNING;
-		else if ((controller & CAN_ERR_CRTL_ACTIVE) != 0)
-			port->state = CAN_STATE_ACTIVE;
-	}
-	if ((frame->can_id & CAN_ERR_RESTARTED) != 0)
-		port->state = CAN_STATE_ACTIVE;
-	if ((frame->can_id & CAN_ERR_BUSOFF) != 0)
-		set_bus_off(port);
-}
-
 static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	struct socketcan *can = of(port);
@@ -102,7 +75,7 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 		if (datagram.size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN)
 			port->counters.rx_dropped++;
 		else if ((frame.can_id & CAN_ERR_FLAG) != 0)
-			take_error_frame(port, &frame);
+			can_error_frame(port, frame.can_id, frame.data);
 		else
 			break;
 	}
@@ -209,10 +182,9 @@ static void socketcan_look(struct can_port *port)
 	port->rx_errors = (uint8_t)(link.rx_errors < UINT8_MAX ? link.rx_errors : UINT8_MAX);
 	if (port->state == CAN_STATE_DOWN || link.state > CAN_STATE_BUS_OFF)
 		return;
-	if (link.state == CAN_STATE_BUS_OFF)
-		set_bus_off(port);
-	else
-		port->state = (enum can_state)link.state;
+	if (link.state == CAN_STATE_BUS_OFF && port->state != CAN_STATE_BUS_OFF)
+		port->counters.bus_off++;
+	port->state = (enum can_state)link.state;
 }
 
 static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)

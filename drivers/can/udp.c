@@ -11,12 +11,13 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "drivers/can/id_filter.h"
 #include "drivers/can/rx_socket.h"
 #include "drivers/can/udp_codec.h"
 
 #define DEFAULT_GROUP "239.74.163.2"
 
-enum { DEFAULT_PORT = 43113, STANDARD_IDS = 0x800 };
+enum { DEFAULT_PORT = 43113 };
 
 union address {
 	struct sockaddr any;
@@ -29,8 +30,7 @@ struct udp {
 	struct rx_socket rx; /* rx.fd is port.fd */
 	int sender;	     /* of its own, so that its source port tells our datagrams from others' */
 	union address group;
-	bool filtered;
-	uint32_t wanted[STANDARD_IDS / 32]; /* one bit an identifier */
+	struct id_filter filter;
 };
 
 static struct udp *of(struct can_port *port)
@@ -60,13 +60,6 @@ static int udp_send(struct can_port *port, const struct can_msg *msg)
 	return 0;
 }
 
-static bool is_wanted(const struct udp *udp, const struct can_msg *msg)
-{
-	if (!udp->filtered)
-		return true;
-	return !msg->extended && (udp->wanted[msg->id / 32] >> msg->id % 32 & 1) != 0;
-}
-
 static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	struct udp *udp = of(port);
@@ -82,7 +75,7 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 			continue; /* our own */
 		if (datagram.size > sizeof(datagram.data) || can_udp_decode(datagram.data, datagram.size, msg) < 0)
 			port->counters.rx_dropped++;
-		else if (is_wanted(udp, msg))
+		else if (id_filter_wants(&udp->filter, msg))
 			break;
 	}
 	msg->t_us = datagram.t_us;
@@ -91,12 +84,7 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 
 static int udp_filter(struct can_port *port, const uint32_t *ids, size_t n)
 {
-	struct udp *udp = of(port);
-
-	memset(udp->wanted, 0, sizeof(udp->wanted));
-	for (size_t i = 0; i < n; i++)
-		udp->wanted[ids[i] % STANDARD_IDS / 32] |= 1u << ids[i] % 32;
-	udp->filtered = n > 0;
+	id_filter_set(&of(port)->filter, ids, n);
 	return 0;
 }
 

@@ -221,13 +221,19 @@ static void *read_bus(void *arg)
 
 static void set_mode(struct channel *c, uint32_t mode, uint32_t flags)
 {
-	pthread_mutex_lock(&adapter.lock);
 	c->on = mode == 1;
 	c->flags = flags;
 	c->bus_off = false;
 	c->kept_count = 0;
 	c->starts += c->on;
 	pthread_cond_broadcast(&adapter.change);
+}
+
+static void set_all_off(void)
+{
+	pthread_mutex_lock(&adapter.lock);
+	for (int i = 0; i < adapter.channel_count; i++)
+		set_mode(&adapter.channels[i], 0, 0);
 	pthread_mutex_unlock(&adapter.lock);
 }
 
@@ -260,14 +266,15 @@ static bool obey(uint8_t request, uint16_t value, size_t length)
 
 	if (request > BERR || length > sizeof(data) || (request != HOST_FORMAT && value >= adapter.channel_count))
 		return false;
-	if (read(adapter.ep0, data, length) < 0) {
+	/* the host goes on as soon as the data are read: its first frame must find the new mode */
+	pthread_mutex_lock(&adapter.lock);
+	if (read(adapter.ep0, data, length) < 0)
 		perror("ep0");
-		return true;
-	}
-	if (request == BITTIMING)
+	else if (request == BITTIMING)
 		print_timing(data);
-	if (request == MODE)
+	else if (request == MODE)
 		set_mode(&adapter.channels[value], data[0], data[1]);
+	pthread_mutex_unlock(&adapter.lock);
 	return true;
 }
 
@@ -301,8 +308,7 @@ static void serve_ep0(void)
 		if (event.type == FUNCTIONFS_SETUP)
 			take_setup(&event.u.setup);
 		if (event.type == FUNCTIONFS_DISABLE || event.type == FUNCTIONFS_UNBIND)
-			for (int i = 0; i < adapter.channel_count; i++)
-				set_mode(&adapter.channels[i], 0, 0);
+			set_all_off();
 	}
 }
 

@@ -317,6 +317,7 @@ static void test_going_bus_off_is_counted_once(void **state)
 	(void)state;
 	assert_int_equal(port.counters.bus_off, 1);
 	can_error_frame(&port, 0x20000040, (const uint8_t[8]){0});
+	can_error_frame(&port, 0x20000044, (const uint8_t[8]){0});
 	assert_int_equal(port.counters.bus_off, 1);
 }
 
