@@ -71,17 +71,16 @@ static bool finish(struct cli_node *node, struct progress *progress)
 	struct sdo_client *sdo = &node->sdo;
 	struct can_msg msg;
 
+	/* frames first: what waits to be read is no silence */
 	while (sdo->result == SDO_RUNNING) {
-		uint64_t deadline_us = sdo_client_tick(sdo, cli_now_us());
-
-		if (sdo->result != SDO_RUNNING)
-			break;
-		cli_wait(node->bus, -1, deadline_us);
 		while (can_receive(node->bus, &msg, cli_now_us()) > 0) { /* a whole block may come in this loop */
 			sdo_client_receive(sdo, &msg, cli_now_us());
 			if (progress)
 				show(progress, sdo, cli_now_us());
 		}
+		uint64_t deadline_us = sdo_client_tick(sdo, cli_now_us());
+		if (sdo->result == SDO_RUNNING)
+			cli_wait(node->bus, -1, deadline_us);
 	}
 	return sdo->result == SDO_DONE;
 }

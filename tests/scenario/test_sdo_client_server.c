@@ -10,14 +10,19 @@ struct pair {
 	struct can_port port; /* the client's; first: ops->send() gets it back */
 	struct bus *bus;
 	struct sdo_client client;
-	int lost_answer; /* the answer with this number gets lost */
+	int lost_answer;		  /* the answer with this number gets lost */
+	unsigned lost_requests, requests; /* of a block download: one segment of so many gets lost; 0: none */
+	unsigned lost_segments, segments; /* of a block upload: one of so many gets lost; 0: none */
 	uint8_t value[DOMAIN_BYTES];
 };
 
 static int to_node(struct can_port *port, const struct can_msg *msg)
 {
 	struct pair *pair = (struct pair *)port;
+	bool segment = pair->client.phase == SDO_BLOCK_DOWNLOAD && msg->data[0] != 0x80;
 
+	if (segment && pair->lost_requests && ++pair->requests % pair->lost_requests == 0)
+		return 0;
 	bus_send_msg(pair->bus, msg);
 	return 0;
 }
@@ -32,18 +37,28 @@ static struct pair *pair_new(struct bus *bus)
 	return &pair;
 }
 
+static bool is_lost(struct pair *pair)
+{
+	if (pair->lost_segments && pair->client.phase == SDO_BLOCK_UPLOAD)
+		return ++pair->segments % pair->lost_segments == 0;
+	return pair->lost_answer-- == 0;
+}
+
 static enum sdo_result finish(struct pair *pair)
 {
 	struct bus *bus = pair->bus;
 
 	while (pair->client.result == SDO_RUNNING) {
-		if (bus->seen == bus->sent_count) { /* the node answers at once or not at all */
-			bus_run(bus, sdo_client_tick(&pair->client, bus->now_us) - bus->now_us);
-			sdo_client_tick(&pair->client, bus->now_us);
+		if (bus->seen == bus->sent_count) {
+			uint64_t client_us = sdo_client_tick(&pair->client, bus->now_us);
+
+			if (bus->seen < bus->sent_count || pair->client.result != SDO_RUNNING)
+				continue;
+			bus_run(bus, (client_us < bus->deadline_us ? client_us : bus->deadline_us) - bus->now_us);
 			continue;
 		}
 		const struct can_msg *msg = &bus->sent[bus->seen++].msg;
-		if (pair->lost_answer-- != 0)
+		if (!is_lost(pair))
 			sdo_client_receive(&pair->client, msg, bus->now_us);
 	}
 	return pair->client.result;
@@ -141,6 +156,57 @@ static void test_a_long_domain_arrives_whole_seven_bytes_a_frame(void **state)
 	assert_int_equal(bus->sent_count - before, 1 + (DOMAIN_BYTES + 6) / 7);
 }
 
+static void test_a_long_domain_arrives_whole_in_blocks_whatever_segments_get_lost(void **state)
+{
+	struct bus *bus = *state;
+	struct od_domain domain;
+	static const unsigned patterns[] = {0, 61, 101, 400};
+
+	for (size_t i = 0; i < sizeof(patterns) / sizeof(patterns[0]); i++) {
+		struct pair *pair = pair_new(bus);
+
+		bus->sent_count = bus->seen = 0;
+		bus->od.domains = NULL;
+		const uint8_t *want = set_domain(pair, &domain);
+		pair->lost_segments = patterns[i];
+		sdo_client_block_upload(&pair->client, 0x1021, 0, pair->value, sizeof(pair->value), bus->now_us);
+		assert_int_equal(finish(pair), SDO_DONE);
+		assert_int_equal(pair->client.size, DOMAIN_BYTES);
+		assert_memory_equal(pair->value, want, DOMAIN_BYTES);
+	}
+}
+
+static enum od_status keep(void *ctx, const uint8_t *data, size_t size)
+{
+	struct pair *pair = ctx;
+
+	memcpy(pair->value, data, size);
+	pair->segments = (unsigned)size;
+	return OD_OK;
+}
+
+static void test_a_long_domain_is_written_whole_in_blocks_whatever_segments_get_lost(void **state)
+{
+	struct bus *bus = *state;
+	struct pair *pair = pair_new(bus);
+	struct od_domain domain = {.index = 0x2130, .write = keep, .ctx = pair};
+	static uint8_t content[OD_DOMAIN_MAX];
+
+	for (size_t i = 0; i < sizeof(content); i++)
+		content[i] = (uint8_t)(i * 13 + i / 200);
+	od_set_domain(&bus->od, &domain);
+	for (unsigned lost = 11; lost < 40; lost += 3) {
+		bus->sent_count = bus->seen = 0;
+		pair->segments = 0;
+		pair->lost_requests = lost;
+		pair->client.timeout_us = 2000000; /* the server is silent for half a second before it asks again */
+		sdo_client_block_download(&pair->client, 0x2130, 0, content, sizeof(content), bus->now_us);
+		assert_int_equal(finish(pair), SDO_DONE);
+		assert_int_equal(pair->segments, sizeof(content));
+		assert_memory_equal(pair->value, content, sizeof(content));
+	}
+}
+
 static void test_a_written_value_stands_in_the_dictionary(void **state)
 {
 	struct bus *bus = *state;
@@ -222,6 +288,8 @@ int main(void)
 		PRE_OPERATIONAL(test_what_the_dictionary_refuses_to_read_is_aborted_for_the_same_reason),
 		PRE_OPERATIONAL(test_a_string_of_more_than_four_bytes_arrives_whole),
 		PRE_OPERATIONAL(test_a_long_domain_arrives_whole_seven_bytes_a_frame),
+		PRE_OPERATIONAL(test_a_long_domain_arrives_whole_in_blocks_whatever_segments_get_lost),
+		PRE_OPERATIONAL(test_a_long_domain_is_written_whole_in_blocks_whatever_segments_get_lost),
 		PRE_OPERATIONAL(test_a_written_value_stands_in_the_dictionary),
 		PRE_OPERATIONAL(test_a_value_above_its_limit_is_aborted_and_the_old_one_stands),
 		PRE_OPERATIONAL(test_a_value_of_too_many_bytes_is_aborted),
