@@ -331,6 +331,26 @@ static uint64_t hash_of(uint64_t seed)
 	return hash;
 }
 
+static void test_a_sensor_that_warms_up_says_so_and_its_bias_follows(void **state)
+{
+	struct sensor_config config = ideal();
+	struct sensor sensor;
+	struct imu_sample s;
+
+	(void)state;
+	config.gyro.temperature_sigma = 0.01;
+	config.warming_K = 10;
+	config.warming_s = 1;
+	config.temperature_step_K = 0;
+	start(&sensor, &config);
+	for (int i = 0; i < 100; i++)
+		sensor_next(&sensor, signal_find("rest"), &s, NULL);
+	assert_true(s.flags & SAMPLE_TEMPERATURE);
+	double warmer_K = 10 * (1 - exp(-0.99));
+	assert_true(fabs(s.temperature_degC - 25 - warmer_K) < 1e-9);
+	assert_near(s.gyro_rad_s, vec3_scale(warmer_K, sensor.gyro.slope), 1e-12);
+}
+
 static void test_one_seed_gives_one_sequence_another_seed_another(void **state)
 {
 	(void)state;
@@ -374,6 +394,7 @@ int main(void)
 		cmocka_unit_test(test_jitter_moves_the_instant_and_not_the_time_stamp),
 		cmocka_unit_test(test_the_magnetometer_measures_at_its_own_rate),
 		cmocka_unit_test(test_one_error_more_leaves_the_other_triads_noise_as_it_was),
+		cmocka_unit_test(test_a_sensor_that_warms_up_says_so_and_its_bias_follows),
 		cmocka_unit_test(test_one_seed_gives_one_sequence_another_seed_another),
 		cmocka_unit_test(test_a_configuration_that_cannot_be_is_refused),
 	};
