@@ -90,16 +90,15 @@ static enum calibrate_verdict gyro_sample(struct calibrating *c, const struct im
 static enum calibrate_verdict accelerometer_sample(struct calibrating *c, const struct imu_sample *raw)
 {
 	struct calibrate_accelerometer *a = &c->accelerometer;
-	const int before = a->positions, wanted = calibrate_accelerometer_wanted(a);
+	const int before = a->positions, wanted = c->values->calibration.positions_wanted;
 	enum calibrate_verdict verdict = calibrate_accelerometer_step(a, raw);
 
-	if (a->positions != before || before == 0)
+	if (a->positions != before)
 		c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(a);
 
 	c->values->calibration.progress =
 		verdict == CALIBRATE_COLLECTING ? percent(fmin(0.99, (double)a->positions / wanted)) : 100;
 	c->values->calibration.positions = (uint8_t)a->positions;
-	c->values->calibration.positions_wanted = (uint8_t)wanted;
 	c->values->calibration.coverage = percent(a->coverage);
 	if (verdict == CALIBRATE_COLLECTING)
 		return verdict;
@@ -150,6 +149,13 @@ void calibrating_sample(struct calibrating *c, const struct imu_sample *raw)
 
 /* ---- commands ---------------------------------------------------------------------------------------------------- */
 
+static void start_accelerometer(struct calibrating *c, const struct calibrate_accelerometer_config *config)
+{
+	calibrate_accelerometer_init(&c->accelerometer, config);
+	c->values->calibration.positions_wanted = (uint8_t)calibrate_accelerometer_wanted(&c->accelerometer);
+	c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(&c->accelerometer);
+}
+
 static enum od_status start(struct calibrating *c, uint8_t kind)
 {
 	const struct pipeline_config config = settings_pipeline(c->values);
@@ -175,7 +181,7 @@ static enum od_status start(struct calibrating *c, uint8_t kind)
 	else if (kind == CALIBRATING_MAGNETOMETER)
 		calibrate_magnetometer_init(&c->magnetometer, &magnetometer);
 	else
-		calibrate_accelerometer_init(&c->accelerometer, &accelerometer);
+		start_accelerometer(c, &accelerometer);
 	enter(c, CALIBRATING_RUNNING);
 	return OD_CONSUMED;
 }
