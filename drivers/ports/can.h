@@ -1,6 +1,6 @@
 /* drivers/ports/can.h
  * What the gateway and the tools need of a CAN bus. One bus = one struct can_port, the first member of whatever
- * implements it (SocketCAN, udp, later gs_usb and slcan). Classical CAN, data and remote frames of up to 8 bytes.
+ * implements it (SocketCAN, gs_usb, slcan, udp). Classical CAN, data and remote frames of up to 8 bytes.
  *
  * A port shows one file descriptor to wait on (a driver with several hides them behind an epoll descriptor). No call
  * blocks. Frames that the bus cannot take at once wait in the port's queue: nothing is lost silently. */
@@ -84,8 +84,8 @@ struct can_port {
 	uint32_t backoff_us;
 };
 
-/** Opens BUS: an interface name, `udp[:GROUP[:PORT]]`. 0 and *port (close with can_close()), or -errno and one line
- * in `error` that says what to do. */
+/** Opens BUS: an interface name, `gs_usb[:SERIAL[:CHANNEL]]`, `slcan:DEVICE[@BAUD]`, `udp[:GROUP[:PORT]]`.
+ * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. */
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size);
 void can_close(struct can_port *port);
 
