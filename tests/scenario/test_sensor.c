@@ -1,0 +1,284 @@
+/* What the device makes of a sensor with settings and faults: 2058h, 2124h, 6511h, EMCY 5030h, 5031h and 6321h. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/config.h"
+#include "gateway/device.h"
+#include "model/sensor.h"
+
+enum { NODE_ID = 16, INTERVAL_US = 10000 };
+
+struct world {
+	struct can_port bus;
+	struct imu_port imu;
+	struct device device;
+	struct sensor sensor;
+	struct can_msg emcy; /* the last */
+	unsigned emcys;
+	uint32_t abort_code; /* of the last SDO answer */
+	struct imu_settings configured;
+	unsigned configurations, self_tests;
+	uint64_t now_us;
+};
+
+static int take_frame(struct can_port *port, const struct can_msg *msg)
+{
+	struct world *w = (struct world *)port;
+
+	if (msg->id == 0x080 + NODE_ID) {
+		w->emcy = *msg;
+		w->emcys++;
+	}
+	if (msg->id == 0x580 + NODE_ID)
+		w->abort_code = msg->data[0] != 0x80
+					? 0
+					: (uint32_t)msg->data[4] | (uint32_t)msg->data[5] << 8 |
+						  (uint32_t)msg->data[6] << 16 | (uint32_t)msg->data[7] << 24;
+	return 0;
+}
+
+static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port, (void)ids, (void)n;
+	return 0;
+}
+
+static struct world *of(struct imu_port *port)
+{
+	return (struct world *)((char *)port - offsetof(struct world, imu));
+}
+
+static int configure(struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t size)
+{
+	struct world *w = of(port);
+
+	if (settings->rate_hz > 800) {
+		snprintf(error, size, "it goes to 800 Hz");
+		return -EINVAL;
+	}
+	if (dry)
+		return 0;
+	w->configured = *settings;
+	w->configurations++;
+	port->rate_hz = settings->rate_hz;
+	return 0;
+}
+
+static void self_test(struct imu_port *port)
+{
+	of(port)->self_tests++;
+}
+
+static int set_up(void **state)
+{
+	static const struct can_ops bus_ops = {.send = take_frame, .filter = take_filter};
+	static const struct imu_ops imu_ops = {.configure = configure, .self_test = self_test};
+	struct sensor_config sensor = *sensor_preset("ideal");
+	struct world *w = calloc(1, sizeof(*w));
+
+	assert_non_null(w);
+	w->bus = (struct can_port){.ops = &bus_ops, .fd = -1};
+	w->imu = (struct imu_port){.ops = &imu_ops, .rate_hz = 100, .silence_us = 100000, .name = "sensor"};
+	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
+	device_start(&w->device, false, w->now_us);
+	*state = w;
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	free(*state);
+	return 0;
+}
+
+static void sample_with(struct world *w, unsigned flags, double temperature_degC)
+{
+	struct imu_sample s;
+
+	w->now_us += INTERVAL_US;
+	sensor_next(&w->sensor, signal_find("rest"), &s, NULL);
+	s.flags |= flags;
+	s.temperature_degC = temperature_degC;
+	device_sample(&w->device, 1, &s, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static void sample(struct world *w)
+{
+	sample_with(w, 0, 0);
+}
+
+static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
+{
+	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
+
+	memcpy(msg.data, data, len);
+	device_receive(&w->device, &msg, w->now_us);
+	device_tick(&w->device, w->now_us);
+}
+
+static uint32_t write_sensor(struct world *w, uint8_t sub, const void *value, size_t size)
+{
+	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), 0x58, 0x20, sub};
+
+	memcpy(request + 4, value, size);
+	receive(w, 0x600 + NODE_ID, 8, request);
+	return w->abort_code;
+}
+
+static uint16_t emcy_code(const struct world *w)
+{
+	return (uint16_t)(w->emcy.data[0] | w->emcy.data[1] << 8);
+}
+
+static void reset_node(struct world *w)
+{
+	receive(w, 0x000, 2, (const uint8_t[]){0x81, NODE_ID});
+}
+
+/* ---- faults ------------------------------------------------------------------------------------------------------- */
+
+static void test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalidates_the_outputs(void **state)
+{
+	struct world *w = *state;
+
+	for (int i = 0; i < 5; i++)
+		sample(w);
+	w->imu.health.fault = IMU_FAULT_CONFIGURATION;
+	w->imu.health.fault_chip = IMU_CHIP_GYRO;
+	device_sample(&w->device, -EIO, NULL, w->now_us);
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(emcy_code(w), 0x5030);
+	assert_int_equal(w->emcy.data[2], 0x81);
+	assert_int_equal(w->emcy.data[3], IMU_FAULT_CONFIGURATION);
+	assert_int_equal(w->emcy.data[4], IMU_CHIP_GYRO);
+	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT),
+		STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT);
+	assert_int_equal(w->device.values.sensor_state.fault, IMU_FAULT_CONFIGURATION);
+	w->imu.health.fault = w->imu.health.fault_chip = 0;
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT),
+		PIPELINE_VALID);
+	assert_int_equal(w->device.values.sensor_state.fault, 0);
+}
+
+static void test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on(void **state)
+{
+	struct world *w = *state;
+
+	sample(w);
+	w->imu.health.degraded = IMU_FAULT_FROZEN;
+	w->imu.health.degraded_chip = IMU_CHIP_MAG;
+	sample(w);
+	assert_int_equal(emcy_code(w), 0x5031);
+	assert_int_equal(w->emcy.data[3], IMU_FAULT_FROZEN);
+	assert_int_equal(w->emcy.data[4], IMU_CHIP_MAG);
+	sample(w);
+	assert_true(w->device.values.sample.status & PIPELINE_VALID);
+	assert_true(w->device.values.sample.status & STATUS_SENSOR_FAULT);
+	assert_int_equal(w->emcys, 1);
+	w->imu.health.degraded = w->imu.health.degraded_chip = 0;
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+}
+
+static void test_a_saturated_sample_says_so_in_the_status(void **state)
+{
+	struct world *w = *state;
+
+	sample_with(w, SAMPLE_SATURATED, 0);
+	assert_true(w->device.values.sample.status & STATUS_SENSOR_FAULT);
+	sample(w);
+	assert_false(w->device.values.sample.status & STATUS_SENSOR_FAULT);
+	assert_int_equal(w->emcys, 0);
+}
+
+static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **state)
+{
+	struct world *w = *state;
+
+	sample_with(w, SAMPLE_TEMPERATURE, -7.6);
+	sample(w);
+	assert_int_equal(w->device.values.device_temperature, -8);
+	assert_true(fabs((double)w->device.values.sensor_state.temperature + 7.6) < 1e-5);
+}
+
+/* ---- settings ----------------------------------------------------------------------------------------------------- */
+
+static void test_settings_go_to_the_sensor_with_reset_node(void **state)
+{
+	struct world *w = *state;
+	const float rate = 200, range = 4;
+
+	assert_int_equal(w->configurations, 0); /* it was opened with what 2058h says */
+	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
+	assert_int_equal(write_sensor(w, 3, &range, 4), 0);
+	assert_int_equal(w->configurations, 0);
+	w->device.base.sensor.rate = 200; /* as if stored */
+	reset_node(w);
+	assert_int_equal(w->configurations, 1);
+	assert_true(w->configured.rate_hz == 200);
+	assert_true(w->device.pipeline.rate_hz == 200);
+	reset_node(w);
+	assert_int_equal(w->configurations, 1); /* nothing new */
+}
+
+static void test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on(void **state)
+{
+	struct world *w = *state;
+	float rate = 1000;
+
+	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
+	assert_int_equal(emcy_code(w), 0x6321);
+	assert_true(w->imu.rate_hz == 100);
+	rate = 400;
+	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
+	assert_int_equal(emcy_code(w), 0);
+}
+
+static void test_a_self_test_begins_with_a_1_and_nothing_else(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){0}, 1), 0x06090030);
+	assert_int_equal(w->self_tests, 0);
+	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){1}, 1), 0);
+	assert_int_equal(w->self_tests, 1);
+}
+
+static void test_a_sensor_without_self_test_refuses_the_command(void **state)
+{
+	struct world *w = *state;
+
+	w->imu.ops = NULL;
+	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){1}, 1), 0x08000022);
+}
+
+#define WORLD(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		WORLD(test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalidates_the_outputs),
+		WORLD(test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on),
+		WORLD(test_a_saturated_sample_says_so_in_the_status),
+		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
+		WORLD(test_settings_go_to_the_sensor_with_reset_node),
+		WORLD(test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on),
+		WORLD(test_a_self_test_begins_with_a_1_and_nothing_else),
+		WORLD(test_a_sensor_without_self_test_refuses_the_command),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
