@@ -164,7 +164,7 @@ void device_saved(struct device *d, int result, uint64_t now_us)
 	if (result < 0)
 		event_log_line(&d->log, now_us, "the values could not be stored: %s", strerror(-result));
 	else
-		event_log_add(&d->log, now_us, "stored");
+		event_log_add(&d->log, now_us, "the storage has the values of 1010h, 1011h or LSS");
 	if (d->lss_save)
 		canopen_lss_stored(&d->canopen, status, now_us);
 	else

@@ -87,10 +87,8 @@ static void print_parameter(struct save *save, const struct od_entry *entry)
 
 static void print_commissioning(const struct save *save)
 {
-	fprintf(save->out,
-		"[DeviceComissioning]\r\nNodeID=%ld\r\nNodeName=%ld\r\nBaudrate=250\r\nNetNumber=1\r\n"
-		"NetworkName=%s\r\nCANopenManager=0\r\n\r\n",
-		save->session->node_id, save->session->node_id, save->session->bus);
+	fprintf(save->out, "[DeviceComissioning]\r\nNodeID=%ld\r\nNodeName=Node %ld\r\nCANopenManager=0\r\n\r\n",
+		save->session->node_id, save->session->node_id);
 }
 
 /* The EDS line by line; each section of an object gets its value at its end. */

@@ -51,7 +51,8 @@ static void open_with_blocks(struct session *s)
 static bool print_object(struct session *s, const struct target *t, const char *file)
 {
 	static uint8_t wire[SDO_DOMAIN_MAX];
-	bool large = is_domain(t) || file;
+	bool as_bytes = is_domain(t) || file;
+	bool large = as_bytes || s->node.blocks == CLI_BLOCKS_ALWAYS;
 	bool done = large ? cli_node_read_large(&s->node, t->index, t->sub, wire, sizeof(wire))
 			  : cli_node_read(&s->node, t->index, t->sub, wire, sizeof(wire));
 
@@ -59,7 +60,7 @@ static bool print_object(struct session *s, const struct target *t, const char *
 		cli_node_explain(&s->node, t->entry);
 		return false;
 	}
-	if (large)
+	if (as_bytes)
 		return sdo_write_file(file ? file : "-", wire, s->node.sdo.size);
 	print_value(s, t, wire);
 	return true;
