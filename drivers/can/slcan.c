@@ -111,7 +111,8 @@ static int attach(struct slcan *can)
 
 static void lose(struct slcan *can)
 {
-	close(can->fd); /* leaves the epoll set by itself */
+	(void)tcflush(can->fd, TCOFLUSH); /* closing would wait for what is not written yet */
+	close(can->fd);			  /* leaves the epoll set by itself */
 	can->fd = -1;
 	can->port.state = CAN_STATE_DOWN;
 }
