@@ -73,10 +73,12 @@ static bool finish(struct cli_node *node, struct progress *progress)
 
 	/* frames first: what waits to be read is no silence */
 	while (sdo->result == SDO_RUNNING) {
-		while (can_receive(node->bus, &msg, cli_now_us()) > 0) { /* a whole block may come in this loop */
-			sdo_client_receive(sdo, &msg, cli_now_us());
+		uint64_t now_us = cli_now_us();
+		while (can_receive(node->bus, &msg, now_us) > 0) {
+			now_us = cli_now_us(); /* a whole block may come in this loop */
+			sdo_client_receive(sdo, &msg, now_us);
 			if (progress)
-				show(progress, sdo, cli_now_us());
+				show(progress, sdo, now_us);
 		}
 		uint64_t deadline_us = sdo_client_tick(sdo, cli_now_us());
 		if (sdo->result == SDO_RUNNING)
