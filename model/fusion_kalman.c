@@ -124,6 +124,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_forget_bias(k);
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
+	k->lever_known = false;
 	forget_gathered(k);
 }
 
@@ -149,7 +150,9 @@ void fusion_kalman_set(struct fusion_kalman *k)
 static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
 	double(*c)[STATES] = k->covariance, (*turn)[3] = k->turn_s, t = k->time_s;
-	struct vec3 f = k->force_n_m_s;
+	/* what the reference point feels: an error of the attitude falsifies the accelerometer's velocity and the lever
+	 * arm's share of it alike */
+	struct vec3 f = vec3_sub(k->force_n_m_s, vec3_sub(k->lever_n_m_s, k->lever_from_n_m_s));
 	double turn_noise =
 		t * squared(GYRO_NOISE) + squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s;
 
@@ -463,6 +466,7 @@ static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double d
 		k->covariance[i][i] += off;
 	renew_velocity(k);
 	forget_gathered(k);
+	k->lever_known = false;
 }
 
 /* A new lever arm is no jump of the velocity. */
@@ -473,6 +477,8 @@ static void move_reference_point(struct fusion_kalman *k, const struct fusion_ka
 
 	k->velocity_n_m_s[0] += v.x;
 	k->velocity_n_m_s[1] += v.y;
+	k->lever_n_m_s = vec3_add(k->lever_n_m_s, v);
+	k->lever_from_n_m_s = vec3_add(k->lever_from_n_m_s, v);
 	k->lever_arm_b_m = s->lever_arm_b_m;
 }
 
@@ -480,12 +486,17 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	const struct fusion_kalman_sample *s, double dt_s, struct quat *q_nb, struct vec3 *bias_b_rad_s)
 {
 	struct vec3 force_n = quat_rotate(*q_nb, s->force_b_m_s2);
+	struct vec3 lever_n = quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m));
 
 	move_reference_point(k, s, *q_nb);
 	if (dt_s > GAP_S) {
 		skip_gap(k, s->rate_b_rad_s, dt_s);
 		dt_s = CORRECTION_S;
 	}
+	if (k->time_s == 0)
+		k->lever_from_n_m_s = k->lever_known ? k->lever_n_m_s : lever_n;
+	k->lever_n_m_s = lever_n;
+	k->lever_known = true;
 	add_turn(k, *q_nb, dt_s);
 	k->force_n_m_s = vec3_add(k->force_n_m_s, vec3_scale(dt_s, force_n));
 	k->velocity_n_m_s[0] += dt_s * force_n.x;
@@ -500,6 +511,5 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->time_s += dt_s;
 	if (k->time_s < CORRECTION_S)
 		return false;
-	return correct(
-		k, config, quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m)), q_nb, bias_b_rad_s);
+	return correct(k, config, lever_n, q_nb, bias_b_rad_s);
 }

@@ -8,7 +8,7 @@
  *   Butterworth's damping, its time constant the longer, the faster the movement and the better the gyro. At rest the
  *   velocity is zero, and the tilt soon that of the accelerometer.
  * - Lever arm: the velocity is the reference point's. The lever arm's share of it, omega x r, needs no angular
- *   acceleration.
+ *   acceleration. Nor does an error of the attitude make an error of that share: it turns with the rest.
  * - Heading: that of the field, doubted by how far length and dip are off their reference: what is seen to be disturbed
  *   along two axes is so along the third. Beyond the limits it is left out, until another field stayed the same
  *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed. An object that does not turn
@@ -57,6 +57,8 @@ struct fusion_kalman {
 	double time_s, rest_s, turned_rad2_s, turn_s[3][3];
 	struct vec3 force_n_m_s, gyro_b_rad, field_n_uT;
 	int fields;
+	struct vec3 lever_n_m_s, lever_from_n_m_s; /* omega x r now, and when gathering began */
+	bool lever_known;
 	/* the field, x its length, y its dip: the reference, and what may become it */
 	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s, other_turn_s[3][3];
 	struct vec3 still_field_n_uT; /* since the beginning of a rest */

@@ -17,16 +17,18 @@ static const struct vec3 ZERO = {0, 0, 0};
 /* 1 sigma at the start: tilt of an attitude just found, a hand or a robot not yet moving, biases as a calibration leaves
  * them. */
 static const double START_ANGLE_RAD = 0.035, START_VELOCITY_M_S = 0.1;
-static const double START_GYRO_BIAS_RAD_S = 0.005, START_ACCEL_BIAS_M_S2 = 0.05;
-/* Errors of scale and cross-axis, the gyro's 0.5 %, the accelerometer's 0.3 %, which a motion to and fro within seconds
- * leaves behind in part: attitude and velocity walk by that share of rate and acceleration, per square root of a second;
+static const double START_GYRO_BIAS_RAD_S = 0.005, START_ACCEL_BIAS_M_S2 = 0.03;
+/* Errors of scale and cross-axis, which a motion to and fro within seconds leaves behind in part: attitude and velocity
+ * walk by that share of rate and acceleration, per square root of a second (some 0.3 % of the sensor);
  * and with each turn, other errors of the accelerometer meet gravity, so its bias walks, up to START_ACCEL_BIAS. */
-static const double GYRO_SCALE_SQRT_S = 0.005, ACCEL_SCALE_SQRT_S = 0.003;
+static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
+/* What the gyro's bias is in motion, less what it is at rest: of vibration, of gravity along other axes. */
+static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
 /* Biases walk by their instability in that time. */
 static const double BIAS_TIME_S = 100;
 /* What is left of the velocity at a standstill: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01;
-static const double STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5;
+static const double STILL_SMOOTH_S = 0.004, STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5;
 /* A shorter standstill does not part two movements. */
 static const double STOOD_S = 1;
 static const double STILL_GATE_SIGMAS = 5;
@@ -36,6 +38,10 @@ static const double VELOCITY_CORRELATION_S = 0.1, HEADING_CORRELATION_S = 3;
 static const double HEADING_SIGMA_RAD = 0.035;
 /* A heading further off than that is not an error but another north. */
 static const double HEADING_JUMP_RAD = 0.35;
+/* A tilt further off is lost, as after a start in full motion; 1 sigma of the velocity begun anew. */
+static const double LOST_RAD = 0.1, LOST_VELOCITY_M_S = 1;
+/* The greatest velocity of a movement, squared, to its mean square. */
+static const double QUICK_CREST2 = 3.3;
 /* The slowest movement that levelling believes in. */
 static const double QUICK_MIN_M_S = 0.05;
 /* A shorter movement is told better by the accelerometer alone. */
@@ -261,13 +267,19 @@ static bool stays(struct vec3 *slow, struct vec3 mean, double share, double limi
 static void watch_stillness(
 	struct stillness *s, const struct navigation_config *c, const struct navigation_input *in, double dt)
 {
-	double share = dt / (STILL_MEAN_S + dt), slow;
+	double share = dt / (STILL_MEAN_S + dt), smooth = fmin(1, dt / STILL_SMOOTH_S), slow;
 	bool still;
 
 	if (!s->primed)
-		*s = (struct stillness){.gyro_mean = in->gyro_b_rad_s, .force_mean = in->force_b_m_s2, .primed = true};
-	still = scatters_less(&s->gyro_mean, &s->gyro_square, in->gyro_b_rad_s, share, c->still_gyro_rad_s / 2);
-	still &= scatters_less(&s->force_mean, &s->force_square, in->force_b_m_s2, share, c->still_accel_m_s2 / 2);
+		*s = (struct stillness){.gyro = in->gyro_b_rad_s,
+			.force = in->force_b_m_s2,
+			.gyro_mean = in->gyro_b_rad_s,
+			.force_mean = in->force_b_m_s2,
+			.primed = true};
+	s->gyro = vec3_add(s->gyro, vec3_scale(smooth, vec3_sub(in->gyro_b_rad_s, s->gyro)));
+	s->force = vec3_add(s->force, vec3_scale(smooth, vec3_sub(in->force_b_m_s2, s->force)));
+	still = scatters_less(&s->gyro_mean, &s->gyro_square, s->gyro, share, c->still_gyro_rad_s / 2);
+	still &= scatters_less(&s->force_mean, &s->force_square, s->force, share, c->still_accel_m_s2 / 2);
 	still &= vec3_dot(s->gyro_mean, s->gyro_mean) < square(c->still_gyro_rad_s);
 	slow = still ? fmax(dt / (s->still_s + dt), dt / STILL_MEMORY_S) : 1;
 	still &= stays(&s->gyro_slow, s->gyro_mean, slow, c->still_gyro_rad_s / 5);
@@ -299,8 +311,10 @@ static void begin_movement(struct navigation *n)
 	set_variance(n, P, 0);
 	n->quick_n_m_s = ZERO;
 	n->quick2_max = 0;
+	n->lever_known = false;
 	n->moving_s = 0;
 	n->movements++;
+	add_variance(n, BG, square(MOVING_GYRO_BIAS_RAD_S));
 }
 
 static void measure_standstill(struct navigation *n, double x[N])
@@ -312,27 +326,76 @@ static void measure_standstill(struct navigation *n, double x[N])
 		square(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + 1e-10);
 }
 
-/* Variance of one component of the velocity, from the quick part of it. */
-static double quick_variance(struct navigation *n, double gravity_m_s2)
+/* Variance of one component of the velocity, from the quick part of it; u: the lever arm's share. */
+static double quick_variance(struct navigation *n, struct vec3 u_n_m_s, double gravity_m_s2)
 {
 	double t = n->sums.t_s;
 	struct vec3 change = vec3_sub(n->sums.f, (struct vec3){0, 0, gravity_m_s2 * t});
 
+	if (n->lever_known)
+		change = vec3_sub(change, vec3_sub(u_n_m_s, n->lever_n_m_s));
+	n->lever_n_m_s = u_n_m_s;
+	n->lever_known = true;
 	n->quick_n_m_s = vec3_scale(NAVIGATION_QUICK_S / (NAVIGATION_QUICK_S + t), vec3_add(n->quick_n_m_s, change));
 	n->quick2_max = fmax(n->quick2_max, vec3_dot(n->quick_n_m_s, n->quick_n_m_s));
-	return n->quick2_max / 3 + square(QUICK_MIN_M_S);
+	return n->quick2_max / 3 / QUICK_CREST2 + square(QUICK_MIN_M_S);
+}
+
+/* row . errors was measured */
+static void measure_sum(struct navigation *n, double x[N], const double row[N], double error, double noise)
+{
+	double h[N] = {0}, total = noise;
+
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			h[i] += n->p[i][j] * row[j];
+	for (int i = 0; i < N; i++) {
+		total += row[i] * h[i];
+		error -= row[i] * x[i];
+	}
+	for (int i = 0; i < N; i++) {
+		x[i] += h[i] / total * error;
+		for (int j = 0; j < N; j++)
+			n->p[i][j] -= h[i] / total * h[j];
+	}
+}
+
+/* The velocity of the sensor beyond that of the reference point is u = R (omega x r); with the errors of attitude and
+ * gyro bias it is u + theta x u - R (bg x r). */
+static void measure_reference_velocity(
+	struct navigation *n, double x[N], struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double noise)
+{
+	struct vec3 u = u_n_m_s, r = quat_rotate(n->q_nb, lever_b_m);
+	const double u_cross[3][3] = {{0, -u.z, u.y}, {u.z, 0, -u.x}, {-u.y, u.x, 0}};
+	const double r_cross[3][3] = {{0, -r.z, r.y}, {r.z, 0, -r.x}, {-r.y, r.x, 0}}, offs[3] = {off.x, off.y, off.z};
+	struct mat3 r_nb = mat3_from_quat(n->q_nb);
+
+	for (int i = 0; i < 3; i++) {
+		double row[N] = {0};
+
+		row[V + i] = 1;
+		for (int j = 0; j < 3; j++) {
+			row[THETA + j] = u_cross[i][j];
+			for (int k = 0; k < 3; k++)
+				row[BG + j] -= r_cross[i][k] * r_nb.m[k][j];
+		}
+		measure_sum(n, x, row, offs[i], noise);
+	}
 }
 
 static void measure_velocity(struct navigation *n, double x[N], const struct navigation_input *in)
 {
-	double spread2 = quick_variance(n, in->gravity_m_s2);
+	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
+	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega, in->lever_b_m));
+	double spread2 = quick_variance(n, u, in->gravity_m_s2);
 
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
 		spread2 = square(n->config.velocity_prior_m_s);
 	else if (!n->config.levelling || n->moving_s < LEVELLING_AFTER_S)
 		return;
-	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
+	measure_reference_velocity(
+		n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
 }
 
 static struct vec3 rotation_vector(struct quat q)
@@ -348,6 +411,27 @@ static void turn_to_heading(struct navigation *n, double angle_rad)
 
 	n->q_nb = quat_multiply(turn, n->q_nb);
 	n->velocity_n_m_s = quat_rotate(turn, n->velocity_n_m_s);
+}
+
+/* Begins anew with the fusion's attitude. Returns whether it had to. */
+static bool find_again(struct navigation *n, const struct navigation_input *in)
+{
+	struct vec3 up = quat_rotate_inverse(in->q_nb, (struct vec3){0, 0, 1});
+	struct vec3 off = quat_rotate(n->q_nb, up);
+
+	if (off.z > 0 && hypot(off.x, off.y) < LOST_RAD)
+		return false;
+	n->q_nb = in->q_nb;
+	n->velocity_n_m_s = quat_rotate(n->q_nb, vec3_cross(in->gyro_b_rad_s, in->lever_b_m));
+	n->gyro_bias_b_rad_s = n->accel_bias_b_m_s2 = ZERO;
+	set_variance(n, THETA, square(START_ANGLE_RAD));
+	set_variance(n, V, square(LOST_VELOCITY_M_S));
+	set_variance(n, BG, square(START_GYRO_BIAS_RAD_S));
+	set_variance(n, BA, square(START_ACCEL_BIAS_M_S2));
+	n->quick_n_m_s = ZERO;
+	n->quick2_max = 0;
+	n->lever_known = false;
+	return true;
 }
 
 static void measure_heading(struct navigation *n, double x[N], struct quat q_fused)
@@ -370,6 +454,8 @@ static void correct(struct navigation *n, const struct navigation_input *in)
 {
 	double x[N] = {0};
 
+	if (find_again(n, in))
+		return;
 	if (n->still)
 		measure_standstill(n, x);
 	else
@@ -402,7 +488,7 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	add_variance(
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
-	n->stillness.primed = n->still = n->sampled = false;
+	n->stillness.primed = n->still = n->sampled = n->lever_known = false;
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
@@ -445,61 +531,19 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	return true;
 }
 
-/* row . errors was measured */
-static void measure_sum(struct navigation *n, double x[N], const double row[N], double error, double noise)
-{
-	double h[N] = {0}, total = noise;
-
-	for (int i = 0; i < N; i++)
-		for (int j = 0; j < N; j++)
-			h[i] += n->p[i][j] * row[j];
-	for (int i = 0; i < N; i++) {
-		total += row[i] * h[i];
-		error -= row[i] * x[i];
-	}
-	for (int i = 0; i < N; i++) {
-		x[i] += h[i] / total * error;
-		for (int j = 0; j < N; j++)
-			n->p[i][j] -= h[i] / total * h[j];
-	}
-}
-
-/* The velocity of the sensor beyond that of the reference point is u = R (omega x r); with the errors of attitude and
- * gyro bias it is u + theta x u - R (bg x r). */
-static void measure_aid(
-	struct navigation *n, struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double sigma_m_s)
-{
-	struct vec3 u = u_n_m_s, r = quat_rotate(n->q_nb, lever_b_m);
-	const double u_cross[3][3] = {{0, -u.z, u.y}, {u.z, 0, -u.x}, {-u.y, u.x, 0}};
-	const double r_cross[3][3] = {{0, -r.z, r.y}, {r.z, 0, -r.x}, {-r.y, r.x, 0}}, offs[3] = {off.x, off.y, off.z};
-	struct mat3 r_nb = mat3_from_quat(n->q_nb);
-	double x[N] = {0};
-
-	for (int i = 0; i < 3; i++) {
-		double row[N] = {0};
-
-		row[V + i] = 1;
-		for (int j = 0; j < 3; j++) {
-			row[THETA + j] = u_cross[i][j];
-			for (int k = 0; k < 3; k++)
-				row[BG + j] -= r_cross[i][k] * r_nb.m[k][j];
-		}
-		measure_sum(n, x, row, offs[i], square(sigma_m_s));
-	}
-	take(n, x);
-}
-
 void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, double sigma_m_s,
 	struct vec3 omega_b_rad_s, struct vec3 lever_b_m)
 {
 	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)), var = variance(n, V);
 	struct vec3 off = vec3_sub(vec3_add(velocity_n_m_s, u), n->velocity_n_m_s);
+	double x[N] = {0};
 
 	if (vec3_dot(off, off) > square(AIDED_GATE_SIGMAS) * (var.x + var.y + var.z + 3 * square(sigma_m_s))) {
 		n->velocity_n_m_s = vec3_add(velocity_n_m_s, u);
 		set_variance(n, V, square(sigma_m_s));
 	} else {
-		measure_aid(n, off, u, lever_b_m, sigma_m_s);
+		measure_reference_velocity(n, x, off, u, lever_b_m, square(sigma_m_s));
+		take(n, x);
 	}
 	n->aided_s = AIDED_S;
 	n->told_to_move = vec3_norm(velocity_n_m_s) > AIDED_SIGMAS * sigma_m_s + STILL_VELOCITY_M_S;

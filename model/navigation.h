@@ -17,7 +17,7 @@
  * than one state.
  *
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration; every attitude filter
- * presumes that the acceleration averages out. Here the same is said of the velocity, from 5 s into a movement on, and how
+ * presumes that the acceleration averages out. Here the same is said of the reference point's velocity, from 5 s into a movement on, and how
  * firmly follows from the movement itself: its spread is that of the quick part of the velocity (above 1 / (2 pi
  * NAVIGATION_QUICK_S) Hz), which tilt does not falsify. A vehicle that drives on at a constant speed for longer should
  * switch it off, or give the spread of its speed as the prior.
@@ -59,6 +59,7 @@ struct navigation_input {
 	struct quat q_nb;		    /* the fusion's attitude */
 	struct vec3 attitude_variance_rad2; /* what it says of it, about each axis of n; 0: nothing */
 	double gravity_m_s2;
+	struct vec3 lever_b_m; /* reference point -> sensor */
 };
 
 /** What the samples since the last propagation do to the errors: the sums above. */
@@ -72,6 +73,7 @@ struct navigation_sums {
 };
 
 struct stillness {
+	struct vec3 gyro, force;				  /* their quick noise smoothed away */
 	struct vec3 gyro_mean, force_mean, gyro_slow, force_slow; /* over a short and a long time */
 	double gyro_square, force_square;			  /* mean square of the distance to the short mean */
 	double still_s;
@@ -95,12 +97,14 @@ struct navigation {
 	struct navigation_sums sums;
 	struct stillness stillness;
 	double stood_s;		 /* for how long it is still */
-	struct vec3 quick_n_m_s; /* high-pass of the velocity */
-	double quick2_max;	 /* of its square, since the last standstill */
-	double moving_s;	 /* since the last standstill */
-	double aided_s;		 /* for how long the velocity last told still holds */
-	bool told_to_move;	 /* it was no standstill's */
-	bool sampled;		 /* there is a sample before the next: */
+	struct vec3 quick_n_m_s; /* high-pass of the reference point's velocity */
+	struct vec3 lever_n_m_s; /* of the sensor's velocity, the lever arm's share when that was last moved on */
+	bool lever_known;
+	double quick2_max; /* of its square, since the last standstill */
+	double moving_s;   /* since the last standstill */
+	double aided_s;	   /* for how long the velocity last told still holds */
+	bool told_to_move; /* it was no standstill's */
+	bool sampled;	   /* there is a sample before the next: */
 	struct vec3 last_gyro_b_rad_s;
 };
 

@@ -55,16 +55,41 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
 /* Bandwidth of the derivative that carries the acceleration over its latency: that of the quickest hand. */
 static const double CHANGE_CUTOFF_HZ = 40;
+enum { IMPULSE_SAMPLES = 1024 };
 static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_RAD = 1e-4, ATTITUDE_NORM_OFF = 0.1;
 /* A gap longer than this leaves nothing of the attitude but the heading. */
 static const double ATTITUDE_HOLD_S = 1;
 /* A magnetometer slower than the samples still counts as used between its measurements. */
 static const double MAG_LATELY_S = 1;
 
+/* What the derivative makes of noise: of white noise (the accelerometer's), and of the angular acceleration's. */
+static void weigh_change(struct pipeline *p)
+{
+	struct differentiator3 white = p->accel_change, coloured = white,
+			       alpha = p->rates.differentiator[RATES_FROM_GYRO];
+	const struct vec3 none = {0, 0, 0};
+	double dt_s = 1 / p->rate_hz, of_alpha = 0, sum = 0;
+
+	differentiator3_prime(&white, none);
+	differentiator3_prime(&coloured, none);
+	differentiator3_prime(&alpha, none);
+	p->change_of_white = 0;
+	for (int k = 0; k < IMPULSE_SAMPLES; k++) {
+		struct vec3 in = {k == 0, 0, 0}, first = differentiator3_step(&alpha, in, dt_s);
+		double w = differentiator3_step(&white, in, dt_s).x, c = differentiator3_step(&coloured, first, dt_s).x;
+
+		p->change_of_white += w * w;
+		of_alpha += first.x * first.x;
+		sum += c * c;
+	}
+	p->change_of_alpha = sum / of_alpha;
+}
+
 static void weigh_rates(struct pipeline *p)
 {
 	p->rates_variance =
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
+	weigh_change(p);
 }
 
 static double accel_age_s(const struct latency_config *latency)
@@ -307,6 +332,28 @@ static struct vec3 at_the_gyros_instant(const struct pipeline *p, const struct i
 		quat_from_rotation_vector(vec3_scale(-p->config.latency.accelerometer_s, rate)), s->accel_m_s2);
 }
 
+static double accel_variance(const struct pipeline *p)
+{
+	return p->config.noise.accel_density_m_s2_sqrt_hz * p->config.noise.accel_density_m_s2_sqrt_hz * p->rate_hz / 2;
+}
+
+/* Of the lever arm's share, the mean of three axes; the part of the angular acceleration alone is that at omega = 0. */
+static double lever_variance(const struct pipeline *p, struct vec3 omega_b_rad_s)
+{
+	const struct estimator_config *estimator = &p->config.estimator;
+	struct vec3 v = rigid_lever_arm_variance(omega_b_rad_s, estimator->lever_arm_b_m, p->rates_variance);
+
+	return estimator->model == LEVER_ARM_OFF ? 0 : (v.x + v.y + v.z) / 3;
+}
+
+static struct vec3 change_variance(const struct pipeline *p)
+{
+	double age = accel_age_s(&p->config.latency), of_alpha = lever_variance(p, (struct vec3){0, 0, 0});
+	double v = age * age * (accel_variance(p) * p->change_of_white + of_alpha * p->change_of_alpha);
+
+	return (struct vec3){v, v, v};
+}
+
 /* The reference point's acceleration as of the time stamp, low-passed in the global frame: there gravity is removed
  * before the delay of the filter could let the object turn away from it. After a change of the estimator derivative and
  * filter go on as if the new one had always been in use. */
@@ -325,8 +372,9 @@ static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double
 		filter3_shift(&p->accel_filter, other);
 	}
 	p->last_estimator = p->config.estimator;
-	change = differentiator3_step(&p->accel_change, accel, dt_s);
-	return filter3_step(&p->accel_filter, vec3_add(accel, vec3_scale(accel_age_s(&p->config.latency), change)));
+	change = vec3_scale(accel_age_s(&p->config.latency), differentiator3_step(&p->accel_change, accel, dt_s));
+	change = auto_correction_step(&p->auto_change, change, change_variance(p), dt_s);
+	return filter3_step(&p->accel_filter, vec3_add(accel, change));
 }
 
 static struct vec3 fusion_variance(const struct pipeline *p)
@@ -361,6 +409,19 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
 	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u);
+}
+
+/* The acceleration is as uncertain as the lever arm's share of it and what carries it over the latency, too. */
+static struct navigation_sigma with_lever_arm(const struct pipeline *p, struct vec3 omega_b_rad_s)
+{
+	struct navigation_sigma sigma = p->position.sigma;
+	struct vec3 *accel = &sigma.accel_m_s2;
+	double more = lever_variance(p, omega_b_rad_s) + change_variance(p).x;
+
+	if (accel->x > 0)
+		*accel = (struct vec3){sqrt(accel->x * accel->x + more), sqrt(accel->y * accel->y + more),
+			sqrt(accel->z * accel->z + more)};
+	return sigma;
 }
 
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
@@ -420,7 +481,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.position_n_m = p->position.position_n_m,
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
-		.sigma = p->position.sigma,
+		.sigma = with_lever_arm(p, rates->omega_b_rad_s),
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};

@@ -116,13 +116,17 @@ void position_navigate(
 	struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double rate_hz, double dt_s)
 {
 	struct navigation *n = &p->navigation;
+	struct navigation_input with_lever = *in;
 	unsigned movements = n->movements;
 
+	with_lever.lever_b_m = lever_b_m;
 	if (!n->started) {
 		navigation_start(n, &p->config.navigation, in->q_nb);
+		/* the reference point is taken to be at rest, not the sensor that turns about it */
+		n->velocity_n_m_s = quat_rotate(in->q_nb, vec3_cross(in->gyro_b_rad_s, lever_b_m));
 		p->anchored = false;
 	}
-	if (navigation_step(n, in, dt_s))
+	if (navigation_step(n, &with_lever, dt_s))
 		p->sigma = navigation_sigma(n, rate_hz);
 	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)

@@ -5,6 +5,8 @@
 /* Time constant of the slow mean: long against vibration, short against the time after which rest
  * counts. */
 static const double MEAN_TIME_S = 0.5;
+/* A sensor sampled faster is noisier: the same sensor is to rest at any rate. */
+static const double SMOOTH_TIME_S = 0.004;
 
 int rest_configure(struct rest *r, const struct rest_config *config)
 {
@@ -45,17 +47,19 @@ static double deviation(struct vec3 *mean, struct vec3 value, double share)
 bool rest_step(struct rest *r, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2, double dt_s)
 {
 	const struct rest_config *c = &r->config;
-	double share = dt_s / (MEAN_TIME_S + dt_s), gyro, accel;
+	double share = dt_s / (MEAN_TIME_S + dt_s), smooth = fmin(1, dt_s / SMOOTH_TIME_S), gyro, accel;
 
 	if (!r->primed) {
-		r->gyro_mean = gyro_b_rad_s;
-		r->accel_mean = force_b_m_s2;
+		r->gyro = r->gyro_mean = gyro_b_rad_s;
+		r->accel = r->accel_mean = force_b_m_s2;
 		r->still_s = 0;
 		r->primed = true;
 		return false;
 	}
-	gyro = deviation(&r->gyro_mean, gyro_b_rad_s, share);
-	accel = deviation(&r->accel_mean, force_b_m_s2, share);
+	deviation(&r->gyro, gyro_b_rad_s, smooth);
+	deviation(&r->accel, force_b_m_s2, smooth);
+	gyro = deviation(&r->gyro_mean, r->gyro, share);
+	accel = deviation(&r->accel_mean, r->accel, share);
 	if (gyro < c->gyro_threshold_rad_s && accel < c->accel_threshold_m_s2 &&
 		vec3_norm(r->gyro_mean) < c->gyro_threshold_rad_s)
 		r->still_s += dt_s;

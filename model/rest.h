@@ -18,6 +18,7 @@ struct rest_config {
 struct rest {
 	struct rest_config config;
 	/* PRIVATE */
+	struct vec3 gyro, accel; /* the noise of quick sampling smoothed away */
 	struct vec3 gyro_mean, accel_mean;
 	double still_s; /* since the last motion */
 	bool primed;

@@ -291,6 +291,107 @@ static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
 	}
 }
 
+/* What a simulated sensor as good as a calibration leaves it, 22 cm from the reference point or at it, comes to: means of
+ * squares over the last part of a motion, of three devices. */
+struct honesty {
+	double tilt_rad, position_m;	  /* RMS */
+	double attitude, position, accel; /* normalised errors squared, mean of the axes */
+};
+
+static double normalised(struct vec3 error, struct vec3 sigma)
+{
+	return (pow(error.x / sigma.x, 2) + pow(error.y / sigma.y, 2) + pow(error.z / sigma.z, 2)) / 3;
+}
+
+static struct honesty simulate(const char *signal, double rate_hz, struct vec3 lever_b_m)
+{
+	const int samples = (int)(30 * rate_hz), from = (int)(5 * rate_hz), n = 3 * (samples - from);
+	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct honesty sum = {.tilt_rad = 0};
+
+	sensor_calibrate(&chip);
+	chip.rate_hz = rate_hz;
+	chip.lever_arm_b_m = config.estimator.lever_arm_b_m = lever_b_m;
+	chip.gyro.scale_sigma = chip.gyro.cross_axis_sigma = chip.accel.scale_sigma = chip.accel.cross_axis_sigma =
+		0.002;
+	chip.accel.bias_sigma = 0.03;
+	chip.gyro.bias_sigma = 0.003;
+	config.latency.sensor_s = 1 / (2 * PI * chip.gyro.bandwidth_hz);
+	config.latency.accelerometer_s = 0;
+	for (uint64_t seed = 1; seed <= 3; seed++) {
+		static struct sensor sensor;
+		struct pipeline pipeline;
+
+		assert_int_equal(sensor_init(&sensor, &chip, seed), 0);
+		assert_int_equal(pipeline_init(&pipeline, &config, rate_hz), 0);
+		for (int k = 0; k < samples; k++) {
+			struct pipeline_output out;
+			struct signal_truth truth;
+			struct imu_sample sample;
+			struct quat off;
+			struct vec3 turn;
+
+			sensor_next(&sensor, signal_find(signal), &sample, &truth);
+			assert_int_equal(pipeline_step(&pipeline, &sample, &out), 0);
+			if (k < from)
+				continue;
+			off = quat_multiply(truth.q_nb, quat_conjugate(out.q_nb));
+			turn = vec3_scale(off.w < 0 ? -2 : 2, (struct vec3){off.x, off.y, off.z});
+			sum.tilt_rad += (turn.x * turn.x + turn.y * turn.y) / n;
+			sum.position_m += pow(vec3_norm(vec3_sub(out.position_n_m, truth.position_n_m)), 2) / n;
+			sum.attitude += normalised(turn, out.sigma.attitude_rad) / n;
+			sum.position +=
+				normalised(vec3_sub(out.position_n_m, truth.position_n_m), out.sigma.position_m) / n;
+			sum.accel +=
+				normalised(vec3_sub(out.accel_n_m_s2, truth.accel_n_m_s2), out.sigma.accel_m_s2) / n;
+		}
+	}
+	sum.tilt_rad = sqrt(sum.tilt_rad);
+	sum.position_m = sqrt(sum.position_m);
+	return sum;
+}
+
+static const double RATES_HZ[] = {100, 200, 952};
+
+/* The model's share of the errors (magnetic north, residual scale) makes sigma larger than a simulation needs. */
+static void test_sigma_is_honest_on_a_simulated_robot_at_any_rate(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct honesty lying = simulate("multiposition", RATES_HZ[i], ZERO);
+		struct honesty driving = simulate("square", RATES_HZ[i], ZERO);
+
+		print_message("NEES at %.0f Hz: attitude %.2f %.2f, position %.2f %.2f, acceleration %.2f %.2f\n",
+			RATES_HZ[i], lying.attitude, driving.attitude, lying.position, driving.position, lying.accel,
+			driving.accel);
+		assert_true(lying.attitude > 0.3 && lying.attitude < 2);
+		assert_true(driving.attitude > 0.2 && driving.attitude < 2);
+		assert_true(lying.position > 0.5 && lying.position < 3);
+		assert_true(driving.position > 0.1 && driving.position < 2);
+		assert_true(lying.accel > 0.5 && lying.accel < 2);
+		assert_true(driving.accel > 0.5 && driving.accel < 3);
+	}
+}
+
+/* The sensor swings round the reference point at up to 1.5 m/s and 1 g, from its first sample on. */
+static void test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate(void **state)
+{
+	const char *const motions[] = {"turntable", "tumble", "pendulum", "square"};
+	const struct vec3 lever = {0.2, -0.1, 0.1};
+
+	(void)state;
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 4; j++) {
+			struct honesty h = simulate(motions[j], RATES_HZ[i], lever);
+
+			assert_true(h.tilt_rad < 1.5 * DEG);
+			assert_true(h.position_m < 3); /* over 100 m when the sensor's velocity was levelled */
+			assert_true(h.position < 3);
+			assert_true(h.accel < 2);
+		}
+}
+
 /* Drives of 5 s are no movement to and fro: levelling must not hold them back (they came 0.4 m short when it did). */
 static void test_a_robot_that_stops_at_the_corners_of_its_square_is_followed(void **state)
 {
@@ -490,6 +591,8 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
+		cmocka_unit_test(test_sigma_is_honest_on_a_simulated_robot_at_any_rate),
+		cmocka_unit_test(test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate),
 		cmocka_unit_test(test_a_robot_that_stops_at_the_corners_of_its_square_is_followed),
 		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
 		cmocka_unit_test(test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time),

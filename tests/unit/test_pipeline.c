@@ -173,6 +173,7 @@ static void late(double gyro_s, double accel_s, struct latency_config told, doub
 	struct pipeline p;
 
 	config.latency = told;
+	config.noise.gyro_density_rad_s_sqrt_hz = config.noise.accel_density_m_s2_sqrt_hz = 1e-6;
 	config.fusion.algorithm = FUSION_MADGWICK;
 	config.fusion.madgwick_beta = 0;
 	p = pipeline(&config);

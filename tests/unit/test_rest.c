@@ -56,6 +56,25 @@ static void test_one_sample_of_motion_ends_rest_at_once(void **state)
 	assert_false(after(&turning, 1.4, STILL, UP));
 }
 
+/* White noise of one density: 2.2 times as much of it at 952 samples a second as at 200. */
+static void test_a_sensor_at_rest_is_so_at_any_rate_of_samples(void **state)
+{
+	const double rates_hz[] = {50, 200, 952, 4000};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		double size = sqrt(rates_hz[i] / 200), rest_s = 0;
+		struct rest r = rest();
+
+		for (int k = 0; k < (int)(10 * rates_hz[i]); k++) {
+			struct vec3 gyro = any_vec(0.5 * DEG * size), force = vec3_add(UP, any_vec(0.1 * size));
+
+			rest_s += rest_step(&r, gyro, force, 1 / rates_hz[i]) / rates_hz[i];
+		}
+		assert_true(rest_s > 8);
+	}
+}
+
 static void test_a_steady_turn_is_not_rest(void **state)
 {
 	struct rest r = rest();
@@ -116,6 +135,7 @@ int main(void)
 		cmocka_unit_test(test_rest_is_seen_after_the_rest_time_and_not_before),
 		cmocka_unit_test(test_noise_below_the_thresholds_is_rest),
 		cmocka_unit_test(test_one_sample_of_motion_ends_rest_at_once),
+		cmocka_unit_test(test_a_sensor_at_rest_is_so_at_any_rate_of_samples),
 		cmocka_unit_test(test_a_steady_turn_is_not_rest),
 		cmocka_unit_test(test_a_small_gyro_bias_does_not_hide_rest),
 		cmocka_unit_test(test_a_restart_waits_the_rest_time_again),
