@@ -464,13 +464,6 @@ static void observe(struct board *b, struct stream *s, int64_t level, bool lost,
 	sample_clock_read(&s->clock, s->taken + level, (double)from_ns, (double)to_ns);
 }
 
-/* In a stub nothing tells that a sample was taken out: the same one, so soon, is no other. */
-static bool seen_before(const struct stream *s, const uint8_t *set, int64_t t_ns)
-{
-	return s->same > 0 && memcmp(set, s->last, s->chip->data_size) == 0 &&
-	       (double)(t_ns - s->fresh_ns) < 0.7e9 / s->setup.rate->hz;
-}
-
 /* Without FIFO: status and data, in one transfer where they stand near each other. */
 static int read_registers(struct board *b, struct stream *s)
 {
@@ -479,19 +472,22 @@ static int read_registers(struct board *b, struct stream *s)
 	const bool together = chip->data > chip->status && offset + chip->data_size <= I2C_BLOCK_MAX;
 	uint8_t bytes[I2C_BLOCK_MAX], *set = bytes + (together ? offset : 1);
 	int64_t from_ns = read_clock(b), to_ns;
+	bool fresh;
 	int result = read_chip(b, chip, s->address, chip->status, bytes, together ? offset + chip->data_size : 1);
 
 	to_ns = read_clock(b);
 	if (result < 0)
 		return result;
-	if (!(bytes[0] & chip->ready)) {
+	fresh = bytes[0] & chip->ready;
+	if (fresh && !together && (result = read_chip(b, chip, s->address, chip->data, set, chip->data_size)) < 0)
+		return result;
+	/* in a stub the bit stays: other data are new data */
+	if (s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
+		fresh = false;
+	if (!fresh) {
 		observe(b, s, 0, false, from_ns, to_ns);
 		return 0;
 	}
-	if (!together && (result = read_chip(b, chip, s->address, chip->data, set, chip->data_size)) < 0)
-		return result;
-	if (s->setup.stub && seen_before(s, set, from_ns))
-		return 0;
 	observe(b, s, 1, true, from_ns, to_ns);
 	take(b, s, set);
 	return 1;

@@ -79,7 +79,7 @@ static void advance(struct sample_clock *c, int64_t newest)
 }
 
 /* What was known and what this read says contradict each other: the period has left its bounds, or samples come
- * unevenly. A little: the truth is about between the two. Much: begin anew, with what this read says. */
+ * unevenly. A little: it was shortly after, or before, what this read says. Much: begin anew, with what this read says. */
 static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
 {
 	const double little_ns = c->nominal_ns / 4, taken_ns = c->taken_ns;
@@ -88,9 +88,9 @@ static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
 	c->longest_ns += LOOSEN * c->nominal_ns;
 	clamp_period(c);
 	if (lo_ns > c->hi_ns && lo_ns - c->hi_ns < little_ns)
-		begin(c, c->newest, c->hi_ns, lo_ns);
+		begin(c, c->newest, lo_ns, fmin(hi_ns, lo_ns + little_ns / 2));
 	else if (hi_ns < c->lo_ns && c->lo_ns - hi_ns < little_ns)
-		begin(c, c->newest, hi_ns, c->lo_ns);
+		begin(c, c->newest, fmax(lo_ns, hi_ns - little_ns / 2), hi_ns);
 	else
 		begin(c, c->newest, lo_ns, hi_ns);
 	c->taken_ns = fmax(c->lo_ns, fmin(c->hi_ns, taken_ns));

@@ -768,14 +768,6 @@ uint8_t sim_board_address(const struct sim_board *b, enum imu_chip what)
 	return 0;
 }
 
-uint8_t sim_board_data_at(struct sim_board *b, enum imu_chip what)
-{
-	struct sim_triad *t;
-
-	chip_of(b, what, &t);
-	return t->out;
-}
-
 int64_t sim_board_start_ns(const struct sim_board *b)
 {
 	return (int64_t)b->start_ns;

@@ -58,8 +58,6 @@ void sim_board_break_self_test(struct sim_board *board, enum imu_chip chip);   /
 /* ---- to look inside ---- */
 /** Address of the chip that has it. */
 uint8_t sim_board_address(const struct sim_board *board, enum imu_chip chip);
-/** First of its data registers. */
-uint8_t sim_board_data_at(struct sim_board *board, enum imu_chip chip);
 /** When the scenario began. */
 int64_t sim_board_start_ns(const struct sim_board *board);
 /** Its 256 registers as of now. */

@@ -3,8 +3,8 @@
  *
  * The simulated chips (drivers/imu/sim_chips.h) live in here; every millisecond what the driver wrote into the stub's
  * registers goes to them, and what changed in theirs goes to the stub: a burst at its register and, since a stub takes
- * no notice of the bit that asks for more, at that with bit 7. The stub cannot tell that something was read: a sample's
- * ready bit goes after two thirds of its time, and the driver must know (i2c:BUS,stub).
+ * no notice of the bit that asks for more, at that with bit 7. A stub cannot tell that something was read: ready bits
+ * stay and FIFOs do not empty, and the driver must know (i2c:BUS,stub).
  *
  * -n: without noise. Prints "start US", the CLOCK_MONOTONIC of the scenario's beginning, when the registers stand.
  * Lines on stdin: brownout|freeze|stop|saturate gyro|accel|mag [0|1]. Ends with stdin's "quit" or a signal. */
@@ -29,11 +29,6 @@ struct fed {
 	enum imu_chip chip; /* one of those at that address */
 	uint8_t address;
 	uint8_t shadow[128]; /* as the stub has them */
-};
-
-struct triad_ready {
-	uint64_t taken;
-	double last_ns, clear_ns;
 };
 
 static int bus_fd;
@@ -106,27 +101,6 @@ static void to_stub(struct fed *f)
 		put_run(f, first, last);
 }
 
-/* Reads the data where nobody else can, so that the next sample's ready bit is a new one. */
-static void clear_ready(enum imu_chip chip, struct triad_ready *r)
-{
-	const double now_ns = (double)i2c_imu_now_ns(NULL);
-	uint64_t taken;
-	uint8_t byte; /* the last one */
-	double t_ns;
-
-	taken = sim_board_taken(board, chip, &t_ns);
-	if (taken != r->taken) {
-		r->clear_ns = t_ns + 2 * (t_ns - r->last_ns) / 3 / (double)(taken > r->taken ? taken - r->taken : 1);
-		r->last_ns = t_ns;
-		r->taken = taken;
-	}
-	if (r->clear_ns == 0 || now_ns < r->clear_ns)
-		return;
-	r->clear_ns = 0;
-	i2c_read(sim_board_bus(board), sim_board_address(board, chip), (uint8_t)(sim_board_data_at(board, chip) + 5),
-		&byte, 1);
-}
-
 static bool obey(char *line)
 {
 	static const struct {
@@ -167,7 +141,6 @@ static size_t gather(struct fed *fed)
 static void feed(void)
 {
 	struct fed fed[CHIPS];
-	struct triad_ready ready[CHIPS + 1] = {0};
 	struct pollfd in = {STDIN_FILENO, POLLIN, 0};
 	size_t n = gather(fed);
 	char line[80];
@@ -179,8 +152,6 @@ static void feed(void)
 	printf("start %lld\n", (long long)(sim_board_start_ns(board) / 1000));
 	fflush(stdout);
 	for (;;) {
-		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++)
-			clear_ready(chip, &ready[chip]);
 		for (size_t i = 0; i < n; i++) {
 			from_stub(&fed[i]);
 			to_stub(&fed[i]);
