@@ -1,11 +1,15 @@
 #include "drivers/can/rx_socket.h"
 
 #include <errno.h>
+#include <stdbool.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <time.h>
 
 enum { RECEIVE_BUFFER_BYTES = 1 << 20 };
+
+/* The two clocks part only when somebody sets CLOCK_REALTIME. */
+enum { CLOCKS_AGREE_US = 1000000, AHEAD_MAX_US = 1000000, AGE_MAX_US = 10000000 };
 
 static int64_t to_us(const struct timespec *t)
 {
@@ -33,17 +37,26 @@ int rx_socket_prepare(int fd)
 	return 0;
 }
 
-/* The kernel stamps with CLOCK_REALTIME. An age below zero, or of many seconds, means that this clock was set in
- * between: the time of reading is nearer the truth then. */
-static uint64_t monotonic_us(const struct timespec *stamp)
+static void compare_clocks(struct rx_socket *rx, uint64_t now_us)
 {
-	int64_t age_us = clock_us(CLOCK_REALTIME) - to_us(stamp);
-	int64_t now_us = clock_us(CLOCK_MONOTONIC);
-
-	return (uint64_t)(age_us < 0 || age_us > 10000000 ? now_us : now_us - age_us);
+	if (rx->realtime_read_us != 0 && now_us - rx->realtime_read_us < CLOCKS_AGREE_US)
+		return;
+	rx->realtime_ahead_us = clock_us(CLOCK_REALTIME) - clock_us(CLOCK_MONOTONIC);
+	rx->realtime_read_us = now_us;
 }
 
-static void read_control(struct rx_socket *rx, struct msghdr *header, struct rx_datagram *datagram, uint32_t *dropped)
+/* `now_us` may be that of a moment before. A time far ahead of it, or many seconds old, means that CLOCK_REALTIME was
+ * set: now is nearer the truth then. */
+static uint64_t monotonic_us(const struct rx_socket *rx, const struct timespec *stamp, uint64_t now_us)
+{
+	int64_t received_us = to_us(stamp) - rx->realtime_ahead_us;
+	int64_t age_us = (int64_t)now_us - received_us;
+
+	return age_us < -AHEAD_MAX_US || age_us > AGE_MAX_US ? now_us : (uint64_t)received_us;
+}
+
+static void read_control(
+	struct rx_socket *rx, struct msghdr *header, struct rx_datagram *datagram, uint64_t now_us, uint32_t *dropped)
 {
 	for (struct cmsghdr *c = CMSG_FIRSTHDR(header); c != NULL; c = CMSG_NXTHDR(header, c)) {
 		struct timespec stamp;
@@ -53,7 +66,7 @@ static void read_control(struct rx_socket *rx, struct msghdr *header, struct rx_
 			continue;
 		if (c->cmsg_type == SO_TIMESTAMPNS) {
 			memcpy(&stamp, CMSG_DATA(c), sizeof(stamp));
-			datagram->t_us = monotonic_us(&stamp);
+			datagram->t_us = monotonic_us(rx, &stamp, now_us);
 		} else if (c->cmsg_type == SO_RXQ_OVFL) {
 			memcpy(&overflows, CMSG_DATA(c), sizeof(overflows));
 			*dropped += overflows - rx->overflows;
@@ -62,24 +75,46 @@ static void read_control(struct rx_socket *rx, struct msghdr *header, struct rx_
 	}
 }
 
-int rx_socket_receive(struct rx_socket *rx, struct rx_datagram *datagram, uint32_t *dropped)
+/* All that wait, up to a batch. How many, or -errno. */
+static int fetch(struct rx_socket *rx, uint64_t now_us, uint32_t *dropped)
 {
-	_Alignas(struct cmsghdr) char control[CMSG_SPACE(sizeof(struct timespec)) + CMSG_SPACE(sizeof(uint32_t))];
-	struct iovec buffer = {datagram->data, sizeof(datagram->data)};
-	struct msghdr header = {
-		.msg_iov = &buffer,
-		.msg_iovlen = 1,
-		.msg_control = control,
-		.msg_controllen = sizeof(control),
-	};
-	ssize_t size = recvmsg(rx->fd, &header, MSG_DONTWAIT | MSG_TRUNC);
+	_Alignas(struct cmsghdr) char control[RX_SOCKET_BATCH]
+					     [CMSG_SPACE(sizeof(struct timespec)) + CMSG_SPACE(sizeof(uint32_t))];
+	struct mmsghdr headers[RX_SOCKET_BATCH];
+	struct iovec buffers[RX_SOCKET_BATCH];
+	int count;
 
-	if (size < 0)
+	for (int i = 0; i < RX_SOCKET_BATCH; i++) {
+		buffers[i] = (struct iovec){rx->batch[i].data, sizeof(rx->batch[i].data)};
+		headers[i].msg_hdr = (struct msghdr){.msg_iov = &buffers[i],
+			.msg_iovlen = 1,
+			.msg_control = control[i],
+			.msg_controllen = sizeof(control[i])};
+	}
+	count = recvmmsg(rx->fd, headers, RX_SOCKET_BATCH, MSG_DONTWAIT | MSG_TRUNC, NULL);
+	if (count < 0)
 		return errno == EAGAIN ? 0 : -errno;
-	datagram->size = (size_t)size;
-	datagram->t_us = 0;
-	read_control(rx, &header, datagram, dropped);
-	if (datagram->t_us == 0) /* not stamped */
-		datagram->t_us = (uint64_t)clock_us(CLOCK_MONOTONIC);
+	compare_clocks(rx, now_us);
+	for (int i = 0; i < count; i++) {
+		rx->batch[i].size = headers[i].msg_len;
+		rx->batch[i].t_us = now_us;
+		read_control(rx, &headers[i].msg_hdr, &rx->batch[i], now_us, dropped);
+	}
+	return count;
+}
+
+int rx_socket_receive(struct rx_socket *rx, const struct rx_datagram **datagram, uint64_t now_us, uint32_t *dropped)
+{
+	if (rx->next == rx->fetched) {
+		/* a batch that was not full has left nothing behind */
+		bool drained = rx->fetched % RX_SOCKET_BATCH != 0;
+		int count = drained ? 0 : fetch(rx, now_us, dropped);
+
+		rx->next = 0;
+		rx->fetched = count > 0 ? (unsigned)count : 0;
+		if (count <= 0)
+			return count;
+	}
+	*datagram = &rx->batch[rx->next++];
 	return 1;
 }

@@ -60,19 +60,18 @@ static int socketcan_send(struct can_port *port, const struct can_msg *msg)
 static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	struct socketcan *can = of(port);
-	struct rx_datagram datagram;
+	const struct rx_datagram *datagram;
 	struct can_frame frame;
 	int result;
 
-	(void)now_us;
 	for (;;) {
-		result = rx_socket_receive(&can->rx, &datagram, &port->counters.rx_dropped);
+		result = rx_socket_receive(&can->rx, &datagram, now_us, &port->counters.rx_dropped);
 		if (result < 0)
 			return note(can, -result);
 		if (result == 0)
 			return 0;
-		memcpy(&frame, datagram.data, sizeof(frame)); /* the buffer is longer */
-		if (datagram.size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN)
+		memcpy(&frame, datagram->data, sizeof(frame)); /* the buffer is longer */
+		if (datagram->size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN)
 			port->counters.rx_dropped++;
 		else if ((frame.can_id & CAN_ERR_FLAG) != 0)
 			can_error_frame(port, frame.can_id, frame.data);
@@ -84,7 +83,7 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 	msg->id = frame.can_id & (msg->extended ? CAN_EFF_MASK : CAN_SFF_MASK);
 	msg->len = frame.can_dlc;
 	memcpy(msg->data, frame.data, sizeof(msg->data));
-	msg->t_us = datagram.t_us;
+	msg->t_us = datagram->t_us;
 	return 1;
 }
 

@@ -63,22 +63,21 @@ static int udp_send(struct can_port *port, const struct can_msg *msg)
 static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	struct udp *udp = of(port);
-	struct rx_datagram datagram;
+	const struct rx_datagram *datagram;
 	int result;
 
-	(void)now_us;
 	for (;;) {
-		result = rx_socket_receive(&udp->rx, &datagram, &port->counters.rx_dropped);
+		result = rx_socket_receive(&udp->rx, &datagram, now_us, &port->counters.rx_dropped);
 		if (result <= 0)
 			return result;
-		if (datagram.size == 0)
+		if (datagram->size == 0)
 			continue; /* our own */
-		if (datagram.size > sizeof(datagram.data) || can_udp_decode(datagram.data, datagram.size, msg) < 0)
+		if (datagram->size > sizeof(datagram->data) || can_udp_decode(datagram->data, datagram->size, msg) < 0)
 			port->counters.rx_dropped++;
 		else if (id_filter_wants(&udp->filter, msg))
 			break;
 	}
-	msg->t_us = datagram.t_us;
+	msg->t_us = datagram->t_us;
 	return 1;
 }
 

@@ -43,7 +43,8 @@ struct can_port;
 struct can_ops {
 	/** 0; -ENOBUFS or -EAGAIN: try again later; any other -errno: the frame is lost. */
 	int (*send)(struct can_port *port, const struct can_msg *msg);
-	/** 1 and a frame; 0: none left now; -errno (the port has noted it in `state`; keep polling). Error frames are
+	/** 1 and a frame; 0: none left now; -errno (the port has noted it in `state`; keep polling). To be called until
+	 * it is 0 or less: the descriptor does not tell of frames that the port has fetched already. Error frames are
 	 * consumed inside and appear in `state` and `counters`. */
 	int (*receive)(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 	/** Only these 11-bit identifiers need to be received from now on; n = 0: all. Best effort, 0 or -errno. */
@@ -69,7 +70,7 @@ enum { CAN_QUEUE_LEN = 128 };
 
 struct can_port {
 	const struct can_ops *ops;
-	int fd; /* readable while receive() has something; the same until can_close(), whatever happens to the bus */
+	int fd; /* readable when frames have come; the same until can_close(), whatever happens to the bus */
 	char name[64];
 	enum can_state state;
 	struct can_counters counters;
