@@ -1020,6 +1020,93 @@ static void test_a_recorded_hand_movement_is_followed_within_five_degrees(void *
 	assert_true(sqrt(sum / n) < 5 * DEG);
 }
 
+/* Of one recorded trial while it moves, the mean over samples and axes of the squared error in units of sigma: of the
+ * attitude, and of the way since the movement began. */
+static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, double *way)
+{
+	FILE *imu = open_trial(name, "imu"), *ref = open_trial(name, "ref");
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct vec3 from_true = ZERO, from_here = ZERO;
+	bool known = false;
+	struct pipeline p;
+	char a[512], b[512];
+	int n = 0, m = 0;
+
+	*attitude = *way = 0;
+	config.estimator.lever_arm_b_m = lever_b_m;
+	assert_int_equal(pipeline_init(&p, &config, 286), 0);
+	while (imu && ref && fgets(a, sizeof(a), imu) && fgets(b, sizeof(b), ref)) {
+		struct imu_sample s = {.flags = SAMPLE_MAG};
+		struct pipeline_output out;
+		struct vec3 at, off, sigma, e;
+		struct quat q;
+		double t;
+		int is_moving, seen;
+
+		if (sscanf(a, "%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%lf", &t, &s.gyro_rad_s.x, &s.gyro_rad_s.y,
+			    &s.gyro_rad_s.z, &s.accel_m_s2.x, &s.accel_m_s2.y, &s.accel_m_s2.z, &s.mag_uT.x,
+			    &s.mag_uT.y, &s.mag_uT.z) != 10)
+			continue;
+		s.t_us = (uint64_t)llround(t * 1e6);
+		out = step(&p, &s);
+		seen = sscanf(b, "%*f,%lf,%lf,%lf,%lf,%lf,%lf,%lf,%d", &q.w, &q.x, &q.y, &q.z, &at.x, &at.y, &at.z,
+			       &is_moving) == 8;
+		if (p.position.navigation.still || !seen || !is_moving) {
+			known = seen;
+			from_true = at;
+			from_here = out.position_n_m;
+			continue;
+		}
+		q = quat_multiply(q, quat_conjugate(out.q_nb));
+		e = vec3_scale(q.w < 0 ? -2 : 2, (struct vec3){q.x, q.y, q.z});
+		sigma = out.sigma.attitude_rad;
+		*attitude += pow(e.x / sigma.x, 2) + pow(e.y / sigma.y, 2) + pow(e.z / sigma.z, 2);
+		n += 3;
+		off = vec3_sub(vec3_sub(out.position_n_m, from_here), vec3_sub(at, from_true));
+		sigma = out.sigma.displacement_m;
+		if (!known || out.status & PIPELINE_TIME_LIMIT)
+			continue;
+		*way += pow(off.x / sigma.x, 2) + pow(off.y / sigma.y, 2) + pow(off.z / sigma.z, 2);
+		m += 3;
+	}
+	*attitude /= n;
+	*way /= m;
+	if (imu)
+		fclose(imu);
+	if (ref)
+		fclose(ref);
+	return n > 0;
+}
+
+static void test_sigma_is_honest_on_recorded_hand_movements(void **state)
+{
+	static const struct {
+		const char *name;
+		struct vec3 lever_b_mm;
+	} trials[] = {
+		{"02_undisturbed_slow_rotation_B", {2.3, -1.9, 7.8}},
+		{"06_undisturbed_fast_rotation_A", {-0.8, 0.4, 10.4}},
+		{"09_undisturbed_fast_rotation_with_breaks_B", {2.3, -1.9, 7.8}},
+		{"14_undisturbed_slow_translation_with_breaks_B", {2.3, -1.9, 7.8}},
+	};
+	double attitude = 0, way = 0;
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		double a, w;
+
+		if (!honesty(trials[i].name, vec3_scale(1e-3, trials[i].lever_b_mm), &a, &w)) {
+			print_message("no recorded trials here (IMU9_BROAD)\n");
+			skip();
+		}
+		print_message("%s: NEES of the attitude %.2f, of the way %.2f\n", trials[i].name, a, w);
+		attitude += a / 4;
+		way += w / 4;
+	}
+	assert_true(attitude > 0.5 && attitude < 2);
+	assert_true(way > 0.5 && way < 2);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1065,6 +1152,7 @@ int main(void)
 		cmocka_unit_test(test_told_before_there_is_an_attitude_it_does_nothing),
 		cmocka_unit_test(test_no_input_makes_an_output_that_is_not_finite),
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
+		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
