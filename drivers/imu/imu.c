@@ -12,7 +12,7 @@ static const struct source {
 	const char *name;
 	int (*open)(char *args, const struct imu_settings *settings, struct imu_port **port, char *error,
 		size_t error_size);
-} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}, {"i2c", i2c_open}, {"wt901", wt901_open}};
+} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}, {"i2c", i2c_open}, {"iio", iio_open}, {"wt901", wt901_open}};
 
 int source_positive(const char *text, double *value)
 {
@@ -47,8 +47,8 @@ int imu_open(
 	if (!source) {
 		snprintf(error, error_size,
 			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ][,board=B]], "
-			"replay:FILE.imu.csv[,loop][,speed=X], i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub] or "
-			"wt901:/dev/ttyX[,baud=9600][,address=0x50]",
+			"replay:FILE.imu.csv[,loop][,speed=X], i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub], "
+			"iio[:DEVICE,...] or wt901:/dev/ttyX[,baud=9600][,address=0x50]",
 			name);
 		return -EINVAL;
 	}

@@ -45,6 +45,17 @@ void imu_thread_send(struct imu_thread *t, const struct imu_sample *sample)
 	}
 }
 
+void imu_thread_rate(struct imu_thread *t, const struct imu_sample *sample)
+{
+	double interval_us = (double)(sample->t_us - t->last_us);
+
+	if (t->last_us > 0)
+		t->interval_us = t->interval_us > 0 ? 0.9 * t->interval_us + 0.1 * interval_us : interval_us;
+	t->last_us = sample->t_us;
+	if (t->interval_us > 0)
+		t->health.rate_hz = (float)(1e6 / t->interval_us);
+}
+
 static bool state_changed(const struct imu_health *a, const struct imu_health *b)
 {
 	return a->fault != b->fault || a->fault_chip != b->fault_chip || a->degraded != b->degraded ||
@@ -83,6 +94,7 @@ void imu_thread_sleep(struct imu_thread *t, int64_t until_ns)
 
 void imu_thread_failed(struct imu_thread *t, enum imu_fault fault, enum imu_chip chip)
 {
+	t->last_us = 0;
 	t->health.fault = (uint8_t)fault;
 	t->health.fault_chip = (uint8_t)chip;
 	imu_thread_tell(t);

@@ -23,6 +23,8 @@ struct imu_thread {
 	const char *name;
 	int wake_fd;
 	int64_t backoff_ns;
+	double interval_us; /* between samples, smoothed; 0: not known */
+	uint64_t last_us;
 	struct imu_health told; /* what the last message said */
 	struct imu_message {
 		struct imu_health health;
@@ -50,6 +52,8 @@ void imu_thread_release(struct imu_thread *t);
 bool imu_thread_stopping(const struct imu_thread *t);
 /** Sends a sample, or NULL, and the health with it. Dropped and counted when nobody takes them. */
 void imu_thread_send(struct imu_thread *t, const struct imu_sample *sample);
+/** Measures the rate that the health tells; each sample before it is sent. */
+void imu_thread_rate(struct imu_thread *t, const struct imu_sample *sample);
 /** Sends the health without a sample if its state has changed. */
 void imu_thread_tell(struct imu_thread *t);
 /** Waits for that time, imu_thread_wake(), or one of `n` descriptors (at most 4); their revents are set. */

@@ -9,6 +9,7 @@
 int replay_open(
 	char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
+int iio_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int wt901_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 

@@ -68,8 +68,6 @@ struct wt901 {
 	uint16_t last[MEASURED_WORDS];
 	unsigned same;
 	int64_t same_ns;
-	double interval_ns; /* between samples, smoothed; 0: not known */
-	double last_t_ns;
 };
 
 /* ---- the line ---------------------------------------------------------------------------------------------------- */
@@ -201,17 +199,6 @@ static bool frozen(struct wt901 *w, const uint16_t *words, int64_t now_ns)
 	return w->same >= SAME && (double)(now_ns - w->same_ns) >= SAME_NS;
 }
 
-static void measure_rate(struct wt901 *w, double t_ns)
-{
-	double interval_ns = t_ns - w->last_t_ns;
-
-	if (w->last_t_ns > 0)
-		w->interval_ns = w->interval_ns > 0 ? 0.9 * w->interval_ns + 0.1 * interval_ns : interval_ns;
-	w->last_t_ns = t_ns;
-	if (w->interval_ns > 0)
-		w->thread.health.rate_hz = (float)(1e9 / w->interval_ns);
-}
-
 static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 {
 	struct imu_sample sample = {
@@ -223,8 +210,8 @@ static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 		.flags = SAMPLE_MAG | SAMPLE_TEMPERATURE | (saturated(words) ? SAMPLE_SATURATED : 0),
 	};
 
-	measure_rate(w, t_ns);
 	imu_thread_works(&w->thread);
+	imu_thread_rate(&w->thread, &sample);
 	imu_thread_send(&w->thread, &sample);
 }
 
@@ -253,7 +240,6 @@ static int take_sample(struct wt901 *w)
 static void fail(struct wt901 *w)
 {
 	disconnect(w);
-	w->last_t_ns = 0;
 	imu_thread_failed(&w->thread, IMU_FAULT_SILENT, IMU_CHIP_GYRO);
 }
 

@@ -84,7 +84,7 @@ struct imu_port {
 };
 
 /** Opens SRC: `sim[:SCENARIO[,board=B][,rate=HZ]]`, `replay:FILE.imu.csv[,loop][,speed=X]`,
- * `i2c:/dev/i2c-N[,drdy=CHIP:LINE][,stub]` or `wt901:/dev/ttyX[,baud=9600][,address=0x50]`. `settings` NULL:
+ * `i2c:/dev/i2c-N[,drdy=CHIP:LINE][,stub]`, `iio[:DEVICE,...]` or `wt901:/dev/ttyX[,baud=9600][,address=0x50]`. `settings` NULL:
  * IMU_SETTINGS_DEFAULTS. 0 and *port (close with imu_close()), or -errno and one line in `error` that says what to do. */
 int imu_open(
 	const char *src, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);

@@ -47,7 +47,7 @@ static void block(uint8_t address, uint8_t direction, uint8_t at, uint8_t *bytes
 		.read_write = direction, .command = at, .size = I2C_SMBUS_I2C_BLOCK_DATA, .data = &data};
 
 	memcpy(data.block + 1, bytes, n);
-	if (ioctl(bus_fd, I2C_SLAVE, (unsigned long)address) < 0 || ioctl(bus_fd, I2C_SMBUS, &transfer) < 0)
+	if (ioctl(bus_fd, I2C_SLAVE_FORCE, (unsigned long)address) < 0 || ioctl(bus_fd, I2C_SMBUS, &transfer) < 0)
 		die("stub");
 	memcpy(bytes, data.block + 1, n);
 }

@@ -1,0 +1,114 @@
+#include "drivers/imu/merge.h"
+
+#include <stdlib.h>
+
+static struct merge_reading *peek(struct merge_ring *ring, unsigned i)
+{
+	return i < ring->count ? &ring->at[(ring->first + i) % MERGE_READINGS] : NULL;
+}
+
+static void drop(struct merge_ring *ring)
+{
+	ring->first = (ring->first + 1) % MERGE_READINGS;
+	ring->count--;
+}
+
+/* False: it is not later than the one before. */
+static bool push(struct merge_ring *ring, const struct merge_reading *reading)
+{
+	const struct merge_reading *last = ring->count ? peek(ring, ring->count - 1) : NULL;
+
+	if (last && reading->t_ns <= last->t_ns)
+		return false;
+	ring->at[(ring->first + ring->count++) % MERGE_READINGS] = *reading;
+	return true;
+}
+
+void merge_init(struct merge *m, int64_t tolerance_ns)
+{
+	*m = (struct merge){.tolerance_ns = tolerance_ns};
+}
+
+void merge_add(struct merge *m, enum imu_chip chip, const struct merge_reading *reading)
+{
+	if (chip == IMU_CHIP_MAG) {
+		m->mag = *reading;
+		m->mag_new = true;
+		return;
+	}
+	if (m->gyro.count == MERGE_READINGS) {
+		drop(&m->gyro);
+		m->lost++;
+	}
+	if (m->accel.count == MERGE_READINGS)
+		drop(&m->accel);
+	push(chip == IMU_CHIP_GYRO ? &m->gyro : &m->accel, reading);
+}
+
+static int64_t apart_ns(const struct merge_reading *a, const struct merge_reading *b)
+{
+	return llabs(a->t_ns - b->t_ns);
+}
+
+/* The acceleration at the gyro's instant. 1, 0: not known yet, -1: it never will be. */
+static int accel_at(struct merge *m, const struct merge_reading *gyro, struct merge_reading *out)
+{
+	const struct merge_reading *before, *after;
+
+	while (m->accel.count > 1 && peek(&m->accel, 1)->t_ns <= gyro->t_ns)
+		drop(&m->accel);
+	before = peek(&m->accel, 0);
+	after = peek(&m->accel, 1);
+	if (!before)
+		return 0;
+	*out = *before;
+	if (apart_ns(before, gyro) <= m->tolerance_ns && (!after || apart_ns(before, gyro) <= apart_ns(after, gyro)))
+		return 1;
+	if (before->t_ns > gyro->t_ns)
+		return -1;
+	if (!after)
+		return 0;
+	if (apart_ns(after, gyro) <= m->tolerance_ns) {
+		*out = *after;
+		return 1;
+	}
+	double share = (double)(gyro->t_ns - before->t_ns) / (double)(after->t_ns - before->t_ns);
+	out->value = vec3_add(before->value, vec3_scale(share, vec3_sub(after->value, before->value)));
+	out->saturated = before->saturated || after->saturated;
+	return 1;
+}
+
+/* In a resting field, what turned since then is the sensor. */
+static void add_mag(struct merge *m, const struct merge_reading *gyro, struct imu_sample *sample)
+{
+	double age_s = 1e-9 * (double)(gyro->t_ns - m->mag.t_ns);
+
+	if (!m->mag_new || m->mag.t_ns > gyro->t_ns + m->tolerance_ns)
+		return;
+	m->mag_new = false;
+	sample->mag_uT = vec3_add(m->mag.value, vec3_scale(age_s, vec3_cross(m->mag.value, gyro->value)));
+	sample->flags |= SAMPLE_MAG;
+}
+
+bool merge_next(struct merge *m, struct imu_sample *sample)
+{
+	struct merge_reading accel, gyro;
+	int known = -1;
+
+	while (known < 0 && m->gyro.count > 0) {
+		gyro = *peek(&m->gyro, 0);
+		known = accel_at(m, &gyro, &accel);
+		if (known != 0)
+			drop(&m->gyro);
+		if (known < 0)
+			m->lost++;
+	}
+	if (known <= 0)
+		return false;
+	*sample = (struct imu_sample){.t_us = (uint64_t)(gyro.t_ns / 1000),
+		.gyro_rad_s = gyro.value,
+		.accel_m_s2 = accel.value,
+		.flags = gyro.saturated || accel.saturated ? SAMPLE_SATURATED : 0};
+	add_mag(m, &gyro, sample);
+	return true;
+}
