@@ -56,10 +56,10 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 		node->device.nmt_changed(node->device.ctx, state);
 	if (state == NMT_STOPPED)
 		sdo_server_stop(node);
+	if (old == NMT_STOPPED && nmt_communicates(node))
+		emcy_leave_stopped(node); /* before PDOs begin anew: that may end an error, and tell it */
 	if (state == NMT_OPERATIONAL)
 		pdo_start(node);
-	if (old == NMT_STOPPED && nmt_communicates(node))
-		emcy_leave_stopped(node);
 }
 
 void nmt_start_up(struct canopen_node *node)

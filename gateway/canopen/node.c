@@ -83,6 +83,9 @@ void node_bad_data(struct canopen_node *node, uint16_t index)
 /* Brings every service in line with the dictionary's values. */
 static void reset_services(struct canopen_node *node)
 {
+	collision_reset(node);
+	heartbeat_reset(node);
+	guard_reset(node);
 	if (node->id == CANOPEN_UNCONFIGURED) {
 		sdo_server_stop(node);
 		node_filter(node);
@@ -92,9 +95,6 @@ static void reset_services(struct canopen_node *node)
 	sdo_server_reset(node);
 	sync_reset(node);
 	time_reset(node);
-	collision_reset(node);
-	heartbeat_reset(node);
-	guard_reset(node);
 	pdo_reset(node);
 	node_filter(node);
 }

@@ -386,6 +386,18 @@ static void test_what_came_and_went_in_stopped_is_told_as_over_once(void **state
 	bus_exchange(bus, "000 80 10", "090 00 00 00 00 00 00 00 00");
 }
 
+static void test_what_ended_in_stopped_is_not_told_when_operational_ends_the_error_of_a_pdo(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "210 02", "090 10 82 11 00 14 01 08 00");
+	bus_send(bus, "000 02 10");
+	canopen_error_set(&bus->node, 0xFF13, 0, NULL, bus->now_us);
+	canopen_error_clear(&bus->node, 0xFF13, bus->now_us);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "000 01 10", "090 00 00 00 00 00 00 00 00");
+}
+
 static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void **state)
 {
 	struct bus *bus = *state;
@@ -469,6 +481,7 @@ int main(void)
 		PRE_OPERATIONAL(test_an_error_that_ended_in_stopped_is_told_as_over_afterwards),
 		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_not_told_while_another_error_stands),
 		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_told_as_over_once),
+		OPERATIONAL(test_what_ended_in_stopped_is_not_told_when_operational_ends_the_error_of_a_pdo),
 		PRE_OPERATIONAL(test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time),
 		PRE_OPERATIONAL(test_an_error_told_before_stopped_is_not_told_again),
 		PRE_OPERATIONAL(test_reset_node_forgets_errors_and_history),

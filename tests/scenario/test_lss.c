@@ -333,6 +333,23 @@ static void test_a_node_without_a_node_id_says_nothing_and_hears_lss_only(void *
 	(void)state;
 }
 
+static void test_a_node_without_a_node_id_watches_nobody(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1016, 1, 4, 0x00050064);
+	bus_write(bus, 0x100C, 0, 2, 100);
+	bus_write(bus, 0x100D, 0, 1, 2);
+	bus_send(bus, "705 05");
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_send(bus, "7E5 04 01 00 00 00 00 00 00");
+	bus_exchange(bus, "7E5 11 FF 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
+	bus_send(bus, "000 82 10");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	assert_int_equal(bus->values.error_register, 0);
+}
+
 static void test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given(void **state)
 {
 	struct bus *bus = unconfigured();
@@ -678,6 +695,7 @@ int main(void)
 		PRE_OPERATIONAL(test_a_store_that_ends_after_the_configuration_is_not_answered),
 		PRE_OPERATIONAL(test_what_is_configured_while_the_disk_works_is_not_taken_for_stored),
 		PRE_OPERATIONAL(test_a_device_that_cannot_store_says_so),
+		PRE_OPERATIONAL(test_a_node_without_a_node_id_watches_nobody),
 		PRE_OPERATIONAL(test_the_node_id_255_makes_the_node_silent_from_reset_communication_on),
 		cmocka_unit_test(test_a_node_without_a_node_id_says_nothing_and_hears_lss_only),
 		cmocka_unit_test(test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given),
