@@ -2,46 +2,30 @@
 
 #include <errno.h>
 #include <gpiod.h>
-#include <poll.h>
-#include <pthread.h>
-#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/eventfd.h>
-#include <sys/prctl.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "drivers/imu/board.h"
+#include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
-enum { NS_PER_S = 1000000000, QUEUE = 256, STACK_BYTES = 256 * 1024 };
-
-struct message {
-	struct imu_health health;
-	struct imu_sample sample;
-	bool has_sample;
-};
+enum { NS_PER_S = 1000000000 };
 
 struct i2c_imu {
-	struct imu_port port;
+	struct imu_thread thread;
 	struct i2c_bus *bus;
 	struct i2c_imu_config config;
 
 	/* the thread's own */
 	struct board board;
-	struct imu_health told; /* what the last message said */
 	struct gpiod_chip *gpio;
 	struct gpiod_line *drdy;
 
 	/* between the two */
-	pthread_t thread;
-	int wake_fd; /* for the thread: stop, or something to do */
-	struct message queue[QUEUE];
-	atomic_uint head, tail; /* written by the thread; taken by the port */
-	atomic_uint lost;	/* found no room */
-	atomic_bool stop, self_test, replan;
+	atomic_bool self_test, replan;
 	pthread_mutex_t plan_lock;
 	struct board_plan plan; /* to be applied when `replan` */
 };
@@ -50,11 +34,8 @@ struct i2c_imu {
 
 int64_t i2c_imu_now_ns(void *unused)
 {
-	struct timespec now;
-
 	(void)unused;
-	clock_gettime(CLOCK_MONOTONIC, &now);
-	return (int64_t)now.tv_sec * NS_PER_S + now.tv_nsec;
+	return imu_thread_now_ns();
 }
 
 static void sleep_until(void *unused, int64_t ns)
@@ -68,59 +49,28 @@ static void sleep_until(void *unused, int64_t ns)
 
 static const struct board_clock CLOCK = {.now_ns = i2c_imu_now_ns, .sleep_until = sleep_until};
 
-static void send_message(struct i2c_imu *imu, const struct imu_sample *sample)
-{
-	unsigned head = atomic_load_explicit(&imu->head, memory_order_relaxed);
-	struct message *m = &imu->queue[head % QUEUE];
-	const uint64_t one = 1;
-
-	if (head - atomic_load_explicit(&imu->tail, memory_order_acquire) == QUEUE) {
-		atomic_fetch_add_explicit(&imu->lost, 1, memory_order_relaxed);
-		return;
-	}
-	*m = (struct message){.health = imu->board.health, .has_sample = sample};
-	if (sample)
-		m->sample = *sample;
-	imu->told = imu->board.health;
-	atomic_store_explicit(&imu->head, head + 1, memory_order_release);
-	if (write(imu->port.fd, &one, sizeof one) < 0) { /* the counter is full: it is readable already */
-	}
-}
-
-static bool state_changed(const struct imu_health *a, const struct imu_health *b)
-{
-	return a->fault != b->fault || a->fault_chip != b->fault_chip || a->degraded != b->degraded ||
-	       a->degraded_chip != b->degraded_chip || a->self_test != b->self_test || a->restarts != b->restarts;
-}
-
 static void deliver(struct i2c_imu *imu)
 {
 	struct imu_sample sample;
 
-	while (board_next(&imu->board, &sample))
+	while (board_next(&imu->board, &sample)) {
+		imu->thread.health = imu->board.health;
 		if (!imu->board.health.fault)
-			send_message(imu, &sample);
-	if (state_changed(&imu->told, &imu->board.health))
-		send_message(imu, NULL);
+			imu_thread_send(&imu->thread, &sample);
+	}
+	imu->thread.health = imu->board.health;
+	imu_thread_tell(&imu->thread);
 }
 
 static void wait_until(struct i2c_imu *imu, int64_t wake_ns)
 {
-	struct pollfd fds[2] = {{imu->wake_fd, POLLIN, 0}, {-1, POLLIN, 0}};
-	int64_t left_ns = wake_ns - i2c_imu_now_ns(NULL);
-	struct timespec timeout = {0};
+	struct pollfd fd = {.events = POLLIN};
 	struct gpiod_line_event event;
-	uint64_t count;
 
-	if (left_ns > 0)
-		timeout = (struct timespec){left_ns / NS_PER_S, left_ns % NS_PER_S};
 	if (imu->drdy)
-		fds[1].fd = gpiod_line_event_get_fd(imu->drdy);
-	if (ppoll(fds, 2, &timeout, NULL) <= 0)
-		return;
-	if (fds[0].revents && read(imu->wake_fd, &count, sizeof count) < 0)
-		return;
-	if (fds[1].revents && gpiod_line_event_read(imu->drdy, &event) == 0)
+		fd.fd = gpiod_line_event_get_fd(imu->drdy);
+	imu_thread_wait(&imu->thread, wake_ns, &fd, imu->drdy ? 1 : 0);
+	if (fd.revents && gpiod_line_event_read(imu->drdy, &event) == 0)
 		board_data_ready(&imu->board, (int64_t)event.ts.tv_sec * NS_PER_S + event.ts.tv_nsec);
 }
 
@@ -135,13 +85,11 @@ static void take_orders(struct i2c_imu *imu)
 		board_self_test(&imu->board);
 }
 
-static void *run(void *ctx)
+static void run(struct imu_thread *t)
 {
-	struct i2c_imu *imu = ctx;
+	struct i2c_imu *imu = (struct i2c_imu *)t;
 
-	prctl(PR_SET_NAME, "imu9-i2c");
-	prctl(PR_SET_TIMERSLACK, 1UL);
-	while (!atomic_load(&imu->stop)) {
+	while (!imu_thread_stopping(t)) {
 		int64_t wake_ns;
 
 		take_orders(imu);
@@ -149,68 +97,9 @@ static void *run(void *ctx)
 		deliver(imu);
 		wait_until(imu, wake_ns);
 	}
-	return NULL;
 }
 
 /* ---- the port ---------------------------------------------------------------------------------------------------- */
-
-static void note_lost(struct i2c_imu *imu)
-{
-	unsigned lost = atomic_exchange_explicit(&imu->lost, 0, memory_order_relaxed);
-
-	if (lost == 0)
-		return;
-	imu->port.counters.skipped += lost;
-	snprintf(imu->port.last_skip, sizeof imu->port.last_skip, "nobody took them in time");
-}
-
-static int take_message(struct i2c_imu *imu, struct imu_sample *sample)
-{
-	unsigned tail = atomic_load_explicit(&imu->tail, memory_order_relaxed);
-	const struct message *m = &imu->queue[tail % QUEUE];
-	int result = 0;
-
-	imu->port.health = m->health;
-	if (m->has_sample) {
-		*sample = m->sample;
-		imu->port.counters.samples++;
-		if ((double)i2c_imu_now_ns(NULL) - 1e3 * (double)sample->t_us > 2e9 / imu->port.rate_hz)
-			imu->port.counters.late++;
-		result = 1;
-	} else if (m->health.fault) {
-		result = -EIO;
-	}
-	atomic_store_explicit(&imu->tail, tail + 1, memory_order_release);
-	return result;
-}
-
-static bool queue_empty(struct i2c_imu *imu)
-{
-	return atomic_load_explicit(&imu->head, memory_order_acquire) ==
-	       atomic_load_explicit(&imu->tail, memory_order_relaxed);
-}
-
-static int port_read(struct imu_port *port, struct imu_sample *sample)
-{
-	struct i2c_imu *imu = (struct i2c_imu *)port;
-	uint64_t count;
-	int result = 0;
-
-	note_lost(imu);
-	if (queue_empty(imu) && read(port->fd, &count, sizeof count) < 0 && errno != EAGAIN)
-		return -errno;
-	while (result == 0 && !queue_empty(imu)) /* one may have come before the counter was read */
-		result = take_message(imu, sample);
-	return result;
-}
-
-static void wake(struct i2c_imu *imu)
-{
-	const uint64_t one = 1;
-
-	if (write(imu->wake_fd, &one, sizeof one) < 0) { /* full: it wakes anyway */
-	}
-}
 
 static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, struct board_plan *plan, char *error,
 	size_t error_size)
@@ -220,12 +109,6 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 	if (imu->config.rate_hz > 0)
 		wanted.rate_hz = imu->config.rate_hz;
 	return board_plan(&imu->board, &wanted, imu->config.stub, imu->drdy != NULL, plan, error, error_size);
-}
-
-static void use_rate(struct imu_port *port, double rate_hz)
-{
-	port->rate_hz = rate_hz;
-	port->silence_us = source_silence_us(rate_hz);
 }
 
 static int port_configure(
@@ -241,8 +124,8 @@ static int port_configure(
 	imu->plan = plan;
 	pthread_mutex_unlock(&imu->plan_lock);
 	atomic_store(&imu->replan, true);
-	use_rate(port, plan.rate_hz);
-	wake(imu);
+	source_use_rate(port, plan.rate_hz);
+	imu_thread_wake(&imu->thread);
 	return 0;
 }
 
@@ -251,17 +134,15 @@ static void port_self_test(struct imu_port *port)
 	struct i2c_imu *imu = (struct i2c_imu *)port;
 
 	atomic_store(&imu->self_test, true);
-	wake(imu);
+	imu_thread_wake(&imu->thread);
 }
 
 static void release(struct i2c_imu *imu)
 {
 	if (imu->gpio)
 		gpiod_chip_close(imu->gpio);
-	if (imu->port.fd >= 0)
-		close(imu->port.fd);
-	if (imu->wake_fd >= 0)
-		close(imu->wake_fd);
+	pthread_mutex_destroy(&imu->plan_lock);
+	imu_thread_release(&imu->thread);
 	i2c_close(imu->bus);
 	free(imu);
 }
@@ -270,15 +151,12 @@ static void port_close(struct imu_port *port)
 {
 	struct i2c_imu *imu = (struct i2c_imu *)port;
 
-	atomic_store(&imu->stop, true);
-	wake(imu);
-	pthread_join(imu->thread, NULL);
-	pthread_mutex_destroy(&imu->plan_lock);
+	imu_thread_stop(&imu->thread);
 	release(imu);
 }
 
 static const struct imu_ops OPS = {
-	.read = port_read, .close = port_close, .configure = port_configure, .self_test = port_self_test};
+	.read = imu_thread_read, .close = port_close, .configure = port_configure, .self_test = port_self_test};
 
 /* ---- opening ----------------------------------------------------------------------------------------------------- */
 
@@ -299,23 +177,6 @@ static int open_drdy(struct i2c_imu *imu, char *error, size_t error_size)
 	return result;
 }
 
-static int start_thread(struct i2c_imu *imu, const struct imu_settings *settings)
-{
-	const struct sched_param param = {.sched_priority = settings->realtime};
-	pthread_attr_t attributes;
-	int result;
-
-	pthread_attr_init(&attributes);
-	pthread_attr_setstacksize(&attributes, STACK_BYTES);
-	pthread_mutex_init(&imu->plan_lock, NULL);
-	result = pthread_create(&imu->thread, &attributes, run, imu);
-	pthread_attr_destroy(&attributes);
-	/* refused: the process says so for its main thread */
-	if (result == 0 && settings->realtime > 0)
-		pthread_setschedparam(imu->thread, SCHED_FIFO, &param);
-	return -result;
-}
-
 /* Up to the thread: everything that can fail with a reason. */
 static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, char *error, size_t error_size)
 {
@@ -331,8 +192,8 @@ static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, cha
 		result = make_plan(imu, settings, &imu->plan, error, error_size);
 	if (result < 0)
 		return result;
-	snprintf(imu->port.name, sizeof imu->port.name, "%.40s %.20s", imu->config.name, imu->board.name);
-	use_rate(&imu->port, imu->plan.rate_hz);
+	snprintf(imu->thread.port.name, sizeof imu->thread.port.name, "%.40s %.20s", imu->config.name, imu->board.name);
+	source_use_rate(&imu->thread.port, imu->plan.rate_hz);
 	board_apply(&imu->board, &imu->plan);
 	if (settings->self_test)
 		board_self_test(&imu->board);
@@ -351,18 +212,16 @@ int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, cons
 	}
 	imu->bus = bus;
 	imu->config = *config;
-	imu->port.ops = &OPS;
-	imu->port.fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-	imu->wake_fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-	if (imu->port.fd < 0 || imu->wake_fd < 0) {
-		result = -errno;
+	imu->thread.port.ops = &OPS;
+	pthread_mutex_init(&imu->plan_lock, NULL);
+	result = imu_thread_init(&imu->thread);
+	if (result < 0)
 		snprintf(error, error_size, "%s: %s", config->name, strerror(-result));
-	} else {
+	else
 		result = prepare(imu, settings, error, error_size);
-	}
 	if (result == 0) {
 		imu->config.name = imu->config.drdy_chip = NULL; /* the caller's */
-		result = start_thread(imu, settings);
+		result = imu_thread_start(&imu->thread, "imu9-i2c", settings->realtime, run);
 		if (result < 0)
 			snprintf(error, error_size, "no thread for the sensor: %s", strerror(-result));
 	}
@@ -370,7 +229,7 @@ int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, cons
 		release(imu);
 		return result;
 	}
-	*port = &imu->port;
+	*port = &imu->thread.port;
 	return 0;
 }
 

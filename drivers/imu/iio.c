@@ -756,12 +756,6 @@ static void run(struct imu_thread *t)
 
 /* ---- the port ---------------------------------------------------------------------------------------------------- */
 
-static void use_rate(struct iio_imu *imu, double rate_hz)
-{
-	imu->thread.port.rate_hz = rate_hz;
-	imu->thread.port.silence_us = source_silence_us(rate_hz);
-}
-
 static int port_configure(
 	struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t error_size)
 {
@@ -782,7 +776,7 @@ static int port_configure(
 	pthread_mutex_lock(&imu->lock);
 	imu->settings = *settings;
 	pthread_mutex_unlock(&imu->lock);
-	use_rate(imu, gyro_rate[0] ? strtod(gyro_rate, NULL) : settings->rate_hz);
+	source_use_rate(port, gyro_rate[0] ? strtod(gyro_rate, NULL) : settings->rate_hz);
 	atomic_store(&imu->restart, true);
 	imu_thread_wake(&imu->thread);
 	return 0;
@@ -856,7 +850,7 @@ static int start(
 		result = measure_polling(imu, error, error_size);
 	if (result < 0)
 		return result;
-	use_rate(imu, imu->rate_hz);
+	source_use_rate(port, imu->rate_hz);
 	snprintf(port->name, sizeof port->name, "iio:%.20s+%.20s%s", label(imu->triads[GYRO].device),
 		label(imu->triads[ACCEL].device),
 		imu->polled		       ? ", polled"

@@ -63,6 +63,12 @@ uint64_t source_silence_us(double rate_hz)
 	return (uint64_t)fmax(1e5, 10e6 / rate_hz);
 }
 
+void source_use_rate(struct imu_port *port, double rate_hz)
+{
+	port->rate_hz = rate_hz;
+	port->silence_us = source_silence_us(rate_hz);
+}
+
 int imu_read(struct imu_port *port, struct imu_sample *sample)
 {
 	return port->ops->read(port, sample);

@@ -15,6 +15,8 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 
 /** imu_port.silence_us for samples that arrive at rate_hz: 100 ms, or ten intervals when that is longer. */
 uint64_t source_silence_us(double rate_hz);
+/** Of a sensor that is as fast as its samples' own time: the rate and the silence that goes with it. */
+void source_use_rate(struct imu_port *port, double rate_hz);
 
 /** A number above 0 and nothing after it. 0 or -EINVAL. */
 int source_positive(const char *text, double *value);

@@ -298,8 +298,7 @@ static int port_configure(
 	}
 	if (dry)
 		return 0;
-	port->rate_hz = rate_hz;
-	port->silence_us = source_silence_us(rate_hz);
+	source_use_rate(port, rate_hz);
 	atomic_store(&w->period_ns, (int64_t)(1e9 / rate_hz));
 	atomic_store(&w->bandwidth, bandwidth_code(settings->bandwidth_hz > 0 ? settings->bandwidth_hz : rate_hz / 2));
 	atomic_store(&w->configure, true);
