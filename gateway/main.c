@@ -21,23 +21,27 @@ static const char usage[] =
 	"usage: imu9-gateway [OPTION]...\n"
 	"Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
 	"\n"
-	"  -c, --config FILE     INI file: [gateway] with the options below, and objects by name\n"
-	"      --imu SRC         sim[:SCENARIO] or replay:FILE.imu.csv[,loop][,speed=X]   (default "
-	"sim)\n"
-	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD], or\n"
-	"                        udp[:GROUP[:PORT]]                                        (default vcan0)\n"
-	"      --node-id N       1 to 127, or 255: waits for one by LSS                    "
-	"(default 1)\n"
-	"      --bitrate B       bit/s, set where that is permitted (CAP_NET_ADMIN)   (default: as it is)\n"
+	"  -c, --config FILE     INI file: [gateway] with the options below as keys (node_id = 5), and\n"
+	"                        objects by name; 'imu9-sdo save FILE' writes one\n"
+	"      --imu SRC         where samples come from (default sim):\n"
+	"                          sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated]  simulated chips\n"
+	"                          replay:FILE.imu.csv[,loop][,speed=X]               a log\n"
+	"                          i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]                a Pololu IMU 9\n"
+	"                          wt901:/dev/ttyX[,baud=9600][,address=0x50]         WT901C-485\n"
+	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD] or\n"
+	"                        udp[:GROUP[:PORT]]                   (default: $IMU9_CAN or vcan0)\n"
+	"      --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
+	"      --bitrate B       bit/s, set where that is permitted: CAP_NET_ADMIN  (default: as it is)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-	"      --store DIR       where 1010h stores   (default /var/lib/imu9-gateway, or\n"
+	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
-	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked   (default: off)\n"
+	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
 	"Precedence: defaults < FILE < command line < what 1010h and LSS stored.\n"
-	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n";
+	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n"
+	"Example: imu9-gateway --imu i2c:/dev/i2c-1 --can can0 --node-id 5\n";
 
 enum { OPT_KEY = 256, OPT_SET, OPT_HELP, OPT_VERSION }; /* OPT_KEY: a key of [gateway] */
 
@@ -60,6 +64,12 @@ static const struct option options[] = {
 static int usage_error(const char *why)
 {
 	log_line("%s (imu9-gateway --help)", why);
+	return EXIT_USAGE;
+}
+
+static int bad_configuration(const char *why)
+{
+	log_line("%s", why);
 	return EXIT_USAGE;
 }
 
@@ -112,19 +122,35 @@ static int take_option(struct config *config, int option, int index, char *const
 	default:
 		return bad_option(option, argv);
 	}
-	return rc < 0 ? usage_error(why) : -1;
+	return rc < 0 ? bad_configuration(why) : -1;
+}
+
+/* The tools meet the gateway where the same variables say. */
+static int take_environment(struct config *config, const char *variable, const char *key)
+{
+	char why[CONFIG_ERROR_MAX];
+	const char *value = getenv(variable);
+
+	if (!value || !value[0] || config_option(config, key, value, why) == 0)
+		return -1;
+	log_line("%s: %s", variable, why);
+	return EXIT_USAGE;
 }
 
 /* -1: run; else the exit status. The file first, whatever the order on the command line. */
 static int read_configuration(struct config *config, int argc, char **argv)
 {
 	char why[CONFIG_ERROR_MAX];
-	int option, index = 0, status = -1;
+	int option, index = 0, status = take_environment(config, "IMU9_CAN", "can");
 
+	if (status < 0)
+		status = take_environment(config, "IMU9_NODE", "node_id");
+	if (status >= 0)
+		return status;
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
-			return usage_error(why);
+			return bad_configuration(why);
 	optind = 0; /* glibc: scan anew */
 	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
 		status = take_option(config, option, index, argv);
@@ -249,8 +275,6 @@ static uint8_t start_node_id(const struct config *config)
 
 	if (node_id != config->node_id)
 		log_line("node-ID %u, stored by LSS, wins over the configured %u", node_id, config->node_id);
-	if (node_id == CANOPEN_UNCONFIGURED)
-		log_line("no node-ID: waits for one by LSS");
 	return (uint8_t)node_id;
 }
 
@@ -302,7 +326,11 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	else if (rc < 0)
 		log_line("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
-		log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
+		if (node_id == CANOPEN_UNCONFIGURED)
+			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waits for one by LSS (imu9-sdo lss assign)",
+				bus->name, imu->name, imu->rate_hz);
+		else
+			log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
 		open_leds(config);
 		go_realtime(config->realtime);
 		rc = loop_run(&device, bus, imu, store, damaged);
@@ -328,6 +356,13 @@ static struct imu_settings settings_of(const struct config *config)
 	return settings;
 }
 
+/* Another start does not mend a wrong SRC or BUS (EXIT_USAGE), but may find a sensor that was plugged in. */
+static int cannot_open(int rc, const char *why)
+{
+	log_line("%s", why);
+	return rc == -EINVAL ? EXIT_USAGE : EXIT_FAILURE;
+}
+
 int main(int argc, char **argv)
 {
 	static struct config config;
@@ -341,14 +376,13 @@ int main(int argc, char **argv)
 		return status;
 	loop_hold_signals();
 	const struct imu_settings settings = settings_of(&config);
-	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
-		log_line("%s", why);
-		return EXIT_FAILURE;
-	}
-	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
-		log_line("%s", why);
+	int rc = imu_open(config.imu, &settings, &imu, why, sizeof(why));
+	if (rc < 0)
+		return cannot_open(rc, why);
+	rc = can_open(config.can, &bus, why, sizeof(why));
+	if (rc < 0) {
 		imu_close(imu);
-		return EXIT_FAILURE;
+		return cannot_open(rc, why);
 	}
 	status = run(&config, bus, imu);
 	can_close(bus);

@@ -16,21 +16,24 @@
 
 static const char usage[] =
 	"usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
-	"Finds the lever arm (2000h: from the reference point to the accelerometer) from a recorded motion:\n"
-	"  - the reference point was held still, and the object turned about it, about all its axes, for 30 s; or\n"
-	"  - with --reference, or with the columns ref_al,ref_as,ref_at (m/s^2, object frame, without gravity) in "
-	"LOG:\n"
-	"    any motion with quick turns, the acceleration of the reference point known from outside.\n"
+	"Finds the lever arm (2000h: from the reference point to the accelerometer) from a log:\n"
+	"  - the reference point was held still, and the object turned about it, about all its axes,\n"
+	"    for 30 s; or\n"
+	"  - with --reference, or with the columns ref_al,ref_as,ref_at (m/s^2, object frame, without\n"
+	"    gravity) in LOG: any motion with quick turns.\n"
+	"The gateway does the same by itself: object 2060h.\n"
 	"\n"
-	"  -r, --reference REF   CSV with t,qw,qx,qy,qz,arx,ary,arz: s; attitude sensor -> world; acceleration of the\n"
-	"                        reference point in the world without gravity, m/s^2; empty where not known\n"
-	"  -d, --estimate-delay  do not take the time stamps of the reference as they are: estimate its delay (+-20 "
-	"ms)\n"
-	"  -c, --config FILE     the gateway's configuration file: calibration and mounting hold here, too\n"
+	"  -r, --reference REF   CSV with t,qw,qx,qy,qz,arx,ary,arz: s; attitude sensor -> world;\n"
+	"                        acceleration of the reference point in the world without gravity,\n"
+	"                        m/s^2; empty where not known\n"
+	"  -d, --estimate-delay  the time stamps of the reference are not exact: estimate its delay\n"
+	"                        (+-20 ms)\n"
+	"  -c, --config FILE     the gateway's configuration: its calibration and mounting hold here, too\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name\n"
 	"      --help\n"
 	"\n"
-	"Calibrate gyro and accelerometer before. Exit status: 0 found, 1 not found or failed, 2 wrong usage.\n";
+	"Calibrate gyro and accelerometer before. Exit status: 0 found, 1 not found or failed,\n"
+	"2 wrong usage.\n";
 
 struct options {
 	const char *reference, *log;

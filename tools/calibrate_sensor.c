@@ -12,24 +12,25 @@
 static const char usage[] =
 	"usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
 	"       imu9-calibrate gyro|accelerometer|magnetometer [-i BUS] [-n NODE] [OPTION]...\n"
-	"Finds bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or, without a log, "
-	"by the\n"
-	"gateway on the bus (2061h), and refuses data that do not tell.\n"
+	"Finds bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or,\n"
+	"without a log, by the gateway on the bus (2061h), and refuses data that do not tell.\n"
 	"\n"
-	"  gyro           bias: let the sensor lie still for 10 s (of a log the longest rest counts)\n"
-	"  accelerometer  hold it still for 3 s in 12 positions or more, every side up and down; no fixture needed\n"
-	"      --six      in a fixture: on each of its six faces, in any order\n"
-	"  magnetometer   turn it slowly through all directions for half a minute, away from iron\n"
-	"      --field UT local field strength from a map (default: as the magnetometer has it)\n"
-	"  temperature    of gyro and accelerometer: let it lie still while it warms up; the log needs a column "
-	"temperature\n"
+	"  gyro            bias: let the sensor lie still for 10 s (of a log the longest rest counts)\n"
+	"  accelerometer   hold it still for 3 s in 12 positions or more, every side up and down; no\n"
+	"                  fixture needed\n"
+	"      --six       in a fixture: on each of its six faces, in any order\n"
+	"  magnetometer    turn it slowly through all directions for half a minute, away from iron\n"
+	"      --field UT  local field strength from a map (default: as the magnetometer has it)\n"
+	"  temperature     how the biases of gyro and accelerometer follow it: let the sensor lie still\n"
+	"                  while it warms up; the log needs a column temperature\n"
 	"\n"
-	"Of a log:\n"
+	"Of a log ('-': standard input):\n"
 	"  -o, --output FILE   write the result as a configuration file for imu9-gateway -c\n"
 	"  -c, --config FILE   what is configured already: gravity, noise, temperature compensation\n"
 	"      --set NAME=VALUE\n"
 	"On the bus:\n"
-	"  -i, --interface BUS, -n, --node N (default IMU9_CAN or vcan0, IMU9_NODE or 1)\n"
+	"  -i, --bus BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node NODE     node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -y, --yes           accept a good result without asking\n"
 	"  -t, --timeout MS    for one answer (default 1000)\n"
 	"      --help\n"
@@ -44,7 +45,7 @@ static const struct option options[] = {
 	{"output", required_argument, NULL, 'o'},
 	{"config", required_argument, NULL, 'c'},
 	{"set", required_argument, NULL, OPT_SET},
-	{"interface", required_argument, NULL, 'i'},
+	{"bus", required_argument, NULL, 'i'},
 	{"node", required_argument, NULL, 'n'},
 	{"yes", no_argument, NULL, 'y'},
 	{"timeout", required_argument, NULL, 't'},

@@ -14,16 +14,17 @@
 
 static const char usage[] =
 	"usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
-	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (the longer the better: hours), and "
-	"the\n"
-	"noise it shows, in the units of the gateway's objects 2020h. `-` reads standard input.\n"
+	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (the longer the\n"
+	"better: hours), and the noise it shows, in the units of the gateway's objects 2020h.\n"
+	"`-` reads standard input.\n"
 	"\n"
-	"  -o, --output PREFIX   PREFIX.csv with the deviations, PREFIX.gp, .png and .svg with their plot (gnuplot)\n"
+	"  -o, --output PREFIX   PREFIX.csv with the deviations; PREFIX.gp, .png and .svg with their\n"
+	"                        plot (gnuplot)\n"
 	"      --help, --version\n"
 	"\n"
-	"Densities are one-sided, as in datasheets: white noise of density n has the Allan deviation n / sqrt(2 tau). "
-	"The\n"
-	"bias instability B has its floor at 0.664 B, the random walk K rises as K sqrt(tau / 3).\n"
+	"Densities are one-sided, as in datasheets: white noise of density n has the Allan deviation\n"
+	"n / sqrt(2 tau). The bias instability B has its floor at 0.664 B, the random walk K rises as\n"
+	"K sqrt(tau / 3).\n"
 	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
 
 enum { CHANNELS = 6, LEAST_SAMPLES = 1000 };

@@ -26,7 +26,7 @@ static void print_usage(void)
 	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer [OPTION]...\n");
 	for (const struct subcommand *s = subcommands; s->name; s++)
 		printf("  %-14s %s\n", s->name, s->about);
-	puts("\nimu9-calibrate SUBCOMMAND --help tells more.\n"
+	puts("\nWithout a log the gateway on the bus does it. imu9-calibrate SUBCOMMAND --help tells more.\n"
 	     "Exit status: 0 done, 1 failed or refused, 2 wrong usage.");
 }
 

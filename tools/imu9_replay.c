@@ -17,23 +17,20 @@
 
 enum { EXIT_USAGE = 2 };
 
-static const char usage[] = "usage: imu9-replay [-c FILE] [--set NAME=VALUE]... LOG.imu.csv >OUT.csv\n"
-			    "Runs a recorded IMU log through the gateway's pipeline; `-` reads the log from standard "
-			    "input.\n"
-			    "\n"
-			    "  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
-			    "      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-			    "      --help, --version\n"
-			    "\n"
-			    "LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be "
-			    "empty.\n"
-			    "OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the "
-			    "reference point in\n"
-			    "     object (al..at) and global frame (awx..awz), velocity, position (ENU), the rest "
-			    "flag, the sample counter\n"
-			    "     as the PDOs carry it (here not wrapped), angular rate wl..wt and acceleration "
-			    "dwl..dwt, the status word.\n"
-			    "Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
+static const char usage[] =
+	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... LOG.imu.csv >OUT.csv\n"
+	"Runs a recorded IMU log through the gateway's pipeline; `-` reads it from standard input.\n"
+	"\n"
+	"  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+	"      --help, --version\n"
+	"\n"
+	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be empty.\n"
+	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
+	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
+	"     (ENU), the rest flag, the sample counter as the PDOs carry it (here not wrapped),\n"
+	"     angular rate wl..wt and acceleration dwl..dwt, the status word.\n"
+	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
 
 static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
 			     "wl,ws,wt,dwl,dws,dwt,status\n";

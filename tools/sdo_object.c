@@ -216,13 +216,13 @@ static bool print_line(struct session *s, const struct target *targets, size_t n
 	char text[CLI_VALUE_TEXT_MAX], name[128];
 	uint8_t wire[STRING_MAX];
 
-	if (!s->quiet)
-		printf("%10.3f s", t_s);
 	for (size_t i = 0; i < n; i++) {
 		if (!cli_node_read(&s->node, targets[i].index, targets[i].sub, wire, sizeof(wire))) {
 			cli_node_explain(&s->node, targets[i].entry);
 			return false;
 		}
+		if (i == 0 && !s->quiet)
+			printf("%10.3f s", t_s);
 		sdo_value_text(s, &targets[i], wire, s->node.sdo.size, text, sizeof(text));
 		sdo_target_name(&targets[i], name, sizeof(name));
 		if (s->quiet)

@@ -384,7 +384,8 @@ static void explain(int result, const struct slcan *can, char *error, size_t err
 		snprintf(error, error_size, "%s is no serial device", can->device);
 		break;
 	default:
-		snprintf(error, error_size, "cannot open %s: %s", can->device, strerror(-result));
+		snprintf(error, error_size, "cannot open %s: %s: is the adapter plugged in? `ls /dev/tty[AU]*`",
+			can->device, strerror(-result));
 	}
 }
 
