@@ -10,6 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "drivers/imu/frozen.h"
 #include "drivers/imu/iio_text.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/merge.h"
@@ -89,6 +90,8 @@ struct iio_imu {
 	char timers[TIMERS][48]; /* names of the triggers that were made; "" */
 	double rate_hz;
 	struct merge merge;
+	struct frozen frozen[TRIADS]; /* also over restarts */
+	bool is_frozen[TRIADS];
 	int64_t next_ns; /* polled; to look for a magnetometer; to read the temperature */
 	int64_t mag_retry_ns, temperature_ns;
 	bool temperature_new;
@@ -437,6 +440,7 @@ static void end(struct iio_imu *imu)
 		iio_context_destroy(imu->context);
 	imu->context = NULL;
 	remove_timers(imu);
+	memset(imu->is_frozen, 0, sizeof imu->is_frozen);
 	imu->running = false;
 }
 
@@ -526,7 +530,7 @@ static double raw_of(const struct iio_channel *channel, const void *host)
 	const struct iio_data_format *format = iio_channel_get_data_format(channel);
 	int64_t value = 0;
 
-	memcpy(&value, host, format->length / 8); /* little-endian hosts; others are not built for */
+	memcpy(&value, host, format->length / 8); /* little-endian hosts only */
 	if (format->is_signed && format->length < 64 && value >> (format->length - 1) & 1)
 		value -= (int64_t)1 << format->length;
 	return (double)value;
@@ -539,6 +543,9 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	struct vec3 v;
 
 	t->seen_ns = imu_thread_now_ns();
+	imu->is_frozen[kind] = kind != MAG && frozen_watch(&imu->frozen[kind], raw, AXES * sizeof *raw);
+	if (imu->is_frozen[kind])
+		return;
 	/* a timer faster than the chip reads the same sample again */
 	if (kind == MAG && (double)(t_ns - t->taken_ns) < 0.9 * t->interval_ns)
 		return;
@@ -731,8 +738,8 @@ static void step(struct iio_imu *imu)
 	read_temperature(imu);
 	deliver(imu);
 	for (int kind = GYRO; kind <= ACCEL; kind++)
-		if (stalled(imu, kind)) {
-			fail(imu, IMU_FAULT_STOPPED, KINDS[kind].chip);
+		if (imu->is_frozen[kind] || stalled(imu, kind)) {
+			fail(imu, imu->is_frozen[kind] ? IMU_FAULT_FROZEN : IMU_FAULT_STOPPED, KINDS[kind].chip);
 			return;
 		}
 	watch_mag(imu);

@@ -7,6 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "drivers/imu/frozen.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
@@ -26,7 +27,6 @@ enum {
 	BITS_PER_CHAR = 10,
 
 	FAILURES = 2, /* in a row: the sensor does not answer */
-	SAME = 8,     /* identical measurements: three accelerometers alone have more noise than a digit each */
 	OPEN_TRIES = 3,
 };
 
@@ -41,7 +41,6 @@ enum {
 #define SHORTEST_SILENCE_NS (1.75 * NS_PER_MS) /* Modbus: 3.5 characters, above 19200 Bd that */
 #define PATIENCE_NS	    (40 * NS_PER_MS)   /* what a USB adapter may keep an answer back, twice */
 #define UNLOCKED_NS	    (20 * NS_PER_MS)   /* SDK: wait so long after a write to the configuration */
-#define SAME_NS		    (100 * NS_PER_MS)
 
 static const int BAUDS[] = {4800, 9600, 19200, 38400, 57600, 115200, 230400};
 /* register 1Fh: code and low-pass, Hz */
@@ -65,9 +64,7 @@ struct wt901 {
 	modbus_t *modbus; /* NULL: not connected */
 	double mag_step_uT;
 	unsigned failures;
-	uint16_t last[MEASURED_WORDS];
-	unsigned same;
-	int64_t same_ns;
+	struct frozen frozen;
 };
 
 /* ---- the line ---------------------------------------------------------------------------------------------------- */
@@ -187,18 +184,6 @@ static double measured_ns(const struct wt901 *w, int64_t asked_ns, int64_t answe
 	return fmin(answered, fmax(asked, middle));
 }
 
-static bool frozen(struct wt901 *w, const uint16_t *words, int64_t now_ns)
-{
-	if (w->same == 0 || memcmp(w->last, words, sizeof w->last) != 0) {
-		memcpy(w->last, words, sizeof w->last);
-		w->same = 1;
-		w->same_ns = now_ns;
-	} else {
-		w->same++;
-	}
-	return w->same >= SAME && (double)(now_ns - w->same_ns) >= SAME_NS;
-}
-
 static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 {
 	struct imu_sample sample = {
@@ -225,7 +210,7 @@ static int take_sample(struct wt901 *w)
 		return result;
 	answered_ns = imu_thread_now_ns();
 	w->failures = 0;
-	if (frozen(w, words, answered_ns)) {
+	if (frozen_watch(&w->frozen, words, MEASURED_WORDS * sizeof *words)) {
 		w->thread.health.fault = IMU_FAULT_FROZEN;
 		w->thread.health.fault_chip = IMU_CHIP_GYRO;
 		imu_thread_tell(&w->thread);
