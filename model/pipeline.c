@@ -54,7 +54,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
 /* Bandwidth of the derivative that carries the acceleration over its latency: that of the quickest hand. */
-static const double CHANGE_CUTOFF_HZ = 40;
+static const double CHANGE_CUTOFF_HZ = 60;
 enum { IMPULSE_SAMPLES = 1024 };
 static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_RAD = 1e-4, ATTITUDE_NORM_OFF = 0.1;
 /* A gap longer than this leaves nothing of the attitude but the heading. */
@@ -62,34 +62,22 @@ static const double ATTITUDE_HOLD_S = 1;
 /* A magnetometer slower than the samples still counts as used between its measurements. */
 static const double MAG_LATELY_S = 1;
 
-/* What the derivative makes of noise: of white noise (the accelerometer's), and of the angular acceleration's. */
+/* What the derivative makes of white noise. */
 static void weigh_change(struct pipeline *p)
 {
-	struct differentiator3 white = p->accel_change, coloured = white,
-			       alpha = p->rates.differentiator[RATES_FROM_GYRO];
+	struct differentiator3 d = p->accel_change;
 	const struct vec3 none = {0, 0, 0};
-	double dt_s = 1 / p->rate_hz, of_alpha = 0, sum = 0;
 
-	differentiator3_prime(&white, none);
-	differentiator3_prime(&coloured, none);
-	differentiator3_prime(&alpha, none);
+	differentiator3_prime(&d, none);
 	p->change_of_white = 0;
-	for (int k = 0; k < IMPULSE_SAMPLES; k++) {
-		struct vec3 in = {k == 0, 0, 0}, first = differentiator3_step(&alpha, in, dt_s);
-		double w = differentiator3_step(&white, in, dt_s).x, c = differentiator3_step(&coloured, first, dt_s).x;
-
-		p->change_of_white += w * w;
-		of_alpha += first.x * first.x;
-		sum += c * c;
-	}
-	p->change_of_alpha = sum / of_alpha;
+	for (int k = 0; k < IMPULSE_SAMPLES; k++)
+		p->change_of_white += pow(differentiator3_step(&d, (struct vec3){k == 0, 0, 0}, 1 / p->rate_hz).x, 2);
 }
 
 static void weigh_rates(struct pipeline *p)
 {
 	p->rates_variance =
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
-	weigh_change(p);
 }
 
 static double accel_age_s(const struct latency_config *latency)
@@ -144,6 +132,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 		return -EINVAL;
 	fresh.accel_delay_s = filter3_delay_s(&fresh.accel_filter, rate_hz);
 	differentiator3_tune(&fresh.accel_change, CHANGE_CUTOFF_HZ, rate_hz);
+	weigh_change(&fresh);
 	weigh_rates(&fresh);
 	*p = fresh;
 	return 0;
@@ -337,7 +326,7 @@ static double accel_variance(const struct pipeline *p)
 	return p->config.noise.accel_density_m_s2_sqrt_hz * p->config.noise.accel_density_m_s2_sqrt_hz * p->rate_hz / 2;
 }
 
-/* Of the lever arm's share, the mean of three axes; the part of the angular acceleration alone is that at omega = 0. */
+/* Of the lever arm's share, the mean of three axes. */
 static double lever_variance(const struct pipeline *p, struct vec3 omega_b_rad_s)
 {
 	const struct estimator_config *estimator = &p->config.estimator;
@@ -346,35 +335,42 @@ static double lever_variance(const struct pipeline *p, struct vec3 omega_b_rad_s
 	return estimator->model == LEVER_ARM_OFF ? 0 : (v.x + v.y + v.z) / 3;
 }
 
-static struct vec3 change_variance(const struct pipeline *p)
+static double change_variance(const struct pipeline *p)
 {
-	double age = accel_age_s(&p->config.latency), of_alpha = lever_variance(p, (struct vec3){0, 0, 0});
-	double v = age * age * (accel_variance(p) * p->change_of_white + of_alpha * p->change_of_alpha);
+	double age = accel_age_s(&p->config.latency);
 
-	return (struct vec3){v, v, v};
+	return age * age * accel_variance(p) * p->change_of_white;
 }
 
-/* The reference point's acceleration as of the time stamp, low-passed in the global frame: there gravity is removed
- * before the delay of the filter could let the object turn away from it. After a change of the estimator derivative and
- * filter go on as if the new one had always been in use. */
+/* How the sensor's acceleration changes over its latency. The lever arm's share is left as it was: what carries it on would
+ * have to know the derivative of the angular acceleration. */
+static struct vec3 change_n(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
+{
+	struct vec3 force_n = quat_rotate(p->fusion.q_nb, force_b_m_s2), change;
+	double v = change_variance(p);
+
+	if (!p->primed)
+		differentiator3_prime(&p->accel_change, force_n);
+	change = vec3_scale(accel_age_s(&p->config.latency), differentiator3_step(&p->accel_change, force_n, dt_s));
+	return auto_correction_step(&p->auto_change, change, (struct vec3){v, v, v}, dt_s);
+}
+
+/* The reference point's acceleration, carried to the time stamp, and low-passed in the global frame: there gravity is
+ * removed before the delay of the filter could let the object turn away from it. After a change of the estimator the
+ * filter goes on as if the new one had always been in use. */
 static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
 {
-	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s)), change, other;
+	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s));
 
 	if (!fusion_started(&p->fusion))
 		return (struct vec3){0, 0, 0};
-	if (!p->primed) {
-		differentiator3_prime(&p->accel_change, accel);
+	if (p->primed && memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0)
+		filter3_shift(&p->accel_filter, vec3_sub(accel, accel_n_as_before(p, force_b_m_s2)));
+	accel = vec3_add(accel, change_n(p, force_b_m_s2, dt_s));
+	if (!p->primed)
 		filter3_prime(&p->accel_filter, accel);
-	} else if (memcmp(&p->last_estimator, &p->config.estimator, sizeof(p->last_estimator)) != 0) {
-		other = vec3_sub(accel, accel_n_as_before(p, force_b_m_s2));
-		p->accel_change.value = vec3_add(p->accel_change.value, other);
-		filter3_shift(&p->accel_filter, other);
-	}
 	p->last_estimator = p->config.estimator;
-	change = vec3_scale(accel_age_s(&p->config.latency), differentiator3_step(&p->accel_change, accel, dt_s));
-	change = auto_correction_step(&p->auto_change, change, change_variance(p), dt_s);
-	return filter3_step(&p->accel_filter, vec3_add(accel, change));
+	return filter3_step(&p->accel_filter, accel);
 }
 
 static struct vec3 fusion_variance(const struct pipeline *p)
@@ -416,7 +412,7 @@ static struct navigation_sigma with_lever_arm(const struct pipeline *p, struct v
 {
 	struct navigation_sigma sigma = p->position.sigma;
 	struct vec3 *accel = &sigma.accel_m_s2;
-	double more = lever_variance(p, omega_b_rad_s) + change_variance(p).x;
+	double more = lever_variance(p, omega_b_rad_s) + change_variance(p);
 
 	if (accel->x > 0)
 		*accel = (struct vec3){sqrt(accel->x * accel->x + more), sqrt(accel->y * accel->y + more),

@@ -5,8 +5,9 @@
  * the same bits, in the gateway and in imu9-replay.
  *
  * Time: attitude and acceleration are published as of the time stamp, carried over the sensor's latency by the rate and by
- * the acceleration's derivative, as far as that exceeds its noise (auto_correction.h); rates, velocity and position as of the instant that was measured. Gyro and accelerometer
- * are brought to one instant before anything else. What the acceleration filter delays stays delayed (2031h:3).
+ * the derivative of the specific force, as far as that exceeds its noise (auto_correction.h); the lever arm's share, rates,
+ * velocity and position as of the instant that was measured, so that share and rates agree. Gyro and accelerometer are
+ * brought to one instant before anything else. What the acceleration filter delays stays delayed (2031h:3).
  *
  * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n
  * = global (ENU: x east, y magnetic north, z up). q_nb turns b into n. */
@@ -90,8 +91,7 @@ struct pipeline {
 	struct rates rates;
 	struct rates_variance rates_variance; /* of the source of rates in use */
 	struct auto_correction auto_correction, auto_change;
-	/* variance of accel_change's output by white noise of variance 1, and by that of the angular acceleration */
-	double change_of_white, change_of_alpha;
+	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
 	struct position position;
 	uint64_t last_t_us;
