@@ -249,11 +249,15 @@ void bus_health_reset(struct bus_health *h)
 
 uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 {
+	uint64_t next_look_us;
+
 	h->now_us = now_us;
 	look(h);
 	watch_state(h);
 	tick_restart(h);
 	watch_lost_frames(h);
 	publish(h);
-	return h->restart_us < h->look_us + LOOK_US ? h->restart_us : h->look_us + LOOK_US;
+	next_look_us = h->look_us + LOOK_US;
+	/* a restart that is due while the interface is down waits for it to be up */
+	return h->restart_us > now_us && h->restart_us < next_look_us ? h->restart_us : next_look_us;
 }

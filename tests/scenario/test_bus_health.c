@@ -326,6 +326,19 @@ static void test_an_interface_that_goes_down_after_bus_off_is_not_back_yet(void 
 	assert_int_equal(told(w, 0x8140), 1);
 }
 
+static void test_a_restart_that_falls_due_while_the_interface_is_down_waits_without_haste(void **state)
+{
+	struct world *w = *state;
+
+	set_state(w, CAN_STATE_BUS_OFF);
+	set_state(w, CAN_STATE_DOWN);
+	run(w, SECOND); /* where each deadline is in the future */
+	assert_int_equal(w->restarts, 0);
+	set_state(w, CAN_STATE_BUS_OFF);
+	run(w, SECOND);
+	assert_int_equal(w->restarts, 1);
+}
+
 /* ---- bit rate ---------------------------------------------------------------------------------------------------- */
 
 static void test_a_bit_rate_that_the_bus_has_not_or_that_is_not_permitted_is_not_possible(void **state)
@@ -363,6 +376,7 @@ int main(void)
 		TEST(test_a_restart_that_fails_is_tried_again_later),
 		TEST(test_the_command_is_refused_while_the_bus_is_on),
 		TEST(test_an_interface_that_goes_down_after_bus_off_is_not_back_yet),
+		TEST(test_a_restart_that_falls_due_while_the_interface_is_down_waits_without_haste),
 		TEST(test_a_bit_rate_that_the_bus_has_not_or_that_is_not_permitted_is_not_possible),
 	};
 
