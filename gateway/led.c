@@ -127,9 +127,10 @@ static int open_led(struct led *led, const char *folder, const char *name)
 
 int leds_open(struct leds *leds, const char *folder, const char *run, const char *error, const char **which)
 {
-	int rc = open_led(&leds->run, folder, *which = run);
+	int run_rc = open_led(&leds->run, folder, run), error_rc = open_led(&leds->error, folder, error);
 
-	return rc < 0 ? rc : open_led(&leds->error, folder, *which = error);
+	*which = run_rc < 0 ? run : error;
+	return run_rc < 0 ? run_rc : error_rc;
 }
 
 static void close_led(struct led *led)

@@ -47,7 +47,7 @@ struct leds {
 void leds_init(
 	struct leds *leds, struct od_values *values, const struct canopen_node *node, const struct can_port *bus);
 /** Shows them on the LEDs of that name in `folder` (/sys/class/leds), "" for none: takes them from their trigger. 0, or
- * -errno and the name in *which. */
+ * -errno and the first name that failed in *which; the other LED is used all the same. */
 int leds_open(struct leds *leds, const char *folder, const char *run, const char *error, const char **which);
 void leds_close(struct leds *leds);
 /** Publishes, and switches what has to be switched: one write() of sysfs each. Returns when to call again at the latest;

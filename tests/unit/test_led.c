@@ -233,6 +233,25 @@ static void test_a_led_that_is_not_there_is_told(void **state)
 	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
 }
 
+static void test_a_run_led_that_is_not_there_does_not_keep_the_error_led_dark(void **state)
+{
+	struct fixture *f = *state;
+	const char *which;
+	char command[100];
+
+	strcpy(f->folder, "/tmp/imu9-leds-XXXXXX");
+	assert_non_null(mkdtemp(f->folder));
+	make_file(f->folder, "red", "brightness");
+	assert_int_equal(leds_open(&f->leds, f->folder, "green", "red", &which), -2);
+	assert_string_equal(which, "green");
+	f->bus.state = CAN_STATE_BUS_OFF;
+	leds_tick(&f->leds, 0);
+	assert_int_equal(first_of(f->folder, "red", "brightness"), '2');
+	leds_close(&f->leds);
+	snprintf(command, sizeof(command), "rm -r %s", f->folder);
+	assert_int_equal(system(command), 0);
+}
+
 #define TEST(f) cmocka_unit_test_setup(f, set_up)
 
 int main(void)
@@ -247,6 +266,7 @@ int main(void)
 		cmocka_unit_test(test_each_state_has_the_rhythm_of_the_standard),
 		TEST(test_linux_leds_are_taken_from_their_trigger_and_blink),
 		TEST(test_a_led_that_is_not_there_is_told),
+		TEST(test_a_run_led_that_is_not_there_does_not_keep_the_error_led_dark),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
