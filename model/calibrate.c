@@ -157,21 +157,20 @@ static enum calibrate_rest_event take_block(struct calibrate_rest *r)
 enum calibrate_rest_event calibrate_rest_step(struct calibrate_rest *r, const struct imu_sample *raw)
 {
 	enum calibrate_rest_event event = CALIBRATE_REST_NOTHING;
-	bool gap;
+	bool gap, unusable = raw->flags & (SAMPLE_DISCONTINUITY | SAMPLE_SATURATED);
 
 	if (!vec3_finite(raw->gyro_rad_s) || !vec3_finite(raw->accel_m_s2))
 		return CALIBRATE_REST_NOTHING;
 	if (!r->started)
 		begin_block(r, raw->t_us);
-	gap = (raw->flags & (SAMPLE_DISCONTINUITY | SAMPLE_SATURATED)) || raw->t_us < r->last_t_us ||
-	      raw->t_us - r->last_t_us > GAP_US;
+	gap = raw->t_us < r->last_t_us || raw->t_us - r->last_t_us > GAP_US;
 	if (r->started && !gap)
 		r->elapsed_us += raw->t_us - r->last_t_us;
-	if (gap)
+	if (gap || unusable)
 		event = disturbed(r);
 	else if (raw->t_us - r->block_t_us >= BLOCK_US)
 		event = take_block(r);
-	if (gap || raw->t_us - r->block_t_us >= BLOCK_US)
+	if (gap || unusable || raw->t_us - r->block_t_us >= BLOCK_US)
 		begin_block(r, raw->t_us);
 	r->started = true;
 	r->last_t_us = raw->t_us;

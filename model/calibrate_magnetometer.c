@@ -8,6 +8,7 @@ static const double COVERAGE_LEAST = 0.4, COVERAGE_WANTED = 0.6; /* to take it; 
 static const double RESIDUAL_MAX = 0.05;			 /* of the field */
 static const double STRETCH_MAX = 2.5;			   /* longest by shortest axis: soft iron stays below 1.5 */
 static const double FIELD_MIN_UT = 10, FIELD_MAX_UT = 150; /* the Earth's has 22 to 67 */
+static const double RANGE_MAX_UT = 1e6;			   /* of any magnetometer, and then some */
 static const double RADIUS_UT = 50;			   /* of the fit; the scale comes after it */
 static const uint64_t LOOK_US = 1000000, NO_MAG_US = 5000000, GAP_US = 500000;
 enum { POINTS_LEAST = 30 };
@@ -50,7 +51,7 @@ static void thin_out(struct calibrate_magnetometer *c)
 
 static void take(struct calibrate_magnetometer *c, struct vec3 p)
 {
-	if (!vec3_finite(p) || near_a_point(c, c->count, p))
+	if (!(vec3_norm(p) <= RANGE_MAX_UT) || near_a_point(c, c->count, p)) /* nor NaN */
 		return;
 	while (c->count == CALIBRATE_POINTS_MAX)
 		thin_out(c);

@@ -502,6 +502,33 @@ static void test_values_that_are_not_finite_are_left_out(void **state)
 	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_TOO_FEW_POSITIONS);
 }
 
+static void test_values_that_no_magnetometer_measures_are_left_out_and_stall_nothing(void **state)
+{
+	struct imu_sample s = {.flags = SAMPLE_MAG};
+
+	(void)state;
+	begin_magnetometer(0);
+	for (int i = 0; i < 2 * CALIBRATE_POINTS_MAX; i++) {
+		s.t_us += 10000;
+		s.mag_uT = vec3_scale(1e200 * (i + 1), (struct vec3){1, -1, 1});
+		calibrate_magnetometer_step(&mag, &s);
+	}
+	assert_int_equal(mag.count, 0);
+}
+
+static void test_the_patience_with_an_accelerometer_ends_though_every_sample_is_saturated(void **state)
+{
+	struct imu_sample s = {.flags = SAMPLE_SATURATED, .accel_m_s2 = {160, 0, 0}};
+
+	(void)state;
+	begin_accelerometer(CALIBRATE_FREE);
+	for (int i = 0; i < 1000000 && accel.verdict == CALIBRATE_COLLECTING; i++) {
+		s.t_us += 10000;
+		calibrate_accelerometer_step(&accel, &s);
+	}
+	assert_int_equal(accel.verdict, CALIBRATE_TOO_FEW_POSITIONS);
+}
+
 /* ---- temperature ------------------------------------------------------------------------------------------------- */
 
 static struct calibrate_temperature temperature;
@@ -642,6 +669,8 @@ int main(void)
 		cmocka_unit_test(test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible),
 		cmocka_unit_test(test_no_magnetometer_is_told_after_five_seconds),
 		cmocka_unit_test(test_values_that_are_not_finite_are_left_out),
+		cmocka_unit_test(test_values_that_no_magnetometer_measures_are_left_out_and_stall_nothing),
+		cmocka_unit_test(test_the_patience_with_an_accelerometer_ends_though_every_sample_is_saturated),
 		cmocka_unit_test(test_slopes_of_the_biases_are_found_while_it_warms_up),
 		cmocka_unit_test(test_a_temperature_that_hardly_moves_is_refused),
 		cmocka_unit_test(test_a_log_without_temperature_is_refused),
