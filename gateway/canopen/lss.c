@@ -124,6 +124,7 @@ static void end_silence(struct canopen_node *node)
 	node->lss.switching = SWITCH_NONE;
 	node->guard.alive = false;
 	heartbeat_pause(node);
+	pdo_pause(node);
 }
 
 uint64_t lss_tick(struct canopen_node *node)

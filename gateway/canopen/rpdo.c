@@ -49,6 +49,12 @@ void rpdo_stop_timer(struct canopen_node *node, struct rpdo *rpdo)
 	clear_fault(node, rpdo, FAULT_TIMEOUT);
 }
 
+void pdo_pause(struct canopen_node *node)
+{
+	for (size_t i = 0; i < node->pdos.rpdo_count; i++)
+		node->pdos.rpdo[i].monitored = false;
+}
+
 size_t pdo_receive_ids(const struct canopen_node *node, uint32_t ids[RPDO_MAX])
 {
 	size_t n = 0;

@@ -126,6 +126,8 @@ void pdo_sync(struct canopen_node *node, uint8_t counter, bool late);
 void pdo_receive_remote(struct canopen_node *node, uint32_t id);
 void pdo_receive(struct canopen_node *node, const struct can_msg *msg);
 size_t pdo_receive_ids(const struct canopen_node *node, uint32_t ids[RPDO_MAX]);
+/** Monitoring begins anew with the next RPDO: none could be heard for a while. */
+void pdo_pause(struct canopen_node *node);
 uint64_t pdo_tick(struct canopen_node *node);
 
 /* sync.c */

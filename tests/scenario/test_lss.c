@@ -471,6 +471,21 @@ static void test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched(voi
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 }
 
+static void test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1403, 5, 2, 100);
+	bus_send(bus, "510 00 00");
+	bus_forget(bus);
+	switch_bit_rate(bus);
+	bus_run(bus, 5000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "510 00 00");
+	bus_run(bus, 100000);
+	bus_expect(bus, "090 50 82 11 03 14 00 00 00");
+}
+
 static void test_a_switch_delay_of_0_switches_at_once(void **state)
 {
 	struct bus *bus = *state;
@@ -706,6 +721,7 @@ int main(void)
 		PRE_OPERATIONAL(test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over),
 		PRE_OPERATIONAL(test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told),
 		PRE_OPERATIONAL(test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched),
+		OPERATIONAL(test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched),
 		PRE_OPERATIONAL(test_a_switch_delay_of_0_switches_at_once),
 		PRE_OPERATIONAL(test_without_a_bit_rate_configured_activation_does_nothing),
 		PRE_OPERATIONAL(test_every_bit_rate_of_the_table_goes_by_its_index),
