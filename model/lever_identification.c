@@ -136,6 +136,7 @@ static void end_window(struct lever_identification *id)
 	id->window.samples = n;
 	keep_window(id);
 	id->windows++;
+	id->window_ended = true;
 	empty_window(id);
 }
 
@@ -200,6 +201,7 @@ static void make_terms(const struct lever_identification *id, struct vec3 term[L
 void lever_identification_break(struct lever_identification *id)
 {
 	id->raw_count = id->settling = 0;
+	id->window_ended = false;
 	empty_window(id);
 }
 
@@ -281,6 +283,7 @@ void lever_identification_step(struct lever_identification *id, uint64_t t_us, s
 	if (id->config.reference && ref_b_m_s2)
 		raw.ref_b_m_s2 = *ref_b_m_s2;
 	id->last_t_us = t_us;
+	id->window_ended = false;
 	id->samples++;
 	id->without_reference += missing;
 	if (missing || !usable(gyro_b_rad_s) || !usable(force_b_m_s2) || !usable(raw.ref_b_m_s2)) {
@@ -293,7 +296,7 @@ void lever_identification_step(struct lever_identification *id, uint64_t t_us, s
 
 bool lever_identification_news(const struct lever_identification *id)
 {
-	return id->windows > 0 && id->window_count == 0;
+	return id->window_ended;
 }
 
 /* ---- blocks to an estimate --------------------------------------------------------------------------------------- */

@@ -104,6 +104,7 @@ struct lever_identification {
 	int window_count, window_size;
 	struct lever_block block[LEVER_BLOCKS];
 	int blocks, windows_per_block, last_block_windows;
+	bool window_ended; /* with the last step */
 	uint32_t windows, samples, without_reference;
 };
 

@@ -449,6 +449,24 @@ static void test_whatever_comes_the_estimate_stays_finite(void **state)
 		    isfinite(e.delay_s));
 }
 
+static void test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_other(void **state)
+{
+	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30};
+	unsigned news = 0;
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (uint64_t i = 1; i <= 1000; i++) {
+		uint64_t pause_us = i > 500 ? 1000000 : 0; /* the filters settle anew */
+
+		lever_identification_step(
+			&id, 10000 * i + pause_us, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
+		news += lever_identification_news(&id);
+	}
+	assert_true(id.windows >= 8);
+	assert_int_equal(news, id.windows);
+}
+
 static void test_hours_need_no_more_memory_and_the_estimate_only_gets_better(void **state)
 {
 	struct scene s = BY_HAND;
@@ -494,6 +512,7 @@ int main(void)
 		cmocka_unit_test(test_a_reference_that_does_not_come_is_told),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_whatever_comes_the_estimate_stays_finite),
+		cmocka_unit_test(test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_other),
 		cmocka_unit_test(test_hours_need_no_more_memory_and_the_estimate_only_gets_better),
 	};
 
