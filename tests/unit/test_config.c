@@ -113,6 +113,17 @@ static void test_a_value_out_of_limits_names_line_and_limits(void **state)
 	assert_non_null(strstr(why, "-10 to 10 m"));
 }
 
+static void test_a_long_value_out_of_limits_is_refused_within_the_room_for_the_error(void **state)
+{
+	char assignment[2 * CONFIG_ERROR_MAX + 40], error[4 * CONFIG_ERROR_MAX] = "";
+
+	(void)state;
+	snprintf(assignment, sizeof(assignment), "lever_arm.l=%*s", 2 * CONFIG_ERROR_MAX, "1e9");
+	assert_int_equal(config_set(&config, assignment, error), -EINVAL);
+	for (size_t i = CONFIG_ERROR_MAX; i < sizeof(error); i++)
+		assert_int_equal(error[i], 0);
+}
+
 static void test_a_value_that_is_no_number_is_refused(void **state)
 {
 	static const char *const bad[] = {"lever_arm.l = five\n", "lever_arm.l = nan\n", "lever_arm.l = inf\n",
@@ -188,6 +199,7 @@ int main(void)
 		TEST(test_an_unknown_object_names_its_line),
 		TEST(test_an_unknown_gateway_key_names_its_line_and_the_known_ones),
 		TEST(test_a_value_out_of_limits_names_line_and_limits),
+		TEST(test_a_long_value_out_of_limits_is_refused_within_the_room_for_the_error),
 		TEST(test_a_value_that_is_no_number_is_refused),
 		TEST(test_what_is_no_configuration_cannot_be_set),
 		TEST(test_a_line_that_is_no_setting_names_itself),
