@@ -356,13 +356,6 @@ static struct imu_settings settings_of(const struct config *config)
 	return settings;
 }
 
-/* Another start does not mend a wrong SRC or BUS (EXIT_USAGE), but may find a sensor that was plugged in. */
-static int cannot_open(int rc, const char *why)
-{
-	log_line("%s", why);
-	return rc == -EINVAL ? EXIT_USAGE : EXIT_FAILURE;
-}
-
 int main(int argc, char **argv)
 {
 	static struct config config;
@@ -376,13 +369,14 @@ int main(int argc, char **argv)
 		return status;
 	loop_hold_signals();
 	const struct imu_settings settings = settings_of(&config);
-	int rc = imu_open(config.imu, &settings, &imu, why, sizeof(why));
-	if (rc < 0)
-		return cannot_open(rc, why);
-	rc = can_open(config.can, &bus, why, sizeof(why));
-	if (rc < 0) {
+	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
+		log_line("%s", why);
+		return EXIT_FAILURE;
+	}
+	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
+		log_line("%s", why);
 		imu_close(imu);
-		return cannot_open(rc, why);
+		return EXIT_FAILURE;
 	}
 	status = run(&config, bus, imu);
 	can_close(bus);
