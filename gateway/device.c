@@ -5,6 +5,7 @@
 
 #include "gateway/publish.h"
 #include "gateway/settings.h"
+#include "gateway/slope_range.h"
 #include "gateway/threshold.h"
 
 /* ERROR REGISTER bits (1001h); the core adds the generic bit */
@@ -190,11 +191,36 @@ static void apply_stored(struct device *d, enum od_group group)
 			&d->log, d->now_us, "%zu stored values do not fit this version and were left out", skipped);
 }
 
+/* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
+ * line until they are mended, and says so with the first sample. */
+static int start_pipeline(struct device *d)
+{
+	struct pipeline_config config = settings_pipeline(&d->values);
+
+	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) == 0)
+		return 0;
+	d->configuration_changed = true;
+	config = settings_pipeline(&d->base);
+	return pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
+}
+
+/* LSS may have given another node-ID with a reset: what the next one begins with, and storing compares to, follows. */
+static void follow_node_id(struct device *d)
+{
+	if (d->canopen.id == d->node_id)
+		return;
+	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
+	d->node_id = d->canopen.id;
+	if (d->node_id != CANOPEN_UNCONFIGURED)
+		event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->node_id);
+}
+
 /* NMT reset: power-on values, and for reset node a new beginning of the application. */
 static void on_reset(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
+	follow_node_id(d); /* the NMT state of a node that lost its node-ID did not change */
 	commissioning_reset(&d->commissioning);
 	calibrating_reset(&d->calibrating);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
@@ -204,23 +230,11 @@ static void on_reset(void *ctx, enum od_group group)
 		return;
 	sensor_watch_apply(&d->sensor_watch);
 	sensor_watch_reset(&d->sensor_watch);
-	struct pipeline_config config = settings_pipeline(&d->values);
-	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) < 0)
-		d->configuration_changed = true; /* the contradiction is reported with the next sample */
+	(void)start_pipeline(d); /* the values of file and command line were good at the start */
 	aids_reset(&d->aids);
 	/* faults that last are found and told anew */
 	d->sensor_lost = d->position_unsure = false;
 	bus_health_reset(&d->bus_health);
-}
-
-/* LSS may have given another node-ID with the reset: what a reset begins with, and storing compares to, follows. */
-static void follow_node_id(struct device *d)
-{
-	if (d->canopen.id == d->node_id)
-		return;
-	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
-	d->node_id = d->canopen.id;
-	event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->node_id);
 }
 
 static bool on_bit_rate_possible(void *ctx, uint32_t bit_s)
@@ -299,19 +313,6 @@ static void attach_hooks(struct device *d)
 	d->snapshot.take = on_snapshot_take;
 	d->snapshot.done = on_snapshot_done;
 	snapshot_attach(&d->snapshot);
-}
-
-/* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
- * line until they are mended, and says so with the first sample. */
-static int start_pipeline(struct device *d)
-{
-	struct pipeline_config config = settings_pipeline(&d->values);
-
-	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) == 0)
-		return 0;
-	d->configuration_changed = true;
-	config = settings_pipeline(&d->base);
-	return pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
 }
 
 int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
@@ -431,7 +432,8 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	commissioning_sample(&d->commissioning, sample, now_us);
 	calibrating_sample(&d->calibrating, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
-	publish_sample(&d->values, &out, counter);
+	unsigned clipped = publish_sample(&d->values, &out, counter);
+	slope_range_check(&d->canopen, &d->values, clipped, now_us);
 	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)
 		d->values.sample.status |= STATUS_UTC;
 	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);

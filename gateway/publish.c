@@ -56,23 +56,26 @@ static int32_t physical_slope(const struct od_values *v, double angle_deg, bool 
 	return scaled(angle_deg / DEG_PER_RAD, slope_lsb_rad(v), INT32_MAX, saturated);
 }
 
-static void publish_slopes(struct od_values *v, bool *saturated)
+/* PUBLISH_CLIPPED_... of the slopes that their objects cannot hold. */
+static unsigned publish_slopes(struct od_values *v)
 {
-	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, saturated);
-	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, saturated);
+	bool long_clipped = false, lateral_clipped = false;
+	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, &long_clipped);
+	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, &lateral_clipped);
 
 	v->slope_long16 = (int16_t)clamp(slope(lon, v->slope_long16_operating_parameter, v->slope_long16_offset,
 						 v->slope_long16_differential_offset),
-		INT16_MAX, saturated);
+		INT16_MAX, &long_clipped);
 	v->slope_lateral16 = (int16_t)clamp(slope(lat, v->slope_lateral16_operating_parameter,
 						    v->slope_lateral16_offset, v->slope_lateral16_differential_offset),
-		INT16_MAX, saturated);
+		INT16_MAX, &lateral_clipped);
 	v->slope_long32 = clamp(slope(lon, v->slope_long32_operating_parameter, v->slope_long32_offset,
 					v->slope_long32_differential_offset),
-		INT32_MAX, saturated);
+		INT32_MAX, &long_clipped);
 	v->slope_lateral32 = clamp(slope(lat, v->slope_lateral32_operating_parameter, v->slope_lateral32_offset,
 					   v->slope_lateral32_differential_offset),
-		INT32_MAX, saturated);
+		INT32_MAX, &lateral_clipped);
+	return (long_clipped ? PUBLISH_CLIPPED_LONG : 0u) | (lateral_clipped ? PUBLISH_CLIPPED_LATERAL : 0u);
 }
 
 /* offset = preset - (+-physical) - differential offset */
@@ -121,7 +124,7 @@ void publish_preset(struct od_values *v, uint16_t index)
 	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
 		(record).c = scaled16((vector).z, lsb, &saturated))
 
-void publish_sample(struct od_values *v, const struct pipeline_output *out, uint16_t counter)
+unsigned publish_sample(struct od_values *v, const struct pipeline_output *out, uint16_t counter)
 {
 	const double acceleration_lsb_m_s2 = v->resolution.acceleration * 0.001;
 	const double position_lsb_m = v->resolution.position * 0.001;
@@ -155,11 +158,12 @@ void publish_sample(struct od_values *v, const struct pipeline_output *out, uint
 	v->position_output.x32 = scaled(out->position_n_m.x, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.y32 = scaled(out->position_n_m.y, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.z32 = scaled(out->position_n_m.z, position_lsb_m, INT32_MAX, &saturated);
-	publish_slopes(v, &saturated);
+	unsigned clipped = publish_slopes(v);
 
 	v->sample.counter = counter;
 	v->sample.time = (uint32_t)out->t_us;
-	v->sample.status = (uint16_t)(out->status | (saturated ? STATUS_SATURATED : 0u));
+	v->sample.status = (uint16_t)(out->status | (saturated || clipped ? STATUS_SATURATED : 0u));
+	return clipped;
 }
 
 void publish_sensor_lost(struct od_values *v)

@@ -10,9 +10,11 @@
 #include "model/pipeline.h"
 #include "od_values.h"
 
+enum { PUBLISH_CLIPPED_LONG = 1 << 0, PUBLISH_CLIPPED_LATERAL = 1 << 1 };
+
 /** Writes everything that one sample says, at once. `counter`: 0 for the first sample, wraps at
- * 65536. */
-void publish_sample(struct od_values *values, const struct pipeline_output *out, uint16_t counter);
+ * 65536. Returns PUBLISH_CLIPPED_... for each slope of CiA 410 that its objects cannot hold. */
+unsigned publish_sample(struct od_values *values, const struct pipeline_output *out, uint16_t counter);
 
 /** The sensor has stopped: the values stand, the status says that they are old. */
 void publish_sensor_lost(struct od_values *values);

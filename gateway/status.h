@@ -14,6 +14,8 @@ enum {
 };
 
 enum {
+	EMCY_SLOPE_LONG = 0x5010, /* CiA 410: the slope is beyond its range (2119h), or beyond what its objects hold */
+	EMCY_SLOPE_LATERAL = 0x5020,   /* the same */
 	EMCY_SENSOR_LOST = 0x5030,     /* no sample arrives; enum imu_fault and imu_chip in the manufacturer's bytes */
 	EMCY_SENSOR_DEGRADED = 0x5031, /* a fault that samples go on with; bytes the same */
 	EMCY_STORE_DAMAGED = 0x5530,   /* the stored values could not be read: defaults are in use */

@@ -1,0 +1,14 @@
+/* gateway/slope_range.h
+ * EMCY 5010h and 5020h of CiA 410: the longitudinal or the lateral slope is out of range. */
+#ifndef GATEWAY_SLOPE_RANGE_H
+#define GATEWAY_SLOPE_RANGE_H
+
+#include <stdint.h>
+
+#include "gateway/canopen/canopen.h"
+#include "od_values.h"
+
+/** After each publish_sample(): `clipped` is what it returned. */
+void slope_range_check(struct canopen_node *node, const struct od_values *values, unsigned clipped, uint64_t now_us);
+
+#endif
