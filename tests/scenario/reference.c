@@ -964,6 +964,8 @@ uint64_t ref_lss_tick(struct reference *r)
 		r->guarded = false;
 		for (unsigned i = 0; i < REF_CONSUMERS; i++)
 			r->consumer[i].alive = false;
+		for (unsigned n = 0; n < REF_RPDOS; n++)
+			r->rpdo[n].monitored = false;
 	}
 	return r->lss.phase ? r->lss.phase_end_us : UINT64_MAX;
 }

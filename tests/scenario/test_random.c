@@ -702,7 +702,7 @@ static void plan_service(struct generator *g)
 	static const uint8_t overflows[] = {0, 0, 2, 3, 240, 1};
 	const uint8_t id = g->reference->node_id;
 
-	switch (below(&g->seed, 9)) {
+	switch (below(&g->seed, 11)) {
 	case 0:
 		plan_write(g, 0x1019, 0, PICK(g, overflows));
 		plan_write(g, 0x1006, 0, 1000 + below(&g->seed, 100000));
@@ -745,6 +745,21 @@ static void plan_service(struct generator *g)
 	case 7:
 		plan_write(g, 0x1012, 0, 0x80000100);
 		plan_time(g);
+		break;
+	case 8:
+		for (uint32_t n = below(&g->seed, 5); n > 0; n--) {
+			plan_bytes(g, 0x700u + id, (const uint8_t[1]){5}, 1); /* another node with this node-ID */
+			plan_wait(g, below(&g->seed, 11000000));
+		}
+		break;
+	case 9:
+		plan_write(g, 0x1007, 0, 1 + below(&g->seed, 3000));
+		plan_write(g, 0x1400, 2, below(&g->seed, 3));
+		plan_bytes(g, 0, (const uint8_t[2]){1, id}, 2);
+		plan_bytes(g, 0x080, NULL, 0);
+		plan_wait(g, below(&g->seed, 4000));
+		plan_bytes(g, 0x200u + id, (const uint8_t[8]){1, 2, 3, 4, 5, 6, 7, 8}, 8);
+		plan_bytes(g, 0x080, NULL, 0);
 		break;
 	default:
 		plan_write(g, 0x1015, 0, below(&g->seed, 5000));
