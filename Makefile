@@ -4,7 +4,7 @@
 #   DEPS=no         do not install packages     SAN=FLAGS       e.g. -fsanitize=thread
 #   PREFIX, DESTDIR where `make install` puts things
 
-VERSION := 0.1.0
+VERSION := 0.2.0
 BUILD ?= build
 PREFIX ?= /usr/local
 DEPS ?= yes
@@ -191,17 +191,19 @@ check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must n
 
 # ---- installing ----------------------------------------------------------------------------------------------------
 .PHONY: install uninstall clean help
-install: all ## install programs, EDS and udev rule under $(DESTDIR)$(PREFIX)
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)$(PREFIX)/share/imu9-gateway $(DESTDIR)$(PREFIX)/lib/udev/rules.d
+share = $(DESTDIR)$(PREFIX)/share/imu9-gateway
+install: all ## install programs, EDS, udev rule, systemd unit and an example configuration under $(DESTDIR)$(PREFIX)
+	install -d $(DESTDIR)$(PREFIX)/bin $(share) $(addprefix $(DESTDIR)$(PREFIX)/lib/,udev/rules.d systemd/system)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
-		$(DESTDIR)$(PREFIX)/share/imu9-gateway
+	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/imu9-gateway.conf $(share)
 	install -m 644 tools/70-imu9-gateway.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d
+	sed 's|@PREFIX@|$(PREFIX)|g' tools/imu9-gateway.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
 
 uninstall: ## remove what install put there
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(PROGRAMS)))
-	rm -rf $(DESTDIR)$(PREFIX)/share/imu9-gateway
+	rm -rf $(share)
 	rm -f $(DESTDIR)$(PREFIX)/lib/udev/rules.d/70-imu9-gateway.rules
+	rm -f $(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
 
 clean: ## remove everything built
 	rm -rf $(BUILD)

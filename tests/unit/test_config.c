@@ -168,6 +168,23 @@ static void test_a_missing_file_says_so(void **state)
 	assert_non_null(strstr(why, "/no/such/file.ini"));
 }
 
+static void test_the_example_file_holds_the_defaults(void **state)
+{
+	(void)state;
+	static struct config defaults;
+	static struct od_values default_values;
+
+	config_init(&defaults, &imu9_od_table);
+	od_init(&od, &imu9_od_table, &default_values, 1);
+	od_init(&od, &imu9_od_table, &values, 1);
+	assert_int_equal(config_file(&config, "tools/imu9-gateway.conf", why), 0);
+	config_apply(&config, &od);
+	assert_memory_equal(&values, &default_values, sizeof(values));
+	assert_string_equal(config.imu, defaults.imu);
+	assert_string_equal(config.can, defaults.can);
+	assert_int_equal(config.node_id, defaults.node_id);
+}
+
 static void test_process_keys_are_checked(void **state)
 {
 	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"}, {"node_id", "5x"}, {"node_id", ""},
@@ -205,6 +222,7 @@ int main(void)
 		TEST(test_a_line_that_is_no_setting_names_itself),
 		TEST(test_an_overlong_line_names_itself),
 		TEST(test_a_missing_file_says_so),
+		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
 		TEST(test_a_set_without_a_value_says_how_to_write_it),
 	};
