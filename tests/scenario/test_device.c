@@ -330,6 +330,20 @@ static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_n
 	assert_false(w->device.values.sample.status & PIPELINE_UNSURE);
 }
 
+static void test_a_slope_beyond_2119h_raises_5010h_until_it_is_not(void **state)
+{
+	struct world *w = *state;
+	const float range = 0.01f, none = 0;
+
+	samples(w, 200);
+	assert_int_equal(sdo_write(w, 0x2119, 1, &range, 4), 0);
+	samples(w, 10);
+	assert_int_equal(emcy_code(w), EMCY_SLOPE_LONG);
+	assert_int_equal(sdo_write(w, 0x2119, 1, &none, 4), 0);
+	sample(w);
+	assert_int_equal(emcy_code(w), 0);
+}
+
 static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(void **state)
 {
 	struct world *w = *state;
@@ -432,19 +446,37 @@ static void test_a_preset_of_the_inclinometer_survives_a_power_cycle(void **stat
 	assert_int_equal(w->device.values.slope_long16_offset, offset);
 }
 
+static void lss_give_node_id(struct world *w, uint8_t node_id)
+{
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* configuration */
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
+	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
+}
+
 static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones(void **state)
 {
 	struct world *w = *state;
 
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* configuration */
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, 5}); /* node-ID 5 */
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
+	lss_give_node_id(w, 5);
 	nmt(w, 130);
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
 	receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
 	assert_int_equal(last(w, 0x585)->data[0], 0x60);
 	power_on(w, NULL); /* with node-ID 16: LSS has not stored the other */
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x190);
+}
+
+static void test_cob_ids_follow_a_node_id_that_lss_took_away_and_gave_anew(void **state)
+{
+	struct world *w = *state;
+
+	lss_give_node_id(w, 5);
+	nmt(w, 130);
+	lss_give_node_id(w, 255);
+	receive(w, 0x000, 2, (const uint8_t[]){130, 5});
+	lss_give_node_id(w, 7);
+	assert_non_null(last(w, 0x707));
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x187);
 }
 
 static void lss_store_node_id(struct world *w, uint8_t node_id)
@@ -722,6 +754,7 @@ int main(void)
 		TEST(test_the_angle_resolution_takes_only_the_steps_of_cia_410),
 		TEST(test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended),
 		TEST(test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not),
+		TEST(test_a_slope_beyond_2119h_raises_5010h_until_it_is_not),
 		TEST(test_a_stored_contradiction_does_not_keep_the_device_from_starting),
 		TEST(test_stored_values_survive_a_power_cycle),
 		TEST(test_stored_values_win_over_the_file_and_the_file_over_the_defaults),
@@ -730,6 +763,7 @@ int main(void)
 		TEST(test_a_group_is_stored_alone),
 		TEST(test_a_preset_of_the_inclinometer_survives_a_power_cycle),
 		TEST(test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones),
+		TEST(test_cob_ids_follow_a_node_id_that_lss_took_away_and_gave_anew),
 		TEST(test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_identifiers),
 		TEST(test_a_node_that_lss_stored_as_unconfigured_is_silent_after_a_power_cycle),
 		TEST(test_restoring_the_defaults_keeps_what_lss_stored),
