@@ -131,11 +131,10 @@ void sensor_watch_reset(struct sensor_watch *w)
 void sensor_watch_sample(struct sensor_watch *w, const struct imu_sample *sample)
 {
 	w->saturated = sample->flags & SAMPLE_SATURATED;
-	if (!(sample->flags & SAMPLE_TEMPERATURE))
+	if (!(sample->flags & SAMPLE_TEMPERATURE) || !(fabs(sample->temperature_degC) <= INT16_MAX)) /* nor NaN */
 		return;
 	w->values->sensor_state.temperature = (float)sample->temperature_degC;
-	w->values->device_temperature =
-		(int16_t)fmax(INT16_MIN, fmin(INT16_MAX, floor(sample->temperature_degC + 0.5)));
+	w->values->device_temperature = (int16_t)floor(sample->temperature_degC + 0.5);
 }
 
 static void publish(struct sensor_watch *w)

@@ -214,6 +214,17 @@ static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **
 	assert_true(fabs((double)w->device.values.sensor_state.temperature + 7.6) < 1e-5);
 }
 
+static void test_a_temperature_that_no_object_can_hold_is_left_out(void **state)
+{
+	struct world *w = *state;
+
+	sample_with(w, SAMPLE_TEMPERATURE, 20);
+	sample_with(w, SAMPLE_TEMPERATURE, 1e300);
+	sample_with(w, SAMPLE_TEMPERATURE, (double)NAN);
+	assert_int_equal(w->device.values.device_temperature, 20);
+	assert_true(w->device.values.sensor_state.temperature == 20);
+}
+
 /* ---- settings ----------------------------------------------------------------------------------------------------- */
 
 static void test_settings_go_to_the_sensor_with_reset_node(void **state)
@@ -274,6 +285,7 @@ int main(void)
 		WORLD(test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on),
 		WORLD(test_a_saturated_sample_says_so_in_the_status),
 		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
+		WORLD(test_a_temperature_that_no_object_can_hold_is_left_out),
 		WORLD(test_settings_go_to_the_sensor_with_reset_node),
 		WORLD(test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on),
 		WORLD(test_a_self_test_begins_with_a_1_and_nothing_else),
