@@ -12,9 +12,11 @@
 /* Values of a data sheet that near to the one asked for are it: 95 Hz for 100, 245 deg/s for 250. */
 #define NEARLY 0.94
 /* A chip may have so much less noise than its data sheet's typical figure. */
-#define LEAST_NOISE 0.7
-/* Chance that noise alone repeats itself often enough to be taken for frozen data. */
-#define FROZEN_CHANCE 1e-9
+#define LEAST_NOISE 0.6
+/* Chance that noise alone repeats itself often enough to be taken for frozen data; at 400 Hz, with all three axes at
+ * the worst place all the time, once in 80 years. */
+#define FROZEN_CHANCE 1e-12
+#define PI	      3.14159265358979323846
 
 enum {
 	FIRST_BACKOFF_MS = 10,
@@ -23,7 +25,10 @@ enum {
 	SILENT_MS = 20,
 	RETRY_MS = 5,
 	STOPPED_MS = 50,
+	STOPPED_STUB_MS = 1000, /* its feeder is a program that may have to wait */
+	STUB_LATE_MS = 2,	/* what it shows may be that old */
 	FROZEN_MS = 50,
+	LAST_FROZEN_MS = 1000, /* where noise needs longer, it tells nothing */
 	SATURATED_MS = 60,
 	VERIFY_MS = 10,
 	TEMPERATURE_MS = 1000,
@@ -258,34 +263,38 @@ int board_plan(const struct board *b, const struct imu_settings *settings, bool 
 	return 0;
 }
 
-/* How likely two values with that noise (in digits) are the same, at the worst place of the mean. */
-static double chance_of_same(double sigma)
+/* The greatest chance that the next value of an axis is the same digit, whatever came before. Noise behind a low-pass
+ * (of first order) follows itself; what is new in each sample has the deviation that is left. */
+static double chance_of_same(const struct chip_setup *setup, double density, double digit)
 {
-	double sum = 0;
+	double follows = exp(-2 * PI * setup->bandwidth_hz / setup->rate->hz);
+	double sigma = LEAST_NOISE * density * sqrt(fmin(setup->bandwidth_hz, setup->rate->hz / 2)) *
+		       sqrt(1 - follows * follows) / digit;
 
-	for (int k = -3; k <= 3; k++) {
-		double p = (erf((k + 0.5) / (sigma * sqrt(2))) - erf((k - 0.5) / (sigma * sqrt(2)))) / 2;
-
-		sum += p * p;
-	}
-	return fmin(sum, 1);
+	return erf(0.5 / (sigma * sqrt(2)));
 }
 
+static unsigned samples_in(const struct stream *s, int ms)
+{
+	return (unsigned)ceil(1e-3 * ms * s->setup.rate->hz);
+}
+
+/* So many equal samples are no measurements; 0: this cannot be told, since a digit is coarser than the noise. What
+ * shows then that a chip lives is that it says it has new data. */
 static unsigned same_limit(const struct stream *s)
 {
-	double log_chance = 0;
+	double log_chance = 0, n;
 
 	for (size_t i = 0; i < s->chip->triad_count; i++) {
 		const struct chip_triad *t = &s->chip->triads[i];
 		double digit = s->setup.range[i]->step * (t->digit ? t->digit : 1);
-		double sigma =
-			LEAST_NOISE * t->density * sqrt(fmin(s->setup.bandwidth_hz, s->setup.rate->hz / 2)) / digit;
 
-		/* above 1 digit the sum over digits near the mean is this integral */
-		log_chance +=
-			3 * log(sigma < 1 ? chance_of_same(sigma) : 1 / (2 * sqrt(3.14159265358979323846) * sigma));
+		log_chance += 3 * log(chance_of_same(&s->setup, t->density, digit));
 	}
-	return (unsigned)fmax(3, fmin(1e4, ceil(log(FROZEN_CHANCE) / log_chance)));
+	n = 1 + ceil(log(FROZEN_CHANCE) / log_chance);
+	if (!(n <= samples_in(s, LAST_FROZEN_MS)))
+		return 0;
+	return (unsigned)fmax(n, samples_in(s, FROZEN_MS));
 }
 
 /* ---- starting a chip --------------------------------------------------------------------------------------------- */
@@ -364,8 +373,8 @@ static void stream_start(struct board *b, struct stream *s)
 	s->taken = 0;
 	s->first = s->count = s->verify = 0;
 	s->partial_have = s->failures = s->saturated = s->same = 0;
-	s->failing_ns = s->saturated_ns = 0;
-	s->fresh_ns = s->due_ns = s->since_ns;
+	s->failing_ns = 0;
+	s->fresh_ns = s->none_ns = s->due_ns = s->since_ns;
 	s->verify_ns = s->since_ns + VERIFY_MS * MS;
 	s->same_limit = same_limit(s);
 }
@@ -405,18 +414,14 @@ static struct vec3 decode(const struct stream *s, size_t triad, const uint8_t *s
 	return (struct vec3){w[0] * r->step, w[1] * r->step, w[2] * (r->step_z > 0 ? r->step_z : r->step)};
 }
 
-static void watch_data(struct board *b, struct stream *s, const uint8_t *set, bool saturated)
+static void watch_data(struct stream *s, const uint8_t *set, bool saturated)
 {
 	if (s->same > 0 && memcmp(set, s->last, s->chip->data_size) == 0)
 		s->same++;
 	else
 		s->same = 1;
-	if (s->same == 1)
-		s->same_ns = now_ns(b);
 	memcpy(s->last, set, s->chip->data_size);
 	s->saturated = saturated ? s->saturated + 1 : 0;
-	if (s->saturated == 1)
-		s->saturated_ns = now_ns(b);
 }
 
 /* Whether what a chip measures after a fault shows that the fault is over. */
@@ -433,7 +438,7 @@ static void take(struct board *b, struct stream *s, const uint8_t *set)
 
 	for (size_t i = 0; i < s->chip->triad_count; i++)
 		reading.value[i] = decode(s, i, set, &reading.saturated);
-	watch_data(b, s, set, reading.saturated);
+	watch_data(s, set, reading.saturated);
 	s->fresh_ns = now_ns(b);
 	if (s->state == STREAM_STARTING && sound(s)) {
 		s->fault = IMU_FAULT_NONE;
@@ -448,20 +453,33 @@ static void take(struct board *b, struct stream *s, const uint8_t *set)
 	s->readings[(s->first + s->count++) % STREAM_READINGS] = reading;
 }
 
-/* The chip had `level` samples at some time between the two, the oldest of them being taken next; where it lost some,
- * the clock tells how many. */
-static void observe(struct board *b, struct stream *s, int64_t level, bool lost, int64_t from_ns, int64_t to_ns)
-{
-	if (lost && s->clock.newest >= 0) {
-		double since = ((double)from_ns - sample_clock_at(&s->clock, s->taken + level - 1));
-		double n = floor(since / sample_clock_period(&s->clock));
+enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
 
-		if (n > 0) {
-			s->taken += (int64_t)n;
-			b->health.overruns += (uint32_t)n;
-		}
+/* The chip had `level` samples at some time between the two, the oldest of them being taken next. How many it lost
+ * before them, the clock tells. */
+static void observe(
+	struct board *b, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns)
+{
+	if (losses != LOST_NONE && s->clock.newest >= 0) {
+		double since_ns = (double)from_ns - sample_clock_at(&s->clock, s->taken + level - 1);
+		double n = fmax(floor(since_ns / sample_clock_period(&s->clock)), losses == LOST_SOME ? 1 : 0);
+
+		s->taken += (int64_t)n;
+		b->health.overruns += (uint32_t)n;
 	}
-	sample_clock_read(&s->clock, s->taken + level, (double)from_ns, (double)to_ns);
+	if (level == 0)
+		s->none_ns = from_ns;
+	/* of a stub, what is not there yet may have been sampled already */
+	sample_clock_read(&s->clock, s->taken + level, (double)(s->setup.stub ? from_ns - STUB_LATE_MS * MS : from_ns),
+		(double)to_ns);
+}
+
+/* Between this sample and the one before. */
+static enum losses losses_of(const struct stream *s, uint8_t status)
+{
+	if (s->setup.stub || s->chip->overrun == 0)
+		return LOST_PERHAPS;
+	return status & s->chip->overrun ? LOST_SOME : LOST_NONE;
 }
 
 /* Without FIFO: status and data, in one transfer where they stand near each other. */
@@ -479,18 +497,19 @@ static int read_registers(struct board *b, struct stream *s)
 	if (result < 0)
 		return result;
 	fresh = bytes[0] & chip->ready;
-	if (fresh && !together && (result = read_chip(b, chip, s->address, chip->data, set, chip->data_size)) < 0)
-		return result;
+	if (fresh && !together) {
+		result = read_chip(b, chip, s->address, chip->data, set, chip->data_size);
+		read_clock(b);
+		if (result < 0)
+			return result;
+	}
 	/* in a stub the bit stays: other data are new data */
 	if (s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
 		fresh = false;
-	if (!fresh) {
-		observe(b, s, 0, false, from_ns, to_ns);
-		return 0;
-	}
-	observe(b, s, 1, true, from_ns, to_ns);
-	take(b, s, set);
-	return 1;
+	observe(b, s, fresh ? 1 : 0, fresh ? losses_of(s, bytes[0]) : LOST_NONE, from_ns, to_ns);
+	if (fresh)
+		take(b, s, set);
+	return fresh;
 }
 
 static int take_sets(struct board *b, struct stream *s, uint8_t at, int64_t level)
@@ -523,7 +542,7 @@ static int read_fifo_sets(struct board *b, struct stream *s)
 
 	if (result < 0)
 		return result;
-	observe(b, s, level, source & 0x40, from_ns, read_clock(b));
+	observe(b, s, level, source & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, read_clock(b));
 	return take_sets(b, s, s->chip->data, level);
 }
 
@@ -543,7 +562,7 @@ static int read_fifo_words(struct board *b, struct stream *s)
 		if ((result = read_chip(b, s->chip, s->address, 0x3E, skipped, (size_t)(6 - next) * 2)) < 0)
 			return result;
 	}
-	observe(b, s, words / 6, status[1] & 0x40, from_ns, read_clock(b));
+	observe(b, s, words / 6, status[1] & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, read_clock(b));
 	return take_sets(b, s, 0x3E, words / 6 < FIFO_DEPTH ? words / 6 : FIFO_DEPTH);
 }
 
@@ -573,7 +592,8 @@ static int read_fifo_tagged(struct board *b, struct stream *s)
 	if (result < 0)
 		return result;
 	entries = status[0] | (status[1] & 0x03) << 8;
-	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48, from_ns, read_clock(b));
+	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48 ? LOST_PERHAPS : LOST_NONE, from_ns,
+		read_clock(b));
 	if (entries > 2 * FIFO_DEPTH) /* the rest next time */
 		entries = 2 * FIFO_DEPTH;
 	for (int64_t left = entries; left > 0; left -= AT_ONCE) {
@@ -636,20 +656,27 @@ static void verify_next(struct board *b, struct stream *s)
 	count_errors(b, s, result);
 }
 
+/* Nothing new between the end of a read that found something and the beginning of one that did not. */
+static bool stopped(const struct stream *s)
+{
+	int64_t limit_ns = (s->setup.stub ? STOPPED_STUB_MS : STOPPED_MS) * MS + (int64_t)(2e9 / s->setup.rate->hz);
+
+	if (s->setup.stub && s->same_limit == 0) /* equal data may be new ones */
+		return false;
+	return s->none_ns - s->fresh_ns > limit_ns;
+}
+
+/* By what reads have shown, not by how long they took: a machine that is slow is not a chip that failed. */
 static void watch_stream(struct board *b, struct stream *s)
 {
-	int64_t t_ns = now_ns(b), period_ns = (int64_t)(1e9 / s->setup.rate->hz);
-
 	if (s->state == STREAM_DOWN)
 		return;
-	if (s->failures == 0 && t_ns - s->fresh_ns > STOPPED_MS * MS + 2 * period_ns)
+	if (stopped(s))
 		stream_fail(b, s, IMU_FAULT_STOPPED);
-	else if (s->saturated == 0 && s->same >= s->same_limit && t_ns - s->same_ns >= FROZEN_MS * MS)
+	else if (s->saturated == 0 && s->same_limit > 0 && s->same >= s->same_limit)
 		stream_fail(b, s, IMU_FAULT_FROZEN);
-	else if (s->saturated >= 4 && t_ns - s->saturated_ns >= SATURATED_MS * MS)
+	else if (s->saturated >= 4 && s->saturated >= samples_in(s, SATURATED_MS))
 		stream_fail(b, s, IMU_FAULT_SATURATED);
-	else if (s->state == STREAM_STARTING && t_ns - s->since_ns > 100 * MS + 2 * SETTLE_SAMPLES * period_ns)
-		stream_fail(b, s, IMU_FAULT_STOPPED);
 }
 
 static void update_health(struct board *b)

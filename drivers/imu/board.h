@@ -5,9 +5,12 @@
  *
  * Each chip samples by its own oscillator (sample_clock.h). A sample of the board is one of the gyro, the accelerometer
  * interpolated to its instant. What goes wrong with a chip is found within 100 ms: it does not answer (20 ms), measures
- * nothing (50 ms), gives the same raw values more often than its noise allows (50 ms), stands at the end of its range (60 ms),
- * or its registers are not what was written (each read back in turn, one in about 10 ms of each chip). It is then started
- * anew, after 10 ms, 20 ms, ... 1 s. */
+ * nothing (50 ms), stands at the end of its range (60 ms), or its registers are not what was written (each read back in
+ * turn, one in about 10 ms of each chip). Equal raw values are a fault (50 ms) once noise cannot be their reason any
+ * more: with the settings of IMU_SETTINGS_DEFAULTS after at most 100 ms, but 140 ms of the magnetometer of LSM303DLH, DLM and
+ * DLHC, 320 ms of the L3GD20H; of ranges whose digits are coarser than the noise, never. All this by what reads show,
+ * not by how long they take, so that a slow machine is no fault. A chip at fault is started anew, after 10 ms, 20 ms, ...
+ * 1 s. */
 #ifndef DRIVERS_IMU_BOARD_H
 #define DRIVERS_IMU_BOARD_H
 
@@ -49,15 +52,12 @@ struct stream {
 	int64_t retry_ns, backoff_ns; /* when DOWN */
 	int64_t since_ns;	      /* that it has this state */
 	int64_t due_ns, verify_ns;
-	size_t verify; /* the register to be read back next */
-	int64_t fresh_ns;
-	int64_t failing_ns; /* first of the failed transfers in a row */
+	size_t verify;		   /* the register to be read back next */
+	int64_t fresh_ns, none_ns; /* end of the last read that found a sample, beginning of the last that did not */
+	int64_t failing_ns;	   /* first of the failed transfers in a row */
 	unsigned failures;
 	uint8_t last[CHIP_TRIADS * 6];
-	unsigned same, same_limit;
-	int64_t same_ns;      /* when that value came first */
-	int64_t saturated_ns; /* since; 0: it is not */
-	unsigned saturated;
+	unsigned same, same_limit, saturated; /* samples in a row */
 };
 
 struct board {
@@ -90,7 +90,7 @@ int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 
 /** What `settings` come to on this board. Reads nothing but what detection found: callable beside board_step().
- * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty. 0; -EINVAL: impossible, one line in `error`. */
+ * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty, and registers may be 2 ms old. 0; -EINVAL: impossible, one line in `error`. */
 int board_plan(const struct board *board, const struct imu_settings *settings, bool stub, bool data_ready,
 	struct board_plan *plan, char *error, size_t error_size);
 

@@ -35,7 +35,7 @@ static void registers_h(const struct chip_setup *setup, struct chip_registers *o
 }
 
 /* OUT_TEMP falls by a digit per degree and has no zero in the data sheet; 25 degC here. */
-#define L3G(chip_name, first, second, who, rate_list, range_list, put)                                               \
+#define L3G(chip_name, first, second, who, rate_list, range_list, noise, put)                                        \
 	{                                                                                                            \
 		.name = (chip_name), .addresses = {first, second}, .identity_at = 0x0F, .identity = {who},           \
 		.identity_size = 1, .increment = 0x80, .status = 0x27, .ready = 0x08, .overrun = 0x80, .data = 0x28, \
@@ -43,11 +43,11 @@ static void registers_h(const struct chip_setup *setup, struct chip_registers *o
 		.triads = {{.what = IMU_CHIP_GYRO,                                                                   \
 			.ranges = (range_list),                                                                      \
 			.order = {0, 1, 2},                                                                          \
-			.density = 0.03 * DPS,                                                                       \
+			.density = (noise)*DPS,                                                                      \
 			.self_test = {0x23, 0x06, 0x02, 40 * DPS, 1500 * DPS}}},                                     \
 		.triad_count = 1, .temperature = {0x26, 1, -1, 25}, .registers = (put)                               \
 	}
 
-const struct chip CHIP_L3G4200D = L3G("L3G4200D", 0x69, 0x68, 0xD3, RATES_4200, RANGES, registers);
-const struct chip CHIP_L3GD20 = L3G("L3GD20", 0x6B, 0x6A, 0xD4, RATES_20, RANGES, registers);
-const struct chip CHIP_L3GD20H = L3G("L3GD20H", 0x6B, 0x6A, 0xD7, RATES_20H, RANGES_H, registers_h);
+const struct chip CHIP_L3G4200D = L3G("L3G4200D", 0x69, 0x68, 0xD3, RATES_4200, RANGES, 0.03, registers);
+const struct chip CHIP_L3GD20 = L3G("L3GD20", 0x6B, 0x6A, 0xD4, RATES_20, RANGES, 0.03, registers);
+const struct chip CHIP_L3GD20H = L3G("L3GD20H", 0x6B, 0x6A, 0xD7, RATES_20H, RANGES_H, 0.011, registers_h);

@@ -118,10 +118,11 @@ static void mag_registers(const struct chip_setup *setup, struct chip_registers 
 		0x3C \
 	}
 
-/* Words stand as x, y, z on the DLH and as x, z, y on its successors. */
-const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH_FIELD, 0.1, 1, 2);
-const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 0.02, 2, 1);
-const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 0.02, 2, 1);
+/* Noise: 2 mgauss at 75 Hz, the finest resolution that their data sheets give. Words stand as x, y, z on the DLH and as
+ * x, z, y on its successors. */
+const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH_FIELD, 0.033, 1, 2);
+const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 0.033, 2, 1);
+const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 0.033, 2, 1);
 
 /* ---- LSM303D: one address, 16 bits; two oscillators' worth of samples --------------------------------------------- */
 

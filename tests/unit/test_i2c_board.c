@@ -9,6 +9,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "tests/unit/i2c_stub.h"
 #include "tests/unit/i2c_world.h"
 
 #define DPS (3.14159265358979323846 / 180)
@@ -220,14 +221,10 @@ static double worst(struct vec3 a, struct vec3 b)
 static void test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample(void **state)
 {
 	(void)state;
-	for (int i = 0; i < 2 * BOARD_COUNT; i++) {
-		const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
-		struct world *w = world_make(BOARDS[i / 2], "tumble", true);
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "tumble", true);
 		struct imu_sample sample;
 
-		world_detect(w);
-		/* with FIFO, and as from a stub, where coarse digits without noise would look like no new data */
-		world_set_up(w, &settings, i % 2 || i / 2 < 4);
 		for (int n = 0; n < 600; n++) {
 			struct signal_truth truth;
 
@@ -236,15 +233,55 @@ static void test_samples_are_the_motion_within_a_digit_and_the_time_within_a_ten
 			if (n < 20)
 				continue;
 			/* |alpha| < 40 rad/s^2 and |jerk| < 300 m/s^3 here */
-			assert_true(worst(sample.gyro_rad_s, truth.omega_b_rad_s) <
-				    DIGITS[i / 2].gyro_dps * DPS + 0.001 * 40);
+			assert_true(
+				worst(sample.gyro_rad_s, truth.omega_b_rad_s) < DIGITS[i].gyro_dps * DPS + 0.001 * 40);
 			assert_true(worst(sample.accel_m_s2,
 					    sensor_specific_force(&truth, w->config.sensor.lever_arm_b_m, 9.81)) <
-				    DIGITS[i / 2].accel_g * G + 0.0001 * 300);
+				    DIGITS[i].accel_g * G + 0.0001 * 300);
 			if (sample.flags & SAMPLE_MAG)
 				assert_true(worst(sample.mag_uT, quat_rotate_inverse(truth.q_nb,
 									 w->config.sensor.field_n_uT)) < 0.4);
 		}
+		world_free(w);
+	}
+}
+
+/* One delay that fits the gyro of n samples, s. */
+static double delay_of(struct world *w, int n)
+{
+	double late = 0, alpha = 0;
+	struct imu_sample sample;
+
+	for (int i = 0; i < n; i++) {
+		struct signal_truth truth;
+
+		assert_true(world_sample(w, &sample, 300000));
+		truth = world_truth(w, &sample);
+		late += vec3_dot(vec3_sub(truth.omega_b_rad_s, sample.gyro_rad_s), truth.alpha_b_rad_s2);
+		alpha += vec3_dot(truth.alpha_b_rad_s2, truth.alpha_b_rad_s2);
+	}
+	return late / alpha;
+}
+
+static void test_through_a_stub_samples_come_at_their_rate_and_a_millisecond_of_their_time(void **state)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	static struct i2c_stub stub;
+
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_make(BOARDS[i], "tumble", true);
+		double delay_s;
+
+		world_detect(w); /* for its clock */
+		stub_begin(&stub, w);
+		world_set_up(w, &settings, false);
+		delay_of(w, 200);
+		delay_s = delay_of(w, 600);
+		if (fabs(delay_s) > 0.001 ||
+			fabs((double)w->board.health.rate_hz - 1.013 * w->board.gyro->setup.rate->hz) > 0.2)
+			fail_msg(
+				"%s: %.2f ms late, %.2f Hz", BOARDS[i], 1e3 * delay_s, (double)w->board.health.rate_hz);
 		world_free(w);
 	}
 }
@@ -506,6 +543,7 @@ int main(void)
 		cmocka_unit_test(test_chips_that_are_none_of_ours_are_refused),
 		cmocka_unit_test(test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets),
 		cmocka_unit_test(test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample),
+		cmocka_unit_test(test_through_a_stub_samples_come_at_their_rate_and_a_millisecond_of_their_time),
 		cmocka_unit_test(test_late_reads_do_not_show_in_the_time_stamps),
 		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
 		cmocka_unit_test(test_the_rate_is_measured),
