@@ -8,7 +8,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { FROZEN_BYTES = 24, FROZEN_AT_LEAST = 20, FROZEN_TIMES = 10 };
+enum { FROZEN_BYTES = 24, FROZEN_AT_LEAST = 30, FROZEN_TIMES = 10 };
 
 struct frozen { /* zeroed: nothing known */
 	uint8_t last[FROZEN_BYTES];

@@ -16,7 +16,7 @@
 #include "drivers/imu/merge.h"
 #include "drivers/imu/source.h"
 
-enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256, KERNEL_SAMPLES = 64 };
+enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256, KERNEL_SAMPLES = 64, SETTLING_INTERVALS = 5 };
 /* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, where nobody raised it): a magnetometer of its own has
  * its own. */
 enum { TIMER_MOTION, TIMER_MAG, TIMERS };
@@ -51,6 +51,7 @@ struct triad {
 	struct vec3 mount[AXES]; /* rows */
 	double lowest, highest;	 /* raw */
 	double interval_ns;	 /* of the chip's own samples; 0: not known */
+	int64_t settled_ns;	 /* readings before are of a chip that wakes up */
 	int64_t seen_ns;	 /* when a reading came last */
 	int64_t taken_ns;	 /* the last reading's time */
 };
@@ -90,8 +91,8 @@ struct iio_imu {
 	char timers[TIMERS][48]; /* names of the triggers that were made; "" */
 	double rate_hz;
 	struct merge merge;
-	struct frozen frozen[TRIADS]; /* also over restarts */
-	bool is_frozen[TRIADS];
+	struct frozen gyro_frozen; /* also over restarts */
+	bool is_frozen;
 	int64_t next_ns; /* polled; to look for a magnetometer; to read the temperature */
 	int64_t mag_retry_ns, temperature_ns;
 	bool temperature_new;
@@ -306,6 +307,7 @@ static int set_up(struct iio_imu *imu, int kind, const struct imu_settings *sett
 	taken_hz = read_number(t, 0, "sampling_frequency", 0);
 	t->interval_ns = taken_hz > 0 ? 1e9 / taken_hz : 0;
 	t->seen_ns = imu_thread_now_ns();
+	t->settled_ns = t->seen_ns + (int64_t)(SETTLING_INTERVALS * t->interval_ns);
 	return read_scales(t, kind, error, error_size);
 }
 
@@ -440,7 +442,7 @@ static void end(struct iio_imu *imu)
 		iio_context_destroy(imu->context);
 	imu->context = NULL;
 	remove_timers(imu);
-	memset(imu->is_frozen, 0, sizeof imu->is_frozen);
+	imu->is_frozen = false;
 	imu->running = false;
 }
 
@@ -543,8 +545,12 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	struct vec3 v;
 
 	t->seen_ns = imu_thread_now_ns();
-	imu->is_frozen[kind] = kind != MAG && frozen_watch(&imu->frozen[kind], raw, AXES * sizeof *raw);
-	if (imu->is_frozen[kind])
+	if (t_ns < t->settled_ns)
+		return;
+	/* the others may be coarse, and then be still at rest */
+	if (kind == GYRO)
+		imu->is_frozen = frozen_watch(&imu->gyro_frozen, raw, AXES * sizeof *raw);
+	if (kind == GYRO && imu->is_frozen)
 		return;
 	/* a timer faster than the chip reads the same sample again */
 	if (kind == MAG && (double)(t_ns - t->taken_ns) < 0.9 * t->interval_ns)
@@ -737,9 +743,13 @@ static void step(struct iio_imu *imu)
 		return;
 	read_temperature(imu);
 	deliver(imu);
+	if (imu->is_frozen) {
+		fail(imu, IMU_FAULT_FROZEN, IMU_CHIP_GYRO);
+		return;
+	}
 	for (int kind = GYRO; kind <= ACCEL; kind++)
-		if (imu->is_frozen[kind] || stalled(imu, kind)) {
-			fail(imu, imu->is_frozen[kind] ? IMU_FAULT_FROZEN : IMU_FAULT_STOPPED, KINDS[kind].chip);
+		if (stalled(imu, kind)) {
+			fail(imu, IMU_FAULT_STOPPED, KINDS[kind].chip);
 			return;
 		}
 	watch_mag(imu);

@@ -281,10 +281,10 @@ static void test_a_quiet_sensor_may_repeat_itself_ten_times_as_long_as_it_did(vo
 	int raw = 1;
 
 	(void)state;
-	for (int i = 0; i < 15; i++)
+	for (int i = 0; i < 20; i++)
 		assert_false(frozen_watch(&f, &raw, sizeof raw));
 	raw++;
-	for (int i = 1; i < 150; i++)
+	for (int i = 1; i < 200; i++)
 		assert_false(frozen_watch(&f, &raw, sizeof raw));
 	assert_true(frozen_watch(&f, &raw, sizeof raw));
 }

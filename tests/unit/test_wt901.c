@@ -508,7 +508,7 @@ static void test_measurements_that_do_not_change_are_a_fault_until_they_do(void 
 	(void)state;
 	assert_samples_come(port, 500);
 	sensor.live = false;
-	assert_int_equal(fault_within(port, 300), IMU_FAULT_FROZEN);
+	assert_int_equal(fault_within(port, 600), IMU_FAULT_FROZEN);
 	sensor.live = true;
 	assert_samples_come(port, 300);
 	imu_close(port);
