@@ -641,6 +641,27 @@ static void test_reset_communication_leaves_the_application_alone(void **state)
 	assert_int_equal(w->device.values.producer_heartbeat_time, 1000);
 }
 
+static void test_reset_communication_brings_back_what_was_stored_and_not_the_defaults(void **state)
+{
+	struct world *w = *state;
+	const uint16_t stored = 250, later = 50;
+	const uint32_t cob_id = 0x1A1, invalid = 0x80000000u | 0x1A1;
+
+	assert_int_equal(sdo_write(w, 0x1017, 0, &stored, 2), 0);
+	assert_int_equal(sdo_write(w, 0x1800, 1, &invalid, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1800, 1, &cob_id, 4), 0);
+	assert_int_equal(sdo_write(w, 0x1010, 2, "save", 4), 0);
+	assert_int_equal(sdo_write(w, 0x1017, 0, &later, 2), 0);
+	assert_int_equal(sdo_write(w, 0x1800, 1, &invalid, 4), 0);
+	nmt(w, 130);
+	assert_int_equal(w->device.values.producer_heartbeat_time, stored);
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id, cob_id);
+	nmt(w, 1);
+	sync(w);
+	assert_non_null(last(w, cob_id));
+	assert_null(last(w, 0x180 + NODE_ID));
+}
+
 static void test_reset_node_starts_the_application_anew(void **state)
 {
 	struct world *w = *state;
@@ -776,6 +797,7 @@ int main(void)
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
 		TEST(test_a_second_store_while_one_is_under_way_is_refused),
 		TEST(test_reset_communication_leaves_the_application_alone),
+		TEST(test_reset_communication_brings_back_what_was_stored_and_not_the_defaults),
 		TEST(test_reset_node_starts_the_application_anew),
 		TEST(test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it),
 		TEST(test_a_source_that_ends_raises_5030h_at_once),

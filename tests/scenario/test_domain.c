@@ -161,6 +161,25 @@ static void nmt(struct world *w, uint8_t command)
 	device_receive(&w->device, &msg, w->now_us);
 }
 
+/* ---- EDS --------------------------------------------------------------------------------------------------------- */
+
+static void test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_plain(void **state)
+{
+	struct world *w = *state;
+	static uint8_t eds[1 << 18];
+
+	assert_int_equal(value_u32(w, 0x1022, 0), 0);
+	for (int blocks = 0; blocks < 2; blocks++) {
+		if (blocks)
+			sdo_client_block_upload(&w->client, 0x1021, 0, eds, sizeof(eds), w->now_us);
+		else
+			sdo_client_upload(&w->client, 0x1021, 0, eds, sizeof(eds), w->now_us);
+		assert_int_equal(finish(w), SDO_DONE);
+		assert_int_equal(w->client.size, imu9_eds_size);
+		assert_memory_equal(eds, imu9_eds, imu9_eds_size);
+	}
+}
+
 /* ---- snapshot: to read ------------------------------------------------------------------------------------------- */
 
 static void test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured(void **state)
@@ -710,6 +729,7 @@ static void test_both_sdo_channels_read_their_own_log_at_once(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		WITH_DEVICE(test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_plain),
 		WITH_DEVICE(test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured),
 		WITH_DEVICE(test_the_snapshot_comes_in_blocks_too),
 		WITH_DEVICE(test_a_cob_id_that_follows_the_node_id_says_so_in_bit_29),

@@ -1,6 +1,8 @@
 /* Heartbeat consumer (1016h) and node guarding (100Ch, 100Dh): CiA 301, 7.2.8.3.2 and 7.5.2. */
 #include "tests/scenario/bus.h"
 
+#include <stdio.h>
+
 /* Watches node 20h with 100 ms and hears its first heartbeat. */
 static void watch(struct bus *bus)
 {
@@ -77,6 +79,25 @@ static void test_each_lost_node_is_told_and_all_must_be_back(void **state)
 	bus_send(bus, "720 05");
 	bus_expect_nothing(bus);
 	bus_exchange(bus, "77F 05", "090 00 00 00 00 00 00 00 00");
+}
+
+static void test_eight_nodes_are_watched_at_once(void **state)
+{
+	struct bus *bus = *state;
+	char frame[32];
+
+	for (uint8_t i = 0; i < 8; i++) {
+		assert_int_equal(bus_write(bus, 0x1016, i + 1, 4, (0x20u + i) << 16 | (100u + i)), 0);
+		snprintf(frame, sizeof(frame), "%03X 05", 0x720u + i);
+		bus_send(bus, frame);
+	}
+	assert_int_equal(bus_write(bus, 0x1016, 9, 4, 0), 0x06090011);
+	for (uint8_t i = 0; i < 8; i++) {
+		bus_run(bus, i ? 1000 : 100000);
+		snprintf(frame, sizeof(frame), "090 30 81 11 %02X 00 00 00 00", 0x20u + i);
+		bus_expect(bus, frame);
+	}
+	bus_expect_nothing(bus);
 }
 
 static void test_a_lost_heartbeat_ends_operational(void **state)
@@ -339,6 +360,7 @@ int main(void)
 		PRE_OPERATIONAL(test_each_heartbeat_gives_the_node_its_time_again),
 		PRE_OPERATIONAL(test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on),
 		PRE_OPERATIONAL(test_each_lost_node_is_told_and_all_must_be_back),
+		PRE_OPERATIONAL(test_eight_nodes_are_watched_at_once),
 		OPERATIONAL(test_a_lost_heartbeat_ends_operational),
 		OPERATIONAL(test_a_lost_heartbeat_is_told_before_the_node_stops),
 		PRE_OPERATIONAL(test_in_stopped_the_watch_goes_on),
