@@ -29,7 +29,6 @@ static const char usage[] =
 	"                          i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]                a Pololu IMU 9\n"
 	"                          iio[:DEVICE,...]                                   what the kernel measures\n"
 	"                          wt901:/dev/ttyX[,baud=9600][,address=0x50]         a WitMotion WT901C-485\n"
-	"                          wt901:/dev/ttyX[,baud=9600][,address=0x50]         WT901C-485\n"
 	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD] or\n"
 	"                        udp[:GROUP[:PORT]]                   (default: $IMU9_CAN or vcan0)\n"
 	"      --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
