@@ -383,6 +383,20 @@ static void sensor_lost(struct device *d)
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
 }
 
+/* The next sample makes the outputs valid again. */
+static void watch_self_test(struct device *d)
+{
+	bool testing = sensor_watch_testing(&d->sensor_watch);
+
+	if (testing && !d->sensor_testing) {
+		event_log_line(&d->log, d->now_us, "self-test of %s: outputs marked invalid meanwhile", d->imu->name);
+		publish_sensor_lost(&d->values);
+		calibrating_sensor_lost(&d->calibrating);
+		canopen_sample(&d->canopen, d->now_us);
+	}
+	d->sensor_testing = testing;
+}
+
 static void sensor_back(struct device *d)
 {
 	if (!d->sensor_lost)
@@ -466,7 +480,8 @@ static uint64_t earlier(uint64_t a, uint64_t b)
 uint64_t device_tick(struct device *d, uint64_t now_us)
 {
 	d->now_us = now_us;
-	if (now_us - d->last_sample_us >= d->imu->silence_us)
+	watch_self_test(d);
+	if (now_us - d->last_sample_us >= sensor_watch_silence_us(&d->sensor_watch))
 		sensor_lost(d);
 	sensor_watch_tick(&d->sensor_watch, now_us);
 
@@ -474,6 +489,6 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	next = earlier(next, utc_tick(&d->utc, now_us));
 	next = earlier(next, canopen_tick(&d->canopen, now_us));
 	next = earlier(next, leds_tick(&d->leds, now_us));
-	uint64_t silent = d->last_sample_us + d->imu->silence_us;
+	uint64_t silent = d->last_sample_us + sensor_watch_silence_us(&d->sensor_watch);
 	return d->sensor_lost || next < silent ? next : silent;
 }

@@ -61,7 +61,7 @@ struct device {
 	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
 	uint32_t samples;	 /* taken since the start */
 	bool lss_save;		 /* the save under way is one of LSS */
-	bool configuration_changed, sensor_lost, position_unsure, save_under_way;
+	bool configuration_changed, sensor_lost, sensor_testing, position_unsure, save_under_way;
 	uint8_t node_id; /* that `base` is for */
 	uint64_t now_us; /* the time of the call that is running */
 };

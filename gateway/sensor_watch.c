@@ -5,7 +5,7 @@
 
 #include "gateway/status.h"
 
-enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_SUB = 7 };
+enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_SUB = 7, SELF_TEST_US = 5000000 /* at most */ };
 
 struct imu_settings sensor_settings(const struct od_values *v)
 {
@@ -181,6 +181,16 @@ void sensor_watch_tick(struct sensor_watch *w, uint64_t now_us)
 	if (!w->refused && w->refusal_told)
 		canopen_error_clear(w->canopen, EMCY_SENSOR_SETTINGS, now_us);
 	w->refusal_told = w->refused;
+}
+
+bool sensor_watch_testing(const struct sensor_watch *w)
+{
+	return w->imu->health.self_test & IMU_SELF_TEST_RUNS;
+}
+
+uint64_t sensor_watch_silence_us(const struct sensor_watch *w)
+{
+	return sensor_watch_testing(w) ? SELF_TEST_US : w->imu->silence_us;
 }
 
 unsigned sensor_watch_status(const struct sensor_watch *w)

@@ -37,6 +37,11 @@ void sensor_watch_reset(struct sensor_watch *watch); /* errors are told anew */
 void sensor_watch_sample(struct sensor_watch *watch, const struct imu_sample *sample);
 void sensor_watch_tick(struct sensor_watch *watch, uint64_t now_us);
 
+/** A self-test runs: no samples come, which is no fault. */
+bool sensor_watch_testing(const struct sensor_watch *watch);
+/** No sample for that long: the sensor is lost. */
+uint64_t sensor_watch_silence_us(const struct sensor_watch *watch);
+
 /** Bits of the status word. */
 unsigned sensor_watch_status(const struct sensor_watch *watch);
 

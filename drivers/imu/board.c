@@ -693,6 +693,8 @@ static void update_health(struct board *b)
 		h->degraded = IMU_FAULT_SELF_TEST;
 		h->degraded_chip = b->self_test_chip;
 	}
+	if (h->fault || (b->gyro->state == STREAM_UP && b->accel->state == STREAM_UP))
+		h->self_test &= (uint8_t)~IMU_SELF_TEST_RUNS;
 	h->rate_hz = b->gyro->state == STREAM_UP && period_ns > 0 ? (float)(1e9 / period_ns) : 0;
 }
 
@@ -963,7 +965,7 @@ static void test_stream(struct board *b, struct stream *s)
 
 void board_self_test(struct board *b)
 {
-	b->health.self_test = 0;
+	b->health.self_test = IMU_SELF_TEST_RUNS; /* until samples come again */
 	b->self_test_failed = false;
 	for (size_t i = 0; i < b->stream_count; i++)
 		test_stream(b, &b->streams[i]);

@@ -106,7 +106,7 @@ void board_data_ready(struct board *board, int64_t t_ns);
 /** Takes the next sample out. Its t_us is that of the clock. */
 bool board_next(struct board *board, struct imu_sample *sample);
 
-/** Blocks for about a second; board->health.self_test tells. The board must be at rest. */
+/** Blocks for one to two seconds; board->health.self_test tells. The board must be at rest. */
 void board_self_test(struct board *board);
 
 #endif

@@ -81,8 +81,11 @@ static void take_orders(struct i2c_imu *imu)
 		board_apply(&imu->board, &imu->plan);
 		pthread_mutex_unlock(&imu->plan_lock);
 	}
-	if (atomic_exchange(&imu->self_test, false))
+	if (atomic_exchange(&imu->self_test, false)) {
+		imu->thread.health.self_test = IMU_SELF_TEST_RUNS;
+		imu_thread_tell(&imu->thread);
 		board_self_test(&imu->board);
+	}
 }
 
 static void run(struct imu_thread *t)

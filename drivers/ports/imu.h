@@ -36,6 +36,8 @@ enum imu_fault {
 	IMU_FAULT_SELF_TEST = 7,     /* failed its last self-test; samples go on */
 };
 
+enum { IMU_SELF_TEST_RUNS = 0x80 }; /* in imu_health.self_test: no samples meanwhile, and no fault */
+
 enum imu_chip { IMU_CHIP_GYRO = 1, IMU_CHIP_ACCEL = 2, IMU_CHIP_MAG = 3 };
 
 struct imu_counters {
@@ -50,7 +52,7 @@ struct imu_health {
 	uint8_t fault_chip;    /* enum imu_chip */
 	uint8_t degraded;      /* enum imu_fault of something that samples go on without: magnetometer, self-test */
 	uint8_t degraded_chip; /* enum imu_chip */
-	uint8_t self_test;     /* bits of passed (0-2) and failed (4-6) gyro, accelerometer, magnetometer */
+	uint8_t self_test;     /* bits of passed (0-2) and failed (4-6) gyro, accelerometer, magnetometer; 7: it runs */
 	uint32_t bus_errors;   /* transfers that failed */
 	uint32_t restarts;     /* initialisations of a chip after a fault */
 	uint32_t overruns;     /* samples that a chip took and nobody read in time */
@@ -68,7 +70,8 @@ struct imu_ops {
 	 * ones stay. `dry`: only tells. NULL: this sensor has nothing to set. */
 	int (*configure)(
 		struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t error_size);
-	/** Begins a self-test, some 0.5 s without samples; port->health tells the result. NULL: there is none. */
+	/** Begins a self-test, one or two seconds without samples; port->health tells that it runs, and the result. NULL: there is
+	 * none. */
 	void (*self_test)(struct imu_port *port);
 };
 

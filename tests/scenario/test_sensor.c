@@ -268,6 +268,31 @@ static void test_a_self_test_begins_with_a_1_and_nothing_else(void **state)
 	assert_int_equal(w->self_tests, 1);
 }
 
+static void test_during_a_self_test_the_outputs_are_invalid_but_the_sensor_is_not_lost(void **state)
+{
+	struct world *w = *state;
+
+	sample_with(w, 0, 0);
+	w->imu.health.self_test = 0x80;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(w->device.values.sample.status & 0x201, 0x200);
+	device_tick(&w->device, w->now_us += 2000000);
+	assert_int_equal(emcy_code(w), 0);
+	w->imu.health.self_test = 0x03;
+	sample_with(w, 0, 0);
+	assert_int_equal(w->device.values.sample.status & 0x201, 0x001);
+}
+
+static void test_a_self_test_that_does_not_end_is_a_lost_sensor(void **state)
+{
+	struct world *w = *state;
+
+	sample_with(w, 0, 0);
+	w->imu.health.self_test = 0x80;
+	device_tick(&w->device, w->now_us += 5000000);
+	assert_int_equal(emcy_code(w), 0x5030);
+}
+
 static void test_a_sensor_without_self_test_refuses_the_command(void **state)
 {
 	struct world *w = *state;
@@ -289,6 +314,8 @@ int main(void)
 		WORLD(test_settings_go_to_the_sensor_with_reset_node),
 		WORLD(test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on),
 		WORLD(test_a_self_test_begins_with_a_1_and_nothing_else),
+		WORLD(test_during_a_self_test_the_outputs_are_invalid_but_the_sensor_is_not_lost),
+		WORLD(test_a_self_test_that_does_not_end_is_a_lost_sensor),
 		WORLD(test_a_sensor_without_self_test_refuses_the_command),
 	};
 
