@@ -395,11 +395,14 @@ const char *watch_emcy_text(uint16_t code)
 		uint16_t mask, code;
 		const char *text;
 	} texts[] = {
-		{0xFFFF, 0x5010, "first axis out of range"},
-		{0xFFFF, 0x5020, "second axis out of range"},
+		{0xFFFF, 0x5010, "longitudinal slope out of range"},
+		{0xFFFF, 0x5020, "lateral slope out of range"},
 		{0xFFFF, EMCY_SENSOR_LOST, "the IMU delivers no samples"},
+		{0xFFFF, EMCY_SENSOR_DEGRADED, "a chip of the IMU has a fault, samples go on without it (2124h)"},
 		{0xFFFF, EMCY_STORE_DAMAGED, "the stored values could not be read, defaults are in use"},
 		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
+		{0xFFFF, EMCY_SENSOR_SETTINGS, "the IMU cannot do what 2058h asks for"},
+		{0xFFFF, EMCY_POSITION_UNSURE, "the position is less certain than position.sigma_limit"},
 		{0xFFFF, 0x8100, "a SYNC was seen after its window"},
 		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
 		{0xFFFF, 0x8120, "CAN error-passive"},
@@ -450,8 +453,10 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_UNSURE, "position-unsure"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
+		{STATUS_SENSOR_FAULT, "sensor-fault"},
 		{STATUS_EXTERNAL_AID, "external-aid"},
 		{STATUS_COMMISSIONING, "commissioning"},
+		{STATUS_UTC, "utc"},
 	};
 	size_t used = 0;
 

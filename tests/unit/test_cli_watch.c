@@ -271,6 +271,8 @@ static void test_status_bits_are_told_in_words(void **state)
 	assert_string_equal(text, "none");
 	watch_status_text(1 << 0 | 1 << 1 | 1 << 9 | 1 << 11, text, sizeof(text));
 	assert_string_equal(text, "valid,rest,sensor-lost,external-aid");
+	watch_status_text(1 << 10 | 1 << 12 | 1 << 13, text, sizeof(text));
+	assert_string_equal(text, "sensor-fault,commissioning,utc");
 }
 
 int main(void)
