@@ -85,13 +85,25 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	log_skips(l, now_us);
 }
 
+/* The stamp of a frame may lie a little ahead of the clock when somebody sets the host's time: time does not go back. */
+static void read_clock(struct loop *l)
+{
+	uint64_t now_us = now();
+
+	if (now_us > l->now_us)
+		l->now_us = now_us;
+}
+
 /* A frame brings the time it came at: where the kernel has no vDSO, not to read the clock before each answer is a tenth of
  * the way from SYNC to PDO. But with a synchronous window (1007h) it counts how long the frame waited for us. */
-static uint64_t time_of(const struct loop *l, const struct can_msg *msg)
+static void take_time(struct loop *l, const struct can_msg *msg)
 {
 	bool trusted = msg->t_us > l->now_us && msg->t_us - l->now_us < STAMP_TRUSTED_US;
 
-	return trusted && l->device->values.synchronous_window_length == 0 ? msg->t_us : now();
+	if (trusted && l->device->values.synchronous_window_length == 0)
+		l->now_us = msg->t_us;
+	else
+		read_clock(l);
 }
 
 static void on_bus(struct loop *l)
@@ -102,7 +114,7 @@ static void on_bus(struct loop *l)
 	for (int i = 0; i < FRAMES_PER_WAKE; i++) {
 		if (can_receive(l->bus, &msg, l->now_us) <= 0)
 			return;
-		l->now_us = time_of(l, &msg);
+		take_time(l, &msg);
 		device_receive(l->device, &msg, l->now_us);
 	}
 	l->frames_left = true;
@@ -129,7 +141,7 @@ static void on_store(struct loop *l, uint64_t now_us)
 static void on_event(struct loop *l, enum source source)
 {
 	if (source != SOURCE_BUS)
-		l->now_us = now();
+		read_clock(l);
 	switch (source) {
 	case SOURCE_SENSOR:
 		on_sensor(l, l->now_us);
