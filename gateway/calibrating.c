@@ -1,10 +1,11 @@
 #include "gateway/calibrating.h"
 
+#include "gateway/commissioning.h"
 #include "gateway/settings.h"
 #include "gateway/status.h"
 
 enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 and 2061h:14 to 25 */
-enum { FOUND_FIRST = 14, LEVER_ARM_RUNNING = 1 };
+enum { FOUND_FIRST = 14 };
 static const double ACCELEROMETER_PATIENCE_S = 900, MAGNETOMETER_PATIENCE_S = 180;
 
 static enum calibrating_state state_of(const struct calibrating *c)
@@ -171,7 +172,7 @@ static enum od_status start(struct calibrating *c, uint8_t kind)
 		.patience_s = MAGNETOMETER_PATIENCE_S,
 	};
 
-	if (state_of(c) == CALIBRATING_RUNNING || c->values->lever_arm_identification.state == LEVER_ARM_RUNNING)
+	if (state_of(c) == CALIBRATING_RUNNING || c->values->lever_arm_identification.state == LEVER_RUNNING)
 		return OD_DEVICE_STATE;
 	gyro.bias_instability_rad_s = config.noise.gyro_bias_instability_rad_s;
 	forget(c);
@@ -206,7 +207,7 @@ static enum od_status accept(struct calibrating *c)
 {
 	const uint8_t kind = c->values->calibration.kind;
 	const uint16_t index = kind == CALIBRATING_GYRO ? 0x2050 : kind == CALIBRATING_MAGNETOMETER ? 0x2052 : 0x2051;
-	enum od_status status = OD_OK;
+	enum od_status status;
 	float v[TRIAD_VALUES];
 
 	if (state_of(c) != CALIBRATING_DONE)
@@ -214,10 +215,7 @@ static enum od_status accept(struct calibrating *c)
 	for (int i = 0; i < TRIAD_VALUES; i++)
 		v[i] = *found(c, i);
 	to_reference_temperature(c, v);
-	for (uint8_t i = 0; i < TRIAD_VALUES && status == OD_OK; i++)
-		status = od_check(od_find(c->od->table, index, (uint8_t)(i + 1), NULL), &v[i], sizeof(v[i]));
-	for (uint8_t i = 0; i < TRIAD_VALUES && status == OD_OK; i++)
-		status = od_write(c->od, index, (uint8_t)(i + 1), &v[i], sizeof(v[i]));
+	status = settings_write(c->od, index, v, TRIAD_VALUES);
 	if (status != OD_OK)
 		return status;
 	enter(c, CALIBRATING_IDLE);

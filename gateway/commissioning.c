@@ -1,5 +1,7 @@
 #include "gateway/commissioning.h"
 
+#include "gateway/calibrating.h"
+#include "gateway/settings.h"
 #include "gateway/status.h"
 
 /* 2060h:1 */
@@ -11,7 +13,6 @@ enum {
 	COMMAND_DISCARD = 4,
 };
 
-enum { CALIBRATION_RUNNING = 1 }; /* 2061h:2 */
 enum { REFERENCE_HOLDS_US = 50000 };
 /* Motion that stops and starts, or a reference that does not come, ends it after so many times its duration. */
 enum { PATIENCE = 3 };
@@ -63,7 +64,7 @@ static enum od_status start(struct commissioning *c, bool reference)
 		.reference = reference,
 	};
 
-	if (state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATION_RUNNING ||
+	if (state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATING_RUNNING ||
 		lever_identification_init(&c->lever, &config) < 0)
 		return OD_DEVICE_STATE;
 	forget(c);
@@ -75,14 +76,11 @@ static enum od_status start(struct commissioning *c, bool reference)
 static enum od_status accept(struct commissioning *c)
 {
 	const float arm[] = {(float)c->arm_b_m.x, (float)c->arm_b_m.y, (float)c->arm_b_m.z};
-	enum od_status status = OD_OK;
+	enum od_status status;
 
 	if (state_of(c) != LEVER_DONE)
 		return OD_DEVICE_STATE;
-	for (uint8_t i = 0; i < 3 && status == OD_OK; i++)
-		status = od_check(od_find(c->od->table, 0x2000, (uint8_t)(i + 1), NULL), &arm[i], sizeof(arm[i]));
-	for (uint8_t i = 0; i < 3 && status == OD_OK; i++)
-		status = od_write(c->od, 0x2000, (uint8_t)(i + 1), &arm[i], sizeof(arm[i]));
+	status = settings_write(c->od, 0x2000, arm, 3);
 	if (status != OD_OK)
 		return status;
 	enter(c, LEVER_IDLE);

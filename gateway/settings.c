@@ -1,5 +1,9 @@
 #include "gateway/settings.h"
 
+#include <string.h>
+
+#include "gateway/canopen/little_endian.h"
+
 #define RAD_PER_DEG	 (3.14159265358979323846 / 180)
 #define STANDARD_GRAVITY 9.80665
 
@@ -89,4 +93,20 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.position.navigation.levelling = v->position.levelling;
 	c.position.navigation.velocity_prior_m_s = (double)v->position.velocity_prior;
 	return c;
+}
+
+enum od_status settings_write(struct od *od, uint16_t index, const float *values, uint8_t count)
+{
+	enum od_status status = OD_OK;
+
+	for (unsigned i = 0; i < 2u * count && status == OD_OK; i++) { /* all are checked before the first is written */
+		uint8_t sub = (uint8_t)(i % count + 1), wire[sizeof(float)];
+		uint32_t bits;
+
+		memcpy(&bits, &values[sub - 1], sizeof(bits));
+		put_u32(wire, bits);
+		status = i < count ? od_check(od_find(od->table, index, sub, NULL), wire, sizeof(wire))
+				   : od_write(od, index, sub, wire, sizeof(wire));
+	}
+	return status;
 }

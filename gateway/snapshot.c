@@ -3,6 +3,8 @@
 #include <assert.h>
 #include <string.h>
 
+#include "gateway/canopen/little_endian.h"
+
 #define COB_ID_INVALID (1u << 31)
 #define SYNC_PRODUCER  (1u << 30)
 #define COB_ID_FOLLOWS (1u << 29) /* the node-ID is to be added */
@@ -11,17 +13,6 @@
 
 /* When an entry is written, and as what first. */
 enum phase { SWITCH_OFF, SET, SET_COUNT, SWITCH_ON, SET_DATE, PHASES };
-
-static uint32_t get_u32(const uint8_t *wire)
-{
-	return wire[0] | (uint32_t)wire[1] << 8 | (uint32_t)wire[2] << 16 | (uint32_t)wire[3] << 24;
-}
-
-static void put_u32(uint8_t *wire, uint32_t value)
-{
-	for (int i = 0; i < 4; i++)
-		wire[i] = (uint8_t)(value >> 8 * i);
-}
 
 static bool is_configuration(const struct od_entry *entry)
 {

@@ -10,6 +10,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "gateway/canopen/little_endian.h"
+
 static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
 enum { VERSION = 2, VERSION_WITHOUT_LSS = 1, HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, CRC_SIZE = 4 };
 
@@ -19,17 +21,6 @@ struct store_group *store_group(struct store_image *image, enum od_group group)
 	return &image->groups[group - OD_GROUP_COMMUNICATION];
 }
 
-static void put_u32(uint8_t *out, size_t value)
-{
-	for (int i = 0; i < 4; i++)
-		out[i] = (uint8_t)(value >> 8 * i);
-}
-
-static uint32_t get_u32(const uint8_t *in)
-{
-	return (uint32_t)in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 | (uint32_t)in[3] << 24;
-}
-
 size_t store_encode(const struct store_image *image, uint8_t *out)
 {
 	size_t n = HEADER_SIZE;
@@ -37,7 +28,7 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	for (int i = 0; i < STORE_GROUPS; i++) {
 		const struct store_group *g = &image->groups[i];
 
-		put_u32(out + n, g->size);
+		put_u32(out + n, (uint32_t)g->size);
 		memcpy(out + n + 4, g->dcf, g->size);
 		n += 4 + g->size;
 	}
@@ -46,7 +37,7 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	n += LSS_SIZE;
 	memcpy(out, magic, sizeof(magic));
 	put_u32(out + 8, VERSION);
-	put_u32(out + 12, n - HEADER_SIZE);
+	put_u32(out + 12, (uint32_t)(n - HEADER_SIZE));
 	put_u32(out + n, od_crc32(0, out, n));
 	return n + CRC_SIZE;
 }

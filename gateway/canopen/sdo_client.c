@@ -5,6 +5,8 @@
 
 #include <string.h>
 
+#include "gateway/canopen/little_endian.h"
+
 enum { /* client command specifiers, in place */
 	CCS_DOWNLOAD_SEGMENT = 0 << 5,
 	CCS_DOWNLOAD = 1 << 5,
@@ -37,17 +39,6 @@ void sdo_client_init(struct sdo_client *client, struct can_port *bus, uint8_t no
 		.node_id = node_id,
 		.timeout_us = timeout_us,
 	};
-}
-
-static void put_u32(uint8_t *to, uint32_t value)
-{
-	for (int i = 0; i < 4; i++)
-		to[i] = (uint8_t)(value >> 8 * i);
-}
-
-static uint32_t get_u32(const uint8_t *from)
-{
-	return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
 }
 
 void sdo_client_send(

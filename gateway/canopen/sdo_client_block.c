@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/crc16.h"
+#include "gateway/canopen/little_endian.h"
 
 enum {
 	SEGMENT_BYTES = 7,
@@ -41,11 +42,6 @@ enum {
 static size_t smaller(size_t a, size_t b)
 {
 	return a < b ? a : b;
-}
-
-static uint32_t get_u32(const uint8_t *from)
-{
-	return from[0] | (uint32_t)from[1] << 8 | (uint32_t)from[2] << 16 | (uint32_t)from[3] << 24;
 }
 
 static void give_up(struct sdo_client *client, uint32_t code, uint64_t now_us)

@@ -6,6 +6,7 @@
 #define GATEWAY_CANOPEN_SERVICE_H
 
 #include "gateway/canopen/node.h"
+#include "gateway/canopen/little_endian.h"
 
 enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next */
 
@@ -181,28 +182,6 @@ void lss_receive(struct canopen_node *node, const struct can_msg *msg);
 /** The bit rate of the bus is being switched: nothing is sent, nothing heard, and time does not count. */
 bool lss_silent(const struct canopen_node *node);
 uint64_t lss_tick(struct canopen_node *node);
-
-static inline uint16_t get_u16(const uint8_t *wire)
-{
-	return (uint16_t)(wire[0] | wire[1] << 8);
-}
-
-static inline uint32_t get_u32(const uint8_t *wire)
-{
-	return get_u16(wire) | (uint32_t)get_u16(wire + 2) << 16;
-}
-
-static inline void put_u16(uint8_t *wire, uint16_t value)
-{
-	wire[0] = (uint8_t)value;
-	wire[1] = (uint8_t)(value >> 8);
-}
-
-static inline void put_u32(uint8_t *wire, uint32_t value)
-{
-	put_u16(wire, (uint16_t)value);
-	put_u16(wire + 2, (uint16_t)(value >> 16));
-}
 
 static inline uint64_t earlier(uint64_t a, uint64_t b)
 {
