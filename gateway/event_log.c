@@ -38,13 +38,17 @@ static void make_room(struct event_log *log, size_t size)
 	memmove(log->text, log->text + gone, log->used);
 }
 
-static void add(struct event_log *log, uint64_t now_us, const char *text)
+/* Makes text[TEXT_MAX_BYTES] of it, too. */
+__attribute__((format(printf, 3, 0))) static void add(
+	struct event_log *log, uint64_t now_us, const char *format, va_list args, char *text)
 {
 	uint64_t t_us = now_us > log->start_us ? now_us - log->start_us : 0;
 	char line[LINE_MAX_BYTES];
-	size_t size = (size_t)snprintf(line, sizeof(line), "%7llu.%06llu %s\n", (unsigned long long)(t_us / 1000000),
-		(unsigned long long)(t_us % 1000000), text);
+	size_t size;
 
+	vsnprintf(text, TEXT_MAX_BYTES, format, args);
+	size = (size_t)snprintf(line, sizeof(line), "%7llu.%06llu %s\n", (unsigned long long)(t_us / 1000000),
+		(unsigned long long)(t_us % 1000000), text);
 	if (log->used + size > sizeof(log->text))
 		make_room(log, size);
 	memcpy(log->text + log->used, line, size);
@@ -57,9 +61,8 @@ void event_log_add(struct event_log *log, uint64_t now_us, const char *format, .
 	va_list args;
 
 	va_start(args, format);
-	vsnprintf(text, sizeof(text), format, args);
+	add(log, now_us, format, args, text);
 	va_end(args);
-	add(log, now_us, text);
 }
 
 void event_log_line(struct event_log *log, uint64_t now_us, const char *format, ...)
@@ -68,8 +71,7 @@ void event_log_line(struct event_log *log, uint64_t now_us, const char *format, 
 	va_list args;
 
 	va_start(args, format);
-	vsnprintf(text, sizeof(text), format, args);
+	add(log, now_us, format, args, text);
 	va_end(args);
-	add(log, now_us, text);
 	log_line("%s", text);
 }
