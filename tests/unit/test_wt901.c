@@ -36,7 +36,7 @@ static struct sensor {
 	struct {
 		uint16_t at, value;
 	} writes[32];
-	size_t write_count;
+	atomic_size_t write_count;
 	char link[64];
 } sensor = {.lock = PTHREAD_MUTEX_INITIALIZER};
 
