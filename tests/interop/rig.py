@@ -3,6 +3,7 @@ import os
 import pathlib
 import signal
 import socket
+import statistics
 import subprocess
 import tempfile
 import time
@@ -134,6 +135,17 @@ class OnTheBus(unittest.TestCase):
             self.assertEqual("%08X" % abort.code, "%08X" % code, abort)
         else:
             self.fail("not refused: %s%r" % (action.__name__, args))
+
+    def emcy(self, code):
+        """Waits for this one and gives its frame: on a busy machine the sensor has errors of its own."""
+        told = bytes((code & 0xFF, code >> 8))
+        return self.master.wait(lambda f: f.arbitration_id == canopen.EMCY + NODE and f.data[:2] == told)
+
+    def assert_no_sooner_than(self, seconds, frames):
+        """Frames of which each waits for the one before: a busy machine makes that longer, never shorter."""
+        median = statistics.median(b.timestamp - a.timestamp for a, b in zip(frames, frames[1:]))
+        self.assertGreater(median, seconds - 0.001)
+        self.assertLess(median, 1.3 * seconds)
 
     def pdos(self, frames, number=1):
         return [f for f in frames if f.arbitration_id == canopen.TPDO[number - 1] + NODE]

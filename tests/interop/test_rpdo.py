@@ -31,10 +31,6 @@ class ReceivePdos(rig.OnTheBus):
     def commands(self):
         return struct.unpack("<H", self.read(0x2073))[0]
 
-    def emcy(self, code):
-        """Waits for this one and gives its frame: on a busy machine the sensor has errors of its own."""
-        return self.master.wait(lambda f: f.arbitration_id == canopen.EMCY + NODE and f.data[:2] == u16(code))
-
     def assert_emcy(self, code, info):
         _, register, told = canopen.emergency(self.emcy(code))
         self.assertEqual((register & 0x11, told.hex()), (0x11, info))
