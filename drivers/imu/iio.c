@@ -489,8 +489,6 @@ static int64_t tolerance_ns(const struct iio_imu *imu)
 	return (int64_t)(longest / 2);
 }
 
-static bool read_polled(struct iio_imu *imu);
-
 static int begin(struct iio_imu *imu, char *error, size_t error_size)
 {
 	struct imu_settings settings;

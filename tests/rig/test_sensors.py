@@ -118,7 +118,8 @@ class Sensor(unittest.TestCase):
         """Times of the motion [s], force and rate, angles [deg]; one row a sample whose PDOs all came."""
         self.map()
         self.master.nmt(canopen.START, NODE)
-        dump = subprocess.run(["timeout", str(SECONDS), "candump", "-L", rig.BUS], capture_output=True, text=True).stdout
+        dump = subprocess.run(["timeout", str(SECONDS), "candump", "-L", rig.BUS], capture_output=True,
+                              text=True).stdout
         self.master.nmt(canopen.PRE_OPERATIONAL, NODE)
         self.assertEqual([line for line in dump.splitlines() if " %03X#" % (canopen.EMCY + NODE) in line], [])
         rows, sample = [], {}
