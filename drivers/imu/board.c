@@ -31,6 +31,7 @@ enum {
 	LAST_FROZEN_MS = 1000, /* where noise needs longer, it tells nothing */
 	SATURATED_MS = 60,
 	VERIFY_MS = 10,
+	CAN_WAIT_MS = 11,
 	TEMPERATURE_MS = 1000,
 	BATCH_US = 2500, /* a FIFO is not read more often */
 	/* Until the clock knows when samples are taken; a machine that reads too unevenly for that gets them all the
@@ -700,11 +701,24 @@ static void update_health(struct board *b)
 
 /* ---- when what is read ------------------------------------------------------------------------------------------- */
 
+static const struct reading *peek(const struct stream *s, size_t i)
+{
+	return &s->readings[(s->first + i) % STREAM_READINGS];
+}
+
 static int64_t gyro_target(const struct stream *s)
 {
 	double period_us = sample_clock_period(&s->clock) / 1000;
 
 	return s->setup.fifo ? s->taken + (int64_t)ceil(BATCH_US / period_us) - 1 : s->taken;
+}
+
+/* The newest sample of the gyro has none of the accelerometer after it. */
+static bool gyro_waits(const struct board *b)
+{
+	const struct stream *g = b->gyro, *a = b->accel;
+
+	return g->count > 0 && peek(g, g->count - 1)->t_ns > sample_clock_at(&a->clock, a->clock.newest);
 }
 
 /* With a FIFO the accelerometer is read once a batch of the gyro: when it has a sample after it. */
@@ -716,11 +730,23 @@ static int64_t accel_target(const struct board *b, const struct stream *s)
 
 	if (!s->setup.fifo || g->state != STREAM_UP)
 		return s->taken;
-	until_ns = g->count ? g->readings[(g->first + g->count - 1) % STREAM_READINGS].t_ns
-			    : sample_clock_at(&g->clock, gyro_target(g));
+	until_ns = gyro_waits(b) ? peek(g, g->count - 1)->t_ns : sample_clock_at(&g->clock, gyro_target(g));
 	index = s->clock.newest + (int64_t)ceil((until_ns - sample_clock_at(&s->clock, s->clock.newest)) /
 						sample_clock_period(&s->clock));
 	return index > s->taken ? index : s->taken;
+}
+
+/* The gyro waits for the accelerometer, without which its sample is of no use: both are read in one go. Not where its
+ * clock has something to learn. */
+static double gyro_due(const struct board *b, const struct stream *g)
+{
+	const struct stream *a = b->accel;
+	double due_ns = sample_clock_due(&g->clock, gyro_target(g));
+
+	if (a == g || !g->setup.fifo || !a->setup.fifo || g->state != STREAM_UP || a->state != STREAM_UP ||
+		gyro_waits(b) || a->failures > 0 || sample_clock_learns(&g->clock, gyro_target(g)))
+		return due_ns;
+	return fmax(due_ns, sample_clock_due(&a->clock, accel_target(b, a)));
 }
 
 static int64_t next_due(const struct board *b, const struct stream *s)
@@ -731,9 +757,9 @@ static int64_t next_due(const struct board *b, const struct stream *s)
 		return (int64_t)t_ns + RETRY_MS * MS;
 	if (s->clock.newest < 0)
 		return (int64_t)(t_ns + period_ns / 4);
-	due_ns = sample_clock_due(&s->clock, s == b->gyro    ? gyro_target(s)
-					     : s == b->accel ? accel_target(b, s)
-							     : s->taken);
+	due_ns = s == b->gyro	 ? gyro_due(b, s)
+		 : s == b->accel ? sample_clock_due(&s->clock, accel_target(b, s))
+				 : sample_clock_due(&s->clock, s->taken);
 	return (int64_t)fmax(due_ns, t_ns + period_ns / 32);
 }
 
@@ -750,11 +776,17 @@ static void step_stream(struct board *b, struct stream *s)
 	watch_stream(b, s);
 }
 
-static int64_t wake_of(const struct stream *s)
+/* The magnetometer and the registers that are read back can wait for the gyro to be read. */
+static int64_t wake_of(const struct board *b, const struct stream *s)
 {
+	int64_t can_wait_ns = b->gyro->state == STREAM_UP ? CAN_WAIT_MS * MS : 0, due_ns;
+
 	if (s->state == STREAM_DOWN)
 		return s->retry_ns;
-	return s->due_ns < s->verify_ns + VERIFY_MS / 2 * MS ? s->due_ns : s->verify_ns + VERIFY_MS / 2 * MS;
+	due_ns = s->due_ns;
+	if (s == b->mag && s->failures == 0 && s->state == STREAM_UP && !sample_clock_learns(&s->clock, s->taken))
+		due_ns += can_wait_ns;
+	return due_ns < s->verify_ns + can_wait_ns ? due_ns : s->verify_ns + can_wait_ns;
 }
 
 static void read_temperature(struct board *b)
@@ -783,13 +815,16 @@ int64_t board_step(struct board *b)
 	for (size_t i = 0; i < b->stream_count; i++)
 		step_stream(b, &b->streams[i]);
 	/* it may wait for a sample of the gyro that has just been read */
-	if (b->accel != b->gyro && b->accel->state != STREAM_DOWN && b->accel->failures == 0)
+	if (b->accel != b->gyro && b->accel->state != STREAM_DOWN && b->accel->failures == 0) {
 		b->accel->due_ns = next_due(b, b->accel);
+		if (b->gyro->state == STREAM_UP && b->gyro->failures == 0 && b->gyro->due_ns > now_ns(b))
+			b->gyro->due_ns = next_due(b, b->gyro);
+	}
 	read_temperature(b);
 	update_health(b);
 	for (size_t i = 0; i < b->stream_count; i++)
-		if (wake_of(&b->streams[i]) < wake_ns)
-			wake_ns = wake_of(&b->streams[i]);
+		if (wake_of(b, &b->streams[i]) < wake_ns)
+			wake_ns = wake_of(b, &b->streams[i]);
 	return wake_ns;
 }
 
@@ -805,11 +840,6 @@ void board_data_ready(struct board *b, int64_t t_ns)
 }
 
 /* ---- samples of the board ---------------------------------------------------------------------------------------- */
-
-static const struct reading *peek(const struct stream *s, size_t i)
-{
-	return &s->readings[(s->first + i) % STREAM_READINGS];
-}
 
 static void drop(struct stream *s)
 {

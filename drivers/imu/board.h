@@ -7,10 +7,10 @@
  * interpolated to its instant. What goes wrong with a chip is found within 100 ms: it does not answer (20 ms), measures
  * nothing (50 ms), stands at the end of its range (60 ms), or its registers are not what was written (each read back in
  * turn, one in about 10 ms of each chip). Equal raw values are a fault (50 ms) once noise cannot be their reason any
- * more: with the settings of IMU_SETTINGS_DEFAULTS after at most 100 ms, but 140 ms of the magnetometer of LSM303DLH, DLM and
- * DLHC, 320 ms of the L3GD20H; of ranges whose digits are coarser than the noise, never. All this by what reads show,
- * not by how long they take, so that a slow machine is no fault. A chip at fault is started anew, after 10 ms, 20 ms, ...
- * 1 s. */
+ * more: with the settings of IMU_SETTINGS_DEFAULTS after at most 100 ms, but 140 ms of the magnetometer of LSM303DLH,
+ * DLM and DLHC, 320 ms of the L3GD20H; of ranges whose digits are coarser than the noise, never. All this by what reads
+ * show, not by how long they take, so that a slow machine is no fault. A chip at fault is started anew, after 10 ms,
+ * 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_BOARD_H
 #define DRIVERS_IMU_BOARD_H
 
@@ -90,7 +90,8 @@ int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 
 /** What `settings` come to on this board. Reads nothing but what detection found: callable beside board_step().
- * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty, and registers may be 2 ms old. 0; -EINVAL: impossible, one line in `error`. */
+ * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty, and registers may be 2 ms old. 0; -EINVAL:
+ * impossible, one line in `error`. */
 int board_plan(const struct board *board, const struct imu_settings *settings, bool stub, bool data_ready,
 	struct board_plan *plan, char *error, size_t error_size);
 

@@ -148,13 +148,22 @@ double sample_clock_at(const struct sample_clock *c, int64_t index)
 	return c->taken_ns + (double)(index - c->newest) * sample_clock_period(c);
 }
 
+static double width_of(const struct sample_clock *c, int64_t index)
+{
+	return c->hi_ns - c->lo_ns + (double)(index - c->newest) * (c->longest_ns - c->shortest_ns);
+}
+
+bool sample_clock_learns(const struct sample_clock *c, int64_t index)
+{
+	return width_of(c, index) > sample_clock_period(c) / 16;
+}
+
 /* In the middle of a wide bracket, to halve it; after the end of a narrow one, to find the sample. */
 double sample_clock_due(const struct sample_clock *c, int64_t index)
 {
-	double n = (double)(index - c->newest), period_ns = sample_clock_period(c);
-	double lo_ns = c->lo_ns + n * c->shortest_ns, hi_ns = c->hi_ns + n * c->longest_ns;
+	double hi_ns = c->hi_ns + (double)(index - c->newest) * c->longest_ns;
 
-	return hi_ns - lo_ns > period_ns / 16 ? (lo_ns + hi_ns) / 2 : hi_ns;
+	return sample_clock_learns(c, index) ? hi_ns - width_of(c, index) / 2 : hi_ns;
 }
 
 bool sample_clock_locked(const struct sample_clock *c)

@@ -39,6 +39,9 @@ double sample_clock_at(const struct sample_clock *clock, int64_t index);
 /** When a read will find sample `index`, or will at least say something about the clock. */
 double sample_clock_due(const struct sample_clock *clock, int64_t index);
 
+/** Whether its bracket will be so wide that a read at sample_clock_due() is needed to narrow it. */
+bool sample_clock_learns(const struct sample_clock *clock, int64_t index);
+
 double sample_clock_period(const struct sample_clock *clock);
 
 /** Whether the bracket is narrower than a sixth of the period. */

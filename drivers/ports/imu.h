@@ -70,8 +70,8 @@ struct imu_ops {
 	 * ones stay. `dry`: only tells. NULL: this sensor has nothing to set. */
 	int (*configure)(
 		struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t error_size);
-	/** Begins a self-test, one or two seconds without samples; port->health tells that it runs, and the result. NULL: there is
-	 * none. */
+	/** Begins a self-test, one or two seconds without samples; port->health tells that it runs, and the result.
+	 * NULL: there is none. */
 	void (*self_test)(struct imu_port *port);
 };
 
