@@ -901,7 +901,7 @@ static void lss_configuration(struct reference *r, const uint8_t *f)
 			break;
 		ref_sdo_stop(r);
 		r->lss.phase = 1;
-		r->lss.delay_us = (f[1] | f[2] << 8) * 1000u;
+		r->lss.delay_us = (unsigned)(f[1] | f[2] << 8) * 1000u;
 		r->lss.phase_end_us = r->now_us + r->lss.delay_us;
 		break;
 	case 0x17:

@@ -55,7 +55,7 @@ struct reference_object {
 enum reference_storage { REF_STORED, REF_STORING, REF_NOT_STORED };
 
 struct reference_transfer {
-	enum {
+	enum reference_transfer_state {
 		REF_IDLE,
 		REF_DOWNLOAD,
 		REF_UPLOAD,

@@ -52,7 +52,7 @@ static void refuse(struct reference *r, struct reference_transfer *t, uint32_t c
 	say(r, t, 0x80, code);
 }
 
-static void expect(struct reference *r, struct reference_transfer *t, int state)
+static void expect(struct reference *r, struct reference_transfer *t, enum reference_transfer_state state)
 {
 	t->state = state;
 	t->timeout_us = r->now_us + PATIENCE_US;
@@ -294,7 +294,7 @@ static void upload_segment(struct reference *r, struct reference_transfer *t)
 {
 	size_t n = t->size - t->done > 7 ? 7 : t->size - t->done;
 	bool last = t->done + n == t->size;
-	uint8_t answer[8] = {(uint8_t)(t->toggle << 4 | (7 - n) << 1 | last)};
+	uint8_t answer[8] = {(uint8_t)((unsigned)t->toggle << 4 | (7 - n) << 1 | last)};
 
 	memcpy(answer + 1, t->data + t->done, n);
 	t->done += n;

@@ -232,7 +232,18 @@ static void test_random_steps_neither_break_nor_jam_the_node(void **state)
 enum { SEQUENCES = 10000, SEQUENCE_STEPS = 150, PLAN_MAX = 256, LONG_DOMAIN = 1000 };
 
 struct random_step {
-	enum { SEND, WAIT, SAMPLE, RAISE, CLEAR, STORAGE, STORE_DONE, LSS_STORED, BUS_OFF, STEP_KINDS } kind;
+	enum random_step_kind {
+		SEND,
+		WAIT,
+		SAMPLE,
+		RAISE,
+		CLEAR,
+		STORAGE,
+		STORE_DONE,
+		LSS_STORED,
+		BUS_OFF,
+		STEP_KINDS
+	} kind;
 	struct can_msg msg;
 	uint32_t a, b;
 };
@@ -870,7 +881,7 @@ static void plan_segmented_download(struct generator *g)
 	plan_sdo(g, id, below(&g->seed, 4) ? 0x21 : 0x20, o->index, o->sub, said);
 	do {
 		size_t n = size - at < 7 ? size - at : 7;
-		uint8_t f[8] = {(uint8_t)(toggle << 4 | (7 - n) << 1 | (at + n == size))};
+		uint8_t f[8] = {(uint8_t)((unsigned)toggle << 4 | (7 - n) << 1 | (at + n == size))};
 
 		memcpy(f + 1, data + at, n);
 		plan_bytes(g, id, f, 8);
@@ -1075,7 +1086,8 @@ static void make_plan(struct generator *g)
 
 static struct random_step any_event(struct generator *g)
 {
-	struct random_step step = {.kind = (int)below(&g->seed, STEP_KINDS), .a = next(&g->seed), .b = next(&g->seed)};
+	struct random_step step = {
+		.kind = (enum random_step_kind)below(&g->seed, STEP_KINDS), .a = next(&g->seed), .b = next(&g->seed)};
 
 	switch ((int)step.kind) {
 	case SEND:
