@@ -95,18 +95,26 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	return c;
 }
 
+static void put_real32(uint8_t wire[sizeof(float)], float value)
+{
+	uint32_t bits;
+
+	memcpy(&bits, &value, sizeof(bits));
+	put_u32(wire, bits);
+}
+
 enum od_status settings_write(struct od *od, uint16_t index, const float *values, uint8_t count)
 {
 	enum od_status status = OD_OK;
+	uint8_t wire[sizeof(float)];
 
-	for (unsigned i = 0; i < 2u * count && status == OD_OK; i++) { /* all are checked before the first is written */
-		uint8_t sub = (uint8_t)(i % count + 1), wire[sizeof(float)];
-		uint32_t bits;
-
-		memcpy(&bits, &values[sub - 1], sizeof(bits));
-		put_u32(wire, bits);
-		status = i < count ? od_check(od_find(od->table, index, sub, NULL), wire, sizeof(wire))
-				   : od_write(od, index, sub, wire, sizeof(wire));
+	for (uint8_t sub = 1; sub <= count && status == OD_OK; sub++) {
+		put_real32(wire, values[sub - 1]);
+		status = od_check(od_find(od->table, index, sub, NULL), wire, sizeof(wire));
+	}
+	for (uint8_t sub = 1; sub <= count && status == OD_OK; sub++) {
+		put_real32(wire, values[sub - 1]);
+		status = od_write(od, index, sub, wire, sizeof(wire));
 	}
 	return status;
 }

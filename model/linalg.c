@@ -54,7 +54,7 @@ int linalg_solve(int n, double *a, double *b)
 
 int linalg_invert(int n, double *a)
 {
-	double l[LINALG_MAX * LINALG_MAX], column[LINALG_MAX];
+	double l[LINALG_MAX * LINALG_MAX] = {0}, column[LINALG_MAX];
 	int result = linalg_cholesky(n, a);
 
 	if (result < 0)

@@ -161,7 +161,7 @@ static void print_identity(const uint32_t identity[NUMBERS])
 
 static int scan(struct lss *lss)
 {
-	uint32_t identity[NUMBERS];
+	uint32_t identity[NUMBERS] = {0};
 	int found = 0;
 
 	switch_all(lss, false);
@@ -208,7 +208,7 @@ static uint32_t node_id_of(const char *text)
 /* A node without a node-ID comes up as soon as it has one. */
 static int assign(struct lss *lss, const char *text, bool keep)
 {
-	uint32_t id = node_id_of(text), identity[NUMBERS];
+	uint32_t id = node_id_of(text), identity[NUMBERS] = {0};
 	struct can_msg msg;
 
 	if (id > NODES_MAX)
@@ -282,7 +282,7 @@ static int keep(struct lss *lss)
 
 static int inquire(struct lss *lss)
 {
-	uint32_t identity[NUMBERS], id = 0;
+	uint32_t identity[NUMBERS] = {0}, id = 0;
 	bool done = select_node(lss);
 
 	if (!done)

@@ -64,7 +64,7 @@ static ssize_t ask(const struct request *r, void *answer)
 /* Of an order: what the kernel says about it. */
 static int order(const struct request *r)
 {
-	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
 	ssize_t size = ask(r, answer);
 
@@ -154,7 +154,7 @@ static void take_link(struct can_link *link, const struct nlmsghdr *header)
 
 int can_link_look(int interface, struct can_link *link)
 {
-	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
 	const struct request r = request_of(RTM_GETLINK, 0, interface);
 	ssize_t size = ask(&r, answer);
