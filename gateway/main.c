@@ -27,7 +27,6 @@ static const char usage[] =
 	"                          sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated]  simulated chips\n"
 	"                          replay:FILE.imu.csv[,loop][,speed=X]               a log\n"
 	"                          i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]                a Pololu IMU 9\n"
-	"                          iio[:DEVICE,...]                                   what the kernel measures\n"
 	"                          iio[:DEVICE,...]                                   the kernel's drivers\n"
 	"                          wt901:/dev/ttyX[,baud=9600][,address=0x50]         a WitMotion WT901C-485\n"
 	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD] or\n"

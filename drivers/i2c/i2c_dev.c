@@ -98,7 +98,7 @@ static const char *advice(int error)
 {
 	return error == ENOENT ? ": is the bus enabled? (i2cdetect -l; on a Raspberry Pi: dtparam=i2c_arm=on; modprobe "
 				 "i2c-dev)"
-	       : error == EACCES ? ": add this user to the group i2c (README, \"Sensors on I2C\")"
+	       : error == EACCES ? ": add this user to the group i2c (README, \"Wiring\")"
 				 : "";
 }
 
