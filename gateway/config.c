@@ -72,9 +72,11 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 		return set_number(&c->bitrate, key, value, 10000, 1000000, error);
 	if (strcmp(key, "realtime") == 0)
 		return set_number(&c->realtime, key, value, 0, 99, error);
+	if (strcmp(key, "serial") == 0)
+		return set_number(&c->serial, key, value, 0, UINT32_MAX, error);
 	snprintf(error, CONFIG_ERROR_MAX,
-		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store, realtime, run_led and error_led are "
-		"known",
+		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store, realtime, serial, run_led and "
+		"error_led are known",
 		key);
 	return -ENOENT;
 }

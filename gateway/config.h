@@ -3,7 +3,7 @@
  * by the device).
  *
  * FILE is INI: a section [gateway] with the process's own keys (imu, can, node_id, bitrate, store,
- * realtime, run_led, error_led), and every object of the dictionary by its EDS name, as `lever_arm.l = 0.05` before any
+ * realtime, serial, run_led, error_led), and every object of the dictionary by its EDS name, as `lever_arm.l = 0.05` before any
  * section or `l = 0.05` in [lever_arm]. Anything unknown is an error that names file:line. */
 #ifndef GATEWAY_CONFIG_H
 #define GATEWAY_CONFIG_H
@@ -23,6 +23,7 @@ struct config {
 	unsigned node_id;					   /* 255: waits for one by LSS */
 	unsigned bitrate;					   /* bit/s; 0: as the interface is */
 	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
+	unsigned serial;					   /* 1018h:4; 0: made of machine, sensor and bus */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

@@ -37,6 +37,7 @@ static const char usage[] =
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
+	"      --serial N        1018h:4, unique among all units   (default: of machine, SRC and BUS)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
@@ -55,6 +56,7 @@ static const struct option options[] = {
 	{"set", required_argument, NULL, OPT_SET},
 	{"store", required_argument, NULL, OPT_KEY},
 	{"realtime", required_argument, NULL, OPT_KEY},
+	{"serial", required_argument, NULL, OPT_KEY},
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"help", no_argument, NULL, OPT_HELP},
@@ -251,18 +253,29 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	return &writer;
 }
 
-/* What tells this unit from others: its sensor, its version, and a serial number that stays that of the machine. */
-static void identify(struct od_values *values, const struct imu_port *imu)
+/* Another one for each gateway on each machine, and the same after each start. */
+static uint32_t serial_number(const struct config *config)
 {
-	char id[64] = "";
-	FILE *f = fopen("/etc/machine-id", "re");
+	char machine[64] = "", unit[2 * CONFIG_TEXT_MAX + 64];
+	FILE *f;
 
+	if (config->serial)
+		return config->serial;
+	f = fopen("/etc/machine-id", "re");
 	if (f) {
-		if (!fgets(id, sizeof(id), f))
-			id[0] = '\0';
+		if (!fgets(machine, sizeof(machine), f))
+			machine[0] = '\0';
 		fclose(f);
 	}
-	values->identity.serial_number = od_crc32(0, id, strlen(id));
+	int size = snprintf(
+		unit, sizeof(unit), "%.*s %s %s", (int)strcspn(machine, "\n"), machine, config->imu, config->can);
+	return od_crc32(0, unit, (size_t)size);
+}
+
+/* What tells this unit from others: its sensor, its version, its serial number. */
+static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
+{
+	values->identity.serial_number = serial_number(config);
 	snprintf(values->manufacturer_hardware_version, sizeof(values->manufacturer_hardware_version), "%.31s",
 		imu->name);
 	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",
@@ -319,7 +332,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	start_bit_rate(config, bus);
 	od_init(&device.od, &imu9_od_table, &device.values, node_id);
 	config_apply(config, &device.od);
-	identify(&device.values, imu);
+	identify(&device.values, config, imu);
 	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, node_id);
 	if (rc == -EINVAL)
 		log_line("the configuration contradicts itself: is a calibration matrix singular, "
