@@ -51,6 +51,15 @@ static bool test_triad(struct board *b, const struct stream *s, size_t i)
 	       within(change.z, t->self_test.least, t->self_test.most);
 }
 
+static const struct chip_range *widest(const struct chip_triad *triad)
+{
+	const struct chip_range *r = triad->ranges;
+
+	while (r[1].full_scale > 0)
+		r++;
+	return r;
+}
+
 /* Through the data registers, without FIFO; afterwards the chip is started anew like after a fault. */
 static void test_stream(struct board *b, struct stream *s)
 {
@@ -63,6 +72,8 @@ static void test_stream(struct board *b, struct stream *s)
 		if (t->self_test.most <= 0)
 			continue;
 		s->setup.fifo = false;
+		if (t->what == IMU_CHIP_GYRO) /* there its limits hold */
+			s->setup.range[i] = widest(t);
 		s->registers = (struct chip_registers){0};
 		s->chip->registers(&s->setup, &s->registers);
 		passed = stream_set_up(b, s) == 0;

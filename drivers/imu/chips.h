@@ -65,7 +65,9 @@ struct chip_triad {
 	int16_t overflow;		 /* word that means "out of range"; 0: the ends of 16 bits do */
 	struct {
 		uint8_t address, mask, on;
-		double least, most; /* change of the output, either sign; most 0: no self-test that has limits */
+		/* change of the output, either sign, of gyros in their widest range; most 0: no self-test that has
+		 * limits */
+		double least, most;
 	} self_test;
 };
 

@@ -41,6 +41,7 @@ static void dso(const struct chip_setup *setup, struct chip_registers *out)
 	chip_put(out, 0x0A, setup->fifo ? 0x06 : 0x00);
 }
 
+/* Limits of the self-test at 2000 deg/s: DS12140, mechanical characteristics; the DS33's are the same. */
 #define LSM6(chip_name, who, fifo_kind, digits_per_degC, put, accel_noise, gyro_noise)                                 \
 	{                                                                                                              \
 		.name = (chip_name), .addresses = {0x6B, 0x6A}, .identity_at = 0x0F, .identity = {who},                \
@@ -50,7 +51,7 @@ static void dso(const struct chip_setup *setup, struct chip_registers *out)
 				   .ranges = GYRO_RANGES,                                                              \
 				   .order = {0, 1, 2},                                                                 \
 				   .density = (gyro_noise)*DPS,                                                        \
-				   .self_test = {0x14, 0x0C, 0x04, 20 * DPS, 700 * DPS}},                              \
+				   .self_test = {0x14, 0x0C, 0x04, 150 * DPS, 700 * DPS}},                             \
 			{.what = IMU_CHIP_ACCEL,                                                                       \
 				.ranges = ACCEL_RANGES,                                                                \
 				.byte = 6,                                                                             \

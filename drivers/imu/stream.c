@@ -156,7 +156,7 @@ static bool sound(const struct stream *s)
 
 static void take(struct board *b, struct stream *s, const uint8_t *set)
 {
-	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->taken++)};
+	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->taken++), .saturated = false};
 
 	for (size_t i = 0; i < s->chip->triad_count; i++)
 		reading.value[i] = stream_decode(s, i, set, &reading.saturated);

@@ -523,6 +523,24 @@ static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
 	}
 }
 
+static void test_a_self_test_passes_whatever_range_is_set(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	settings.gyro_range_deg_s = 125;
+	settings.accel_range_g = 2;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_make(BOARDS[i], "rest", false);
+
+		world_detect(w);
+		world_set_up(w, &settings, true);
+		board_self_test(&w->board);
+		assert_int_equal(w->board.health.self_test & 0x70, 0);
+		world_free(w);
+	}
+}
+
 static void test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -555,6 +573,7 @@ int main(void)
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_taken),
 		cmocka_unit_test(test_the_registers_hold_what_the_data_sheets_say),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
+		cmocka_unit_test(test_a_self_test_passes_whatever_range_is_set),
 		cmocka_unit_test(test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes),
 	};
 
