@@ -4,7 +4,7 @@
 #ifndef GATEWAY_LOG_H
 #define GATEWAY_LOG_H
 
-/** "imu9-gateway: " and the text, in one write. */
+/** "imu9-gateway: " and the text, in one write. Never blocks: the line is lost when its reader stands still. */
 void log_line(const char *format, ...) __attribute__((format(printf, 1, 2)));
 
 #endif

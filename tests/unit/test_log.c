@@ -1,0 +1,72 @@
+/* The lines of the gateway: where they go when nobody takes them. */
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <cmocka.h>
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include "gateway/log.h"
+
+static int stderr_to(int fd)
+{
+	int kept = dup(STDERR_FILENO);
+
+	dup2(fd, STDERR_FILENO);
+	return kept;
+}
+
+static void stderr_back(int kept)
+{
+	dup2(kept, STDERR_FILENO);
+	close(kept);
+}
+
+static void test_a_line_is_written_whole_and_ends_with_a_newline(void **state)
+{
+	char text[100] = "";
+	int ends[2], kept;
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	kept = stderr_to(ends[1]);
+	log_line("node %u", 5u);
+	stderr_back(kept);
+	assert_true(read(ends[0], text, sizeof(text) - 1) > 0);
+	assert_string_equal(text, "imu9-gateway: node 5\n");
+	close(ends[0]);
+	close(ends[1]);
+}
+
+static void test_a_reader_that_stands_still_does_not_stop_the_gateway(void **state)
+{
+	char block[4096] = "";
+	int ends[2], kept;
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	fcntl(ends[1], F_SETFL, O_NONBLOCK);
+	while (write(ends[1], block, sizeof(block)) > 0) {
+	}
+	fcntl(ends[1], F_SETFL, 0);
+	kept = stderr_to(ends[1]);
+	alarm(5); /* the end of a test that blocks */
+	log_line("nobody reads this");
+	alarm(0);
+	stderr_back(kept);
+	close(ends[0]);
+	close(ends[1]);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_line_is_written_whole_and_ends_with_a_newline),
+		cmocka_unit_test(test_a_reader_that_stands_still_does_not_stop_the_gateway),
+	};
+
+	return cmocka_run_group_tests_name("log", tests, NULL, NULL);
+}
