@@ -12,7 +12,7 @@
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
-enum { NS_PER_S = 1000000000 };
+enum { NS_PER_S = 1000000000, HANGS_US = 300000 };
 
 struct i2c_imu {
 	struct imu_thread thread;
@@ -114,6 +114,15 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 	return board_plan(&imu->board, &wanted, imu->config.stub, imu->drdy != NULL, plan, error, error_size);
 }
 
+/* What fails on the bus is told by the thread itself, in time. Silence is a thread that hangs, and no machine that is
+ * slow. */
+static void use_rate(struct imu_port *port, double rate_hz)
+{
+	source_use_rate(port, rate_hz);
+	if (port->silence_us < HANGS_US)
+		port->silence_us = HANGS_US;
+}
+
 static int port_configure(
 	struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t error_size)
 {
@@ -127,7 +136,7 @@ static int port_configure(
 	imu->plan = plan;
 	pthread_mutex_unlock(&imu->plan_lock);
 	atomic_store(&imu->replan, true);
-	source_use_rate(port, plan.rate_hz);
+	use_rate(port, plan.rate_hz);
 	imu_thread_wake(&imu->thread);
 	return 0;
 }
@@ -196,7 +205,7 @@ static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, cha
 	if (result < 0)
 		return result;
 	snprintf(imu->thread.port.name, sizeof imu->thread.port.name, "%.40s %.20s", imu->config.name, imu->board.name);
-	source_use_rate(&imu->thread.port, imu->plan.rate_hz);
+	use_rate(&imu->thread.port, imu->plan.rate_hz);
 	board_apply(&imu->board, &imu->plan);
 	if (settings->self_test)
 		board_self_test(&imu->board);

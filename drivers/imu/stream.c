@@ -156,11 +156,13 @@ static bool sound(const struct stream *s)
 
 static void take(struct board *b, struct stream *s, const uint8_t *set)
 {
-	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->taken++), .saturated = false};
+	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->taken++)};
+	bool saturated = false;
 
 	for (size_t i = 0; i < s->chip->triad_count; i++)
-		reading.value[i] = stream_decode(s, i, set, &reading.saturated);
-	watch_data(s, set, reading.saturated);
+		reading.value[i] = stream_decode(s, i, set, &saturated);
+	reading.saturated = saturated;
+	watch_data(s, set, saturated);
 	s->fresh_ns = b->now_ns;
 	if (s->state == STREAM_STARTING && sound(s)) {
 		s->fault = IMU_FAULT_NONE;
