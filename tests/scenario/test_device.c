@@ -1,186 +1,44 @@
 /* The whole device in simulated time: samples of a simulated robot in, CAN frames out. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <errno.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "gateway/config.h"
-#include "gateway/device.h"
 #include "gateway/publish.h"
 #include "gateway/settings.h"
-#include "model/sensor.h"
+#include "tests/scenario/world.h"
 
-#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
-
-enum { NODE_ID = 16, INTERVAL_US = 10000, FRAMES_MAX = 4096 };
-
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
-	struct sensor sensor;
-	const struct signal *signal;
-	struct can_msg frames[FRAMES_MAX]; /* sent by the device, the last FRAMES_MAX */
-	size_t frame_count;
-	struct store_image disk; /* what the storage holds */
-	int disk_answer;	 /* 0, or an errno of the storage */
-	uint64_t now_us;
-};
-
-/* ---- the world around the device ---------------------------------------------------------------------------------- */
-
-static int take_frame(struct can_port *port, const struct can_msg *msg)
+static struct world *new_world(void)
 {
-	struct world *w = (struct world *)port;
-
-	w->frames[w->frame_count++ % FRAMES_MAX] = *msg;
-	return 0;
-}
-
-static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
-{
-	(void)port, (void)ids, (void)n;
-	return 0;
-}
-
-static int save_to_disk(void *ctx, const uint8_t *bytes, size_t size)
-{
-	struct world *w = ctx;
-
-	if (w->disk_answer < 0)
-		return w->disk_answer;
-	return store_decode(&w->disk, bytes, size);
-}
-
-/* Switches the device on: as main() does, with `settings` for a configuration file. */
-static void power_on(struct world *w, const char *const *settings)
-{
-	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
-	const struct device_storage storage = {.ctx = w, .save = save_to_disk};
 	struct sensor_config sensor = *sensor_preset("ideal");
-	static struct config config;
-	uint8_t node_id = w->disk.lss.node_id ? w->disk.lss.node_id : NODE_ID; /* as main() does */
-	char why[CONFIG_ERROR_MAX];
-
-	w->bus = (struct can_port){.ops = &ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = sensor.rate_hz, .silence_us = 100000};
-	w->signal = signal_find("tumble");
-	sensor.lever_arm_b_m = (struct vec3){0.05, -0.1, 0.2};
-	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
-
-	w->device = (struct device){0};
-	config_init(&config, &imu9_od_table);
-	for (; settings && *settings; settings++)
-		assert_int_equal(config_set(&config, *settings, why), 0);
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
-	config_apply(&config, &w->device.od);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, node_id), 0);
-	device_start(&w->device, false, w->now_us);
-}
-
-static struct world *new_world(const char *const *settings)
-{
 	struct world *w = calloc(1, sizeof(*w));
 
 	assert_non_null(w);
-	power_on(w, settings);
+	sensor.lever_arm_b_m = (struct vec3){0.05, -0.1, 0.2};
+	world_init(w, &sensor, 1, "tumble");
+	world_power_on(w, NULL);
 	return w;
 }
 
 static int set_up(void **state)
 {
-	*state = new_world(NULL);
+	*state = new_world();
 	return 0;
-}
-
-static int tear_down(void **state)
-{
-	free(*state);
-	return 0;
-}
-
-static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
-
-	if (len)
-		memcpy(msg.data, data, len);
-	device_receive(&w->device, &msg, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-static void sample(struct world *w)
-{
-	struct imu_sample s;
-
-	w->now_us += INTERVAL_US;
-	sensor_next(&w->sensor, w->signal, &s, NULL);
-	device_sample(&w->device, 1, &s, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-static void samples(struct world *w, int n)
-{
-	while (n-- > 0)
-		sample(w);
-}
-
-static void nmt(struct world *w, uint8_t command)
-{
-	receive(w, 0x000, 2, (const uint8_t[]){command, NODE_ID});
 }
 
 static void sync(struct world *w)
 {
-	receive(w, 0x080, 0, NULL);
-}
-
-static const struct can_msg *last(const struct world *w, uint32_t id)
-{
-	for (size_t i = w->frame_count; i > 0 && i + FRAMES_MAX > w->frame_count; i--)
-		if (w->frames[(i - 1) % FRAMES_MAX].id == id)
-			return &w->frames[(i - 1) % FRAMES_MAX];
-	return NULL;
-}
-
-/* Expedited download; the abort code, or 0. */
-static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
-{
-	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
-
-	memcpy(request + 4, value, size);
-	receive(w, 0x600 + NODE_ID, 8, request);
-	const struct can_msg *answer = last(w, 0x580 + NODE_ID);
-	assert_non_null(answer);
-	if (answer->data[0] == 0x60)
-		return 0;
-	assert_int_equal(answer->data[0], 0x80);
-	return (uint32_t)answer->data[4] | (uint32_t)answer->data[5] << 8 | (uint32_t)answer->data[6] << 16 |
-	       (uint32_t)answer->data[7] << 24;
+	world_receive(w, 0x080, 0, NULL);
 }
 
 static void write_lever_arm(struct world *w, float l, float s, float t)
 {
-	assert_int_equal(sdo_write(w, 0x2000, 1, &l, 4), 0);
-	assert_int_equal(sdo_write(w, 0x2000, 2, &s, 4), 0);
-	assert_int_equal(sdo_write(w, 0x2000, 3, &t, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2000, 1, &l, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2000, 2, &s, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2000, 3, &t, 4), 0);
 }
 
 static int16_t i16(const uint8_t *p)
 {
 	return (int16_t)(p[0] | p[1] << 8);
-}
-
-static uint16_t emcy_code(const struct world *w)
-{
-	const struct can_msg *m = last(w, 0x080 + NODE_ID);
-
-	return m ? (uint16_t)i16(m->data) : 0xFFFF;
 }
 
 /* ---- samples to PDOs ------------------------------------------------------------------------------------------------ */
@@ -195,13 +53,14 @@ static void test_a_pdo_carries_what_the_pipeline_computes(void **state)
 	struct imu_sample s;
 
 	assert_int_equal(pipeline_init(&pipeline, &settings, 100), 0);
-	nmt(w, 1);
+	world_nmt(w, 1);
 	for (int k = 0; k < 300; k++) {
-		sample(w);
+		world_sample(w);
 		sensor_next(&twin, w->signal, &s, NULL);
 		assert_int_equal(pipeline_step(&pipeline, &s, &out), 0);
 		sync(w);
-		const uint8_t *acceleration = last(w, 0x180 + NODE_ID)->data, *angles = last(w, 0x280 + NODE_ID)->data;
+		const uint8_t *acceleration = world_last(w, 0x180 + WORLD_NODE_ID)->data,
+			      *angles = world_last(w, 0x280 + WORLD_NODE_ID)->data;
 		assert_near(i16(acceleration) * 0.005, out.accel_b_m_s2.x, 0.00251);
 		assert_near(i16(acceleration + 2) * 0.005, out.accel_b_m_s2.y, 0.00251);
 		assert_near(i16(acceleration + 4) * 0.005, out.accel_b_m_s2.z, 0.00251);
@@ -214,24 +73,24 @@ static void test_the_pdos_of_one_sync_carry_one_sample(void **state)
 {
 	struct world *w = *state;
 
-	nmt(w, 1);
-	samples(w, 5);
+	world_nmt(w, 1);
+	world_samples(w, 5);
 	sync(w);
-	sample(w);
-	assert_int_equal(i16(last(w, 0x180 + NODE_ID)->data + 6), 4);
-	assert_int_equal(i16(last(w, 0x280 + NODE_ID)->data + 6), 4);
-	assert_int_equal(i16(last(w, 0x380 + NODE_ID)->data + 6), 4);
-	assert_int_equal(i16(last(w, 0x480 + NODE_ID)->data + 2), 4);
+	world_sample(w);
+	assert_int_equal(i16(world_last(w, 0x180 + WORLD_NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(world_last(w, 0x280 + WORLD_NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(world_last(w, 0x380 + WORLD_NODE_ID)->data + 6), 4);
+	assert_int_equal(i16(world_last(w, 0x480 + WORLD_NODE_ID)->data + 2), 4);
 }
 
 static void test_the_counter_of_the_first_sample_is_zero(void **state)
 {
 	struct world *w = *state;
 
-	nmt(w, 1);
-	sample(w);
+	world_nmt(w, 1);
+	world_sample(w);
 	sync(w);
-	assert_int_equal(i16(last(w, 0x180 + NODE_ID)->data + 6), 0);
+	assert_int_equal(i16(world_last(w, 0x180 + WORLD_NODE_ID)->data + 6), 0);
 }
 
 /* ---- configuration, live -------------------------------------------------------------------------------------------- */
@@ -243,14 +102,14 @@ static struct vec3 real32(float x, float y, float z)
 
 static void test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_rigid_body_physics(void **state)
 {
-	struct world *w = *state, *untouched = new_world(NULL);
+	struct world *w = *state, *untouched = new_world();
 	const struct vec3 r = {0.05, -0.1, 0.2};
 
-	samples(w, 123);
-	samples(untouched, 123);
+	world_samples(w, 123);
+	world_samples(untouched, 123);
 	write_lever_arm(w, (float)r.x, (float)r.y, (float)r.z);
-	samples(w, 1);
-	samples(untouched, 1);
+	world_samples(w, 1);
+	world_samples(untouched, 1);
 
 	const struct od_values *with = &w->device.values, *without = &untouched->device.values;
 	struct vec3 omega = real32(without->angular_rate.l, without->angular_rate.s, without->angular_rate.t);
@@ -268,11 +127,11 @@ static void test_a_write_does_not_touch_the_sample_that_stands(void **state)
 {
 	struct world *w = *state;
 
-	samples(w, 50);
+	world_samples(w, 50);
 	int16_t before = w->device.values.acceleration.l;
 	write_lever_arm(w, 5, 5, 5);
 	assert_int_equal(w->device.values.acceleration.l, before);
-	sample(w);
+	world_sample(w);
 	assert_int_not_equal(w->device.values.acceleration.l, before);
 }
 
@@ -280,20 +139,20 @@ static void test_the_reset_command_zeroes_the_position(void **state)
 {
 	struct world *w = *state;
 
-	samples(w, 400);
+	world_samples(w, 400);
 	assert_true(fabs((double)w->device.values.position_m.x) > 1e-3);
-	assert_int_equal(sdo_write(w, 0x2040, 6, (const uint8_t[]){1}, 1), 0);
-	sample(w);
+	assert_int_equal(world_sdo_write(w, 0x2040, 6, (const uint8_t[]){1}, 1), 0);
+	world_sample(w);
 	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
-	assert_int_equal(sdo_write(w, 0x2040, 6, (const uint8_t[]){2}, 1), 0x06090031);
+	assert_int_equal(world_sdo_write(w, 0x2040, 6, (const uint8_t[]){2}, 1), 0x06090031);
 }
 
 static void test_the_angle_resolution_takes_only_the_steps_of_cia_410(void **state)
 {
 	struct world *w = *state;
 
-	assert_int_equal(sdo_write(w, 0x6000, 0, (const uint8_t[]){100, 0}, 2), 0);
-	assert_int_equal(sdo_write(w, 0x6000, 0, (const uint8_t[]){50, 0}, 2), 0x06090030);
+	assert_int_equal(world_sdo_write(w, 0x6000, 0, (const uint8_t[]){100, 0}, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x6000, 0, (const uint8_t[]){50, 0}, 2), 0x06090030);
 	assert_int_equal(w->device.values.angle_resolution, 100);
 }
 
@@ -302,16 +161,16 @@ static void test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until
 	struct world *w = *state;
 	const float zero = 0, one = 1;
 
-	samples(w, 10);
-	assert_int_equal(sdo_write(w, 0x2051, 4, &zero, 4), 0); /* xx of the accelerometer */
-	sample(w);
-	assert_int_equal(emcy_code(w), EMCY_CONFIGURATION);
+	world_samples(w, 10);
+	assert_int_equal(world_sdo_write(w, 0x2051, 4, &zero, 4), 0); /* xx of the accelerometer */
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), EMCY_CONFIGURATION);
 	assert_true(fabs((double)w->device.values.specific_force.l) + fabs((double)w->device.values.specific_force.s) +
 			    fabs((double)w->device.values.specific_force.t) >
 		    5);
-	assert_int_equal(sdo_write(w, 0x2051, 4, &one, 4), 0);
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(world_sdo_write(w, 0x2051, 4, &one, 4), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 }
 
 static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not(void **state)
@@ -319,14 +178,14 @@ static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_n
 	struct world *w = *state;
 	const float limit = 1e-6f, none = 0;
 
-	samples(w, 200);
-	assert_int_equal(sdo_write(w, 0x2040, 9, &limit, 4), 0);
-	samples(w, 10);
-	assert_int_equal(emcy_code(w), EMCY_POSITION_UNSURE);
+	world_samples(w, 200);
+	assert_int_equal(world_sdo_write(w, 0x2040, 9, &limit, 4), 0);
+	world_samples(w, 10);
+	assert_int_equal(world_emcy_code(w), EMCY_POSITION_UNSURE);
 	assert_true(w->device.values.sample.status & PIPELINE_UNSURE);
-	assert_int_equal(sdo_write(w, 0x2040, 9, &none, 4), 0);
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(world_sdo_write(w, 0x2040, 9, &none, 4), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 	assert_false(w->device.values.sample.status & PIPELINE_UNSURE);
 }
 
@@ -335,13 +194,13 @@ static void test_a_slope_beyond_2119h_raises_5010h_until_it_is_not(void **state)
 	struct world *w = *state;
 	const float range = 0.01f, none = 0;
 
-	samples(w, 200);
-	assert_int_equal(sdo_write(w, 0x2119, 1, &range, 4), 0);
-	samples(w, 10);
-	assert_int_equal(emcy_code(w), EMCY_SLOPE_LONG);
-	assert_int_equal(sdo_write(w, 0x2119, 1, &none, 4), 0);
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	world_samples(w, 200);
+	assert_int_equal(world_sdo_write(w, 0x2119, 1, &range, 4), 0);
+	world_samples(w, 10);
+	assert_int_equal(world_emcy_code(w), EMCY_SLOPE_LONG);
+	assert_int_equal(world_sdo_write(w, 0x2119, 1, &none, 4), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 }
 
 static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(void **state)
@@ -349,11 +208,11 @@ static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(v
 	struct world *w = *state;
 	const float zero = 0;
 
-	assert_int_equal(sdo_write(w, 0x2051, 4, &zero, 4), 0);
-	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
-	power_on(w, NULL);
-	sample(w);
-	assert_int_equal(emcy_code(w), EMCY_CONFIGURATION);
+	assert_int_equal(world_sdo_write(w, 0x2051, 4, &zero, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1010, 1, "save", 4), 0);
+	world_power_on(w, NULL);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), EMCY_CONFIGURATION);
 	assert_int_equal(w->device.values.sample.status & PIPELINE_VALID, PIPELINE_VALID);
 }
 
@@ -361,7 +220,7 @@ static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(v
 
 static uint32_t store_all(struct world *w)
 {
-	return sdo_write(w, 0x1010, 1, "save", 4);
+	return world_sdo_write(w, 0x1010, 1, "save", 4);
 }
 
 static void test_stored_values_survive_a_power_cycle(void **state)
@@ -370,10 +229,10 @@ static void test_stored_values_survive_a_power_cycle(void **state)
 	const uint16_t heartbeat = 250;
 
 	write_lever_arm(w, 0.5f, 0, 0);
-	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
 	assert_int_equal(store_all(w), 0);
 	write_lever_arm(w, 0.7f, 0, 0); /* not stored */
-	power_on(w, NULL);
+	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 0.5, 1e-7);
 	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
 }
@@ -383,10 +242,10 @@ static void test_stored_values_win_over_the_file_and_the_file_over_the_defaults(
 	static const char *const file[] = {"lever_arm.l=1", "lever_arm.s=2", NULL};
 	struct world *w = *state;
 
-	power_on(w, file);
+	world_power_on(w, file);
 	write_lever_arm(w, 3, 2, 0);
 	assert_int_equal(store_all(w), 0);
-	power_on(w, file);
+	world_power_on(w, file);
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
 	assert_near(w->device.values.lever_arm.s, 2, 1e-7);
 	assert_near(w->device.values.lever_arm.t, 0, 1e-7);
@@ -397,10 +256,10 @@ static void test_a_stored_default_wins_over_the_file_too(void **state)
 	static const char *const file[] = {"lever_arm.l=1", NULL};
 	struct world *w = *state;
 
-	power_on(w, file);
+	world_power_on(w, file);
 	write_lever_arm(w, 0, 0, 0);
 	assert_int_equal(store_all(w), 0);
-	power_on(w, file);
+	world_power_on(w, file);
 	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
 }
 
@@ -410,11 +269,11 @@ static void test_restore_brings_back_what_was_there_before_storing_at_the_next_r
 
 	write_lever_arm(w, 3, 0, 0);
 	assert_int_equal(store_all(w), 0);
-	assert_int_equal(sdo_write(w, 0x1011, 1, "load", 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1011, 1, "load", 4), 0);
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
-	nmt(w, 129);
+	world_nmt(w, 129);
 	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
-	power_on(w, NULL);
+	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
 }
 
@@ -424,9 +283,9 @@ static void test_a_group_is_stored_alone(void **state)
 	const uint16_t heartbeat = 250;
 
 	write_lever_arm(w, 3, 0, 0);
-	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
-	assert_int_equal(sdo_write(w, 0x1010, 2, "save", 4), 0);
-	power_on(w, NULL);
+	assert_int_equal(world_sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x1010, 2, "save", 4), 0);
+	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
 	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
 }
@@ -436,21 +295,21 @@ static void test_a_preset_of_the_inclinometer_survives_a_power_cycle(void **stat
 	struct world *w = *state;
 	const int16_t preset = 1000;
 
-	samples(w, 50);
-	assert_int_equal(sdo_write(w, 0x6011, 0, (const uint8_t[]){2}, 1), 0); /* offsets on */
-	assert_int_equal(sdo_write(w, 0x6012, 0, &preset, 2), 0);
+	world_samples(w, 50);
+	assert_int_equal(world_sdo_write(w, 0x6011, 0, (const uint8_t[]){2}, 1), 0); /* offsets on */
+	assert_int_equal(world_sdo_write(w, 0x6012, 0, &preset, 2), 0);
 	int16_t offset = w->device.values.slope_long16_offset;
 	assert_int_not_equal(offset, 0);
 	assert_int_equal(store_all(w), 0);
-	power_on(w, NULL);
+	world_power_on(w, NULL);
 	assert_int_equal(w->device.values.slope_long16_offset, offset);
 }
 
 static void lss_give_node_id(struct world *w, uint8_t node_id)
 {
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* configuration */
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* configuration */
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
 }
 
 static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones(void **state)
@@ -458,11 +317,11 @@ static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_
 	struct world *w = *state;
 
 	lss_give_node_id(w, 5);
-	nmt(w, 130);
+	world_nmt(w, 130);
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
-	receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
-	assert_int_equal(last(w, 0x585)->data[0], 0x60);
-	power_on(w, NULL); /* with node-ID 16: LSS has not stored the other */
+	world_receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	assert_int_equal(world_last(w, 0x585)->data[0], 0x60);
+	world_power_on(w, NULL); /* with node-ID 16: LSS has not stored the other */
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x190);
 }
 
@@ -471,24 +330,24 @@ static void test_cob_ids_follow_a_node_id_that_lss_took_away_and_gave_anew(void 
 	struct world *w = *state;
 
 	lss_give_node_id(w, 5);
-	nmt(w, 130);
+	world_nmt(w, 130);
 	lss_give_node_id(w, 255);
-	receive(w, 0x000, 2, (const uint8_t[]){130, 5});
+	world_receive(w, 0x000, 2, (const uint8_t[]){130, 5});
 	lss_give_node_id(w, 7);
-	assert_non_null(last(w, 0x707));
+	assert_non_null(world_last(w, 0x707));
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x187);
 }
 
 static void lss_store_node_id(struct world *w, uint8_t node_id)
 {
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1});
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x17});
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 1});
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x11, node_id});
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x17});
 }
 
 static void assert_lss_stored(const struct world *w, uint8_t error)
 {
-	const struct can_msg *answer = last(w, 0x7E4);
+	const struct can_msg *answer = world_last(w, 0x7E4);
 
 	assert_non_null(answer);
 	assert_int_equal(answer->data[0], 0x17);
@@ -501,8 +360,8 @@ static void test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_ident
 
 	lss_store_node_id(w, 5);
 	assert_lss_stored(w, 0);
-	power_on(w, NULL);
-	assert_non_null(last(w, 0x705));
+	world_power_on(w, NULL);
+	assert_non_null(world_last(w, 0x705));
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
 }
 
@@ -511,12 +370,12 @@ static void test_a_node_that_lss_stored_as_unconfigured_is_silent_after_a_power_
 	struct world *w = *state;
 
 	lss_store_node_id(w, 255);
-	power_on(w, NULL);
+	world_power_on(w, NULL);
 	w->frame_count = 0;
-	samples(w, 100);
+	world_samples(w, 100);
 	assert_int_equal(w->frame_count, 0);
-	receive(w, 0x7E5, 8, (const uint8_t[8]){0x4C});
-	assert_int_equal(last(w, 0x7E4)->data[0], 0x50);
+	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x4C});
+	assert_int_equal(world_last(w, 0x7E4)->data[0], 0x50);
 }
 
 static void test_restoring_the_defaults_keeps_what_lss_stored(void **state)
@@ -524,7 +383,7 @@ static void test_restoring_the_defaults_keeps_what_lss_stored(void **state)
 	struct world *w = *state;
 
 	lss_store_node_id(w, 5);
-	assert_int_equal(sdo_write(w, 0x1011, 1, "load", 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1011, 1, "load", 4), 0);
 	assert_int_equal(w->disk.lss.node_id, 5);
 }
 
@@ -533,12 +392,12 @@ static void test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round(
 	struct world *w = *state;
 
 	write_lever_arm(w, 1, 2, 3);
-	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1010, 1, "save", 4), 0);
 	lss_store_node_id(w, 5);
-	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
-	power_on(w, NULL);
+	assert_int_equal(world_sdo_write(w, 0x1010, 1, "save", 4), 0);
+	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 1, 0);
-	assert_non_null(last(w, 0x705));
+	assert_non_null(world_last(w, 0x705));
 }
 
 static void test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before(void **state)
@@ -547,8 +406,8 @@ static void test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before(void
 
 	w->disk_answer = -EINPROGRESS;
 	lss_store_node_id(w, 5);
-	samples(w, 100);
-	assert_int_equal(last(w, 0x7E4)->data[0], 0x11);
+	world_samples(w, 100);
+	assert_int_equal(world_last(w, 0x7E4)->data[0], 0x11);
 	device_saved(&w->device, 0, w->now_us);
 	assert_lss_stored(w, 0);
 }
@@ -560,8 +419,8 @@ static void test_lss_is_told_that_the_disk_failed(void **state)
 	w->disk_answer = -EIO;
 	lss_store_node_id(w, 5);
 	assert_lss_stored(w, 2);
-	power_on(w, NULL);
-	assert_non_null(last(w, 0x700 + NODE_ID));
+	world_power_on(w, NULL);
+	assert_non_null(world_last(w, 0x700 + WORLD_NODE_ID));
 }
 
 static void test_lss_does_not_store_while_1010h_does(void **state)
@@ -569,21 +428,21 @@ static void test_lss_does_not_store_while_1010h_does(void **state)
 	struct world *w = *state;
 
 	w->disk_answer = -EINPROGRESS;
-	receive(w, 0x600 + NODE_ID, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	world_receive(w, 0x600 + WORLD_NODE_ID, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
 	lss_store_node_id(w, 5);
 	assert_lss_stored(w, 2);
 	device_saved(&w->device, 0, w->now_us);
-	assert_int_equal(last(w, 0x580 + NODE_ID)->data[0], 0x60);
+	assert_int_equal(world_last(w, 0x580 + WORLD_NODE_ID)->data[0], 0x60);
 }
 
 static void test_the_status_says_that_the_time_of_a_sample_is_utc(void **state)
 {
 	struct world *w = *state;
 
-	sample(w);
+	world_sample(w);
 	assert_int_equal(w->device.values.sample.status & 1 << 13, 0);
 	device_host_clock(&w->device, true, INT64_C(1795953600000000));
-	sample(w);
+	world_sample(w);
 	assert_int_equal(w->device.values.sample.status & 1 << 13, 1 << 13);
 	assert_int_equal(w->device.values.utc.day, 15673);
 }
@@ -597,7 +456,7 @@ static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_s
 	write_lever_arm(w, 4, 0, 0);
 	w->disk_answer = -ENOSPC;
 	assert_int_equal(store_all(w), 0x08000020);
-	power_on(w, NULL);
+	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
 }
 
@@ -608,12 +467,12 @@ static void test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on(void *
 
 	w->disk_answer = -EINPROGRESS;
 	size_t sent = w->frame_count;
-	receive(w, 0x600 + NODE_ID, 8, request);
-	samples(w, 20);
+	world_receive(w, 0x600 + WORLD_NODE_ID, 8, request);
+	world_samples(w, 20);
 	for (size_t i = sent; i < w->frame_count; i++)
-		assert_int_not_equal(w->frames[i % FRAMES_MAX].id, 0x580 + NODE_ID);
+		assert_int_not_equal(w->frames[i % WORLD_FRAMES].id, 0x580 + WORLD_NODE_ID);
 	device_saved(&w->device, 0, w->now_us);
-	assert_int_equal(last(w, 0x580 + NODE_ID)->data[0], 0x60);
+	assert_int_equal(world_last(w, 0x580 + WORLD_NODE_ID)->data[0], 0x60);
 }
 
 static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
@@ -622,7 +481,7 @@ static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
 	const uint8_t request[8] = {0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'};
 
 	w->disk_answer = -EINPROGRESS;
-	receive(w, 0x600 + NODE_ID, 8, request);
+	world_receive(w, 0x600 + WORLD_NODE_ID, 8, request);
 	assert_int_equal(store_all(w), 0x08000022);
 	device_saved(&w->device, 0, w->now_us);
 	w->disk_answer = 0;
@@ -635,8 +494,8 @@ static void test_reset_communication_leaves_the_application_alone(void **state)
 	const uint16_t heartbeat = 250;
 
 	write_lever_arm(w, 3, 0, 0);
-	assert_int_equal(sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
-	nmt(w, 130);
+	assert_int_equal(world_sdo_write(w, 0x1017, 0, &heartbeat, 2), 0);
+	world_nmt(w, 130);
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
 	assert_int_equal(w->device.values.producer_heartbeat_time, 1000);
 }
@@ -647,29 +506,29 @@ static void test_reset_communication_brings_back_what_was_stored_and_not_the_def
 	const uint16_t stored = 250, later = 50;
 	const uint32_t cob_id = 0x1A1, invalid = 0x80000000u | 0x1A1;
 
-	assert_int_equal(sdo_write(w, 0x1017, 0, &stored, 2), 0);
-	assert_int_equal(sdo_write(w, 0x1800, 1, &invalid, 4), 0);
-	assert_int_equal(sdo_write(w, 0x1800, 1, &cob_id, 4), 0);
-	assert_int_equal(sdo_write(w, 0x1010, 2, "save", 4), 0);
-	assert_int_equal(sdo_write(w, 0x1017, 0, &later, 2), 0);
-	assert_int_equal(sdo_write(w, 0x1800, 1, &invalid, 4), 0);
-	nmt(w, 130);
+	assert_int_equal(world_sdo_write(w, 0x1017, 0, &stored, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &invalid, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &cob_id, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1010, 2, "save", 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1017, 0, &later, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &invalid, 4), 0);
+	world_nmt(w, 130);
 	assert_int_equal(w->device.values.producer_heartbeat_time, stored);
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id, cob_id);
-	nmt(w, 1);
+	world_nmt(w, 1);
 	sync(w);
-	assert_non_null(last(w, cob_id));
-	assert_null(last(w, 0x180 + NODE_ID));
+	assert_non_null(world_last(w, cob_id));
+	assert_null(world_last(w, 0x180 + WORLD_NODE_ID));
 }
 
 static void test_reset_node_starts_the_application_anew(void **state)
 {
 	struct world *w = *state;
 
-	samples(w, 400);
+	world_samples(w, 400);
 	assert_true(fabs((double)w->device.values.position_m.x) > 1e-3);
-	nmt(w, 129);
-	sample(w);
+	world_nmt(w, 129);
+	world_sample(w);
 	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
 }
 
@@ -679,16 +538,16 @@ static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_
 {
 	struct world *w = *state;
 
-	samples(w, 10);
+	world_samples(w, 10);
 	uint64_t deadline = device_tick(&w->device, w->now_us);
 	assert_true(deadline <= w->now_us + 100000);
 	w->now_us += 100000;
 	device_tick(&w->device, w->now_us);
-	assert_int_equal(emcy_code(w), EMCY_SENSOR_LOST);
+	assert_int_equal(world_emcy_code(w), EMCY_SENSOR_LOST);
 	assert_int_equal(w->device.values.error_register, 0x81);
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), STATUS_SENSOR_LOST);
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 	assert_int_equal(w->device.values.error_register, 0);
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), PIPELINE_VALID);
 }
@@ -697,9 +556,9 @@ static void test_a_source_that_ends_raises_5030h_at_once(void **state)
 {
 	struct world *w = *state;
 
-	samples(w, 10);
+	world_samples(w, 10);
 	device_sample(&w->device, -ENODATA, NULL, w->now_us);
-	assert_int_equal(emcy_code(w), EMCY_SENSOR_LOST);
+	assert_int_equal(world_emcy_code(w), EMCY_SENSOR_LOST);
 }
 
 static void test_error_passive_raises_8120h_and_lost_frames_8110h(void **state)
@@ -707,17 +566,17 @@ static void test_error_passive_raises_8120h_and_lost_frames_8110h(void **state)
 	struct world *w = *state;
 
 	w->bus.state = CAN_STATE_PASSIVE;
-	sample(w);
-	assert_int_equal(emcy_code(w), EMCY_ERROR_PASSIVE);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), EMCY_ERROR_PASSIVE);
 	w->bus.state = CAN_STATE_ACTIVE;
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 	w->bus.counters.tx_dropped += 3;
-	sample(w);
-	assert_int_equal(emcy_code(w), EMCY_CAN_OVERRUN);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), EMCY_CAN_OVERRUN);
 	assert_int_equal(w->device.values.bus_counters.tx_dropped, 3);
-	samples(w, 102); /* a second without another loss */
-	assert_int_equal(emcy_code(w), 0);
+	world_samples(w, 102); /* a second without another loss */
+	assert_int_equal(world_emcy_code(w), 0);
 }
 
 static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
@@ -726,13 +585,13 @@ static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
 	bool reported = false;
 
 	w->bus.state = CAN_STATE_BUS_OFF;
-	sample(w);
+	world_sample(w);
 	size_t from = w->frame_count;
 	w->bus.state = CAN_STATE_ACTIVE;
-	sample(w);
+	world_sample(w);
 	for (size_t i = from; i < w->frame_count; i++)
-		reported |= w->frames[i % FRAMES_MAX].id == 0x080 + NODE_ID &&
-			    i16(w->frames[i % FRAMES_MAX].data) == (int16_t)EMCY_BUS_OFF_OVER;
+		reported |= w->frames[i % WORLD_FRAMES].id == 0x080 + WORLD_NODE_ID &&
+			    i16(w->frames[i % WORLD_FRAMES].data) == (int16_t)EMCY_BUS_OFF_OVER;
 	assert_true(reported);
 }
 
@@ -740,9 +599,9 @@ static void test_bus_off_ends_operational(void **state)
 {
 	struct world *w = *state;
 
-	nmt(w, 1);
+	world_nmt(w, 1);
 	w->bus.state = CAN_STATE_BUS_OFF;
-	sample(w);
+	world_sample(w);
 	assert_int_equal(canopen_nmt_state(&w->device.canopen), NMT_PRE_OPERATIONAL);
 }
 
@@ -750,18 +609,18 @@ static void test_an_hour_of_syncs_gets_every_pdo(void **state)
 {
 	struct world *w = *state;
 
-	nmt(w, 1);
+	world_nmt(w, 1);
 	size_t before = w->frame_count;
 	for (int k = 0; k < 360000; k++) {
-		sample(w);
+		world_sample(w);
 		sync(w);
 	}
 	/* four PDOs a SYNC, and a heartbeat a second */
 	assert_int_equal(w->frame_count - before, 4 * 360000 + 3600);
-	assert_int_equal((uint16_t)i16(last(w, 0x180 + NODE_ID)->data + 6), (360000 - 1) % 65536);
+	assert_int_equal((uint16_t)i16(world_last(w, 0x180 + WORLD_NODE_ID)->data + 6), (360000 - 1) % 65536);
 }
 
-#define TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
+#define TEST(f) cmocka_unit_test_setup_teardown(f, set_up, world_tear_down)
 
 int main(void)
 {
