@@ -13,7 +13,7 @@ uint16_t reference_crc(const uint8_t *data, size_t size)
 	unsigned crc = 0;
 
 	for (size_t i = 0; i < size * 8; i++) {
-		unsigned bit = data[i / 8] >> (7 - i % 8) & 1u;
+		unsigned bit = (unsigned)data[i / 8] >> (7 - i % 8) & 1u;
 
 		crc = (crc << 1) ^ ((crc >> 15 ^ bit) & 1u ? 0x1021u : 0);
 	}
