@@ -1,154 +1,46 @@
 /* What other devices tell this one (2070h to 2073h) and TPDOs on change (2118h), through the whole device in simulated
  * time; in the end with recorded trials and their optical reference. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "gateway/device.h"
 #include "gateway/status.h"
 #include "gateway/threshold.h"
 #include "model/rotation.h"
-#include "model/sensor.h"
+#include "tests/scenario/world.h"
 
-#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
-#define RAD_PER_DEG		     (3.14159265358979323846 / 180)
-
-enum { NODE_ID = 16, INTERVAL_US = 10000 };
-
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
-	struct sensor sensor;
-	const struct signal *signal;
-	struct can_msg sdo_answer, emcy, tpdo1; /* the last of each */
-	unsigned tpdo1_count;
-	uint64_t now_us;
-};
-
-/* ---- the world around the device --------------------------------------------------------------------------------- */
-
-static int take_frame(struct can_port *port, const struct can_msg *msg)
-{
-	struct world *w = (struct world *)port;
-
-	if (msg->id == 0x580 + NODE_ID)
-		w->sdo_answer = *msg;
-	if (msg->id == 0x080 + NODE_ID)
-		w->emcy = *msg;
-	if (msg->id == 0x180 + NODE_ID) {
-		w->tpdo1 = *msg;
-		w->tpdo1_count++;
-	}
-	return 0;
-}
-
-static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
-{
-	(void)port, (void)ids, (void)n;
-	return 0;
-}
-
-static void receive(struct world *w, uint32_t id, size_t len, const void *data)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
-
-	memcpy(msg.data, data, len);
-	device_receive(&w->device, &msg, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-static void nmt(struct world *w, uint8_t command)
-{
-	receive(w, 0x000, 2, (const uint8_t[]){command, NODE_ID});
-}
+#define RAD_PER_DEG (3.14159265358979323846 / 180)
 
 static struct world *new_world(const char *signal)
 {
-	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
-	struct world *w = calloc(1, sizeof(*w));
-	struct sensor_config sensor = *sensor_preset("ideal");
+	struct world *w = world_new(sensor_preset("ideal"), 1, signal);
 
-	assert_non_null(w);
-	w->bus = (struct can_port){.ops = &ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = 100, .silence_us = 100000};
-	w->signal = signal_find(signal);
-	assert_non_null(w->signal);
-	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
-	device_start(&w->device, false, w->now_us);
-	nmt(w, 1);
+	world_nmt(w, 1);
 	return w;
-}
-
-static void sample(struct world *w)
-{
-	struct imu_sample s;
-
-	w->now_us += INTERVAL_US;
-	sensor_next(&w->sensor, w->signal, &s, NULL);
-	device_sample(&w->device, 1, &s, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-static void samples(struct world *w, int n)
-{
-	while (n-- > 0)
-		sample(w);
 }
 
 static int set_up(void **state)
 {
-	struct world *w = new_world("tumble");
-
-	samples(w, 100);
-	*state = w;
+	*state = new_world("tumble");
+	world_samples(*state, 100);
 	return 0;
 }
 
 static int set_up_at_rest(void **state)
 {
 	*state = new_world("rest");
-	samples(*state, 100);
+	world_samples(*state, 100);
 	return 0;
-}
-
-static int tear_down(void **state)
-{
-	free(*state);
-	return 0;
-}
-
-/* Expedited download; the abort code, or 0. */
-static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
-{
-	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
-	const uint8_t *answer = w->sdo_answer.data;
-
-	memcpy(request + 4, value, size);
-	receive(w, 0x600 + NODE_ID, 8, request);
-	if (answer[0] == 0x60)
-		return 0;
-	assert_int_equal(answer[0], 0x80);
-	return (uint32_t)answer[4] | (uint32_t)answer[5] << 8 | (uint32_t)answer[6] << 16 | (uint32_t)answer[7] << 24;
 }
 
 static uint32_t write_real(struct world *w, uint16_t index, uint8_t sub, float value)
 {
-	return sdo_write(w, index, sub, &value, 4);
+	return world_sdo_write(w, index, sub, &value, 4);
 }
 
 static uint32_t write_u8(struct world *w, uint16_t index, uint8_t sub, uint8_t value)
 {
-	return sdo_write(w, index, sub, &value, 1);
+	return world_sdo_write(w, index, sub, &value, 1);
 }
 
 static void put_16(uint8_t *wire, double value, double lsb)
@@ -168,7 +60,7 @@ static void tell_velocity(struct world *w, double x, double y, double z, double 
 	put_16(data + 2, y, 0.001);
 	put_16(data + 4, z, 0.001);
 	put_16(data + 6, sigma, 0.001);
-	receive(w, 0x200 + NODE_ID, 8, data);
+	world_receive(w, 0x200 + WORLD_NODE_ID, 8, data);
 }
 
 /* RPDO2 */
@@ -176,7 +68,7 @@ static void tell_yaw(struct world *w, double yaw_deg, double sigma_deg)
 {
 	float values[2] = {(float)yaw_deg, (float)sigma_deg};
 
-	receive(w, 0x300 + NODE_ID, 8, values);
+	world_receive(w, 0x300 + WORLD_NODE_ID, 8, values);
 }
 
 /* RPDO3 */
@@ -188,13 +80,13 @@ static void tell_attitude(struct world *w, double roll, double pitch, double yaw
 	put_16(data + 2, pitch, 0.01);
 	put_16(data + 4, yaw, 0.01);
 	data[6] = command;
-	receive(w, 0x400 + NODE_ID, 7, data);
+	world_receive(w, 0x400 + WORLD_NODE_ID, 7, data);
 }
 
 /* RPDO4 */
 static void tell_commands(struct world *w, uint8_t commands)
 {
-	receive(w, 0x500 + NODE_ID, 2, (const uint8_t[]){commands, 0});
+	world_receive(w, 0x500 + WORLD_NODE_ID, 2, (const uint8_t[]){commands, 0});
 }
 
 static bool in_use(const struct world *w)
@@ -226,7 +118,7 @@ static void test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample(void
 	struct world *w = *state;
 
 	tell_velocity(w, 3, -2, 1, 0.001);
-	sample(w);
+	world_sample(w);
 	assert_velocity(w, 3, -2, 1);
 }
 
@@ -237,11 +129,11 @@ static void test_a_velocity_by_sdo_is_used_when_its_sigma_is_written(void **stat
 	assert_int_equal(write_real(w, 0x2070, 1, 3), 0);
 	assert_int_equal(write_real(w, 0x2070, 2, -2), 0);
 	assert_int_equal(write_real(w, 0x2070, 3, 1), 0);
-	sample(w);
+	world_sample(w);
 	assert_true(vec3_norm(velocity(w)) < 2);
 	assert_false(in_use(w));
 	assert_int_equal(write_real(w, 0x2070, 4, 0.001f), 0);
-	sample(w);
+	world_sample(w);
 	assert_velocity(w, 3, -2, 1);
 	assert_true(in_use(w));
 }
@@ -251,13 +143,13 @@ static void test_a_component_alone_is_not_used(void **state)
 	struct world *w = *state;
 
 	assert_int_equal(write_real(w, 0x2070, 4, 0.1f), 0);
-	samples(w, 101);
+	world_samples(w, 101);
 	assert_false(in_use(w));
 	for (uint8_t sub = 5; sub <= 7; sub++)
-		assert_int_equal(sdo_write(w, 0x2070, sub, &(int16_t){1}, 2), 0);
+		assert_int_equal(world_sdo_write(w, 0x2070, sub, &(int16_t){1}, 2), 0);
 	assert_int_equal(write_u8(w, 0x2070, 9, 0), 0);
 	assert_int_equal(write_real(w, 0x2071, 1, 1), 0);
-	sample(w);
+	world_sample(w);
 	assert_false(in_use(w));
 }
 
@@ -265,10 +157,10 @@ static void test_a_sigma_of_zero_says_that_nothing_was_measured(void **state)
 {
 	struct world *w = *state, *twin = new_world("tumble");
 
-	samples(twin, 100);
+	world_samples(twin, 100);
 	tell_velocity(w, 3, -2, 1, 0);
-	sample(w);
-	sample(twin);
+	world_sample(w);
+	world_sample(twin);
 	assert_memory_equal(
 		&w->device.values.velocity, &twin->device.values.velocity, sizeof(w->device.values.velocity));
 	assert_false(in_use(w));
@@ -285,7 +177,7 @@ static void test_a_velocity_in_the_object_frame_is_turned_into_the_global_one(vo
 
 	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
 	tell_velocity(w, 3, 0, 0, 0.001);
-	sample(w);
+	world_sample(w);
 	assert_true(fabs(global.x - 3) > 0.1); /* it makes a difference here */
 	assert_velocity(w, global.x, global.y, global.z);
 }
@@ -295,7 +187,7 @@ static void test_before_there_is_an_attitude_an_aid_is_not_used(void **state)
 	struct world *w = new_world("tumble");
 
 	tell_velocity(w, 3, -2, 1, 0.001);
-	sample(w);
+	world_sample(w);
 	assert_false(in_use(w));
 	assert_true(vec3_norm(velocity(w)) < 1);
 	free(w);
@@ -334,12 +226,12 @@ static void test_a_yaw_by_rpdo_pulls_the_heading_there(void **state)
 	const float *yaw = &w->device.values.angles_deg.yaw;
 	double goal;
 
-	samples(free_run, 100);
+	world_samples(free_run, 100);
 	for (int i = 0; i < 200; i++) {
-		sample(free_run);
+		world_sample(free_run);
 		goal = (double)free_run->device.values.angles_deg.yaw + 40;
 		tell_yaw(w, turn_deg(goal, 0), 0.01);
-		sample(w);
+		world_sample(w);
 	}
 	assert_near(turn_deg((double)*yaw, goal), 0, 2);
 	assert_true(in_use(w));
@@ -350,10 +242,10 @@ static void test_a_yaw_with_a_sigma_of_zero_changes_nothing(void **state)
 {
 	struct world *w = *state, *twin = new_world("tumble");
 
-	samples(twin, 100);
+	world_samples(twin, 100);
 	tell_yaw(w, 90, 0);
-	sample(w);
-	sample(twin);
+	world_sample(w);
+	world_sample(twin);
 	assert_memory_equal(
 		&w->device.values.quaternion, &twin->device.values.quaternion, sizeof(w->device.values.quaternion));
 	assert_false(in_use(w));
@@ -373,7 +265,7 @@ static void test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old
 	assert_int_equal(write_real(w, 0x2071, 2, -1), 0x06090032);
 	assert_int_equal(write_real(w, 0x2071, 1, 361), 0x06090031);
 	assert_int_equal(write_u8(w, 0x2072, 7, 2), 0x06090031);
-	assert_int_equal(sdo_write(w, 0x2073, 0, &(uint16_t){8}, 2), 0x06090031);
+	assert_int_equal(world_sdo_write(w, 0x2073, 0, &(uint16_t){8}, 2), 0x06090031);
 	assert_true(w->device.values.velocity_aid.x == 0);
 	assert_true(w->device.values.velocity_aid.sigma == 0);
 }
@@ -383,11 +275,12 @@ static void test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that
 	struct world *w = *state;
 
 	tell_yaw(w, NAN, 1);
-	assert_memory_equal(w->emcy.data, ((const uint8_t[]){0x00, 0x82, 0x11, 0x01, 0x14, 0x71, 0x20, 0x01}), 8);
-	sample(w);
+	assert_memory_equal(world_last(w, 0x080 + WORLD_NODE_ID)->data,
+		((const uint8_t[]){0x00, 0x82, 0x11, 0x01, 0x14, 0x71, 0x20, 0x01}), 8);
+	world_sample(w);
 	assert_false(in_use(w));
 	tell_yaw(w, 0, 0);
-	assert_memory_equal(w->emcy.data, ((const uint8_t[8]){0}), 8);
+	assert_memory_equal(world_last(w, 0x080 + WORLD_NODE_ID)->data, ((const uint8_t[8]){0}), 8);
 }
 
 static void test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree(void **state)
@@ -395,12 +288,12 @@ static void test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_
 	struct world *w = *state;
 
 	assert_int_equal(write_real(w, 0x2070, 4, 1e-30f), 0);
-	sample(w);
+	world_sample(w);
 	assert_true(in_use(w));
-	samples(w, 101);
+	world_samples(w, 101);
 	assert_false(in_use(w));
 	assert_int_equal(write_real(w, 0x2071, 2, 1e-30f), 0);
-	sample(w);
+	world_sample(w);
 	assert_true(in_use(w));
 }
 
@@ -418,17 +311,17 @@ static void test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_s
 	struct world *w = *state;
 
 	tell_attitude(w, 20, -30, 135, 0);
-	sample(w);
+	world_sample(w);
 	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, 135)) > 10);
 	tell_attitude(w, 20, -30, 135, 1);
-	sample(w);
+	world_sample(w);
 	assert_attitude(w, 20, -30, 135, 6); /* and one sample of a tumble at up to 6 degrees each */
 	tell_attitude(w, -20, 30, -45, 1);
-	sample(w);
+	world_sample(w);
 	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, -45)) > 90);
 	tell_attitude(w, -20, 30, -45, 0);
 	tell_attitude(w, -20, 30, -45, 1);
-	sample(w);
+	world_sample(w);
 	assert_attitude(w, -20, 30, -45, 6);
 }
 
@@ -438,19 +331,19 @@ static void test_commands_bit_0_zeroes_velocity_and_position_when_it_rises(void 
 	const struct od_values *v = &w->device.values;
 
 	tell_velocity(w, 10, 0, 0, 0.001);
-	samples(w, 100);
+	world_samples(w, 100);
 	assert_true(fabs((double)v->position_m.x) > 1);
 	tell_commands(w, 1);
-	sample(w);
+	world_sample(w);
 	assert_near(v->position_m.x, 0, 0.1);
 	tell_velocity(w, 10, 0, 0, 0.001);
-	samples(w, 100);
+	world_samples(w, 100);
 	tell_commands(w, 1);
-	sample(w);
+	world_sample(w);
 	assert_true(fabs((double)v->position_m.x) > 1);
 	tell_commands(w, 0);
 	tell_commands(w, 1);
-	sample(w);
+	world_sample(w);
 	assert_near(v->position_m.x, 0, 0.1);
 }
 
@@ -459,19 +352,19 @@ static void test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_fro
 	struct world *w = *state;
 
 	tell_velocity(w, 10, 0, 0, 0.001);
-	sample(w);
+	world_sample(w);
 	tell_commands(w, 2);
-	samples(w, 50);
+	world_samples(w, 50);
 	assert_true(vec3_norm(velocity(w)) < 0.2);
-	assert_true(w->device.aids.standstill_until_us <= w->now_us + INTERVAL_US);
-	samples(w, 101);
+	assert_true(w->device.aids.standstill_until_us <= w->now_us + w->interval_us);
+	world_samples(w, 101);
 	assert_false(in_use(w)); /* the master has gone: nothing is held for ever */
 	tell_commands(w, 2);
-	sample(w);
+	world_sample(w);
 	assert_true(in_use(w));
 	tell_commands(w, 0);
-	sample(w);
-	samples(w, 100);
+	world_sample(w);
+	world_samples(w, 100);
 	assert_false(in_use(w));
 }
 
@@ -483,7 +376,7 @@ static void test_commands_bit_2_makes_both_slopes_read_zero(void **state)
 	assert_int_equal(write_u8(w, 0x6011, 0, 2), 0); /* with offsets */
 	assert_int_equal(write_u8(w, 0x6121, 0, 2), 0);
 	tell_attitude(w, 20, -30, 0, 1);
-	sample(w);
+	world_sample(w);
 	assert_true(abs(v->slope_long16) > 1000);
 	int long_before = v->slope_long16, lateral_before = v->slope_lateral32;
 	tell_commands(w, 4);
@@ -496,9 +389,9 @@ static void test_the_status_tells_an_aid_for_a_second(void **state)
 	struct world *w = *state;
 
 	tell_velocity(w, 0, 0, 0, 0.1);
-	samples(w, 100);
+	world_samples(w, 100);
 	assert_true(in_use(w));
-	sample(w);
+	world_sample(w);
 	assert_false(in_use(w));
 }
 
@@ -510,13 +403,13 @@ static void test_reset_node_forgets_what_was_told(void **state)
 	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
 	tell_velocity(w, 1, 2, 3, 0.1);
 	tell_commands(w, 3);
-	sample(w);
-	nmt(w, 129);
+	world_sample(w);
+	world_nmt(w, 129);
 	assert_true(v->velocity_aid.x == 0 && v->velocity_aid.x16 == 0 && v->velocity_aid.sigma16 == 0);
 	assert_int_equal(v->commands, 0);
 	assert_int_equal(v->velocity_aid.highest_sub_index_supported, 9);
 	assert_int_equal(v->velocity_aid.frame, 0);
-	samples(w, 10);
+	world_samples(w, 10);
 	assert_false(in_use(w));
 }
 
@@ -525,7 +418,7 @@ static void test_what_is_told_is_no_configuration(void **state)
 	struct world *w = *state;
 	static const uint16_t told[] = {0x2070, 0x2071, 0x2072, 0x2073};
 
-	assert_int_equal(sdo_write(w, 0x1020, 1, &(uint32_t){7}, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1020, 1, &(uint32_t){7}, 4), 0);
 	tell_velocity(w, 1, 2, 3, 0.1);
 	tell_yaw(w, 1, 1);
 	tell_attitude(w, 1, 1, 1, 1);
@@ -548,13 +441,13 @@ static void yaw_by_event(struct world *w, uint32_t second, uint32_t third)
 	const uint32_t mapping[] = {0x21010310, second, third};
 
 	assert_int_equal(write_u8(w, 0x2030, 2, 0), 0); /* no magnetometer */
-	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
 	assert_int_equal(write_u8(w, 0x1800, 2, 254), 0);
 	assert_int_equal(write_u8(w, 0x1A00, 0, 0), 0);
 	for (uint8_t i = 0; i < 3; i++)
-		assert_int_equal(sdo_write(w, 0x1A00, (uint8_t)(i + 1), &mapping[i], 4), 0);
+		assert_int_equal(world_sdo_write(w, 0x1A00, (uint8_t)(i + 1), &mapping[i], 4), 0);
 	assert_int_equal(write_u8(w, 0x1A00, 0, 3), 0);
-	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
 }
 
 enum { COUNTER = 0x210F0110, STATUS = 0x210F0310, TIME = 0x210F0220 };
@@ -562,9 +455,9 @@ enum { COUNTER = 0x210F0110, STATUS = 0x210F0310, TIME = 0x210F0220 };
 /* How many were sent since this was asked the last time. */
 static unsigned sent(struct world *w)
 {
-	unsigned count = w->tpdo1_count;
+	unsigned count = world_count(w, 0x180 + WORLD_NODE_ID);
 
-	w->tpdo1_count = 0;
+	w->frame_count = 0;
 	return count;
 }
 
@@ -575,7 +468,7 @@ static void turn(struct world *w, double deg)
 
 	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 0);
 	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 1);
-	sample(w);
+	world_sample(w);
 }
 
 static void test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample(void **state)
@@ -584,18 +477,18 @@ static void test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample
 
 	yaw_by_event(w, COUNTER, TIME);
 	sent(w);
-	samples(w, 100);
+	world_samples(w, 100);
 	assert_int_equal(sent(w), 100);
 }
 
 /* One degree from here on. */
 static void one_degree(struct world *w)
 {
-	samples(w, 300);
+	world_samples(w, 300);
 	assert_int_equal(write_real(w, 0x2118, 2, 1), 0);
-	samples(w, 20);
+	world_samples(w, 20);
 	sent(w);
-	samples(w, 300);
+	world_samples(w, 300);
 	assert_int_equal(sent(w), 0);
 }
 
@@ -622,11 +515,11 @@ static void test_a_status_that_changes_is_sent_whatever_the_threshold(void **sta
 	yaw_by_event(w, COUNTER, STATUS);
 	one_degree(w);
 	tell_velocity(w, 0, 0, 0, 0.1);
-	sample(w);
+	world_sample(w);
 	assert_int_equal(sent(w), 1); /* an aid in use */
-	samples(w, 90);
+	world_samples(w, 90);
 	assert_int_equal(sent(w), 0);
-	samples(w, 20);
+	world_samples(w, 20);
 	assert_int_equal(sent(w), 1); /* and no more */
 }
 
@@ -635,16 +528,16 @@ static void test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_und
 	struct world *w = *state;
 
 	yaw_by_event(w, COUNTER, TIME);
-	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
-	assert_int_equal(sdo_write(w, 0x1800, 3, &(uint16_t){1000}, 2), 0); /* 100 ms */
-	assert_int_equal(sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &(uint32_t){0x80000190}, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 3, &(uint16_t){1000}, 2), 0); /* 100 ms */
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, &(uint32_t){0x40000190}, 4), 0);
 	one_degree(w);
 	turn(w, 2);
 	assert_int_equal(sent(w), 1);
 	turn(w, 2);
 	turn(w, -2);
 	assert_int_equal(sent(w), 0);
-	samples(w, 20);
+	world_samples(w, 20);
 	assert_int_equal(sent(w), 1);
 }
 
@@ -654,13 +547,13 @@ static void test_with_a_threshold_the_first_sample_of_operational_is_sent_and_th
 
 	yaw_by_event(w, COUNTER, TIME);
 	assert_int_equal(write_real(w, 0x2118, 2, 1000), 0);
-	nmt(w, 128);
-	nmt(w, 1);
+	world_nmt(w, 128);
+	world_nmt(w, 1);
 	sent(w);
-	samples(w, 10);
+	world_samples(w, 10);
 	assert_int_equal(sent(w), 1);
-	assert_int_equal(sdo_write(w, 0x1800, 5, &(uint16_t){100}, 2), 0);
-	samples(w, 100);
+	assert_int_equal(world_sdo_write(w, 0x1800, 5, &(uint16_t){100}, 2), 0);
+	world_samples(w, 100);
 	assert_in_range(sent(w), 9, 11);
 }
 
@@ -670,17 +563,17 @@ static void test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change(vo
 
 	yaw_by_event(w, COUNTER, TIME);
 	assert_int_equal(write_u8(w, 0x1800, 2, 0), 0);
-	sample(w);
-	receive(w, 0x080, 0, "");
+	world_sample(w);
+	world_receive(w, 0x080, 0, "");
 	one_degree(w);
-	receive(w, 0x080, 0, ""); /* what was news while there was no threshold */
+	world_receive(w, 0x080, 0, ""); /* what was news while there was no threshold */
 	sent(w);
-	sample(w);
-	receive(w, 0x080, 0, "");
+	world_sample(w);
+	world_receive(w, 0x080, 0, "");
 	assert_int_equal(sent(w), 0);
 	turn(w, 2);
 	assert_int_equal(sent(w), 0);
-	receive(w, 0x080, 0, "");
+	world_receive(w, 0x080, 0, "");
 	assert_int_equal(sent(w), 1);
 }
 
@@ -706,7 +599,7 @@ static void test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps
 	assert_true(threshold(w, 0x210F, 1) == INFINITY);
 	assert_true(threshold(w, 0x210F, 2) == INFINITY);
 	assert_true(threshold(w, 0x210F, 3) == 0);
-	assert_int_equal(sdo_write(w, 0x6000, 0, &(uint16_t){1000}, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x6000, 0, &(uint16_t){1000}, 2), 0);
 	assert_near(threshold(w, 0x2101, 1), 2, 1e-9);
 }
 
@@ -765,8 +658,8 @@ static struct trial open_both(const char *name)
 	}
 	trial.w = new_world("rest");
 	trial.w->imu.rate_hz = TRIAL_HZ;
-	nmt(trial.w, 129);
-	nmt(trial.w, 1);
+	world_nmt(trial.w, 129);
+	world_nmt(trial.w, 1);
 	return trial;
 }
 
@@ -884,55 +777,59 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(
-			test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample, set_up, tear_down),
+			test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_velocity_by_sdo_is_used_when_its_sigma_is_written, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_a_component_alone_is_not_used, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_a_sigma_of_zero_says_that_nothing_was_measured, set_up, tear_down),
+			test_a_velocity_by_sdo_is_used_when_its_sigma_is_written, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_a_component_alone_is_not_used, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_velocity_in_the_object_frame_is_turned_into_the_global_one, set_up, tear_down),
+			test_a_sigma_of_zero_says_that_nothing_was_measured, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_velocity_in_the_object_frame_is_turned_into_the_global_one, set_up, world_tear_down),
 		cmocka_unit_test(test_before_there_is_an_attitude_an_aid_is_not_used),
 		cmocka_unit_test_setup_teardown(
-			test_the_real_values_and_the_integers_are_two_views_of_one_value, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_a_yaw_by_rpdo_pulls_the_heading_there, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_a_yaw_with_a_sigma_of_zero_changes_nothing, set_up, tear_down),
+			test_the_real_values_and_the_integers_are_two_views_of_one_value, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_a_yaw_by_rpdo_pulls_the_heading_there, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_yaw_with_a_sigma_of_zero_changes_nothing, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old_value_stands, set_up,
-			tear_down),
+			world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that_is_ends_it, set_up,
-			tear_down),
+			world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree, set_up,
-			tear_down),
+			world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands, set_up, tear_down),
+			test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands, set_up,
+			world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_commands_bit_0_zeroes_velocity_and_position_when_it_rises, set_up, tear_down),
+			test_commands_bit_0_zeroes_velocity_and_position_when_it_rises, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_from_each_write, set_up,
-			tear_down),
-		cmocka_unit_test_setup_teardown(test_commands_bit_2_makes_both_slopes_read_zero, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_the_status_tells_an_aid_for_a_second, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_reset_node_forgets_what_was_told, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_what_is_told_is_no_configuration, set_up, tear_down),
+			world_tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_commands_bit_2_makes_both_slopes_read_zero, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_the_status_tells_an_aid_for_a_second, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_reset_node_forgets_what_was_told, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_what_is_told_is_no_configuration, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample,
-			set_up_at_rest, tear_down),
+			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then,
-			set_up_at_rest, tear_down),
+			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_status_that_changes_is_sent_whatever_the_threshold, set_up_at_rest, tear_down),
+			test_a_status_that_changes_is_sent_whatever_the_threshold, set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_undone_meanwhile,
-			set_up_at_rest, tear_down),
+			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_with_a_threshold_the_first_sample_of_operational_is_sent_and_the_event_timer_goes_on,
-			set_up_at_rest, tear_down),
-		cmocka_unit_test_setup_teardown(
-			test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change, set_up_at_rest, tear_down),
+			set_up_at_rest, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change,
+			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps,
-			set_up_at_rest, tear_down),
+			set_up_at_rest, world_tear_down),
 		cmocka_unit_test(test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true),
 		cmocka_unit_test(test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet),
 	};

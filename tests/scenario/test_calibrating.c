@@ -1,77 +1,17 @@
 /* Calibration by SDO (2061h), from the command to what is stored: a chip with its factory errors in simulated time. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
-#include <stdlib.h>
-#include <string.h>
 
-#include "gateway/device.h"
-#include "model/sensor.h"
+#include "tests/scenario/world.h"
 
-#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
-
-enum { NODE_ID = 16, INTERVAL_US = 10000, STATUS_BIT = 1 << 12 };
+enum { STATUS_BIT = 1 << 12 };
 static const uint32_t DEVICE_STATE = 0x08000022, BAD_VALUE = 0x06090030;
-
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
-	struct sensor sensor;
-	struct can_msg answer;
-	struct store_image disk;
-	uint64_t now_us;
-};
-
-static int take_frame(struct can_port *port, const struct can_msg *msg)
-{
-	struct world *w = (struct world *)port;
-
-	if (msg->id == 0x580 + NODE_ID)
-		w->answer = *msg;
-	return 0;
-}
-
-static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
-{
-	(void)port, (void)ids, (void)n;
-	return 0;
-}
-
-static int save_to_disk(void *ctx, const uint8_t *bytes, size_t size)
-{
-	struct world *w = ctx;
-
-	return store_decode(&w->disk, bytes, size);
-}
-
-static void power_on(struct world *w)
-{
-	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
-	const struct device_storage storage = {.ctx = w, .save = save_to_disk};
-
-	w->device = (struct device){0};
-	w->bus = (struct can_port){.ops = &ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = 1e6 / INTERVAL_US, .silence_us = 100000};
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, NODE_ID), 0);
-	device_start(&w->device, false, w->now_us);
-}
 
 static int set_up_with(void **state, double warming_K)
 {
 	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20_fine");
-	struct world *w = calloc(1, sizeof(*w));
 
-	assert_non_null(w);
-	*state = w;
 	chip.warming_K = warming_K;
-	assert_int_equal(sensor_init(&w->sensor, &chip, 7), 0);
-	power_on(w);
+	*state = world_new(&chip, 7, "rest");
 	return 0;
 }
 
@@ -85,50 +25,15 @@ static int set_up_warm(void **state)
 	return set_up_with(state, 20);
 }
 
-static int tear_down(void **state)
-{
-	free(*state);
-	return 0;
-}
-
-static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
-
-	memcpy(msg.data, data, len);
-	device_receive(&w->device, &msg, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-/* Expedited download; the abort code, or 0. */
-static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
-{
-	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
-
-	memcpy(request + 4, value, size);
-	receive(w, 0x600 + NODE_ID, 8, request);
-	if (w->answer.data[0] == 0x60)
-		return 0;
-	assert_int_equal(w->answer.data[0], 0x80);
-	return (uint32_t)w->answer.data[4] | (uint32_t)w->answer.data[5] << 8 | (uint32_t)w->answer.data[6] << 16 |
-	       (uint32_t)w->answer.data[7] << 24;
-}
-
 static uint32_t command(struct world *w, uint8_t value)
 {
-	return sdo_write(w, 0x2061, 1, &value, 1);
+	return world_sdo_write(w, 0x2061, 1, &value, 1);
 }
 
 static void seconds(struct world *w, const char *signal, double s)
 {
-	for (int n = (int)(s * 1e6 / INTERVAL_US); n > 0; n--) {
-		struct imu_sample sample;
-
-		w->now_us += INTERVAL_US;
-		sensor_next(&w->sensor, signal_find(signal), &sample, NULL);
-		device_sample(&w->device, 1, &sample, w->now_us);
-		device_tick(&w->device, w->now_us);
-	}
+	w->signal = signal_find(signal);
+	world_seconds(w, s);
 }
 
 static void assert_state(const struct world *w, enum calibrating_state state, enum calibrate_verdict verdict)
@@ -196,7 +101,7 @@ static void test_turning_calibrates_the_magnetometer_to_the_given_field(void **s
 	const struct od_values *v = &w->device.values;
 	const float field_uT = 60;
 
-	assert_int_equal(sdo_write(w, 0x2061, 13, &field_uT, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2061, 13, &field_uT, 4), 0);
 	assert_int_equal(command(w, 4), 0);
 	seconds(w, "figure", 45);
 	assert_state(w, CALIBRATING_DONE, CALIBRATE_GOOD);
@@ -220,8 +125,8 @@ static void test_what_was_accepted_and_stored_is_there_after_power_on(void **sta
 	seconds(w, "rest", 12);
 	assert_int_equal(command(w, 10), 0);
 	bias = w->device.values.gyro_calibration.bias_y;
-	assert_int_equal(sdo_write(w, 0x1010, 1, "save", 4), 0);
-	power_on(w);
+	assert_int_equal(world_sdo_write(w, 0x1010, 1, "save", 4), 0);
+	world_power_on(w, NULL);
 	assert_true(bias != 0);
 	assert_near(w->device.values.gyro_calibration.bias_y, bias, 0);
 	assert_int_equal(w->device.values.calibration.state, CALIBRATING_IDLE);
@@ -233,7 +138,7 @@ static void test_with_temperature_compensation_the_bias_is_brought_to_the_refere
 	struct world *w = *state;
 	const float slope = (float)w->sensor.gyro.slope.x;
 
-	assert_int_equal(sdo_write(w, 0x2054, 1, &slope, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2054, 1, &slope, 4), 0);
 	seconds(w, "rest", 120);
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
@@ -293,11 +198,11 @@ static void test_the_lever_arm_and_a_calibration_exclude_each_other(void **state
 	const uint8_t start = 1, abort = 0;
 
 	assert_int_equal(command(w, 1), 0);
-	assert_int_equal(sdo_write(w, 0x2060, 1, &start, 1), DEVICE_STATE);
+	assert_int_equal(world_sdo_write(w, 0x2060, 1, &start, 1), DEVICE_STATE);
 	assert_int_equal(command(w, 0), 0);
-	assert_int_equal(sdo_write(w, 0x2060, 1, &start, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x2060, 1, &start, 1), 0);
 	assert_int_equal(command(w, 1), DEVICE_STATE);
-	assert_int_equal(sdo_write(w, 0x2060, 1, &abort, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x2060, 1, &abort, 1), 0);
 	assert_int_equal(command(w, 1), 0);
 }
 
@@ -327,7 +232,7 @@ static void test_a_reset_ends_it(void **state)
 
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 3);
-	receive(w, 0x000, 2, (const uint8_t[]){0x81, NODE_ID});
+	world_nmt(w, 0x81);
 	assert_state(w, CALIBRATING_IDLE, CALIBRATE_COLLECTING);
 }
 
@@ -342,8 +247,8 @@ static void test_a_lost_sensor_ends_it(void **state)
 	assert_state(w, CALIBRATING_REFUSED, CALIBRATE_SENSOR_LOST);
 }
 
-#define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
-#define WARM(test) cmocka_unit_test_setup_teardown(test, set_up_warm, tear_down)
+#define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)
+#define WARM(test) cmocka_unit_test_setup_teardown(test, set_up_warm, world_tear_down)
 
 int main(void)
 {

@@ -9,13 +9,9 @@
 static struct world *new_world(void)
 {
 	struct sensor_config sensor = *sensor_preset("ideal");
-	struct world *w = calloc(1, sizeof(*w));
 
-	assert_non_null(w);
 	sensor.lever_arm_b_m = (struct vec3){0.05, -0.1, 0.2};
-	world_init(w, &sensor, 1, "tumble");
-	world_power_on(w, NULL);
-	return w;
+	return world_new(&sensor, 1, "tumble");
 }
 
 static int set_up(void **state)

@@ -36,7 +36,7 @@ void world_init(struct world *w, const struct sensor_config *sensor, uint64_t se
 	w->node_id = WORLD_NODE_ID;
 	w->interval_us = (uint64_t)llround(1e6 / sensor->rate_hz);
 	w->bus = (struct can_port){.ops = &ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = sensor->rate_hz, .silence_us = 100000};
+	w->imu = (struct imu_port){.rate_hz = sensor->rate_hz, .silence_us = 100000, .name = "sensor"};
 	w->signal = signal_find(signal);
 	assert_non_null(w->signal);
 	assert_int_equal(sensor_init(&w->sensor, sensor, seed), 0);
@@ -59,12 +59,12 @@ void world_power_on(struct world *w, const char *const *settings)
 	device_start(&w->device, false, w->now_us);
 }
 
-struct world *world_new(const char *signal)
+struct world *world_new(const struct sensor_config *sensor, uint64_t seed, const char *signal)
 {
 	struct world *w = calloc(1, sizeof(*w));
 
 	assert_non_null(w);
-	world_init(w, sensor_preset("ideal"), 1, signal);
+	world_init(w, sensor, seed, signal);
 	world_power_on(w, NULL);
 	return w;
 }

@@ -39,8 +39,8 @@ struct world {
 void world_init(struct world *w, const struct sensor_config *sensor, uint64_t seed, const char *signal);
 /** Switches it on, or off and on, as main() does; with `settings` (up to a NULL) for a configuration file, or NULL. */
 void world_power_on(struct world *w, const char *const *settings);
-/** Both, with an ideal sensor; to be freed. */
-struct world *world_new(const char *signal);
+/** Both, for a test that needs no more around its device; to be freed. */
+struct world *world_new(const struct sensor_config *sensor, uint64_t seed, const char *signal);
 /** cmocka fixture: frees *state. */
 int world_tear_down(void **state);
 
