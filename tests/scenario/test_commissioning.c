@@ -1,111 +1,43 @@
 /* The lever arm that finds itself: a robot in simulated time, SDO from start to accept. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "gateway/commissioning.h"
-#include "gateway/device.h"
-#include "model/sensor.h"
+#include "tests/scenario/world.h"
 
-#define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
-
-enum { NODE_ID = 16, INTERVAL_US = 5000 };
 enum { ABORT_HELD = 0, START_HELD = 1, START_REFERENCE = 2, ACCEPT = 3, DISCARD = 4 };
 static const uint32_t DEVICE_STATE = 0x08000022;
 static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */
 
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
-	struct sensor sensor;
-	struct signal signal;
+struct robot {
+	struct world world;
 	bool travels;		   /* the reference point, which stands still in the signal */
 	bool with_sample;	   /* the sample brings the acceleration of the reference point */
 	bool told, by_rpdo;	   /* 2075h is written, every second sample; not by SDO */
-	struct can_msg answer;	   /* the last SDO answer */
 	struct signal_truth truth; /* of the last sample */
-	uint64_t now_us;
 	unsigned count;
 };
 
-/* ---- the world around the device --------------------------------------------------------------------------------- */
-
-static int take_frame(struct can_port *port, const struct can_msg *msg)
-{
-	struct world *w = (struct world *)port;
-
-	if (msg->id == 0x580 + NODE_ID)
-		w->answer = *msg;
-	return 0;
-}
-
-static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
-{
-	(void)port, (void)ids, (void)n;
-	return 0;
-}
-
 static int set_up(void **state)
 {
-	static const struct can_ops ops = {.send = take_frame, .filter = take_filter};
 	struct sensor_config sensor = *sensor_preset("lsm303dlhc_l3gd20_fine");
-	struct world *w = calloc(1, sizeof(*w));
+	struct robot *robot = calloc(1, sizeof(*robot));
 
-	assert_non_null(w);
-	*state = w;
-	sensor.rate_hz = 1e6 / INTERVAL_US;
+	assert_non_null(robot);
+	*state = robot;
+	sensor.rate_hz = 200;
 	sensor.lever_arm_b_m = ARM;
 	sensor.gyro.range = sensor.accel.range = 1e3;
 	sensor_calibrate(&sensor);
-	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
-	w->signal = *signal_find("tumble");
-	w->bus = (struct can_port){.ops = &ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = sensor.rate_hz, .silence_us = 100000};
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
-	device_start(&w->device, false, 0);
+	world_init(&robot->world, &sensor, 1, "tumble");
+	world_power_on(&robot->world, NULL);
 	return 0;
-}
-
-static int tear_down(void **state)
-{
-	free(*state);
-	return 0;
-}
-
-static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
-
-	memcpy(msg.data, data, len);
-	device_receive(&w->device, &msg, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-/* Expedited download; the abort code, or 0. */
-static uint32_t sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)
-{
-	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), (uint8_t)index, (uint8_t)(index >> 8), sub};
-
-	memcpy(request + 4, value, size);
-	receive(w, 0x600 + NODE_ID, 8, request);
-	if (w->answer.data[0] == 0x60)
-		return 0;
-	assert_int_equal(w->answer.data[0], 0x80);
-	return (uint32_t)w->answer.data[4] | (uint32_t)w->answer.data[5] << 8 | (uint32_t)w->answer.data[6] << 16 |
-	       (uint32_t)w->answer.data[7] << 24;
 }
 
 static uint32_t command(struct world *w, uint8_t value)
 {
-	return sdo_write(w, 0x2060, 1, &value, 1);
+	return world_sdo_write(w, 0x2060, 1, &value, 1);
 }
 
 static void tell_reference_by_rpdo(struct world *w, struct vec3 accel_b_m_s2)
@@ -115,57 +47,61 @@ static void tell_reference_by_rpdo(struct world *w, struct vec3 accel_b_m_s2)
 	uint8_t data[sizeof(twins)];
 
 	memcpy(data, twins, sizeof(data));
-	receive(w, 0x200 + NODE_ID, sizeof(data), data);
+	world_receive(w, 0x200 + WORLD_NODE_ID, sizeof(data), data);
 }
 
 static void tell_reference(struct world *w, struct vec3 accel_b_m_s2)
 {
 	const float l = (float)accel_b_m_s2.x, s = (float)accel_b_m_s2.y, t = (float)accel_b_m_s2.z;
 
-	assert_int_equal(sdo_write(w, 0x2075, 1, &l, 4), 0);
-	assert_int_equal(sdo_write(w, 0x2075, 2, &s, 4), 0);
-	assert_int_equal(sdo_write(w, 0x2075, 3, &t, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 1, &l, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 2, &s, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 3, &t, 4), 0);
 }
 
-static void sample(struct world *w)
+static struct vec3 reference_b_m_s2(const struct robot *robot)
 {
+	return quat_rotate_inverse(robot->truth.q_nb, robot->truth.accel_n_m_s2);
+}
+
+static void sample(struct robot *robot)
+{
+	struct world *w = &robot->world;
+	struct signal_truth *truth = &robot->truth;
 	struct imu_sample s;
 
-	w->now_us += INTERVAL_US;
-	signal_at(&w->signal, sensor_instant_s(&w->sensor), &w->truth);
-	if (w->travels)
-		w->truth.accel_n_m_s2 =
-			(struct vec3){4 * sin(5 * w->truth.t_s), 3 * sin(7 * w->truth.t_s), sin(8 * w->truth.t_s)};
-	sensor_measure(&w->sensor, &w->truth, &s);
-	if (w->with_sample) {
-		s.ref_accel_b_m_s2 = quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2);
+	signal_at(w->signal, sensor_instant_s(&w->sensor), truth);
+	if (robot->travels)
+		truth->accel_n_m_s2 =
+			(struct vec3){4 * sin(5 * truth->t_s), 3 * sin(7 * truth->t_s), sin(8 * truth->t_s)};
+	sensor_measure(&w->sensor, truth, &s);
+	if (robot->with_sample) {
+		s.ref_accel_b_m_s2 = reference_b_m_s2(robot);
 		s.flags |= SAMPLE_REFERENCE;
 	}
-	device_sample(&w->device, 1, &s, w->now_us);
-	device_tick(&w->device, w->now_us);
-	if (w->told && w->count++ % 2 == 0)
-		(w->by_rpdo ? tell_reference_by_rpdo : tell_reference)(
-			w, quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2));
+	world_deliver(w, &s);
+	if (robot->told && robot->count++ % 2 == 0)
+		(robot->by_rpdo ? tell_reference_by_rpdo : tell_reference)(w, reference_b_m_s2(robot));
 }
 
-static void seconds(struct world *w, double s)
+static void seconds(struct robot *robot, double s)
 {
-	for (int n = (int)(s * 1e6 / INTERVAL_US); n > 0; n--)
-		sample(w);
+	for (int n = (int)(s * 1e6 / (double)robot->world.interval_us); n > 0; n--)
+		sample(robot);
 }
 
 /* RMS error of the published acceleration. */
-static double error_over(struct world *w, double s)
+static double error_over(struct robot *robot, double s)
 {
-	const int n = (int)(s * 1e6 / INTERVAL_US);
+	const struct od_values *v = &robot->world.device.values;
+	const int n = (int)(s * 1e6 / (double)robot->world.interval_us);
 	double sum = 0;
 
 	for (int i = 0; i < n; i++) {
-		sample(w);
-		struct vec3 truth_b = quat_rotate_inverse(w->truth.q_nb, w->truth.accel_n_m_s2);
-		struct vec3 out = {(double)w->device.values.acceleration_object.l,
-			(double)w->device.values.acceleration_object.s, (double)w->device.values.acceleration_object.t};
-		struct vec3 off = vec3_sub(out, truth_b);
+		sample(robot);
+		struct vec3 out = {(double)v->acceleration_object.l, (double)v->acceleration_object.s,
+			(double)v->acceleration_object.t};
+		struct vec3 off = vec3_sub(out, reference_b_m_s2(robot));
 		sum += vec3_dot(off, off);
 	}
 	return sqrt(sum / n);
@@ -190,45 +126,48 @@ static void assert_lever_arm_is_found(const struct world *w)
 
 static void test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 	double before, after;
 
-	seconds(w, 5);
-	before = error_over(w, 10);
+	seconds(robot, 5);
+	before = error_over(robot, 10);
 	assert_int_equal(command(w, START_HELD), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
 	assert_near(w->device.values.lever_arm.l, 0, 0); /* not before it is accepted */
 	assert_int_equal(command(w, ACCEPT), 0);
 	assert_near(w->device.values.lever_arm.l, ARM.x, 0.001);
 	assert_near(w->device.values.lever_arm.s, ARM.y, 0.001);
 	assert_near(w->device.values.lever_arm.t, ARM.z, 0.001);
-	after = error_over(w, 10);
+	after = error_over(robot, 10);
 	print_message("acceleration error before %.3f, after %.3f m/s^2\n", before, after);
 	assert_true(after < before / 2);
 }
 
 static void test_an_accepted_lever_arm_is_used_by_the_next_sample(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
 	assert_int_equal(command(w, START_HELD), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
 	assert_int_equal(command(w, ACCEPT), 0);
-	sample(w);
+	sample(robot);
 	assert_near(w->device.pipeline.config.estimator.lever_arm_b_m.x, w->device.values.lever_arm.l, 0);
 	assert_true(w->device.pipeline.config.estimator.lever_arm_b_m.x > 0.05);
 }
 
 static void test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
-	w->travels = true;
-	w->told = true;
+	robot->travels = true;
+	robot->told = true;
 	assert_int_equal(command(w, START_REFERENCE), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
 	assert_true(w->device.values.lever_arm_identification.delay > 0.0025f);
 	assert_true(w->device.values.lever_arm_identification.delay < 0.01f);
@@ -239,9 +178,9 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	struct world *w = *state;
 	const int16_t l = 200, s = -400, t = 1;
 
-	assert_int_equal(sdo_write(w, 0x2075, 4, &l, 2), 0);
-	assert_int_equal(sdo_write(w, 0x2075, 5, &s, 2), 0);
-	assert_int_equal(sdo_write(w, 0x2075, 6, &t, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 4, &l, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 5, &s, 2), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 6, &t, 2), 0);
 	assert_near(w->device.commissioning.ref_b_m_s2.x, 1, 1e-12);
 	assert_near(w->device.commissioning.ref_b_m_s2.y, -2, 1e-12);
 	assert_near(w->device.commissioning.ref_b_m_s2.z, 0.005, 1e-12);
@@ -249,41 +188,43 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 
 static void test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
-	w->travels = true;
-	w->with_sample = true;
+	robot->travels = true;
+	robot->with_sample = true;
 	assert_int_equal(command(w, START_REFERENCE), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
 	assert_false(w->device.commissioning.lever.config.estimate_delay);
 }
 
 static void map_reference_into_rpdo1(struct world *w)
 {
-	const uint32_t off = 0x80000200 + NODE_ID, on = 0x200 + NODE_ID;
+	const uint32_t off = 0x80000200 + WORLD_NODE_ID, on = 0x200 + WORLD_NODE_ID;
 	const uint32_t entries[] = {0x20750410, 0x20750510, 0x20750610};
 	const uint8_t none = 0, three = 3, at_once = 255;
 
-	assert_int_equal(sdo_write(w, 0x1400, 1, &off, 4), 0);
-	assert_int_equal(sdo_write(w, 0x1400, 2, &at_once, 1), 0);
-	assert_int_equal(sdo_write(w, 0x1600, 0, &none, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1400, 1, &off, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1400, 2, &at_once, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1600, 0, &none, 1), 0);
 	for (uint8_t i = 0; i < 3; i++)
-		assert_int_equal(sdo_write(w, 0x1600, (uint8_t)(i + 1), &entries[i], 4), 0);
-	assert_int_equal(sdo_write(w, 0x1600, 0, &three, 1), 0);
-	assert_int_equal(sdo_write(w, 0x1400, 1, &on, 4), 0);
-	receive(w, 0, 2, (const uint8_t[]){1, NODE_ID});
+		assert_int_equal(world_sdo_write(w, 0x1600, (uint8_t)(i + 1), &entries[i], 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1600, 0, &three, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1400, 1, &on, 4), 0);
+	world_nmt(w, 1);
 }
 
 static void test_one_rpdo_can_carry_the_reference(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
 	map_reference_into_rpdo1(w);
-	w->travels = true;
-	w->told = w->by_rpdo = true;
+	robot->travels = true;
+	robot->told = robot->by_rpdo = true;
 	assert_int_equal(command(w, START_REFERENCE), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
 }
 
@@ -291,13 +232,14 @@ static void test_one_rpdo_can_carry_the_reference(void **state)
 
 static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
 	tell_reference(w, (struct vec3){0, 0, 0});
 	assert_int_equal(command(w, START_REFERENCE), 0);
-	seconds(w, 89);
+	seconds(robot, 89);
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
-	seconds(w, 2); /* three times the duration */
+	seconds(robot, 2); /* three times the duration */
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NO_REFERENCE);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
@@ -308,11 +250,12 @@ static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **sta
 
 static void test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
-	w->travels = true;
+	robot->travels = true;
 	assert_int_equal(command(w, START_HELD), 0);
-	seconds(w, 32);
+	seconds(robot, 32);
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NOT_HELD);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
@@ -332,7 +275,7 @@ static void test_commands_in_a_wrong_state_are_refused_with_08000022h(void **sta
 	assert_int_equal(command(w, START_REFERENCE), DEVICE_STATE);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
 	assert_int_equal(command(w, DISCARD), DEVICE_STATE);
-	assert_int_equal(sdo_write(w, 0x2060, 1, &five, 1), 0x06090031);
+	assert_int_equal(world_sdo_write(w, 0x2060, 1, &five, 1), 0x06090031);
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
 }
 
@@ -340,15 +283,16 @@ static void test_commands_in_a_wrong_state_are_refused_with_08000022h(void **sta
 
 static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
-	sample(w);
+	sample(robot);
 	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, 0);
 	assert_int_equal(command(w, START_HELD), 0);
-	sample(w);
+	sample(robot);
 	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, STATUS_COMMISSIONING);
 	assert_int_equal(command(w, ABORT_HELD), 0);
-	sample(w);
+	sample(robot);
 	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, 0);
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
 }
@@ -356,13 +300,14 @@ static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void 
 static void test_nmt_reset_ends_it(void **state)
 {
 	const uint8_t resets[] = {129, 130};
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 
 	for (int i = 0; i < 2; i++) {
 		assert_int_equal(command(w, START_HELD), 0);
-		seconds(w, 5);
+		seconds(robot, 5);
 		assert_int_not_equal(w->device.values.lever_arm_identification.progress, 0);
-		receive(w, 0, 2, (const uint8_t[]){resets[i], NODE_ID});
+		world_nmt(w, resets[i]);
 		assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
 		assert_int_equal(w->device.values.lever_arm_identification.progress, 0);
 	}
@@ -370,18 +315,19 @@ static void test_nmt_reset_ends_it(void **state)
 
 static void test_progress_follows_the_duration_that_was_asked_for(void **state)
 {
-	struct world *w = *state;
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
 	const float duration = 100;
 
-	assert_int_equal(sdo_write(w, 0x2060, 5, &duration, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2060, 5, &duration, 4), 0);
 	assert_int_equal(command(w, START_HELD), 0);
-	seconds(w, 21);
+	seconds(robot, 21);
 	assert_int_equal(w->device.values.lever_arm_identification.progress, 20);
 }
 
 int main(void)
 {
-#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
+#define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, world_tear_down)
 	const struct CMUnitTest tests[] = {
 		TEST(test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it),
 		TEST(test_an_accepted_lever_arm_is_used_by_the_next_sample),

@@ -1,64 +1,24 @@
 /* What the device makes of a sensor with settings and faults: 2058h, 2124h, 6511h, EMCY 5030h, 5031h and 6321h. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "gateway/config.h"
-#include "gateway/device.h"
-#include "model/sensor.h"
+#include "tests/scenario/world.h"
 
-enum { NODE_ID = 16, INTERVAL_US = 10000 };
-
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
-	struct sensor sensor;
-	struct can_msg emcy; /* the last */
-	unsigned emcys;
-	uint32_t abort_code; /* of the last SDO answer */
+struct chip {
+	struct world world;
 	struct imu_settings configured;
 	unsigned configurations, self_tests;
-	uint64_t now_us;
 };
 
-static int take_frame(struct can_port *port, const struct can_msg *msg)
+static struct chip *of(struct imu_port *port)
 {
-	struct world *w = (struct world *)port;
-
-	if (msg->id == 0x080 + NODE_ID) {
-		w->emcy = *msg;
-		w->emcys++;
-	}
-	if (msg->id == 0x580 + NODE_ID)
-		w->abort_code = msg->data[0] != 0x80
-					? 0
-					: (uint32_t)msg->data[4] | (uint32_t)msg->data[5] << 8 |
-						  (uint32_t)msg->data[6] << 16 | (uint32_t)msg->data[7] << 24;
-	return 0;
-}
-
-static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
-{
-	(void)port, (void)ids, (void)n;
-	return 0;
-}
-
-static struct world *of(struct imu_port *port)
-{
-	return (struct world *)((char *)port - offsetof(struct world, imu));
+	return (struct chip *)((char *)port - offsetof(struct chip, world.imu));
 }
 
 static int configure(struct imu_port *port, const struct imu_settings *settings, int dry, char *error, size_t size)
 {
-	struct world *w = of(port);
+	struct chip *chip = of(port);
 
 	if (settings->rate_hz > 800) {
 		snprintf(error, size, "it goes to 800 Hz");
@@ -66,8 +26,8 @@ static int configure(struct imu_port *port, const struct imu_settings *settings,
 	}
 	if (dry)
 		return 0;
-	w->configured = *settings;
-	w->configurations++;
+	chip->configured = *settings;
+	chip->configurations++;
 	port->rate_hz = settings->rate_hz;
 	return 0;
 }
@@ -79,25 +39,14 @@ static void self_test(struct imu_port *port)
 
 static int set_up(void **state)
 {
-	static const struct can_ops bus_ops = {.send = take_frame, .filter = take_filter};
 	static const struct imu_ops imu_ops = {.configure = configure, .self_test = self_test};
-	struct sensor_config sensor = *sensor_preset("ideal");
-	struct world *w = calloc(1, sizeof(*w));
+	struct chip *chip = calloc(1, sizeof(*chip));
 
-	assert_non_null(w);
-	w->bus = (struct can_port){.ops = &bus_ops, .fd = -1};
-	w->imu = (struct imu_port){.ops = &imu_ops, .rate_hz = 100, .silence_us = 100000, .name = "sensor"};
-	assert_int_equal(sensor_init(&w->sensor, &sensor, 1), 0);
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, NODE_ID);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, NODE_ID), 0);
-	device_start(&w->device, false, w->now_us);
-	*state = w;
-	return 0;
-}
-
-static int tear_down(void **state)
-{
-	free(*state);
+	assert_non_null(chip);
+	world_init(&chip->world, sensor_preset("ideal"), 1, "rest");
+	chip->world.imu.ops = &imu_ops;
+	world_power_on(&chip->world, NULL);
+	*state = chip;
 	return 0;
 }
 
@@ -105,45 +54,20 @@ static void sample_with(struct world *w, unsigned flags, double temperature_degC
 {
 	struct imu_sample s;
 
-	w->now_us += INTERVAL_US;
-	sensor_next(&w->sensor, signal_find("rest"), &s, NULL);
+	sensor_next(&w->sensor, w->signal, &s, NULL);
 	s.flags |= flags;
 	s.temperature_degC = temperature_degC;
-	device_sample(&w->device, 1, &s, w->now_us);
-	device_tick(&w->device, w->now_us);
-}
-
-static void sample(struct world *w)
-{
-	sample_with(w, 0, 0);
-}
-
-static void receive(struct world *w, uint32_t id, size_t len, const uint8_t *data)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = w->now_us};
-
-	memcpy(msg.data, data, len);
-	device_receive(&w->device, &msg, w->now_us);
-	device_tick(&w->device, w->now_us);
+	world_deliver(w, &s);
 }
 
 static uint32_t write_sensor(struct world *w, uint8_t sub, const void *value, size_t size)
 {
-	uint8_t request[8] = {(uint8_t)(0x23 | (4 - size) << 2), 0x58, 0x20, sub};
-
-	memcpy(request + 4, value, size);
-	receive(w, 0x600 + NODE_ID, 8, request);
-	return w->abort_code;
+	return world_sdo_write(w, 0x2058, sub, value, size);
 }
 
-static uint16_t emcy_code(const struct world *w)
+static const uint8_t *emcy(const struct world *w)
 {
-	return (uint16_t)(w->emcy.data[0] | w->emcy.data[1] << 8);
-}
-
-static void reset_node(struct world *w)
-{
-	receive(w, 0x000, 2, (const uint8_t[]){0x81, NODE_ID});
+	return world_last(w, 0x080 + WORLD_NODE_ID)->data;
 }
 
 /* ---- faults ------------------------------------------------------------------------------------------------------- */
@@ -153,21 +77,21 @@ static void test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalida
 	struct world *w = *state;
 
 	for (int i = 0; i < 5; i++)
-		sample(w);
+		world_sample(w);
 	w->imu.health.fault = IMU_FAULT_CONFIGURATION;
 	w->imu.health.fault_chip = IMU_CHIP_GYRO;
 	device_sample(&w->device, -EIO, NULL, w->now_us);
 	device_tick(&w->device, w->now_us);
-	assert_int_equal(emcy_code(w), 0x5030);
-	assert_int_equal(w->emcy.data[2], 0x81);
-	assert_int_equal(w->emcy.data[3], IMU_FAULT_CONFIGURATION);
-	assert_int_equal(w->emcy.data[4], IMU_CHIP_GYRO);
+	assert_int_equal(world_emcy_code(w), 0x5030);
+	assert_int_equal(emcy(w)[2], 0x81);
+	assert_int_equal(emcy(w)[3], IMU_FAULT_CONFIGURATION);
+	assert_int_equal(emcy(w)[4], IMU_CHIP_GYRO);
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT),
 		STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT);
 	assert_int_equal(w->device.values.sensor_state.fault, IMU_FAULT_CONFIGURATION);
 	w->imu.health.fault = w->imu.health.fault_chip = 0;
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST | STATUS_SENSOR_FAULT),
 		PIPELINE_VALID);
 	assert_int_equal(w->device.values.sensor_state.fault, 0);
@@ -177,20 +101,20 @@ static void test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on(void 
 {
 	struct world *w = *state;
 
-	sample(w);
+	world_sample(w);
 	w->imu.health.degraded = IMU_FAULT_FROZEN;
 	w->imu.health.degraded_chip = IMU_CHIP_MAG;
-	sample(w);
-	assert_int_equal(emcy_code(w), 0x5031);
-	assert_int_equal(w->emcy.data[3], IMU_FAULT_FROZEN);
-	assert_int_equal(w->emcy.data[4], IMU_CHIP_MAG);
-	sample(w);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0x5031);
+	assert_int_equal(emcy(w)[3], IMU_FAULT_FROZEN);
+	assert_int_equal(emcy(w)[4], IMU_CHIP_MAG);
+	world_sample(w);
 	assert_true(w->device.values.sample.status & PIPELINE_VALID);
 	assert_true(w->device.values.sample.status & STATUS_SENSOR_FAULT);
-	assert_int_equal(w->emcys, 1);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), 1);
 	w->imu.health.degraded = w->imu.health.degraded_chip = 0;
-	sample(w);
-	assert_int_equal(emcy_code(w), 0);
+	world_sample(w);
+	assert_int_equal(world_emcy_code(w), 0);
 }
 
 static void test_a_saturated_sample_says_so_in_the_status(void **state)
@@ -199,9 +123,9 @@ static void test_a_saturated_sample_says_so_in_the_status(void **state)
 
 	sample_with(w, SAMPLE_SATURATED, 0);
 	assert_true(w->device.values.sample.status & STATUS_SENSOR_FAULT);
-	sample(w);
+	world_sample(w);
 	assert_false(w->device.values.sample.status & STATUS_SENSOR_FAULT);
-	assert_int_equal(w->emcys, 0);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), 0);
 }
 
 static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **state)
@@ -209,7 +133,7 @@ static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **
 	struct world *w = *state;
 
 	sample_with(w, SAMPLE_TEMPERATURE, -7.6);
-	sample(w);
+	world_sample(w);
 	assert_int_equal(w->device.values.device_temperature, -8);
 	assert_true(fabs((double)w->device.values.sensor_state.temperature + 7.6) < 1e-5);
 }
@@ -229,20 +153,21 @@ static void test_a_temperature_that_no_object_can_hold_is_left_out(void **state)
 
 static void test_settings_go_to_the_sensor_with_reset_node(void **state)
 {
-	struct world *w = *state;
+	struct chip *chip = *state;
+	struct world *w = &chip->world;
 	const float rate = 200, range = 4;
 
-	assert_int_equal(w->configurations, 0); /* it was opened with what 2058h says */
+	assert_int_equal(chip->configurations, 0); /* it was opened with what 2058h says */
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(write_sensor(w, 3, &range, 4), 0);
-	assert_int_equal(w->configurations, 0);
+	assert_int_equal(chip->configurations, 0);
 	w->device.base.sensor.rate = 200; /* as if stored */
-	reset_node(w);
-	assert_int_equal(w->configurations, 1);
-	assert_true(w->configured.rate_hz == 200);
+	world_nmt(w, 0x81);
+	assert_int_equal(chip->configurations, 1);
+	assert_true(chip->configured.rate_hz == 200);
 	assert_true(w->device.pipeline.rate_hz == 200);
-	reset_node(w);
-	assert_int_equal(w->configurations, 1); /* nothing new */
+	world_nmt(w, 0x81);
+	assert_int_equal(chip->configurations, 1); /* nothing new */
 }
 
 static void test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on(void **state)
@@ -251,35 +176,36 @@ static void test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goe
 	float rate = 1000;
 
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
-	assert_int_equal(emcy_code(w), 0x6321);
+	assert_int_equal(world_emcy_code(w), 0x6321);
 	assert_true(w->imu.rate_hz == 100);
 	rate = 400;
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
-	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(world_emcy_code(w), 0);
 }
 
 static void test_a_self_test_begins_with_a_1_and_nothing_else(void **state)
 {
-	struct world *w = *state;
+	struct chip *chip = *state;
+	struct world *w = &chip->world;
 
 	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){0}, 1), 0x06090030);
-	assert_int_equal(w->self_tests, 0);
+	assert_int_equal(chip->self_tests, 0);
 	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){1}, 1), 0);
-	assert_int_equal(w->self_tests, 1);
+	assert_int_equal(chip->self_tests, 1);
 }
 
 static void test_during_a_self_test_the_outputs_are_invalid_but_the_sensor_is_not_lost(void **state)
 {
 	struct world *w = *state;
 
-	sample_with(w, 0, 0);
+	world_sample(w);
 	w->imu.health.self_test = 0x80;
 	device_tick(&w->device, w->now_us);
 	assert_int_equal(w->device.values.sample.status & 0x201, 0x200);
 	device_tick(&w->device, w->now_us += 2000000);
-	assert_int_equal(emcy_code(w), 0);
+	assert_int_equal(world_emcy_code(w), 0);
 	w->imu.health.self_test = 0x03;
-	sample_with(w, 0, 0);
+	world_sample(w);
 	assert_int_equal(w->device.values.sample.status & 0x201, 0x001);
 }
 
@@ -287,10 +213,10 @@ static void test_a_self_test_that_does_not_end_is_a_lost_sensor(void **state)
 {
 	struct world *w = *state;
 
-	sample_with(w, 0, 0);
+	world_sample(w);
 	w->imu.health.self_test = 0x80;
 	device_tick(&w->device, w->now_us += 5000000);
-	assert_int_equal(emcy_code(w), 0x5030);
+	assert_int_equal(world_emcy_code(w), 0x5030);
 }
 
 static void test_a_sensor_without_self_test_refuses_the_command(void **state)
@@ -301,7 +227,7 @@ static void test_a_sensor_without_self_test_refuses_the_command(void **state)
 	assert_int_equal(write_sensor(w, 7, (const uint8_t[]){1}, 1), 0x08000022);
 }
 
-#define WORLD(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
+#define WORLD(test) cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)
 
 int main(void)
 {

@@ -117,7 +117,7 @@ uint16_t world_emcy_code(const struct world *w)
 {
 	const struct can_msg *emcy = world_last(w, 0x080u + w->node_id);
 
-	return emcy ? get_u16(emcy->data) : 0xFFFF;
+	return emcy ? get_u16(emcy->data) : 0;
 }
 
 uint32_t world_sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size)

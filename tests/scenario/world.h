@@ -51,7 +51,7 @@ void world_nmt(struct world *w, uint8_t command);
 const struct can_msg *world_last(const struct world *w, uint32_t id);
 /** How many of them it sent. */
 unsigned world_count(const struct world *w, uint32_t id);
-/** The error code of the last EMCY message, 0xFFFF if there is none. */
+/** The error code of the last EMCY message; 0 if that ended an error, or if there is none. */
 uint16_t world_emcy_code(const struct world *w);
 /** Expedited download; the abort code, or 0. */
 uint32_t world_sdo_write(struct world *w, uint16_t index, uint8_t sub, const void *value, size_t size);
