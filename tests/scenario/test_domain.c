@@ -1,55 +1,40 @@
 /* Large objects of the whole device, over the SDO client in simulated time: the configuration snapshot (2130h) and the
  * event log (2131h). The bytes of a concise DCF are those of CiA 302-3, put together by hand here. */
-#include <stdarg.h>
-#include <stddef.h>
-#include <stdint.h>
-#include <setjmp.h>
-#include <cmocka.h>
-
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "gateway/canopen/sdo_client.h"
-#include "gateway/device.h"
+#include "tests/scenario/world.h"
 
 enum { TIMEOUT_US = 100000, ANSWERS = 256, LARGE = OD_DOMAIN_MAX };
 
 /* A device on a bus of its own, and its client. */
-struct world {
-	struct can_port bus;
-	struct imu_port imu;
-	struct device device;
+struct pair {
+	struct world world;
 	struct can_port client_bus; /* what the client sends goes to the device at once */
 	struct sdo_client client;
 	struct can_msg answers[ANSWERS]; /* of the device, not looked at yet */
 	size_t answer_count;
-	uint64_t now_us;
-	uint8_t node_id;
 	uint8_t value[LARGE + 100];
 };
 
-static struct world *world_of(const struct can_port *port, size_t offset)
-{
-	return (struct world *)((char *)(uintptr_t)port - offset);
-}
-
 static int from_device(struct can_port *port, const struct can_msg *msg)
 {
-	struct world *w = world_of(port, offsetof(struct world, bus));
+	struct pair *p = (struct pair *)port;
 
-	if (msg->id != 0x580u + w->node_id && msg->id != 0x6A6)
+	if (msg->id != 0x580u + p->world.node_id && msg->id != 0x6A6)
 		return 0;
-	assert_true(w->answer_count < ANSWERS);
-	w->answers[w->answer_count++] = *msg;
+	assert_true(p->answer_count < ANSWERS);
+	p->answers[p->answer_count++] = *msg;
 	return 0;
 }
 
 static int to_device(struct can_port *port, const struct can_msg *msg)
 {
-	struct world *w = world_of(port, offsetof(struct world, client_bus));
+	struct pair *p = (struct pair *)((char *)port - offsetof(struct pair, client_bus));
 
-	device_receive(&w->device, msg, w->now_us);
+	device_receive(&p->world.device, msg, p->world.now_us);
 	return 0;
 }
 
@@ -59,123 +44,109 @@ static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return 0;
 }
 
-static struct world *new_world(uint8_t node_id)
+static struct pair *new_pair(uint8_t node_id)
 {
 	static const struct can_ops device_ops = {.send = from_device, .filter = take_filter},
 				    client_ops = {.send = to_device};
-	struct world *w = calloc(1, sizeof(*w));
+	struct pair *p = calloc(1, sizeof(*p));
 
-	assert_non_null(w);
-	w->node_id = node_id;
-	w->bus = (struct can_port){.ops = &device_ops, .fd = -1, .name = "vcan9"};
-	w->client_bus = (struct can_port){.ops = &client_ops, .fd = -1};
-	w->imu = (struct imu_port){.rate_hz = 100, .silence_us = 1000000000, .name = "none"};
-	w->now_us = 5000000;
-	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
-	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, node_id), 0);
-	device_start(&w->device, false, w->now_us);
-	sdo_client_init(&w->client, &w->client_bus, node_id, TIMEOUT_US);
-	return w;
+	assert_non_null(p);
+	world_init(&p->world, sensor_preset("ideal"), 1, "rest");
+	p->world.node_id = node_id;
+	p->world.now_us = 5000000;
+	p->world.bus = (struct can_port){.ops = &device_ops, .fd = -1, .name = "vcan9"};
+	p->world.imu = (struct imu_port){.rate_hz = 100, .silence_us = 1000000000, .name = "none"};
+	world_power_on(&p->world, NULL);
+	p->client_bus = (struct can_port){.ops = &client_ops, .fd = -1};
+	sdo_client_init(&p->client, &p->client_bus, node_id, TIMEOUT_US);
+	return p;
 }
 
 static int set_up(void **state)
 {
-	*state = new_world(16);
+	*state = new_pair(16);
 	return 0;
 }
 
-static int tear_down(void **state)
+static enum sdo_result finish(struct pair *p)
 {
-	free(*state);
-	return 0;
-}
-
-static enum sdo_result finish(struct world *w)
-{
-	while (w->client.result == SDO_RUNNING) {
-		size_t count = w->answer_count;
+	while (p->client.result == SDO_RUNNING) {
+		size_t count = p->answer_count;
 
 		for (size_t i = 0; i < count; i++)
-			sdo_client_receive(&w->client, &w->answers[i], w->now_us);
-		w->answer_count -= count;
-		memmove(w->answers, w->answers + count, w->answer_count * sizeof(w->answers[0]));
+			sdo_client_receive(&p->client, &p->answers[i], p->world.now_us);
+		p->answer_count -= count;
+		memmove(p->answers, p->answers + count, p->answer_count * sizeof(p->answers[0]));
 		if (count)
 			continue;
-		uint64_t client_us = sdo_client_tick(&w->client, w->now_us),
-			 device_us = device_tick(&w->device, w->now_us);
-		if (w->answer_count == 0 && client_us > w->now_us)
-			w->now_us = client_us < device_us ? client_us : device_us;
+		uint64_t client_us = sdo_client_tick(&p->client, p->world.now_us),
+			 device_us = device_tick(&p->world.device, p->world.now_us);
+		if (p->answer_count == 0 && client_us > p->world.now_us)
+			p->world.now_us = client_us < device_us ? client_us : device_us;
 	}
-	return w->client.result;
+	return p->client.result;
 }
 
-static enum sdo_result read_object(struct world *w, uint16_t index, uint8_t sub)
+static enum sdo_result read_object(struct pair *p, uint16_t index, uint8_t sub)
 {
-	sdo_client_upload(&w->client, index, sub, w->value, sizeof(w->value), w->now_us);
-	return finish(w);
+	sdo_client_upload(&p->client, index, sub, p->value, sizeof(p->value), p->world.now_us);
+	return finish(p);
 }
 
-static enum sdo_result read_in_blocks(struct world *w, uint16_t index, uint8_t sub)
+static enum sdo_result read_in_blocks(struct pair *p, uint16_t index, uint8_t sub)
 {
-	sdo_client_block_upload(&w->client, index, sub, w->value, sizeof(w->value), w->now_us);
-	return finish(w);
+	sdo_client_block_upload(&p->client, index, sub, p->value, sizeof(p->value), p->world.now_us);
+	return finish(p);
 }
 
 /* The abort code, or 0. */
-static uint32_t write_object(struct world *w, uint16_t index, uint8_t sub, const void *data, size_t size)
+static uint32_t write_object(struct pair *p, uint16_t index, uint8_t sub, const void *data, size_t size)
 {
-	sdo_client_download(&w->client, index, sub, data, size, w->now_us);
-	finish(w);
-	assert_true(w->client.result == SDO_DONE || w->client.result == SDO_ABORTED);
-	return w->client.abort_code;
+	sdo_client_download(&p->client, index, sub, data, size, p->world.now_us);
+	finish(p);
+	assert_true(p->client.result == SDO_DONE || p->client.result == SDO_ABORTED);
+	return p->client.abort_code;
 }
 
-static uint32_t write_in_blocks(struct world *w, uint16_t index, uint8_t sub, const void *data, size_t size)
+static uint32_t write_in_blocks(struct pair *p, uint16_t index, uint8_t sub, const void *data, size_t size)
 {
-	sdo_client_block_download(&w->client, index, sub, data, size, w->now_us);
-	finish(w);
-	assert_true(w->client.result == SDO_DONE || w->client.result == SDO_ABORTED);
-	return w->client.abort_code;
+	sdo_client_block_download(&p->client, index, sub, data, size, p->world.now_us);
+	finish(p);
+	assert_true(p->client.result == SDO_DONE || p->client.result == SDO_ABORTED);
+	return p->client.abort_code;
 }
 
-static void must_write(struct world *w, uint16_t index, uint8_t sub, size_t size, uint32_t value)
+static void must_write(struct pair *p, uint16_t index, uint8_t sub, size_t size, uint32_t value)
 {
 	const uint8_t wire[] = {(uint8_t)value, (uint8_t)(value >> 8), (uint8_t)(value >> 16), (uint8_t)(value >> 24)};
 
-	assert_int_equal(write_object(w, index, sub, wire, size), 0);
+	assert_int_equal(write_object(p, index, sub, wire, size), 0);
 }
 
-static uint32_t value_u32(struct world *w, uint16_t index, uint8_t sub)
+static uint32_t value_u32(struct pair *p, uint16_t index, uint8_t sub)
 {
 	uint32_t value = 0;
 
-	assert_int_equal(read_object(w, index, sub), SDO_DONE);
-	memcpy(&value, w->value, w->client.size);
+	assert_int_equal(read_object(p, index, sub), SDO_DONE);
+	memcpy(&value, p->value, p->client.size);
 	return value;
-}
-
-static void nmt(struct world *w, uint8_t command)
-{
-	const struct can_msg msg = {.id = 0, .len = 2, .data = {command, w->node_id}};
-
-	device_receive(&w->device, &msg, w->now_us);
 }
 
 /* ---- EDS --------------------------------------------------------------------------------------------------------- */
 
 static void test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_plain(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	static uint8_t eds[1 << 18];
 
-	assert_int_equal(value_u32(w, 0x1022, 0), 0);
+	assert_int_equal(value_u32(p, 0x1022, 0), 0);
 	for (int blocks = 0; blocks < 2; blocks++) {
 		if (blocks)
-			sdo_client_block_upload(&w->client, 0x1021, 0, eds, sizeof(eds), w->now_us);
+			sdo_client_block_upload(&p->client, 0x1021, 0, eds, sizeof(eds), p->world.now_us);
 		else
-			sdo_client_upload(&w->client, 0x1021, 0, eds, sizeof(eds), w->now_us);
-		assert_int_equal(finish(w), SDO_DONE);
-		assert_int_equal(w->client.size, imu9_eds_size);
+			sdo_client_upload(&p->client, 0x1021, 0, eds, sizeof(eds), p->world.now_us);
+		assert_int_equal(finish(p), SDO_DONE);
+		assert_int_equal(p->client.size, imu9_eds_size);
 		assert_memory_equal(eds, imu9_eds, imu9_eds_size);
 	}
 }
@@ -184,14 +155,14 @@ static void test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_p
 
 static void test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	struct od_dcf_item item;
 	size_t used = 0;
 	bool *seen = calloc(imu9_od_table.count, sizeof(bool));
 
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	assert_true(od_dcf_valid(w->value, w->client.size));
-	while (od_dcf_next(w->value, w->client.size, &used, &item)) {
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	assert_true(od_dcf_valid(p->value, p->client.size));
+	while (od_dcf_next(p->value, p->client.size, &used, &item)) {
 		const struct od_entry *entry = od_find(&imu9_od_table, item.index, item.sub, NULL);
 
 		assert_non_null(entry);
@@ -210,40 +181,40 @@ static void test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured(voi
 
 static void test_the_snapshot_comes_in_blocks_too(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	uint8_t segmented[LARGE];
 
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	size_t size = w->client.size;
-	memcpy(segmented, w->value, size);
-	assert_int_equal(read_in_blocks(w, 0x2130, 0), SDO_DONE);
-	assert_int_equal(w->client.size, size);
-	assert_memory_equal(w->value, segmented, size);
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	size_t size = p->client.size;
+	memcpy(segmented, p->value, size);
+	assert_int_equal(read_in_blocks(p, 0x2130, 0), SDO_DONE);
+	assert_int_equal(p->client.size, size);
+	assert_memory_equal(p->value, segmented, size);
 }
 
 static void test_a_cob_id_that_follows_the_node_id_says_so_in_bit_29(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const uint8_t emcy[] = {0x14, 0x10, 0, 4, 0, 0, 0, 0x80, 0, 0, 0x20};
 	const uint8_t pdo[] = {0x00, 0x18, 1, 4, 0, 0, 0, 0x80, 1, 0, 0x60};
 
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	assert_non_null(memmem(w->value, w->client.size, emcy, sizeof(emcy)));
-	assert_non_null(memmem(w->value, w->client.size, pdo, sizeof(pdo)));
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	assert_non_null(memmem(p->value, p->client.size, emcy, sizeof(emcy)));
+	assert_non_null(memmem(p->value, p->client.size, pdo, sizeof(pdo)));
 }
 
 /* Anything that writes a snapshot entry by entry succeeds, as long as it adds the node-ID. */
 static void test_each_entry_of_the_snapshot_can_be_written_by_itself_in_its_order(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	static uint8_t snapshot[LARGE];
 	struct od_dcf_item item;
 	size_t used = 0;
 
-	nmt(w, 1);
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	size_t size = w->client.size;
-	memcpy(snapshot, w->value, size);
+	world_nmt(&p->world, 1);
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	size_t size = p->client.size;
+	memcpy(snapshot, p->value, size);
 	while (od_dcf_next(snapshot, size, &used, &item)) {
 		uint8_t data[8];
 
@@ -256,47 +227,47 @@ static void test_each_entry_of_the_snapshot_can_be_written_by_itself_in_its_orde
 			data[3] &= 0xDF;
 			data[0] = (uint8_t)(data[0] + 16);
 		}
-		if (write_object(w, item.index, item.sub, data, item.size))
-			fail_msg("%04X:%02X: %08X", item.index, item.sub, (unsigned)w->client.abort_code);
+		if (write_object(p, item.index, item.sub, data, item.size))
+			fail_msg("%04X:%02X: %08X", item.index, item.sub, (unsigned)p->client.abort_code);
 	}
 }
 
 /* ---- snapshot: to another node ----------------------------------------------------------------------------------- */
 
-static void configure(struct world *w)
+static void configure(struct pair *p)
 {
 	const float l = 0.125f, beta = 0.25f;
 
-	must_write(w, 0x1801, 1, 4, 0xC0000290); /* TPDO2: four others, every third SYNC, another COB-ID */
-	must_write(w, 0x1A01, 0, 1, 0);
-	must_write(w, 0x1A01, 1, 4, 0x21030120);
-	must_write(w, 0x1A01, 2, 4, 0x21030220);
-	must_write(w, 0x1A01, 0, 1, 2);
-	must_write(w, 0x1801, 2, 1, 3);
-	must_write(w, 0x1801, 1, 4, 0x400002A5);
-	must_write(w, 0x1803, 1, 4, 0x80000490); /* TPDO4: off */
-	must_write(w, 0x1019, 0, 1, 10);
-	must_write(w, 0x1006, 0, 4, 20000);
-	must_write(w, 0x1005, 0, 4, 0x40000081);
-	must_write(w, 0x1016, 1, 4, 0x00050100);
-	must_write(w, 0x1016, 2, 4, 0x00060200);
-	must_write(w, 0x1017, 0, 2, 250);
-	must_write(w, 0x1201, 1, 4, 0x6A5);
-	must_write(w, 0x1201, 2, 4, 0x6A6);
-	assert_int_equal(write_object(w, 0x2000, 1, &l, 4), 0);
-	assert_int_equal(write_object(w, 0x2030, 3, &beta, 4), 0);
-	must_write(w, 0x2110, 1, 2, 10);
-	must_write(w, 0x6000, 0, 2, 100);
-	must_write(w, 0x1020, 1, 4, 15000);
-	must_write(w, 0x1020, 2, 4, 12345678);
+	must_write(p, 0x1801, 1, 4, 0xC0000290); /* TPDO2: four others, every third SYNC, another COB-ID */
+	must_write(p, 0x1A01, 0, 1, 0);
+	must_write(p, 0x1A01, 1, 4, 0x21030120);
+	must_write(p, 0x1A01, 2, 4, 0x21030220);
+	must_write(p, 0x1A01, 0, 1, 2);
+	must_write(p, 0x1801, 2, 1, 3);
+	must_write(p, 0x1801, 1, 4, 0x400002A5);
+	must_write(p, 0x1803, 1, 4, 0x80000490); /* TPDO4: off */
+	must_write(p, 0x1019, 0, 1, 10);
+	must_write(p, 0x1006, 0, 4, 20000);
+	must_write(p, 0x1005, 0, 4, 0x40000081);
+	must_write(p, 0x1016, 1, 4, 0x00050100);
+	must_write(p, 0x1016, 2, 4, 0x00060200);
+	must_write(p, 0x1017, 0, 2, 250);
+	must_write(p, 0x1201, 1, 4, 0x6A5);
+	must_write(p, 0x1201, 2, 4, 0x6A6);
+	assert_int_equal(write_object(p, 0x2000, 1, &l, 4), 0);
+	assert_int_equal(write_object(p, 0x2030, 3, &beta, 4), 0);
+	must_write(p, 0x2110, 1, 2, 10);
+	must_write(p, 0x6000, 0, 2, 100);
+	must_write(p, 0x1020, 1, 4, 15000);
+	must_write(p, 0x1020, 2, 4, 12345678);
 }
 
-static void assert_same_configuration(const struct world *a, const struct world *b)
+static void assert_same_configuration(const struct pair *a, const struct pair *b)
 {
 	for (size_t i = 0; i < imu9_od_table.count; i++) {
 		const struct od_entry *entry = &imu9_od_table.entries[i];
-		const uint8_t *x = (const uint8_t *)&a->device.values + entry->offset;
-		const uint8_t *y = (const uint8_t *)&b->device.values + entry->offset;
+		const uint8_t *x = (const uint8_t *)&a->world.device.values + entry->offset;
+		const uint8_t *y = (const uint8_t *)&b->world.device.values + entry->offset;
 
 		if ((entry->access & OD_WRITE) && (entry->access & OD_STORED) && !(entry->access & OD_NODE_ID) &&
 			memcmp(x, y, entry->size))
@@ -304,7 +275,7 @@ static void assert_same_configuration(const struct world *a, const struct world 
 	}
 }
 
-static void bring_over(struct world *from, struct world *to)
+static void bring_over(struct pair *from, struct pair *to)
 {
 	assert_int_equal(read_in_blocks(from, 0x2130, 0), SDO_DONE);
 	assert_int_equal(write_in_blocks(to, 0x2130, 0, from->value, from->client.size), 0);
@@ -312,21 +283,21 @@ static void bring_over(struct world *from, struct world *to)
 
 static void test_a_snapshot_brings_another_node_to_the_same_configuration(void **state)
 {
-	struct world *w = *state, *other = new_world(17);
+	struct pair *p = *state, *other = new_pair(17);
 
-	configure(w);
-	bring_over(w, other);
-	assert_same_configuration(w, other);
+	configure(p);
+	bring_over(p, other);
+	assert_same_configuration(p, other);
 	free(other);
 }
 
 static void test_cob_ids_that_follow_the_node_id_follow_that_of_the_other_node(void **state)
 {
-	struct world *w = *state, *other = new_world(17);
+	struct pair *p = *state, *other = new_pair(17);
 
-	configure(w);
+	configure(p);
 	must_write(other, 0x1014, 0, 4, 0x800000FF);
-	bring_over(w, other);
+	bring_over(p, other);
 	assert_int_equal(value_u32(other, 0x1014, 0), 0x91);
 	assert_int_equal(value_u32(other, 0x1800, 1), 0x40000191);
 	assert_int_equal(value_u32(other, 0x1801, 1), 0x400002A5); /* this one was chosen */
@@ -336,15 +307,15 @@ static void test_cob_ids_that_follow_the_node_id_follow_that_of_the_other_node(v
 
 static void test_a_node_that_is_busy_takes_a_snapshot_too(void **state)
 {
-	struct world *w = *state, *other = new_world(17);
+	struct pair *p = *state, *other = new_pair(17);
 
 	configure(other); /* produces SYNC, maps and watches otherwise */
 	must_write(other, 0x1005, 0, 4, 0x81);
 	must_write(other, 0x1005, 0, 4, 0x40000082);
 	must_write(other, 0x1016, 3, 4, 0x00070200);
-	nmt(other, 1);
-	bring_over(w, other);
-	assert_same_configuration(w, other);
+	world_nmt(&other->world, 1);
+	bring_over(p, other);
+	assert_same_configuration(p, other);
 	assert_int_equal(value_u32(other, 0x1801, 1), 0x40000291);
 	assert_int_equal(value_u32(other, 0x1005, 0), 0x80);
 	free(other);
@@ -352,21 +323,21 @@ static void test_a_node_that_is_busy_takes_a_snapshot_too(void **state)
 
 static void test_the_identity_and_the_measurements_stay(void **state)
 {
-	struct world *w = *state, *other = new_world(17);
+	struct pair *p = *state, *other = new_pair(17);
 
-	w->device.values.identity.serial_number = 1111;
-	other->device.values.identity.serial_number = 2222;
-	bring_over(w, other);
+	p->world.device.values.identity.serial_number = 1111;
+	other->world.device.values.identity.serial_number = 2222;
+	bring_over(p, other);
 	assert_int_equal(value_u32(other, 0x1018, 4), 2222);
 	free(other);
 }
 
 static void test_the_date_of_the_configuration_comes_with_it(void **state)
 {
-	struct world *w = *state, *other = new_world(17);
+	struct pair *p = *state, *other = new_pair(17);
 
-	configure(w);
-	bring_over(w, other);
+	configure(p);
+	bring_over(p, other);
 	assert_int_equal(value_u32(other, 0x1020, 1), 15000);
 	assert_int_equal(value_u32(other, 0x1020, 2), 12345678);
 	free(other);
@@ -374,17 +345,17 @@ static void test_the_date_of_the_configuration_comes_with_it(void **state)
 
 static void test_a_snapshot_read_and_written_back_changes_nothing(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	static uint8_t before[LARGE];
 
-	configure(w);
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	size_t size = w->client.size;
-	memcpy(before, w->value, size);
-	assert_int_equal(write_object(w, 0x2130, 0, before, size), 0);
-	assert_int_equal(read_object(w, 0x2130, 0), SDO_DONE);
-	assert_int_equal(w->client.size, size);
-	assert_memory_equal(w->value, before, size);
+	configure(p);
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	size_t size = p->client.size;
+	memcpy(before, p->value, size);
+	assert_int_equal(write_object(p, 0x2130, 0, before, size), 0);
+	assert_int_equal(read_object(p, 0x2130, 0), SDO_DONE);
+	assert_int_equal(p->client.size, size);
+	assert_memory_equal(p->value, before, size);
 }
 
 /* ---- snapshot: refused ------------------------------------------------------------------------------------------- */
@@ -398,36 +369,37 @@ static void test_a_snapshot_read_and_written_back_changes_nothing(void **state)
 #define GOOD_ENTRY ENTRY_U16(0x1017, 0, 777)
 
 /* Refused with this code, and not even the entry before took effect. */
-static void assert_refused(struct world *w, const uint8_t *dcf, size_t size, uint32_t code)
+static void assert_refused(struct pair *p, const uint8_t *dcf, size_t size, uint32_t code)
 {
 	static struct od_values before;
 
-	before = w->device.values;
-	assert_int_equal(write_object(w, 0x2130, 0, dcf, size), code);
-	before.error_register = w->device.values.error_register;
+	before = p->world.device.values;
+	assert_int_equal(write_object(p, 0x2130, 0, dcf, size), code);
+	before.error_register = p->world.device.values.error_register;
 	for (size_t i = 0; i < imu9_od_table.count; i++) {
 		const struct od_entry *entry = &imu9_od_table.entries[i];
 
-		if ((entry->access & OD_STORED) && memcmp((uint8_t *)&before + entry->offset,
-							   (uint8_t *)&w->device.values + entry->offset, entry->size))
+		if ((entry->access & OD_STORED) &&
+			memcmp((uint8_t *)&before + entry->offset, (uint8_t *)&p->world.device.values + entry->offset,
+				entry->size))
 			fail_msg("%04X:%02X has changed", entry->index, entry->sub);
 	}
 }
 
-#define ASSERT_REFUSED(w, code, ...)                                         \
+#define ASSERT_REFUSED(p, code, ...)                                         \
 	do {                                                                 \
 		const uint8_t dcf[] = {2, 0, 0, 0, GOOD_ENTRY, __VA_ARGS__}; \
-		assert_refused(w, dcf, sizeof(dcf), code);                   \
+		assert_refused(p, dcf, sizeof(dcf), code);                   \
 	} while (0)
 
 static void test_some_entries_alone_are_taken_over(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const uint8_t dcf[] = {2, 0, 0, 0, GOOD_ENTRY, ENTRY_U8(0x2001, 0, 1)};
 
-	assert_int_equal(write_object(w, 0x2130, 0, dcf, sizeof(dcf)), 0);
-	assert_int_equal(value_u32(w, 0x1017, 0), 777);
-	assert_int_equal(value_u32(w, 0x2001, 0), 1);
+	assert_int_equal(write_object(p, 0x2130, 0, dcf, sizeof(dcf)), 0);
+	assert_int_equal(value_u32(p, 0x1017, 0), 777);
+	assert_int_equal(value_u32(p, 0x2001, 0), 1);
 }
 
 static void test_a_snapshot_without_entries_changes_nothing(void **state)
@@ -470,109 +442,106 @@ static void test_values_that_contradict_each_other_are_refused(void **state)
 
 static void test_bytes_that_are_no_concise_dcf_are_refused(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const uint8_t dcf[] = {1, 0, 0, 0, GOOD_ENTRY, 0};
 
-	assert_refused(w, dcf, 3, 0x06040043);
-	assert_refused(w, dcf, sizeof(dcf) - 2, 0x06040043); /* cut */
-	assert_refused(w, dcf, sizeof(dcf), 0x06040043);     /* a byte too many */
+	assert_refused(p, dcf, 3, 0x06040043);
+	assert_refused(p, dcf, sizeof(dcf) - 2, 0x06040043); /* cut */
+	assert_refused(p, dcf, sizeof(dcf), 0x06040043);     /* a byte too many */
 }
 
 static void test_a_snapshot_that_is_too_long_is_refused_before_it_comes(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	static const uint8_t bytes[LARGE + 1];
 
-	assert_int_equal(write_object(w, 0x2130, 0, bytes, sizeof(bytes)), 0x06070012);
-	assert_int_equal(w->client.size, 0);
-	assert_int_equal(write_in_blocks(w, 0x2130, 0, bytes, sizeof(bytes)), 0x06070012);
-	assert_int_equal(w->client.size, 0);
+	assert_int_equal(write_object(p, 0x2130, 0, bytes, sizeof(bytes)), 0x06070012);
+	assert_int_equal(p->client.size, 0);
+	assert_int_equal(write_in_blocks(p, 0x2130, 0, bytes, sizeof(bytes)), 0x06070012);
+	assert_int_equal(p->client.size, 0);
 }
 
-static void request(struct world *w, const uint8_t data[8])
+static void request(struct pair *p, const uint8_t data[8])
 {
-	struct can_msg msg = {.id = 0x610, .len = 8};
-
-	memcpy(msg.data, data, 8);
-	w->answer_count = 0;
-	device_receive(&w->device, &msg, w->now_us);
+	p->answer_count = 0;
+	world_receive(&p->world, 0x610, 8, data);
 }
 
-static void assert_answer(const struct world *w, const uint8_t data[8])
+static void assert_answer(const struct pair *p, const uint8_t data[8])
 {
-	assert_int_equal(w->answer_count, 1);
-	assert_memory_equal(w->answers[0].data, data, 8);
+	assert_int_equal(p->answer_count, 1);
+	assert_memory_equal(p->answers[0].data, data, 8);
 }
 
 /* A client that does not say how much it has. */
 static void test_a_segmented_download_without_a_size_ends_where_the_buffer_does(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	uint8_t toggle = 0;
 
-	request(w, (const uint8_t[8]){0x20, 0x30, 0x21});
+	request(p, (const uint8_t[8]){0x20, 0x30, 0x21});
 	for (size_t done = 0; done + 7 <= OD_DOMAIN_MAX; done += 7, toggle ^= 0x10) {
-		request(w, (const uint8_t[8]){toggle});
-		assert_answer(w, (const uint8_t[8]){0x20 | toggle});
+		request(p, (const uint8_t[8]){toggle});
+		assert_answer(p, (const uint8_t[8]){0x20 | toggle});
 	}
-	request(w, (const uint8_t[8]){toggle});
-	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
+	request(p, (const uint8_t[8]){toggle});
+	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
 }
 
 static void test_a_block_download_without_a_size_ends_where_the_buffer_does(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	size_t done = 0;
 	uint8_t sequence = 0;
 
-	request(w, (const uint8_t[8]){0xC0, 0x30, 0x21});
-	assert_answer(w, (const uint8_t[8]){0xA4, 0x30, 0x21, 0, 31});
+	request(p, (const uint8_t[8]){0xC0, 0x30, 0x21});
+	assert_answer(p, (const uint8_t[8]){0xA4, 0x30, 0x21, 0, 31});
 	while (done < OD_DOMAIN_MAX) {
 		sequence = sequence % 31 + 1;
-		request(w, (const uint8_t[8]){sequence});
-		assert_int_equal(w->answer_count, sequence == 31);
+		request(p, (const uint8_t[8]){sequence});
+		assert_int_equal(p->answer_count, sequence == 31);
 		done += 7;
 	}
-	request(w, (const uint8_t[8]){sequence + 1});
-	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
+	request(p, (const uint8_t[8]){sequence + 1});
+	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
 }
 
 static void test_four_bytes_are_a_domain_too(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	request(w, (const uint8_t[8]){0x23, 0x30, 0x21}); /* no entries */
-	assert_answer(w, (const uint8_t[8]){0x60, 0x30, 0x21});
-	request(w, (const uint8_t[8]){0x27, 0x30, 0x21}); /* three bytes are nothing */
-	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x43, 0x00, 0x04, 0x06});
+	request(p, (const uint8_t[8]){0x23, 0x30, 0x21}); /* no entries */
+	assert_answer(p, (const uint8_t[8]){0x60, 0x30, 0x21});
+	request(p, (const uint8_t[8]){0x27, 0x30, 0x21}); /* three bytes are nothing */
+	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x43, 0x00, 0x04, 0x06});
 }
 
 static void test_a_wrong_crc_takes_nothing_over(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	request(w, (const uint8_t[8]){0xC6, 0x30, 0x21, 0, 13});
-	request(w, (const uint8_t[8]){1, 1, 0, 0, 0, 0x17, 0x10, 0});
-	request(w, (const uint8_t[8]){0x82, 2, 0, 0, 0, 0x09, 0x03});
-	request(w, (const uint8_t[8]){0xC5, 0x12, 0x34});
-	assert_answer(w, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x04, 0x00, 0x04, 0x05});
-	w->answer_count = 0;
-	assert_int_equal(value_u32(w, 0x1017, 0), 1000);
+	request(p, (const uint8_t[8]){0xC6, 0x30, 0x21, 0, 13});
+	request(p, (const uint8_t[8]){1, 1, 0, 0, 0, 0x17, 0x10, 0});
+	request(p, (const uint8_t[8]){0x82, 2, 0, 0, 0, 0x09, 0x03});
+	request(p, (const uint8_t[8]){0xC5, 0x12, 0x34});
+	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x04, 0x00, 0x04, 0x05});
+	p->answer_count = 0;
+	assert_int_equal(value_u32(p, 0x1017, 0), 1000);
 }
 
 static void test_a_download_that_is_broken_off_leaves_nothing(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const uint8_t dcf[] = {2, 0, 0, 0, GOOD_ENTRY, ENTRY_U8(0x2001, 0, 1)};
 	const struct can_msg abort = {.id = 0x610, .len = 8, .data = {0x80, 0x30, 0x21}};
 
-	sdo_client_download(&w->client, 0x2130, 0, dcf, sizeof(dcf), w->now_us);
-	sdo_client_receive(&w->client, &w->answers[0], w->now_us); /* the first segment */
-	sdo_client_receive(&w->client, &w->answers[1], w->now_us); /* the second */
-	device_receive(&w->device, &abort, w->now_us);
-	w->answer_count = 0;
-	assert_int_equal(value_u32(w, 0x1017, 0), 1000);
-	assert_int_equal(value_u32(w, 0x2001, 0), 2);
+	sdo_client_download(&p->client, 0x2130, 0, dcf, sizeof(dcf), p->world.now_us);
+	sdo_client_receive(&p->client, &p->answers[0], p->world.now_us); /* the first segment */
+	sdo_client_receive(&p->client, &p->answers[1], p->world.now_us); /* the second */
+	device_receive(&p->world.device, &abort, p->world.now_us);
+	p->answer_count = 0;
+	assert_int_equal(value_u32(p, 0x1017, 0), 1000);
+	assert_int_equal(value_u32(p, 0x2001, 0), 2);
 }
 
 static void test_a_domain_that_is_only_read_refuses_a_write(void **state)
@@ -583,85 +552,85 @@ static void test_a_domain_that_is_only_read_refuses_a_write(void **state)
 
 /* ---- event log --------------------------------------------------------------------------------------------------- */
 
-static const char *read_log(struct world *w)
+static const char *read_log(struct pair *p)
 {
-	assert_int_equal(read_in_blocks(w, 0x2131, 0), SDO_DONE);
-	w->value[w->client.size] = '\0';
-	return (const char *)w->value;
+	assert_int_equal(read_in_blocks(p, 0x2131, 0), SDO_DONE);
+	p->value[p->client.size] = '\0';
+	return (const char *)p->value;
 }
 
-static void assert_logged(struct world *w, const char *text)
+static void assert_logged(struct pair *p, const char *text)
 {
-	if (!strstr(read_log(w), text))
-		fail_msg("'%s' is not in:\n%s", text, (const char *)w->value);
+	if (!strstr(read_log(p), text))
+		fail_msg("'%s' is not in:\n%s", text, (const char *)p->value);
 }
 
 static void test_the_log_tells_the_start_and_each_change_of_the_nmt_state(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	w->now_us += 1234567;
-	nmt(w, 1);
-	assert_logged(w, "      0.000000 started with node-ID 16 on vcan9, IMU none\n");
-	assert_logged(w, "      1.234567 NMT state: operational\n");
+	p->world.now_us += 1234567;
+	world_nmt(&p->world, 1);
+	assert_logged(p, "      0.000000 started with node-ID 16 on vcan9, IMU none\n");
+	assert_logged(p, "      1.234567 NMT state: operational\n");
 }
 
 static void test_the_log_tells_errors_and_their_end(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	canopen_error_set(&w->device.canopen, 0x8130, 0x10, (const uint8_t[5]){5}, w->now_us);
-	canopen_error_clear(&w->device.canopen, 0x8130, w->now_us);
-	assert_logged(w, "error 8130h, EMCY with 05 00 00 00 00\n");
-	assert_logged(w, "error 8130h is over\n");
+	canopen_error_set(&p->world.device.canopen, 0x8130, 0x10, (const uint8_t[5]){5}, p->world.now_us);
+	canopen_error_clear(&p->world.device.canopen, 0x8130, p->world.now_us);
+	assert_logged(p, "error 8130h, EMCY with 05 00 00 00 00\n");
+	assert_logged(p, "error 8130h is over\n");
 }
 
 static void test_the_log_tells_bus_states(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	w->bus.state = CAN_STATE_BUS_OFF;
-	device_tick(&w->device, w->now_us);
-	w->bus.state = CAN_STATE_ACTIVE;
-	device_tick(&w->device, w->now_us);
-	assert_logged(w, "vcan9: bus-off\n");
-	assert_logged(w, "vcan9: error active\n");
+	p->world.bus.state = CAN_STATE_BUS_OFF;
+	device_tick(&p->world.device, p->world.now_us);
+	p->world.bus.state = CAN_STATE_ACTIVE;
+	device_tick(&p->world.device, p->world.now_us);
+	assert_logged(p, "vcan9: bus-off\n");
+	assert_logged(p, "vcan9: error active\n");
 }
 
 static void test_the_log_tells_that_the_sensor_is_lost_and_back(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const struct imu_sample sample = {.t_us = 1000, .accel_m_s2 = {0, 0, 9.8}};
 
-	device_sample(&w->device, -5, NULL, w->now_us);
-	device_sample(&w->device, 1, &sample, w->now_us);
-	assert_logged(w, "no samples from none");
-	assert_logged(w, "samples from none again\n");
+	device_sample(&p->world.device, -5, NULL, p->world.now_us);
+	device_sample(&p->world.device, 1, &sample, p->world.now_us);
+	assert_logged(p, "no samples from none");
+	assert_logged(p, "samples from none again\n");
 }
 
 static void test_the_log_tells_resets_and_configurations(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const uint8_t dcf[] = {1, 0, 0, 0, GOOD_ENTRY}, bad[] = {1, 0, 0, 0, ENTRY_U8(0x2001, 0, 99)};
 
-	assert_int_equal(write_object(w, 0x2130, 0, dcf, sizeof(dcf)), 0);
-	write_object(w, 0x2130, 0, bad, sizeof(bad));
-	nmt(w, 0x82);
-	nmt(w, 0x81);
-	assert_logged(w, "configuration snapshot of 1 entries taken over\n");
-	assert_logged(w, "configuration snapshot refused: 2001h:00: ");
-	assert_logged(w, "reset communication\n");
-	assert_logged(w, "reset node\n");
+	assert_int_equal(write_object(p, 0x2130, 0, dcf, sizeof(dcf)), 0);
+	write_object(p, 0x2130, 0, bad, sizeof(bad));
+	world_nmt(&p->world, 0x82);
+	world_nmt(&p->world, 0x81);
+	assert_logged(p, "configuration snapshot of 1 entries taken over\n");
+	assert_logged(p, "configuration snapshot refused: 2001h:00: ");
+	assert_logged(p, "reset communication\n");
+	assert_logged(p, "reset node\n");
 }
 
 static void test_a_full_log_drops_its_oldest_lines_whole(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
 	for (int i = 0; i < 3000; i++)
-		event_log_add(&w->device.log, w->now_us, "event %d", i);
-	const char *text = read_log(w);
-	size_t size = w->client.size;
+		event_log_add(&p->world.device.log, p->world.now_us, "event %d", i);
+	const char *text = read_log(p);
+	size_t size = p->client.size;
 	assert_true(size <= OD_DOMAIN_MAX && size > OD_DOMAIN_MAX - 100);
 	assert_null(strstr(text, "event 5\n"));
 	assert_string_equal(text + size - strlen(" event 2999\n"), " event 2999\n");
@@ -679,52 +648,52 @@ static void test_a_full_log_drops_its_oldest_lines_whole(void **state)
 
 static void test_a_very_long_event_is_cut(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	char text[1000];
 
 	memset(text, 'x', sizeof(text) - 1);
 	text[sizeof(text) - 1] = '\0';
-	event_log_add(&w->device.log, w->now_us, "%s", text);
-	event_log_add(&w->device.log, w->now_us, "next");
-	assert_logged(w, "xxx\n      0.000000 next\n");
+	event_log_add(&p->world.device.log, p->world.now_us, "%s", text);
+	event_log_add(&p->world.device.log, p->world.now_us, "next");
+	assert_logged(p, "xxx\n      0.000000 next\n");
 }
 
 static void test_a_transfer_shows_the_log_of_its_beginning(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 
-	sdo_client_upload(&w->client, 0x2131, 0, w->value, sizeof(w->value), w->now_us);
-	uint32_t size = w->answers[0].data[4] | (uint32_t)w->answers[0].data[5] << 8;
+	sdo_client_upload(&p->client, 0x2131, 0, p->value, sizeof(p->value), p->world.now_us);
+	uint32_t size = p->answers[0].data[4] | (uint32_t)p->answers[0].data[5] << 8;
 	for (int i = 0; i < 3000; i++)
-		event_log_add(&w->device.log, w->now_us, "event %d", i);
-	assert_int_equal(finish(w), SDO_DONE);
-	assert_int_equal(w->client.size, size);
-	w->value[size] = '\0';
-	assert_non_null(strstr((char *)w->value, "started with node-ID 16"));
-	assert_null(strstr((char *)w->value, "event"));
+		event_log_add(&p->world.device.log, p->world.now_us, "event %d", i);
+	assert_int_equal(finish(p), SDO_DONE);
+	assert_int_equal(p->client.size, size);
+	p->value[size] = '\0';
+	assert_non_null(strstr((char *)p->value, "started with node-ID 16"));
+	assert_null(strstr((char *)p->value, "event"));
 }
 
 static void test_both_sdo_channels_read_their_own_log_at_once(void **state)
 {
-	struct world *w = *state;
+	struct pair *p = *state;
 	const struct can_msg open = {.id = 0x6A5, .len = 8, .data = {0x40, 0x31, 0x21}};
 	const struct can_msg segment = {.id = 0x6A5, .len = 8, .data = {0x60}};
 
-	must_write(w, 0x1201, 1, 4, 0x6A5);
-	must_write(w, 0x1201, 2, 4, 0x6A6);
-	sdo_client_upload(&w->client, 0x2131, 0, w->value, sizeof(w->value), w->now_us);
-	size_t first = w->answers[0].data[4];
-	event_log_add(&w->device.log, w->now_us, "in between");
-	device_receive(&w->device, &open, w->now_us);
-	assert_int_equal(w->answers[1].data[4], first + strlen("      0.000000 in between\n"));
-	device_receive(&w->device, &segment, w->now_us);
-	assert_memory_equal(w->answers[2].data + 1, "      0", 7);
-	w->answer_count = 1;
-	assert_int_equal(finish(w), SDO_DONE);
-	assert_int_equal(w->client.size, first);
+	must_write(p, 0x1201, 1, 4, 0x6A5);
+	must_write(p, 0x1201, 2, 4, 0x6A6);
+	sdo_client_upload(&p->client, 0x2131, 0, p->value, sizeof(p->value), p->world.now_us);
+	size_t first = p->answers[0].data[4];
+	event_log_add(&p->world.device.log, p->world.now_us, "in between");
+	device_receive(&p->world.device, &open, p->world.now_us);
+	assert_int_equal(p->answers[1].data[4], first + strlen("      0.000000 in between\n"));
+	device_receive(&p->world.device, &segment, p->world.now_us);
+	assert_memory_equal(p->answers[2].data + 1, "      0", 7);
+	p->answer_count = 1;
+	assert_int_equal(finish(p), SDO_DONE);
+	assert_int_equal(p->client.size, first);
 }
 
-#define WITH_DEVICE(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
+#define WITH_DEVICE(test) cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)
 
 int main(void)
 {
