@@ -13,20 +13,17 @@ static void drop(struct merge_ring *ring)
 	ring->count--;
 }
 
-/* False: it is not later than the one before. */
-static bool push(struct merge_ring *ring, const struct merge_reading *reading)
+static void push(struct merge_ring *ring, const struct merge_reading *reading)
 {
-	const struct merge_reading *last = ring->count ? peek(ring, ring->count - 1) : NULL;
-
-	if (last && reading->t_ns <= last->t_ns)
-		return false;
+	if (reading->t_ns <= ring->last_ns)
+		return;
+	ring->last_ns = reading->t_ns;
 	ring->at[(ring->first + ring->count++) % MERGE_READINGS] = *reading;
-	return true;
 }
 
 void merge_init(struct merge *m, int64_t tolerance_ns)
 {
-	*m = (struct merge){.tolerance_ns = tolerance_ns};
+	*m = (struct merge){.tolerance_ns = tolerance_ns, .gyro.last_ns = INT64_MIN, .accel.last_ns = INT64_MIN};
 }
 
 void merge_add(struct merge *m, enum imu_chip chip, const struct merge_reading *reading)

@@ -21,6 +21,7 @@ struct merge {
 	struct merge_ring {
 		struct merge_reading at[MERGE_READINGS];
 		unsigned first, count;
+		int64_t last_ns; /* pushed last, taken out or not */
 	} gyro, accel;
 	struct merge_reading mag;
 	bool mag_new;

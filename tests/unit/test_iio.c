@@ -218,6 +218,21 @@ static void test_readings_that_go_back_in_time_are_dropped(void **state)
 	assert_false(merge_next(&m, &sample));
 }
 
+static void test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped(void **state)
+{
+	struct imu_sample sample;
+	struct merge m;
+
+	(void)state;
+	merge_init(&m, 0);
+	add(&m, IMU_CHIP_ACCEL, 10 * MS, 1);
+	add(&m, IMU_CHIP_ACCEL, 20 * MS, 1);
+	add(&m, IMU_CHIP_GYRO, 14 * MS, 0);
+	assert_true(merge_next(&m, &sample));
+	add(&m, IMU_CHIP_GYRO, 12 * MS, 0);
+	assert_false(merge_next(&m, &sample));
+}
+
 static void test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant(void **state)
 {
 	struct imu_sample sample;
@@ -304,6 +319,7 @@ int main(void)
 		cmocka_unit_test(test_a_gyro_before_every_acceleration_is_lost_and_counted),
 		cmocka_unit_test(test_without_acceleration_the_gyro_s_readings_do_not_pile_up),
 		cmocka_unit_test(test_readings_that_go_back_in_time_are_dropped),
+		cmocka_unit_test(test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped),
 		cmocka_unit_test(test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant),
 		cmocka_unit_test(test_saturation_of_either_flags_the_sample),
 		cmocka_unit_test(test_values_that_repeat_are_no_measurements),
