@@ -232,8 +232,10 @@ static enum od_status on_command(void *ctx, const struct od_entry *entry, const 
 	command = *(const uint8_t *)wire;
 	switch (command) {
 	case CALIBRATING_ABORT:
-		if (state_of(c) == CALIBRATING_RUNNING)
-			refuse(c, CALIBRATE_ABORTED);
+		if (state_of(c) != CALIBRATING_RUNNING)
+			return OD_CONSUMED;
+		forget(c);
+		c->values->calibration.verdict = CALIBRATE_ABORTED;
 		return OD_CONSUMED;
 	case CALIBRATING_GYRO:
 	case CALIBRATING_SIX_FACES:

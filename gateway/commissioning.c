@@ -179,6 +179,14 @@ void commissioning_sample(struct commissioning *c, const struct imu_sample *samp
 		look(c, late);
 }
 
+void commissioning_sensor_lost(struct commissioning *c)
+{
+	if (state_of(c) != LEVER_RUNNING)
+		return;
+	c->values->lever_arm_identification.verdict = LEVER_SENSOR_LOST;
+	enter(c, LEVER_REFUSED);
+}
+
 unsigned commissioning_status(const struct commissioning *c)
 {
 	return state_of(c) == LEVER_RUNNING ? STATUS_COMMISSIONING : 0;

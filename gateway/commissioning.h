@@ -37,6 +37,8 @@ void commissioning_init(
 void commissioning_reset(struct commissioning *c);
 /** A sample that the pipeline has just taken. */
 void commissioning_sample(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us);
+/** The sensor has failed: what runs is refused. */
+void commissioning_sensor_lost(struct commissioning *c);
 /** STATUS_COMMISSIONING, or 0. */
 unsigned commissioning_status(const struct commissioning *c);
 

@@ -364,6 +364,15 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
 
+/* Until the next sample; a calibration or an identification is refused. */
+static void invalidate_outputs(struct device *d)
+{
+	publish_sensor_lost(&d->values);
+	commissioning_sensor_lost(&d->commissioning);
+	calibrating_sensor_lost(&d->calibrating);
+	d->values.sample.status &= (uint16_t)~STATUS_COMMISSIONING;
+}
+
 static void sensor_lost(struct device *d)
 {
 	uint8_t info[5];
@@ -376,8 +385,7 @@ static void sensor_lost(struct device *d)
 	sensor_fault_text(info, why, sizeof(why));
 	event_log_line(&d->log, d->now_us, "no samples from %s%s: EMCY %04Xh, outputs marked invalid", d->imu->name,
 		why, EMCY_SENSOR_LOST);
-	publish_sensor_lost(&d->values);
-	calibrating_sensor_lost(&d->calibrating);
+	invalidate_outputs(d);
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
 	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, info, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
@@ -390,8 +398,7 @@ static void watch_self_test(struct device *d)
 
 	if (testing && !d->sensor_testing) {
 		event_log_line(&d->log, d->now_us, "self-test of %s: outputs marked invalid meanwhile", d->imu->name);
-		publish_sensor_lost(&d->values);
-		calibrating_sensor_lost(&d->calibrating);
+		invalidate_outputs(d);
 		canopen_sample(&d->canopen, d->now_us);
 	}
 	d->sensor_testing = testing;

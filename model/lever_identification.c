@@ -57,6 +57,8 @@ const char *lever_verdict_text(enum lever_verdict verdict)
 		       "motion";
 	case LEVER_UNSURE:
 		return "not sure enough: turn faster, or for longer";
+	case LEVER_SENSOR_LOST:
+		return "the sensor stopped";
 	}
 	return "unknown";
 }

@@ -32,8 +32,9 @@ enum lever_verdict { /* 0 is left for "none yet" */
 	LEVER_BLIND_L = 5,	/* it turned about the axis l only, or almost: that says nothing of r along l */
 	LEVER_BLIND_S = 6,
 	LEVER_BLIND_T = 7,
-	LEVER_NOT_HELD = 8, /* too much is left over: the point moved, or the reference is another's */
-	LEVER_UNSURE = 9,   /* all well, but not enough of it */
+	LEVER_NOT_HELD = 8,	/* too much is left over: the point moved, or the reference is another's */
+	LEVER_UNSURE = 9,	/* all well, but not enough of it */
+	LEVER_SENSOR_LOST = 10, /* said by the gateway */
 };
 
 /** One line for people: what is wrong, and what to do. */

@@ -221,7 +221,7 @@ static void test_an_abort_ends_it(void **state)
 	seconds(w, "rest", 3);
 	assert_true(w->device.values.sample.status & STATUS_BIT);
 	assert_int_equal(command(w, 0), 0);
-	assert_state(w, CALIBRATING_REFUSED, CALIBRATE_ABORTED);
+	assert_state(w, CALIBRATING_IDLE, CALIBRATE_ABORTED);
 	seconds(w, "rest", 0.02);
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
@@ -245,6 +245,7 @@ static void test_a_lost_sensor_ends_it(void **state)
 	w->now_us += 1000000;
 	device_tick(&w->device, w->now_us);
 	assert_state(w, CALIBRATING_REFUSED, CALIBRATE_SENSOR_LOST);
+	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
 
 #define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)

@@ -313,6 +313,23 @@ static void test_nmt_reset_ends_it(void **state)
 	}
 }
 
+static void test_a_lost_sensor_ends_in_a_refusal_that_says_so(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	assert_int_equal(command(w, START_HELD), 0);
+	seconds(robot, 3);
+	w->now_us += 1000000;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_SENSOR_LOST);
+	assert_false(w->device.values.sample.status & STATUS_COMMISSIONING);
+	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
+	seconds(robot, 1);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+}
+
 static void test_progress_follows_the_duration_that_was_asked_for(void **state)
 {
 	struct robot *robot = *state;
@@ -340,6 +357,7 @@ int main(void)
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
 		TEST(test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it),
 		TEST(test_nmt_reset_ends_it),
+		TEST(test_a_lost_sensor_ends_in_a_refusal_that_says_so),
 		TEST(test_progress_follows_the_duration_that_was_asked_for),
 	};
 
