@@ -1,17 +1,16 @@
 #include "tools/calibrate_lever_arm.h"
 
 #include <errno.h>
-#include <getopt.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "drivers/imu/imu_log.h"
-#include "gateway/config.h"
 #include "gateway/settings.h"
 #include "model/lever_identification.h"
 #include "od_values.h"
 #include "tools/cli.h"
+#include "tools/cli_config.h"
 #include "tools/reference_log.h"
 
 static const char usage[] =
@@ -157,8 +156,6 @@ static const struct option known[] = {{"reference", required_argument, NULL, 'r'
 
 static void take_option(struct options *o, int option, char **argv)
 {
-	char why[CONFIG_ERROR_MAX];
-
 	switch (option) {
 	case 'r':
 		o->reference = optarg;
@@ -167,8 +164,7 @@ static void take_option(struct options *o, int option, char **argv)
 		o->estimate_delay = true;
 		break;
 	case 's':
-		if (config_set(&o->config, optarg, why) < 0)
-			cli_usage_error("%s", why);
+		cli_config_set(&o->config, optarg);
 		break;
 	case 'h':
 		fputs(usage, stdout);
@@ -180,19 +176,13 @@ static void take_option(struct options *o, int option, char **argv)
 	}
 }
 
-/* As in the gateway, the file comes first whatever the order. optind = 0: glibc scans anew. */
 static void parse_options(struct options *o, int argc, char **argv)
 {
 	static const char letters[] = ":r:dc:";
-	char why[CONFIG_ERROR_MAX];
 	int option;
 
 	config_init(&o->config, &imu9_od_table);
-	opterr = optind = 0;
-	while ((option = getopt_long(argc, argv, letters, known, NULL)) != -1)
-		if (option == 'c' && config_file(&o->config, optarg, why) < 0)
-			cli_usage_error("%s", why);
-	optind = 0;
+	cli_config_files(&o->config, argc, argv, letters, known);
 	while ((option = getopt_long(argc, argv, letters, known, NULL)) != -1)
 		take_option(o, option, argv);
 	if (optind != argc - 1)

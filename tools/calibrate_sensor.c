@@ -1,6 +1,5 @@
 #include "tools/calibrate_sensor.h"
 
-#include <getopt.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -8,6 +7,7 @@
 #include "gateway/settings.h"
 #include "od_values.h"
 #include "tools/cli.h"
+#include "tools/cli_config.h"
 
 static const char usage[] =
 	"usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
@@ -55,8 +55,6 @@ static const struct option options[] = {
 
 static void take_option(struct calibrate_request *r, int option, char **argv)
 {
-	char why[CONFIG_ERROR_MAX];
-
 	switch (option) {
 	case OPT_SIX:
 		r->six = true;
@@ -65,13 +63,10 @@ static void take_option(struct calibrate_request *r, int option, char **argv)
 		r->field_uT = cli_real_option("--field", optarg, 10, 200);
 		break;
 	case OPT_SET:
-		if (config_set(&r->config, optarg, why) < 0)
-			cli_usage_error("%s", why);
+		cli_config_set(&r->config, optarg);
 		break;
 	case 'c':
-		if (config_file(&r->config, optarg, why) < 0)
-			cli_usage_error("%s", why);
-		break;
+		break; /* taken before */
 	case 'o':
 		r->output = optarg;
 		break;
@@ -109,6 +104,7 @@ static void check(const struct calibrate_request *r)
 
 int calibrate_sensor(int argc, char **argv)
 {
+	static const char letters[] = ":o:c:i:n:yt:";
 	static struct calibrate_request r;
 	static struct od_values values;
 	struct od od;
@@ -116,8 +112,8 @@ int calibrate_sensor(int argc, char **argv)
 
 	r = (struct calibrate_request){.what = argv[0], .timeout_ms = 1000};
 	config_init(&r.config, &imu9_od_table);
-	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":o:c:i:n:yt:", options, NULL)) != -1)
+	cli_config_files(&r.config, argc, argv, letters, options);
+	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1)
 		take_option(&r, option, argv);
 	if (optind < argc - 1)
 		cli_usage_error("give one log, or none for the gateway on the bus");

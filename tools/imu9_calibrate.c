@@ -42,7 +42,7 @@ static int run(const struct subcommand *s, int at, int argc, char **argv)
 int main(int argc, char **argv)
 {
 	if (argc < 2)
-		cli_usage_error("which quantity?");
+		cli_usage_error("which quantity? gyro, accelerometer, magnetometer, temperature or lever-arm");
 	if (strcmp(argv[1], "--help") == 0) {
 		print_usage();
 		return CLI_OK;
@@ -55,5 +55,5 @@ int main(int argc, char **argv)
 		for (const struct subcommand *s = subcommands; s->name; s++)
 			if (strcmp(argv[i], s->name) == 0)
 				return run(s, i, argc, argv);
-	cli_usage_error("no such subcommand: %s", argv[argc - 1]);
+	cli_usage_error("%s: name a quantity: gyro, accelerometer, magnetometer, temperature or lever-arm", argv[1]);
 }

@@ -13,6 +13,7 @@
 #include "model/pipeline.h"
 #include "od_values.h"
 #include "tools/cli.h"
+#include "tools/cli_config.h"
 #include "tools/csv.h"
 
 enum { EXIT_USAGE = 2 };
@@ -100,20 +101,15 @@ static int replay(const struct config *config, struct imu_log *log)
 	return EXIT_SUCCESS;
 }
 
-/* -1: run; else the exit status. As in the gateway, the file comes first whatever the order. */
+/* -1: run; else the exit status. */
 static int read_configuration(struct config *config, int argc, char **argv)
 {
 	static const struct option options[] = {{"config", required_argument, NULL, 'c'},
 		{"set", required_argument, NULL, 's'}, {"help", no_argument, NULL, 'h'},
 		{"version", no_argument, NULL, 'v'}, {0}};
-	char why[CONFIG_ERROR_MAX];
 	int option;
 
-	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
-		if (option == 'c' && config_file(config, optarg, why) < 0)
-			return fail(EXIT_USAGE, why);
-	optind = 0; /* glibc: scan anew */
+	cli_config_files(config, argc, argv, ":c:", options);
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1) {
 		if (option == 'h') {
 			fputs(usage, stdout);
@@ -125,8 +121,8 @@ static int read_configuration(struct config *config, int argc, char **argv)
 		}
 		if (option == '?' || option == ':')
 			cli_bad_option(option, argv);
-		if (option == 's' && config_set(config, optarg, why) < 0)
-			return fail(EXIT_USAGE, why);
+		if (option == 's')
+			cli_config_set(config, optarg);
 	}
 	if (optind != argc - 1)
 		return fail(EXIT_USAGE, "give one log, or - for standard input (imu9-replay --help)");

@@ -104,6 +104,20 @@ class RecordedTrials(unittest.TestCase):
         self.assertIn("too few positions", result.stderr)
 
 
+@unittest.skipIf(numpy is None, "numpy is missing: apt-get install python3-numpy")
+class Options(unittest.TestCase):
+    def test_set_holds_over_the_file_whatever_the_order(self):
+        log = simulated("rest", "--duration", 20)
+        file = rig.written("gyro_calibration.xx = 1.02\n", ".ini")
+        matrix = calibrated("gyro", log, "--set", "gyro_calibration.xx=1.01", "-c", str(file))[1]
+        self.assertEqual(matrix[0, 0], 1.01)
+
+    def test_what_is_no_quantity_is_named_with_those_there_are(self):
+        result = rig.run("imu9-calibrate", "giro", "log.csv")
+        self.assertEqual(result.returncode, 2)
+        self.assertIn("giro: name a quantity: gyro, accelerometer", result.stderr)
+
+
 class ByCommand(unittest.TestCase):
     def test_a_gyro_is_calibrated_and_accepted(self):
         gateway = rig.Gateway(imu="sim:rest,uncalibrated")
