@@ -107,8 +107,10 @@ static void print_dcf(struct save *save, const char *text, size_t size)
 		while (length && (line[length - 1] == '\r' || line[length - 1] == ' '))
 			length--;
 		if (length && line[0] == '[') {
-			size_t name = strcspn(line + 1, "]\n");
+			const char *close = memchr(line, ']', length);
+			size_t name = (size_t)((close ? close : line + length) - (line + 1));
 
+			print_parameter(save, entry); /* no blank line stood before this section */
 			skip = name == 18 && strncasecmp(line + 1, "DeviceComissioning", name) == 0;
 			if (name == 16 && strncasecmp(line + 1, "MandatoryObjects", name) == 0)
 				print_commissioning(save);
