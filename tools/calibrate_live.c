@@ -1,3 +1,4 @@
+#include <poll.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
@@ -32,6 +33,8 @@ static const uint64_t LOOK_US = 200000;
 
 static bool explain(const struct cli_node *node, uint8_t sub)
 {
+	if (node->sdo.result == SDO_DONE)
+		cli_error("%04Xh:%02X of node %u is of another size: is it an IMU9 gateway?", OBJECT, sub, node->id);
 	cli_node_explain(node, od_find(&imu9_od_table, OBJECT, sub, NULL));
 	return false;
 }
@@ -41,14 +44,19 @@ static bool command(struct cli_node *node, uint8_t value)
 	return cli_node_write(node, OBJECT, COMMAND, &value, 1) || explain(node, COMMAND);
 }
 
+static bool read_value(struct cli_node *node, uint8_t sub, void *value, size_t size)
+{
+	return (cli_node_read(node, OBJECT, sub, value, size) && node->sdo.size == size) || explain(node, sub);
+}
+
 static bool read_byte(struct cli_node *node, uint8_t sub, uint8_t *value)
 {
-	return cli_node_read(node, OBJECT, sub, value, 1) || explain(node, sub);
+	return read_value(node, sub, value, sizeof *value);
 }
 
 static bool read_real(struct cli_node *node, uint8_t sub, float *value)
 {
-	return cli_node_read(node, OBJECT, sub, value, sizeof *value) || explain(node, sub);
+	return read_value(node, sub, value, sizeof *value);
 }
 
 /* ---- the user ---------------------------------------------------------------------------------------------------- */
@@ -115,9 +123,8 @@ static void pause_for(struct cli_node *node, uint64_t us, int signal_fd, bool *s
 }
 
 /* Until it has ended; false when the node could not be asked or the user stops it. */
-static bool watch(struct cli_node *node, uint8_t kind, uint8_t *state)
+static bool watch(struct cli_node *node, uint8_t kind, int signal_fd, uint8_t *state)
 {
-	const int signal_fd = cli_signal_fd();
 	bool stop = false;
 
 	while (!stop) {
@@ -129,13 +136,10 @@ static bool watch(struct cli_node *node, uint8_t kind, uint8_t *state)
 			return false;
 		pause_for(node, LOOK_US, signal_fd, &stop);
 	}
-	close(signal_fd);
 	if (isatty(STDOUT_FILENO))
 		putchar('\n');
-	if (stop) {
-		command(node, ABORT);
+	if (stop && command(node, ABORT))
 		cli_error("stopped: nothing has changed");
-	}
 	return !stop;
 }
 
@@ -161,25 +165,28 @@ static bool print_result(struct cli_node *node, uint8_t kind)
 	return true;
 }
 
-static bool wanted(void)
+static bool wanted(int signal_fd)
 {
+	struct pollfd fds[] = {{STDIN_FILENO, POLLIN, 0}, {signal_fd, POLLIN, 0}};
 	char answer[16];
 
 	printf("accept? [y/N] ");
 	fflush(stdout);
-	return fgets(answer, sizeof answer, stdin) && (answer[0] == 'y' || answer[0] == 'Y');
+	return poll(fds, 2, -1) > 0 && !fds[1].revents && fgets(answer, sizeof answer, stdin) &&
+	       (answer[0] == 'y' || answer[0] == 'Y');
 }
 
 static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t kind)
 {
 	const float strength = (float)r->field_uT;
+	const int signal_fd = cli_signal_fd(); /* blocks the signals to the end: at the question they say no */
 	uint8_t state = 0, verdict;
 
 	if (strength > 0 && !cli_node_write(node, OBJECT, STRENGTH, &strength, sizeof strength)) {
 		explain(node, STRENGTH);
 		return CLI_FAILED;
 	}
-	if (!command(node, kind) || !watch(node, kind, &state) || !read_byte(node, VERDICT, &verdict))
+	if (!command(node, kind) || !watch(node, kind, signal_fd, &state) || !read_byte(node, VERDICT, &verdict))
 		return CLI_FAILED;
 	if (state != DONE) {
 		cli_error("%s refused: %s", r->what, calibrate_text((enum calibrate_verdict)verdict));
@@ -187,9 +194,9 @@ static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t
 	}
 	if (!print_result(node, kind))
 		return CLI_FAILED;
-	if (!r->yes && !wanted()) {
-		command(node, DISCARD);
-		puts("discarded");
+	if (!r->yes && !wanted(signal_fd)) {
+		if (command(node, DISCARD))
+			puts("discarded");
 		return CLI_FAILED;
 	}
 	if (!command(node, ACCEPT))

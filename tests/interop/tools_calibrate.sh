@@ -1,0 +1,27 @@
+#!/bin/bash
+# tools_calibrate.sh [BUS]: imu9-calibrate and the user who changes his mind.
+. "$(dirname "$0")/tools_common.bash"
+
+start_gateway --imu sim:rest
+
+mkfifo "$work/answer"
+exec 3<>"$work/answer"
+imu9-calibrate gyro <&3 >"$work/out" 2>"$work/err" &
+calibrating=$!
+for _ in {1..100}; do
+	grep -q accept "$work/out" && break
+	sleep 0.2
+done
+kill -TERM $calibrating
+for _ in {1..20}; do
+	kill -0 $calibrating 2>/dev/null || break
+	sleep 0.1
+done
+kill -KILL $calibrating 2>/dev/null
+wait $calibrating
+rc=$?
+err=$(<"$work/err")
+check "a signal at the question says no" test "$rc" = 1
+out=$(tail -n 1 "$work/out")
+check "and the result is discarded" says "discarded"
+finish
