@@ -37,6 +37,7 @@ struct lss {
 	struct session *session;
 	struct can_port *bus;
 	unsigned int answer_ms;
+	bool unsent;	/* a request did not get onto the bus, and that was told */
 	bool selective; /* `wanted` is the node that is meant */
 	uint32_t wanted[NUMBERS];
 };
@@ -53,9 +54,10 @@ static void send_command(struct lss *lss, uint8_t command, uint32_t value, const
 	int rc = can_send(lss->bus, &msg, cli_now_us());
 	if (rc == 0)
 		rc = cli_flush(lss->bus);
-	if (rc < 0)
+	if (rc < 0 && !lss->unsent)
 		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", lss->session->bus,
 			strerror(-rc));
+	lss->unsent |= rc < 0;
 }
 
 /* True when a frame with that identifier and, for an answer, that command came in time. */
@@ -145,6 +147,8 @@ static bool select_node(struct lss *lss)
 
 static int no_answer(const struct lss *lss)
 {
+	if (lss->unsent)
+		return CLI_FAILED;
 	cli_error(
 		"no answer to LSS on %s: is there a node that supports it, and the bit rate right?", lss->session->bus);
 	return CLI_FAILED;
@@ -171,7 +175,7 @@ static int scan(struct lss *lss)
 		found++;
 	}
 	switch_all(lss, false);
-	if (!lss->session->quiet)
+	if (!lss->session->quiet && !lss->unsent)
 		fprintf(stderr, "imu9-sdo: %d node%s without a node-ID\n", found, found == 1 ? "" : "s");
 	return CLI_OK;
 }
@@ -352,5 +356,5 @@ int sdo_command_lss(struct session *s, int argc, char **argv)
 	lss.bus = cli_open_bus(s->bus);
 	int exit_code = run(&lss, argv[0], argc - 1, argv + 1, keep_it, delay);
 	can_close(lss.bus);
-	return exit_code;
+	return lss.unsent ? CLI_FAILED : exit_code;
 }

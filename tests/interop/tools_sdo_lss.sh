@@ -28,6 +28,14 @@ imu9-sdo -n 18 nmt reset-comm
 sleep 0.3
 run imu9-sdo lss assign 19
 check "nobody to be assigned to" fails 1 "no node without a node-ID"
+on_a_listening_adapter() { # a terminal that nobody reads is an adapter for slcan
+	python3 -c 'import os, pty, subprocess, sys
+line = os.ttyname(pty.openpty()[1])
+sys.exit(subprocess.call(["imu9-sdo", "-i", "slcan:%s,listen-only" % line] + sys.argv[1:]))' "$@"
+}
+run on_a_listening_adapter lss scan
+check "a bus that cannot be sent on is not one without nodes" fails 1 "cannot send on slcan:"
+check "which is said once" test "$(wc -l <<<"$err")" = 1
 
 # ---- a node without a node-ID
 stop_gateway
