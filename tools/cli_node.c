@@ -158,6 +158,18 @@ static void explain_abort(const struct cli_node *node, const struct od_entry *en
 		sdo_abort_text(sdo->abort_code), sdo->abort_code, limits[0] ? "; allowed: " : "", limits);
 }
 
+/* Only interfaces of the kernel have a name without a colon. */
+static void explain_bus(const struct cli_node *node)
+{
+	if (node->bus->state == CAN_STATE_BUS_OFF)
+		cli_error("%s is bus-off: check wiring, termination and bit rate, then try again", node->bus_name);
+	else if (strchr(node->bus->name, ':'))
+		cli_error("%s is down: is the adapter plugged in?", node->bus_name);
+	else
+		cli_error("%s is down: set it up with 'ip link set %s up', then try again", node->bus_name,
+			node->bus_name);
+}
+
 void cli_node_explain(const struct cli_node *node, const struct od_entry *entry)
 {
 	switch (node->sdo.result) {
@@ -166,13 +178,10 @@ void cli_node_explain(const struct cli_node *node, const struct od_entry *entry)
 		return;
 	case SDO_TIMEOUT:
 		if (node->bus->state == CAN_STATE_DOWN || node->bus->state == CAN_STATE_BUS_OFF)
-			cli_error("%s is %s: set it up with 'ip link set %s up', then try again", node->bus_name,
-				node->bus->state == CAN_STATE_DOWN ? "down" : "bus-off", node->bus_name);
+			explain_bus(node);
 		else
-			cli_error("no answer from node %u on %s within %u ms: is the gateway "
-				  "running with "
-				  "--node-id %u --can %s? (imu9-monitor shows what a node sends; "
-				  "-t waits longer)",
+			cli_error("no answer from node %u on %s within %u ms: is the gateway running with --node-id %u "
+				  "--can %s? (imu9-monitor shows what a node sends; -t waits longer)",
 				node->id, node->bus_name, node->timeout_ms, node->id, node->bus_name);
 		return;
 	case SDO_UNSENT:

@@ -73,6 +73,8 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 
 	if (watch_has_values(w))
 		text[0] = '\0';
+	else if (m->bus->state == CAN_STATE_DOWN && strchr(m->bus->name, ':'))
+		snprintf(text, capacity, "%s is down: is the adapter plugged in?", m->bus_name);
 	else if (m->bus->state == CAN_STATE_DOWN)
 		snprintf(text, capacity, "%s is down: ip link set %s up", m->bus_name, m->bus_name);
 	else if (w->heard_us == 0)

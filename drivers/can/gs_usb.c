@@ -713,25 +713,29 @@ static bool parse(struct gs_usb *can, char *address)
 static void explain(
 	int result, const struct gs_usb *can, const struct gs_usb_adapter *adapter, char *error, size_t error_size)
 {
+	const char *name = gs_usb_name(adapter);
+
 	switch (result) {
 	case -EACCES:
 		snprintf(error, error_size,
 			"no permission to use the adapter %s (%s): install the rule 70-imu9-gateway.rules for udev "
 			"(`make install`, then plug the adapter in again), or run as root",
-			adapter->serial, adapter->node);
+			name, adapter->node);
 		break;
 	case -EBUSY:
-		snprintf(error, error_size, "another program uses the adapter %s", adapter->serial);
+		snprintf(error, error_size,
+			"another program uses the adapter %s: stop that, or give another adapter (gs_usb:SERIAL)",
+			name);
 		break;
 	case -ECHRNG:
-		snprintf(error, error_size, "the adapter %s has no channel %u", adapter->serial, can->channel);
+		snprintf(error, error_size, "the adapter %s has no channel %u", name, can->channel);
 		break;
 	case -EOPNOTSUPP:
-		snprintf(error, error_size, "the adapter %s can do neither %u bit/s%s nor anything near it",
-			adapter->serial, can->port.bit_s, can->listen_only ? " in listen-only mode" : "");
+		snprintf(error, error_size, "the adapter %s can do neither %u bit/s%s nor anything near it", name,
+			can->port.bit_s, can->listen_only ? " in listen-only mode" : "");
 		break;
 	default:
-		snprintf(error, error_size, "the adapter %s (%s) does not work: %s", adapter->serial, adapter->node,
+		snprintf(error, error_size, "the adapter %s (%s) does not work: %s", name, adapter->node,
 			strerror(-result));
 	}
 }
@@ -765,7 +769,7 @@ static int set_up(struct gs_usb *can, char *error, size_t error_size)
 	if (result < 0 && error[0] == '\0')
 		explain(result, can, &adapter, error, error_size);
 	if (result == 0) {
-		snprintf(can->wanted, sizeof(can->wanted), "%s", adapter.serial[0] ? adapter.serial : adapter.place);
+		snprintf(can->wanted, sizeof(can->wanted), "%s", gs_usb_name(&adapter));
 		snprintf(can->port.name, sizeof(can->port.name), "gs_usb:%.40s", can->wanted);
 	}
 	return result;

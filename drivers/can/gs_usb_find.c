@@ -99,7 +99,7 @@ static void explain(const struct gs_usb_adapter *list, size_t n, const char *wan
 	for (size_t i = 0; i < n; i++) {
 		used = strlen(error);
 		snprintf(error + used, error_size - used, "%s gs_usb:%s (%s at %s)", i > 0 ? "," : "",
-			list[i].serial[0] ? list[i].serial : list[i].place, list[i].product, list[i].place);
+			gs_usb_name(&list[i]), list[i].product, list[i].place);
 	}
 }
 

@@ -14,6 +14,12 @@ struct gs_usb_adapter {
 	char node[GS_USB_TEXT]; /* below /dev, e.g. /dev/bus/usb/003/007: another one after each plugging in */
 };
 
+/** What it is called by: its serial number, or else its place. */
+static inline const char *gs_usb_name(const struct gs_usb_adapter *adapter)
+{
+	return adapter->serial[0] ? adapter->serial : adapter->place;
+}
+
 /** Adapters below `root` (/sys/bus/usb/devices), in the order of their places; so many, at most GS_USB_ADAPTERS. */
 size_t gs_usb_list(const char *root, struct gs_usb_adapter list[GS_USB_ADAPTERS]);
 

@@ -380,6 +380,10 @@ static void explain(int result, const struct slcan *can, char *error, size_t err
 		snprintf(error, error_size, "no permission to use %s: be in the group that owns it (dialout), or root",
 			can->device);
 		break;
+	case -EBUSY:
+		snprintf(
+			error, error_size, "another program uses %s: `fuser %s` tells which", can->device, can->device);
+		break;
 	case -ENOTTY:
 		snprintf(error, error_size, "%s is no serial device", can->device);
 		break;

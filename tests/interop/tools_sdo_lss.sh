@@ -36,6 +36,17 @@ sys.exit(subprocess.call(["imu9-sdo", "-i", "slcan:%s,listen-only" % line] + sys
 run on_a_listening_adapter lss scan
 check "a bus that cannot be sent on is not one without nodes" fails 1 "cannot send on slcan:"
 check "which is said once" test "$(wc -l <<<"$err")" = 1
+on_an_adapter_that_goes() {
+	python3 -c 'import os, pty, subprocess, sys, time
+adapter, line = pty.openpty()
+sdo = subprocess.Popen(["imu9-sdo", "-i", "slcan:" + os.ttyname(line)] + sys.argv[1:])
+os.close(line)
+time.sleep(0.4)
+os.close(adapter)
+sys.exit(sdo.wait())' "$@"
+}
+run on_an_adapter_that_goes read gravity
+check "an adapter that was pulled out is asked for" fails 1 "is the adapter plugged in?"
 
 # ---- a node without a node-ID
 stop_gateway
