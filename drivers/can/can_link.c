@@ -10,7 +10,9 @@
 #include <sys/syscall.h>
 #include <unistd.h>
 
-enum { ANSWER_MAX = 16384, OFF_PERMILLE = 5 };
+#include "drivers/can/gs_usb_timing.h"
+
+enum { ANSWER_MAX = 16384 };
 
 /* ---- one request, one answer ------------------------------------------------------------------------------------- */
 
@@ -182,18 +184,11 @@ static bool permitted(void)
 	return (data[CAP_TO_INDEX(CAP_NET_ADMIN)].effective & CAP_TO_MASK(CAP_NET_ADMIN)) != 0;
 }
 
-static bool divides(const struct can_link_limits *l, uint32_t bit_s)
+static bool divides(const struct can_link_limits *limits, uint32_t bit_s)
 {
-	for (uint32_t brp = l->brp_min; brp > 0 && brp <= l->brp_max; brp += l->brp_inc > 0 ? l->brp_inc : 1) {
-		uint64_t quanta = (l->clock_hz / brp + bit_s / 2) / bit_s;
-		uint64_t got = quanta * brp * bit_s;
-		uint64_t off = got > l->clock_hz ? got - l->clock_hz : l->clock_hz - got;
+	struct bit_timing timing;
 
-		if (quanta >= 1 + l->tseg1_min + l->tseg2_min && quanta <= 1 + l->tseg1_max + l->tseg2_max &&
-			off * 1000 <= (uint64_t)l->clock_hz * OFF_PERMILLE)
-			return true;
-	}
-	return false;
+	return bit_timing_find(limits, 0, bit_s, bit_timing_sample_point(bit_s), &timing) == 0;
 }
 
 bool can_link_has_rate(const struct can_link *link, uint32_t bit_s)
