@@ -90,6 +90,7 @@ struct iio_imu {
 	bool running, polled, had_mag;
 	char timers[TIMERS][48]; /* names of the triggers that were made; "" */
 	double rate_hz;
+	double polling_hz; /* no more rounds through sysfs fit into a second, as measured when opened; 0: not polled */
 	struct merge merge;
 	struct frozen gyro_frozen; /* also over restarts */
 	bool is_frozen;
@@ -489,6 +490,11 @@ static int64_t tolerance_ns(const struct iio_imu *imu)
 	return (int64_t)(longest / 2);
 }
 
+static double polled_rate(const struct iio_imu *imu, double wanted_hz)
+{
+	return imu->polling_hz > 0 ? fmin(wanted_hz, imu->polling_hz) : wanted_hz;
+}
+
 static int begin(struct iio_imu *imu, char *error, size_t error_size)
 {
 	struct imu_settings settings;
@@ -501,6 +507,8 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 	result = find_triads(imu, error, error_size);
 	if (result == 0)
 		result = plan_capture(imu, error, error_size);
+	if (imu->polled)
+		imu->rate_hz = polled_rate(imu, settings.rate_hz);
 	for (int kind = 0; kind < TRIADS && result == 0; kind++)
 		if (imu->triads[kind].device)
 			result = set_up(imu, kind, &settings, error, error_size);
@@ -791,7 +799,7 @@ static int port_configure(
 	pthread_mutex_lock(&imu->lock);
 	imu->settings = *settings;
 	pthread_mutex_unlock(&imu->lock);
-	source_use_rate(port, gyro_rate[0] ? strtod(gyro_rate, NULL) : settings->rate_hz);
+	source_use_rate(port, gyro_rate[0] ? strtod(gyro_rate, NULL) : polled_rate(imu, settings->rate_hz));
 	atomic_store(&imu->restart, true);
 	imu_thread_wake(&imu->thread);
 	return 0;
@@ -846,7 +854,8 @@ static int measure_polling(struct iio_imu *imu, char *error, size_t error_size)
 		snprintf(error, error_size, "iio: %s cannot be read", label(imu->triads[GYRO].device));
 		return -EIO;
 	}
-	imu->rate_hz = fmin(imu->rate_hz, 0.9e9 / (double)(imu_thread_now_ns() - begun_ns));
+	imu->polling_hz = 0.9e9 / (double)(imu_thread_now_ns() - begun_ns);
+	imu->rate_hz = polled_rate(imu, imu->rate_hz);
 	return 0;
 }
 
