@@ -6,7 +6,8 @@
 static const double LEAST_PIVOT = 1e-13; /* of the diagonal element, before what the columns before it explain */
 enum { SWEEPS_MAX = 50 };		 /* quadratic convergence: six are usual */
 
-int linalg_cholesky(int n, double *a)
+/* a becomes its Cholesky factor L (lower triangle, zeros above): a = L L'. 0, or -EDOM. */
+static int cholesky(int n, double *a)
 {
 	for (int j = 0; j < n; j++) {
 		double pivot = a[j * n + j];
@@ -29,7 +30,8 @@ int linalg_cholesky(int n, double *a)
 	return 0;
 }
 
-void linalg_cholesky_solve(int n, const double *l, double *b)
+/* b becomes x of L L' x = b. */
+static void solve(int n, const double *l, double *b)
 {
 	for (int i = 0; i < n; i++) {
 		for (int k = 0; k < i; k++)
@@ -45,17 +47,17 @@ void linalg_cholesky_solve(int n, const double *l, double *b)
 
 int linalg_solve(int n, double *a, double *b)
 {
-	int result = linalg_cholesky(n, a);
+	int result = cholesky(n, a);
 
 	if (result == 0)
-		linalg_cholesky_solve(n, a, b);
+		solve(n, a, b);
 	return result;
 }
 
 int linalg_invert(int n, double *a)
 {
 	double l[LINALG_MAX * LINALG_MAX] = {0}, column[LINALG_MAX];
-	int result = linalg_cholesky(n, a);
+	int result = cholesky(n, a);
 
 	if (result < 0)
 		return result;
@@ -64,7 +66,7 @@ int linalg_invert(int n, double *a)
 	for (int j = 0; j < n; j++) {
 		for (int i = 0; i < n; i++)
 			column[i] = i == j;
-		linalg_cholesky_solve(n, l, column);
+		solve(n, l, column);
 		for (int i = 0; i < n; i++)
 			a[i * n + j] = column[i];
 	}

@@ -6,12 +6,8 @@
 
 enum { LINALG_MAX = 12 };
 
-/** a becomes its Cholesky factor L (lower triangle, zeros above): a = L L'. 0, or -EDOM: not positive definite, or so
- * nearly singular that a pivot is below 1e-13 of its diagonal element, or not finite; a is then undefined. */
-int linalg_cholesky(int n, double *a);
-/** b becomes x of L L' x = b. */
-void linalg_cholesky_solve(int n, const double *l, double *b);
-/** b becomes x of a x = b; a becomes L. 0, or -EDOM as above, b untouched. */
+/** b becomes x of a x = b; a is used up. 0, or -EDOM: a is not positive definite, or so nearly singular that a pivot is
+ * below 1e-13 of its diagonal element, or not finite; b is then untouched. */
 int linalg_solve(int n, double *a, double *b);
 /** a becomes its inverse. 0, or -EDOM as above. */
 int linalg_invert(int n, double *a);
