@@ -13,7 +13,8 @@
 /* The wire knows these by their EMCY codes. */
 enum { DATA_SET = 0x6300, ERROR_CONTROL = 0x8130, SYNC_LATE = 0x8100, SYNC_LENGTH = 0x8240, EVENT_TIMER = 0x8250 };
 
-enum led_state led_run(const struct canopen_node *node)
+/* The green one. */
+static enum led_state led_run(const struct canopen_node *node)
 {
 	if (canopen_lss_active(node))
 		return LED_FLICKERING;
@@ -30,7 +31,8 @@ enum led_state led_run(const struct canopen_node *node)
 	return LED_OFF;
 }
 
-enum led_state led_error(const struct canopen_node *node, enum can_state bus)
+/* The red one: of several errors that which comes last in the table of CiA 303-3. */
+static enum led_state led_error(const struct canopen_node *node, enum can_state bus)
 {
 	if (bus == CAN_STATE_BUS_OFF)
 		return LED_ON;

@@ -22,11 +22,6 @@ enum led_state {
 	LED_QUADRUPLE_FLASH,
 };
 
-/** The green one. */
-enum led_state led_run(const struct canopen_node *node);
-/** The red one: of several errors that which comes last in the table of CiA 303-3. */
-enum led_state led_error(const struct canopen_node *node, enum can_state bus);
-
 /** Whether a LED in that state is lit `t_us` after some beginning common to both, and when this changes next (UINT64_MAX:
  * never). `second`: the one that flickers in turn with the first. */
 bool led_lit(enum led_state state, bool second, uint64_t t_us, uint64_t *change_us);
