@@ -444,7 +444,7 @@ static int open_file(const char *folder, const char *name)
 static int open_bus(const char *name)
 {
 	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(name)};
-	int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW), size = 1 << 20;
+	int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW), size = 1 << 24; /* a wire loses nothing */
 
 	if (fd < 0 || address.can_ifindex == 0 || bind(fd, (struct sockaddr *)&address, sizeof(address)) != 0)
 		fail(name);
