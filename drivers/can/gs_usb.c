@@ -649,6 +649,8 @@ static void gs_usb_close(struct can_port *port)
 			if (can->handle != NULL)
 				wait_for_events(can, 10);
 		}
+		if (can->handle != NULL)
+			return; /* what libusb still works on must not be freed; the process ends now anyway */
 	}
 	libusb_free_transfer(can->control);
 	for (size_t i = 0; i < PACKETS; i++)

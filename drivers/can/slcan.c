@@ -21,6 +21,7 @@ enum {
 	WRITE_AGAIN_US = 1000,
 	BAUD_DEFAULT = 115200,
 	LINES_PER_CALL = 64,
+	CLOSE_TIMEOUT_MS = 100,
 };
 
 struct slcan {
@@ -320,6 +321,17 @@ static int slcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 	return 0;
 }
 
+/* close() of a tty waits up to 30 s for an adapter that takes nothing: it gets a tenth of one. */
+static void drain(int fd)
+{
+	int left = 0;
+
+	for (int ms = 0; ms < CLOSE_TIMEOUT_MS && ioctl(fd, TIOCOUTQ, &left) == 0 && left > 0; ms += 10)
+		usleep(10000);
+	if (left > 0)
+		tcflush(fd, TCOFLUSH);
+}
+
 static void slcan_close(struct can_port *port)
 {
 	struct slcan *can = of(port);
@@ -329,8 +341,10 @@ static void slcan_close(struct can_port *port)
 			memcpy(can->out, "C\r", 2);
 			(void)write_line(can, 2);
 		}
-		if (can->fd >= 0)
+		if (can->fd >= 0) {
+			drain(can->fd);
 			close(can->fd);
+		}
 	}
 	if (can->more.fd >= 0)
 		close(can->more.fd);
