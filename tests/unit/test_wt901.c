@@ -27,7 +27,7 @@ enum answer { RIGHT, NOTHING, BAD_CRC, BAD_CRC_ONCE, EXCEPTION, SHORT, OTHER_SLA
 
 static struct sensor {
 	pthread_t thread;
-	atomic_int master; /* of the pty; -1: unplugged */
+	int master; /* of the pty; -1: unplugged */
 	atomic_bool stop, live;
 	atomic_int answer;
 	atomic_int mag_type; /* < 0: an exception */
@@ -202,15 +202,16 @@ static void plug(void)
 	unlink(sensor.link);
 	assert_int_equal(symlink(ptsname(master), sensor.link), 0);
 	sensor.master = master;
+	sensor.stop = false;
+	assert_int_equal(pthread_create(&sensor.thread, NULL, serve, NULL), 0);
 }
 
 static void unplug(void)
 {
-	int master = sensor.master;
-
+	sensor.stop = true;
+	pthread_join(sensor.thread, NULL);
+	close(sensor.master);
 	sensor.master = -1;
-	usleep(10000); /* poll() ends */
-	close(master);
 	unlink(sensor.link);
 }
 
@@ -228,7 +229,6 @@ static int setup(void **state)
 
 	(void)state;
 	snprintf(sensor.link, sizeof sensor.link, "/tmp/imu9-wt901.%d", (int)getpid());
-	sensor.stop = false;
 	sensor.live = true;
 	sensor.answer = RIGHT;
 	sensor.mag_type = 3;
@@ -236,16 +236,14 @@ static int setup(void **state)
 	memset(sensor.registers, 0, sizeof sensor.registers);
 	set_registers(0x34, 13, at_rest);
 	plug();
-	return pthread_create(&sensor.thread, NULL, serve, NULL);
+	return 0;
 }
 
 static int teardown(void **state)
 {
 	(void)state;
-	sensor.stop = true;
-	pthread_join(sensor.thread, NULL);
-	close(sensor.master);
-	unlink(sensor.link);
+	if (sensor.master >= 0)
+		unplug();
 	return 0;
 }
 
