@@ -536,11 +536,11 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 static double raw_of(const struct iio_channel *channel, const void *host)
 {
 	const struct iio_data_format *format = iio_channel_get_data_format(channel);
-	int64_t value = 0;
+	uint64_t value = 0;
 
 	memcpy(&value, host, format->length / 8); /* little-endian hosts only */
-	if (format->is_signed && format->length < 64 && value >> (format->length - 1) & 1)
-		value -= (int64_t)1 << format->length;
+	if (format->is_signed && value >> (format->length - 1) & 1)
+		return (double)(int64_t)(value | UINT64_MAX << (format->length - 1));
 	return (double)value;
 }
 

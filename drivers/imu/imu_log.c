@@ -137,7 +137,7 @@ static int read_header(struct imu_log *log, char *error, size_t error_size)
 			log->field_of[column] = i;
 	}
 	for (int column = 0; column < COLUMN_TEMPERATURE; column++) {
-		if (log->field_of[column] < 0 && (column < COLUMN_MAG || any_named(log, first_of_triad(column)))) {
+		if ((column < COLUMN_MAG || any_named(log, first_of_triad(column))) && log->field_of[column] < 0) {
 			snprintf(error, error_size,
 				"%s:1: no column %s: the header must name t,gx,gy,gz,ax,ay,az, and mx,my,mz all or "
 				"none, ref_al,ref_as,ref_at likewise",
