@@ -3,6 +3,8 @@
 #include <errno.h>
 #include <string.h>
 
+#include "model/smoother.h"
+
 enum {
 	N = NAVIGATION_STATES,
 	THETA = NAVIGATION_THETA,
@@ -86,6 +88,13 @@ static void set_variance(struct navigation *n, int at, double variance)
 			n->p[i][j] = n->p[j][i] = 0;
 		n->p[i][i] = variance;
 	}
+}
+
+/* .. of those in the past, too, so that what is learnt from now on says nothing of the path before. */
+static void forget(struct navigation *n, int at, double variance)
+{
+	set_variance(n, at, variance);
+	smoother_forget(n->smoother, at);
 }
 
 static void add_variance(struct navigation *n, int at, double variance)
@@ -183,8 +192,10 @@ static void propagate(struct navigation *n)
 {
 	const struct noise_config *c = &n->config.noise;
 	const struct navigation_sums *s = &n->sums;
-	double t = s->t_s, walk = square(c->accel_density_m_s2_sqrt_hz) / 2 * t;
+	double t = s->t_s, walk = square(c->accel_density_m_s2_sqrt_hz) / 2 * t, (*map)[N] = smoother_map(n->smoother);
 
+	if (map)
+		transit(map, s, n->still);
 	/* F p F^T, p being symmetric */
 	transit(n->p, s, n->still);
 	transpose(n->p);
@@ -210,10 +221,12 @@ static void propagate(struct navigation *n)
 
 static void measure(struct navigation *n, double x[N], int at, double error, double noise)
 {
-	double total = n->p[at][at] + noise, h[N];
+	double total = n->p[at][at] + noise, h[N], row[N] = {0};
 
+	row[at] = 1;
 	memcpy(h, n->p[at], sizeof(h));
 	error -= x[at];
+	smoother_measure(n->smoother, row, h, error, total);
 	for (int i = 0; i < N; i++) {
 		double gain = h[i] / total;
 
@@ -304,8 +317,19 @@ static bool stands_still(const struct navigation *n)
 	       (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
 }
 
+/* Of the reference point. */
+static struct smoother_point here(const struct navigation *n, const struct navigation_input *in)
+{
+	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
+
+	return (struct smoother_point){
+		.position_n_m = vec3_sub(n->position_n_m, quat_rotate(n->q_nb, in->lever_b_m)),
+		.velocity_n_m_s = vec3_sub(n->velocity_n_m_s, quat_rotate(n->q_nb, vec3_cross(omega, in->lever_b_m))),
+	};
+}
+
 /* The covariance of the place begins anew; the correlation of places with what is learnt later is given up. */
-static void begin_movement(struct navigation *n)
+static void begin_movement(struct navigation *n, const struct navigation_input *in)
 {
 	n->earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
 	set_variance(n, P, 0);
@@ -315,6 +339,7 @@ static void begin_movement(struct navigation *n)
 	n->moving_s = 0;
 	n->movements++;
 	add_variance(n, BG, square(MOVING_GYRO_BIAS_RAD_S));
+	smoother_begin(n->smoother, here(n, in), n->p);
 }
 
 static void measure_standstill(struct navigation *n, double x[N])
@@ -353,6 +378,7 @@ static void measure_sum(struct navigation *n, double x[N], const double row[N], 
 		total += row[i] * h[i];
 		error -= row[i] * x[i];
 	}
+	smoother_measure(n->smoother, row, h, error, total);
 	for (int i = 0; i < N; i++) {
 		x[i] += h[i] / total * error;
 		for (int j = 0; j < N; j++)
@@ -411,6 +437,7 @@ static void turn_to_heading(struct navigation *n, double angle_rad)
 
 	n->q_nb = quat_multiply(turn, n->q_nb);
 	n->velocity_n_m_s = quat_rotate(turn, n->velocity_n_m_s);
+	smoother_break(n->smoother);
 }
 
 /* Begins anew with the fusion's attitude. Returns whether it had to. */
@@ -424,10 +451,10 @@ static bool find_again(struct navigation *n, const struct navigation_input *in)
 	n->q_nb = in->q_nb;
 	n->velocity_n_m_s = quat_rotate(n->q_nb, vec3_cross(in->gyro_b_rad_s, in->lever_b_m));
 	n->gyro_bias_b_rad_s = n->accel_bias_b_m_s2 = ZERO;
-	set_variance(n, THETA, square(START_ANGLE_RAD));
-	set_variance(n, V, square(LOST_VELOCITY_M_S));
-	set_variance(n, BG, square(START_GYRO_BIAS_RAD_S));
-	set_variance(n, BA, square(START_ACCEL_BIAS_M_S2));
+	forget(n, THETA, square(START_ANGLE_RAD));
+	forget(n, V, square(LOST_VELOCITY_M_S));
+	forget(n, BG, square(START_GYRO_BIAS_RAD_S));
+	forget(n, BA, square(START_ACCEL_BIAS_M_S2));
 	n->quick_n_m_s = ZERO;
 	n->quick2_max = 0;
 	n->lever_known = false;
@@ -470,6 +497,8 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 {
 	struct navigation fresh = {.config = *config, .q_nb = q_nb, .started = true};
 
+	smoother_cancel(n->smoother);
+	fresh.smoother = n->smoother;
 	fresh.position_n_m = n->position_n_m;
 	fresh.gravity_m_s2 = 9.81;
 	fresh.earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
@@ -483,7 +512,8 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 {
 	n->q_nb = q_nb;
-	set_variance(n, THETA, square(START_ANGLE_RAD));
+	smoother_elapse(n->smoother, dt_s);
+	forget(n, THETA, square(START_ANGLE_RAD));
 	add_variance(n, V, square(GAP_ACCEL_M_S2 * dt_s));
 	add_variance(
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
@@ -509,6 +539,16 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	n->last_gyro_b_rad_s = in->gyro_b_rad_s;
 }
 
+static void record(struct navigation *n, const struct navigation_input *in)
+{
+	if (!smoother_map(n->smoother))
+		return;
+	if (n->still && n->stood_s > STOOD_S)
+		smoother_end(n->smoother, n->stood_s, here(n, in), n->p);
+	else
+		smoother_mark(n->smoother, here(n, in), n->p);
+}
+
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	bool still;
@@ -516,18 +556,23 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	watch_stillness(&n->stillness, &n->config, in, dt_s);
 	still = stands_still(n);
 	if (n->still && !still && n->stood_s > STOOD_S)
-		begin_movement(n);
+		begin_movement(n, in);
+	smoother_elapse(n->smoother, dt_s);
 	n->aided_s = fmax(0, n->aided_s - dt_s);
 	n->stood_s = still ? n->stood_s + dt_s : 0;
 	n->still = still;
 	n->gravity_m_s2 = in->gravity_m_s2;
 	n->fused_variance_rad2 = in->attitude_variance_rad2;
 	integrate(n, in, dt_s);
+	if (n->place_reset)
+		smoother_restart(n->smoother, here(n, in), n->p);
+	n->place_reset = false;
 	if (n->sums.t_s < NAVIGATION_INTERVAL_S)
 		return false;
 	propagate(n);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
+	record(n, in);
 	return true;
 }
 
@@ -540,7 +585,7 @@ void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, d
 
 	if (vec3_dot(off, off) > square(AIDED_GATE_SIGMAS) * (var.x + var.y + var.z + 3 * square(sigma_m_s))) {
 		n->velocity_n_m_s = vec3_add(velocity_n_m_s, u);
-		set_variance(n, V, square(sigma_m_s));
+		forget(n, V, square(sigma_m_s));
 	} else {
 		measure_reference_velocity(n, x, off, u, lever_b_m, square(sigma_m_s));
 		take(n, x);
@@ -554,7 +599,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
 	n->sampled = false;
-	set_variance(n, THETA, square(SET_ANGLE_RAD));
+	forget(n, THETA, square(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
 }
 
@@ -562,6 +607,7 @@ void navigation_reset_position(struct navigation *n)
 {
 	n->position_n_m = n->earlier_variance_m2 = ZERO;
 	set_variance(n, P, 0);
+	n->place_reset = true;
 }
 
 /* ---- 1 sigma ---- */

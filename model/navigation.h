@@ -84,6 +84,7 @@ struct stillness {
 
 struct navigation {
 	struct navigation_config config;
+	struct smoother *smoother; /* that records the movements; or NULL */
 	struct quat q_nb;
 	struct vec3 velocity_n_m_s, position_n_m; /* of the sensor */
 	struct vec3 gyro_bias_b_rad_s, accel_bias_b_m_s2;
@@ -106,6 +107,7 @@ struct navigation {
 	double moving_s;   /* since the last standstill */
 	double aided_s;	   /* for how long the velocity last told still holds */
 	bool told_to_move; /* it was no standstill's */
+	bool place_reset;  /* since the last sample */
 	bool sampled;	   /* there is a sample before the next: */
 	struct vec3 last_gyro_b_rad_s;
 };

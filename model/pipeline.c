@@ -3,6 +3,8 @@
 #include <errno.h>
 #include <string.h>
 
+#include "model/smoother.h"
+
 #define PI  3.14159265358979323846
 #define DEG (PI / 180)
 #define IDENTITY_TRIAD                                        \
@@ -240,15 +242,23 @@ int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb)
 	return 0;
 }
 
+void pipeline_smooth(struct pipeline *p, struct smoother *smoother)
+{
+	smoother_cancel(smoother);
+	p->position.navigation.smoother = smoother;
+}
+
 static void start_over(struct pipeline *p)
 {
 	struct calibration calibration = p->calibration;
+	struct smoother *smoother = p->position.navigation.smoother;
 	uint32_t gaps = p->gaps, refused = p->refused;
 
 	pipeline_init(p, &p->config, p->rate_hz);
 	p->calibration = calibration; /* and the temperature it knows */
 	p->gaps = gaps;
 	p->refused = refused;
+	pipeline_smooth(p, smoother);
 }
 
 static bool usable(const struct pipeline *p, const struct imu_sample *s)

@@ -110,6 +110,10 @@ enum { PIPELINE_GAP_INTERVALS = 10 };
  * step's header). */
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz);
 
+/** From now on the path of each movement that ends is in smoother->last (position mode 2); NULL: nowhere. It is the
+ * caller's, and one pipeline's only. */
+void pipeline_smooth(struct pipeline *p, struct smoother *smoother);
+
 /** Takes a new configuration between two samples. What physics allows to keep is kept: attitude,
  * velocity, position; a filter starts anew (primed with its last output, without a step) only when
  * its own parameters changed. */

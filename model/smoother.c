@@ -1,0 +1,243 @@
+#include "model/smoother.h"
+
+#include <string.h>
+
+enum { N = NAVIGATION_STATES, ROWS = SMOOTHER_ROWS, FIRST_ROW = NAVIGATION_V, POSITION = NAVIGATION_P - NAVIGATION_V };
+
+static bool recording(const struct smoother *s)
+{
+	return s && s->recording;
+}
+
+/* ---- the map from the last point to now ---- */
+
+static void map_nothing(struct smoother *s)
+{
+	memset(s->a, 0, sizeof(s->a));
+	memset(s->b, 0, sizeof(s->b));
+	memset(s->m, 0, sizeof(s->m));
+	for (int i = 0; i < N; i++)
+		s->a[i][i] = 1;
+}
+
+double (*smoother_map(struct smoother *s))[N]
+{
+	return recording(s) ? s->a : NULL;
+}
+
+void smoother_measure(
+	struct smoother *s, const double row[N], const double p_row[N], double innovation, double variance)
+{
+	double g[N] = {0};
+
+	if (!recording(s))
+		return;
+	for (int i = 0; i < N; i++) {
+		if (row[i] == 0)
+			continue;
+		for (int j = 0; j < N; j++)
+			g[j] += row[i] * s->a[i][j];
+	}
+	for (int i = 0; i < N; i++) {
+		double gain = p_row[i] / variance, share = g[i] / variance;
+
+		s->b[i] -= share * innovation;
+		for (int j = 0; j < N; j++) {
+			s->m[i][j] += share * g[j];
+			s->a[i][j] -= gain * g[j];
+		}
+	}
+}
+
+void smoother_forget(struct smoother *s, int at)
+{
+	if (!recording(s))
+		return;
+	memset(s->a[at], 0, 3 * sizeof(s->a[at]));
+	s->whole = false;
+}
+
+/* ---- points ---- */
+
+static void add3(struct vec3 *a, const double d[3])
+{
+	*a = vec3_add(*a, (struct vec3){d[0], d[1], d[2]});
+}
+
+/* a_transposed[j] is what column j of x goes to */
+static void move(struct smoother_kept *k, const struct smoother *s, double a_transposed[N][N])
+{
+	double by[ROWS] = {0}, x[ROWS][N] = {{0}};
+
+	for (int r = 0; r < ROWS; r++)
+		for (int j = 0; j < N; j++) {
+			by[r] -= k->x[r][j] * s->b[j];
+			for (int i = 0; i < N; i++)
+				x[r][i] += k->x[r][j] * a_transposed[j][i];
+		}
+	for (int r = 0; r < 3; r++) {
+		double xm[N] = {0};
+
+		for (int j = 0; j < N; j++)
+			for (int i = 0; i < N; i++)
+				xm[i] += k->x[POSITION + r][j] * s->m[j][i];
+		for (int i = 0; i < N; i++)
+			k->variance[r] -= xm[i] * k->x[POSITION + r][i];
+	}
+	add3(&k->point.velocity_n_m_s, by);
+	add3(&k->point.position_n_m, by + POSITION);
+	memcpy(k->x, x, sizeof(x));
+}
+
+/* What was measured since the last time corrects all points. */
+static void correct(struct smoother *s)
+{
+	double a_transposed[N][N];
+
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			a_transposed[j][i] = s->a[i][j];
+	for (size_t k = 0; k < s->count; k++)
+		move(&s->kept[k], s, a_transposed);
+	map_nothing(s);
+}
+
+static void thin_out(struct smoother *s)
+{
+	s->count = (s->count + 1) / 2;
+	for (size_t k = 1; k < s->count; k++)
+		s->kept[k] = s->kept[2 * k];
+	s->spacing_s *= 2;
+}
+
+static bool due(const struct smoother *s)
+{
+	return s->t_s - s->kept[s->count - 1].point.t_s >= s->spacing_s;
+}
+
+static void keep(struct smoother *s, double t_s, struct smoother_point here, double p[N][N])
+{
+	struct smoother_kept *k = &s->kept[s->count++];
+
+	k->point = here;
+	k->point.t_s = t_s;
+	k->point.position_n_m = vec3_sub(here.position_n_m, s->from_n_m);
+	for (int r = 0; r < 3; r++)
+		k->variance[r] = p[NAVIGATION_P + r][NAVIGATION_P + r];
+	memcpy(k->x, p[FIRST_ROW], sizeof(k->x));
+}
+
+void smoother_mark(struct smoother *s, struct smoother_point here, double p[N][N])
+{
+	if (!recording(s) || !due(s))
+		return;
+	correct(s);
+	if (s->count == SMOOTHER_POINTS - 1) /* an odd number keeps the first and the last */
+		thin_out(s);
+	if (due(s))
+		keep(s, s->t_s, here, p);
+}
+
+void smoother_elapse(struct smoother *s, double dt_s)
+{
+	if (recording(s))
+		s->t_s += dt_s;
+}
+
+/* ---- movements ---- */
+
+static void start(struct smoother *s, struct smoother_point here, double p[N][N])
+{
+	s->t_s = 0;
+	s->spacing_s = SMOOTHER_SPACING_S;
+	s->count = 0;
+	s->from_n_m = here.position_n_m;
+	map_nothing(s);
+	keep(s, 0, here, p);
+}
+
+void smoother_begin(struct smoother *s, struct smoother_point here, double p[N][N])
+{
+	if (!s)
+		return;
+	s->recording = s->whole = true;
+	s->begun++;
+	start(s, here, p);
+}
+
+void smoother_restart(struct smoother *s, struct smoother_point here, double p[N][N])
+{
+	if (!recording(s))
+		return;
+	s->whole = false;
+	start(s, here, p);
+}
+
+/* Between two points, by Simpson's rule along the cubic that has their velocities. */
+static double length(const struct smoother_point *a, const struct smoother_point *b)
+{
+	double dt = b->t_s - a->t_s;
+	struct vec3 way = vec3_sub(b->position_n_m, a->position_n_m), middle;
+
+	if (dt <= 0)
+		return 0;
+	middle = vec3_sub(vec3_scale(1.5 / dt, way), vec3_scale(0.25, vec3_add(a->velocity_n_m_s, b->velocity_n_m_s)));
+
+	return dt / 6 * (vec3_norm(a->velocity_n_m_s) + 4 * vec3_norm(middle) + vec3_norm(b->velocity_n_m_s));
+}
+
+static double root(double variance)
+{
+	return sqrt(fmax(variance, 0));
+}
+
+static void publish(struct smoother *s)
+{
+	struct smoother_movement *m = &s->last;
+
+	*m = (struct smoother_movement){.number = s->begun,
+		.whole = s->whole,
+		.duration_s = s->kept[s->count - 1].point.t_s,
+		.count = s->count};
+	for (size_t k = 0; k < s->count; k++) {
+		const double *variance = s->kept[k].variance;
+		struct smoother_point *point = &m->point[k];
+		double distance = vec3_norm(s->kept[k].point.position_n_m);
+
+		*point = s->kept[k].point;
+		point->sigma_m = (struct vec3){root(variance[0]), root(variance[1]), root(variance[2])};
+		m->path_m += k > 0 ? length(point - 1, point) : 0;
+		if (distance > m->farthest_m) {
+			m->farthest_m = distance;
+			m->farthest_s = point->t_s;
+		}
+	}
+}
+
+void smoother_end(struct smoother *s, double stood_s, struct smoother_point here, double p[N][N])
+{
+	double t_s;
+
+	if (!recording(s))
+		return;
+	t_s = fmax(s->t_s - stood_s, 0);
+	correct(s);
+	while (s->count > 1 && s->kept[s->count - 1].point.t_s >= t_s)
+		s->count--;
+	keep(s, t_s, here, p);
+	publish(s);
+	s->last.stood_s = stood_s;
+	s->recording = false;
+}
+
+void smoother_break(struct smoother *s)
+{
+	if (recording(s))
+		s->whole = false;
+}
+
+void smoother_cancel(struct smoother *s)
+{
+	if (s)
+		s->recording = false;
+}
