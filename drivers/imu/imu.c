@@ -52,9 +52,10 @@ int imu_open(
 			name);
 		return -EINVAL;
 	}
+	error[0] = '\0';
 	result = source->open(args, settings ? settings : &defaults, port, error, error_size);
-	if (result == -ENOMEM)
-		snprintf(error, error_size, "%s: out of memory", name);
+	if (result < 0 && error[0] == '\0') /* memory or descriptors are short: nothing the driver could add */
+		snprintf(error, error_size, "%s: %s", name, strerror(-result));
 	return result;
 }
 

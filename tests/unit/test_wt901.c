@@ -12,6 +12,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <termios.h>
 #include <time.h>
 #include <unistd.h>
@@ -567,6 +568,25 @@ static void test_what_is_wrong_is_said(void **state)
 	assert_refused(src, -ETIMEDOUT, "no answer from address 51h at 115200 Bd");
 }
 
+static void test_that_descriptors_are_short_is_said_of_whatever_sensor(void **state)
+{
+	static const char *const SOURCES[] = {"wt901:/dev/null", "iio", "sim"};
+	struct rlimit limit, none;
+
+	(void)state;
+	getrlimit(RLIMIT_NOFILE, &limit);
+	none = (struct rlimit){0, limit.rlim_max};
+	setrlimit(RLIMIT_NOFILE, &none);
+	for (size_t i = 0; i < sizeof SOURCES / sizeof *SOURCES; i++) {
+		struct imu_port *port;
+		char error[200] = "what was here before";
+
+		assert_int_equal(imu_open(SOURCES[i], NULL, &port, error, sizeof error), -EMFILE);
+		assert_non_null(strstr(error, "Too many open files"));
+	}
+	setrlimit(RLIMIT_NOFILE, &limit);
+}
+
 int main(void)
 {
 #define SENSOR_TEST(f) cmocka_unit_test_setup_teardown(f, setup, teardown)
@@ -585,6 +605,7 @@ int main(void)
 		SENSOR_TEST(test_unplugged_it_is_lost_and_plugged_in_again_it_goes_on),
 		SENSOR_TEST(test_closing_does_not_wait_for_a_sensor_that_is_silent),
 		SENSOR_TEST(test_what_is_wrong_is_said),
+		cmocka_unit_test(test_that_descriptors_are_short_is_said_of_whatever_sensor),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
