@@ -235,10 +235,10 @@ static void print_real(uint64_t raw, enum od_type type, char *text, size_t capac
 	}
 }
 
-/* What another device calls text must not reach a terminal as control codes. */
+/* What another device calls text must not reach a terminal as control codes; VISIBLE_CHAR is 20h to 7Eh. */
 static char printable(uint8_t c)
 {
-	return c < 0x20 || c == 0x7F ? '?' : (char)c;
+	return c < 0x20 || c > 0x7E ? '?' : (char)c;
 }
 
 static int print_string(const struct od_entry *entry, const uint8_t *wire, size_t size, char *text, size_t capacity)

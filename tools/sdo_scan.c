@@ -76,8 +76,10 @@ static void print_number(struct cli_node *node, const char *name, uint16_t index
 
 static void print_node(struct session *s, struct can_port *bus, uint8_t id, const struct seen *seen)
 {
+	static const struct od_entry TEXT = {.type = OD_VISIBLE_STRING};
 	struct cli_node node;
-	char name[64];
+	char name[65];
+	uint8_t wire[64];
 
 	printf("%3u  %-15s", id, state_text(seen->state));
 	if (seen->answers) {
@@ -87,8 +89,9 @@ static void print_node(struct session *s, struct can_port *bus, uint8_t id, cons
 		print_number(&node, "product", 0x1018, 2);
 		print_number(&node, "revision", 0x1018, 3);
 		print_number(&node, "serial", 0x1018, 4);
-		if (cli_node_read(&node, 0x1008, 0, name, sizeof(name)))
-			printf("  %.*s", (int)node.sdo.size, name);
+		if (cli_node_read(&node, 0x1008, 0, wire, sizeof(wire)) &&
+			od_format(&TEXT, wire, node.sdo.size, name, sizeof(name)) > 0)
+			printf("  %s", name);
 	}
 	putchar('\n');
 }

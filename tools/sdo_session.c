@@ -5,6 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+#include <unistd.h>
 
 #include "tools/cli_value.h"
 
@@ -176,9 +177,21 @@ bool sdo_is_mapping(uint16_t index)
 
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
+/* Another device's control codes are not for a terminal. */
+static bool show(const uint8_t *data, size_t size)
+{
+	for (size_t i = 0; i < size; i++)
+		putchar((data[i] >= 0x20 && data[i] <= 0x7E) || memchr("\t\r\n", data[i], 3) ? data[i] : '?');
+	return fflush(stdout) == 0;
+}
+
 bool sdo_write_file(const char *path, const void *data, size_t size)
 {
 	bool to_stdout = strcmp(path, "-") == 0;
+
+	if (to_stdout && isatty(STDOUT_FILENO))
+		return show(data, size);
+
 	FILE *file = to_stdout ? stdout : fopen(path, "we");
 	bool ok = file && fwrite(data, 1, size, file) == size && fflush(file) == 0;
 

@@ -53,7 +53,7 @@ bool sdo_is_mapping(uint16_t index);
 uint64_t sdo_number(const uint8_t *wire, size_t size);
 void sdo_put_u32(uint8_t *wire, uint32_t value);
 
-/** All at once; '-' is standard output. */
+/** All at once; '-' is standard output, where a terminal gets '?' for what is not text. */
 bool sdo_write_file(const char *path, const void *data, size_t size);
 /** The bytes, or NULL after a message; '-' is standard input. */
 uint8_t *sdo_read_file(const char *path, size_t *size);

@@ -47,6 +47,37 @@ sys.exit(sdo.wait())' "$@"
 }
 run on_an_adapter_that_goes read gravity
 check "an adapter that was pulled out is asked for" fails 1 "is the adapter plugged in?"
+# beside_a_rude_node ARGUMENT...: imu9-sdo on a terminal and on a bus where node 5 clears the screen with each value
+beside_a_rude_node() {
+	python3 -c 'import os, pty, select, subprocess, sys
+adapter, line = pty.openpty()
+screen, terminal = pty.openpty()
+sdo = subprocess.Popen(["imu9-sdo", "-i", "slcan:" + os.ttyname(line)] + sys.argv[1:], stdout=terminal)
+os.close(terminal)
+unread = b""
+while sdo.poll() is None:
+    ready = select.select([adapter, screen], [], [], 0.05)[0]
+    if screen in ready:
+        os.write(1, os.read(screen, 4096))
+    if adapter not in ready:
+        continue
+    *frames, unread = (unread + os.read(adapter, 4096)).split(b"\r")
+    for frame in frames:
+        if frame[:5] == b"t6058":
+            answer = b"43%s1B5B324A" if frame[5:7] == b"40" else b"80%s01000405"
+            os.write(adapter, b"t5858" + answer % frame[7:13] + b"\r")
+while select.select([screen], [], [], 0)[0]:
+    try:
+        os.write(1, os.read(screen, 4096))
+    except OSError:
+        break
+sys.exit(sdo.returncode)' "$@"
+}
+for request in scan "-n 5 read 1008h" "-n 5 read 0x2131" "-n 5 log"; do
+	run beside_a_rude_node $request
+	check "$request lets no control code through" says "?[2J"
+	check "$request lets no escape through" test "${out/$'\e'/}" = "$out"
+done
 
 # ---- a node without a node-ID
 stop_gateway

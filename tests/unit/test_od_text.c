@@ -222,6 +222,12 @@ static void test_control_codes_from_another_device_do_not_reach_the_terminal(voi
 	(void)state;
 	assert_int_equal(od_format(&TEXT, "a \x1B[2J\n", 7, text, sizeof(text)), 7);
 	assert_string_equal(text, "a ?[2J?");
+	assert_int_equal(od_format(&TEXT,
+				 "\x9B"
+				 "2J",
+				 3, text, sizeof(text)),
+		3);
+	assert_string_equal(text, "?2J");
 }
 
 static void test_padding_of_a_string_is_not_printed(void **state)
