@@ -196,12 +196,16 @@ static void apply_stored(struct device *d, enum od_group group)
 static int start_pipeline(struct device *d)
 {
 	struct pipeline_config config = settings_pipeline(&d->values);
+	int rc = pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
 
-	if (pipeline_init(&d->pipeline, &config, d->imu->rate_hz) == 0)
-		return 0;
-	d->configuration_changed = true;
-	config = settings_pipeline(&d->base);
-	return pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
+	if (rc < 0) {
+		d->configuration_changed = true;
+		config = settings_pipeline(&d->base);
+		rc = pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
+	}
+	if (rc == 0)
+		last_movement_start(&d->last_movement, &d->pipeline);
+	return rc;
 }
 
 /* LSS may have given another node-ID with a reset: what the next one begins with, and storing compares to, follows. */
@@ -307,6 +311,7 @@ static void attach_hooks(struct device *d)
 	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
+	last_movement_attach(&d->last_movement, &d->od, &d->values);
 	d->snapshot.od = &d->od;
 	d->snapshot.node_id = &d->canopen.id;
 	d->snapshot.ctx = d;
@@ -454,6 +459,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	calibrating_sample(&d->calibrating, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
 	unsigned clipped = publish_sample(&d->values, &out, counter);
+	last_movement_publish(&d->last_movement);
 	slope_range_check(&d->canopen, &d->values, clipped, now_us);
 	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)
 		d->values.sample.status |= STATUS_UTC;

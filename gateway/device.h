@@ -20,6 +20,7 @@
 #include "gateway/calibrating.h"
 #include "gateway/commissioning.h"
 #include "gateway/event_log.h"
+#include "gateway/last_movement.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
@@ -58,6 +59,7 @@ struct device {
 	struct od_domain eds;
 	struct event_log log;
 	struct snapshot snapshot;
+	struct last_movement last_movement;
 	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
 	uint32_t samples;	 /* taken since the start */
 	bool lss_save;		 /* the save under way is one of LSS */
