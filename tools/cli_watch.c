@@ -403,7 +403,7 @@ const char *watch_emcy_text(uint16_t code)
 		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
 		{0xFFFF, EMCY_SENSOR_SETTINGS, "the IMU cannot do what 2058h asks for"},
 		{0xFFFF, EMCY_POSITION_UNSURE, "the position is less certain than position.sigma_limit"},
-		{0xFFFF, 0x8100, "a SYNC was seen after its window"},
+		{0xFFFF, 0x8100, "SYNC missing (1006h), or seen after its window (1007h)"},
 		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
 		{0xFFFF, 0x8120, "CAN error-passive"},
 		{0xFFFF, 0x8130, "heartbeat of another node lost"},

@@ -114,7 +114,7 @@ static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 /* Reset communication ends only the errors that the core found itself; the others are the application's to end. */
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
-	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_WINDOW,
+	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_TIME,
 		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT, EMCY_COLLISION};
 	struct emcy *emcy = &node->emcy;
 

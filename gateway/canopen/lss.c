@@ -124,6 +124,7 @@ static void end_silence(struct canopen_node *node)
 	node->lss.switching = SWITCH_NONE;
 	node->guard.alive = false;
 	heartbeat_pause(node);
+	sync_pause(node);
 	pdo_pause(node);
 }
 

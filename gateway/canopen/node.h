@@ -140,6 +140,8 @@ struct sync {
 	bool running;	  /* the next SYNC of our own is due at next_us */
 	uint64_t next_us;
 	uint8_t counter; /* of the last one */
+	bool watched;	 /* another's: the next one is missing at missing_us */
+	uint64_t missing_us;
 };
 
 struct emcy_message {

@@ -26,9 +26,9 @@ enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next *
 /* EMCY codes that the core itself raises (CiA 301, table 26). */
 enum {
 	EMCY_NO_ERROR = 0x0000,
-	EMCY_DATA_SET = 0x6300,	   /* a stored communication parameter is not usable; info: its index */
-	EMCY_HEARTBEAT = 0x8130,   /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
-	EMCY_SYNC_WINDOW = 0x8100, /* communication: a SYNC was seen after the synchronous window; info: 1007h */
+	EMCY_DATA_SET = 0x6300,	 /* a stored communication parameter is not usable; info: its index */
+	EMCY_HEARTBEAT = 0x8130, /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
+	EMCY_SYNC_TIME = 0x8100, /* communication; info: 1007h: a SYNC was seen after its window; 1006h: none comes */
 	/* of an RPDO; info: its index, and .. */
 	EMCY_PDO_CONTENT = 0x8200, /* protocol: .. index and sub-index of the object that refuses its value */
 	EMCY_PDO_SHORT = 0x8210,   /* .. bytes that came, bytes that are mapped */
@@ -135,6 +135,8 @@ uint64_t pdo_tick(struct canopen_node *node);
 void sync_init(struct canopen_node *node);
 void sync_reset(struct canopen_node *node);
 void sync_receive(struct canopen_node *node, const struct can_msg *msg);
+/** Watching begins anew with the next SYNC: none could be heard for a while. */
+void sync_pause(struct canopen_node *node);
 /** Whether a synchronous RPDO came in time after the last SYNC. */
 bool sync_window_open(const struct canopen_node *node, const struct can_msg *msg);
 uint64_t sync_tick(struct canopen_node *node);

@@ -1,5 +1,5 @@
 /* SYNC consumer and producer (CiA 301, 7.2.5): COB-ID 1005h, period 1006h, synchronous window 1007h, counter 1019h. A
- * producer is its own consumer. */
+ * producer is its own consumer. A consumer that has a period misses the SYNC (CiA 303-3 has a LED for that). */
 #include "gateway/canopen/service.h"
 
 #define SYNC_PRODUCER (1u << 30)
@@ -7,6 +7,7 @@
 enum {
 	PERIOD_MIN_US = 1000,
 	COUNTER_MAX = 240,
+	SOURCE_MISSING = 0x06, /* of EMCY_SYNC_TIME: of the info 1006h the first byte */
 };
 
 /* The identifier does not change while SYNC is produced. */
@@ -49,10 +50,19 @@ static void listen(struct canopen_node *node)
 	node->sync.id = consumer ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
 }
 
+void sync_pause(struct canopen_node *node)
+{
+	node->sync.watched = false;
+}
+
 static void after_write(void *ctx, const struct od_entry *entry)
 {
 	struct canopen_node *node = ctx;
 
+	if (entry->index == 0x1005 || entry->index == 0x1006) {
+		sync_pause(node);
+		emcy_clear(node, EMCY_SYNC_TIME, SOURCE_MISSING);
+	}
 	if (entry->index == 0x1006)
 		node->sync.running = false;
 	if (entry->index != 0x1005)
@@ -79,6 +89,7 @@ void sync_reset(struct canopen_node *node)
 	node->sync.running = false;
 	node->sync.counter = 0;
 	node->sync.last_us = 0;
+	sync_pause(node);
 	listen(node);
 	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, 0x1005, 0, NULL))
 		node_bad_data(node, 0x1005);
@@ -105,11 +116,11 @@ static bool window_passed(struct canopen_node *node)
 	uint8_t info[5] = {0};
 
 	if (*sync->window_us == 0 || node->now_us <= sync->last_us + *sync->window_us) {
-		canopen_error_clear(node, EMCY_SYNC_WINDOW, node->now_us);
+		canopen_error_clear(node, EMCY_SYNC_TIME, node->now_us);
 		return false;
 	}
 	put_u16(info, 0x1007);
-	canopen_error_set(node, EMCY_SYNC_WINDOW, ERROR_COMMUNICATION, info, node->now_us);
+	canopen_error_set(node, EMCY_SYNC_TIME, ERROR_COMMUNICATION, info, node->now_us);
 	sync->late++;
 	return true;
 }
@@ -125,10 +136,30 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg)
 		return;
 	}
 	canopen_error_clear(node, EMCY_SYNC_LENGTH, node->now_us);
+	emcy_clear(node, EMCY_SYNC_TIME, SOURCE_MISSING);
 	if (node->nmt.state != NMT_OPERATIONAL)
 		return;
 	node->sync.last_us = received_us(node, msg);
+	node->sync.watched = *node->sync.period_us != 0;
+	node->sync.missing_us = node->now_us + *node->sync.period_us * UINT64_C(3) / 2;
 	pdo_sync(node, counted ? msg->data[0] : 0, window_passed(node));
+}
+
+/* From the first SYNC in operational on, as others do it: the consumers may well be there before the producer. */
+static uint64_t watch(struct canopen_node *node)
+{
+	uint8_t info[5] = {0};
+
+	if (node->nmt.state != NMT_OPERATIONAL)
+		sync_pause(node);
+	if (!node->sync.watched)
+		return UINT64_MAX;
+	if (node->now_us < node->sync.missing_us)
+		return node->sync.missing_us;
+	put_u16(info, 0x1006);
+	emcy_set_info(node, EMCY_SYNC_TIME, SOURCE_MISSING, ERROR_COMMUNICATION, info);
+	sync_pause(node);
+	return UINT64_MAX;
 }
 
 static bool produces(const struct canopen_node *node)
@@ -160,7 +191,7 @@ uint64_t sync_tick(struct canopen_node *node)
 	if (!produces(node)) {
 		sync->running = false;
 		sync->counter = 0; /* the first SYNC has 1 */
-		return UINT64_MAX;
+		return watch(node);
 	}
 	if (!sync->running) {
 		sync->running = true;

@@ -359,8 +359,11 @@ static void after(struct reference *r, const struct reference_object *o)
 	case 0x1003:
 		clear_history(r);
 		break;
+	case 0x1005:
 	case 0x1006:
-		r->sync_running = false;
+		r->sync_running &= o->index == 0x1005;
+		r->sync_missing_us = 0;
+		ref_error_clear(r, 0x8100, 6);
 		break;
 	case 0x1016:
 		watch(r, o->sub - 1u);
@@ -576,7 +579,7 @@ void ref_reset(struct reference *r, bool node)
 	ref_sdo_open_second(r);
 	r->sync_running = r->collision = r->guarded = false;
 	r->sync_counter = r->guard_toggle = 0;
-	r->sync_last_us = 0;
+	r->sync_last_us = r->sync_missing_us = 0;
 	memset(r->consumer, 0, sizeof(r->consumer));
 	memset(r->rpdo, 0, sizeof(r->rpdo));
 	boot(r);
@@ -701,6 +704,7 @@ static bool consumes_sync(struct reference *r, uint32_t id)
 static void sync(struct reference *r, const struct can_msg *msg)
 {
 	bool counted = ref_value(r, 0x1019, 0);
+	uint64_t period_us = ref_value(r, 0x1006, 0);
 
 	if (!ref_talks(r))
 		return;
@@ -709,10 +713,25 @@ static void sync(struct reference *r, const struct can_msg *msg)
 		return;
 	}
 	ref_error_clear(r, 0x8240, 0);
+	ref_error_clear(r, 0x8100, 6);
 	if (r->state != OPERATIONAL)
 		return;
 	r->sync_last_us = r->now_us;
+	r->sync_missing_us = period_us ? r->now_us + period_us + period_us / 2 : 0;
 	ref_pdo_sync(r, counted ? msg->data[0] : 0);
+}
+
+static uint64_t await_sync(struct reference *r)
+{
+	if (r->state != OPERATIONAL)
+		r->sync_missing_us = 0;
+	if (!r->sync_missing_us)
+		return UINT64_MAX;
+	if (r->now_us < r->sync_missing_us)
+		return r->sync_missing_us;
+	r->sync_missing_us = 0;
+	ref_error_set(r, 0x8100, 6, 0x10, (const uint8_t[5]){0x06, 0x10});
+	return UINT64_MAX;
 }
 
 static uint64_t sync_tick(struct reference *r)
@@ -723,7 +742,7 @@ static uint64_t sync_tick(struct reference *r)
 	if (!(cob_id & 0x40000000) || !period_us || !ref_talks(r)) {
 		r->sync_running = false;
 		r->sync_counter = 0;
-		return UINT64_MAX;
+		return await_sync(r);
 	}
 	if (!r->sync_running)
 		r->sync_due_us = r->now_us + period_us;
@@ -962,6 +981,7 @@ uint64_t ref_lss_tick(struct reference *r)
 	if (r->lss.phase == 2 && r->now_us >= r->lss.phase_end_us) {
 		r->lss.phase = 0;
 		r->guarded = false;
+		r->sync_missing_us = 0;
 		for (unsigned i = 0; i < REF_CONSUMERS; i++)
 			r->consumer[i].alive = false;
 		for (unsigned n = 0; n < REF_RPDOS; n++)

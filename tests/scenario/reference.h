@@ -125,7 +125,7 @@ struct reference {
 	struct reference_tpdo tpdo[REF_TPDOS];
 
 	bool sync_running;
-	uint64_t sync_due_us, sync_last_us;
+	uint64_t sync_due_us, sync_last_us, sync_missing_us; /* 0: none is awaited */
 	uint8_t sync_counter;
 
 	struct reference_error errors[REF_ERRORS];

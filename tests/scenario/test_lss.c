@@ -471,6 +471,18 @@ static void test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched(voi
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 }
 
+static void test_a_sync_that_is_awaited_may_stay_away_while_the_bit_rate_is_switched(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	bus_send(bus, "080");
+	bus_forget(bus);
+	switch_bit_rate(bus);
+	bus_run(bus, 5000000);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
+}
+
 static void test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched(void **state)
 {
 	struct bus *bus = *state;
@@ -721,6 +733,7 @@ int main(void)
 		PRE_OPERATIONAL(test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over),
 		PRE_OPERATIONAL(test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told),
 		PRE_OPERATIONAL(test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched),
+		OPERATIONAL(test_a_sync_that_is_awaited_may_stay_away_while_the_bit_rate_is_switched),
 		OPERATIONAL(test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched),
 		PRE_OPERATIONAL(test_a_switch_delay_of_0_switches_at_once),
 		PRE_OPERATIONAL(test_without_a_bit_rate_configured_activation_does_nothing),

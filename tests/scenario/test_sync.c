@@ -1,4 +1,4 @@
-/* SYNC consumer: CiA 301, 7.2.5, objects 1005h, 1007h, 1019h. */
+/* SYNC consumer: CiA 301, 7.2.5, objects 1005h, 1006h, 1007h, 1019h. */
 #include "tests/scenario/bus.h"
 
 static void tpdo1_only(struct bus *bus)
@@ -193,6 +193,143 @@ static void test_without_a_window_no_sync_is_late(void **state)
 	tpdo1_only(bus);
 	sync_seen_late(bus, 1000000);
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
+/* ---- a SYNC that stays away -------------------------------------------------------------------------------------- */
+
+#define MISSING	 "090 00 81 11 06 10 00 00 00" /* communication, 1006h */
+#define NO_ERROR "090 00 00 00 00 00 00 00 00"
+
+/* Awaits SYNC every 10 ms; the first one comes now. */
+static void await_sync(struct bus *bus)
+{
+	tpdo1_only(bus);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_sync_missing_for_a_period_and_a_half_is_told_once_until_it_comes_again(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	bus_run(bus, 14999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, MISSING);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	bus_send(bus, "080");
+	bus_expect(bus, NO_ERROR);
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	bus_run(bus, 15000);
+	bus_expect(bus, MISSING);
+}
+
+static void test_a_sync_within_a_period_and_a_half_is_not_missing(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	for (int i = 0; i < 10; i++) {
+		bus_run(bus, 14999);
+		bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	}
+}
+
+static void test_without_a_period_no_sync_is_missing(void **state)
+{
+	struct bus *bus = *state;
+
+	tpdo1_only(bus);
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	bus_run(bus, 3600000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_sync_that_never_came_is_not_missing(void **state)
+{
+	struct bus *bus = *state;
+
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_only_in_operational_a_sync_is_missing(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	bus_send(bus, "000 80 10");
+	bus_run(bus, 1000000);
+	bus_send(bus, "080"); /* of no use in pre-operational */
+	bus_run(bus, 1000000);
+	bus_send(bus, "000 01 10");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_a_missing_sync_is_over_with_one_in_pre_operational_or_when_none_is_awaited(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	bus_run(bus, 15000);
+	bus_expect(bus, MISSING);
+	bus_send(bus, "000 80 10");
+	bus_exchange(bus, "080", NO_ERROR);
+	bus_send(bus, "000 01 10");
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	bus_run(bus, 15000);
+	bus_expect(bus, MISSING);
+	bus_send(bus, "610 23 06 10 00 00 00 00 00");
+	bus_expect(bus, NO_ERROR);
+	bus_expect(bus, "590 60 06 10 00 00 00 00 00");
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+}
+
+static void test_who_begins_to_produce_sync_misses_none(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	bus_run(bus, 5000);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 1 << 30 | 0x080), 0);
+	bus_run(bus, 1000000);
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
+}
+
+static void test_a_late_and_a_missing_sync_are_told_apart(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	assert_int_equal(bus_write(bus, 0x1007, 0, 4, 2000), 0);
+	sync_seen_late(bus, 2001);
+	bus_expect(bus, "090 00 81 11 07 10 00 00 00");
+	bus_run(bus, 15000);
+	bus_expect(bus, MISSING);
+	sync_seen_late(bus, 2001);
+	bus_expect_nothing(bus); /* one of the two still stands */
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
+	bus_send(bus, "080");
+	bus_expect(bus, NO_ERROR);
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_a_missing_sync_goes_with_reset_communication(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	bus_run(bus, 15000);
+	bus_expect(bus, MISSING);
+	bus_exchange(bus, "000 82 10", "710 00");
+	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
 /* ---- producer ---------------------------------------------------------------------------------------------------- */
@@ -400,6 +537,15 @@ int main(void)
 		OPERATIONAL(test_a_late_sync_still_counts_for_type_n),
 		OPERATIONAL(test_a_late_sync_leaves_the_sample_of_type_0_to_the_next),
 		OPERATIONAL(test_without_a_window_no_sync_is_late),
+		OPERATIONAL(test_a_sync_missing_for_a_period_and_a_half_is_told_once_until_it_comes_again),
+		OPERATIONAL(test_a_sync_within_a_period_and_a_half_is_not_missing),
+		OPERATIONAL(test_without_a_period_no_sync_is_missing),
+		OPERATIONAL(test_a_sync_that_never_came_is_not_missing),
+		OPERATIONAL(test_only_in_operational_a_sync_is_missing),
+		OPERATIONAL(test_a_missing_sync_is_over_with_one_in_pre_operational_or_when_none_is_awaited),
+		OPERATIONAL(test_who_begins_to_produce_sync_misses_none),
+		OPERATIONAL(test_a_late_and_a_missing_sync_are_told_apart),
+		OPERATIONAL(test_a_missing_sync_goes_with_reset_communication),
 		PRE_OPERATIONAL(test_a_producer_sends_sync_each_period),
 		PRE_OPERATIONAL(test_a_producer_without_a_period_sends_nothing),
 		PRE_OPERATIONAL(test_a_consumer_with_a_period_sends_nothing),
