@@ -5,6 +5,7 @@
 #include <linux/can/error.h>
 #include <linux/can/raw.h>
 #include <net/if.h>
+#include <net/if_arp.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -110,12 +111,16 @@ static int socketcan_filter(struct can_port *port, const uint32_t *ids, size_t n
 	return apply_filters(can, can->rx.fd);
 }
 
-/* The index of an interface that is up, or -ENODEV, -ENETDOWN. */
+/* The index of a CAN interface that is up, or -ENODEV, -ENETDOWN, -EMEDIUMTYPE. */
 static int find_interface(const char *name, int fd)
 {
 	struct ifreq request = {0};
 
 	snprintf(request.ifr_name, sizeof(request.ifr_name), "%s", name);
+	if (ioctl(fd, SIOCGIFHWADDR, &request) != 0)
+		return -errno;
+	if (request.ifr_hwaddr.sa_family != ARPHRD_CAN)
+		return -EMEDIUMTYPE;
 	if (ioctl(fd, SIOCGIFFLAGS, &request) != 0)
 		return -errno;
 	if ((request.ifr_flags & IFF_UP) == 0)
@@ -253,9 +258,15 @@ static void explain(int result, const char *name, char *error, size_t error_size
 	switch (result) {
 	case -ENODEV:
 		snprintf(error, error_size,
-			"no CAN interface %s: create it with `ip link add dev %s type vcan && "
+			"no CAN interface %s: is its adapter plugged in? A virtual one: `ip link add dev %s type vcan "
+			"&& "
 			"ip link set %s up`, or use the bus `udp`",
 			name, name, name);
+		break;
+	case -EMEDIUMTYPE:
+		snprintf(error, error_size,
+			"%s is no CAN interface: `ip -brief link show type can` and `type vcan` show which there are",
+			name);
 		break;
 	case -ENETDOWN:
 		snprintf(error, error_size,
