@@ -129,6 +129,7 @@ void calibrating_sample(struct calibrating *c, const struct imu_sample *raw)
 {
 	enum calibrate_verdict verdict = CALIBRATE_COLLECTING;
 
+	c->sensor_lost = false;
 	if (state_of(c) != CALIBRATING_RUNNING)
 		return;
 	switch (c->values->calibration.kind) {
@@ -172,7 +173,8 @@ static enum od_status start(struct calibrating *c, uint8_t kind)
 		.patience_s = MAGNETOMETER_PATIENCE_S,
 	};
 
-	if (state_of(c) == CALIBRATING_RUNNING || c->values->lever_arm_identification.state == LEVER_RUNNING)
+	if (c->sensor_lost || state_of(c) == CALIBRATING_RUNNING ||
+		c->values->lever_arm_identification.state == LEVER_RUNNING)
 		return OD_DEVICE_STATE;
 	gyro.bias_instability_rad_s = config.noise.gyro_bias_instability_rad_s;
 	forget(c);
@@ -255,6 +257,7 @@ static enum od_status on_command(void *ctx, const struct od_entry *entry, const 
 
 void calibrating_sensor_lost(struct calibrating *c)
 {
+	c->sensor_lost = true;
 	if (state_of(c) == CALIBRATING_RUNNING)
 		refuse(c, CALIBRATE_SENSOR_LOST);
 }

@@ -31,6 +31,7 @@ struct calibrating { /* PRIVATE */
 	struct od *od;
 	struct od_values *values;
 	struct od_hook hook;
+	bool sensor_lost;
 	union {
 		struct calibrate_gyro gyro;
 		struct calibrate_accelerometer accelerometer;
@@ -44,7 +45,7 @@ void calibrating_init(struct calibrating *c, struct od *od, struct od_values *va
 void calibrating_reset(struct calibrating *c);
 /** A raw sample, as the driver delivered it. */
 void calibrating_sample(struct calibrating *c, const struct imu_sample *raw);
-/** The sensor has failed: what runs is refused. */
+/** The sensor has failed: what runs is refused, and so is a start until the next sample. */
 void calibrating_sensor_lost(struct calibrating *c);
 /** STATUS_COMMISSIONING, or 0. */
 unsigned calibrating_status(const struct calibrating *c);

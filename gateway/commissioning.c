@@ -64,7 +64,7 @@ static enum od_status start(struct commissioning *c, bool reference)
 		.reference = reference,
 	};
 
-	if (state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATING_RUNNING ||
+	if (c->sensor_lost || state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATING_RUNNING ||
 		lever_identification_init(&c->lever, &config) < 0)
 		return OD_DEVICE_STATE;
 	forget(c);
@@ -162,6 +162,7 @@ void commissioning_sample(struct commissioning *c, const struct imu_sample *samp
 	const struct vec3 *ref_b_m_s2 = reference_of(c, sample, now_us);
 	struct imu_sample s;
 
+	c->sensor_lost = false;
 	if (state_of(c) != LEVER_RUNNING)
 		return;
 	if (c->started)
@@ -181,6 +182,7 @@ void commissioning_sample(struct commissioning *c, const struct imu_sample *samp
 
 void commissioning_sensor_lost(struct commissioning *c)
 {
+	c->sensor_lost = true;
 	if (state_of(c) != LEVER_RUNNING)
 		return;
 	c->values->lever_arm_identification.verdict = LEVER_SENSOR_LOST;

@@ -23,7 +23,8 @@ struct commissioning { /* PRIVATE */
 	struct od_hook lever_hook, reference_hook;
 	struct lever_identification lever;
 	struct vec3 arm_b_m; /* found: 2060h:6 to 8 before they are rounded */
-	bool started;	     /* the next sample is the first */
+	bool sensor_lost;
+	bool started; /* the next sample is the first */
 	uint64_t started_us;
 	struct vec3 ref_b_m_s2; /* 2075h as it was when complete */
 	bool ref_written;	/* since the last sample */
@@ -37,7 +38,7 @@ void commissioning_init(
 void commissioning_reset(struct commissioning *c);
 /** A sample that the pipeline has just taken. */
 void commissioning_sample(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us);
-/** The sensor has failed: what runs is refused. */
+/** The sensor has failed: what runs is refused, and so is a start until the next sample. */
 void commissioning_sensor_lost(struct commissioning *c);
 /** STATUS_COMMISSIONING, or 0. */
 unsigned commissioning_status(const struct commissioning *c);

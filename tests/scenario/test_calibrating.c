@@ -248,6 +248,19 @@ static void test_a_lost_sensor_ends_it(void **state)
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
 
+static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is(void **state)
+{
+	struct world *w = *state;
+
+	seconds(w, "rest", 1);
+	w->now_us += 1000000;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(command(w, 1), DEVICE_STATE);
+	assert_state(w, CALIBRATING_IDLE, CALIBRATE_COLLECTING);
+	seconds(w, "rest", 0.1);
+	assert_int_equal(command(w, 1), 0);
+}
+
 #define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)
 #define WARM(test) cmocka_unit_test_setup_teardown(test, set_up_warm, world_tear_down)
 
@@ -269,6 +282,7 @@ int main(void)
 		TEST(test_an_abort_ends_it),
 		TEST(test_a_reset_ends_it),
 		TEST(test_a_lost_sensor_ends_it),
+		TEST(test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -330,6 +330,20 @@ static void test_a_lost_sensor_ends_in_a_refusal_that_says_so(void **state)
 	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
 }
 
+static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	seconds(robot, 1);
+	w->now_us += 1000000;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(command(w, START_HELD), DEVICE_STATE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+	seconds(robot, 0.1);
+	assert_int_equal(command(w, START_HELD), 0);
+}
+
 static void test_progress_follows_the_duration_that_was_asked_for(void **state)
 {
 	struct robot *robot = *state;
@@ -358,6 +372,7 @@ int main(void)
 		TEST(test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it),
 		TEST(test_nmt_reset_ends_it),
 		TEST(test_a_lost_sensor_ends_in_a_refusal_that_says_so),
+		TEST(test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is),
 		TEST(test_progress_follows_the_duration_that_was_asked_for),
 	};
 
