@@ -551,7 +551,7 @@ static void record(struct navigation *n, const struct navigation_input *in)
 
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
-	bool still;
+	bool still, ended;
 
 	watch_stillness(&n->stillness, &n->config, in, dt_s);
 	still = stands_still(n);
@@ -564,16 +564,17 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->gravity_m_s2 = in->gravity_m_s2;
 	n->fused_variance_rad2 = in->attitude_variance_rad2;
 	integrate(n, in, dt_s);
+	ended = n->sums.t_s >= NAVIGATION_INTERVAL_S;
+	if (ended) {
+		propagate(n);
+		correct(n, in);
+		memset(&n->sums, 0, sizeof(n->sums));
+		record(n, in);
+	}
 	if (n->place_reset)
 		smoother_restart(n->smoother, here(n, in), n->p);
 	n->place_reset = false;
-	if (n->sums.t_s < NAVIGATION_INTERVAL_S)
-		return false;
-	propagate(n);
-	correct(n, in);
-	memset(&n->sums, 0, sizeof(n->sums));
-	record(n, in);
-	return true;
+	return ended;
 }
 
 void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, double sigma_m_s,

@@ -112,7 +112,7 @@ static void thin_out(struct smoother *s)
 
 static bool due(const struct smoother *s)
 {
-	return s->t_s - s->kept[s->count - 1].point.t_s >= s->spacing_s;
+	return s->t_s - s->kept[s->count - 1].point.t_s > 0.99 * s->spacing_s;
 }
 
 static void keep(struct smoother *s, double t_s, struct smoother_point here, double p[N][N])
@@ -154,6 +154,8 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 	s->from_n_m = here.position_n_m;
 	map_nothing(s);
 	keep(s, 0, here, p);
+	memset(s->kept[0].variance, 0, sizeof(s->kept[0].variance));
+	memset(s->kept[0].x[POSITION], 0, 3 * sizeof(s->kept[0].x[POSITION]));
 }
 
 void smoother_begin(struct smoother *s, struct smoother_point here, double p[N][N])

@@ -1,0 +1,593 @@
+/* The path of the movement just ended: its points against a Rauch-Tung-Striebel smoother with dense matrices, and against
+ * simulated truth. */
+#include "model_test.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#include "model/pipeline.h"
+#include "model/sensor.h"
+#include "model/smoother.h"
+
+enum { N = NAVIGATION_STATES, V = NAVIGATION_V, P = NAVIGATION_P, STEPS = 400 };
+
+static const struct vec3 ZERO = {0, 0, 0};
+static struct smoother smoother;
+
+static int fresh(void **state)
+{
+	(void)state;
+	memset(&smoother, 0, sizeof(smoother));
+	return 0;
+}
+
+/* ---- a linear problem, solved another way -------------------------------------------------------------------------- */
+
+/* x after each step and before its measurements, and the covariances; f leads to it. */
+struct step {
+	double f[N][N], x[N], p[N][N], x_before[N], p_before[N][N];
+};
+
+static struct step chain[STEPS];
+
+static void multiply(double out[N][N], double a[N][N], double b[N][N], bool b_transposed)
+{
+	memset(out, 0, sizeof(double[N][N]));
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			for (int k = 0; k < N; k++)
+				out[i][j] += a[i][k] * (b_transposed ? b[j][k] : b[k][j]);
+}
+
+/* b becomes x of a x = b, column by column; Gauss with pivots. */
+static void solve(double a[N][N], double b[N][N])
+{
+	for (int c = 0; c < N; c++) {
+		int best = c;
+
+		for (int i = c + 1; i < N; i++)
+			best = fabs(a[i][c]) > fabs(a[best][c]) ? i : best;
+		for (int j = 0; j < N; j++) {
+			double t = a[c][j], u = b[c][j];
+
+			a[c][j] = a[best][j];
+			a[best][j] = t;
+			b[c][j] = b[best][j];
+			b[best][j] = u;
+		}
+		for (int i = 0; i < N; i++) {
+			double q = i == c ? 0 : a[i][c] / a[c][c];
+
+			for (int j = 0; j < N; j++) {
+				a[i][j] -= q * a[c][j];
+				b[i][j] -= q * b[c][j];
+			}
+		}
+	}
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			b[i][j] /= a[i][i];
+}
+
+static void predict(struct step *to, const struct step *from, const double noise[N])
+{
+	static double fp[N][N];
+
+	memset(to->x, 0, sizeof(to->x));
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			to->x[i] += to->f[i][j] * from->x[j];
+	multiply(fp, to->f, ((struct step *)from)->p, false);
+	multiply(to->p, fp, to->f, true);
+	for (int i = 0; i < N; i++)
+		to->p[i][i] += noise[i];
+	memcpy(to->x_before, to->x, sizeof(to->x));
+	memcpy(to->p_before, to->p, sizeof(to->p));
+}
+
+static void measure(struct step *s, const double row[N], double value, double noise)
+{
+	double h[N] = {0}, variance = noise, innovation = value;
+
+	for (int i = 0; i < N; i++) {
+		for (int j = 0; j < N; j++)
+			h[i] += s->p[i][j] * row[j];
+		innovation -= row[i] * s->x[i];
+		variance += row[i] * h[i];
+	}
+	smoother_measure(&smoother, row, h, innovation, variance);
+	for (int i = 0; i < N; i++) {
+		s->x[i] += h[i] / variance * innovation;
+		for (int j = 0; j < N; j++)
+			s->p[i][j] -= h[i] / variance * h[j];
+	}
+}
+
+static void transit(struct step *to)
+{
+	double(*map)[N] = smoother_map(&smoother), before[N][N];
+
+	memcpy(before, map, sizeof(before));
+	multiply(map, to->f, before, false);
+}
+
+static struct smoother_point here(const struct step *s)
+{
+	return (struct smoother_point){.position_n_m = {s->x[P], s->x[P + 1], s->x[P + 2]},
+		.velocity_n_m_s = {s->x[V], s->x[V + 1], s->x[V + 2]}};
+}
+
+/* Like a movement's: the place is certain at its beginning. */
+static void begin_chain(void)
+{
+	memset(chain, 0, sizeof(chain));
+	for (int i = 0; i < N; i++) {
+		chain[0].x[i] = any();
+		chain[0].p[i][i] = i >= P && i < P + 3 ? 0 : 1 + 0.5 * any();
+	}
+	smoother_begin(&smoother, here(&chain[0]), chain[0].p);
+}
+
+/* Some of the state's sums are measured each time, with random results. */
+static void next_step(int k)
+{
+	double noise[N];
+
+	for (int i = 0; i < N; i++) {
+		noise[i] = 0.1;
+		for (int j = 0; j < N; j++)
+			chain[k].f[i][j] = (i == j ? 0.95 : 0) + 0.05 * any();
+	}
+	smoother_elapse(&smoother, SMOOTHER_SPACING_S);
+	transit(&chain[k]);
+	predict(&chain[k], &chain[k - 1], noise);
+	for (int m = 0; m < 3; m++) {
+		double row[N] = {0};
+
+		row[(3 * k + 5 * m) % N] = 1;
+		row[(k + m) % N] += any();
+		measure(&chain[k], row, 3 * any(), 0.5);
+	}
+	smoother_mark(&smoother, here(&chain[k]), chain[k].p);
+}
+
+/* Three errors begin anew: a transition that loses them, and noise in their place. */
+static void forget(int k, int at)
+{
+	double noise[N] = {0};
+
+	for (int i = 0; i < N; i++) {
+		chain[k].f[i][i] = i >= at && i < at + 3 ? 0 : 1;
+		noise[i] = i >= at && i < at + 3 ? 2 : 0;
+	}
+	predict(&chain[k], &chain[k - 1], noise);
+	smoother_forget(&smoother, at);
+}
+
+/* chain[].x and .p become the smoothed ones. */
+static void smooth(int last)
+{
+	static double before[N][N], g[N][N], fp[N][N], dp[N][N], gd[N][N], gdg[N][N];
+
+	for (int k = last; k > 0; k--) {
+		struct step *s = &chain[k - 1], *next = &chain[k];
+
+		memcpy(before, next->p_before, sizeof(before));
+		multiply(fp, next->f, s->p, false);
+		solve(before, fp); /* the transposed gain */
+		for (int i = 0; i < N; i++)
+			for (int j = 0; j < N; j++) {
+				g[i][j] = fp[j][i];
+				dp[i][j] = next->p[i][j] - next->p_before[i][j];
+			}
+		multiply(gd, g, dp, false);
+		multiply(gdg, gd, g, true);
+		for (int i = 0; i < N; i++)
+			for (int j = 0; j < N; j++) {
+				s->x[i] += g[i][j] * (next->x[j] - next->x_before[j]);
+				s->p[i][j] += gdg[i][j];
+			}
+	}
+}
+
+static void end_chain(int last)
+{
+	smoother_end(&smoother, 0, here(&chain[last]), chain[last].p);
+}
+
+/* Step k of the chain is at time k * SMOOTHER_SPACING_S. */
+static void assert_smoothed(const int *step_of_time)
+{
+	const struct smoother_movement *m = &smoother.last;
+	struct vec3 from = m->point[0].position_n_m, start;
+
+	assert_vec_near(from, ZERO, 0);
+	start = here(&chain[0]).position_n_m;
+	for (size_t i = 0; i < m->count; i++) {
+		int k = (int)lround(m->point[i].t_s / SMOOTHER_SPACING_S);
+		const struct step *s = &chain[step_of_time ? step_of_time[k] : k];
+		struct smoother_point true_ = here(s);
+
+		assert_vec_near(m->point[i].position_n_m, vec3_sub(true_.position_n_m, start), 1e-9);
+		assert_vec_near(m->point[i].velocity_n_m_s, true_.velocity_n_m_s, 1e-9);
+		assert_vec_near(m->point[i].sigma_m,
+			((struct vec3){sqrt(s->p[P][P]), sqrt(s->p[P + 1][P + 1]), sqrt(s->p[P + 2][P + 2])}), 1e-9);
+	}
+}
+
+static void test_each_point_is_that_of_a_rauch_tung_striebel_smoother(void **state)
+{
+	const int last = 60;
+
+	(void)state;
+	begin_chain();
+	for (int k = 1; k <= last; k++)
+		next_step(k);
+	end_chain(last);
+	assert_int_equal(smoother.last.count, last + 1);
+	smooth(last);
+	assert_smoothed(NULL);
+	assert_true(smoother.last.whole);
+}
+
+static void test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_points(void **state)
+{
+	const int last = STEPS - 1;
+
+	(void)state;
+	begin_chain();
+	for (int k = 1; k <= last; k++)
+		next_step(k);
+	end_chain(last);
+	assert_true(smoother.last.count > SMOOTHER_POINTS / 2 - 1 && smoother.last.count <= SMOOTHER_POINTS);
+	assert_near(smoother.last.duration_s, last * SMOOTHER_SPACING_S, 1e-9);
+	assert_near(smoother.last.point[1].t_s, 4 * SMOOTHER_SPACING_S, 1e-9);
+	smooth(last);
+	assert_smoothed(NULL);
+}
+
+static void test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before_as_is_left(void **state)
+{
+	const int last = 40, lost = 20;
+	int step_of_time[STEPS];
+
+	(void)state;
+	begin_chain();
+	for (int k = 1; k <= last; k++) {
+		step_of_time[k < lost ? k : k - 1] = k;
+		if (k == lost)
+			forget(k, V);
+		else
+			next_step(k);
+	}
+	step_of_time[0] = 0;
+	step_of_time[lost - 1] = lost - 1; /* the point is of before the loss */
+	end_chain(last);
+	smooth(last);
+	assert_smoothed(step_of_time);
+	assert_false(smoother.last.whole);
+}
+
+/* ---- the path of a simulated robot --------------------------------------------------------------------------------- */
+
+enum { RATE_HZ = 100, SAMPLES = 60 * RATE_HZ };
+
+static struct robot {
+	struct pipeline pipeline;
+	struct sensor sensor;
+	struct pipeline_output out[SAMPLES];
+	struct signal_truth truth[SAMPLES];
+	int samples;
+} robot;
+
+static const struct vec3 LEVER_B_M = {0.1, -0.05, 0.05};
+
+/* A cheap sensor, calibrated to 0.6 %. */
+static void switch_on(uint64_t seed)
+{
+	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+
+	sensor_calibrate(&chip);
+	chip.rate_hz = RATE_HZ;
+	chip.gyro.scale_sigma = chip.gyro.cross_axis_sigma = chip.accel.scale_sigma = chip.accel.cross_axis_sigma =
+		0.006;
+	chip.accel.bias_sigma = 0.03;
+	chip.gyro.bias_sigma = 0.003;
+	chip.lever_arm_b_m = config.estimator.lever_arm_b_m = LEVER_B_M;
+	config.latency.sensor_s = 1 / (2 * PI * chip.gyro.bandwidth_hz);
+	config.latency.accelerometer_s = 0;
+	robot.samples = 0;
+	assert_int_equal(sensor_init(&robot.sensor, &chip, seed), 0);
+	assert_int_equal(pipeline_init(&robot.pipeline, &config, RATE_HZ), 0);
+	pipeline_smooth(&robot.pipeline, &smoother);
+}
+
+static void drive_one_sample(void)
+{
+	struct imu_sample sample;
+	int k = robot.samples++;
+
+	assert_true(k < SAMPLES);
+	sensor_next(&robot.sensor, signal_find("square"), &sample, &robot.truth[k]);
+	assert_int_equal(pipeline_step(&robot.pipeline, &sample, &robot.out[k]), 0);
+}
+
+/* It drives, from 2 to 10 s of every 10 s, and stands still. */
+static void drive(double to_s)
+{
+	while (robot.samples < to_s * RATE_HZ)
+		drive_one_sample();
+}
+
+/* .. to the end of a movement; the sample at which that began. */
+static int drive_to_the_end(void)
+{
+	unsigned number = smoother.last.number;
+
+	while (smoother.last.number == number)
+		drive_one_sample();
+	return robot.samples - 1 - (int)lround((smoother.last.duration_s + smoother.last.stood_s) * RATE_HZ);
+}
+
+static void test_the_first_point_is_zero_and_the_last_is_the_displacement(void **state)
+{
+	const struct smoother_movement *m = &smoother.last;
+
+	(void)state;
+	switch_on(1);
+	for (unsigned number = 1; number <= 3; number++) {
+		drive_to_the_end();
+		const struct pipeline_output *out = &robot.out[robot.samples - 1];
+		assert_int_equal(m->number, number);
+		assert_vec_near(m->point[0].position_n_m, ZERO, 0);
+		assert_vec_near(m->point[0].sigma_m, ZERO, 0);
+		assert_near(m->point[0].t_s, 0, 0);
+		assert_vec_near(m->point[m->count - 1].position_n_m, out->displacement_n_m, 1e-12);
+		assert_vec_near(m->point[m->count - 1].sigma_m, out->displacement_sigma_m, 1e-12);
+		assert_near(m->point[m->count - 1].t_s, m->duration_s, 0);
+		assert_true(m->whole);
+	}
+}
+
+static double squared(struct vec3 v)
+{
+	return vec3_dot(v, v);
+}
+
+static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest(void **state)
+{
+	const struct smoother_movement *m = &smoother.last;
+	double live = 0, smoothed = 0, nees = 0;
+	int points = 0;
+
+	(void)state;
+	for (uint64_t seed = 1; seed <= 6; seed++) {
+		switch_on(seed);
+		for (int movement = 0; movement < 4; movement++) {
+			int from = drive_to_the_end();
+
+			for (size_t i = 1; i < m->count; i++) {
+				int k = from + (int)lround(m->point[i].t_s * RATE_HZ);
+				struct vec3 s = m->point[i].sigma_m;
+				struct vec3 way = vec3_sub(robot.truth[k].position_n_m, robot.truth[from].position_n_m);
+				struct vec3 e = vec3_sub(m->point[i].position_n_m, way);
+				struct vec3 l = vec3_sub(robot.out[k].position_n_m, robot.out[from].position_n_m);
+
+				live += squared(vec3_sub(l, way));
+				smoothed += squared(e);
+				nees += squared((struct vec3){e.x / s.x, e.y / s.y, e.z / s.z}) / 3;
+				points++;
+			}
+		}
+	}
+	print_message("%d points: live %.3f, smoothed %.3f m RMS; normalised error squared %.2f\n", points,
+		sqrt(live / points), sqrt(smoothed / points), nees / points);
+	assert_true(sqrt(smoothed) < 0.7 * sqrt(live));
+	assert_true(nees / points > 0.5 && nees / points < 2);
+}
+
+/* ---- what breaks a movement ---------------------------------------------------------------------------------------- */
+
+static void assert_ends_at_the_displacement(void)
+{
+	const struct smoother_movement *m = &smoother.last;
+
+	assert_vec_near(m->point[0].position_n_m, ZERO, 0);
+	assert_vec_near(m->point[m->count - 1].position_n_m, robot.out[robot.samples - 1].displacement_n_m, 1e-12);
+	for (size_t i = 1; i < m->count; i++) {
+		assert_true(m->point[i].t_s > m->point[i - 1].t_s);
+		assert_true(vec3_finite(m->point[i].position_n_m) && vec3_finite(m->point[i].velocity_n_m_s));
+		assert_true(m->point[i].sigma_m.x > 0 && m->point[i].sigma_m.x < 100);
+	}
+}
+
+static void test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain(void **state)
+{
+	struct imu_sample lost;
+	struct signal_truth truth;
+
+	(void)state;
+	switch_on(1);
+	drive(5);
+	for (int k = 0; k < RATE_HZ / 2; k++)
+		sensor_next(&robot.sensor, signal_find("square"), &lost, &truth);
+	drive_to_the_end();
+	assert_false(smoother.last.whole);
+	assert_true(smoother.last.duration_s > 8 && smoother.last.duration_s < 9);
+	assert_ends_at_the_displacement();
+	assert_true(smoother.last.point[10].sigma_m.x < 0.1);
+	assert_true(smoother.last.point[smoother.last.count - 1].sigma_m.x > 0.3);
+}
+
+static void test_after_a_reset_of_the_position_the_path_counts_from_there(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(6);
+	pipeline_reset_position(&robot.pipeline);
+	drive_to_the_end();
+	assert_int_equal(smoother.last.number, 1);
+	assert_false(smoother.last.whole);
+	assert_true(smoother.last.duration_s > 3 && smoother.last.duration_s < 5);
+	assert_ends_at_the_displacement();
+}
+
+static void test_a_velocity_beyond_belief_breaks_the_movement(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(4);
+	pipeline_aid_velocity(&robot.pipeline, (struct vec3){0, 3, 0}, 0.01);
+	pipeline_aid_velocity(&robot.pipeline, robot.truth[robot.samples - 1].velocity_n_m_s, 0.01);
+	drive(9.5); /* told to move it does not stand still for 5 s */
+	drive_to_the_end();
+	assert_false(smoother.last.whole);
+	assert_ends_at_the_displacement();
+}
+
+static void test_a_velocity_as_expected_does_not_break_the_movement(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(4);
+	pipeline_aid_velocity(&robot.pipeline, robot.truth[robot.samples - 1].velocity_n_m_s, 0.05);
+	drive_to_the_end();
+	assert_true(smoother.last.whole);
+	assert_ends_at_the_displacement();
+}
+
+static void test_an_attitude_that_is_set_breaks_the_movement(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(5);
+	pipeline_reset_attitude(&robot.pipeline, quat_from_rotation_vector((struct vec3){0, 0, 1}));
+	drive_to_the_end();
+	assert_int_equal(smoother.last.number, 1);
+	assert_false(smoother.last.whole);
+}
+
+static void configure(void (*change)(struct pipeline_config *config))
+{
+	struct pipeline_config config = robot.pipeline.config;
+
+	change(&config);
+	assert_int_equal(pipeline_configure(&robot.pipeline, &config), 0);
+}
+
+static void without_levelling(struct pipeline_config *config)
+{
+	config->position.navigation.levelling = 0;
+}
+
+static void with_another_bias(struct pipeline_config *config)
+{
+	config->calibration.gyro.bias.x += 1e-4;
+}
+
+static void without_position(struct pipeline_config *config)
+{
+	config->position.mode = POSITION_OFF;
+}
+
+static void with_navigation(struct pipeline_config *config)
+{
+	config->position.mode = POSITION_NAVIGATION;
+}
+
+static void test_another_setting_of_the_navigation_does_not_break_the_movement(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(5);
+	configure(without_levelling);
+	drive_to_the_end();
+	assert_true(smoother.last.whole);
+	assert_ends_at_the_displacement();
+}
+
+/* The next one is told of, from its beginning. */
+static void assert_given_up(void)
+{
+	drive(11.8);
+	assert_int_equal(smoother.last.number, 0);
+	drive_to_the_end();
+	assert_true(smoother.last.whole);
+	assert_ends_at_the_displacement();
+}
+
+static void test_another_calibration_gives_the_movement_up(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(5);
+	configure(with_another_bias);
+	assert_given_up();
+}
+
+static void test_a_position_that_is_switched_off_gives_the_movement_up(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(5);
+	configure(without_position);
+	drive(6);
+	configure(with_navigation);
+	assert_given_up();
+}
+
+static void test_samples_of_another_time_give_the_movement_up(void **state)
+{
+	struct imu_sample sample;
+	struct pipeline_output out;
+	struct signal_truth truth;
+
+	(void)state;
+	switch_on(1);
+	drive(5);
+	sensor_next(&robot.sensor, signal_find("square"), &sample, &truth);
+	sample.flags |= SAMPLE_DISCONTINUITY;
+	assert_int_equal(pipeline_step(&robot.pipeline, &sample, &out), 0);
+	assert_given_up();
+}
+
+static void test_the_last_movement_stands_until_the_next_one_ends(void **state)
+{
+	static struct smoother_movement before;
+
+	(void)state;
+	switch_on(1);
+	drive_to_the_end();
+	before = smoother.last;
+	drive(18);
+	assert_memory_equal(&before, &smoother.last, sizeof(before));
+	drive_to_the_end();
+	assert_int_equal(smoother.last.number, 2);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test_setup(test_each_point_is_that_of_a_rauch_tung_striebel_smoother, fresh),
+		cmocka_unit_test_setup(
+			test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_points, fresh),
+		cmocka_unit_test_setup(
+			test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before_as_is_left, fresh),
+		cmocka_unit_test_setup(test_the_first_point_is_zero_and_the_last_is_the_displacement, fresh),
+		cmocka_unit_test_setup(
+			test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest, fresh),
+		cmocka_unit_test_setup(test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain, fresh),
+		cmocka_unit_test_setup(test_after_a_reset_of_the_position_the_path_counts_from_there, fresh),
+		cmocka_unit_test_setup(test_a_velocity_beyond_belief_breaks_the_movement, fresh),
+		cmocka_unit_test_setup(test_a_velocity_as_expected_does_not_break_the_movement, fresh),
+		cmocka_unit_test_setup(test_an_attitude_that_is_set_breaks_the_movement, fresh),
+		cmocka_unit_test_setup(test_another_setting_of_the_navigation_does_not_break_the_movement, fresh),
+		cmocka_unit_test_setup(test_another_calibration_gives_the_movement_up, fresh),
+		cmocka_unit_test_setup(test_a_position_that_is_switched_off_gives_the_movement_up, fresh),
+		cmocka_unit_test_setup(test_samples_of_another_time_give_the_movement_up, fresh),
+		cmocka_unit_test_setup(test_the_last_movement_stands_until_the_next_one_ends, fresh),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
