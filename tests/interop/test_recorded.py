@@ -179,5 +179,43 @@ class TheLeverArm(unittest.TestCase):
             sum(map(len, changes)), ", ".join("%.2f" % change for change in first))
 
 
+class TheLastMovement(unittest.TestCase):
+    """Its path, read over the bus while the robot goes on, is the one that imu9-replay writes."""
+
+    def test_its_trajectory_is_that_of_the_replay(self):
+        lines = rig.recorded("09_").read_text().splitlines()
+        log = rig.written("\n".join(lines[:1 + 68 * 286]) + "\n", ".imu.csv")  # the first movement ends after 61 s
+        path = rig.scratch(".csv")
+        self.assertEqual(rig.run("imu9-replay", "--movements", path, log).returncode, 0)
+        with open(path) as file:
+            rows = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
+        self.assertEqual({row["movement"] for row in rows}, {1})
+        master = rig.open_master()
+        self.addCleanup(master.close)
+        gateway = rig.Gateway(imu="replay:%s,speed=20" % log)
+        self.addCleanup(gateway.close)
+        master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.wait_for_it(master)
+        text = master.upload(NODE, 0x2132).decode()
+        table = [{name: float(number) for name, number in row.items()} for row in csv.DictReader(text.splitlines())]
+        self.assertEqual(len(table), len(rows))
+        for row, expected_row in zip(table, rows):
+            for name, number in row.items():
+                self.assertAlmostEqual(number, expected_row[name], delta=0.001 if name == "t_s" else 0.0001, msg=name)
+        for sub, name in ((6, "x_m"), (7, "y_m"), (8, "z_m")):
+            self.assertAlmostEqual(self.real(master, sub), rows[-1][name], delta=1e-5)
+        self.note = "%d points, %.1f m in %.1f s" % (len(table), self.real(master, 3), self.real(master, 2))
+
+    @staticmethod
+    def real(master, sub):
+        return struct.unpack("<f", master.upload(NODE, 0x211A, sub))[0]
+
+    def wait_for_it(self, master):
+        end = time.monotonic() + 10
+        while struct.unpack("<I", master.upload(NODE, 0x211A, 1))[0] == 0:
+            self.assertLess(time.monotonic(), end, "no movement has ended")
+            master.listen(0.1)
+
+
 if __name__ == "__main__":
     unittest.main()
