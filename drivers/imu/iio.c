@@ -555,7 +555,7 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 		return;
 	/* the others may be coarse, and then be still at rest */
 	if (kind == GYRO)
-		imu->is_frozen = frozen_watch(&imu->gyro_frozen, raw, AXES * sizeof *raw);
+		imu->is_frozen = frozen_watch(&imu->gyro_frozen, raw, AXES);
 	if (kind == GYRO && imu->is_frozen)
 		return;
 	/* a timer faster than the chip reads the same sample again */

@@ -203,6 +203,7 @@ static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 static int take_sample(struct wt901 *w)
 {
 	uint16_t words[DATA_WORDS];
+	double measured[MEASURED_WORDS];
 	int64_t asked_ns = imu_thread_now_ns(), answered_ns;
 	int result = read_registers(w, REG_DATA, DATA_WORDS, words);
 
@@ -210,7 +211,9 @@ static int take_sample(struct wt901 *w)
 		return result;
 	answered_ns = imu_thread_now_ns();
 	w->failures = 0;
-	if (frozen_watch(&w->frozen, words, MEASURED_WORDS * sizeof *words)) {
+	for (int i = 0; i < MEASURED_WORDS; i++)
+		measured[i] = (int16_t)words[i];
+	if (frozen_watch(&w->frozen, measured, MEASURED_WORDS)) {
 		w->thread.health.fault = IMU_FAULT_FROZEN;
 		w->thread.health.fault_chip = IMU_CHIP_GYRO;
 		imu_thread_tell(&w->thread);
@@ -385,6 +388,7 @@ int wt901_open(char *args, const struct imu_settings *settings, struct imu_port 
 	w->char_ns = 1e9 * BITS_PER_CHAR / w->baud;
 	w->silence_ns = fmax(SHORTEST_SILENCE_NS, 3.5 * w->char_ns);
 	w->thread.port.ops = &OPS;
+	w->frozen.noisy = true; /* its accelerometer's digit is half a mg */
 	snprintf(w->thread.port.name, sizeof w->thread.port.name, "wt901:%.40s %d Bd", w->path, w->baud);
 	result = begin(w, settings, error, error_size);
 	if (result < 0) {

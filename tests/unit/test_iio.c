@@ -12,7 +12,6 @@
 /* cmocka wants the above first */
 #include <cmocka.h>
 
-#include "drivers/imu/frozen.h"
 #include "drivers/imu/iio_text.h"
 #include "drivers/imu/merge.h"
 
@@ -272,38 +271,6 @@ static void test_saturation_of_either_flags_the_sample(void **state)
 	assert_int_equal(sample.flags, SAMPLE_SATURATED);
 }
 
-/* ---- frozen ------------------------------------------------------------------------------------------------------ */
-
-static void test_values_that_repeat_are_no_measurements(void **state)
-{
-	struct frozen f = {0};
-	int raw = 1;
-
-	(void)state;
-	for (int i = 0; i < 1000; i++, raw++)
-		assert_false(frozen_watch(&f, &raw, sizeof raw));
-	for (int i = 1; i < FROZEN_AT_LEAST; i++)
-		assert_false(frozen_watch(&f, &raw, sizeof raw));
-	assert_true(frozen_watch(&f, &raw, sizeof raw));
-	assert_true(frozen_watch(&f, &raw, sizeof raw));
-	raw++;
-	assert_false(frozen_watch(&f, &raw, sizeof raw));
-}
-
-static void test_a_quiet_sensor_may_repeat_itself_ten_times_as_long_as_it_did(void **state)
-{
-	struct frozen f = {0};
-	int raw = 1;
-
-	(void)state;
-	for (int i = 0; i < 20; i++)
-		assert_false(frozen_watch(&f, &raw, sizeof raw));
-	raw++;
-	for (int i = 1; i < 200; i++)
-		assert_false(frozen_watch(&f, &raw, sizeof raw));
-	assert_true(frozen_watch(&f, &raw, sizeof raw));
-}
-
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -322,8 +289,6 @@ int main(void)
 		cmocka_unit_test(test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped),
 		cmocka_unit_test(test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant),
 		cmocka_unit_test(test_saturation_of_either_flags_the_sample),
-		cmocka_unit_test(test_values_that_repeat_are_no_measurements),
-		cmocka_unit_test(test_a_quiet_sensor_may_repeat_itself_ten_times_as_long_as_it_did),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

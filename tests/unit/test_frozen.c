@@ -1,0 +1,217 @@
+/* Frozen sensors and quiet ones: raw values of a gyro whose noise is so many digits, at rest and in motion. */
+#include <math.h>
+#include <stdarg.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include <setjmp.h>
+/* cmocka wants the above first */
+#include <cmocka.h>
+
+#include "drivers/imu/frozen.h"
+#include "model/rng.h"
+
+enum { AXES = 3, RATE_HZ = 100 };
+
+struct gyro {
+	struct frozen frozen;
+	struct rng rng;
+	double sigma_digits, digit, low_pass; /* share of the old value in the new one */
+	double noise[AXES], offset_digits[AXES], raw[AXES];
+	unsigned alarms;
+};
+
+static struct gyro gyro_of(double sigma_digits, uint64_t seed)
+{
+	struct gyro g = {.sigma_digits = sigma_digits, .digit = 1};
+
+	rng_init(&g.rng, seed);
+	for (int i = 0; i < AXES; i++)
+		g.offset_digits[i] = 20 * rng_uniform(&g.rng) - 10;
+	return g;
+}
+
+static void watch(struct gyro *g)
+{
+	g->alarms += frozen_watch(&g->frozen, g->raw, AXES);
+}
+
+static void measure(struct gyro *g, double rate_digits)
+{
+	double fresh = sqrt(1 - g->low_pass * g->low_pass);
+
+	for (int i = 0; i < AXES; i++) {
+		g->noise[i] = g->low_pass * g->noise[i] + fresh * g->sigma_digits * rng_gauss(&g->rng);
+		g->raw[i] = g->digit * floor(g->offset_digits[i] + rate_digits + g->noise[i] + 0.5);
+	}
+	watch(g);
+}
+
+static void rest(struct gyro *g, double s)
+{
+	for (int i = 0; i < s * RATE_HZ; i++)
+		measure(g, 0);
+}
+
+/* To and fro about all axes, some 100 digits a second fast; the offsets drift by a share of a digit meanwhile. */
+static void move(struct gyro *g, double s)
+{
+	for (int i = 0; i < s * RATE_HZ; i++)
+		measure(g, 100 * sin(0.07 * i));
+	for (int i = 0; i < AXES; i++)
+		g->offset_digits[i] += rng_uniform(&g->rng) - 0.5;
+}
+
+/* Samples until a freeze is found, or 0. */
+static unsigned found_after(struct gyro *g)
+{
+	g->alarms = 0;
+	for (unsigned n = 1; n <= 1000; n++) {
+		watch(g);
+		if (g->alarms)
+			return n;
+	}
+	return 0;
+}
+
+static void test_a_gyro_with_noise_of_a_digit_is_found_within_a_second(void **state)
+{
+	static const double SIGMAS[] = {0.7, 1, 3, 30};
+
+	(void)state;
+	for (uint64_t seed = 0; seed < 40; seed++) {
+		struct gyro g = gyro_of(SIGMAS[seed % 4], seed);
+
+		rest(&g, 60);
+		move(&g, 3);
+		rest(&g, 60);
+		assert_int_equal(g.alarms, 0);
+		assert_in_range(found_after(&g), 1, RATE_HZ);
+	}
+}
+
+static void test_a_rest_is_not_frozen_however_much_less_than_a_digit_the_noise_is(void **state)
+{
+	static const double SIGMAS[] = {0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5};
+
+	(void)state;
+	for (uint64_t seed = 0; seed < 80; seed++) {
+		struct gyro g = gyro_of(SIGMAS[seed % 8], seed);
+
+		for (int i = 0; i < 5; i++) {
+			rest(&g, 30 * (i + 1));
+			move(&g, 5);
+		}
+		assert_int_equal(g.alarms, 0);
+	}
+}
+
+/* The narrowest filters: each value is much like the one before. */
+static void test_slow_noise_at_rest_is_not_frozen(void **state)
+{
+	static const double SIGMAS[] = {0.1, 0.3, 0.5, 0.7, 1};
+
+	(void)state;
+	for (uint64_t seed = 0; seed < 50; seed++) {
+		struct gyro g = gyro_of(SIGMAS[seed % 5], seed);
+
+		g.low_pass = 0.85; /* 2.6 Hz */
+		for (int i = 0; i < 5; i++) {
+			rest(&g, 60);
+			move(&g, 5);
+		}
+		assert_int_equal(g.alarms, 0);
+	}
+}
+
+static void test_a_digit_may_be_several_steps_of_the_raw_values(void **state)
+{
+	(void)state;
+	for (uint64_t seed = 0; seed < 20; seed++) {
+		struct gyro quiet = gyro_of(0.1, seed), noisy = gyro_of(1, seed);
+
+		quiet.digit = noisy.digit = 16;
+		for (int i = 0; i < 5; i++) {
+			rest(&quiet, 30);
+			move(&quiet, 5);
+		}
+		rest(&noisy, 30);
+		assert_int_equal(quiet.alarms + noisy.alarms, 0);
+		assert_in_range(found_after(&noisy), 1, RATE_HZ);
+	}
+}
+
+/* All that can be known of it then is its motion. */
+static void test_a_coarse_gyro_that_was_never_at_rest_before_is_taken_for_frozen_once_at_most(void **state)
+{
+	(void)state;
+	for (uint64_t seed = 0; seed < 40; seed++) {
+		struct gyro g = gyro_of(0.05, seed);
+
+		move(&g, 60);
+		rest(&g, 60);
+		move(&g, 5);
+		g.alarms = 0;
+		for (int i = 0; i < 5; i++) {
+			rest(&g, 200);
+			move(&g, 5);
+		}
+		assert_int_equal(g.alarms, 0);
+	}
+}
+
+static void test_values_that_do_not_change_from_the_start_on_tell_nothing_but_where_the_noise_is_known(void **state)
+{
+	struct gyro unknown = gyro_of(1, 1), known = gyro_of(1, 1);
+
+	(void)state;
+	known.frozen.noisy = true;
+	assert_int_equal(found_after(&unknown), 0);
+	assert_int_equal(found_after(&known), FROZEN_AT_LEAST);
+}
+
+static void test_a_frozen_sensor_is_well_with_the_first_other_value(void **state)
+{
+	struct gyro g = gyro_of(3, 1);
+
+	(void)state;
+	rest(&g, 10);
+	assert_true(found_after(&g) > 0);
+	g.alarms = 0;
+	g.raw[0]++;
+	watch(&g);
+	assert_int_equal(g.alarms, 0);
+}
+
+static void test_a_sensor_may_repeat_itself_ten_times_as_long_as_it_did(void **state)
+{
+	struct gyro g = {.frozen.noisy = true};
+
+	(void)state;
+	for (int i = 0; i < 20; i++)
+		watch(&g);
+	g.raw[0] = 1;
+	for (int i = 0; i < 199; i++)
+		watch(&g);
+	assert_int_equal(g.alarms, 0);
+	watch(&g);
+	assert_int_equal(g.alarms, 1);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_gyro_with_noise_of_a_digit_is_found_within_a_second),
+		cmocka_unit_test(test_a_rest_is_not_frozen_however_much_less_than_a_digit_the_noise_is),
+		cmocka_unit_test(test_slow_noise_at_rest_is_not_frozen),
+		cmocka_unit_test(test_a_digit_may_be_several_steps_of_the_raw_values),
+		cmocka_unit_test(test_a_coarse_gyro_that_was_never_at_rest_before_is_taken_for_frozen_once_at_most),
+		cmocka_unit_test(
+			test_values_that_do_not_change_from_the_start_on_tell_nothing_but_where_the_noise_is_known),
+		cmocka_unit_test(test_a_frozen_sensor_is_well_with_the_first_other_value),
+		cmocka_unit_test(test_a_sensor_may_repeat_itself_ten_times_as_long_as_it_did),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
