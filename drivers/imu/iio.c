@@ -78,9 +78,9 @@ struct iio_imu {
 	size_t wanted_count;
 
 	pthread_mutex_t lock;
-	struct imu_settings settings; /* under `lock` */
+	struct imu_settings settings;  /* the port's, under `lock` for the thread */
+	struct choice choices[TRIADS]; /* the thread's, under `lock` for the port */
 	atomic_bool restart;
-	struct choice choices[TRIADS];
 
 	/* the thread's own */
 	struct iio_context *context;
@@ -281,14 +281,16 @@ static void learn_choices(struct iio_imu *imu, int kind, bool by_timer)
 {
 	const struct triad *t = &imu->triads[kind];
 	const struct iio_data_format *format = iio_channel_get_data_format(t->axis[0]);
-	struct choice *choice = &imu->choices[kind];
+	struct choice choice = {.by_timer = by_timer};
 
-	if (choice->digits > 0)
+	if (imu->choices[kind].digits > 0)
 		return;
-	read_attr(t, 0, "sampling_frequency_available", choice->rates);
-	read_attr(t, 0, "scale_available", choice->scales);
-	choice->digits = ldexp(1, format->bits > 0 && format->bits < 64 ? (int)format->bits - 1 : 15);
-	choice->by_timer = by_timer;
+	read_attr(t, 0, "sampling_frequency_available", choice.rates);
+	read_attr(t, 0, "scale_available", choice.scales);
+	choice.digits = ldexp(1, format->bits > 0 && format->bits < 64 ? (int)format->bits - 1 : 15);
+	pthread_mutex_lock(&imu->lock); /* a magnetometer may come late */
+	imu->choices[kind] = choice;
+	pthread_mutex_unlock(&imu->lock);
 }
 
 static int set_up(struct iio_imu *imu, int kind, const struct imu_settings *settings, char *error, size_t error_size)
@@ -784,9 +786,13 @@ static int port_configure(
 {
 	struct iio_imu *imu = (struct iio_imu *)port;
 	char rate[32], scale[32], gyro_rate[32] = "";
+	struct choice choices[TRIADS];
 
+	pthread_mutex_lock(&imu->lock);
+	memcpy(choices, imu->choices, sizeof choices);
+	pthread_mutex_unlock(&imu->lock);
 	for (int kind = TRIADS - 1; kind >= 0; kind--) {
-		const struct choice *choice = &imu->choices[kind];
+		const struct choice *choice = &choices[kind];
 		int result = choice->digits > 0 ? choose(choice, settings, kind, rate, scale, error, error_size) : 0;
 
 		if (result < 0)
