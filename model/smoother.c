@@ -122,14 +122,31 @@ static void keep(struct smoother *s, double t_s, struct smoother_point here, dou
 	k->point = here;
 	k->point.t_s = t_s;
 	k->point.position_n_m = vec3_sub(here.position_n_m, s->from_n_m);
+	k->live = s->live;
+	k->live.t_s = t_s;
 	for (int r = 0; r < 3; r++)
 		k->variance[r] = p[NAVIGATION_P + r][NAVIGATION_P + r];
 	memcpy(k->x, p[FIRST_ROW], sizeof(k->x));
 }
 
+/* The live path, without the steps of its corrections. */
+static void go_on(struct smoother *s, struct vec3 velocity)
+{
+	double dt = s->t_s - s->live.t_s;
+	struct vec3 way = vec3_scale(dt / 2, vec3_add(s->live.velocity_n_m_s, velocity));
+
+	s->live.position_n_m = vec3_add(s->live.position_n_m, way);
+	s->live.velocity_n_m_s = velocity;
+	s->live.t_s = s->t_s;
+	s->live_m += vec3_norm(way);
+}
+
 void smoother_mark(struct smoother *s, struct smoother_point here, double p[N][N])
 {
-	if (!recording(s) || !due(s))
+	if (!recording(s))
+		return;
+	go_on(s, here.velocity_n_m_s);
+	if (!due(s))
 		return;
 	correct(s);
 	if (s->count == SMOOTHER_POINTS - 1) /* an odd number keeps the first and the last */
@@ -152,6 +169,8 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 	s->spacing_s = SMOOTHER_SPACING_S;
 	s->count = 0;
 	s->from_n_m = here.position_n_m;
+	s->live = (struct smoother_point){.velocity_n_m_s = here.velocity_n_m_s};
+	s->live_m = 0;
 	map_nothing(s);
 	keep(s, 0, here, p);
 	memset(s->kept[0].variance, 0, sizeof(s->kept[0].variance));
@@ -196,6 +215,7 @@ static double root(double variance)
 static void publish(struct smoother *s)
 {
 	struct smoother_movement *m = &s->last;
+	double live_m = 0;
 
 	*m = (struct smoother_movement){.number = s->begun,
 		.whole = s->whole,
@@ -208,12 +228,17 @@ static void publish(struct smoother *s)
 
 		*point = s->kept[k].point;
 		point->sigma_m = (struct vec3){root(variance[0]), root(variance[1]), root(variance[2])};
-		m->path_m += k > 0 ? length(point - 1, point) : 0;
+		if (k > 0) {
+			m->path_m += length(point - 1, point);
+			live_m += length(&s->kept[k - 1].live, &s->kept[k].live);
+		}
 		if (distance > m->farthest_m) {
 			m->farthest_m = distance;
 			m->farthest_s = point->t_s;
 		}
 	}
+	if (live_m > 0) /* what the points miss of it */
+		m->path_m *= s->live_m / live_m;
 }
 
 void smoother_end(struct smoother *s, double stood_s, struct smoother_point here, double p[N][N])
@@ -223,6 +248,7 @@ void smoother_end(struct smoother *s, double stood_s, struct smoother_point here
 	if (!recording(s))
 		return;
 	t_s = fmax(s->t_s - stood_s, 0);
+	go_on(s, here.velocity_n_m_s);
 	correct(s);
 	while (s->count > 1 && s->kept[s->count - 1].point.t_s >= t_s)
 		s->count--;

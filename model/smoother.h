@@ -37,7 +37,8 @@ struct smoother_movement {
 	unsigned number; /* from 1; 0: there was none */
 	bool whole; /* else something broke it: a gap, a velocity, place or attitude set, another north. What was learnt
 			    after that has corrected the points before it in part or not at all */
-	double duration_s, path_m;
+	double duration_s;
+	double path_m; /* its length: along the points, and more by as much as the live path is longer than along them */
 	double stood_s;		       /* for how long it had been over when this was known */
 	double farthest_m, farthest_s; /* the greatest distance from where it began, and when */
 	size_t count;
@@ -46,7 +47,7 @@ struct smoother_movement {
 
 /** Of a point: the errors of its velocity and its position, with all of the filter's errors of now. */
 struct smoother_kept {
-	struct smoother_point point;
+	struct smoother_point point, live;
 	double variance[3];
 	double x[SMOOTHER_ROWS][NAVIGATION_STATES];
 };
@@ -60,7 +61,9 @@ struct smoother {
 	double t_s, spacing_s;
 	double a[NAVIGATION_STATES][NAVIGATION_STATES], b[NAVIGATION_STATES], m[NAVIGATION_STATES][NAVIGATION_STATES];
 	size_t count;
-	struct vec3 from_n_m; /* where it began */
+	struct vec3 from_n_m;	    /* where it began */
+	struct smoother_point live; /* now, as the velocity led there from the beginning */
+	double live_m;		    /* the length of that way */
 	struct smoother_kept kept[SMOOTHER_POINTS];
 };
 

@@ -268,6 +268,25 @@ static void test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before
 	assert_false(smoother.last.whole);
 }
 
+static void test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_are_far_apart(void **state)
+{
+	const double interval_s = 0.04, last_s = 200, rate = 2 * PI * 0.8;
+	double p[N][N] = {{0}};
+	struct smoother_point here = {.velocity_n_m_s = {rate, 0, 0}};
+
+	(void)state;
+	smoother_begin(&smoother, here, p);
+	for (double t = interval_s; t < last_s; t += interval_s) {
+		here.position_n_m.x = sin(rate * t);
+		here.velocity_n_m_s.x = rate * cos(rate * t);
+		smoother_elapse(&smoother, interval_s);
+		smoother_mark(&smoother, here, p);
+	}
+	smoother_end(&smoother, 0, here, p);
+	assert_true(smoother.last.point[1].t_s > 1);
+	assert_near(smoother.last.path_m / (4 * 0.8 * last_s), 1, 0.01);
+}
+
 /* ---- the path of a simulated robot --------------------------------------------------------------------------------- */
 
 enum { RATE_HZ = 100, SAMPLES = 60 * RATE_HZ };
@@ -359,6 +378,7 @@ static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_
 {
 	const struct smoother_movement *m = &smoother.last;
 	double live = 0, smoothed = 0, nees = 0;
+	double path = 0, true_path = 0;
 	int points = 0;
 
 	(void)state;
@@ -367,6 +387,10 @@ static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_
 		for (int movement = 0; movement < 4; movement++) {
 			int from = drive_to_the_end();
 
+			path += m->path_m;
+			for (int k = from + 1; k < robot.samples; k++)
+				true_path += vec3_norm(
+					vec3_sub(robot.truth[k].position_n_m, robot.truth[k - 1].position_n_m));
 			for (size_t i = 1; i < m->count; i++) {
 				int k = from + (int)lround(m->point[i].t_s * RATE_HZ);
 				struct vec3 s = m->point[i].sigma_m;
@@ -385,6 +409,7 @@ static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_
 		sqrt(live / points), sqrt(smoothed / points), nees / points);
 	assert_true(sqrt(smoothed) < 0.7 * sqrt(live));
 	assert_true(nees / points > 0.5 && nees / points < 2);
+	assert_near(path / true_path, 1, 0.05);
 }
 
 /* ---- what breaks a movement ---------------------------------------------------------------------------------------- */
@@ -574,6 +599,8 @@ int main(void)
 			test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_points, fresh),
 		cmocka_unit_test_setup(
 			test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before_as_is_left, fresh),
+		cmocka_unit_test_setup(
+			test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_are_far_apart, fresh),
 		cmocka_unit_test_setup(test_the_first_point_is_zero_and_the_last_is_the_displacement, fresh),
 		cmocka_unit_test_setup(
 			test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest, fresh),
