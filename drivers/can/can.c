@@ -13,7 +13,7 @@
 /* One full frame takes 0.25 ms at 500 kbit/s and 12 ms at 10 kbit/s. */
 enum { BACKOFF_MIN_US = 500, BACKOFF_MAX_US = 20000 };
 
-int can_open(const char *bus, struct can_port **port, char *error, size_t error_size)
+static int open_any(const char *bus, struct can_port **port, char *error, size_t error_size)
 {
 	if (strcmp(bus, "udp") == 0)
 		return can_udp_open("", port, error, error_size);
@@ -31,6 +31,17 @@ int can_open(const char *bus, struct can_port **port, char *error, size_t error_
 		return -EINVAL;
 	}
 	return can_socketcan_open(bus, port, error, error_size);
+}
+
+int can_open(const char *bus, struct can_port **port, char *error, size_t error_size)
+{
+	int result;
+
+	error[0] = '\0';
+	result = open_any(bus, port, error, error_size);
+	if (result < 0 && error[0] == '\0') /* memory is short: nothing the driver could add */
+		snprintf(error, error_size, "cannot open %s: %s", bus, strerror(-result));
+	return result;
 }
 
 void can_close(struct can_port *port)

@@ -136,10 +136,8 @@ static void LIBUSB_CALL remove_descriptor(int fd, void *user_data)
 static int watch_descriptors(struct gs_usb *can)
 {
 	const struct libusb_pollfd **list;
-	int result;
+	int result = more_open(&can->more, &can->port.fd);
 
-	can->port.fd = epoll_create1(EPOLL_CLOEXEC);
-	result = can->port.fd < 0 ? -errno : more_open(&can->more, can->port.fd);
 	if (result < 0)
 		return result;
 	libusb_set_pollfd_notifiers(can->usb, add_descriptor, remove_descriptor, can);
@@ -659,10 +657,7 @@ static void gs_usb_close(struct can_port *port)
 		libusb_free_transfer(can->slots[i].transfer);
 	if (can->usb != NULL)
 		libusb_exit(can->usb);
-	if (can->more.fd >= 0)
-		close(can->more.fd);
-	if (port->fd >= 0)
-		close(port->fd);
+	more_close(&can->more, port->fd);
 	free(can);
 }
 
@@ -760,7 +755,6 @@ static int set_up(struct gs_usb *can, char *error, size_t error_size)
 	struct gs_usb_adapter adapter = {0};
 	int result;
 
-	error[0] = '\0';
 	libusb_set_option(NULL, LIBUSB_OPTION_NO_DEVICE_DISCOVERY); /* ours is gs_usb_find.c: no thread, no udev */
 	result = libusb_init(&can->usb);
 	result = result < 0 ? errno_of(result) : watch_descriptors(can);
@@ -786,10 +780,8 @@ int can_gs_usb_open(const char *address, struct can_port **port, char *error, si
 	if (result < 0)
 		return result;
 	can = calloc(1, sizeof(*can));
-	if (can == NULL) {
-		snprintf(error, error_size, "out of memory");
+	if (can == NULL)
 		return -ENOMEM;
-	}
 	can->port.ops = &gs_usb_ops;
 	can->port.fd = can->more.fd = can->node = -1;
 	can->port.bit_s = options.bit_s;

@@ -1,5 +1,5 @@
 /* drivers/can/more.h
- * Keeps a port's epoll descriptor readable while frames wait in the driver itself, which no descriptor tells. Costs
+ * A port's epoll descriptor, and what keeps it readable while frames wait in the driver itself, which no descriptor tells. Costs
  * system calls when that changes only. */
 #ifndef DRIVERS_CAN_MORE_H
 #define DRIVERS_CAN_MORE_H
@@ -17,14 +17,24 @@ struct more {
 	bool set;
 };
 
-/** Puts it into that epoll descriptor. 0 or -errno. */
-static inline int more_open(struct more *more, int epoll)
+/** Makes the epoll descriptor and puts the eventfd into it; both are -1 before. 0 or -errno. */
+static inline int more_open(struct more *more, int *epoll)
 {
 	struct epoll_event event = {.events = EPOLLIN};
 
 	more->set = false;
+	*epoll = epoll_create1(EPOLL_CLOEXEC);
 	more->fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
-	return more->fd < 0 || epoll_ctl(epoll, EPOLL_CTL_ADD, more->fd, &event) != 0 ? -errno : 0;
+	return *epoll < 0 || more->fd < 0 || epoll_ctl(*epoll, EPOLL_CTL_ADD, more->fd, &event) != 0 ? -errno : 0;
+}
+
+/** Also after more_open() failed, or was not called. */
+static inline void more_close(struct more *more, int epoll)
+{
+	if (more->fd >= 0)
+		close(more->fd);
+	if (epoll >= 0)
+		close(epoll);
 }
 
 static inline void more_set(struct more *more, bool set)

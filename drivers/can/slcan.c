@@ -346,10 +346,7 @@ static void slcan_close(struct can_port *port)
 			close(can->fd);
 		}
 	}
-	if (can->more.fd >= 0)
-		close(can->more.fd);
-	if (port->fd >= 0)
-		close(port->fd);
+	more_close(&can->more, port->fd);
 	free(can);
 }
 
@@ -415,8 +412,7 @@ static int set_up_port(struct slcan *can, const struct bus_options *options)
 	can->listen_only = options->listen_only;
 	if (slcan_bit_rate_code(options->bit_s) == '\0')
 		return -EOPNOTSUPP;
-	can->port.fd = epoll_create1(EPOLL_CLOEXEC);
-	result = can->port.fd < 0 ? -errno : more_open(&can->more, can->port.fd);
+	result = more_open(&can->more, &can->port.fd);
 	return result < 0 ? result : attach(can);
 }
 
@@ -429,10 +425,8 @@ int can_slcan_open(const char *address, struct can_port **port, char *error, siz
 	if (result < 0)
 		return result;
 	can = calloc(1, sizeof(*can));
-	if (can == NULL) {
-		snprintf(error, error_size, "out of memory");
+	if (can == NULL)
 		return -ENOMEM;
-	}
 	can->port.ops = &slcan_ops;
 	can->port.fd = can->more.fd = can->fd = -1;
 	result = parse(can, options.address) ? set_up_port(can, &options) : -EINVAL;

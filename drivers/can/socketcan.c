@@ -298,10 +298,8 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 		return -EINVAL;
 	}
 	can = calloc(1, sizeof(*can));
-	if (can == NULL) {
-		snprintf(error, error_size, "out of memory");
+	if (can == NULL)
 		return -ENOMEM;
-	}
 	can->port.ops = &socketcan_ops;
 	snprintf(can->port.name, sizeof(can->port.name), "%s", interface);
 	can->rx.fd = -1;

@@ -289,10 +289,8 @@ int can_udp_open(const char *address, struct can_port **port, char *error, size_
 		return -EINVAL;
 	}
 	udp = calloc(1, sizeof(*udp));
-	if (udp == NULL) {
-		snprintf(error, error_size, "out of memory");
+	if (udp == NULL)
 		return -ENOMEM;
-	}
 	udp->port.ops = &udp_ops;
 	udp->port.fd = udp->sender = -1;
 	udp->group = group;
