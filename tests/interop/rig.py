@@ -4,6 +4,7 @@ import pathlib
 import signal
 import socket
 import statistics
+import struct
 import subprocess
 import tempfile
 import time
@@ -21,6 +22,18 @@ WORK = pathlib.Path(tempfile.mkdtemp(prefix="imu9-interop."))  # removed by `run
 
 BUS, ROUGH_BUS = "vcan0", "vcan1"  # vcan0 is captured and must stay well-formed; rough things happen on vcan1
 NODE = 16
+
+
+def u8(value):
+    return struct.pack("<B", value)
+
+
+def u16(value):
+    return struct.pack("<H", value)
+
+
+def u32(value):
+    return struct.pack("<I", value)
 
 
 def program(name):

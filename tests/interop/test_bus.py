@@ -11,7 +11,7 @@ import unittest
 import canopen_master as canopen
 import eds_file
 import rig
-from rig import NODE
+from rig import NODE, u8, u16, u32
 
 OBJECTS = eds_file.read(rig.EDS, NODE)
 NO_DATA, READ_ONLY, WRITE_ONLY, NO_OBJECT, NO_SUBINDEX = 0x08000024, 0x06010002, 0x06010001, 0x06020000, 0x06090011
@@ -20,18 +20,6 @@ NOT_MAPPABLE, PDO_LENGTH, UNSUPPORTED_ACCESS = 0x06040041, 0x06040042, 0x0601000
 TOGGLE, BAD_COMMAND = 0x05030000, 0x05040001
 LEVER_ARM_L = (0x2000, 1)
 DEFAULT_HEARTBEAT = struct.pack("<H", OBJECTS[0x1017, 0].default)
-
-
-def u8(value):
-    return struct.pack("<B", value)
-
-
-def u16(value):
-    return struct.pack("<H", value)
-
-
-def u32(value):
-    return struct.pack("<I", value)
 
 
 def f32(value):

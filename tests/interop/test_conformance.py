@@ -11,23 +11,11 @@ import can
 
 import canopen_master as canopen
 import rig
-from rig import NODE
+from rig import NODE, u8, u16, u32
 
 CRC, BLOCK_SIZE, SEQUENCE = 0x05040004, 0x05040002, 0x05040003
 LSS_ORDER, LSS_ANSWER = 0x7E5, 0x7E4
 FAR = 5  # another node, which this test plays
-
-
-def u8(value):
-    return struct.pack("<B", value)
-
-
-def u16(value):
-    return struct.pack("<H", value)
-
-
-def u32(value):
-    return struct.pack("<I", value)
 
 
 class BlockTransfer(rig.OnTheBus):

@@ -4,24 +4,12 @@ import struct
 
 import canopen_master as canopen
 import rig
-from rig import NODE
+from rig import NODE, u8, u16, u32
 
 RPDO = [0x200, 0x300, 0x400, 0x500]
 EXISTS_NOT = 1 << 31
 EXTERNAL_AID = 1 << 11  # in the status word 210Fh:3
 NOT_MAPPABLE, PDO_LENGTH, UNSUPPORTED_ACCESS, BAD_VALUE = 0x06040041, 0x06040042, 0x06010000, 0x06090030
-
-
-def u8(value):
-    return struct.pack("<B", value)
-
-
-def u16(value):
-    return struct.pack("<H", value)
-
-
-def u32(value):
-    return struct.pack("<I", value)
 
 
 class ReceivePdos(rig.OnTheBus):
