@@ -2,7 +2,13 @@
 
 #include <string.h>
 
-enum { N = NAVIGATION_STATES, ROWS = SMOOTHER_ROWS, FIRST_ROW = NAVIGATION_V, POSITION = NAVIGATION_P - NAVIGATION_V };
+enum {
+	N = NAVIGATION_STATES,
+	ROWS = SMOOTHER_ROWS,
+	FIRST_ROW = NAVIGATION_V,
+	POSITION = NAVIGATION_P - NAVIGATION_V,
+	BLOCK = 12
+};
 
 static bool recording(const struct smoother *s)
 {
@@ -11,23 +17,22 @@ static bool recording(const struct smoother *s)
 
 /* ---- the map from the last point to now ---- */
 
-static void map_nothing(struct smoother *s)
+static void map_nothing(struct smoother_map *map)
 {
-	memset(s->a, 0, sizeof(s->a));
-	memset(s->b, 0, sizeof(s->b));
-	memset(s->m, 0, sizeof(s->m));
+	memset(map, 0, sizeof(*map));
 	for (int i = 0; i < N; i++)
-		s->a[i][i] = 1;
+		map->a[i][i] = 1;
 }
 
 double (*smoother_map(struct smoother *s))[N]
 {
-	return recording(s) ? s->a : NULL;
+	return recording(s) ? s->recent.a : NULL;
 }
 
 void smoother_measure(
 	struct smoother *s, const double row[N], const double p_row[N], double innovation, double variance)
 {
+	struct smoother_map *map = &s->recent;
 	double g[N] = {0};
 
 	if (!recording(s))
@@ -36,15 +41,15 @@ void smoother_measure(
 		if (row[i] == 0)
 			continue;
 		for (int j = 0; j < N; j++)
-			g[j] += row[i] * s->a[i][j];
+			g[j] += row[i] * map->a[i][j];
 	}
 	for (int i = 0; i < N; i++) {
 		double gain = p_row[i] / variance, share = g[i] / variance;
 
-		s->b[i] -= share * innovation;
+		map->b[i] -= share * innovation;
 		for (int j = 0; j < N; j++) {
-			s->m[i][j] += share * g[j];
-			s->a[i][j] -= gain * g[j];
+			map->m[i][j] += share * g[j];
+			map->a[i][j] -= gain * g[j];
 		}
 	}
 }
@@ -53,7 +58,7 @@ void smoother_forget(struct smoother *s, int at)
 {
 	if (!recording(s))
 		return;
-	memset(s->a[at], 0, 3 * sizeof(s->a[at]));
+	memset(s->recent.a[at], 0, 3 * sizeof(s->recent.a[at]));
 	s->whole = false;
 }
 
@@ -65,13 +70,13 @@ static void add3(struct vec3 *a, const double d[3])
 }
 
 /* a_transposed[j] is what column j of x goes to */
-static void move(struct smoother_kept *k, const struct smoother *s, double a_transposed[N][N])
+static void move(struct smoother_kept *k, const struct smoother_map *map, double a_transposed[N][N])
 {
 	double by[ROWS] = {0}, x[ROWS][N] = {{0}};
 
 	for (int r = 0; r < ROWS; r++)
 		for (int j = 0; j < N; j++) {
-			by[r] -= k->x[r][j] * s->b[j];
+			by[r] -= k->x[r][j] * map->b[j];
 			for (int i = 0; i < N; i++)
 				x[r][i] += k->x[r][j] * a_transposed[j][i];
 		}
@@ -80,7 +85,7 @@ static void move(struct smoother_kept *k, const struct smoother *s, double a_tra
 
 		for (int j = 0; j < N; j++)
 			for (int i = 0; i < N; i++)
-				xm[i] += k->x[POSITION + r][j] * s->m[j][i];
+				xm[i] += k->x[POSITION + r][j] * map->m[j][i];
 		for (int i = 0; i < N; i++)
 			k->variance[r] -= xm[i] * k->x[POSITION + r][i];
 	}
@@ -89,17 +94,50 @@ static void move(struct smoother_kept *k, const struct smoother *s, double a_tra
 	memcpy(k->x, x, sizeof(x));
 }
 
-/* What was measured since the last time corrects all points. */
-static void correct(struct smoother *s)
+static void move_all(struct smoother_kept *from, const struct smoother_kept *end, const struct smoother_map *map)
 {
 	double a_transposed[N][N];
 
 	for (int i = 0; i < N; i++)
 		for (int j = 0; j < N; j++)
-			a_transposed[j][i] = s->a[i][j];
-	for (size_t k = 0; k < s->count; k++)
-		move(&s->kept[k], s, a_transposed);
-	map_nothing(s);
+			a_transposed[j][i] = map->a[i][j];
+	for (; from < end; from++)
+		move(from, map, a_transposed);
+}
+
+/* map, and after it next */
+static void chain(struct smoother_map *map, const struct smoother_map *next)
+{
+	const struct smoother_map first = *map;
+	double ma[N][N] = {{0}};
+
+	memset(map->a, 0, sizeof(map->a));
+	for (int i = 0; i < N; i++)
+		for (int k = 0; k < N; k++)
+			for (int j = 0; j < N; j++) {
+				map->a[i][j] += next->a[i][k] * first.a[k][j];
+				ma[i][j] += next->m[i][k] * first.a[k][j];
+			}
+	for (int k = 0; k < N; k++)
+		for (int i = 0; i < N; i++) {
+			map->b[i] += first.a[k][i] * next->b[k];
+			for (int j = 0; j < N; j++)
+				map->m[i][j] += first.a[k][i] * ma[k][j];
+		}
+}
+
+/* What was measured since the last point corrects the latest points; all others only when they have become many, which
+ * costs a fifth of correcting them each time. */
+static void correct(struct smoother *s, bool all)
+{
+	move_all(s->kept + s->settled, s->kept + s->count, &s->recent);
+	chain(&s->earlier, &s->recent);
+	map_nothing(&s->recent);
+	if (!all && s->count - s->settled < BLOCK)
+		return;
+	move_all(s->kept, s->kept + s->settled, &s->earlier);
+	map_nothing(&s->earlier);
+	s->settled = s->count;
 }
 
 static void thin_out(struct smoother *s)
@@ -107,6 +145,7 @@ static void thin_out(struct smoother *s)
 	s->count = (s->count + 1) / 2;
 	for (size_t k = 1; k < s->count; k++)
 		s->kept[k] = s->kept[2 * k];
+	s->settled = s->count;
 	s->spacing_s *= 2;
 }
 
@@ -148,7 +187,7 @@ void smoother_mark(struct smoother *s, struct smoother_point here, double p[N][N
 	go_on(s, here.velocity_n_m_s);
 	if (!due(s))
 		return;
-	correct(s);
+	correct(s, s->count == SMOOTHER_POINTS - 1);
 	if (s->count == SMOOTHER_POINTS - 1) /* an odd number keeps the first and the last */
 		thin_out(s);
 	if (due(s))
@@ -167,11 +206,12 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 {
 	s->t_s = 0;
 	s->spacing_s = SMOOTHER_SPACING_S;
-	s->count = 0;
+	s->count = s->settled = 0;
 	s->from_n_m = here.position_n_m;
 	s->live = (struct smoother_point){.velocity_n_m_s = here.velocity_n_m_s};
 	s->live_m = 0;
-	map_nothing(s);
+	map_nothing(&s->recent);
+	map_nothing(&s->earlier);
 	keep(s, 0, here, p);
 	memset(s->kept[0].variance, 0, sizeof(s->kept[0].variance));
 	memset(s->kept[0].x[POSITION], 0, 3 * sizeof(s->kept[0].x[POSITION]));
@@ -249,7 +289,7 @@ void smoother_end(struct smoother *s, double stood_s, struct smoother_point here
 		return;
 	t_s = fmax(s->t_s - stood_s, 0);
 	go_on(s, here.velocity_n_m_s);
-	correct(s);
+	correct(s, true);
 	while (s->count > 1 && s->kept[s->count - 1].point.t_s >= t_s)
 		s->count--;
 	keep(s, t_s, here, p);

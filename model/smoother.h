@@ -52,6 +52,11 @@ struct smoother_kept {
 	double x[SMOOTHER_ROWS][NAVIGATION_STATES];
 };
 
+/** From one time to another: A, b and M of above. */
+struct smoother_map {
+	double a[NAVIGATION_STATES][NAVIGATION_STATES], b[NAVIGATION_STATES], m[NAVIGATION_STATES][NAVIGATION_STATES];
+};
+
 /** Caller-owned, 120 kB; zeroed it is ready. */
 struct smoother {
 	struct smoother_movement last; /* the movement last ended */
@@ -59,8 +64,9 @@ struct smoother {
 	bool recording, whole;
 	unsigned begun;
 	double t_s, spacing_s;
-	double a[NAVIGATION_STATES][NAVIGATION_STATES], b[NAVIGATION_STATES], m[NAVIGATION_STATES][NAVIGATION_STATES];
-	size_t count;
+	struct smoother_map recent;  /* from the last point to now */
+	struct smoother_map earlier; /* to the last point from where kept[0] to kept[settled - 1] were moved to */
+	size_t count, settled;
 	struct vec3 from_n_m;	    /* where it began */
 	struct smoother_point live; /* now, as the velocity led there from the beginning */
 	double live_m;		    /* the length of that way */
