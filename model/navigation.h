@@ -13,10 +13,8 @@
  *
  * The errors of velocity and position grow together and their covariance knows how: the velocity left at a standstill
  * corrects the position of the whole movement before it. So the displacement at a standstill is that of a fixed-interval
- * smoother over the movement (which at its last point is the filter: tests/unit/test_navigation.c), in no more memory
- * than one state. What a smoother could do better is to linearise anew: the recorded movements run a second time from their
- * start, with the biases found at their end, end 0.34 instead of 0.39 m off in trial 09, but 0.73 instead of 0.39 in 14, and
- * so it is not done.
+ * smoother over the movement, which at its last point is the filter. The points before it are corrected by smoother.h, which
+ * is told each transition and measurement.
  *
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration; every attitude filter
  * presumes that the acceleration averages out. Here the same is said of the reference point's velocity, from 5 s into a movement on, and how
@@ -25,8 +23,7 @@
  * switch it off, or give the spread of its speed as the prior.
  *
  * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
- * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state); H. Rauch,
- * F. Tung and C. Striebel, "Maximum likelihood estimates of linear dynamic systems", AIAA J. 3(8), 1965. */
+ * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state). */
 #ifndef MODEL_NAVIGATION_H
 #define MODEL_NAVIGATION_H
 
