@@ -474,20 +474,25 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 
 /* ---- the bus ----------------------------------------------------------------------------------------------------- */
 
+static uint64_t earlier(uint64_t a, uint64_t b)
+{
+	return a < b ? a : b;
+}
+
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us)
 {
 	d->now_us = now_us;
 	canopen_receive(&d->canopen, msg, now_us);
 }
 
+void device_away(struct device *d, uint64_t us, uint64_t now_us)
+{
+	d->last_sample_us = earlier(d->last_sample_us + us, now_us);
+}
+
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us)
 {
 	utc_host_clock(&d->utc, synchronised, offset_us);
-}
-
-static uint64_t earlier(uint64_t a, uint64_t b)
-{
-	return a < b ? a : b;
 }
 
 uint64_t device_tick(struct device *d, uint64_t now_us)

@@ -83,6 +83,9 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 /** What the host's clock is ahead of `now_us`'s, and whether it is synchronised. To be told once a second. */
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);
 void device_saved(struct device *d, int result, uint64_t now_us);
+/** The process was not run for up to so long (stopped, or the machine busy): a sensor that was not heard meanwhile need not
+ * have been silent. */
+void device_away(struct device *d, uint64_t us, uint64_t now_us);
 /** Time-driven work. Returns when to call again at the latest. */
 uint64_t device_tick(struct device *d, uint64_t now_us);
 

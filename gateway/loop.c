@@ -18,6 +18,9 @@ enum { SAMPLES_PER_WAKE = 16, FRAMES_PER_WAKE = 64 };
 /* The stamp of a frame tells the time when the clock was read this shortly before it. */
 enum { STAMP_TRUSTED_US = 20000 };
 
+/* Woken so much after the time that was asked for, the process was not run. */
+enum { AWAY_US = 20000 };
+
 enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_COUNT };
 
 struct loop {
@@ -195,6 +198,7 @@ static void look_at_clock(struct loop *l, uint64_t now_us)
 
 static void wake(struct loop *l)
 {
+	uint64_t slept_us = l->now_us, due_us = l->armed_us;
 	struct epoll_event events[SOURCE_COUNT];
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left ? 0 : -1);
 
@@ -202,6 +206,8 @@ static void wake(struct loop *l)
 		on_bus(l);
 	for (int i = 0; i < n; i++)
 		on_event(l, (enum source)events[i].data.u32);
+	if (l->now_us > due_us && l->now_us - due_us > AWAY_US)
+		device_away(l->device, l->now_us - slept_us, l->now_us);
 	look_at_clock(l, l->now_us);
 	uint64_t next_us = device_tick(l->device, l->now_us);
 	uint64_t bus_us = can_service(l->bus, l->now_us);

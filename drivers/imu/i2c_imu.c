@@ -12,7 +12,7 @@
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
-enum { NS_PER_S = 1000000000, HANGS_US = 300000 };
+enum { NS_PER_S = 1000000000, HANGS_US = 300000, SIMULATED_US = 10000000 };
 
 struct i2c_imu {
 	struct imu_thread thread;
@@ -116,11 +116,14 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 
 /* What fails on the bus is told by the thread itself, in time. Silence is a thread that hangs, and no machine that is
  * slow. */
-static void use_rate(struct imu_port *port, double rate_hz)
+static void use_rate(struct i2c_imu *imu, double rate_hz)
 {
+	uint64_t hangs_us = imu->config.simulated ? SIMULATED_US : HANGS_US;
+	struct imu_port *port = &imu->thread.port;
+
 	source_use_rate(port, rate_hz);
-	if (port->silence_us < HANGS_US)
-		port->silence_us = HANGS_US;
+	if (port->silence_us < hangs_us)
+		port->silence_us = hangs_us;
 }
 
 static int port_configure(
@@ -136,7 +139,7 @@ static int port_configure(
 	imu->plan = plan;
 	pthread_mutex_unlock(&imu->plan_lock);
 	atomic_store(&imu->replan, true);
-	use_rate(port, plan.rate_hz);
+	use_rate(imu, plan.rate_hz);
 	imu_thread_wake(&imu->thread);
 	return 0;
 }
@@ -205,7 +208,7 @@ static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, cha
 	if (result < 0)
 		return result;
 	snprintf(imu->thread.port.name, sizeof imu->thread.port.name, "%.40s %.20s", imu->config.name, imu->board.name);
-	use_rate(&imu->thread.port, imu->plan.rate_hz);
+	use_rate(imu, imu->plan.rate_hz);
 	board_apply(&imu->board, &imu->plan);
 	if (settings->self_test)
 		board_self_test(&imu->board);

@@ -12,6 +12,7 @@
 struct i2c_imu_config {
 	const char *name;      /* of the port; the board's is added */
 	double rate_hz;	       /* whatever the settings say; 0: as they say */
+	bool simulated;	       /* no chip that could hang: silent for seconds, its thread was not run */
 	bool stub;	       /* the bus is an i2c-stub, which does not know what was read */
 	const char *drdy_chip; /* "gpiochip0"; NULL: timed reads */
 	unsigned drdy_line;

@@ -42,7 +42,7 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	char *rest = args, *scenario = strsep(&rest, ","), *option, name[32];
 	struct sim_config config = {
 		.board = BOARD, .sensor = *sensor_preset(PRESET), .seed = SEED, .now_ns = i2c_imu_now_ns};
-	struct i2c_imu_config driver = {.name = name};
+	struct i2c_imu_config driver = {.name = name, .simulated = true};
 	struct sim_board *board;
 	bool uncalibrated = false;
 	int result;

@@ -87,6 +87,16 @@ class NetworkManagement(rig.OnTheBus):
         self.assertEqual(self.read(*LEVER_ARM_L), f32(0))
 
 
+class AStoppedProcess(rig.OnTheBus):
+    def test_once_it_runs_again_it_has_not_lost_its_sensor(self):
+        for _ in range(4):
+            self.gateway.process.send_signal(signal.SIGSTOP)
+            time.sleep(0.5)
+            self.gateway.process.send_signal(signal.SIGCONT)
+            self.master.listen(0.3)
+        self.assertEqual([bytes(f.data).hex() for f in self.master.frames if f.arbitration_id == canopen.EMCY + NODE], [])
+
+
 class SdoServer(rig.OnTheBus):
     def readable(self):
         """(entry, bytes) of every object that has a value now."""

@@ -548,6 +548,25 @@ static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), PIPELINE_VALID);
 }
 
+static void test_while_the_process_is_not_run_no_sensor_is_silent(void **state)
+{
+	struct world *w = *state;
+
+	world_samples(w, 10);
+	w->now_us += 40000;
+	device_tick(&w->device, w->now_us);
+	w->now_us += 500000;
+	device_away(&w->device, 500000, w->now_us);
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(world_emcy_code(w), 0);
+	w->now_us += 59999;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(world_emcy_code(w), 0);
+	w->now_us += 1;
+	device_tick(&w->device, w->now_us);
+	assert_int_equal(world_emcy_code(w), EMCY_SENSOR_LOST);
+}
+
 static void test_a_source_that_ends_raises_5030h_at_once(void **state)
 {
 	struct world *w = *state;
@@ -655,6 +674,7 @@ int main(void)
 		TEST(test_reset_communication_brings_back_what_was_stored_and_not_the_defaults),
 		TEST(test_reset_node_starts_the_application_anew),
 		TEST(test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it),
+		TEST(test_while_the_process_is_not_run_no_sensor_is_silent),
 		TEST(test_a_source_that_ends_raises_5030h_at_once),
 		TEST(test_error_passive_raises_8120h_and_lost_frames_8110h),
 		TEST(test_bus_off_that_is_over_is_reported_by_8140h),
