@@ -2,8 +2,8 @@
  * A USB-CAN adapter of the gs_usb family (candleLight, CANable, CANtact and kin) by libusb: no kernel driver, interface or
  * root needed, only the permission that the udev rule gives. The kernel's driver is put aside and gets the adapter back.
  *
- * Survives unplugging: the port is CAN_STATE_DOWN and looks for the adapter twice a second. Opening it again takes
- * some 20 ms in which service() does not return (libusb has no other way), everything else is asynchronous. */
+ * Survives unplugging: the port is CAN_STATE_DOWN and looks for the adapter twice a second. Opening it again is
+ * done within service(), since claiming an interface blocks in libusb; everything else is asynchronous. */
 #ifndef DRIVERS_CAN_GS_USB_H
 #define DRIVERS_CAN_GS_USB_H
 
