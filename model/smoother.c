@@ -32,11 +32,12 @@ double (*smoother_map(struct smoother *s))[N]
 void smoother_measure(
 	struct smoother *s, const double row[N], const double p_row[N], double innovation, double variance)
 {
-	struct smoother_map *map = &s->recent;
+	struct smoother_map *map;
 	double g[N] = {0};
 
 	if (!recording(s))
 		return;
+	map = &s->recent;
 	for (int i = 0; i < N; i++) {
 		if (row[i] == 0)
 			continue;

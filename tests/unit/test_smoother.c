@@ -369,6 +369,44 @@ static void test_the_first_point_is_zero_and_the_last_is_the_displacement(void *
 	}
 }
 
+/* A filter that is told at that point that its place is zero and certain knows at the end how far the point is from there,
+ * by all that was measured in between. */
+static void test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_from_there(void **state)
+{
+	static struct pipeline from_there[SMOOTHER_POINTS];
+	const struct pipeline *p = &robot.pipeline;
+	struct vec3 lever_n_m[SMOOTHER_POINTS], from = ZERO;
+	size_t points = 0;
+
+	(void)state;
+	switch_on(2);
+	while (smoother.last.number == 0) {
+		struct imu_sample sample;
+		struct pipeline_output out;
+		size_t kept = smoother.count;
+
+		sensor_next(&robot.sensor, signal_find("square"), &sample, NULL);
+		assert_int_equal(pipeline_step(&robot.pipeline, &sample, &out), 0);
+		for (size_t i = 0; i < points; i++)
+			assert_int_equal(pipeline_step(&from_there[i], &sample, &out), 0);
+		if (!smoother.recording || smoother.count == kept)
+			continue;
+		from_there[points] = *p;
+		pipeline_smooth(&from_there[points], NULL);
+		pipeline_reset_position(&from_there[points]);
+		lever_n_m[points++] = quat_rotate(p->position.navigation.q_nb, LEVER_B_M);
+		from = smoother.from_n_m;
+	}
+	assert_true(points > smoother.last.count - 2);
+	for (size_t i = 1; i < smoother.last.count - 1; i++) {
+		struct vec3 rest = from_there[i].position.navigation.position_n_m;
+		struct vec3 sensor = vec3_sub(p->position.navigation.position_n_m, rest);
+
+		assert_vec_near(
+			smoother.last.point[i].position_n_m, vec3_sub(vec3_sub(sensor, lever_n_m[i]), from), 1e-9);
+	}
+}
+
 static double squared(struct vec3 v)
 {
 	return vec3_dot(v, v);
@@ -602,6 +640,8 @@ int main(void)
 		cmocka_unit_test_setup(
 			test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_are_far_apart, fresh),
 		cmocka_unit_test_setup(test_the_first_point_is_zero_and_the_last_is_the_displacement, fresh),
+		cmocka_unit_test_setup(
+			test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_from_there, fresh),
 		cmocka_unit_test_setup(
 			test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest, fresh),
 		cmocka_unit_test_setup(test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain, fresh),
