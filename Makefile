@@ -45,6 +45,7 @@ helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wil
 
 .PHONY: all
 all: $(PROGRAMS) $(GEN) ## build the programs, the object table and the DBC
+	@:
 
 $(BUILD)/obj/%.o: %.c | $(BUILD)/gen/od_values.h
 	@mkdir -p $(@D)
