@@ -518,7 +518,7 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	add_variance(
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
-	n->stillness.primed = n->still = n->sampled = n->lever_known = false;
+	n->stillness.primed = n->still = n->parted = n->sampled = n->lever_known = false;
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
@@ -543,10 +543,9 @@ static void record(struct navigation *n, const struct navigation_input *in)
 {
 	if (!smoother_map(n->smoother))
 		return;
+	smoother_mark(n->smoother, here(n, in), n->p);
 	if (n->still && n->stood_s > STOOD_S)
-		smoother_end(n->smoother, n->stood_s, here(n, in), n->p);
-	else
-		smoother_mark(n->smoother, here(n, in), n->p);
+		smoother_end(n->smoother, n->stood_s, n->p);
 }
 
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
@@ -555,8 +554,9 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 
 	watch_stillness(&n->stillness, &n->config, in, dt_s);
 	still = stands_still(n);
-	if (n->still && !still && n->stood_s > STOOD_S)
+	if (n->still && !still && (n->stood_s > STOOD_S || n->parted))
 		begin_movement(n, in);
+	n->parted &= still;
 	smoother_elapse(n->smoother, dt_s);
 	n->aided_s = fmax(0, n->aided_s - dt_s);
 	n->stood_s = still ? n->stood_s + dt_s : 0;
@@ -606,9 +606,12 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 
 void navigation_reset_position(struct navigation *n)
 {
+	if (n->still)
+		smoother_end(n->smoother, n->stood_s, n->p);
 	n->position_n_m = n->earlier_variance_m2 = ZERO;
 	set_variance(n, P, 0);
-	n->place_reset = true;
+	n->parted = n->still;
+	n->place_reset = !n->still;
 }
 
 /* ---- 1 sigma ---- */

@@ -92,7 +92,8 @@ struct navigation {
 	struct vec3 fused_variance_rad2; /* as the fusion said last */
 	double gravity_m_s2;
 	bool started, still;
-	unsigned movements; /* begun after a standstill of a second */
+	bool parted;	    /* the movement before this standstill ended with a reset of the position */
+	unsigned movements; /* begun after a standstill of a second, or one with a reset of the position */
 	/* PRIVATE */
 	struct navigation_sums sums;
 	struct stillness stillness;
@@ -104,7 +105,7 @@ struct navigation {
 	double moving_s;   /* since the last standstill */
 	double aided_s;	   /* for how long the velocity last told still holds */
 	bool told_to_move; /* it was no standstill's */
-	bool place_reset;  /* since the last sample */
+	bool place_reset;  /* in motion, since the last sample */
 	bool sampled;	   /* there is a sample before the next: */
 	struct vec3 last_gyro_b_rad_s;
 };
@@ -137,7 +138,7 @@ void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, d
 /** The attitude from outside, true to a degree: the velocity turns with the object, the position stays. */
 void navigation_set_attitude(struct navigation *n, struct quat q_nb);
 
-/** Position zero, and certain. */
+/** Position zero, and certain. At a standstill it ends the movement before it. */
 void navigation_reset_position(struct navigation *n);
 
 /** rate_hz: at which the acceleration is sampled. */

@@ -186,6 +186,7 @@ void smoother_mark(struct smoother *s, struct smoother_point here, double p[N][N
 	if (!recording(s))
 		return;
 	go_on(s, here.velocity_n_m_s);
+	s->here = here;
 	if (!due(s))
 		return;
 	correct(s, s->count == SMOOTHER_POINTS - 1);
@@ -208,6 +209,7 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 	s->t_s = 0;
 	s->spacing_s = SMOOTHER_SPACING_S;
 	s->count = s->settled = 0;
+	s->here = here;
 	s->from_n_m = here.position_n_m;
 	s->live = (struct smoother_point){.velocity_n_m_s = here.velocity_n_m_s};
 	s->live_m = 0;
@@ -223,7 +225,6 @@ void smoother_begin(struct smoother *s, struct smoother_point here, double p[N][
 	if (!s)
 		return;
 	s->recording = s->whole = true;
-	s->begun++;
 	start(s, here, p);
 }
 
@@ -253,14 +254,15 @@ static double root(double variance)
 	return sqrt(fmax(variance, 0));
 }
 
-static void publish(struct smoother *s)
+static void publish(struct smoother *s, double stood_s)
 {
 	struct smoother_movement *m = &s->last;
 	double live_m = 0;
 
-	*m = (struct smoother_movement){.number = s->begun,
+	*m = (struct smoother_movement){.number = m->number + 1,
 		.whole = s->whole,
 		.duration_s = s->kept[s->count - 1].point.t_s,
+		.stood_s = stood_s,
 		.count = s->count};
 	for (size_t k = 0; k < s->count; k++) {
 		const double *variance = s->kept[k].variance;
@@ -282,20 +284,18 @@ static void publish(struct smoother *s)
 		m->path_m *= s->live_m / live_m;
 }
 
-void smoother_end(struct smoother *s, double stood_s, struct smoother_point here, double p[N][N])
+void smoother_end(struct smoother *s, double stood_s, double p[N][N])
 {
 	double t_s;
 
 	if (!recording(s))
 		return;
 	t_s = fmax(s->t_s - stood_s, 0);
-	go_on(s, here.velocity_n_m_s);
 	correct(s, true);
 	while (s->count > 1 && s->kept[s->count - 1].point.t_s >= t_s)
 		s->count--;
-	keep(s, t_s, here, p);
-	publish(s);
-	s->last.stood_s = stood_s;
+	keep(s, t_s, s->here, p);
+	publish(s, stood_s);
 	s->recording = false;
 }
 

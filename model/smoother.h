@@ -34,7 +34,7 @@ struct smoother_point {
 
 /** From one standstill of a second to the next. */
 struct smoother_movement {
-	unsigned number; /* from 1; 0: there was none */
+	unsigned number; /* of those that ended, from 1; 0: there was none */
 	bool whole; /* else something broke it: a gap, a velocity, place or attitude set, another north. What was learnt
 			    after that has corrected the points before it in part or not at all */
 	double duration_s;
@@ -62,13 +62,13 @@ struct smoother {
 	struct smoother_movement last; /* the movement last ended */
 	/* PRIVATE */
 	bool recording, whole;
-	unsigned begun;
 	double t_s, spacing_s;
 	struct smoother_map recent;  /* from the last point to now */
 	struct smoother_map earlier; /* to the last point from where kept[0] to kept[settled - 1] were moved to */
 	size_t count, settled;
 	struct vec3 from_n_m;	    /* where it began */
-	struct smoother_point live; /* now, as the velocity led there from the beginning */
+	struct smoother_point here; /* where it was marked last */
+	struct smoother_point live; /* the same as the velocity led there from the beginning */
 	double live_m;		    /* the length of that way */
 	struct smoother_kept kept[SMOOTHER_POINTS];
 };
@@ -91,11 +91,11 @@ void smoother_measure(struct smoother *s, const double row[NAVIGATION_STATES], c
 void smoother_forget(struct smoother *s, int at);
 /** Something else broke the movement, which goes on. */
 void smoother_break(struct smoother *s);
-/** All transitions and measurements up to here were told: a point is kept when it is time. */
+/** All transitions and measurements up to here were told: a point is kept when it is time. Often enough to follow the path
+ * by the velocities. */
 void smoother_mark(struct smoother *s, struct smoother_point here, double p[NAVIGATION_STATES][NAVIGATION_STATES]);
-/** The same, and the movement was over stood_s ago: s->last is it now. */
-void smoother_end(
-	struct smoother *s, double stood_s, struct smoother_point here, double p[NAVIGATION_STATES][NAVIGATION_STATES]);
+/** The movement was over stood_s ago, where it was marked last: s->last is it now. */
+void smoother_end(struct smoother *s, double stood_s, double p[NAVIGATION_STATES][NAVIGATION_STATES]);
 /** The movement is given up. */
 void smoother_cancel(struct smoother *s);
 

@@ -184,12 +184,10 @@ int main(int argc, char **argv)
 	int status = read_configuration(&config, &path, argc, argv);
 	if (status >= 0)
 		return status;
-	FILE *movements = path ? fopen(path, "w") : NULL;
-	if (path && !movements)
-		return cannot_write(path);
 	if (imu_log_open(&log, argv[optind], why, sizeof(why)) < 0)
 		return fail(EXIT_FAILURE, why);
-	status = replay(&config, &log, movements);
+	FILE *movements = path ? fopen(path, "w") : NULL;
+	status = path && !movements ? cannot_write(path) : replay(&config, &log, movements);
 	imu_log_close(&log);
 	if (movements && (ferror(movements) | fclose(movements)) != 0)
 		return cannot_write(path);

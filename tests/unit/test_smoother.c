@@ -192,7 +192,7 @@ static void smooth(int last)
 
 static void end_chain(int last)
 {
-	smoother_end(&smoother, 0, here(&chain[last]), chain[last].p);
+	smoother_end(&smoother, 0, chain[last].p);
 }
 
 /* Step k of the chain is at time k * SMOOTHER_SPACING_S. */
@@ -282,7 +282,7 @@ static void test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_
 		smoother_elapse(&smoother, interval_s);
 		smoother_mark(&smoother, here, p);
 	}
-	smoother_end(&smoother, 0, here, p);
+	smoother_end(&smoother, 0, p);
 	assert_true(smoother.last.point[1].t_s > 1);
 	assert_near(smoother.last.path_m / (4 * 0.8 * last_s), 1, 0.01);
 }
@@ -394,6 +394,7 @@ static void test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_fro
 		from_there[points] = *p;
 		pipeline_smooth(&from_there[points], NULL);
 		pipeline_reset_position(&from_there[points]);
+		from_there[points].position.navigation.parted = false; /* it is the same movement */
 		lever_n_m[points++] = quat_rotate(p->position.navigation.q_nb, LEVER_B_M);
 		from = smoother.from_n_m;
 	}
@@ -494,6 +495,30 @@ static void test_after_a_reset_of_the_position_the_path_counts_from_there(void *
 	assert_false(smoother.last.whole);
 	assert_true(smoother.last.duration_s > 3 && smoother.last.duration_s < 5);
 	assert_ends_at_the_displacement();
+}
+
+/* It drives for 5 s, stands for 1 s and turns for 2 s, which without the reset is one movement. */
+static void test_a_reset_of_the_position_at_a_standstill_ends_the_movement_and_parts_it_from_the_next(void **state)
+{
+	struct vec3 displacement;
+
+	(void)state;
+	switch_on(1);
+	drive(7.7);
+	assert_true(robot.pipeline.position.navigation.still);
+	displacement = robot.out[robot.samples - 1].displacement_n_m;
+	assert_near(displacement.x, 2, 0.1);
+	pipeline_reset_position(&robot.pipeline);
+	assert_int_equal(smoother.last.number, 1);
+	assert_true(smoother.last.whole);
+	assert_vec_near(smoother.last.point[smoother.last.count - 1].position_n_m, displacement, 0.001);
+	drive(7.8);
+	assert_vec_near(robot.out[robot.samples - 1].displacement_n_m, displacement, 0);
+	drive_to_the_end();
+	assert_true(smoother.last.whole);
+	assert_near(smoother.last.duration_s, 2.3, 0.5);
+	assert_ends_at_the_displacement();
+	assert_near(smoother.last.farthest_m, 0, 0.05);
 }
 
 static void test_a_velocity_beyond_belief_breaks_the_movement(void **state)
@@ -646,6 +671,9 @@ int main(void)
 			test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest, fresh),
 		cmocka_unit_test_setup(test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain, fresh),
 		cmocka_unit_test_setup(test_after_a_reset_of_the_position_the_path_counts_from_there, fresh),
+		cmocka_unit_test_setup(
+			test_a_reset_of_the_position_at_a_standstill_ends_the_movement_and_parts_it_from_the_next,
+			fresh),
 		cmocka_unit_test_setup(test_a_velocity_beyond_belief_breaks_the_movement, fresh),
 		cmocka_unit_test_setup(test_a_velocity_as_expected_does_not_break_the_movement, fresh),
 		cmocka_unit_test_setup(test_an_attitude_that_is_set_breaks_the_movement, fresh),
