@@ -228,7 +228,7 @@ static int read_registers(struct board *b, struct stream *s)
 			return result;
 	}
 	/* in a stub the bit stays: other data are new data */
-	if (s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
+	if (fresh && s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
 		fresh = false;
 	observe(b, s, fresh ? 1 : 0, fresh ? losses_of(s, bytes[0]) : LOST_NONE, from_ns, to_ns);
 	if (fresh)
