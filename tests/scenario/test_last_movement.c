@@ -121,6 +121,24 @@ static void test_both_stand_until_the_next_movement_ends(void **state)
 	assert_near(w->device.values.last_movement.y, 2, 0.1);
 }
 
+/* The robot drives for 5 s, stands for one, and turns. */
+static void test_a_reset_of_the_position_while_it_stands_ends_the_movement_and_leaves_the_displacement(void **state)
+{
+	struct world *w = *state;
+	const uint8_t one = 1;
+
+	world_seconds(w, 7.7);
+	assert_int_equal(world_sdo_write(w, 0x2040, 6, &one, 1), 0);
+	world_seconds(w, 0.1);
+	assert_int_equal(w->device.values.last_movement.number, 1);
+	assert_near(w->device.values.last_movement.x, 2, 0.1);
+	assert_near(w->device.values.displacement.x, 2, 0.1);
+	assert_near(w->device.values.position_m.x, 0, 0.01);
+	drive_to_the_end_of(w, 2);
+	assert_near(w->device.values.last_movement.x, 0, 0.1);
+	assert_near(w->device.values.displacement.x, 0, 0.1);
+}
+
 static void test_reset_node_forgets_it(void **state)
 {
 	struct world *w = *state;
@@ -157,6 +175,9 @@ int main(void)
 		cmocka_unit_test_setup_teardown(
 			test_the_trajectory_is_a_table_from_zero_to_the_displacement, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_both_stand_until_the_next_movement_ends, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_reset_of_the_position_while_it_stands_ends_the_movement_and_leaves_the_displacement,
+			set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_reset_node_forgets_it, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_however_far_it_went_the_trajectory_fits_its_object, set_up, world_tear_down),
