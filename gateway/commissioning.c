@@ -172,8 +172,8 @@ void commissioning_sample(struct commissioning *c, const struct imu_sample *samp
 	if (s.flags & (SAMPLE_SATURATED | SAMPLE_DISCONTINUITY))
 		lever_identification_break(&c->lever);
 	else
-		lever_identification_step(&c->lever, s.t_us,
-			vec3_sub(s.gyro_rad_s, c->pipeline->fusion.gyro_bias_b_rad_s), s.accel_m_s2, ref_b_m_s2);
+		lever_identification_step(
+			&c->lever, s.t_us, fusion_rate_b(&c->pipeline->fusion, s.gyro_rad_s), s.accel_m_s2, ref_b_m_s2);
 
 	const bool late = (double)(now_us - c->started_us) > PATIENCE * 1e6 * c->lever.config.duration_s;
 	if (late || lever_identification_news(&c->lever))

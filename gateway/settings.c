@@ -66,6 +66,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.fusion.kalman.rejection_time_s = (double)v->fusion.rejection_time;
 	c.fusion.kalman.gyro_error = (double)v->fusion.gyro_error;
 	c.fusion.kalman.bias_walk_rad_s_sqrt_s = (double)v->fusion.bias_walk * RAD_PER_DEG;
+	c.fusion.kalman.gyro_scale_sigma = (double)v->fusion.gyro_scale_sigma;
 	c.latency = (struct latency_config){(double)v->latency.sensor, (double)v->latency.accelerometer};
 
 	c.noise = (struct noise_config){

@@ -39,6 +39,11 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 		return -EINVAL;
 	if (config->algorithm == FUSION_KALMAN && f->config.algorithm != FUSION_KALMAN)
 		fusion_kalman_start(&f->kalman, &config->kalman, 9.8);
+	if (config->algorithm != FUSION_KALMAN ||
+		config->kalman.gyro_scale_sigma != f->config.kalman.gyro_scale_sigma) {
+		f->learnt.scale_b = (struct vec3){0, 0, 0};
+		fusion_kalman_forget_scale(&f->kalman, &config->kalman);
+	}
 	f->config = *config;
 	return 0;
 }
@@ -53,13 +58,12 @@ void fusion_turn_object(struct fusion *f, struct quat turn)
 {
 	if (f->started)
 		f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
-	f->gyro_bias_b_rad_s = quat_rotate(turn, f->gyro_bias_b_rad_s);
-	fusion_kalman_turn(&f->kalman, turn);
+	fusion_kalman_turn(&f->kalman, &f->config.kalman, turn, &f->learnt);
 }
 
 void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 {
-	struct vec3 *bias = &f->gyro_bias_b_rad_s;
+	struct vec3 *bias = &f->learnt.bias_b_rad_s;
 
 	f->resting = true;
 	if (f->config.algorithm == FUSION_KALMAN)
@@ -68,11 +72,18 @@ void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 	*bias = vec3_add(*bias, vec3_scale(dt_s / f->bias_time_s, vec3_sub(gyro_b_rad_s, *bias)));
 }
 
-void fusion_forget_bias(struct fusion *f)
+void fusion_forget_errors(struct fusion *f)
 {
-	f->gyro_bias_b_rad_s = (struct vec3){0, 0, 0};
+	f->learnt = (struct gyro_errors){0};
 	f->bias_time_s = 0;
-	fusion_kalman_forget_bias(&f->kalman);
+	fusion_kalman_forget_errors(&f->kalman, &f->config.kalman);
+}
+
+struct vec3 fusion_rate_b(const struct fusion *f, struct vec3 gyro_b_rad_s)
+{
+	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->learnt.bias_b_rad_s), scale = f->learnt.scale_b;
+
+	return (struct vec3){(1 + scale.x) * rate.x, (1 + scale.y) * rate.y, (1 + scale.z) * rate.z};
 }
 
 /* The unit vector along v; false when v has no direction. */
@@ -160,7 +171,9 @@ static struct vec3 madgwick_turn(const struct fusion *f, struct vec3 error, doub
 
 static struct vec3 mahony_turn(struct fusion *f, struct vec3 error, double dt_s)
 {
-	f->gyro_bias_b_rad_s = vec3_sub(f->gyro_bias_b_rad_s, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
+	struct vec3 *bias = &f->learnt.bias_b_rad_s;
+
+	*bias = vec3_sub(*bias, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
 	return vec3_scale(fmin(f->config.mahony_kp_rad_s, 1 / (2 * dt_s)), error);
 }
 
@@ -191,7 +204,7 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 
 	if (!f->north_known)
 		field_error(f, sample, dt_s);
-	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_bias_b_rad_s);
+	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->learnt);
 }
 
 /* Over a longer time, the rate was not just between its samples. */
@@ -199,16 +212,16 @@ static const double STEADY_S = 0.1;
 
 static struct vec3 turned(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 {
-	struct vec3 now = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+	struct vec3 now = fusion_rate_b(f, gyro_b_rad_s);
 
 	return dt_s > STEADY_S ? vec3_scale(dt_s, now)
-			       : rotation_between(vec3_sub(f->last_gyro_b_rad_s, f->gyro_bias_b_rad_s), now, dt_s);
+			       : rotation_between(fusion_rate_b(f, f->last_gyro_b_rad_s), now, dt_s);
 }
 
 /* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
-	struct vec3 up, rate = vec3_sub(sample->gyro_rad_s, f->gyro_bias_b_rad_s);
+	struct vec3 up, rate = fusion_rate_b(f, sample->gyro_rad_s);
 
 	if (!f->started) {
 		f->last_gyro_b_rad_s = sample->gyro_rad_s;
@@ -229,7 +242,7 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 
 struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s)
 {
-	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+	struct vec3 rate = fusion_rate_b(f, gyro_b_rad_s);
 
 	if (!f->started)
 		return f->q_nb;
@@ -240,7 +253,7 @@ void fusion_set_attitude(struct fusion *f, struct quat q_nb)
 {
 	f->q_nb = quat_normalize(q_nb);
 	f->started = f->north_known = true;
-	fusion_kalman_set(&f->kalman);
+	fusion_kalman_set(&f->kalman, &f->config.kalman);
 }
 
 static void turn_heading(struct fusion *f, double angle_rad)
@@ -265,7 +278,7 @@ bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct v
 		return true;
 	}
 	if (f->config.algorithm == FUSION_KALMAN)
-		return fusion_kalman_aid_heading(&f->kalman, off, variance, &f->q_nb, &f->gyro_bias_b_rad_s);
+		return fusion_kalman_aid_heading(&f->kalman, &f->config.kalman, off, variance, &f->q_nb, &f->learnt);
 	own = f->config.kalman.heading_sigma_rad * f->config.kalman.heading_sigma_rad;
 	turn = own / (own + variance) * off;
 	turn_heading(f, turn);
@@ -276,10 +289,10 @@ bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct v
 
 void fusion_aid_velocity(struct fusion *f, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 gyro_b_rad_s)
 {
-	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_bias_b_rad_s);
+	struct vec3 rate = fusion_rate_b(f, gyro_b_rad_s);
 	struct vec3 lever_n = quat_rotate(f->q_nb, vec3_cross(rate, f->config.lever_arm_b_m));
 
 	if (f->started && f->config.algorithm == FUSION_KALMAN)
-		fusion_kalman_aid_velocity(
-			&f->kalman, velocity_n_m_s, lever_n, sigma_m_s * sigma_m_s, &f->q_nb, &f->gyro_bias_b_rad_s);
+		fusion_kalman_aid_velocity(&f->kalman, &f->config.kalman, velocity_n_m_s, lever_n,
+			sigma_m_s * sigma_m_s, &f->q_nb, &f->learnt);
 }

@@ -36,7 +36,7 @@ struct fusion_config {
 struct fusion {
 	struct fusion_config config;
 	struct quat q_nb;
-	struct vec3 gyro_bias_b_rad_s; /* learnt so far, at rest, by Mahony's integral, by the Kalman filter */
+	struct gyro_errors learnt; /* the bias at rest, by Mahony's integral; both by the Kalman filter */
 	/* PRIVATE */
 	struct fusion_kalman kalman;
 	double bias_time_s; /* of rest, learnt from */
@@ -59,8 +59,10 @@ void fusion_turn_object(struct fusion *f, struct quat turn);
 /** The gyro, calibrated, at rest for another dt_s: that is its bias. Tell it before the step of this sample. Learns the mean over all rest, the last
  * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature (the Kalman filter by its own weights). */
 void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
-/** The gyro was calibrated anew: no bias, nothing learnt. */
-void fusion_forget_bias(struct fusion *f);
+/** The gyro was calibrated anew: no errors, nothing learnt. */
+void fusion_forget_errors(struct fusion *f);
+/** What the gyro would have shown without the errors learnt. */
+struct vec3 fusion_rate_b(const struct fusion *f, struct vec3 gyro_b_rad_s);
 
 #define FUSION_BIAS_MEMORY_S 30.0
 

@@ -8,14 +8,22 @@
 #define PI  3.14159265358979323846
 #define DEG (PI / 180)
 
-enum { BIAS = KALMAN_BIAS, VELOCITY = KALMAN_VELOCITY, HEADING = KALMAN_HEADING, STATES = KALMAN_STATES };
+enum {
+	BIAS = KALMAN_BIAS,
+	SCALE = KALMAN_SCALE,
+	VELOCITY = KALMAN_VELOCITY,
+	HEADING = KALMAN_HEADING,
+	STATES = KALMAN_STATES
+};
 
 /* Time between two corrections: short against the filter's time constants, long enough to cost little. */
 static const double CORRECTION_S = 0.03;
 /* 1 sigma at the start. A wrong tilt makes the field's heading wrong by more: by the tangent of the dip. */
 static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
-/* No working gyro has more bias than this. */
-static const double MOST_BIAS_RAD_S = 2 * DEG;
+/* No working gyro has more bias than this; the scale is within so many of its sigmas. */
+static const double MOST_BIAS_RAD_S = 2 * DEG, MOST_SIGMAS = 5;
+/* What was learnt of the scale is outdated after that time (temperature, ageing). */
+static const double SCALE_TIME_S = 36000;
 /* White noise of the gyro, rad/s/sqrt(Hz): in motion with what else goes wrong there, and at rest. */
 static const double GYRO_NOISE = 0.12 * DEG, REST_GYRO_NOISE = 0.03 * DEG;
 /* For how long the gyro's error in motion, and a velocity, keep their sign. */
@@ -34,11 +42,13 @@ static const double POSE_RAD = 1, POSE_LEAST_S = 0.5, POSE_MOST_S = 3;
 /* Memory of the field's reference, and of the one that may come in its place: that is taken after it has stayed within
  * the limits for OTHER_FIELD_S and attitudes so far apart that their mean rotation matrix has shrunk to this share of its
  * size (squared; to and fro about one axis by 80 degrees, say). */
-static const double REFERENCE_TIME_S = 20, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNED_SHARE = 0.7;
+static const double REFERENCE_TIME_S = 60, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNED_SHARE = 0.7;
+/* A tilt known worse than that makes the dip seen count for less. */
+static const double DIP_TILT_RAD = 2 * DEG;
 /* After a disturbance the field has to be within the limits for so long. */
 static const double UNDISTURBED_S = 0.25;
-/* Share of the disturbance seen in length and dip, squared, that is to be expected in the heading. */
-static const double DISTURBANCE_SHARE = 0.2;
+/* Of the disturbance seen in length and dip, squared, what is to be expected in the heading: as much as along each. */
+static const double DISTURBANCE_SHARE = 0.5;
 /* At rest, the field of the first time counts, and one near it by this share of its length. */
 static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
 /* An attitude from outside is taken to be right within this. What is told from outside holds for so long. */
@@ -61,7 +71,8 @@ int fusion_kalman_check(const struct fusion_kalman_config *c)
 {
 	return within(c->velocity_sigma_m_s, 0.01, 1000) && within(c->heading_sigma_rad, 0.001, 1) &&
 			       within(c->field_limit, 0.01, 1) && within(c->rejection_time_s, 0, 1e6) &&
-			       within(c->gyro_error, 0, 0.1) && within(c->bias_walk_rad_s_sqrt_s, 0, 0.1)
+			       within(c->gyro_error, 0, 0.1) && within(c->bias_walk_rad_s_sqrt_s, 0, 0.1) &&
+			       within(c->gyro_scale_sigma, 0, 0.05)
 		       ? 0
 		       : -EINVAL;
 }
@@ -83,6 +94,7 @@ static void forget_gathered(struct fusion_kalman *k)
 {
 	k->time_s = k->rest_s = k->turned_rad2_s = 0;
 	memset(k->turn_s, 0, sizeof(k->turn_s));
+	memset(k->rate_turn_rad, 0, sizeof(k->rate_turn_rad));
 	k->force_n_m_s = k->gyro_b_rad = k->field_n_uT = (struct vec3){0, 0, 0};
 	k->fields = 0;
 }
@@ -95,19 +107,30 @@ static void renew_velocity(struct fusion_kalman *k)
 	}
 }
 
-void fusion_kalman_forget_bias(struct fusion_kalman *k)
+void fusion_kalman_forget_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
-	for (int i = BIAS; i < STATES; i++)
-		renew(k, i, squared(START_BIAS_RAD_S));
+	for (int i = SCALE; i < SCALE + 3; i++)
+		renew(k, i, squared(config->gyro_scale_sigma));
 }
 
-void fusion_kalman_turn(struct fusion_kalman *k, struct quat turn)
+void fusion_kalman_forget_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	for (int i = BIAS; i < BIAS + 3; i++)
+		renew(k, i, squared(START_BIAS_RAD_S));
+	fusion_kalman_forget_scale(k, config);
+}
+
+void fusion_kalman_turn(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat turn,
+	struct gyro_errors *learnt)
 {
 	double(*c)[STATES] = k->covariance;
 	double variance = fmax(c[BIAS][BIAS], fmax(c[BIAS + 1][BIAS + 1], c[BIAS + 2][BIAS + 2]));
 
-	for (int i = BIAS; i < STATES; i++)
+	for (int i = BIAS; i < BIAS + 3; i++)
 		renew(k, i, variance);
+	fusion_kalman_forget_scale(k, config);
+	learnt->bias_b_rad_s = quat_rotate(turn, learnt->bias_b_rad_s);
+	learnt->scale_b = (struct vec3){0, 0, 0};
 	k->lever_arm_b_m = quat_rotate(turn, k->lever_arm_b_m);
 	forget_gathered(k);
 }
@@ -122,7 +145,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	renew(k, HEADING, squared(config->heading_sigma_rad));
 	renew_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
-		fusion_kalman_forget_bias(k);
+		fusion_kalman_forget_errors(k, config);
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
 	k->lever_known = false;
 	forget_gathered(k);
@@ -134,58 +157,84 @@ void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_con
 	k->norm_uT = 0; /* the next field is the reference */
 }
 
-void fusion_kalman_set(struct fusion_kalman *k)
+void fusion_kalman_set(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
 	for (int i = 0; i <= HEADING; i++)
 		renew(k, i, squared(SET_ANGLE_RAD));
 	renew_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
-		fusion_kalman_forget_bias(k);
+		fusion_kalman_forget_errors(k, config);
 	k->norm_uT = 0;
 	k->north_open = true;
 	forget_gathered(k);
 }
 
-/* The errors' covariance carried over what was gathered. */
+/* Rows to.. of c += sign m (rows from.. of c) */
+static void add_rows(double c[STATES][STATES], int to, int rows, double sign, double m[3][3], int from)
+{
+	for (int i = 0; i < rows; i++)
+		for (int j = 0; j < STATES; j++)
+			c[to + i][j] +=
+				sign * (m[i][0] * c[from][j] + m[i][1] * c[from + 1][j] + m[i][2] * c[from + 2][j]);
+}
+
+/* c = F c: attitude += rate_turn scale - turn bias; velocity += attitude x force. An error of the
+ * attitude falsifies the accelerometer's velocity and the lever arm's share of it alike: force is what the reference point
+ * feels. */
+static void transit(struct fusion_kalman *k, struct vec3 f)
+{
+	double(*c)[STATES] = k->covariance, cross[3][3] = {{0, f.z, -f.y}, {-f.z, 0, f.x}};
+
+	add_rows(c, 0, 3, -1, k->turn_s, BIAS);
+	add_rows(c, 0, 3, 1, k->rate_turn_rad, SCALE);
+	add_rows(c, VELOCITY, 2, 1, cross, 0);
+}
+
+static void transpose(double c[STATES][STATES])
+{
+	for (int i = 0; i < STATES; i++)
+		for (int j = 0; j < i; j++) {
+			double t = c[i][j];
+
+			c[i][j] = c[j][i];
+			c[j][i] = t;
+		}
+}
+
+/* The errors' covariance carried over what was gathered: F c F^T + noise, c being symmetric. */
 static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
-	double(*c)[STATES] = k->covariance, (*turn)[3] = k->turn_s, t = k->time_s;
-	/* what the reference point feels: an error of the attitude falsifies the accelerometer's velocity and the lever
-	 * arm's share of it alike */
-	struct vec3 f = vec3_sub(k->force_n_m_s, vec3_sub(k->lever_n_m_s, k->lever_from_n_m_s));
+	struct vec3 force = vec3_sub(k->force_n_m_s, vec3_sub(k->lever_n_m_s, k->lever_from_n_m_s));
+	double t = k->time_s;
 	double turn_noise =
 		t * squared(GYRO_NOISE) + squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s;
 
-	/* attitude -= turn * bias; velocity += attitude x force: rows, then columns */
-	for (int i = 0; i < 3; i++)
-		for (int j = 0; j < STATES; j++)
-			c[i][j] -= turn[i][0] * c[BIAS][j] + turn[i][1] * c[BIAS + 1][j] + turn[i][2] * c[BIAS + 2][j];
-	for (int j = 0; j < STATES; j++) {
-		c[VELOCITY][j] += f.z * c[1][j] - f.y * c[2][j];
-		c[VELOCITY + 1][j] += f.x * c[2][j] - f.z * c[0][j];
-	}
-	for (int j = 0; j < STATES; j++) {
-		for (int i = 0; i < 3; i++)
-			c[j][i] -= turn[i][0] * c[j][BIAS] + turn[i][1] * c[j][BIAS + 1] + turn[i][2] * c[j][BIAS + 2];
-		c[j][VELOCITY] += f.z * c[j][1] - f.y * c[j][2];
-		c[j][VELOCITY + 1] += f.x * c[j][2] - f.z * c[j][0];
-	}
+	transit(k, force);
+	transpose(k->covariance);
+	transit(k, force);
 	for (int i = 0; i < 3; i++) {
-		c[i][i] += turn_noise;
-		c[BIAS + i][BIAS + i] += t * squared(config->bias_walk_rad_s_sqrt_s);
+		k->covariance[i][i] += turn_noise;
+		k->covariance[BIAS + i][BIAS + i] += t * squared(config->bias_walk_rad_s_sqrt_s);
 	}
+	for (int i = SCALE; i < SCALE + 3; i++)
+		k->covariance[i][i] +=
+			fmin(1, t / SCALE_TIME_S) * fmax(0, squared(config->gyro_scale_sigma) - k->covariance[i][i]);
 }
 
-/* State i was measured; `error` holds the errors found so far, of all states. */
+/* State i was measured; `error` holds the errors found so far, of all states. A measured heading teaches nothing about the
+ * scale (the last states), which only adds to its uncertainty. */
 static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
 {
 	double gain = 1 / (k->covariance[i][i] + variance), innovation = measured - error[i], column[STATES];
+	const int taught = i == HEADING ? SCALE : STATES;
 
 	memcpy(column, k->covariance[i], sizeof(column));
-	for (int j = 0; j < STATES; j++) {
+	for (int j = 0; j < taught; j++) {
 		error[j] += gain * innovation * column[j];
-		for (int m = 0; m < STATES; m++)
+		for (int m = 0; m < taught; m++)
 			k->covariance[j][m] -= gain * column[j] * column[m];
+		for (int m = taught; m < STATES; m++)
+			k->covariance[m][j] = k->covariance[j][m] -= gain * column[j] * column[m];
 	}
 }
 
@@ -257,7 +306,7 @@ static void watch_other_field(struct fusion_kalman *k, const struct field *f, do
  * variance, 0: the field does not count. */
 static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
 {
-	double share;
+	double known_s, share;
 
 	watch_other_field(k, f, config->field_limit);
 	if (!f->within) {
@@ -265,8 +314,10 @@ static double judge_field(struct fusion_kalman *k, const struct fusion_kalman_co
 		k->rejected_s = fmin(k->rejected_s + k->time_s, config->rejection_time_s);
 		return k->rejected_s < config->rejection_time_s ? 0 : REJECTED_WEIGHT;
 	}
-	k->reference_s = fmin(k->reference_s + k->time_s, REFERENCE_TIME_S);
-	share = fmin(1, k->time_s / k->reference_s);
+	known_s =
+		k->time_s * squared(DIP_TILT_RAD) / (squared(DIP_TILT_RAD) + k->covariance[0][0] + k->covariance[1][1]);
+	k->reference_s = fmin(k->reference_s + known_s, REFERENCE_TIME_S);
+	share = fmin(1, known_s / k->reference_s);
 	k->norm_uT += share * f->off_norm_uT;
 	k->dip_rad += share * f->off_dip_rad;
 	k->undisturbed_s += k->time_s;
@@ -344,18 +395,27 @@ static bool sound(const struct fusion_kalman *k)
 	return true;
 }
 
-static void apply(struct fusion_kalman *k, const double *error, struct quat *q_nb, struct vec3 *bias)
+/* Adds what was found; `norm` is its most. */
+static void learn(struct vec3 *of, const double *error, double most)
 {
 	double norm;
+
+	*of = vec3_add(*of, (struct vec3){error[0], error[1], error[2]});
+	norm = vec3_norm(*of);
+	if (norm > most)
+		*of = vec3_scale(most / norm, *of);
+}
+
+static void apply(struct fusion_kalman *k, const struct fusion_kalman_config *config, const double *error,
+	struct quat *q_nb, struct gyro_errors *learnt)
+{
 
 	*q_nb = quat_normalize(
 		quat_multiply(quat_from_rotation_vector((struct vec3){error[0], error[1], error[2]}), *q_nb));
 	k->velocity_n_m_s[0] += error[VELOCITY];
 	k->velocity_n_m_s[1] += error[VELOCITY + 1];
-	*bias = vec3_add(*bias, (struct vec3){error[BIAS], error[BIAS + 1], error[BIAS + 2]});
-	norm = vec3_norm(*bias);
-	if (norm > MOST_BIAS_RAD_S)
-		*bias = vec3_scale(MOST_BIAS_RAD_S / norm, *bias);
+	learn(&learnt->bias_b_rad_s, error + BIAS, MOST_BIAS_RAD_S);
+	learn(&learnt->scale_b, error + SCALE, MOST_SIGMAS * config->gyro_scale_sigma);
 }
 
 void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
@@ -368,8 +428,8 @@ void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 	k->yaw_refused = 0;
 }
 
-bool fusion_kalman_aid_heading(
-	struct fusion_kalman *k, double off_rad, double variance_rad2, struct quat *q_nb, struct vec3 *bias)
+bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config, double off_rad,
+	double variance_rad2, struct quat *q_nb, struct gyro_errors *learnt)
 {
 	double error[STATES] = {0}, total = k->covariance[HEADING][HEADING] + variance_rad2;
 
@@ -381,14 +441,15 @@ bool fusion_kalman_aid_heading(
 		return true;
 	}
 	measure(k, error, HEADING, off_rad, variance_rad2);
-	apply(k, error, q_nb, bias);
+	apply(k, config, error, q_nb, learnt);
 	k->yaw_s = TOLD_S;
 	k->yaw_refused = 0;
 	return false;
 }
 
-void fusion_kalman_aid_velocity(struct fusion_kalman *k, struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s,
-	double variance_m2_s2, struct quat *q_nb, struct vec3 *bias)
+void fusion_kalman_aid_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s, double variance_m2_s2, struct quat *q_nb,
+	struct gyro_errors *learnt)
 {
 	double error[STATES] = {0};
 
@@ -406,7 +467,7 @@ void fusion_kalman_aid_velocity(struct fusion_kalman *k, struct vec3 velocity_n_
 	} else {
 		measure(k, error, VELOCITY, x, variance_m2_s2);
 		measure(k, error, VELOCITY + 1, y, variance_m2_s2);
-		apply(k, error, q_nb, bias);
+		apply(k, config, error, q_nb, learnt);
 	}
 	k->told_n_m_s[0] = velocity_n_m_s.x;
 	k->told_n_m_s[1] = velocity_n_m_s.y;
@@ -427,7 +488,7 @@ static void age_what_was_told(struct fusion_kalman *k)
 }
 
 static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct vec3 lever_n_m_s,
-	struct quat *q_nb, struct vec3 *bias)
+	struct quat *q_nb, struct gyro_errors *learnt)
 {
 	double error[STATES] = {0};
 	bool rest = k->rest_s > 0.5 * k->time_s, field_used;
@@ -436,25 +497,29 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	age_what_was_told(k);
 	measure_velocity(k, config, lever_n_m_s, rest, error);
 	if (rest)
-		measure_bias(k, *bias, error);
+		measure_bias(k, learnt->bias_b_rad_s, error);
 	field_used = k->fields > 0 && measure_heading(k, config, rest, error);
 	if (!sound(k)) {
-		fusion_kalman_forget_bias(k);
+		*learnt = (struct gyro_errors){0};
+		fusion_kalman_forget_errors(k, config);
 		fusion_kalman_start(k, config, 0);
 		return false;
 	}
-	apply(k, error, q_nb, bias);
+	apply(k, config, error, q_nb, learnt);
 	forget_gathered(k);
 	return field_used;
 }
 
-static void add_turn(struct fusion_kalman *k, struct quat q, double dt_s)
+static void add_turn(struct fusion_kalman *k, struct quat q, struct vec3 rate_b_rad_s, double dt_s)
 {
 	struct mat3 m = mat3_from_quat(q);
+	const double turned_rad[3] = {dt_s * rate_b_rad_s.x, dt_s * rate_b_rad_s.y, dt_s * rate_b_rad_s.z};
 
 	for (int i = 0; i < 3; i++)
-		for (int j = 0; j < 3; j++)
+		for (int j = 0; j < 3; j++) {
 			k->turn_s[i][j] += dt_s * m.m[i][j];
+			k->rate_turn_rad[i][j] += turned_rad[j] * m.m[i][j];
+		}
 }
 
 /* Over missing samples the rate may have been any other, and the velocity is anyone's guess: this sample counts alone. */
@@ -483,7 +548,7 @@ static void move_reference_point(struct fusion_kalman *k, const struct fusion_ka
 }
 
 bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_config *config,
-	const struct fusion_kalman_sample *s, double dt_s, struct quat *q_nb, struct vec3 *bias_b_rad_s)
+	const struct fusion_kalman_sample *s, double dt_s, struct quat *q_nb, struct gyro_errors *learnt)
 {
 	struct vec3 force_n = quat_rotate(*q_nb, s->force_b_m_s2);
 	struct vec3 lever_n = quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m));
@@ -497,7 +562,7 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 		k->lever_from_n_m_s = k->lever_known ? k->lever_n_m_s : lever_n;
 	k->lever_n_m_s = lever_n;
 	k->lever_known = true;
-	add_turn(k, *q_nb, dt_s);
+	add_turn(k, *q_nb, s->rate_b_rad_s, dt_s);
 	k->force_n_m_s = vec3_add(k->force_n_m_s, vec3_scale(dt_s, force_n));
 	k->velocity_n_m_s[0] += dt_s * force_n.x;
 	k->velocity_n_m_s[1] += dt_s * force_n.y;
@@ -511,5 +576,5 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->time_s += dt_s;
 	if (k->time_s < CORRECTION_S)
 		return false;
-	return correct(k, config, lever_n, q_nb, bias_b_rad_s);
+	return correct(k, config, lever_n, q_nb, learnt);
 }

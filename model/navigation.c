@@ -37,7 +37,7 @@ static const double STILL_GATE_SIGMAS = 5;
 /* For how long a velocity stays what it is (the quick part's does not for longer than 1 / (2 pi) of
  * NAVIGATION_QUICK_S), and a heading of the fusion as wrong as it is, seen from here. */
 static const double VELOCITY_CORRELATION_S = 0.1, HEADING_CORRELATION_S = 3;
-static const double HEADING_SIGMA_RAD = 0.035;
+static const double HEADING_SIGMA_RAD = 0.035, NORTH_SIGMA_RAD = 0.026;
 /* A heading further off than that is not an error but another north. */
 static const double HEADING_JUMP_RAD = 0.35;
 /* A tilt further off is lost, as after a start in full motion; 1 sigma of the velocity begun anew. */
@@ -630,7 +630,7 @@ static struct vec3 attitude_variance(const struct navigation *n)
 
 	if (vec3_dot(var, var) == 0)
 		var = vec3_add(variance(n, THETA), n->fused_apart2_rad2);
-	return vec3_add(var, (struct vec3){tilt, tilt, square(HEADING_SIGMA_RAD)});
+	return vec3_add(var, (struct vec3){tilt, tilt, square(NORTH_SIGMA_RAD)});
 }
 
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)

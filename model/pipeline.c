@@ -161,7 +161,7 @@ static int configure_filters(struct pipeline *p, const struct pipeline_config *c
 }
 
 /* A new mounting turns the object frame, not the sensor: the attitude goes with it. What the filters hold belongs to the
- * old calibration, and so does the bias learnt of a gyro calibrated anew. */
+ * old calibration, and so do the errors learnt of a gyro calibrated anew. */
 static int configure_calibration(struct pipeline *p, const struct calibration_config *config)
 {
 	struct quat old = quat_from_aerospace(p->config.calibration.mounting_rad);
@@ -173,7 +173,7 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 		return -EINVAL;
 	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
 	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
-		fusion_forget_bias(&p->fusion);
+		fusion_forget_errors(&p->fusion);
 	p->primed = p->position.navigation.started = false;
 	return 0;
 }
@@ -325,7 +325,7 @@ static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force
 /* The accelerometer saw another instant than the gyro: what it saw, in the object's axes at the gyro's. */
 static struct vec3 at_the_gyros_instant(const struct pipeline *p, const struct imu_sample *s)
 {
-	struct vec3 rate = vec3_sub(s->gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+	struct vec3 rate = fusion_rate_b(&p->fusion, s->gyro_rad_s);
 
 	return quat_rotate(
 		quat_from_rotation_vector(vec3_scale(-p->config.latency.accelerometer_s, rate)), s->accel_m_s2);
@@ -458,7 +458,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	force = s.accel_m_s2;
 	s.accel_m_s2 = at_the_gyros_instant(p, &s);
 	rest = fuse(p, &s, dt_s);
-	gyro = vec3_sub(s.gyro_rad_s, p->fusion.gyro_bias_b_rad_s);
+	gyro = fusion_rate_b(&p->fusion, s.gyro_rad_s);
 	if (p->primed)
 		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
 	else
@@ -488,6 +488,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
 		.sigma = with_lever_arm(p, rates->omega_b_rad_s),
+		.learnt = p->fusion.learnt,
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};

@@ -105,9 +105,8 @@ static void take(struct run *r, const struct imu_sample *sample)
 	if (s.flags & (SAMPLE_SATURATED | SAMPLE_DISCONTINUITY))
 		lever_identification_break(&r->identification);
 	else
-		lever_identification_step(&r->identification, s.t_us,
-			vec3_sub(s.gyro_rad_s, r->pipeline.fusion.gyro_bias_b_rad_s), s.accel_m_s2,
-			reference_of(r, &s));
+		lever_identification_step(&r->identification, s.t_us, fusion_rate_b(&r->pipeline.fusion, s.gyro_rad_s),
+			s.accel_m_s2, reference_of(r, &s));
 	if (r->samples++ == 0)
 		r->first_us = s.t_us;
 	r->last_us = s.t_us;

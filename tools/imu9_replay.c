@@ -33,13 +33,14 @@ static const char usage[] =
 	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
 	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
 	"     (ENU), the rest flag, the sample counter as the PDOs carry it (here not wrapped),\n"
-	"     angular rate wl..wt and acceleration dwl..dwt, the status word.\n"
+	"     angular rate wl..wt and acceleration dwl..dwt, the status word,\n"
+	"     1 sigma of the attitude (srx..srz, about x y z of ENU, radians), of aw, v and p.\n"
 	"FILE: movement (from 1), t (as in LOG), t_s (since it began), position x_m..z_m since then and\n"
 	"     velocity vx_m_s..vz_m_s (ENU), 1 sigma of the position sx_m..sz_m, whole (0: broken by a gap).\n"
 	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
 
 static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
-			     "wl,ws,wt,dwl,dws,dwt,status\n";
+			     "wl,ws,wt,dwl,dws,dwt,status,srx,sry,srz,sawx,sawy,sawz,svx,svy,svz,spx,spy,spz\n";
 
 static const char movements_header[] = "movement,t,t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m,whole\n";
 
@@ -63,6 +64,10 @@ static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t s
 	csv_vec3(&row, o->rate_b_rad_s, 7);
 	csv_vec3(&row, o->alpha_b_rad_s2, 5);
 	csv_number(&row, o->status, 0);
+	csv_vec3(&row, o->sigma.attitude_rad, 6);
+	csv_vec3(&row, o->sigma.accel_m_s2, 5);
+	csv_vec3(&row, o->sigma.velocity_m_s, 5);
+	csv_vec3(&row, o->sigma.position_m, 5);
 	csv_write(&row, stdout);
 }
 

@@ -78,7 +78,7 @@ static void replay(struct imu_log *log, struct reference_log *reference, struct 
 		const bool seen = reference_log_at(reference, sample.t_us, &ref);
 
 		assert_int_equal(pipeline_step(&pipeline, &sample, &out), 0);
-		gyro = vec3_sub(sample.gyro_rad_s, pipeline.fusion.gyro_bias_b_rad_s);
+		gyro = fusion_rate_b(&pipeline.fusion, sample.gyro_rad_s);
 		for (int way = 0; way < WAYS; way++)
 			if (takes_part(way, (double)sample.t_us * 1e-6))
 				lever_identification_step(

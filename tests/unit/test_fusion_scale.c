@@ -1,0 +1,167 @@
+/* The gyro's scale factors, as the fusion learns them from the tilt of an object that turns to different sides. */
+#include "model_test.h"
+
+#include "model/fusion.h"
+
+static const double G = 9.81;
+static const struct vec3 FIELD_N = {0, 20, -45}, ZERO = {0, 0, 0};
+
+struct moment {
+	struct quat q_nb;
+	struct vec3 omega_b_rad_s;
+};
+
+/* Carried around the vertical, one way, while it nods and rolls to and fro about its own axes. */
+static struct moment turning(double t)
+{
+	double around = 0.8 * t - 2 * cos(0.3 * t), nod = 1.2 * sin(0.9 * t), roll = 8 * sin(0.4 * t);
+	double around_s = 0.8 + 0.6 * sin(0.3 * t), nod_s = 1.08 * cos(0.9 * t), roll_s = 3.2 * cos(0.4 * t);
+	struct quat a = quat_from_rotation_vector((struct vec3){0, 0, around});
+	struct quat n = quat_from_rotation_vector((struct vec3){0, nod, 0});
+	struct quat r = quat_from_rotation_vector((struct vec3){roll, 0, 0});
+	struct vec3 omega = vec3_add(quat_rotate_inverse(n, (struct vec3){0, 0, around_s}), (struct vec3){0, nod_s, 0});
+
+	return (struct moment){
+		.q_nb = quat_multiply(a, quat_multiply(n, r)),
+		.omega_b_rad_s = vec3_add(quat_rotate_inverse(r, omega), (struct vec3){roll_s, 0, 0}),
+	};
+}
+
+static struct fusion fusion(int use_magnetometer, double scale_sigma)
+{
+	struct fusion_config config = {
+		.algorithm = FUSION_KALMAN, .use_magnetometer = use_magnetometer, .kalman = FUSION_KALMAN_DEFAULTS};
+	struct fusion f;
+
+	config.kalman.gyro_scale_sigma = scale_sigma;
+	assert_int_equal(fusion_init(&f, &config), 0);
+	return f;
+}
+
+/* From from_s to to_s, a gyro that shows too little by `scale`, and a magnet in the object. Returns the heading gained by
+ * the fusion beyond the truth. */
+static double turn(struct fusion *f, struct vec3 scale, struct vec3 magnet_b_uT, double from_s, double to_s)
+{
+	const double dt_s = 0.005;
+	struct vec3 east_from = ZERO, east = ZERO;
+
+	for (double t = from_s; t < to_s; t += dt_s) {
+		struct moment m = turning(t);
+		struct vec3 w = m.omega_b_rad_s;
+		struct imu_sample sample = {
+			.gyro_rad_s = {w.x / (1 + scale.x), w.y / (1 + scale.y), w.z / (1 + scale.z)},
+			.accel_m_s2 = quat_rotate_inverse(m.q_nb, (struct vec3){0, 0, G}),
+			.mag_uT = vec3_add(quat_rotate_inverse(m.q_nb, FIELD_N), magnet_b_uT),
+			.flags = SAMPLE_MAG,
+		};
+
+		fusion_step(f, &sample, dt_s);
+		east = quat_rotate(f->q_nb, quat_rotate_inverse(m.q_nb, (struct vec3){1, 0, 0}));
+		if (t == from_s)
+			east_from = east;
+	}
+	return remainder(atan2(east.y, east.x) - atan2(east_from.y, east_from.x), 2 * 3.14159265358979323846);
+}
+
+static void test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetometer(void **state)
+{
+	const struct vec3 scale = {0.003, 0.003, 0.003};
+	struct fusion f = fusion(0, 0.002);
+
+	(void)state;
+	turn(&f, scale, ZERO, 0, 120);
+	assert_vec_near(f.learnt.scale_b, scale, 0.0008);
+	f.learnt.bias_b_rad_s = ZERO;
+	assert_near(fusion_rate_b(&f, (struct vec3){0, 0, 3}).z, 3 * (1 + f.learnt.scale_b.z), 1e-12);
+}
+
+static void test_the_heading_then_drifts_a_fifth_as_much(void **state)
+{
+	const struct vec3 scale = {0.003, 0.003, 0.003};
+	struct fusion knows = fusion(0, 0.002), presumes = fusion(0, 0);
+	double learning, fixed;
+
+	(void)state;
+	turn(&knows, scale, ZERO, 0, 60);
+	turn(&presumes, scale, ZERO, 0, 60);
+	learning = turn(&knows, scale, ZERO, 60, 120);
+	fixed = turn(&presumes, scale, ZERO, 60, 120);
+	print_message(
+		"heading after a minute of turning: %.2f degrees, scale learnt %.2f\n", fixed / DEG, learning / DEG);
+	assert_true(fabs(fixed) > 5 * DEG);
+	assert_true(fabs(learning) < fabs(fixed) / 5);
+}
+
+static void test_a_scale_said_to_be_right_is_not_touched(void **state)
+{
+	struct fusion f = fusion(1, 0);
+
+	(void)state;
+	turn(&f, (struct vec3){0.01, 0.01, 0.01}, ZERO, 0, 30);
+	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+}
+
+static void test_a_magnet_in_the_object_teaches_no_scale(void **state)
+{
+	struct fusion f = fusion(1, 0.002);
+
+	(void)state;
+	turn(&f, ZERO, (struct vec3){12, -8, 5}, 0, 60);
+	assert_vec_near(f.learnt.scale_b, ZERO, 0.0002);
+}
+
+static void test_the_scale_learnt_stays_within_five_sigma(void **state)
+{
+	struct fusion f = fusion(0, 0.001);
+
+	(void)state;
+	turn(&f, (struct vec3){0.05, 0.05, 0.05}, ZERO, 0, 60);
+	assert_true(vec3_norm(f.learnt.scale_b) < 0.005001);
+}
+
+static void test_another_sigma_another_gyro_or_another_algorithm_forget_the_scale(void **state)
+{
+	const struct vec3 scale = {0.003, 0.003, 0.003};
+	struct fusion learnt = fusion(0, 0.002), f;
+	struct fusion_config config;
+
+	(void)state;
+	turn(&learnt, scale, ZERO, 0, 30);
+	assert_true(vec3_norm(learnt.learnt.scale_b) > 0.001);
+
+	f = learnt;
+	config = f.config;
+	config.kalman.field_limit = 0.2;
+	assert_int_equal(fusion_configure(&f, &config), 0);
+	assert_vec_near(f.learnt.scale_b, learnt.learnt.scale_b, 0);
+	config.kalman.gyro_scale_sigma = 0.004;
+	assert_int_equal(fusion_configure(&f, &config), 0);
+	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+
+	f = learnt;
+	config.algorithm = FUSION_MAHONY;
+	assert_int_equal(fusion_configure(&f, &config), 0);
+	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+
+	f = learnt;
+	fusion_forget_errors(&f);
+	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+
+	f = learnt;
+	fusion_turn_object(&f, quat_from_rotation_vector((struct vec3){1, 0, 0}));
+	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetometer),
+		cmocka_unit_test(test_the_heading_then_drifts_a_fifth_as_much),
+		cmocka_unit_test(test_a_scale_said_to_be_right_is_not_touched),
+		cmocka_unit_test(test_a_magnet_in_the_object_teaches_no_scale),
+		cmocka_unit_test(test_the_scale_learnt_stays_within_five_sigma),
+		cmocka_unit_test(test_another_sigma_another_gyro_or_another_algorithm_forget_the_scale),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
