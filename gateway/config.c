@@ -83,25 +83,13 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 
 /* ---- objects ----------------------------------------------------------------------------------------------------- */
 
-/* " (-10 to 10 m)", or nothing where the object has no limits of its own. */
-static void limits_text(const struct od_entry *e, char *text, size_t size)
-{
-	bool real = e->type == OD_REAL32 || e->type == OD_REAL64;
-	bool is_signed = e->type == OD_INTEGER8 || e->type == OD_INTEGER16 || e->type == OD_INTEGER32;
-	double low = real ? e->low.f : is_signed ? (double)e->low.i : (double)e->low.u;
-	double high = real ? e->high.f : is_signed ? (double)e->high.i : (double)e->high.u;
-
-	text[0] = '\0';
-	if ((e->access & OD_LIMIT_LOW) && (e->access & OD_LIMIT_HIGH))
-		snprintf(text, size, " (%g to %g%s%s)", low, high, e->unit[0] ? " " : "", e->unit);
-}
-
 static int refuse(char *error, const struct od_entry *e, const char *value, enum od_status status)
 {
 	char limits[80];
 
-	limits_text(e, limits, sizeof(limits));
-	snprintf(error, CONFIG_ERROR_MAX, "%s = %.100s: %s%s", e->name, value, od_status_text(status), limits);
+	od_limits_text(e, limits, sizeof(limits));
+	snprintf(error, CONFIG_ERROR_MAX, "%s = %.100s: %s%s%s%s", e->name, value, od_status_text(status),
+		limits[0] ? " (" : "", limits, limits[0] ? ")" : "");
 	return -EINVAL;
 }
 

@@ -197,6 +197,9 @@ void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size);
 enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
 int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
 
+/** "-10 to 10 m", "0 or more", or "" where the entry has no limits; scaled ones in steps, without their unit. */
+void od_limits_text(const struct od_entry *entry, char *text, size_t capacity);
+
 /** One line for people: "value above its high limit". */
 const char *od_status_text(enum od_status status);
 

@@ -292,6 +292,36 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 	return (int)length;
 }
 
+static double limit(enum od_type type, union od_number number)
+{
+	switch (type) {
+	case OD_REAL32:
+	case OD_REAL64:
+		return number.f;
+	case OD_INTEGER8:
+	case OD_INTEGER16:
+	case OD_INTEGER32:
+	case OD_INTEGER64:
+		return (double)number.i;
+	default:
+		return (double)number.u;
+	}
+}
+
+void od_limits_text(const struct od_entry *entry, char *text, size_t capacity)
+{
+	double low = limit(entry->type, entry->low), high = limit(entry->type, entry->high);
+	const char *unit = entry->factor == 1 ? entry->unit : "", *space = unit[0] ? " " : "";
+
+	text[0] = '\0';
+	if (entry->access & OD_LIMIT_LOW && entry->access & OD_LIMIT_HIGH)
+		snprintf(text, capacity, "%.10g to %.10g%s%s", low, high, space, unit);
+	else if (entry->access & OD_LIMIT_LOW)
+		snprintf(text, capacity, "%.10g%s%s or more", low, space, unit);
+	else if (entry->access & OD_LIMIT_HIGH)
+		snprintf(text, capacity, "%.10g%s%s or less", high, space, unit);
+}
+
 const char *od_status_text(enum od_status status)
 {
 	switch (status) {

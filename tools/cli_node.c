@@ -152,7 +152,7 @@ static void explain_abort(const struct cli_node *node, const struct od_entry *en
 
 	cli_address_text(sdo->index, sdo->sub, entry, object, sizeof(object));
 	if (entry && (sdo->abort_code == 0x06090030 || sdo->abort_code == 0x06090031 || sdo->abort_code == 0x06090032))
-		cli_limits_text(entry, limits, sizeof(limits));
+		od_limits_text(entry, limits, sizeof(limits));
 	cli_error("%s: %s: %s (abort %08Xh)%s%s", object,
 		sdo->aborted_by_server ? "the node refused" : "the node broke the SDO protocol",
 		sdo_abort_text(sdo->abort_code), sdo->abort_code, limits[0] ? "; allowed: " : "", limits);

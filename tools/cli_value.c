@@ -45,11 +45,6 @@ void cli_address_text(uint16_t index, uint8_t sub, const struct od_entry *entry,
 		snprintf(text, capacity, "%04Xh:%02X", index, sub);
 }
 
-static bool is_real(const struct od_entry *entry)
-{
-	return entry->type == OD_REAL32 || entry->type == OD_REAL64;
-}
-
 static bool is_signed(const struct od_entry *entry)
 {
 	return entry->type == OD_INTEGER8 || entry->type == OD_INTEGER16 || entry->type == OD_INTEGER32 ||
@@ -59,29 +54,6 @@ static bool is_signed(const struct od_entry *entry)
 static bool is_number(const struct od_entry *entry)
 {
 	return entry->type != OD_VISIBLE_STRING && entry->type != OD_OCTET_STRING && entry->type != OD_DOMAIN;
-}
-
-static double limit(const struct od_entry *entry, union od_number number)
-{
-	if (is_real(entry))
-		return number.f;
-	return is_signed(entry) ? (double)number.i : (double)number.u;
-}
-
-void cli_limits_text(const struct od_entry *entry, char *text, size_t capacity)
-{
-	bool low = entry->access & OD_LIMIT_LOW, high = entry->access & OD_LIMIT_HIGH;
-	const char *space = entry->unit[0] && entry->factor == 1 ? " " : "";
-	const char *unit = entry->factor == 1 ? entry->unit : "";
-
-	text[0] = '\0';
-	if (low && high)
-		snprintf(text, capacity, "%.9g to %.9g%s%s", limit(entry, entry->low), limit(entry, entry->high), space,
-			unit);
-	else if (low)
-		snprintf(text, capacity, "%.9g%s%s or more", limit(entry, entry->low), space, unit);
-	else if (high)
-		snprintf(text, capacity, "%.9g%s%s or less", limit(entry, entry->high), space, unit);
 }
 
 const struct od_entry *cli_resolution(const struct od_table *table, const struct od_entry *entry)

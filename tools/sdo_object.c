@@ -123,7 +123,7 @@ static void parse_value(const struct target *target, const char *text, uint8_t *
 	status = od_parse(entry, text, wire, capacity, size);
 	if (status == OD_OK)
 		return;
-	cli_limits_text(entry, limits, sizeof(limits));
+	od_limits_text(entry, limits, sizeof(limits));
 	cli_usage_error(
 		"%s = %s: %s%s%s", entry->name, text, od_status_text(status), limits[0] ? "; allowed: " : "", limits);
 }

@@ -230,6 +230,34 @@ static void test_control_codes_from_another_device_do_not_reach_the_terminal(voi
 	assert_string_equal(text, "?2J");
 }
 
+static void assert_limits(struct od_entry entry, const char *expected)
+{
+	char text[64];
+
+	od_limits_text(&entry, text, sizeof(text));
+	assert_string_equal(text, expected);
+}
+
+static void test_limits_are_told_with_their_unit_where_a_step_is_one(void **state)
+{
+	struct od_entry metres = {.type = OD_REAL32, .size = 4, .low.f = -10, .high.f = 2.5, .unit = "m", .factor = 1};
+	struct od_entry steps = {
+		.type = OD_INTEGER16, .size = 2, .low.i = -9000, .high.i = 9000, .unit = "deg", .factor = 0.01};
+	struct od_entry count = {
+		.type = OD_UNSIGNED64, .size = 8, .low.u = 1, .high.u = 1u << 31, .unit = "", .factor = 1};
+
+	(void)state;
+	assert_limits(metres, "");
+	metres.access = OD_LIMIT_LOW | OD_LIMIT_HIGH;
+	assert_limits(metres, "-10 to 2.5 m");
+	metres.access = OD_LIMIT_LOW;
+	assert_limits(metres, "-10 m or more");
+	steps.access = OD_LIMIT_LOW | OD_LIMIT_HIGH;
+	assert_limits(steps, "-9000 to 9000");
+	count.access = OD_LIMIT_HIGH;
+	assert_limits(count, "2147483648 or less");
+}
+
 static void test_padding_of_a_string_is_not_printed(void **state)
 {
 	char text[16];
@@ -342,6 +370,7 @@ int main(void)
 		cmocka_unit_test(test_a_number_of_another_size_is_not_printed),
 		cmocka_unit_test(test_floats_print_as_short_as_they_can),
 		cmocka_unit_test(test_control_codes_from_another_device_do_not_reach_the_terminal),
+		cmocka_unit_test(test_limits_are_told_with_their_unit_where_a_step_is_one),
 		cmocka_unit_test(test_padding_of_a_string_is_not_printed),
 		cmocka_unit_test(test_every_value_reads_back_from_its_text_to_the_same_bytes),
 		cmocka_unit_test(test_every_entry_is_found_by_its_name),
