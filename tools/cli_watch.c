@@ -12,7 +12,6 @@
 enum {
 	SDO_TIMEOUT_US = 300000,
 	ASK_AGAIN_US = 2000000,
-	COB_ID_EXTENDED = 1 << 29,
 	SAMPLE_INDEX = 0x210F,
 	SAMPLE_COUNTER = 1,
 };
@@ -63,7 +62,7 @@ static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int 
 	bool changed = false;
 
 	pdo->enabled = !(cob_id & COB_ID_INVALID) && count > 0;
-	pdo->id = cob_id & (cob_id & COB_ID_EXTENDED ? 0x1FFFFFFF : 0x7FF);
+	pdo->id = cob_id & 0x7FF; /* the gateway takes no other */
 	pdo->type = (uint8_t)watch_object(watch, parameter, 2);
 	pdo->field_count = 0;
 	for (uint8_t sub = 1; sub <= count && pdo->field_count < WATCH_FIELDS; sub++) {
@@ -309,7 +308,7 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 {
 	struct watch_pdo *pdo = watch->mapping == WATCH_LEARNING ? NULL : find_pdo(watch, msg->id);
 
-	if (msg->remote)
+	if (msg->remote || msg->extended)
 		return;
 	if (msg->id == (watch_object(watch, 0x1005, 0) & 0x7FF)) {
 		count_frame(&watch->sync, now_us);

@@ -68,7 +68,8 @@ static bool await(struct lss *lss, uint32_t id, uint8_t command, unsigned int ms
 	while (cli_now_us() < until_us) {
 		cli_wait(lss->bus, -1, until_us);
 		while (can_receive(lss->bus, msg, cli_now_us()) > 0)
-			if (msg->id == id && !msg->remote && (id != ANSWER_ID || msg->data[0] == command))
+			if (msg->id == id && !msg->extended && !msg->remote &&
+				(id != ANSWER_ID || msg->data[0] == command))
 				return true;
 	}
 	return false;

@@ -102,6 +102,23 @@ static void test_a_pdo_is_decoded_by_the_default_mapping_with_units(void **state
 	assert_int_equal(b->watch.nmt_state, NMT_OPERATIONAL);
 }
 
+static void test_frames_with_29_bits_are_of_others(void **state)
+{
+	static const uint32_t IDS[] = {0x080, 0x080 + NODE, 0x180 + NODE, 0x700 + NODE};
+	struct bench *bench = bench_new(true);
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(IDS) / sizeof(IDS[0]); i++) {
+		const struct can_msg msg = {.id = IDS[i], .extended = true, .len = i == 3 ? 1 : 8};
+
+		watch_receive(&bench->watch, &msg, 2 * SECOND);
+	}
+	assert_int_equal(bench->watch.heard_us, 0);
+	assert_int_equal(bench->watch.sync.count, 0);
+	assert_int_equal(bench->watch.emcy.count, 0);
+	assert_false(watch_has_values(&bench->watch));
+}
+
 static void test_a_passive_watch_sends_nothing(void **state)
 {
 	(void)state;
@@ -279,6 +296,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_pdo_is_decoded_by_the_default_mapping_with_units),
+		cmocka_unit_test(test_frames_with_29_bits_are_of_others),
 		cmocka_unit_test(test_a_passive_watch_sends_nothing),
 		cmocka_unit_test(test_the_mapping_and_the_steps_are_those_of_the_node),
 		cmocka_unit_test(test_pdos_are_not_decoded_before_the_mapping_is_known),
