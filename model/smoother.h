@@ -57,7 +57,7 @@ struct smoother_map {
 	double a[NAVIGATION_STATES][NAVIGATION_STATES], b[NAVIGATION_STATES], m[NAVIGATION_STATES][NAVIGATION_STATES];
 };
 
-/** Caller-owned, 120 kB; zeroed it is ready. */
+/** Caller-owned, 134 kB; zeroed it is ready. */
 struct smoother {
 	struct smoother_movement last; /* the movement last ended */
 	/* PRIVATE */
