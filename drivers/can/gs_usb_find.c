@@ -1,5 +1,6 @@
 #include "drivers/can/gs_usb_find.h"
 
+#include <ctype.h>
 #include <dirent.h>
 #include <errno.h>
 #include <fcntl.h>
@@ -12,7 +13,7 @@
 /* Those that Linux' own gs_usb driver knows. */
 static const char *const known_ids[] = {"1d50:606f", "1209:2323", "1cd2:606f", "16d0:10b8", "16d0:0f30", "1209:ca01"};
 
-/* One line of a file of the device. False: there is no such file. */
+/* One line of a file of the device, whose text goes to terminals. False: there is no such file. */
 static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 {
 	int fd = openat(dir, file, O_RDONLY | O_CLOEXEC);
@@ -22,6 +23,9 @@ static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 		close(fd);
 	out[n > 0 ? n : 0] = '\0';
 	out[strcspn(out, "\n")] = '\0';
+	for (char *c = out; *c != '\0'; c++)
+		if (iscntrl((unsigned char)*c))
+			*c = '?';
 	return n >= 0;
 }
 

@@ -474,6 +474,20 @@ static void test_sysfs_tells_the_adapters_from_other_devices(void **state)
 	assert_int_equal(system(command), 0);
 }
 
+static void test_control_codes_of_a_device_do_not_reach_the_terminal(void **state)
+{
+	char root[] = "/tmp/imu9-sysfs.XXXXXX", command[100];
+	struct gs_usb_adapter list[GS_USB_ADAPTERS];
+
+	(void)state;
+	assert_non_null(mkdtemp(root));
+	put_device(root, "3-1", "1209", "2323", "\x1B[2J42");
+	assert_int_equal(gs_usb_list(root, list), 1);
+	assert_string_equal(list[0].serial, "?[2J42");
+	snprintf(command, sizeof(command), "rm -r %s", root);
+	assert_int_equal(system(command), 0);
+}
+
 static const struct gs_usb_adapter two[] = {
 	{"3-1", "0042", "candleLight", "/dev/bus/usb/003/012"}, {"3-2", "0043", "CANable", "/dev/bus/usb/003/013"}};
 
@@ -567,6 +581,7 @@ int main(void)
 		cmocka_unit_test(test_after_an_adapter_was_reset_the_clock_starts_anew),
 		cmocka_unit_test(test_a_filter_passes_the_wanted_identifiers_only),
 		cmocka_unit_test(test_sysfs_tells_the_adapters_from_other_devices),
+		cmocka_unit_test(test_control_codes_of_a_device_do_not_reach_the_terminal),
 		cmocka_unit_test(test_an_adapter_is_chosen_by_serial_number_or_place),
 		cmocka_unit_test(test_when_the_choice_is_not_clear_the_adapters_are_listed),
 		cmocka_unit_test(test_the_udev_rule_names_every_adapter_that_is_known),
