@@ -1,5 +1,6 @@
 #include "gateway/log.h"
 
+#include <ctype.h>
 #include <poll.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -19,6 +20,9 @@ void log_line(const char *format, ...)
 	size_t size = prefix + (size_t)n;
 	if (size > sizeof(text) - 2)
 		size = sizeof(text) - 2;
+	for (size_t i = prefix; i < size; i++)
+		if (iscntrl((unsigned char)text[i])) /* of a log, a device or a file name */
+			text[i] = '?';
 	text[size++] = '\n';
 	struct pollfd room = {.fd = STDERR_FILENO, .events = POLLOUT};
 

@@ -77,11 +77,11 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 
 		if (read == 0)
 			break;
-		device_sample(l->device, read, &sample, now_us);
 		if (read == -ENODATA) {
 			log_line("%s has ended", l->imu->name);
 			epoll_ctl(l->epoll, EPOLL_CTL_DEL, l->imu->fd, NULL);
 		}
+		device_sample(l->device, read, &sample, now_us);
 		if (read < 0)
 			break;
 	}

@@ -14,12 +14,17 @@
 #include <time.h>
 #include <unistd.h>
 
-static void print_error(const char *format, va_list args)
+/* What it quotes from a log or a device may have control codes in it. */
+__attribute__((format(printf, 1, 0))) static void print_error(const char *format, va_list args)
 {
+	char text[2048];
+
+	vsnprintf(text, sizeof(text), format, args);
+	for (char *c = text; *c; c++)
+		if (iscntrl((unsigned char)*c) && *c != '\n')
+			*c = '?';
 	fflush(stdout);
-	fprintf(stderr, "%s: ", program_invocation_short_name);
-	vfprintf(stderr, format, args);
-	fputc('\n', stderr);
+	fprintf(stderr, "%s: %s\n", program_invocation_short_name, text);
 }
 
 void cli_error(const char *format, ...)

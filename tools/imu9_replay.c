@@ -95,13 +95,13 @@ static void print_movement(const struct smoother_movement *m, uint64_t t_us, FIL
 
 static int fail(int status, const char *why)
 {
-	fprintf(stderr, "imu9-replay: %s\n", why);
+	cli_error("%s", why);
 	return status;
 }
 
 static int cannot_write(const char *path)
 {
-	fprintf(stderr, "imu9-replay: %s: %s\n", path, strerror(errno));
+	cli_error("%s: %s", path, strerror(errno));
 	return EXIT_FAILURE;
 }
 
@@ -140,7 +140,7 @@ static int replay(const struct config *config, struct imu_log *log, FILE *moveme
 	if (rc < 0)
 		return fail(EXIT_FAILURE, "the log cannot be read to its end");
 	if (log->skipped > 0)
-		fprintf(stderr, "imu9-replay: %u rows skipped, the last one: %s\n", log->skipped, log->last_skip);
+		cli_error("%u rows skipped, the last one: %s", log->skipped, log->last_skip);
 	if (rows == 0)
 		return fail(EXIT_FAILURE, "the log has no usable row");
 	if (fflush(stdout) != 0 || ferror(stdout))
@@ -174,7 +174,7 @@ static int read_configuration(struct config *config, const char **movements, int
 			*movements = optarg;
 	}
 	if (optind != argc - 1)
-		return fail(EXIT_USAGE, "give one log, or - for standard input (imu9-replay --help)");
+		cli_usage_error("give one log, or - for standard input");
 	return -1;
 }
 

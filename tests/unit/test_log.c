@@ -41,6 +41,22 @@ static void test_a_line_is_written_whole_and_ends_with_a_newline(void **state)
 	close(ends[1]);
 }
 
+static void test_control_codes_in_what_is_quoted_do_not_reach_the_terminal(void **state)
+{
+	char text[100] = "";
+	int ends[2], kept;
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	kept = stderr_to(ends[1]);
+	log_line("'%s' is no number", "\x1B[2J\n1");
+	stderr_back(kept);
+	assert_true(read(ends[0], text, sizeof(text) - 1) > 0);
+	assert_string_equal(text, "imu9-gateway: '?[2J?1' is no number\n");
+	close(ends[0]);
+	close(ends[1]);
+}
+
 static void test_a_reader_that_stands_still_does_not_stop_the_gateway(void **state)
 {
 	char block[4096] = "";
@@ -65,6 +81,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_line_is_written_whole_and_ends_with_a_newline),
+		cmocka_unit_test(test_control_codes_in_what_is_quoted_do_not_reach_the_terminal),
 		cmocka_unit_test(test_a_reader_that_stands_still_does_not_stop_the_gateway),
 	};
 
