@@ -323,9 +323,12 @@ static enum triggering how_triggered(const struct triad *t)
 	const struct iio_device *trigger = NULL;
 	int result;
 
-	for (int i = 0; i < AXES; i++)
-		if (!iio_channel_is_scan_element(t->axis[i]))
+	for (int i = 0; i < AXES; i++) {
+		unsigned bits = iio_channel_get_data_format(t->axis[i])->length;
+
+		if (!iio_channel_is_scan_element(t->axis[i]) || bits < 8 || bits > 64)
 			return NO_BUFFER;
+	}
 	result = iio_device_get_trigger(t->device, &trigger);
 	if (result == -ENOENT) /* a FIFO of its own, and nothing to be chosen */
 		return OWN_CLOCK;
