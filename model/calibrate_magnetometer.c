@@ -9,6 +9,7 @@ static const double RESIDUAL_MAX = 0.05;			 /* of the field */
 static const double STRETCH_MAX = 2.5;			   /* longest by shortest axis: soft iron stays below 1.5 */
 static const double FIELD_MIN_UT = 10, FIELD_MAX_UT = 150; /* the Earth's has 22 to 67 */
 static const double RANGE_MAX_UT = 1e6;			   /* of any magnetometer, and then some */
+static const double SPIKE_UT = 10;			   /* off the two samples beside it */
 static const double RADIUS_UT = 50;			   /* of the fit; the scale comes after it */
 static const uint64_t LOOK_US = 1000000, NO_MAG_US = 5000000, GAP_US = 500000;
 enum { POINTS_LEAST = 30 };
@@ -49,13 +50,32 @@ static void thin_out(struct calibrate_magnetometer *c)
 	c->count = kept;
 }
 
-static void take(struct calibrate_magnetometer *c, struct vec3 p)
+static void keep(struct calibrate_magnetometer *c, struct vec3 p)
 {
 	if (!(vec3_norm(p) <= RANGE_MAX_UT) || near_a_point(c, c->count, p)) /* nor NaN */
 		return;
 	while (c->count == CALIBRATE_POINTS_MAX)
 		thin_out(c);
 	c->points[c->count++] = p;
+}
+
+static bool spike(struct vec3 before, struct vec3 p, struct vec3 after)
+{
+	struct vec3 half_way = vec3_scale(0.5, vec3_add(before, after));
+
+	return vec3_norm(vec3_sub(p, half_way)) > SPIKE_UT + 0.5 * vec3_norm(vec3_sub(after, before));
+}
+
+/* A single wrong sample lies far from all others: evenly spaced points would keep it, whatever their number. Each waits
+ * for the one after it. */
+static void take(struct calibrate_magnetometer *c, struct vec3 p)
+{
+	if (c->recent_count == 2 && !spike(c->recent[0], c->recent[1], p))
+		keep(c, c->recent[1]);
+	c->recent[0] = c->recent[1];
+	c->recent[1] = p;
+	if (c->recent_count < 2)
+		c->recent_count++;
 }
 
 /* ---- the answer -------------------------------------------------------------------------------------------------- */

@@ -33,6 +33,8 @@ struct calibrate_magnetometer {
 	struct vec3 points[CALIBRATE_POINTS_MAX];
 	int count;
 	double spacing_uT;
+	struct vec3 recent[2]; /* the last two samples */
+	int recent_count;
 	uint64_t last_t_us, elapsed_us, looked_us; /* since the start; the last look whether it suffices */
 	bool started;
 };

@@ -447,6 +447,23 @@ static void test_a_field_that_changes_while_turning_is_refused(void **state)
 	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), passing_iron), CALIBRATE_LARGE_RESIDUAL);
 }
 
+static struct vec3 spikes(struct vec3 f, double t_s)
+{
+	if (fmod(t_s + 0.005, 1) < 0.01)
+		f = vec3_scale(-3, f);
+	return f;
+}
+
+static void test_single_wrong_samples_change_nothing(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_magnetometer(0);
+	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), spikes), CALIBRATE_GOOD);
+	assert_true(mag.result.residual < 0.01);
+	assert_vec_near(mag.result.calibration.bias, sensor.mag.bias, 0.2);
+}
+
 static struct vec3 flat(struct vec3 f, double t_s)
 {
 	(void)t_s;
@@ -667,6 +684,7 @@ int main(void)
 		cmocka_unit_test(test_a_field_that_changes_while_turning_is_refused),
 		cmocka_unit_test(test_an_ellipsoid_flatter_than_any_soft_iron_makes_it_is_refused),
 		cmocka_unit_test(test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible),
+		cmocka_unit_test(test_single_wrong_samples_change_nothing),
 		cmocka_unit_test(test_no_magnetometer_is_told_after_five_seconds),
 		cmocka_unit_test(test_values_that_are_not_finite_are_left_out),
 		cmocka_unit_test(test_values_that_no_magnetometer_measures_are_left_out_and_stall_nothing),
