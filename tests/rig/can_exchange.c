@@ -83,15 +83,20 @@ static bool is_done(const struct exchange *x)
 static void run(struct exchange *x)
 {
 	struct pollfd fd = {.fd = x->port->fd, .events = POLLIN};
-	uint64_t now_us = now();
+	uint64_t now_us = now(), moved_us = now_us;
+	uint32_t moved = 0; /* frames, either way */
 
 	x->last_us = now_us;
-	while (!is_done(x) && now_us - x->last_us < PATIENCE_US) {
+	while (!is_done(x) && now_us - moved_us < PATIENCE_US) {
 		poll(&fd, 1, 1);
 		now_us = now();
 		receive_all(x, now_us);
 		can_service(x->port, now_us);
 		send_due(x, now_us);
+		if (moved != x->received + x->port->counters.tx) {
+			moved = x->received + x->port->counters.tx;
+			moved_us = now_us;
+		}
 	}
 	/* what the other end still waits for may be on its way */
 	for (uint64_t end_us = now_us + 500000; now_us < end_us; now_us = now()) {
