@@ -176,6 +176,17 @@ static bool wanted(int signal_fd)
 	       (answer[0] == 'y' || answer[0] == 'Y');
 }
 
+static bool start(struct cli_node *node, uint8_t kind)
+{
+	if (command(node, kind))
+		return true;
+	if (node->sdo.result == SDO_ABORTED && node->sdo.abort_code == 0x08000022)
+		cli_error("does another one run (imu9-sdo write calibration.command 0 ends it), or does the sensor "
+			  "give no "
+			  "samples (imu9-sdo log)?");
+	return false;
+}
+
 static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t kind)
 {
 	const float strength = (float)r->field_uT;
@@ -186,7 +197,7 @@ static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t
 		explain(node, STRENGTH);
 		return CLI_FAILED;
 	}
-	if (!command(node, kind) || !watch(node, kind, signal_fd, &state) || !read_byte(node, VERDICT, &verdict))
+	if (!start(node, kind) || !watch(node, kind, signal_fd, &state) || !read_byte(node, VERDICT, &verdict))
 		return CLI_FAILED;
 	if (state != DONE) {
 		cli_error("%s refused: %s", r->what, calibrate_text((enum calibrate_verdict)verdict));

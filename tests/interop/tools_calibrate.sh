@@ -24,4 +24,16 @@ err=$(<"$work/err")
 check "a signal at the question says no" test "$rc" = 1
 out=$(tail -n 1 "$work/out")
 check "and the result is discarded" says "discarded"
+
+# ---- a sensor that has ended
+stop_gateway
+printf 't,gx,gy,gz,ax,ay,az,mx,my,mz\n0.%02d,0,0,0,0,0,9.81,,,\n' 0 >"$work/short.imu.csv"
+printf '0.%02d,0,0,0,0,0,9.81,,,\n' {1..5} >>"$work/short.imu.csv"
+start_gateway --imu "replay:$work/short.imu.csv"
+for _ in {1..20}; do
+	grep -q "has ended" "$work/log" && break
+	sleep 0.1
+done
+run imu9-calibrate gyro
+check "without samples nothing is begun, and why is said" fails 1 "does the sensor give no samples"
 finish
