@@ -32,6 +32,8 @@ static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.5;
 static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 /* Velocity at rest: of the sensor's mounting, of vibration; m/s in one correction. */
 static const double REST_VELOCITY_M_S = 0.01;
+/* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of a heading then. */
+static const double MEAN_FORCE_TIME_S = 3, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
 /* A longer time without samples leaves no velocity to integrate from. */
 static const double GAP_S = 0.1;
 /* The least horizontal part of the field, as a share of it, that shows a heading. */
@@ -53,6 +55,8 @@ static const double DISTURBANCE_SHARE = 0.5;
 static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
 /* An attitude from outside is taken to be right within this. What is told from outside holds for so long. */
 static const double SET_ANGLE_RAD = 1 * DEG, TOLD_S = 10;
+/* No working gyro loses the heading by so much. */
+static const double ASTRAY_RAD = 60 * DEG;
 /* A heading told that is further off is refused, but not the fifth in a row: then this filter is wrong; a velocity takes
  * the place of what was. */
 static const double GATE_SIGMAS = 5;
@@ -147,6 +151,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_forget_errors(k, config);
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
+	k->mean_force_n_m_s2 = (struct vec3){0, 0, force_m_s2};
 	k->lever_known = false;
 	forget_gathered(k);
 }
@@ -352,6 +357,25 @@ static double off_north(struct fusion_kalman *k, double bearing_rad)
 	return remainder(bearing_rad - k->north_rad, 2 * PI);
 }
 
+/* A field like the reference's, but from where north cannot be, is a magnet's that happens to be as long and to dip as much;
+ * that it stays so for long tells that the heading is lost. */
+static bool astray(struct fusion_kalman *k, const struct fusion_kalman_config *config, double off_rad, double variance)
+{
+	double believed =
+		fmax(squared(ASTRAY_RAD), squared(GATE_SIGMAS) * (k->covariance[HEADING][HEADING] + variance));
+
+	if (squared(off_rad) < believed) {
+		k->astray_s = fmax(0, k->astray_s - RECOVERY * k->time_s);
+		return false;
+	}
+	k->astray_s += k->time_s;
+	if (k->astray_s < config->rejection_time_s)
+		return true;
+	renew(k, HEADING, squared(off_rad));
+	k->astray_s = 0;
+	return false;
+}
+
 static bool measure_heading(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, bool rest, double *error)
 {
@@ -367,20 +391,20 @@ static bool measure_heading(
 		k->norm_uT = f.norm_uT;
 		k->dip_rad = f.dip_rad;
 		k->undisturbed_s = UNDISTURBED_S;
-		k->reference_s = k->rejected_s = 0;
+		k->reference_s = k->rejected_s = k->astray_s = 0;
 	}
 	f.off_norm_uT = f.norm_uT - k->norm_uT;
 	f.off_dip_rad = f.dip_rad - k->dip_rad;
 	f.within = near(k, f.off_norm_uT, k->norm_uT, f.off_dip_rad, config->field_limit);
 	f.rate_rad_s = sqrt(k->turned_rad2_s / k->time_s);
+	variance += DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
+		    squared(f.horizontal_uT);
 	factor = judge_field(k, config, &f);
 	if (field_moved_at_rest(k, m, rest) || factor == 0)
 		return false;
 	off = off_north(k, atan2(m.x, m.y));
-	if (k->yaw_s > 0)
+	if (k->yaw_s > 0 || astray(k, config, off, variance))
 		return false;
-	variance += DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
-		    squared(f.horizontal_uT);
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
 	measure(k, error, HEADING, off, factor * 2 * pose_s / k->time_s * variance);
 	return true;
@@ -487,12 +511,36 @@ static void age_what_was_told(struct fusion_kalman *k)
 	renew_velocity(k);
 }
 
+/* Upside down, an error of the tilt would not show as one: found anew from the mean force. Returns whether it had to be. */
+static bool find_tilt_again(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat *q_nb,
+	struct gyro_errors *learnt)
+{
+	struct vec3 *mean = &k->mean_force_n_m_s2, now = vec3_scale(1 / k->time_s, k->force_n_m_s), axis;
+	double length, angle;
+
+	*mean = vec3_add(*mean, vec3_scale(k->time_s / (MEAN_FORCE_TIME_S + k->time_s), vec3_sub(now, *mean)));
+	length = vec3_norm(*mean);
+	if (mean->z >= cos(LOST_TILT_RAD) * length)
+		return false;
+	angle = acos(fmax(-1, mean->z / length));
+	axis = (struct vec3){mean->y, -mean->x, 0};
+	axis = vec3_norm(axis) > 1e-9 * length ? vec3_scale(1 / vec3_norm(axis), axis) : (struct vec3){1, 0, 0};
+	*q_nb = quat_normalize(quat_multiply(quat_from_rotation_vector(vec3_scale(angle, axis)), *q_nb));
+	*learnt = (struct gyro_errors){0};
+	fusion_kalman_forget_errors(k, config);
+	fusion_kalman_start(k, config, length);
+	renew(k, HEADING, squared(LOST_HEADING_RAD));
+	return true;
+}
+
 static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct vec3 lever_n_m_s,
 	struct quat *q_nb, struct gyro_errors *learnt)
 {
 	double error[STATES] = {0};
 	bool rest = k->rest_s > 0.5 * k->time_s, field_used;
 
+	if (find_tilt_again(k, config, q_nb, learnt))
+		return false;
 	predict(k, config);
 	age_what_was_told(k);
 	measure_velocity(k, config, lever_n_m_s, rest, error);

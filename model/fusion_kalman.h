@@ -11,8 +11,9 @@
  *   acceleration. Nor does an error of the attitude make an error of that share: it turns with the rest.
  * - Heading: that of the field, doubted by how far length and dip are off their reference: what is seen to be disturbed
  *   along two axes is so along the third. Beyond the limits it is left out, until another field stayed the same
- *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed. An object that does not turn
- *   sees the same error again and again: little is learnt from that.
+ *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed; so is one from where north cannot
+ *   be. An object that does not turn sees the same error again and again: little is learnt from that.
+ * - A tilt so wrong that its error would not show as one (upside down) is found anew from the mean force.
  * - Gyro bias: learnt from tilt and heading in motion, from the gyro itself at rest.
  * - Gyro scale: learnt from the tilt of an object that turns to different sides: it turns the attitude by the same share
  *   of each turn. A few turns about the vertical with a scale wrong by 0.2 % turn the heading by degrees, so without a
@@ -71,9 +72,10 @@ enum {
 struct fusion_kalman {
 	double covariance[KALMAN_STATES][KALMAN_STATES];
 	/* PRIVATE */
-	double velocity_n_m_s[2];  /* of the accelerometer, horizontal */
-	struct vec3 lever_arm_b_m; /* of the last sample */
-	double spread_m2_s2;	   /* of the velocity, an axis */
+	double velocity_n_m_s[2];      /* of the accelerometer, horizontal */
+	struct vec3 lever_arm_b_m;     /* of the last sample */
+	double spread_m2_s2;	       /* of the velocity, an axis */
+	struct vec3 mean_force_n_m_s2; /* over seconds */
 	/* gathered since the last correction */
 	double time_s, rest_s, turned_rad2_s, turn_s[3][3]; /* turn_s: integral of the rotation matrix, */
 	double rate_turn_rad[3][3];			    /* .. and of that, its columns times the rates */
@@ -85,7 +87,7 @@ struct fusion_kalman {
 	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s, other_turn_s[3][3];
 	struct vec3 still_field_n_uT; /* since the beginning of a rest */
 	double still_s;
-	double reference_s, undisturbed_s, rejected_s;
+	double reference_s, undisturbed_s, rejected_s, astray_s;
 	double north_rad; /* where the field points to, clockwise from y; open: the next field tells */
 	bool north_open;
 	double yaw_s; /* for so long the heading last told still holds */

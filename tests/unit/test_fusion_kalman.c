@@ -386,6 +386,67 @@ static void test_measurements_without_sense_are_survived(void **state)
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * DEG);
 }
 
+/* On and on from one time to another, in this field; the truth at the end. */
+static struct quat go_on(struct fusion *f, double from_s, double to_s, struct vec3 field_n_uT)
+{
+	struct moment m = swinging(from_s, 1, (struct vec3){0, 0, 0});
+
+	for (int k = 0; k < (to_s - from_s) * 200; k++) {
+		m = swinging(from_s + k / 200.0, 1, (struct vec3){0, 0, 0});
+		m.sample.mag_uT = quat_rotate_inverse(m.q_nb, field_n_uT);
+		fusion_step(f, &m.sample, 0.005);
+	}
+	return m.q_nb;
+}
+
+static double tilt_off_rad(const struct fusion *f, struct quat truth)
+{
+	return acos(fmin(1, vec3_dot(up_of(f->q_nb), up_of(truth))));
+}
+
+static void test_an_attitude_upside_down_is_found_again_within_half_a_minute(void **state)
+{
+	const double turns_rad[] = {PI, 3, 2};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct fusion f = fusion(NINE_AXES);
+		struct quat truth;
+		struct vec3 turn = {0.6 * turns_rad[i], 0.8 * turns_rad[i], 0};
+
+		go_on(&f, 0, 10, FIELD_N);
+		f.q_nb = quat_multiply(quat_from_rotation_vector(turn), f.q_nb);
+		truth = go_on(&f, 10, 40, FIELD_N);
+		assert_true(tilt_off_rad(&f, truth) < 1 * DEG);
+		truth = go_on(&f, 40, 140, FIELD_N);
+		assert_quat_near(f.q_nb, truth, 3 * DEG);
+	}
+}
+
+/* As long as the Earth's field and with its dip, but from the south. */
+static void test_a_field_from_the_wrong_side_does_not_turn_the_heading(void **state)
+{
+	struct fusion f = fusion(NINE_AXES);
+	struct quat truth;
+
+	(void)state;
+	go_on(&f, 0, 30, FIELD_N);
+	truth = go_on(&f, 30, 80, (struct vec3){5, -19.4, -45});
+	assert_quat_near(f.q_nb, truth, 2 * DEG);
+}
+
+static void test_a_heading_lost_is_found_again_after_the_rejection_time(void **state)
+{
+	struct fusion f = fusion(NINE_AXES);
+	struct quat truth;
+
+	(void)state;
+	go_on(&f, 0, 30, FIELD_N);
+	f.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 2.5}), f.q_nb);
+	truth = go_on(&f, 30, 30 + NINE_AXES.kalman.rejection_time_s + 30, FIELD_N);
+	assert_quat_near(f.q_nb, truth, 3 * DEG);
+}
+
 static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree(void **state)
 {
 	(void)state;
@@ -471,6 +532,9 @@ int main(void)
 		cmocka_unit_test(test_switching_to_it_and_away_keeps_attitude_and_bias),
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_are_found_again),
 		cmocka_unit_test(test_measurements_without_sense_are_survived),
+		cmocka_unit_test(test_an_attitude_upside_down_is_found_again_within_half_a_minute),
+		cmocka_unit_test(test_a_field_from_the_wrong_side_does_not_turn_the_heading),
+		cmocka_unit_test(test_a_heading_lost_is_found_again_after_the_rejection_time),
 		cmocka_unit_test(test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree),
 		cmocka_unit_test(test_the_delay_shows_the_attitude_ahead_by_the_rate),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
