@@ -34,6 +34,8 @@ static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 static const double REST_VELOCITY_M_S = 0.01;
 /* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of a heading then. */
 static const double MEAN_FORCE_TIME_S = 3, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
+/* A rate at the end of the gyro's range may be larger by that share of it. */
+static const double SATURATED_SHARE = 0.5;
 /* A longer time without samples leaves no velocity to integrate from. */
 static const double GAP_S = 0.1;
 /* The least horizontal part of the field, as a share of it, that shows a heading. */
@@ -96,7 +98,7 @@ static void renew(struct fusion_kalman *k, int i, double variance)
 
 static void forget_gathered(struct fusion_kalman *k)
 {
-	k->time_s = k->rest_s = k->turned_rad2_s = 0;
+	k->time_s = k->rest_s = k->turned_rad2_s = k->lost_rad = 0;
 	memset(k->turn_s, 0, sizeof(k->turn_s));
 	memset(k->rate_turn_rad, 0, sizeof(k->rate_turn_rad));
 	k->force_n_m_s = k->gyro_b_rad = k->field_n_uT = (struct vec3){0, 0, 0};
@@ -211,8 +213,8 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 {
 	struct vec3 force = vec3_sub(k->force_n_m_s, vec3_sub(k->lever_n_m_s, k->lever_from_n_m_s));
 	double t = k->time_s;
-	double turn_noise =
-		t * squared(GYRO_NOISE) + squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s;
+	double turn_noise = t * squared(GYRO_NOISE) +
+			    squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s + squared(k->lost_rad);
 
 	transit(k, force);
 	transpose(k->covariance);
@@ -617,6 +619,7 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->gyro_b_rad = vec3_add(k->gyro_b_rad, vec3_scale(dt_s, s->gyro_b_rad_s));
 	k->turned_rad2_s += dt_s * vec3_dot(s->rate_b_rad_s, s->rate_b_rad_s);
 	k->rest_s += s->rest ? dt_s : 0;
+	k->lost_rad += s->saturated ? SATURATED_SHARE * dt_s * vec3_norm(s->rate_b_rad_s) : 0;
 	if (s->field_b_uT) {
 		k->field_n_uT = vec3_add(k->field_n_uT, quat_rotate(*q_nb, *s->field_b_uT));
 		k->fields++;

@@ -77,6 +77,7 @@ struct fusion_kalman {
 	double spread_m2_s2;	       /* of the velocity, an axis */
 	struct vec3 mean_force_n_m_s2; /* over seconds */
 	/* gathered since the last correction */
+	double lost_rad;				    /* 1 sigma of the turn that a saturated gyro did not show */
 	double time_s, rest_s, turned_rad2_s, turn_s[3][3]; /* turn_s: integral of the rotation matrix, */
 	double rate_turn_rad[3][3];			    /* .. and of that, its columns times the rates */
 	struct vec3 force_n_m_s, gyro_b_rad, field_n_uT;
@@ -129,7 +130,7 @@ struct fusion_kalman_sample {
 	struct vec3 force_b_m_s2;		/* 0: none */
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
-	bool rest;
+	bool rest, saturated;
 };
 
 /** One sample, after the attitude was turned by it. Corrects attitude and errors now and then; returns true when the field

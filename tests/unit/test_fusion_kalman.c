@@ -423,6 +423,42 @@ static void test_an_attitude_upside_down_is_found_again_within_half_a_minute(voi
 	}
 }
 
+/* RMS of the tilt over the 5 s after the gyro stood at the end of its range, again and again. */
+static double tilt_after_clipping_rad(unsigned flag)
+{
+	const double most_rad_s = 1.2;
+	struct fusion f = fusion(NINE_AXES);
+	double sum = 0;
+	int n = 0;
+
+	for (int k = 0; k < 60 * 200; k++) {
+		struct moment m = swinging(k / 200.0, 1, (struct vec3){0, 0, 0});
+		struct vec3 *w = &m.sample.gyro_rad_s;
+		bool clipped = k % 2000 > 1600 && fmax(fabs(w->x), fmax(fabs(w->y), fabs(w->z))) > most_rad_s;
+
+		if (clipped) {
+			*w = (struct vec3){fmin(most_rad_s, fmax(-most_rad_s, w->x)),
+				fmin(most_rad_s, fmax(-most_rad_s, w->y)), fmin(most_rad_s, fmax(-most_rad_s, w->z))};
+			m.sample.flags |= flag;
+		}
+		fusion_step(&f, &m.sample, 0.005);
+		if (k < 2000 || k % 2000 > 1000)
+			continue;
+		sum += pow(tilt_off_rad(&f, m.q_nb), 2);
+		n++;
+	}
+	return sqrt(sum / n);
+}
+
+static void test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_accelerometer(void **state)
+{
+	double told = tilt_after_clipping_rad(SAMPLE_SATURATED), untold = tilt_after_clipping_rad(0);
+
+	(void)state;
+	print_message("tilt after clipping: %.2f degrees, %.2f if it is not told\n", told / DEG, untold / DEG);
+	assert_true(told < 0.7 * untold);
+}
+
 /* As long as the Earth's field and with its dip, but from the south. */
 static void test_a_field_from_the_wrong_side_does_not_turn_the_heading(void **state)
 {
@@ -533,6 +569,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_are_found_again),
 		cmocka_unit_test(test_measurements_without_sense_are_survived),
 		cmocka_unit_test(test_an_attitude_upside_down_is_found_again_within_half_a_minute),
+		cmocka_unit_test(test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_accelerometer),
 		cmocka_unit_test(test_a_field_from_the_wrong_side_does_not_turn_the_heading),
 		cmocka_unit_test(test_a_heading_lost_is_found_again_after_the_rejection_time),
 		cmocka_unit_test(test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree),
