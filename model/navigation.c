@@ -28,8 +28,8 @@ static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
 static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
 /* Biases walk by their instability in that time. */
 static const double BIAS_TIME_S = 100;
-/* What is left of the velocity at a standstill: vibration of the support. */
-static const double STILL_VELOCITY_M_S = 0.01;
+/* What is left of velocity and acceleration at a standstill: vibration of the support. */
+static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
 static const double STILL_SMOOTH_S = 0.004, STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5;
 /* A shorter standstill does not part two movements. */
 static const double STOOD_S = 1;
@@ -300,21 +300,60 @@ static void watch_stillness(
 	s->still_s = still ? s->still_s + dt : 0;
 }
 
-static bool may_be_zero(double velocity, double var)
+static bool may_be_zero(double value, double var, double sigma)
 {
-	return velocity * velocity < square(STILL_GATE_SIGMAS) * (var + square(STILL_VELOCITY_M_S));
+	return square(value) < square(STILL_GATE_SIGMAS) * (var + square(sigma));
 }
 
-/* A steady motion scatters no more than a standstill does: the velocity must agree, or it lasts. */
-static bool stands_still(const struct navigation *n)
+/* Of the acceleration's error theta x f - R ba along one axis; its rows of -[f]x and R. */
+static double accel_variance(const struct navigation *n, const double minus_f[3], const double r[3])
+{
+	const int at[6] = {THETA, THETA + 1, THETA + 2, BA, BA + 1, BA + 2};
+	const double row[6] = {minus_f[0], minus_f[1], minus_f[2], -r[0], -r[1], -r[2]};
+	double var = 0;
+
+	for (int i = 0; i < 6; i++)
+		for (int j = 0; j < 6; j++)
+			var += row[i] * n->p[at[i]][at[j]] * row[j];
+	return var;
+}
+
+static bool velocity_may_be_zero(const struct navigation *n)
 {
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
-	double still_s = n->stillness.still_s;
 
-	if (still_s <= STILL_TIME_S || (n->aided_s > 0 && n->told_to_move))
+	return may_be_zero(v.x, var.x, STILL_VELOCITY_M_S) && may_be_zero(v.y, var.y, STILL_VELOCITY_M_S) &&
+	       may_be_zero(v.z, var.z, STILL_VELOCITY_M_S);
+}
+
+static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
+{
+	struct mat3 r = mat3_from_quat(n->q_nb);
+	struct vec3 f = mat3_apply(r, vec3_sub(n->stillness.force_mean, n->accel_bias_b_m_s2));
+	const struct mat3 minus_f = minus_cross(f);
+	const double accel[3] = {f.x, f.y, f.z - gravity_m_s2};
+
+	for (int i = 0; i < 3; i++)
+		if (!may_be_zero(accel[i], 0, STILL_ACCEL_M_S2) && /* mostly it is, and the variance costs more */
+			!may_be_zero(accel[i], accel_variance(n, minus_f.m[i], r.m[i]), STILL_ACCEL_M_S2))
+			return false;
+	return true;
+}
+
+/* A steady motion, or one that slows down steadily, scatters no more than a standstill does: velocity and acceleration must
+ * agree, or it lasts. */
+static bool stands_still(struct navigation *n, double gravity_m_s2, double dt)
+{
+	if (n->stillness.still_s <= STILL_TIME_S || (n->aided_s > 0 && n->told_to_move)) {
+		n->contradicted_s = 0;
 		return false;
-	return still_s > n->config.rest_s ||
-	       (may_be_zero(v.x, var.x) && may_be_zero(v.y, var.y) && may_be_zero(v.z, var.z));
+	}
+	if (velocity_may_be_zero(n) && accel_may_be_zero(n, gravity_m_s2)) {
+		n->contradicted_s = fmax(0, n->contradicted_s - dt);
+		return true;
+	}
+	n->contradicted_s += dt;
+	return n->contradicted_s > n->config.rest_s;
 }
 
 /* Of the reference point. */
@@ -553,7 +592,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	bool still, ended;
 
 	watch_stillness(&n->stillness, &n->config, in, dt_s);
-	still = stands_still(n);
+	still = stands_still(n, in->gravity_m_s2, dt_s);
 	if (n->still && !still && (n->stood_s > STOOD_S || n->parted))
 		begin_movement(n, in);
 	n->parted &= still;

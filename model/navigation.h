@@ -49,7 +49,7 @@ struct navigation_config {
 	struct noise_config noise;
 	/* standing still: gyro and accelerometer scatter by less than half of that, and their mean does not move by a fifth */
 	double still_gyro_rad_s, still_accel_m_s2;
-	double rest_s; /* >= 0: after so long it is believed, whatever the velocity seems to be */
+	double rest_s; /* >= 0: after so long it is believed, whatever velocity and acceleration seem to be */
 };
 
 /** One calibrated sample and what is known beside it. */
@@ -98,6 +98,7 @@ struct navigation {
 	struct navigation_sums sums;
 	struct stillness stillness;
 	double stood_s;		 /* for how long it is still */
+	double contradicted_s;	 /* for how long it would be, but for velocity or acceleration */
 	struct vec3 quick_n_m_s; /* high-pass of the reference point's velocity */
 	struct vec3 lever_n_m_s; /* of the sensor's velocity, the lever arm's share when that was last moved on */
 	bool lever_known;

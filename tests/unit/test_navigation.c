@@ -276,6 +276,24 @@ static void test_the_displacement_at_rest_is_right_and_its_sigma_honest(void **s
 	assert_true(worst < 0.5);
 }
 
+/* Slowing down gently scatters as little as a standstill. */
+static void test_a_gentle_way_is_no_standstill(void **state)
+{
+	static const struct way WAYS[] = {{.time_s = 2, .to_n_m = {0.1, 0, 0}}, {.time_s = 3, .to_n_m = {0, 1, 0}},
+		{.time_s = 4, .to_n_m = {1, 0, 0}}};
+	const struct navigation_config config = levelling();
+
+	(void)state;
+	for (int i = 0; i < 3; i++)
+		for (uint64_t seed = 1; seed <= 5; seed++) {
+			struct position p = travel(&WAYS[i], &config, seed);
+			struct vec3 error = vec3_sub(p.position_n_m, WAYS[i].to_n_m);
+
+			assert_true(p.navigation.still);
+			assert_true(vec3_norm(error) < 0.02 + 0.03 * vec3_norm(WAYS[i].to_n_m));
+		}
+}
+
 static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
 {
 	const struct navigation_config config = levelling();
@@ -590,6 +608,7 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
+		cmocka_unit_test(test_a_gentle_way_is_no_standstill),
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
 		cmocka_unit_test(test_sigma_is_honest_on_a_simulated_robot_at_any_rate),
 		cmocka_unit_test(test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate),
