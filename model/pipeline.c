@@ -417,16 +417,26 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u);
 }
 
-/* The acceleration is as uncertain as the lever arm's share of it and what carries it over the latency, too. */
-static struct navigation_sigma with_lever_arm(const struct pipeline *p, struct vec3 omega_b_rad_s)
+static double root_of_sum(double sigma, double more)
+{
+	return sqrt(fmax(0, sigma * sigma + more));
+}
+
+/* The acceleration is as uncertain as the lever arm's share of it and what carries it over the latency, too; and an error of
+ * the attitude turns not only gravity (which is in the sigma already) but the acceleration itself. */
+static struct navigation_sigma with_acceleration(
+	const struct pipeline *p, struct vec3 omega_b_rad_s, struct vec3 accel_n_m_s2)
 {
 	struct navigation_sigma sigma = p->position.sigma;
-	struct vec3 *accel = &sigma.accel_m_s2;
-	double more = lever_variance(p, omega_b_rad_s) + change_variance(p);
+	double more = lever_variance(p, omega_b_rad_s) + change_variance(p), g = p->config.estimator.gravity_m_s2;
+	struct vec3 *accel = &sigma.accel_m_s2, a = accel_n_m_s2;
+	double x2 = sigma.attitude_rad.x * sigma.attitude_rad.x, y2 = sigma.attitude_rad.y * sigma.attitude_rad.y;
+	double z2 = sigma.attitude_rad.z * sigma.attitude_rad.z, lifted = a.z * (a.z + 2 * g);
 
 	if (accel->x > 0)
-		*accel = (struct vec3){sqrt(accel->x * accel->x + more), sqrt(accel->y * accel->y + more),
-			sqrt(accel->z * accel->z + more)};
+		*accel = (struct vec3){root_of_sum(accel->x, more + y2 * lifted + z2 * a.y * a.y),
+			root_of_sum(accel->y, more + x2 * lifted + z2 * a.x * a.x),
+			root_of_sum(accel->z, more + x2 * a.y * a.y + y2 * a.x * a.x)};
 	return sigma;
 }
 
@@ -487,7 +497,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.position_n_m = p->position.position_n_m,
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
-		.sigma = with_lever_arm(p, rates->omega_b_rad_s),
+		.sigma = with_acceleration(p, rates->omega_b_rad_s, accel),
 		.learnt = p->fusion.learnt,
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),

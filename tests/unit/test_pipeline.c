@@ -1020,6 +1020,25 @@ static void test_a_recorded_hand_movement_is_followed_within_five_degrees(void *
 	assert_true(sqrt(sum / n) < 5 * DEG);
 }
 
+/* What is taken for the acceleration points as wrongly as the attitude. */
+static void test_the_acceleration_is_as_uncertain_as_its_direction(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	double most = 0;
+
+	(void)state;
+	for (int k = 0; k < 500; k++) {
+		struct pipeline_output out = run(&p, moving, k, k + 1);
+		struct vec3 a = out.accel_n_m_s2, angle = out.sigma.attitude_rad, sigma = out.sigma.accel_m_s2;
+
+		assert_true(sigma.x >= angle.z * fabs(a.y) && sigma.y >= angle.z * fabs(a.x));
+		assert_true(sigma.x >= angle.y * fabs(a.z + config.estimator.gravity_m_s2));
+		most = fmax(most, fmax(fabs(a.x), fabs(a.y)));
+	}
+	assert_true(most > 1); /* or the test would say nothing */
+}
+
 /* Of one recorded trial while it moves, the mean over samples and axes of the squared error in units of sigma: of the
  * attitude, and of the way since the movement began. */
 static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, double *way)
@@ -1152,6 +1171,7 @@ int main(void)
 		cmocka_unit_test(test_told_before_there_is_an_attitude_it_does_nothing),
 		cmocka_unit_test(test_no_input_makes_an_output_that_is_not_finite),
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
+		cmocka_unit_test(test_the_acceleration_is_as_uncertain_as_its_direction),
 		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
 	};
 
