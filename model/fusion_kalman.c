@@ -522,7 +522,7 @@ static bool find_tilt_again(struct fusion_kalman *k, const struct fusion_kalman_
 
 	*mean = vec3_add(*mean, vec3_scale(k->time_s / (MEAN_FORCE_TIME_S + k->time_s), vec3_sub(now, *mean)));
 	length = vec3_norm(*mean);
-	if (mean->z >= cos(LOST_TILT_RAD) * length)
+	if (!(mean->z < cos(LOST_TILT_RAD) * length))
 		return false;
 	angle = acos(fmax(-1, mean->z / length));
 	axis = (struct vec3){mean->y, -mean->x, 0};
