@@ -33,7 +33,7 @@ static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 /* Velocity at rest: of the sensor's mounting, of vibration; m/s in one correction. */
 static const double REST_VELOCITY_M_S = 0.01;
 /* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of a heading then. */
-static const double MEAN_FORCE_TIME_S = 3, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
+static const double MEAN_FORCE_TIME_S = 1, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
 /* A rate at the end of the gyro's range may be larger by that share of it. */
 static const double SATURATED_SHARE = 0.5;
 /* A longer time without samples leaves no velocity to integrate from. */
@@ -59,6 +59,8 @@ static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
 static const double SET_ANGLE_RAD = 1 * DEG, TOLD_S = 10;
 /* No working gyro loses the heading by so much. */
 static const double ASTRAY_RAD = 60 * DEG;
+/* Unless the tilt was wrong when the field was first seen, which this much of it, well known, rules out. */
+static const double KNOWN_FIELD_S = 10;
 /* A heading told that is further off is refused, but not the fifth in a row: then this filter is wrong; a velocity takes
  * the place of what was. */
 static const double GATE_SIGMAS = 5;
@@ -366,7 +368,7 @@ static bool astray(struct fusion_kalman *k, const struct fusion_kalman_config *c
 	double believed =
 		fmax(squared(ASTRAY_RAD), squared(GATE_SIGMAS) * (k->covariance[HEADING][HEADING] + variance));
 
-	if (squared(off_rad) < believed) {
+	if (squared(off_rad) < believed || k->reference_s < KNOWN_FIELD_S) {
 		k->astray_s = fmax(0, k->astray_s - RECOVERY * k->time_s);
 		return false;
 	}

@@ -75,7 +75,7 @@ struct fusion_kalman {
 	double velocity_n_m_s[2];      /* of the accelerometer, horizontal */
 	struct vec3 lever_arm_b_m;     /* of the last sample */
 	double spread_m2_s2;	       /* of the velocity, an axis */
-	struct vec3 mean_force_n_m_s2; /* over seconds */
+	struct vec3 mean_force_n_m_s2; /* over a second */
 	/* gathered since the last correction */
 	double lost_rad;				    /* 1 sigma of the turn that a saturated gyro did not show */
 	double time_s, rest_s, turned_rad2_s, turn_s[3][3]; /* turn_s: integral of the rotation matrix, */

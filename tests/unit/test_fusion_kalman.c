@@ -471,6 +471,30 @@ static void test_a_field_from_the_wrong_side_does_not_turn_the_heading(void **st
 	assert_quat_near(f.q_nb, truth, 2 * DEG);
 }
 
+/* Shaken by 10 m/s^2 to and fro, so that the first tilt may be wrong by 45 degrees. */
+static void test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_half_a_minute(void **state)
+{
+	double worst = 0;
+
+	(void)state;
+	for (int i = 0; i < 60; i++) {
+		struct fusion f = fusion(NINE_AXES);
+		struct moment m = swinging(0, 1, (struct vec3){0, 0, 0});
+
+		for (int k = 0; k < 30 * 200; k++) {
+			double t = 0.7 * i + k / 200.0;
+			struct vec3 shaken = {10 * sin(7 * t), 10 * cos(9 * t), 0};
+
+			m = swinging(t, 1, (struct vec3){0, 0, 0});
+			m.sample.accel_m_s2 = vec3_add(m.sample.accel_m_s2, quat_rotate_inverse(m.q_nb, shaken));
+			fusion_step(&f, &m.sample, 0.005);
+		}
+		worst = fmax(worst, quat_apart_rad(f.q_nb, m.q_nb));
+	}
+	print_message("worst of 60 starts in motion: %.1f degrees off after 30 s\n", worst / DEG);
+	assert_true(worst < 10 * DEG);
+}
+
 static void test_a_heading_lost_is_found_again_after_the_rejection_time(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
@@ -571,6 +595,7 @@ int main(void)
 		cmocka_unit_test(test_an_attitude_upside_down_is_found_again_within_half_a_minute),
 		cmocka_unit_test(test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_accelerometer),
 		cmocka_unit_test(test_a_field_from_the_wrong_side_does_not_turn_the_heading),
+		cmocka_unit_test(test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_half_a_minute),
 		cmocka_unit_test(test_a_heading_lost_is_found_again_after_the_rejection_time),
 		cmocka_unit_test(test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree),
 		cmocka_unit_test(test_the_delay_shows_the_attitude_ahead_by_the_rate),
