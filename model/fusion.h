@@ -56,8 +56,9 @@ void fusion_restart(struct fusion *f);
 /** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
 void fusion_turn_object(struct fusion *f, struct quat turn);
 
-/** The gyro, calibrated, at rest for another dt_s: that is its bias. Tell it before the step of this sample. Learns the mean over all rest, the last
- * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature (the Kalman filter by its own weights). */
+/** The gyro, calibrated, at rest for another dt_s: that is its bias. Tell it before the step of this sample. Learns the mean
+ * over all rest, the last FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature (the Kalman filter by
+ * its own weights). */
 void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
 /** The gyro was calibrated anew: no errors, nothing learnt. */
 void fusion_forget_errors(struct fusion *f);

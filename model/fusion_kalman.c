@@ -32,7 +32,8 @@ static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.5;
 static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 /* Velocity at rest: of the sensor's mounting, of vibration; m/s in one correction. */
 static const double REST_VELOCITY_M_S = 0.01;
-/* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of a heading then. */
+/* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of the
+ * heading then. */
 static const double MEAN_FORCE_TIME_S = 1, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
 /* A rate at the end of the gyro's range may be larger by that share of it. */
 static const double SATURATED_SHARE = 0.5;
@@ -187,9 +188,8 @@ static void add_rows(double c[STATES][STATES], int to, int rows, double sign, do
 				sign * (m[i][0] * c[from][j] + m[i][1] * c[from + 1][j] + m[i][2] * c[from + 2][j]);
 }
 
-/* c = F c: attitude += rate_turn scale - turn bias; velocity += attitude x force. An error of the
- * attitude falsifies the accelerometer's velocity and the lever arm's share of it alike: force is what the reference point
- * feels. */
+/* c = F c: attitude += rate_turn scale - turn bias; velocity += attitude x force. An error of the attitude falsifies the
+ * accelerometer's velocity and the lever arm's share of it alike: force is what the reference point feels. */
 static void transit(struct fusion_kalman *k, struct vec3 f)
 {
 	double(*c)[STATES] = k->covariance, cross[3][3] = {{0, f.z, -f.y}, {-f.z, 0, f.x}};
@@ -423,7 +423,7 @@ static bool sound(const struct fusion_kalman *k)
 	return true;
 }
 
-/* Adds what was found; `norm` is its most. */
+/* Adds what was found; the sum is no longer than `most`. */
 static void learn(struct vec3 *of, const double *error, double most)
 {
 	double norm;
