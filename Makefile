@@ -23,7 +23,7 @@ sources = $(sort $(wildcard $(1)))
 objects = $(patsubst %.c,$(BUILD)/obj/%.o,$(1))
 GEN := $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md $(BUILD)/gen/imu9-gateway.dbc
 
-MODEL_SRC := $(call sources,model/*.c)
+MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c drivers/i2c/*.c)
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c)

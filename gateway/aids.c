@@ -4,7 +4,7 @@
 
 #include "gateway/publish.h"
 #include "gateway/status.h"
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 #define RAD_PER_DEG (3.14159265358979323846 / 180)
 

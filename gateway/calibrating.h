@@ -1,13 +1,13 @@
 /* gateway/calibrating.h
- * Calibration by command (2061h): raw samples go into one of model/calibrate_*.h, progress and result appear in the
+ * Calibration by command (2061h): raw samples go into one of model/identify/calibrate_*.h, progress and result appear in the
  * object, and "accept" writes the result to 2050h, 2051h or 2052h, from where it takes effect with the next sample and
  * 1010h keeps it. One runs at a time, and not beside the identification of the lever arm (2060h). */
 #ifndef GATEWAY_CALIBRATING_H
 #define GATEWAY_CALIBRATING_H
 
-#include "model/calibrate_accelerometer.h"
-#include "model/calibrate_gyro.h"
-#include "model/calibrate_magnetometer.h"
+#include "model/identify/calibrate_accelerometer.h"
+#include "model/identify/calibrate_gyro.h"
+#include "model/identify/calibrate_magnetometer.h"
 #include "od/od.h"
 #include "od_values.h"
 

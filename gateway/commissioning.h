@@ -9,7 +9,7 @@
 #ifndef GATEWAY_COMMISSIONING_H
 #define GATEWAY_COMMISSIONING_H
 
-#include "model/lever_identification.h"
+#include "model/identify/lever_identification.h"
 #include "model/pipeline.h"
 #include "od/od.h"
 #include "od_values.h"

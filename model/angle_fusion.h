@@ -9,7 +9,7 @@
 #include <stdbool.h>
 
 #include "model/noise.h"
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 struct angle_fusion {
 	struct noise_config noise;

@@ -5,7 +5,7 @@
 #ifndef MODEL_CALIBRATION_H
 #define MODEL_CALIBRATION_H
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 #include "model/sample.h"
 
 struct triad_calibration {

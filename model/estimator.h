@@ -5,7 +5,7 @@
 #ifndef MODEL_ESTIMATOR_H
 #define MODEL_ESTIMATOR_H
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 #include "model/rates.h"
 
 enum lever_arm_model {

@@ -3,7 +3,7 @@
 #include <errno.h>
 #include <stddef.h>
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 /* The least horizontal part of the field, as a share of it, that shows a heading. */
 static const double LEAST_HORIZONTAL = 1e-3;

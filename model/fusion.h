@@ -17,7 +17,7 @@
 #define MODEL_FUSION_H
 
 #include "model/fusion_kalman.h"
-#include "model/quat.h"
+#include "model/math/quat.h"
 #include "model/sample.h"
 
 enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1, FUSION_KALMAN = 2 };

@@ -3,7 +3,7 @@
 #include <errno.h>
 #include <string.h>
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 #define PI  3.14159265358979323846
 #define DEG (PI / 180)

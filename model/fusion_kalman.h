@@ -29,7 +29,7 @@
 #ifndef MODEL_FUSION_KALMAN_H
 #define MODEL_FUSION_KALMAN_H
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 struct fusion_kalman_config {
 	double velocity_sigma_m_s; /* 0.01..1000: of the reference point, at most; a smaller one trusts the

@@ -28,7 +28,7 @@
 #define MODEL_NAVIGATION_H
 
 #include "model/noise.h"
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 #define NAVIGATION_INTERVAL_S 0.04
 #define NAVIGATION_QUICK_S    1.0

@@ -17,7 +17,7 @@
 #include "model/auto_correction.h"
 #include "model/calibration.h"
 #include "model/estimator.h"
-#include "model/filter.h"
+#include "model/math/filter.h"
 #include "model/fusion.h"
 #include "model/position.h"
 #include "model/rates.h"

@@ -10,9 +10,9 @@
 #ifndef MODEL_RATES_H
 #define MODEL_RATES_H
 
-#include "model/differentiator.h"
-#include "model/filter.h"
-#include "model/quat.h"
+#include "model/math/differentiator.h"
+#include "model/math/filter.h"
+#include "model/math/quat.h"
 
 enum rate_source { RATES_FROM_GYRO = 0, RATES_FROM_ANGLES = 1 };
 enum { RATE_SOURCES = 2 };

@@ -6,7 +6,7 @@
 #ifndef MODEL_REST_H
 #define MODEL_REST_H
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 struct rest_config {
 	double gyro_threshold_rad_s; /* > 0: deviation from the slow mean, and the mean itself; so a

@@ -6,7 +6,7 @@
 
 #include <stdint.h>
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 enum {
 	SAMPLE_MAG = 1 << 0,	       /* mag_uT holds a new measurement */

@@ -9,7 +9,7 @@
 #ifndef MODEL_SEED_H
 #define MODEL_SEED_H
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 /** The seed's angles phi, theta, psi (in x, y, z) and their first and second derivatives. */
 struct seed_motion {

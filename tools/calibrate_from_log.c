@@ -4,10 +4,10 @@
 #include <string.h>
 
 #include "drivers/imu/imu_log.h"
-#include "model/calibrate_accelerometer.h"
-#include "model/calibrate_gyro.h"
-#include "model/calibrate_magnetometer.h"
-#include "model/calibrate_temperature.h"
+#include "model/identify/calibrate_accelerometer.h"
+#include "model/identify/calibrate_gyro.h"
+#include "model/identify/calibrate_magnetometer.h"
+#include "model/identify/calibrate_temperature.h"
 #include "tools/calibrate_sensor.h"
 #include "tools/cli.h"
 

@@ -7,7 +7,7 @@
 
 #include "drivers/imu/imu_log.h"
 #include "gateway/settings.h"
-#include "model/lever_identification.h"
+#include "model/identify/lever_identification.h"
 #include "od_values.h"
 #include "tools/cli.h"
 #include "tools/cli_config.h"

@@ -3,7 +3,7 @@
 #include <string.h>
 #include <unistd.h>
 
-#include "model/calibrate.h"
+#include "model/identify/calibrate.h"
 #include "od_values.h"
 #include "tools/calibrate_sensor.h"
 #include "tools/cli_node.h"

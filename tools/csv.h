@@ -6,7 +6,7 @@
 #include <stdint.h>
 #include <stdio.h>
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 enum { CSV_ROW_MAX = 1024 };
 

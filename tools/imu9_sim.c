@@ -6,7 +6,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 #include "tools/cli.h"
 #include "tools/csv.h"
 #include "tools/experiments/experiments.h"

@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 enum { COLUMN_T, COLUMN_Q, COLUMN_ACCEL = 5, COLUMNS = 8, FIELDS_MAX = 256 };
 static const char *const NAMES[COLUMNS] = {"t", "qw", "qx", "qy", "qz", "arx", "ary", "arz"};

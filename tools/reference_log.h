@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 struct reference_log { /* start from all 0 */
 	size_t count;

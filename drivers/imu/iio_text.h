@@ -5,7 +5,7 @@
 
 #include <stddef.h>
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 /** "1, 0, 0; 0, 1, 0; 0, 0, 1": rows that turn a reading into the axes of the device the chip is built into. 0;
  * -EINVAL: no such matrix, or not a rotation; `rows` stays. */

@@ -1,5 +1,5 @@
-/* A simulated robot: the real driver on simulated chips (sim_chips.h) that feel a scenario of model/signal with the
- * noise of model/sensor, calibrated, in real time, for ever. */
+/* A simulated robot: the real driver on simulated chips (sim_chips.h) that feel a scenario of model/sim/signal with the
+ * noise of model/sim/sensor, calibrated, in real time, for ever. */
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>

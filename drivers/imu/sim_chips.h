@@ -11,7 +11,7 @@
 
 #include "drivers/i2c/i2c.h"
 #include "drivers/ports/imu.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 struct sim_access {
 	unsigned long number; /* since the start, from 0 */

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <time.h>
 
-#include "model/lever_identification.h"
+#include "model/identify/lever_identification.h"
 
 enum { SAMPLES = 200000, ESTIMATES = 200 };
 

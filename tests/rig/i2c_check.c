@@ -8,7 +8,7 @@
 #include <stdlib.h>
 
 #include "drivers/ports/imu.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 /* RMS limits: rad/s, m/s^2, uT */
 #define GYRO_LIMIT  0.03

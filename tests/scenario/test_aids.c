@@ -6,7 +6,7 @@
 
 #include "gateway/status.h"
 #include "gateway/threshold.h"
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 #include "tests/scenario/world.h"
 
 #define RAD_PER_DEG (3.14159265358979323846 / 180)

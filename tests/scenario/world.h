@@ -1,6 +1,6 @@
 /* tests/scenario/world.h
  * The world around a whole device (gateway/device.h), in simulated time: a sensor that moves as a signal says
- * (model/sensor.h), a bus that keeps what the device sends, and a disk. The clock moves with each sample, and where a
+ * (model/sim/sensor.h), a bus that keeps what the device sends, and a disk. The clock moves with each sample, and where a
  * test moves it.
  *
  * A test that needs more around its device puts the world first into a struct of its own. */
@@ -14,7 +14,7 @@
 #include <cmocka.h>
 
 #include "gateway/device.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 #define assert_near(a, b, tolerance) assert_true(fabs((double)(a) - (double)(b)) <= (tolerance))
 

@@ -10,7 +10,7 @@
 #include <errno.h>
 #include <cmocka.h>
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 #define PI  3.14159265358979323846
 #define DEG (PI / 180)

@@ -6,7 +6,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 #include "tools/allan.h"
 
 enum { N = 200000 };

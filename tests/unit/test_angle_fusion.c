@@ -7,8 +7,8 @@
 #include <math.h>
 
 #include "model/angle_fusion.h"
-#include "model/rng.h"
-#include "model/signal.h"
+#include "model/sim/rng.h"
+#include "model/sim/signal.h"
 
 static const double DEG = 3.14159265358979323846 / 180, DT_S = 0.01;
 static const struct noise_config NOISE = {0.035, 5e-4, 2e-4, 0, 0}; /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */

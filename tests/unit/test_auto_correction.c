@@ -6,7 +6,7 @@
 #include <math.h>
 
 #include "model/auto_correction.h"
-#include "model/rng.h"
+#include "model/sim/rng.h"
 
 enum { N = 100000 };
 static const double RATE_HZ = 100;

@@ -26,8 +26,8 @@ static void checksum_of(const char *build, char *sum, int size)
 
 	close(mkstemp(program));
 	snprintf(command, sizeof command,
-		"%s -std=c11 -I. -ffp-contract=off -o %s tests/unit/bits/samples.c model/rng.c model/signal.c "
-		"model/sensor.c -lm && "
+		"%s -std=c11 -I. -ffp-contract=off -o %s tests/unit/bits/samples.c model/sim/rng.c model/sim/signal.c "
+		"model/sim/sensor.c -lm && "
 		"%s | cksum",
 		build, program, program);
 	pipe = popen(command, "r");

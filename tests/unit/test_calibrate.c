@@ -1,16 +1,16 @@
 /* Calibrations find the errors that a simulated chip was given, within the sigma they state, and refuse what can not tell
- * them. Every chip of model/sensor is another draw of bias, scale, cross-axis errors and noise. */
+ * them. Every chip of model/sim/sensor is another draw of bias, scale, cross-axis errors and noise. */
 #include "model_test.h"
 
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/calibrate_accelerometer.h"
-#include "model/calibrate_gyro.h"
-#include "model/calibrate_magnetometer.h"
-#include "model/calibrate_temperature.h"
-#include "model/ellipsoid.h"
-#include "model/sensor.h"
+#include "model/identify/calibrate_accelerometer.h"
+#include "model/identify/calibrate_gyro.h"
+#include "model/identify/calibrate_magnetometer.h"
+#include "model/identify/calibrate_temperature.h"
+#include "model/identify/ellipsoid.h"
+#include "model/sim/sensor.h"
 
 #define G 9.81
 

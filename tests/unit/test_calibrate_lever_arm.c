@@ -6,7 +6,7 @@
 #include <unistd.h>
 
 #include "gateway/config.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 #include "od_values.h"
 #include "tests/unit/model_test.h"
 #include "tools/calibrate_lever_arm.h"

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/rng.h"
+#include "model/sim/rng.h"
 #include "tools/csv.h"
 
 static void assert_number(double value, int decimals, const char *text)

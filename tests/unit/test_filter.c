@@ -1,7 +1,7 @@
 /* Filters against scipy.signal; each constant with the call that gave it. */
 #include "model_test.h"
 
-#include "model/filter.h"
+#include "model/math/filter.h"
 
 static struct filter3 filter(enum filter_type type, unsigned order, double cutoff_hz, double rate_hz)
 {

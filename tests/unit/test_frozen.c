@@ -10,7 +10,7 @@
 #include <cmocka.h>
 
 #include "drivers/imu/frozen.h"
-#include "model/rng.h"
+#include "model/sim/rng.h"
 
 enum { AXES = 3, RATE_HZ = 100 };
 

@@ -2,7 +2,7 @@
 #include "model_test.h"
 
 #include "model/fusion.h"
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 static const double G = 9.81, DT_S = 0.01;
 static const struct vec3 FIELD_N = {0, 20, -45}; /* magnetic north, dipping, micro-tesla */

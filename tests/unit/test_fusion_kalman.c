@@ -2,8 +2,8 @@
 #include "model_test.h"
 
 #include "model/fusion.h"
-#include "model/rotation.h"
-#include "model/sensor.h"
+#include "model/math/rotation.h"
+#include "model/sim/sensor.h"
 
 static const double G = 9.81;
 static const struct vec3 FIELD_N = {0, 20, -45}; /* magnetic north, dipping, micro-tesla */

@@ -1,8 +1,8 @@
 /* The lever arm from motion: simulated sensors on formulas of motion, with the known answer. */
 #include <string.h>
 
-#include "model/lever_identification.h"
-#include "model/sensor.h"
+#include "model/identify/lever_identification.h"
+#include "model/sim/sensor.h"
 #include "tests/unit/model_test.h"
 
 static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */

@@ -7,7 +7,7 @@
 #include <string.h>
 
 #include "drivers/imu/imu_log.h"
-#include "model/lever_identification.h"
+#include "model/identify/lever_identification.h"
 #include "model/pipeline.h"
 #include "tests/unit/model_test.h"
 #include "tools/reference_log.h"

@@ -3,7 +3,7 @@
 
 #include <string.h>
 
-#include "model/linalg.h"
+#include "model/math/linalg.h"
 
 /* B B' + a little on the diagonal: positive definite */
 static void any_positive(int n, double *a)

@@ -7,7 +7,7 @@
 
 #include "model/pipeline.h"
 #include "model/position.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 enum { N = NAVIGATION_STATES };
 

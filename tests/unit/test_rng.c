@@ -5,7 +5,7 @@
 #include <cmocka.h>
 #include <math.h>
 
-#include "model/rng.h"
+#include "model/sim/rng.h"
 
 /* The published sequence of xoshiro256++ whose state splitmix64 filled from 0. */
 static void test_the_integers_are_those_of_xoshiro256plusplus(void **state)

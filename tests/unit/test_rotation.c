@@ -1,7 +1,7 @@
 /* The seed's equations (1)-(6) and the conversions between its angles, quaternions and aerospace angles. */
 #include "model_test.h"
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 static void assert_mat_near(struct mat3 a, struct mat3 b, double tolerance)
 {

@@ -8,7 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 #define PI 3.14159265358979323846
 

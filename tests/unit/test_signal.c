@@ -7,9 +7,9 @@
 #include <cmocka.h>
 #include <math.h>
 
-#include "model/rng.h"
-#include "model/sensor.h"
-#include "model/signal.h"
+#include "model/sim/rng.h"
+#include "model/sim/sensor.h"
+#include "model/sim/signal.h"
 
 #define PI 3.14159265358979323846
 

@@ -6,7 +6,7 @@
 #include <string.h>
 
 #include "model/pipeline.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 #include "model/smoother.h"
 
 enum { N = NAVIGATION_STATES, V = NAVIGATION_V, P = NAVIGATION_P, STEPS = 400 };

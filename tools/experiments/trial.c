@@ -5,7 +5,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "model/filter.h"
+#include "model/math/filter.h"
 
 static const double PI = 3.14159265358979323846, G_M_S2 = 9.81;
 

@@ -4,14 +4,14 @@
  * seed      as the paper simulated: discrete signals with sudden changes, smoothed by its FIR (delay removed), derivatives
  *           by differences of neighbouring samples (backward, so an estimator can do the same), measurements by (11)
  *           with white noise of 0.03 g.
- * physical  a rigid body in continuous time (model/signal.h) seen by the sensor preset lsm303dlh_l3g4200d, calibrated. */
+ * physical  a rigid body in continuous time (model/sim/signal.h) seen by the sensor preset lsm303dlh_l3g4200d, calibrated. */
 #ifndef TOOLS_TRIAL_H
 #define TOOLS_TRIAL_H
 
 #include <stdint.h>
 
 #include "model/seed.h"
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 enum world { WORLD_SEED, WORLD_PHYSICAL };
 enum { WORLDS = 2, TRIAL_SIGNALS = 3 };

@@ -1,7 +1,7 @@
 /* Prints every bit of simulated samples: test_bits builds it with several compilers and compares. */
 #include <stdio.h>
 
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 static void print(struct vec3 v)
 {

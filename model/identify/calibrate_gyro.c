@@ -1,4 +1,4 @@
-#include "model/calibrate_gyro.h"
+#include "model/identify/calibrate_gyro.h"
 
 #define RAD_PER_DEG (3.14159265358979323846 / 180)
 

@@ -1,8 +1,8 @@
-/* model/linalg.h
+/* model/math/linalg.h
  * Small symmetric systems: normal equations and covariances of the calibrations. Matrices are row-major arrays of the
  * caller, n * n, n from 1 to LINALG_MAX; all elements are read and written, not one triangle only. */
-#ifndef MODEL_LINALG_H
-#define MODEL_LINALG_H
+#ifndef MODEL_MATH_LINALG_H
+#define MODEL_MATH_LINALG_H
 
 enum { LINALG_MAX = 12 };
 

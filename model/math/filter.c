@@ -1,4 +1,4 @@
-#include "model/filter.h"
+#include "model/math/filter.h"
 
 #include <errno.h>
 #include <string.h>

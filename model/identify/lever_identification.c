@@ -1,9 +1,9 @@
-#include "model/lever_identification.h"
+#include "model/identify/lever_identification.h"
 
 #include <errno.h>
 #include <string.h>
 
-#include "model/linalg.h"
+#include "model/math/linalg.h"
 
 /* The parameters: r, bias of the accelerometer, delay of the reference. */
 enum { PARAMETER_ARM = 0, PARAMETER_BIAS = 3, PARAMETER_DELAY = 6, PARAMETERS = 7 };

@@ -1,4 +1,4 @@
-/* model/calibrate_accelerometer.h
+/* model/identify/calibrate_accelerometer.h
  * The accelerometer's bias, scale factors and cross-axis terms from rests in different positions, gravity being the
  * measure. corrected = matrix * (raw - bias), as 2051h.
  *
@@ -6,12 +6,12 @@
  * down once, in any order. Gravity's direction is known: all twelve unknowns, the rotation of the triad against the
  * faces included.
  * CALIBRATE_FREE: without a fixture, twelve positions or more; only the length of gravity is known. How the triad is
- * turned against the sensor's other triads stays unknown; the matrix is symmetric (model/ellipsoid.h). After I. Skog and
+ * turned against the sensor's other triads stays unknown; the matrix is symmetric (model/identify/ellipsoid.h). After I. Skog and
  * P. Handel, "Calibration of a MEMS inertial measurement unit", 2006, with Levenberg-Marquardt. */
-#ifndef MODEL_CALIBRATE_ACCELEROMETER_H
-#define MODEL_CALIBRATE_ACCELEROMETER_H
+#ifndef MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
+#define MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 
-#include "model/calibrate.h"
+#include "model/identify/calibrate.h"
 #include "model/calibration.h"
 
 enum calibrate_positions { CALIBRATE_SIX_FACES, CALIBRATE_FREE };

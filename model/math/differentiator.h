@@ -1,4 +1,4 @@
-/* model/differentiator.h
+/* model/math/differentiator.h
  * Derivative of a noisy signal of three channels, causal and without lag for slow changes: an observer of value, first
  * and second derivative (constant second derivative as its model, so a ramp and a parabola are followed without error)
  * with the poles of a third-order Butterworth filter. That is the steady-state Kalman filter for white measurement noise
@@ -7,10 +7,10 @@
  * On recorded hand movements (up to 15 Hz, cut-off 30 Hz, 286 samples a second) its error is 11 % of the angular
  * acceleration, where a second-order Butterworth and a difference between samples, as noisy as this, leave 19 %: those
  * lag. It uses the actual time between samples. */
-#ifndef MODEL_DIFFERENTIATOR_H
-#define MODEL_DIFFERENTIATOR_H
+#ifndef MODEL_MATH_DIFFERENTIATOR_H
+#define MODEL_MATH_DIFFERENTIATOR_H
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 struct differentiator3 {
 	double gain[3]; /* per sample: of value, first and second derivative */

@@ -1,4 +1,4 @@
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 static const double PI = 3.14159265358979323846;
 

@@ -1,4 +1,4 @@
-#include "model/rng.h"
+#include "model/sim/rng.h"
 
 #include <math.h>
 

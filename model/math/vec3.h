@@ -1,7 +1,7 @@
-/* model/vec3.h
+/* model/math/vec3.h
  * A vector of three doubles, by value. Frames and units are in the names of the variables, never here. */
-#ifndef MODEL_VEC3_H
-#define MODEL_VEC3_H
+#ifndef MODEL_MATH_VEC3_H
+#define MODEL_MATH_VEC3_H
 
 #include <math.h>
 #include <stdbool.h>

@@ -1,6 +1,6 @@
-#include "model/calibrate_magnetometer.h"
+#include "model/identify/calibrate_magnetometer.h"
 
-#include "model/ellipsoid.h"
+#include "model/identify/ellipsoid.h"
 
 static const double SPACING_UT = 2, WIDER = 1.3;
 static const double COVERAGE_HOPELESS = 0.2;			 /* of the first guess: not worth a fit */

@@ -1,4 +1,4 @@
-#include "model/linalg.h"
+#include "model/math/linalg.h"
 
 #include <errno.h>
 #include <math.h>

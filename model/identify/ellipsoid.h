@@ -1,14 +1,14 @@
-/* model/ellipsoid.h
+/* model/identify/ellipsoid.h
  * The ellipsoid on which a triad's raw vectors end when what it measures has a constant length: gravity at rest, the
  * Earth's field while turning. Its centre is the bias; a matrix makes it a sphere.
  *
  * A sphere stays one under every rotation, so these measurements can not tell how the triad is turned against the axes
  * of the sensor: of the nine elements three stay unknown. The matrix is taken symmetric, which is the one that turns the
  * vectors least. */
-#ifndef MODEL_ELLIPSOID_H
-#define MODEL_ELLIPSOID_H
+#ifndef MODEL_IDENTIFY_ELLIPSOID_H
+#define MODEL_IDENTIFY_ELLIPSOID_H
 
-#include "model/rotation.h"
+#include "model/math/rotation.h"
 
 enum { ELLIPSOID_UNKNOWNS = 9 };
 

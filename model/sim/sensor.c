@@ -1,4 +1,4 @@
-#include "model/sensor.h"
+#include "model/sim/sensor.h"
 
 #include <errno.h>
 #include <math.h>

@@ -1,4 +1,4 @@
-/* model/signal.h
+/* model/sim/signal.h
  * Test signals: motions of a rigid body in continuous time, for simulated sensors. Each is a
  * formula, so attitude, rate, angular acceleration, position, velocity and acceleration belong
  * together exactly, at every instant. The seed's three (section V: roll step, boat on a large wave,
@@ -6,10 +6,10 @@
  *
  * What the seed leaves open (how large, how fast) are the parameters of struct signal: copy one,
  * change it, sweep it. */
-#ifndef MODEL_SIGNAL_H
-#define MODEL_SIGNAL_H
+#ifndef MODEL_SIM_SIGNAL_H
+#define MODEL_SIM_SIGNAL_H
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 struct signal_truth {
 	double t_s;

@@ -1,10 +1,10 @@
-/* model/calibrate_gyro.h
+/* model/identify/calibrate_gyro.h
  * The gyro's bias: its mean over a rest. A rest that turns slowly and steadily is no rest, and the gyro alone cannot tell:
  * gravity and, about the vertical, the magnetic field must stay in the sensor's axes (0.03 deg/s, 0.1 deg/s). */
-#ifndef MODEL_CALIBRATE_GYRO_H
-#define MODEL_CALIBRATE_GYRO_H
+#ifndef MODEL_IDENTIFY_CALIBRATE_GYRO_H
+#define MODEL_IDENTIFY_CALIBRATE_GYRO_H
 
-#include "model/calibrate.h"
+#include "model/identify/calibrate.h"
 
 struct calibrate_gyro_config {
 	double rest_s;		       /* a rest that long is enough; INFINITY: the longest until _finish() */

@@ -1,12 +1,12 @@
-/* model/calibrate_magnetometer.h
+/* model/identify/calibrate_magnetometer.h
  * The magnetometer's hard iron (bias) and soft iron (matrix) with its own scale and cross-axis errors, from turning it
  * about all axes where the field is even: an ellipsoid through points kept evenly spaced, so that lingering in one
- * attitude weighs nothing; quadric fit, then a robust geometric one (model/ellipsoid.h: the matrix is symmetric, a
+ * attitude weighs nothing; quadric fit, then a robust geometric one (model/identify/ellipsoid.h: the matrix is symmetric, a
  * rotation against the other triads stays unknown). corrected = matrix * (raw - bias), as 2052h. */
-#ifndef MODEL_CALIBRATE_MAGNETOMETER_H
-#define MODEL_CALIBRATE_MAGNETOMETER_H
+#ifndef MODEL_IDENTIFY_CALIBRATE_MAGNETOMETER_H
+#define MODEL_IDENTIFY_CALIBRATE_MAGNETOMETER_H
 
-#include "model/calibrate.h"
+#include "model/identify/calibrate.h"
 #include "model/calibration.h"
 
 enum { CALIBRATE_POINTS_MAX = 200 };

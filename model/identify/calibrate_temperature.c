@@ -1,4 +1,4 @@
-#include "model/calibrate_temperature.h"
+#include "model/identify/calibrate_temperature.h"
 
 enum { CHANNELS = 6 };
 static const double BLOCK_S = 0.25, LEAST_REST_S = 20;

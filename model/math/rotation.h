@@ -1,4 +1,4 @@
-/* model/rotation.h
+/* model/math/rotation.h
  * Rotations as the seed writes them, equations (1)-(6), and the way between them, quaternions and
  * aerospace angles.
  *
@@ -10,10 +10,10 @@
  * Misprints of the seed: (5) names its factors R_x(psi) R_z(phi), its elements are those of
  * R_x(phi) R_y(theta) R_z(psi); and element (2,1) is printed with s(phi)s(theta)s(psi) where the
  * product gives s(phi)s(theta)c(psi). */
-#ifndef MODEL_ROTATION_H
-#define MODEL_ROTATION_H
+#ifndef MODEL_MATH_ROTATION_H
+#define MODEL_MATH_ROTATION_H
 
-#include "model/quat.h"
+#include "model/math/quat.h"
 
 struct mat3 {
 	double m[3][3]; /* row-major */

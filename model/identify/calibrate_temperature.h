@@ -1,12 +1,12 @@
-/* model/calibrate_temperature.h
+/* model/identify/calibrate_temperature.h
  * How the biases of gyro and accelerometer follow the temperature, from rests during which it moves:
  * bias(T) = bias + slope (T - T0) + quadratic (T - T0)^2, least squares over quarters of a second. Each rest has an offset
  * of its own: the sensor may be laid down otherwise in between, for the accelerometer sees gravity. Hence no bias comes
  * out of it, only how it changes. */
-#ifndef MODEL_CALIBRATE_TEMPERATURE_H
-#define MODEL_CALIBRATE_TEMPERATURE_H
+#ifndef MODEL_IDENTIFY_CALIBRATE_TEMPERATURE_H
+#define MODEL_IDENTIFY_CALIBRATE_TEMPERATURE_H
 
-#include "model/calibrate.h"
+#include "model/identify/calibrate.h"
 #include "model/calibration.h"
 
 struct calibrate_temperature_result {

@@ -1,16 +1,16 @@
-/* model/sensor.h
+/* model/sim/sensor.h
  * What a real IMU makes of a motion: three triads (gyro, accelerometer, magnetometer), each with its errors. Per triad,
  * in this order: lever arm and gravity (accelerometer) -> bandwidth -> scale factor and cross-axis -> bias, bias
  * instability, random walk, white noise -> quantisation -> saturation.
  *
  * Densities are one-sided, as datasheets give them: noise of the density n, seen through the bandwidth B, has the
  * standard deviation n sqrt(B); sampled at f it has n sqrt(f / 2), and an Allan deviation of n / sqrt(2 tau). */
-#ifndef MODEL_SENSOR_H
-#define MODEL_SENSOR_H
+#ifndef MODEL_SIM_SENSOR_H
+#define MODEL_SIM_SENSOR_H
 
-#include "model/rng.h"
+#include "model/sim/rng.h"
 #include "model/sample.h"
-#include "model/signal.h"
+#include "model/sim/signal.h"
 
 enum { SENSOR_FLICKER_POLES = 5 };
 

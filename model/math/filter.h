@@ -1,12 +1,12 @@
-/* model/filter.h
+/* model/math/filter.h
  * Causal low-pass filters for three channels at once: Butterworth (bilinear transform, pre-warped,
  * cascaded second-order sections) and the seed's FIR (order 10, Chebyshev window of 30 dB, cut-off
  * 0.6 of the Nyquist frequency, unit gain at DC). Primed with the first sample: no start-up
  * transient. */
-#ifndef MODEL_FILTER_H
-#define MODEL_FILTER_H
+#ifndef MODEL_MATH_FILTER_H
+#define MODEL_MATH_FILTER_H
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 enum filter_type { FILTER_OFF = 0, FILTER_BUTTERWORTH = 1, FILTER_SEED_FIR = 2 };
 

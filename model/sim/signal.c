@@ -1,4 +1,4 @@
-#include "model/signal.h"
+#include "model/sim/signal.h"
 
 #include <string.h>
 

@@ -1,7 +1,7 @@
-#include "model/calibrate_accelerometer.h"
+#include "model/identify/calibrate_accelerometer.h"
 
-#include "model/ellipsoid.h"
-#include "model/linalg.h"
+#include "model/identify/ellipsoid.h"
+#include "model/math/linalg.h"
 
 #define RAD_PER_DEG (3.14159265358979323846 / 180)
 

@@ -1,8 +1,8 @@
-#include "model/ellipsoid.h"
+#include "model/identify/ellipsoid.h"
 
 #include <errno.h>
 
-#include "model/linalg.h"
+#include "model/math/linalg.h"
 
 enum { N = ELLIPSOID_UNKNOWNS, ROBUST_PASSES = 3, STEPS_MAX = 15 };
 /* Least eigenvalue of the information a point gives on average, points all over the sphere: 1/5 - 1/15 */

@@ -1,9 +1,9 @@
-/* model/calibrate.h
+/* model/identify/calibrate.h
  * What the calibrations share: the verdict, and blocks of rest. Each calibration takes raw samples (sensor axes, not
  * calibrated) one by one, holds a bounded amount of them, and ends by itself with a verdict (the device), or is ended by
  * its _finish() (a log). Pure, no heap. */
-#ifndef MODEL_CALIBRATE_H
-#define MODEL_CALIBRATE_H
+#ifndef MODEL_IDENTIFY_CALIBRATE_H
+#define MODEL_IDENTIFY_CALIBRATE_H
 
 #include "model/sample.h"
 

@@ -1,10 +1,10 @@
-/* model/quat.h
+/* model/math/quat.h
  * Unit quaternions of Hamilton, w first, by value. q_nb turns a vector of the object frame b into the global frame n
  * (ENU): v_n = quat_rotate(q_nb, v_b). Products compose from right to left, as matrices do. */
-#ifndef MODEL_QUAT_H
-#define MODEL_QUAT_H
+#ifndef MODEL_MATH_QUAT_H
+#define MODEL_MATH_QUAT_H
 
-#include "model/vec3.h"
+#include "model/math/vec3.h"
 
 struct quat {
 	double w, x, y, z;

@@ -1,4 +1,4 @@
-#include "model/differentiator.h"
+#include "model/math/differentiator.h"
 
 static const double PI = 3.14159265358979323846, CUTOFF_MOST = 0.3;
 

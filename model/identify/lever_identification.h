@@ -1,4 +1,4 @@
-/* model/lever_identification.h
+/* model/identify/lever_identification.h
  * Finds the lever arm r (reference point -> accelerometer) from motion, while it happens. What the accelerometer sees is
  *
  *   force = a_ref - g + alpha x r + omega x (omega x r) + bias
@@ -16,13 +16,13 @@
  * inside them (K.-Y. Liang and S. Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73, 1986).
  *
  * An outside reference may come late. Its delay is one parameter more, by its first two derivatives. */
-#ifndef MODEL_LEVER_IDENTIFICATION_H
-#define MODEL_LEVER_IDENTIFICATION_H
+#ifndef MODEL_IDENTIFY_LEVER_IDENTIFICATION_H
+#define MODEL_IDENTIFY_LEVER_IDENTIFICATION_H
 
 #include <stdint.h>
 
-#include "model/filter.h"
-#include "model/quat.h"
+#include "model/math/filter.h"
+#include "model/math/quat.h"
 
 enum lever_verdict { /* 0 is left for "none yet" */
 	LEVER_FOUND = 1,

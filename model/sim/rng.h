@@ -1,9 +1,9 @@
-/* model/rng.h
+/* model/sim/rng.h
  * Seeded random numbers for simulations: xoshiro256++ (Blackman, Vigna 2018), its state filled by
  * splitmix64. One seed gives one sequence, bit for bit, with every compiler: integer arithmetic,
  * and of libm only log() and sqrt(). */
-#ifndef MODEL_RNG_H
-#define MODEL_RNG_H
+#ifndef MODEL_SIM_RNG_H
+#define MODEL_SIM_RNG_H
 
 #include <stdint.h>
 
