@@ -3,7 +3,7 @@
 #ifndef TOOLS_CLI_NODE_H
 #define TOOLS_CLI_NODE_H
 
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 #include "od/od.h"
 #include "tools/cli.h"
 

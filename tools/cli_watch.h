@@ -10,7 +10,7 @@
 #include <stdint.h>
 
 #include "drivers/ports/can.h"
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 #include "od/od.h"
 
 enum { WATCH_PDOS = 8, WATCH_FIELDS = 8, WATCH_NMT_UNKNOWN = -1, WATCH_NMT_LOST = -2 };

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 #include "tests/scenario/world.h"
 
 enum { TIMEOUT_US = 100000, ANSWERS = 256, LARGE = OD_DOMAIN_MAX };

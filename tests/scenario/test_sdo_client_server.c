@@ -1,7 +1,7 @@
 /* The SDO client against the real SDO server, frame by frame in simulated time; some frames get lost on the way. */
 #include <string.h>
 
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 #include "tests/scenario/bus.h"
 
 enum { TIMEOUT_US = 100000, DOMAIN_BYTES = 20000, NONE_LOST = -1 };

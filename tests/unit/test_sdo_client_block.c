@@ -7,7 +7,7 @@
 #include <string.h>
 #include <cmocka.h>
 
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 
 enum { NODE = 5, TIMEOUT_US = 500000, SENT_MAX = 200, T0 = 1000 };
 

@@ -1,9 +1,9 @@
-/* gateway/canopen/sdo_client_private.h
+/* gateway/canopen/client/sdo_client_private.h
  * Between sdo_client.c and sdo_client_block.c. */
-#ifndef GATEWAY_CANOPEN_SDO_CLIENT_PRIVATE_H
-#define GATEWAY_CANOPEN_SDO_CLIENT_PRIVATE_H
+#ifndef GATEWAY_CANOPEN_CLIENT_SDO_CLIENT_PRIVATE_H
+#define GATEWAY_CANOPEN_CLIENT_SDO_CLIENT_PRIVATE_H
 
-#include "gateway/canopen/sdo_client.h"
+#include "gateway/canopen/client/sdo_client.h"
 
 /** `payload` are bytes 1 to 7; shorter ones are filled with zeros. */
 void sdo_client_send(

@@ -1,4 +1,4 @@
-/* gateway/canopen/sdo_client.h
+/* gateway/canopen/client/sdo_client.h
  * The client's side of SDO (CiA 301, 7.2.4.3): reads and writes the objects of another node. A
  * passive core: frames and time go in, frames go out through the CAN port; one transfer at a time;
  * expedited, segmented, and in blocks with CRC (sdo_client_block.c).
@@ -6,8 +6,8 @@
  * Use: sdo_client_init(), then one of the four that start a transfer; feed every received frame to
  * sdo_client_receive() and call sdo_client_tick() at the deadline it returns, while `result` is
  * SDO_RUNNING. */
-#ifndef GATEWAY_CANOPEN_SDO_CLIENT_H
-#define GATEWAY_CANOPEN_SDO_CLIENT_H
+#ifndef GATEWAY_CANOPEN_CLIENT_SDO_CLIENT_H
+#define GATEWAY_CANOPEN_CLIENT_SDO_CLIENT_H
 
 #include <stdbool.h>
 #include <stddef.h>

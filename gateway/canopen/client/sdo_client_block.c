@@ -1,5 +1,5 @@
 /* SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.16), the client's side. */
-#include "gateway/canopen/sdo_client_private.h"
+#include "gateway/canopen/client/sdo_client_private.h"
 
 #include <string.h>
 

@@ -1,7 +1,7 @@
 /* The command byte of each frame: CiA 301, 7.2.4.3.3-7.2.4.3.17; bits 7..5 are the command
  * specifier. */
-#include "gateway/canopen/sdo_client.h"
-#include "gateway/canopen/sdo_client_private.h"
+#include "gateway/canopen/client/sdo_client.h"
+#include "gateway/canopen/client/sdo_client_private.h"
 
 #include <string.h>
 
