@@ -25,7 +25,7 @@ GEN := $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md 
 
 MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)
-DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/imu/*.c drivers/i2c/*.c)
+DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/i2c/*.c drivers/imu/*.c drivers/imu/*/*.c)
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
 TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c tools/experiments/*.c))

@@ -1,7 +1,7 @@
 /* tests/rig/i2c_feed.c
  * i2c_feed [-b BOARD] [-s SCENARIO] [-n] BUS: makes the chips of a board of an i2c-stub, e.g. of /dev/i2c-0.
  *
- * The simulated chips (drivers/imu/sim_chips.h) live in here; every millisecond what the driver wrote into the stub's
+ * The simulated chips (drivers/imu/sim/sim_chips.h) live in here; every millisecond what the driver wrote into the stub's
  * registers goes to them, and what changed in theirs goes to the stub: a burst at its register and, since a stub takes
  * no notice of the bit that asks for more, at that with bit 7. A stub cannot tell that something was read: ready bits
  * stay and FIFOs do not empty, and the driver must know (i2c:BUS,stub).
@@ -20,8 +20,8 @@
 #include <sys/prctl.h>
 #include <unistd.h>
 
-#include "drivers/imu/i2c_imu.h"
-#include "drivers/imu/sim_chips.h"
+#include "drivers/imu/pololu/i2c_imu.h"
+#include "drivers/imu/sim/sim_chips.h"
 
 enum { WATCHED = 0x40, GAP = 2, EVERY_MS = 1, CHIPS = 3, SEED = 1 };
 

@@ -6,8 +6,8 @@
 
 #include <stdbool.h>
 
-#include "drivers/imu/board.h"
-#include "drivers/imu/sim_chips.h"
+#include "drivers/imu/pololu/board.h"
+#include "drivers/imu/sim/sim_chips.h"
 
 struct world {
 	int64_t now_ns, start_ns;

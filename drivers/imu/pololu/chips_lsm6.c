@@ -1,6 +1,6 @@
 /* LSM6DS33 (DocID027423) and LSM6DSO (DS12140): accelerometer and gyro on one oscillator, sampled together. LIS3MDL
  * (DocID024204): the magnetometer beside them. */
-#include "drivers/imu/chips.h"
+#include "drivers/imu/pololu/chips.h"
 
 #define G   9.80665
 #define MG  (1e-3 * G)

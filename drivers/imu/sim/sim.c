@@ -4,8 +4,8 @@
 #include <stdio.h>
 #include <string.h>
 
-#include "drivers/imu/i2c_imu.h"
-#include "drivers/imu/sim_chips.h"
+#include "drivers/imu/pololu/i2c_imu.h"
+#include "drivers/imu/sim/sim_chips.h"
 #include "drivers/imu/source.h"
 
 static const char PRESET[] = "lsm303dlhc_l3gd20", BOARD[] = "v3";

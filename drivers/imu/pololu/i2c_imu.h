@@ -1,8 +1,8 @@
-/* drivers/imu/i2c_imu.h
+/* drivers/imu/pololu/i2c_imu.h
  * A board on an I2C bus as an IMU port: its own thread does the transfers, samples come through a bounded queue without
  * locks behind an eventfd. */
-#ifndef DRIVERS_IMU_I2C_IMU_H
-#define DRIVERS_IMU_I2C_IMU_H
+#ifndef DRIVERS_IMU_POLOLU_I2C_IMU_H
+#define DRIVERS_IMU_POLOLU_I2C_IMU_H
 
 #include <stdbool.h>
 

@@ -1,9 +1,9 @@
-/* drivers/imu/chips.h
+/* drivers/imu/pololu/chips.h
  * What the driver must know of each chip: how to recognise it, what can be set, which registers do that, and where and
  * in which form its data stand. Source: the data sheets of STMicroelectronics for the chips named. A device with one
  * oscillator is one struct chip; the LSM303D, whose accelerometer and magnetometer run on their own, is two. */
-#ifndef DRIVERS_IMU_CHIPS_H
-#define DRIVERS_IMU_CHIPS_H
+#ifndef DRIVERS_IMU_POLOLU_CHIPS_H
+#define DRIVERS_IMU_POLOLU_CHIPS_H
 
 #include <stdbool.h>
 #include <stddef.h>

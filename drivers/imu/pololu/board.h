@@ -1,4 +1,4 @@
-/* drivers/imu/board.h
+/* drivers/imu/pololu/board.h
  * A Pololu IMU 9, whichever it is, on an I2C bus: finds its chips, sets them up, reads them, and says when each sample
  * was taken. Passive: time and sleep are given, so that tests run it in a time of their own. Not thread-safe; where
  * transfers may block, it belongs into a thread (i2c_imu.c).
@@ -11,11 +11,11 @@
  * DLM and DLHC, 320 ms of the L3GD20H; of ranges whose digits are coarser than the noise, never. All this by what reads
  * show, not by how long they take, so that a slow machine is no fault. A chip at fault is started anew, after 10 ms,
  * 20 ms, ... 1 s. */
-#ifndef DRIVERS_IMU_BOARD_H
-#define DRIVERS_IMU_BOARD_H
+#ifndef DRIVERS_IMU_POLOLU_BOARD_H
+#define DRIVERS_IMU_POLOLU_BOARD_H
 
 #include "drivers/i2c/i2c.h"
-#include "drivers/imu/chips.h"
+#include "drivers/imu/pololu/chips.h"
 #include "drivers/imu/sample_clock.h"
 
 enum { BOARD_STREAMS = 3, STREAM_READINGS = 64 };

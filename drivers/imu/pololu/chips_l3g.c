@@ -1,5 +1,5 @@
 /* Gyros L3G4200D (Doc ID 17116), L3GD20 (022116), L3GD20H (023469): one register map. */
-#include "drivers/imu/chips.h"
+#include "drivers/imu/pololu/chips.h"
 
 #define DPS (3.14159265358979323846 / 180)
 

@@ -1,11 +1,11 @@
-/* drivers/imu/board_parts.h
+/* drivers/imu/pololu/board_parts.h
  * What the files behind board.h share: board_detect.c finds the chips, board_plan.c chooses their settings, stream.c
  * starts and reads one chip, stream_watch.c judges it, board.c says when what is read and makes samples of it,
  * board_self_test.c tests. */
-#ifndef DRIVERS_IMU_BOARD_PARTS_H
-#define DRIVERS_IMU_BOARD_PARTS_H
+#ifndef DRIVERS_IMU_POLOLU_BOARD_PARTS_H
+#define DRIVERS_IMU_POLOLU_BOARD_PARTS_H
 
-#include "drivers/imu/board.h"
+#include "drivers/imu/pololu/board.h"
 
 #define BOARD_MS 1000000LL /* in ns */
 

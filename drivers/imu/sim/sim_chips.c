@@ -1,4 +1,4 @@
-#include "drivers/imu/sim_chips.h"
+#include "drivers/imu/sim/sim_chips.h"
 
 #include <errno.h>
 #include <math.h>

@@ -1,11 +1,11 @@
-/* drivers/imu/sim_chips.h
+/* drivers/imu/sim/sim_chips.h
  * The boards of board.h at the level of their registers, behind an I2C bus: what the driver writes has its effect
  * (rates, ranges, axes, FIFO, self-test), what it reads is what the chips would show of a motion. Written from the data
  * sheets, apart from chips.h: the two do not share a table, so that a mistake in one shows.
  *
  * Time is that of the clock given. Faults can be put in, as tests need them. */
-#ifndef DRIVERS_IMU_SIM_CHIPS_H
-#define DRIVERS_IMU_SIM_CHIPS_H
+#ifndef DRIVERS_IMU_SIM_SIM_CHIPS_H
+#define DRIVERS_IMU_SIM_SIM_CHIPS_H
 
 #include <stdbool.h>
 

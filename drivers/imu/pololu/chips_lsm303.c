@@ -1,6 +1,6 @@
 /* E-compasses LSM303DLH (Doc ID 16941), LSM303DLM (018725), LSM303DLHC (018771), LSM303D (023312). The first three are
  * an accelerometer and a magnetometer with an address each. */
-#include "drivers/imu/chips.h"
+#include "drivers/imu/pololu/chips.h"
 
 #define G  9.80665
 #define MG (1e-3 * G)

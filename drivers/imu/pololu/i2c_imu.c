@@ -1,4 +1,4 @@
-#include "drivers/imu/i2c_imu.h"
+#include "drivers/imu/pololu/i2c_imu.h"
 
 #include <errno.h>
 #include <gpiod.h>
@@ -8,7 +8,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "drivers/imu/board.h"
+#include "drivers/imu/pololu/board.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 

@@ -1,4 +1,4 @@
-#include "drivers/imu/board.h"
+#include "drivers/imu/pololu/board.h"
 
 #include <errno.h>
 #include <math.h>

@@ -1,4 +1,4 @@
-#include "drivers/imu/board_parts.h"
+#include "drivers/imu/pololu/board_parts.h"
 
 #include <errno.h>
 #include <math.h>
