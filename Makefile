@@ -28,12 +28,12 @@ OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/i2c/*.c drivers/imu/*.c drivers/imu/*/*.c)
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
-TOOLS_SRC := $(filter-out tools/gen_od.c tools/imu9_%.c,$(call sources,tools/*.c tools/experiments/*.c))
-PROGRAM_SRC := $(call sources,tools/imu9_*.c)
+PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
+TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(BUILD)/libtools.a $(BUILD)/libgateway.a $(BUILD)/libcanopen.a $(BUILD)/libdrivers.a $(BUILD)/libod.a $(MODEL_LIB)
-TOOLS := $(patsubst tools/%.c,$(BUILD)/%,$(subst _,-,$(PROGRAM_SRC)))
+TOOLS := $(addprefix $(BUILD)/,$(subst _,-,$(basename $(notdir $(PROGRAM_SRC)))))
 PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
 TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c \
 	tests/interop/test_*.c))
@@ -56,8 +56,8 @@ $(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
 	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
 
 # the generator is built before anything that needs what it generates
-GEN_OD_SRC := tools/gen_od.c $(call sources,tools/eds*.c) $(OD_SRC)
-$(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds*.h)
+GEN_OD_SRC := $(call sources,tools/eds/*.c) $(OD_SRC)
+$(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds/*.h)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(filter-out -MMD -MP,$(ALL_CFLAGS)) -o $@ $(GEN_OD_SRC) $(LDLIBS)
 
@@ -176,7 +176,7 @@ format: ## apply .clang-format
 check-format: ## fail when a file is not formatted
 	@clang-format --dry-run --Werror $(FORMATTED)
 
-README_TABLE = awk '/^<!-- objects/ {print; system("tools/object-table $(BUILD)/gen/objects.md"); skip = 1} \
+README_TABLE = awk '/^<!-- objects/ {print; system("tools/eds/object-table $(BUILD)/gen/objects.md"); skip = 1} \
 	/^<!-- end of objects/ {skip = 0} !skip' README.md
 readme: $(BUILD)/gen/objects.md ## bring the README's object table up to date
 	@$(README_TABLE) >$(BUILD)/README.md && cp $(BUILD)/README.md README.md
@@ -196,9 +196,9 @@ share = $(DESTDIR)$(PREFIX)/share/imu9-gateway
 install: all ## install programs, EDS, udev rule, systemd unit and an example configuration under $(DESTDIR)$(PREFIX)
 	install -d $(DESTDIR)$(PREFIX)/bin $(share) $(addprefix $(DESTDIR)$(PREFIX)/lib/,udev/rules.d systemd/system)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/imu9-gateway.conf $(share)
-	install -m 644 tools/70-imu9-gateway.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d
-	sed 's|@PREFIX@|$(PREFIX)|g' tools/imu9-gateway.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
+	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/service/imu9-gateway.conf $(share)
+	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d
+	sed 's|@PREFIX@|$(PREFIX)|g' tools/service/imu9-gateway.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
 
 uninstall: ## remove what install put there
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(PROGRAMS)))

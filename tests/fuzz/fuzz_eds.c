@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "od/od.h"
-#include "tools/eds.h"
+#include "tools/eds/eds.h"
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 

@@ -7,7 +7,7 @@
 #include <stdlib.h>
 
 #include "model/sim/sensor.h"
-#include "tools/allan.h"
+#include "tools/calibrate/allan.h"
 
 enum { N = 200000 };
 

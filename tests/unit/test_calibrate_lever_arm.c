@@ -9,7 +9,7 @@
 #include "model/sim/sensor.h"
 #include "od_values.h"
 #include "tests/unit/model_test.h"
-#include "tools/calibrate_lever_arm.h"
+#include "tools/calibrate/calibrate_lever_arm.h"
 
 enum { ARGUMENTS_MAX = 8, TEXT_MAX = 4096 };
 

@@ -528,7 +528,7 @@ static void test_the_udev_rule_names_every_adapter_that_is_known(void **state)
 {
 	char root[] = "/tmp/imu9-sysfs.XXXXXX", line[300], vendor[5], product[5], place[16], command[100];
 	struct gs_usb_adapter list[GS_USB_ADAPTERS];
-	FILE *rule = fopen("tools/70-imu9-gateway.rules", "r");
+	FILE *rule = fopen("tools/service/70-imu9-gateway.rules", "r");
 	size_t named = 0;
 
 	(void)state;

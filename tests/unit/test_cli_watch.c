@@ -8,7 +8,7 @@
 
 #include "gateway/canopen/canopen.h"
 #include "od_values.h"
-#include "tools/cli_watch.h"
+#include "tools/monitor/watch.h"
 
 enum { NODE = 5, SECOND = 1000000 };
 

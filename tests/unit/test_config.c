@@ -177,7 +177,7 @@ static void test_the_example_file_holds_the_defaults(void **state)
 	config_init(&defaults, &imu9_od_table);
 	od_init(&od, &imu9_od_table, &default_values, 1);
 	od_init(&od, &imu9_od_table, &values, 1);
-	assert_int_equal(config_file(&config, "tools/imu9-gateway.conf", why), 0);
+	assert_int_equal(config_file(&config, "tools/service/imu9-gateway.conf", why), 0);
 	config_apply(&config, &od);
 	assert_memory_equal(&values, &default_values, sizeof(values));
 	assert_string_equal(config.imu, defaults.imu);

@@ -8,7 +8,7 @@
 #include <string.h>
 
 #include "model/sim/rng.h"
-#include "tools/csv.h"
+#include "tools/lib/csv.h"
 
 static void assert_number(double value, int decimals, const char *text)
 {

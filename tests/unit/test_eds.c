@@ -14,7 +14,7 @@
 #include <unistd.h>
 
 #include "od_values.h"
-#include "tools/eds.h"
+#include "tools/eds/eds.h"
 
 /* A whole file that keeps every rule. The tests change one place of it. */
 static const char GOOD[] = "[FileInfo]\n"

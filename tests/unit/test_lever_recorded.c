@@ -10,7 +10,7 @@
 #include "model/identify/lever_identification.h"
 #include "model/pipeline.h"
 #include "tests/unit/model_test.h"
-#include "tools/reference_log.h"
+#include "tools/lib/reference_log.h"
 
 static const struct {
 	const char *trial;

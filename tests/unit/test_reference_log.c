@@ -5,7 +5,7 @@
 #include <unistd.h>
 
 #include "tests/unit/model_test.h"
-#include "tools/reference_log.h"
+#include "tools/lib/reference_log.h"
 
 #define HEADER "t,qw,qx,qy,qz,arx,ary,arz\n"
 

@@ -8,10 +8,10 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "tools/cli.h"
-#include "tools/csv.h"
+#include "tools/lib/cli.h"
+#include "tools/lib/csv.h"
 #include "tools/experiments/methods.h"
-#include "tools/plot.h"
+#include "tools/lib/plot.h"
 
 #define BLUE	"#0072b2"
 #define ORANGE	"#d55e00"

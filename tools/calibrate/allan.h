@@ -1,0 +1,39 @@
+/* tools/calibrate/allan.h
+ * Overlapping Allan deviation, and the noise it shows: sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 +
+ * K^2 tau / 3 (IEEE Std 952-1997, annex C), a signal of x units a second being the sum of
+ *   Q  quantisation of the integral, unit s
+ *   N  white noise, unit / sqrt(Hz) two-sided: the density of datasheets is N sqrt(2)
+ *   B  bias instability, unit
+ *   K  random walk, unit / sqrt(s) */
+#ifndef TOOLS_CALIBRATE_ALLAN_H
+#define TOOLS_CALIBRATE_ALLAN_H
+
+#include <stddef.h>
+
+enum { ALLAN_POINTS_MAX = 80 };
+
+struct allan_point {
+	double tau_s, deviation;
+	double relative_error; /* 1-sigma of the deviation, from the number of independent clusters */
+};
+
+struct allan {
+	int count;
+	struct allan_point points[ALLAN_POINTS_MAX];
+};
+
+struct allan_noise {
+	double quantisation, white, bias_instability, random_walk; /* Q, N, B, K; 0: does not show */
+};
+
+/** `values` (at least 3) become their own running sum. Ten averaging times a decade, up to a ninth of the whole. */
+void allan_deviation(double *values, size_t count, double rate_hz, struct allan *result);
+/** Least squares of the relative errors of sigma^2, each weighted by its certainty; no term below 0. */
+struct allan_noise allan_fit(const struct allan *allan);
+/** sigma(tau) of that noise. */
+double allan_model(const struct allan_noise *noise, double tau_s);
+
+/** The white noise's density as datasheets give it, one-sided. */
+double allan_density(const struct allan_noise *noise);
+
+#endif

@@ -1,0 +1,205 @@
+#include "tools/calibrate/calibrate_lever_arm.h"
+
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "drivers/imu/imu_log.h"
+#include "gateway/settings.h"
+#include "model/identify/lever_identification.h"
+#include "od_values.h"
+#include "tools/lib/cli.h"
+#include "tools/lib/cli_config.h"
+#include "tools/lib/reference_log.h"
+
+static const char usage[] =
+	"usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
+	"Finds the lever arm (2000h: from the reference point to the accelerometer) from a log:\n"
+	"  - the reference point was held still, and the object turned about it, about all its axes,\n"
+	"    for 30 s; or\n"
+	"  - with --reference, or with the columns ref_al,ref_as,ref_at (m/s^2, object frame, without\n"
+	"    gravity) in LOG: any motion with quick turns.\n"
+	"The gateway does the same by itself: object 2060h.\n"
+	"\n"
+	"  -r, --reference REF   CSV with t,qw,qx,qy,qz,arx,ary,arz: s; attitude sensor -> world;\n"
+	"                        acceleration of the reference point in the world without gravity,\n"
+	"                        m/s^2; empty where not known\n"
+	"  -d, --estimate-delay  the time stamps of the reference are not exact: estimate its delay\n"
+	"                        (+-20 ms)\n"
+	"  -c, --config FILE     the gateway's configuration: its calibration and mounting hold here, too\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name\n"
+	"      --help\n"
+	"\n"
+	"Calibrate gyro and accelerometer before. Exit status: 0 found, 1 not found or failed,\n"
+	"2 wrong usage.\n";
+
+struct options {
+	const char *reference, *log;
+	bool estimate_delay;
+	struct config config;
+};
+
+/* ---- the run ----------------------------------------------------------------------------------------------------- */
+
+struct run {
+	struct imu_log log;
+	struct reference_log reference;
+	struct pipeline pipeline;
+	struct lever_identification identification;
+	uint64_t first_us, last_us;
+	unsigned long samples;
+};
+
+static void prepare(struct run *r, const struct options *o)
+{
+	static struct od_values values;
+	struct lever_identification_config config = {.duration_s = 30, .estimate_delay = o->estimate_delay};
+	struct pipeline_config settings;
+	char why[512];
+	struct od od;
+
+	if (imu_log_open(&r->log, o->log, why, sizeof why) < 0 ||
+		(o->reference && reference_log_load(&r->reference, o->reference, why, sizeof why) < 0)) {
+		cli_error("%s", why);
+		exit(CLI_FAILED);
+	}
+	config.rate_hz = r->log.rate_hz;
+	config.reference = o->reference || imu_log_has_reference(&r->log);
+	if (config.estimate_delay && !config.reference)
+		cli_usage_error("--estimate-delay is for a reference from outside: give --reference REF");
+	od_init(&od, &imu9_od_table, &values, 1);
+	config_apply(&o->config, &od);
+	settings = settings_pipeline(&values);
+	if (pipeline_init(&r->pipeline, &settings, r->log.rate_hz) < 0)
+		cli_usage_error("the configuration contradicts itself: is a calibration matrix singular?");
+	if (lever_identification_init(&r->identification, &config) < 0) {
+		cli_error("%s: %.4g samples a second: at least 25 are needed", o->log, r->log.rate_hz);
+		exit(CLI_FAILED);
+	}
+}
+
+/* The reference point's acceleration in the object frame. That of REF is turned by REF's own attitude: both are of one
+ * frame, so an offset of the heading between REF and this sensor does not matter. */
+static const struct vec3 *reference_of(struct run *r, struct imu_sample *s)
+{
+	const struct vec3 mounting_rad = r->pipeline.config.calibration.mounting_rad;
+	struct vec3 sensor_m_s2;
+
+	if (s->flags & SAMPLE_REFERENCE)
+		return &s->ref_accel_b_m_s2;
+	if (r->reference.count == 0 || !reference_log_at(&r->reference, s->t_us, &sensor_m_s2))
+		return NULL;
+	s->ref_accel_b_m_s2 = quat_rotate(quat_from_aerospace(mounting_rad), sensor_m_s2);
+	return &s->ref_accel_b_m_s2;
+}
+
+/* The pipeline learns the gyro's bias on the way, as it does in the gateway. */
+static void take(struct run *r, const struct imu_sample *sample)
+{
+	struct imu_sample s = calibration_apply(&r->pipeline.calibration, sample);
+	struct pipeline_output out;
+
+	if (pipeline_step(&r->pipeline, sample, &out) < 0)
+		return;
+	if (s.flags & (SAMPLE_SATURATED | SAMPLE_DISCONTINUITY))
+		lever_identification_break(&r->identification);
+	else
+		lever_identification_step(&r->identification, s.t_us, fusion_rate_b(&r->pipeline.fusion, s.gyro_rad_s),
+			s.accel_m_s2, reference_of(r, &s));
+	if (r->samples++ == 0)
+		r->first_us = s.t_us;
+	r->last_us = s.t_us;
+}
+
+static void replay(struct run *r, const char *path)
+{
+	struct imu_sample sample;
+	int got;
+
+	while ((got = imu_log_next(&r->log, &sample)) == 1)
+		take(r, &sample);
+	imu_log_close(&r->log);
+	if (got < 0) {
+		cli_error("%s:%ld: %s", path, r->log.line, strerror(-got));
+		exit(CLI_FAILED);
+	}
+	if (r->log.skipped)
+		cli_error("%u rows skipped, the last one: %s", r->log.skipped, r->log.last_skip);
+}
+
+/* ---- what it found ----------------------------------------------------------------------------------------------- */
+
+static void print(const struct run *r, const struct lever_estimate *e)
+{
+	const struct lever_identification_config *config = &r->identification.config;
+	const struct vec3 arm = e->lever_arm_b_m, sigma = e->sigma_b_m;
+
+	printf("%lu samples at %.4g Hz, %.1f s, %s\n", r->samples, config->rate_hz,
+		(double)(r->last_us - r->first_us) * 1e-6,
+		config->reference ? "acceleration of the reference point from outside" : "reference point held still");
+	printf("lever arm   l %9.2f +- %.2f   s %9.2f +- %.2f   t %9.2f +- %.2f mm (1 sigma)\n", 1e3 * arm.x,
+		1e3 * sigma.x, 1e3 * arm.y, 1e3 * sigma.y, 1e3 * arm.z, 1e3 * sigma.z);
+	printf("left over   %.3f m/s^2\n", e->residual_m_s2);
+	if (config->reference)
+		printf("reference   %.1f ms %s%s\n", fabs(1e3 * e->delay_s), e->delay_s < 0 ? "early" : "late",
+			config->estimate_delay ? "" : ", its time stamps taken as they are (see --estimate-delay)");
+	printf("verdict     %s\n", lever_verdict_text(e->verdict));
+	if (e->verdict == LEVER_FOUND)
+		printf("\nFor the gateway:\n[lever_arm]\nl = %.5f\ns = %.5f\nt = %.5f\n", arm.x, arm.y, arm.z);
+}
+
+static const struct option known[] = {{"reference", required_argument, NULL, 'r'},
+	{"estimate-delay", no_argument, NULL, 'd'}, {"config", required_argument, NULL, 'c'},
+	{"set", required_argument, NULL, 's'}, {"help", no_argument, NULL, 'h'}, {0}};
+
+static void take_option(struct options *o, int option, char **argv)
+{
+	switch (option) {
+	case 'r':
+		o->reference = optarg;
+		break;
+	case 'd':
+		o->estimate_delay = true;
+		break;
+	case 's':
+		cli_config_set(&o->config, optarg);
+		break;
+	case 'h':
+		fputs(usage, stdout);
+		exit(CLI_OK);
+	case 'c':
+		break; /* taken before */
+	default:
+		cli_bad_option(option, argv);
+	}
+}
+
+static void parse_options(struct options *o, int argc, char **argv)
+{
+	static const char letters[] = ":r:dc:";
+	int option;
+
+	config_init(&o->config, &imu9_od_table);
+	cli_config_files(&o->config, argc, argv, letters, known);
+	while ((option = getopt_long(argc, argv, letters, known, NULL)) != -1)
+		take_option(o, option, argv);
+	if (optind != argc - 1)
+		cli_usage_error("give one log, or - for standard input");
+	o->log = argv[optind];
+}
+
+int calibrate_lever_arm(int argc, char **argv)
+{
+	static struct options options;
+	static struct run run;
+	struct lever_estimate estimate;
+
+	parse_options(&options, argc, argv);
+	prepare(&run, &options);
+	replay(&run, options.log);
+	reference_log_close(&run.reference);
+	estimate = lever_identification_estimate(&run.identification);
+	print(&run, &estimate);
+	return estimate.verdict == LEVER_FOUND ? CLI_OK : CLI_FAILED;
+}

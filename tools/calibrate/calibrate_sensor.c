@@ -1,0 +1,133 @@
+#include "tools/calibrate/calibrate_sensor.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "gateway/settings.h"
+#include "od_values.h"
+#include "tools/lib/cli.h"
+#include "tools/lib/cli_config.h"
+
+static const char usage[] =
+	"usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
+	"       imu9-calibrate gyro|accelerometer|magnetometer [-i BUS] [-n NODE] [OPTION]...\n"
+	"Finds bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or,\n"
+	"without a log, by the gateway on the bus (2061h), and refuses data that do not tell.\n"
+	"\n"
+	"  gyro            bias: let the sensor lie still for 10 s (of a log the longest rest counts)\n"
+	"  accelerometer   hold it still for 3 s in 12 positions or more, every side up and down; no\n"
+	"                  fixture needed\n"
+	"      --six       in a fixture: on each of its six faces, in any order\n"
+	"  magnetometer    turn it slowly through all directions for half a minute, away from iron\n"
+	"      --field UT  local field strength from a map (default: as the magnetometer has it)\n"
+	"  temperature     how the biases of gyro and accelerometer follow it: let the sensor lie still\n"
+	"                  while it warms up; the log needs a column temperature\n"
+	"\n"
+	"Of a log ('-': standard input):\n"
+	"  -o, --output FILE   write the result as a configuration file for imu9-gateway -c\n"
+	"  -c, --config FILE   what is configured already: gravity, noise, temperature compensation\n"
+	"      --set NAME=VALUE\n"
+	"On the bus:\n"
+	"  -i, --bus BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node NODE     node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -y, --yes           accept a good result without asking\n"
+	"  -t, --timeout MS    for one answer (default 1000)\n"
+	"      --help\n"
+	"\n"
+	"Exit status: 0 found (and accepted), 1 refused, discarded or failed, 2 wrong usage.\n";
+
+enum { OPT_SIX = 256, OPT_FIELD, OPT_SET, OPT_HELP };
+
+static const struct option options[] = {
+	{"six", no_argument, NULL, OPT_SIX},
+	{"field", required_argument, NULL, OPT_FIELD},
+	{"output", required_argument, NULL, 'o'},
+	{"config", required_argument, NULL, 'c'},
+	{"set", required_argument, NULL, OPT_SET},
+	{"bus", required_argument, NULL, 'i'},
+	{"node", required_argument, NULL, 'n'},
+	{"yes", no_argument, NULL, 'y'},
+	{"timeout", required_argument, NULL, 't'},
+	{"help", no_argument, NULL, OPT_HELP},
+	{0},
+};
+
+static void take_option(struct calibrate_request *r, int option, char **argv)
+{
+	switch (option) {
+	case OPT_SIX:
+		r->six = true;
+		break;
+	case OPT_FIELD:
+		r->field_uT = cli_real_option("--field", optarg, 10, 200);
+		break;
+	case OPT_SET:
+		cli_config_set(&r->config, optarg);
+		break;
+	case 'c':
+		break; /* taken before */
+	case 'o':
+		r->output = optarg;
+		break;
+	case 'i':
+		r->bus = optarg;
+		break;
+	case 'n':
+		r->node = (uint8_t)cli_integer_option("-n", optarg, 1, 127);
+		break;
+	case 'y':
+		r->yes = true;
+		break;
+	case 't':
+		r->timeout_ms = (unsigned)cli_integer_option("-t", optarg, 1, 600000);
+		break;
+	case OPT_HELP:
+		fputs(usage, stdout);
+		exit(CLI_OK);
+	default:
+		cli_bad_option(option, argv);
+	}
+}
+
+static void check(const struct calibrate_request *r)
+{
+	if (r->six && strcmp(r->what, "accelerometer") != 0)
+		cli_usage_error("--six is for the accelerometer");
+	if (r->field_uT > 0 && strcmp(r->what, "magnetometer") != 0)
+		cli_usage_error("--field is for the magnetometer");
+	if (!r->log && strcmp(r->what, "temperature") == 0)
+		cli_usage_error("temperature needs a log");
+	if (!r->log && r->output)
+		cli_usage_error("-o is for a log: the gateway keeps what it accepts (imu9-sdo store)");
+}
+
+int calibrate_sensor(int argc, char **argv)
+{
+	static const char letters[] = ":o:c:i:n:yt:";
+	static struct calibrate_request r;
+	static struct od_values values;
+	struct od od;
+	int option;
+
+	r = (struct calibrate_request){.what = argv[0], .timeout_ms = 1000};
+	config_init(&r.config, &imu9_od_table);
+	cli_config_files(&r.config, argc, argv, letters, options);
+	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1)
+		take_option(&r, option, argv);
+	if (optind < argc - 1)
+		cli_usage_error("give one log, or none for the gateway on the bus");
+	r.log = argv[optind];
+	check(&r);
+	if (r.log) {
+		od_init(&od, &imu9_od_table, &values, 1);
+		config_apply(&r.config, &od);
+		r.settings = settings_pipeline(&values);
+		return calibrate_from_log(&r);
+	}
+	if (!r.bus)
+		r.bus = cli_default_bus();
+	if (!r.node)
+		r.node = (uint8_t)cli_default_node();
+	return calibrate_live(&r);
+}

@@ -1,0 +1,935 @@
+/* tools/eds/eds.c
+ * From the items of the file to entries, objects and the table. Each fault is told with the line of the item that has to
+ * change. */
+#include "tools/eds/eds.h"
+
+#include <ctype.h>
+#include <errno.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <strings.h>
+
+#include "tools/eds/eds_file.h"
+#include "tools/eds/eds_value.h"
+
+enum {
+	FILE_SIZE_MAX = 16 << 20,
+	OBJECT_TYPE_DOMAIN = 0x02,
+	OBJECT_TYPE_VAR = 0x07,
+	OBJECT_TYPE_ARRAY = 0x08,
+	OBJECT_TYPE_RECORD = 0x09,
+	OBJ_FLAG_NOT_DOWNLOADED = 1 << 0,
+	PDO_BITS_MAX = 64,
+};
+
+/* An entry while its place in the table is not known yet. */
+struct draft {
+	struct od_entry entry;
+	const char *label;
+	unsigned label_line, default_line;
+	union od_number number; /* the default of a number */
+	const char *text;	/* the default of a string */
+	const char *value;	/* ParameterValue */
+};
+
+struct loader {
+	struct eds_file file;
+	struct eds *eds;
+	enum eds_rules rules;
+	struct draft *drafts; /* sorted, like the table they become */
+	size_t draft_count, draft_capacity;
+};
+
+static bool strict(const struct loader *l)
+{
+	return l->rules == EDS_STRICT;
+}
+
+size_t eds_normalise(const char *label, char *name, size_t capacity)
+{
+	size_t n = 0;
+
+	for (; *label; label++) {
+		bool kept = (*label >= '0' && *label <= '9') || (*label >= 'a' && *label <= 'z') ||
+			    (*label >= 'A' && *label <= 'Z');
+		char c = kept ? (char)tolower((unsigned char)*label) : '_';
+
+		if (c == '_' && (n == 0 || name[n - 1] == '_'))
+			continue;
+		if (n + 1 < capacity)
+			name[n++] = c;
+	}
+	while (n && name[n - 1] == '_')
+		n--;
+	name[n] = '\0';
+	return n;
+}
+
+/* The value of a numeric key: 0, or -EINVAL when it is there and does not parse. Absent: *out
+ * stays. */
+static int take_u32(struct loader *l, const char *section, const char *key, uint32_t *out)
+{
+	const struct eds_item *item = eds_find(&l->file, section, key);
+	union od_number number;
+
+	if (!item)
+		return 0;
+	if (!eds_parse_integer(item->value, 32, false, &number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no number of 32 bits", section, key, item->value);
+	*out = (uint32_t)number.u;
+	return 0;
+}
+
+static const char *take_text(const struct loader *l, const char *section, const char *key)
+{
+	const struct eds_item *item = eds_find(&l->file, section, key);
+
+	return item ? item->value : "";
+}
+
+/* ---- names ---- */
+
+/* The human name of a section and its normalised form. A name that says nothing is replaced, except
+ * in our own file. */
+static int take_name(struct loader *l, const char *section, const struct eds_item *item, const char *substitute,
+	const char **label, const char **name, unsigned *line)
+{
+	char normalised[EDS_LINE_MAX];
+	const struct eds_item *header = eds_section(&l->file, section);
+
+	*line = item ? item->line : header ? header->header : 0;
+	*label = item ? item->value : substitute;
+	if (!item && strict(l))
+		return eds_fail(&l->file, *line, "[%s] has no ParameterName; add it", section);
+	eds_normalise(*label, normalised, sizeof(normalised));
+	if (strict(l) && !isalpha((unsigned char)normalised[0]))
+		return eds_fail(&l->file, *line, "[%s] ParameterName=%s must begin with a letter", section, *label);
+	if (!normalised[0])
+		eds_normalise(substitute, normalised, sizeof(normalised));
+	*label = eds_copy(&l->file, *label);
+	*name = eds_copy(&l->file, normalised);
+	return l->file.result;
+}
+
+/* ---- entries ---- */
+
+/* Where the facts of an entry stand: its own section, or for a CompactSubObj its object's. */
+struct source {
+	const char *section;
+	const struct eds_item *label, *initial;
+	uint32_t inherited_flags;
+};
+
+static int take_access(struct loader *l, const struct source *source, struct od_entry *entry)
+{
+	static const struct {
+		const char *text;
+		uint16_t access, pdo;
+	} ACCESS[] = {
+		{"ro", OD_READ, OD_TPDO},
+		{"wo", OD_WRITE, OD_RPDO},
+		{"rw", OD_READ | OD_WRITE, OD_TPDO | OD_RPDO},
+		{"rwr", OD_READ | OD_WRITE, OD_TPDO},
+		{"rww", OD_READ | OD_WRITE, OD_RPDO},
+		{"const", OD_READ | OD_CONST, OD_TPDO},
+	};
+	const struct eds_item *item = eds_find(&l->file, source->section, "AccessType");
+	const char *text = item ? item->value : "rw";
+	uint32_t mappable = 0, flags = 0, stored = 0;
+
+	if (!item && strict(l))
+		return eds_fail(&l->file, eds_section(&l->file, source->section)->header,
+			"[%s] has no AccessType; add it", source->section);
+	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags) ||
+		take_u32(l, source->section, "Stored", &stored))
+		return l->file.result;
+	flags |= source->inherited_flags;
+	for (size_t i = 0; i < sizeof(ACCESS) / sizeof(*ACCESS); i++) {
+		if (strcasecmp(text, ACCESS[i].text))
+			continue;
+		entry->access = ACCESS[i].access;
+		if (mappable)
+			entry->access |= ACCESS[i].pdo;
+		if ((entry->access & OD_READ) && (entry->access & OD_WRITE) && entry->type != OD_DOMAIN &&
+			!(flags & OBJ_FLAG_NOT_DOWNLOADED))
+			stored = 1;
+		if (stored)
+			entry->access |= OD_STORED;
+		return 0;
+	}
+	return eds_fail(&l->file, item->line, "[%s] AccessType=%s is not one of ro, wo, rw, rwr, rww, const",
+		source->section, text);
+}
+
+/* One limit, of the key for REALs if that is there. */
+static int take_limit(struct loader *l, const char *section, const char *key, const char *real_key,
+	const struct eds_type *type, uint16_t flag, struct od_entry *entry, union od_number *limit)
+{
+	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, section, real_key) : NULL;
+
+	if (!item)
+		item = eds_find(&l->file, section, key);
+	if (!item || (!type->bits && !eds_is_real(type)))
+		return 0;
+	if (!eds_parse_number(item->value, type, limit))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", section, item->key,
+			item->value, type->code);
+	entry->access |= flag;
+	return 0;
+}
+
+static int take_number(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
+{
+	struct od_entry *entry = &draft->entry;
+	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, source->section, "RealDefault") : NULL;
+	char rest[EDS_LINE_MAX];
+	const char *text;
+
+	if (take_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry, &entry->low) ||
+		take_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH, entry, &entry->high))
+		return l->file.result;
+	if (!item)
+		item = source->initial;
+	if (!item)
+		return 0;
+	draft->default_line = item->line;
+	text = item->value;
+	if (type->bits && eds_split_node_id(text, rest, sizeof(rest))) {
+		text = rest;
+		entry->access |= OD_NODE_ID;
+	}
+	if (!eds_parse_number(text, type, &draft->number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", source->section,
+			item->key, item->value, type->code);
+	if (!strict(l))
+		return 0;
+	if ((entry->access & OD_LIMIT_LOW) && eds_is_above(type, entry->low, draft->number))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is below the low limit", source->section, item->key,
+			item->value);
+	if ((entry->access & OD_LIMIT_HIGH) && eds_is_above(type, draft->number, entry->high))
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is above the high limit", source->section, item->key,
+			item->value);
+	return 0;
+}
+
+static int take_string(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
+{
+	const struct eds_item *item = type->foreign ? NULL : source->initial;
+	const struct eds_item *size_item = eds_find(&l->file, source->section, "StringSize");
+	uint32_t size = type->size;
+	int length = 0;
+
+	if (take_u32(l, source->section, "StringSize", &size))
+		return l->file.result;
+	if (size_item && (size < 1 || size > OD_VALUE_MAX))
+		return eds_fail(&l->file, size_item->line, "[%s] StringSize=%s is not 1 to %d", source->section,
+			size_item->value, OD_VALUE_MAX);
+	if (item) {
+		draft->default_line = item->line;
+		draft->text = item->value;
+		length = type->type == OD_OCTET_STRING ? eds_parse_octets(item->value, NULL, 0)
+						       : (int)strlen(item->value);
+		if (length < 0)
+			return eds_fail(&l->file, item->line, "[%s] DefaultValue=%s is not made of pairs of hex digits",
+				source->section, item->value);
+		if (size && (uint32_t)length > size)
+			return eds_fail(&l->file, item->line, "[%s] the default has %d bytes, more than StringSize=%u",
+				source->section, length, size);
+	}
+	if (!size && type->type == OD_OCTET_STRING)
+		size = (uint32_t)length;
+	if (!size || size > OD_VALUE_MAX)
+		size = OD_VALUE_MAX;
+	draft->entry.size = (uint16_t)size;
+	return 0;
+}
+
+static int take_factor(struct loader *l, const char *section, double *factor)
+{
+	const struct eds_item *item = eds_find(&l->file, section, "Factor");
+	union od_number number;
+
+	*factor = 1;
+	if (!item)
+		return 0;
+	if (!eds_parse_real(item->value, OD_REAL64, &number) || number.f == 0)
+		return eds_fail(&l->file, item->line, "[%s] Factor=%s is no number other than 0", section, item->value);
+	*factor = number.f;
+	return 0;
+}
+
+static int add_draft(struct loader *l, const struct draft *draft)
+{
+	struct draft *drafts = eds_grow(&l->file, l->drafts, l->draft_count, &l->draft_capacity, sizeof(*draft));
+
+	if (drafts) {
+		l->drafts = drafts;
+		l->drafts[l->draft_count++] = *draft;
+	}
+	return l->file.result;
+}
+
+static const struct eds_type *take_type(struct loader *l, const char *section, uint32_t object_type)
+{
+	const struct eds_item *item = eds_find(&l->file, section, "DataType");
+	const struct eds_type *type;
+	union od_number code;
+
+	if (!item && object_type == OBJECT_TYPE_DOMAIN)
+		return eds_type_of(OD_DOMAIN);
+	if (!item) {
+		eds_fail(&l->file, eds_section(&l->file, section)->header, "[%s] has no DataType; add it", section);
+		return NULL;
+	}
+	type = eds_parse_integer(item->value, 32, false, &code) ? eds_type_of(code.u) : NULL;
+	if (!type || (type->foreign && strict(l)))
+		eds_fail(&l->file, item->line,
+			"[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007", section,
+			item->value);
+	return l->file.result ? NULL : type;
+}
+
+/* Appends one entry of `object`; for a VAR `name` is NULL. */
+static int take_entry(struct loader *l, const struct eds_object *object, uint8_t sub, const char *name,
+	const struct source *source, struct draft draft)
+{
+	uint32_t object_type = OBJECT_TYPE_VAR;
+	const struct eds_type *type;
+	struct od_entry *entry = &draft.entry;
+	char full[2 * EDS_LINE_MAX];
+
+	if (take_u32(l, source->section, "ObjectType", &object_type))
+		return l->file.result;
+	type = take_type(l, source->section, object_type);
+	if (!type)
+		return l->file.result;
+	entry->index = object->index;
+	entry->sub = sub;
+	entry->type = type->type;
+	entry->size = type->size;
+	snprintf(full, sizeof(full), "%s%s%s", object->name, name ? "." : "", name ? name : "");
+	entry->name = eds_copy(&l->file, full);
+	draft.default_line = draft.label_line;
+	if (*take_text(l, source->section, "ParameterValue"))
+		draft.value = take_text(l, source->section, "ParameterValue");
+	entry->unit = take_text(l, source->section, "Unit");
+	entry->description = take_text(l, source->section, "Description");
+	if (take_access(l, source, entry) || take_factor(l, source->section, &entry->factor))
+		return l->file.result;
+	if (type->bits || eds_is_real(type))
+		take_number(l, source, type, &draft);
+	else if (type->type != OD_DOMAIN)
+		take_string(l, source, type, &draft);
+	return l->file.result ? l->file.result : add_draft(l, &draft);
+}
+
+static int take_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
+{
+	struct draft draft = {0};
+	const char *name = NULL;
+	char substitute[sizeof("Sub 255")];
+
+	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
+	if (take_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
+		return l->file.result;
+	return take_entry(l, object, sub, name, source, draft);
+}
+
+/* CompactSubObj: sub-index 0 is implied, the others share the facts of the object's own section. */
+static int take_compact(struct loader *l, const struct eds_object *object, const char *section, uint8_t count)
+{
+	static const char LABEL[] = "NrOfObjects";
+	char names[sizeof("FFFFValue")], values[sizeof("FFFFValue")], number[sizeof("255")];
+	char full[EDS_LINE_MAX + sizeof(number)];
+	struct draft zero = {.label = LABEL, .label_line = object->line, .number.u = count};
+
+	zero.entry = (struct od_entry){.index = object->index,
+		.type = OD_UNSIGNED8,
+		.size = 1,
+		.access = OD_READ | OD_CONST,
+		.factor = 1,
+		.unit = "",
+		.description = ""};
+	snprintf(full, sizeof(full), "%s.nrofobjects", object->name);
+	zero.entry.name = eds_copy(&l->file, full);
+	if (add_draft(l, &zero))
+		return l->file.result;
+	snprintf(names, sizeof(names), "%XName", object->index);
+	snprintf(values, sizeof(values), "%XValue", object->index);
+	for (unsigned sub = 1; sub <= count; sub++) {
+		struct source source = {.section = section};
+		struct eds_item label = {.value = full, .line = object->line};
+
+		snprintf(number, sizeof(number), "%u", sub);
+		snprintf(full, sizeof(full), "%.150s%u", object->label, sub);
+		source.label = eds_find(&l->file, names, number);
+		source.initial = eds_find(&l->file, values, number);
+		if (!source.label)
+			source.label = &label;
+		if (!source.initial)
+			source.initial = eds_find(&l->file, section, "DefaultValue");
+		if (take_u32(l, section, "ObjFlags", &source.inherited_flags) ||
+			take_sub(l, object, (uint8_t)sub, &source))
+			return l->file.result;
+	}
+	return 0;
+}
+
+static int compare_subs(const void *a, const void *b)
+{
+	const struct draft *x = a, *y = b;
+
+	if (x->entry.sub != y->entry.sub)
+		return x->entry.sub - y->entry.sub;
+	return (x->label_line > y->label_line) - (x->label_line < y->label_line);
+}
+
+/* All [1018subN] of an object, whatever the order in the file. */
+static int take_subs(struct loader *l, const struct eds_object *object, const char *section)
+{
+	char prefix[sizeof("FFFFsub")];
+	size_t length = (size_t)snprintf(prefix, sizeof(prefix), "%Xsub", object->index);
+	uint32_t flags = 0;
+
+	if (take_u32(l, section, "ObjFlags", &flags))
+		return l->file.result;
+	for (size_t i = eds_section_start(&l->file, prefix); i < l->file.count; i = eds_section_end(&l->file, i)) {
+		const char *name = l->file.items[i].section;
+		struct source source = {.section = name, .inherited_flags = flags};
+		unsigned long sub;
+		char *end;
+
+		if (strncasecmp(name, prefix, length))
+			break;
+		sub = strtoul(name + length, &end, 16);
+		if (!isxdigit((unsigned char)name[length]) || *end || sub > 0xFF)
+			return eds_fail(&l->file, l->file.items[i].header, "[%s] names no sub-index of 0 to FF", name);
+		source.label = eds_find(&l->file, name, "ParameterName");
+		source.initial = eds_find(&l->file, name, "DefaultValue");
+		if (take_sub(l, object, (uint8_t)sub, &source))
+			return l->file.result;
+	}
+	if (l->draft_count > object->first)
+		qsort(l->drafts + object->first, l->draft_count - object->first, sizeof(*l->drafts), compare_subs);
+	return 0;
+}
+
+static int check_subs(struct loader *l, const struct eds_object *object, const char *section)
+{
+	const struct draft *subs = l->drafts + object->first;
+	const struct eds_item *item = eds_find(&l->file, section, "SubNumber");
+	uint32_t count = 0;
+
+	for (size_t i = 1; i < object->count; i++)
+		if (subs[i].entry.sub == subs[i - 1].entry.sub)
+			return eds_fail(&l->file, subs[i].label_line, "[%s] has sub-index %X twice; remove one",
+				section, subs[i].entry.sub);
+	if (take_u32(l, section, "SubNumber", &count) || !strict(l))
+		return l->file.result;
+	if (!item)
+		return eds_fail(&l->file, object->line, "[%s] has no SubNumber; add it", section);
+	if (count != object->count)
+		return eds_fail(&l->file, item->line, "[%s] SubNumber=%s, but %zu sub-indices are described", section,
+			item->value, object->count);
+	if (subs[0].entry.sub != 0)
+		return eds_fail(&l->file, item->line, "[%s] has no sub-index 0; add it", section);
+	if ((subs[0].entry.access & OD_CONST) && subs[0].number.u != subs[count - 1].entry.sub)
+		return eds_fail(&l->file, subs[0].default_line, "[%s] sub-index 0 is not %d, the highest sub-index",
+			section, subs[count - 1].entry.sub);
+	return 0;
+}
+
+/* ---- objects ---- */
+
+static int take_object(struct loader *l, struct eds_object *object, const struct eds_item *listed)
+{
+	char section[sizeof("FFFF")], substitute[sizeof("Object FFFF")];
+	uint32_t object_type = OBJECT_TYPE_VAR, compact = 0;
+	const struct eds_item *item;
+
+	snprintf(section, sizeof(section), "%X", object->index);
+	snprintf(substitute, sizeof(substitute), "Object %X", object->index);
+	if (!eds_section(&l->file, section))
+		return eds_fail(&l->file, listed->line,
+			"object %s is listed, but has no section [%s]; add it or unlist it", listed->value, section);
+	if (take_name(l, section, eds_find(&l->file, section, "ParameterName"), substitute, &object->label,
+		    &object->name, &object->line) ||
+		take_u32(l, section, "ObjectType", &object_type) || take_u32(l, section, "CompactSubObj", &compact))
+		return l->file.result;
+	object->description = take_text(l, section, "Description");
+	object->first = l->draft_count;
+	switch (object_type) {
+	case OBJECT_TYPE_DOMAIN:
+	case OBJECT_TYPE_VAR: {
+		struct source source = {.section = section, .initial = eds_find(&l->file, section, "DefaultValue")};
+		struct draft draft = {.label = object->label, .label_line = object->line};
+
+		object->kind = EDS_VAR;
+		take_entry(l, object, 0, NULL, &source, draft);
+		break;
+	}
+	case OBJECT_TYPE_ARRAY:
+	case OBJECT_TYPE_RECORD:
+		object->kind = object_type == OBJECT_TYPE_ARRAY ? EDS_ARRAY : EDS_RECORD;
+		item = eds_find(&l->file, section, "CompactSubObj");
+		if (compact > 0xFE)
+			eds_fail(&l->file, item->line, "[%s] CompactSubObj=%s is above 254", section, item->value);
+		else if (compact)
+			take_compact(l, object, section, (uint8_t)compact);
+		else
+			take_subs(l, object, section);
+		break;
+	default: /* NULL, DEFTYPE, DEFSTRUCT: nothing to be read or written */
+		item = eds_find(&l->file, section, "ObjectType");
+		if (strict(l))
+			eds_fail(&l->file, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9", section,
+				item->value);
+		return l->file.result;
+	}
+	object->count = l->draft_count - object->first;
+	if (l->file.result || object->kind == EDS_VAR || compact)
+		return l->file.result;
+	if (!object->count)
+		return eds_fail(&l->file, object->line, "[%s] has no sub-index; add [%ssub0]", section, section);
+	return check_subs(l, object, section);
+}
+
+struct listing {
+	const struct eds_item *item;
+	uint16_t index;
+};
+
+static int compare_listings(const void *a, const void *b)
+{
+	const struct listing *x = a, *y = b;
+
+	if (x->index != y->index)
+		return x->index - y->index;
+	return (x->item->line > y->item->line) - (x->item->line < y->item->line);
+}
+
+static bool belongs_to_list(const char *list, uint16_t index)
+{
+	bool mandatory = index == 0x1000 || index == 0x1001 || index == 0x1018;
+	bool manufacturer = index >= 0x2000 && index < 0x6000;
+
+	if (!strcmp(list, "MandatoryObjects"))
+		return mandatory;
+	return strcmp(list, "ManufacturerObjects") ? !mandatory && !manufacturer : manufacturer;
+}
+
+/* Appends what one list holds. `listings` has room for as many as there are items in the file. */
+static int take_list(struct loader *l, const char *list, struct listing *listings, size_t *count)
+{
+	const struct eds_item *supported = eds_find(&l->file, list, "SupportedObjects");
+	size_t from = eds_section_start(&l->file, list), present;
+	uint32_t n = 0;
+
+	if (take_u32(l, list, "SupportedObjects", &n))
+		return l->file.result;
+	if (!eds_section(&l->file, list))
+		return strict(l) ? eds_fail(&l->file, 0, "has no section [%s]; add it", list) : 0;
+	present = eds_section_end(&l->file, from) - from - (supported != NULL);
+	if (strict(l) && (!supported || present != n))
+		return eds_fail(&l->file, supported ? supported->line : l->file.items[from].header,
+			"[%s] SupportedObjects=%u, but %zu are listed", list, n, present);
+	for (uint32_t i = 1; i <= n && i <= 0xFFFF; i++) {
+		char key[sizeof("65535")];
+		const struct eds_item *item;
+		union od_number index;
+
+		snprintf(key, sizeof(key), "%u", i);
+		item = eds_find(&l->file, list, key);
+		if (!item && strict(l))
+			return eds_fail(
+				&l->file, supported->line, "[%s] has no entry %u; number them 1 to %u", list, i, n);
+		if (!item)
+			continue;
+		if (!eds_parse_integer(item->value, 16, false, &index))
+			return eds_fail(&l->file, item->line, "[%s] %s is no index of 16 bits, such as 0x1000", list,
+				item->value);
+		if (strict(l) && !belongs_to_list(list, (uint16_t)index.u))
+			return eds_fail(
+				&l->file, item->line, "object %s does not belong in [%s]; move it", item->value, list);
+		if (index.u < 0x1000)
+			continue; /* data types, no objects */
+		listings[(*count)++] = (struct listing){item, (uint16_t)index.u};
+	}
+	return 0;
+}
+
+static int take_objects(struct loader *l)
+{
+	struct listing *listings = eds_allocate(&l->file, l->file.count * sizeof(*listings));
+	struct eds *eds = l->eds;
+	size_t count = 0;
+
+	if (!listings || take_list(l, "MandatoryObjects", listings, &count) ||
+		take_list(l, "OptionalObjects", listings, &count) ||
+		take_list(l, "ManufacturerObjects", listings, &count))
+		return l->file.result;
+	if (!count)
+		return eds_fail(&l->file, 0, "lists no objects; is it an EDS file?");
+	qsort(listings, count, sizeof(*listings), compare_listings);
+	eds->objects = eds_allocate(&l->file, count * sizeof(*eds->objects));
+	if (!eds->objects)
+		return l->file.result;
+	for (size_t i = 0; i < count; i++) {
+		struct eds_object *object = &eds->objects[eds->object_count];
+
+		if (i && listings[i].index == listings[i - 1].index)
+			return eds_fail(&l->file, listings[i].item->line,
+				"object %s is listed in line %u already; remove one", listings[i].item->value,
+				listings[i - 1].item->line);
+		object->index = listings[i].index;
+		if (take_object(l, object, listings[i].item))
+			return l->file.result;
+		if (object->count)
+			eds->object_count++;
+	}
+	return 0;
+}
+
+/* ---- the table ---- */
+
+static size_t alignment(const struct od_entry *entry)
+{
+	if (entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING || entry->type == OD_DOMAIN)
+		return 1;
+	return entry->size;
+}
+
+static size_t round_up(size_t value, size_t to)
+{
+	return (value + to - 1) / to * to;
+}
+
+/* As a compiler lays out a struct with one member per object, which is a struct with one member per
+ * sub-index. */
+static size_t lay_out(struct loader *l)
+{
+	size_t end = 0, widest = 1;
+
+	for (size_t i = 0; i < l->eds->object_count; i++) {
+		const struct eds_object *object = &l->eds->objects[i];
+		struct draft *drafts = l->drafts + object->first;
+		size_t align = 1;
+
+		for (size_t k = 0; k < object->count; k++)
+			if (align < alignment(&drafts[k].entry))
+				align = alignment(&drafts[k].entry);
+		end = round_up(end, align);
+		for (size_t k = 0; k < object->count; k++) {
+			end = round_up(end, alignment(&drafts[k].entry));
+			drafts[k].entry.offset = (uint32_t)end;
+			end += drafts[k].entry.size;
+		}
+		end = round_up(end, align);
+		if (widest < align)
+			widest = align;
+	}
+	return round_up(end, widest);
+}
+
+static void place_default(const struct draft *draft, uint8_t *values)
+{
+	const struct od_entry *entry = &draft->entry;
+	uint8_t *to = values + entry->offset;
+	uint8_t u8 = (uint8_t)draft->number.u;
+	uint16_t u16 = (uint16_t)draft->number.u;
+	uint32_t u32 = (uint32_t)draft->number.u;
+	float real32;
+
+	switch ((enum od_type)entry->type) {
+	case OD_BOOLEAN:
+	case OD_INTEGER8:
+	case OD_UNSIGNED8:
+		*to = u8;
+		break;
+	case OD_INTEGER16:
+	case OD_UNSIGNED16:
+		memcpy(to, &u16, sizeof(u16));
+		break;
+	case OD_INTEGER32:
+	case OD_UNSIGNED32:
+		memcpy(to, &u32, sizeof(u32));
+		break;
+	case OD_INTEGER64:
+	case OD_UNSIGNED64:
+	case OD_REAL64:
+		memcpy(to, &draft->number, sizeof(draft->number));
+		break;
+	case OD_REAL32:
+		real32 = (float)draft->number.f;
+		memcpy(to, &real32, sizeof(real32));
+		break;
+	case OD_VISIBLE_STRING:
+		if (draft->text)
+			memcpy(to, draft->text, strnlen(draft->text, entry->size));
+		break;
+	case OD_OCTET_STRING:
+		if (draft->text)
+			eds_parse_octets(draft->text, to, entry->size);
+		break;
+	case OD_DOMAIN:
+		break;
+	}
+}
+
+static int build_table(struct loader *l)
+{
+	struct eds *eds = l->eds;
+	size_t values_size = lay_out(l);
+	struct od_entry *entries = eds_allocate(&l->file, l->draft_count * sizeof(*entries));
+	uint8_t *defaults = eds_allocate(&l->file, values_size);
+
+	eds->entries = eds_allocate(&l->file, l->draft_count * sizeof(*eds->entries));
+	if (l->file.result)
+		return l->file.result;
+	for (size_t i = 0; i < l->draft_count; i++) {
+		entries[i] = l->drafts[i].entry;
+		eds->entries[i] = (struct eds_entry){l->drafts[i].label, l->drafts[i].label_line, l->drafts[i].value};
+		place_default(&l->drafts[i], defaults);
+	}
+	eds->table = (struct od_table){entries, l->draft_count, defaults, values_size};
+	return 0;
+}
+
+static int take_info(struct loader *l)
+{
+	struct eds_info *info = &l->eds->info;
+	const struct {
+		const char *section, *key;
+		uint32_t *value;
+	} numbers[] = {
+		{"FileInfo", "FileVersion", &info->file_version},
+		{"FileInfo", "FileRevision", &info->file_revision},
+		{"DeviceInfo", "VendorNumber", &info->vendor_number},
+		{"DeviceInfo", "ProductNumber", &info->product_number},
+		{"DeviceInfo", "RevisionNumber", &info->revision_number},
+		{"DeviceInfo", "NrOfRXPDO", &info->rpdo_count},
+		{"DeviceInfo", "NrOfTXPDO", &info->tpdo_count},
+		{"DeviceComissioning", "NodeID", &info->node_id},
+	};
+
+	for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
+		if (take_u32(l, numbers[i].section, numbers[i].key, numbers[i].value))
+			return l->file.result;
+	info->file_name = take_text(l, "FileInfo", "FileName");
+	info->description = take_text(l, "FileInfo", "Description");
+	info->vendor_name = take_text(l, "DeviceInfo", "VendorName");
+	info->product_name = take_text(l, "DeviceInfo", "ProductName");
+	info->order_code = take_text(l, "DeviceInfo", "OrderCode");
+	return 0;
+}
+
+enum od_status eds_value(
+	const struct od_entry *entry, const char *text, uint8_t node_id, void *wire, size_t capacity, size_t *size)
+{
+	const struct eds_type *type = eds_type_of(entry->type);
+	bool number = type && (type->bits || eds_is_real(type));
+	char rest[EDS_LINE_MAX], plain[32];
+	union od_number value;
+	bool relative = number && eds_split_node_id(text, rest, sizeof(rest));
+
+	if (!number || capacity < entry->size)
+		return od_parse(entry, text, wire, capacity, size);
+	if (!eds_parse_number(relative ? rest : text, type, &value))
+		return OD_BAD_VALUE;
+	if (eds_is_real(type))
+		snprintf(plain, sizeof(plain), "%.17g", value.f);
+	else if (type->is_signed)
+		snprintf(plain, sizeof(plain), "%lld", (long long)value.i);
+	else
+		snprintf(plain, sizeof(plain), "%llu", (unsigned long long)(value.u + (relative ? node_id : 0)));
+	return od_parse(entry, plain, wire, capacity, size);
+}
+
+/* ---- what only our own file must fulfil ---- */
+
+static int check_names(struct loader *l)
+{
+	const struct eds *eds = l->eds;
+
+	for (size_t i = 0; i < eds->object_count; i++)
+		for (size_t k = 0; k < i; k++)
+			if (!strcmp(eds->objects[i].name, eds->objects[k].name))
+				return eds_fail(&l->file, eds->objects[i].line,
+					"the name \"%s\" is that of object %04X already; choose "
+					"another",
+					eds->objects[i].name, eds->objects[k].index);
+	for (size_t o = 0; o < eds->object_count; o++) {
+		const struct draft *subs = l->drafts + eds->objects[o].first;
+
+		for (size_t i = 0; i < eds->objects[o].count; i++)
+			for (size_t k = 0; k < i; k++)
+				if (!strcmp(subs[i].entry.name, subs[k].entry.name))
+					return eds_fail(&l->file, subs[i].label_line,
+						"the name \"%s\" is that of sub-index %X already; "
+						"choose another",
+						subs[i].entry.name, subs[k].entry.sub);
+	}
+	return 0;
+}
+
+/* Every [1018...] section belongs to a listed object. */
+static int check_sections(struct loader *l)
+{
+	for (size_t i = 0; i < l->file.count; i = eds_section_end(&l->file, i)) {
+		char digits[5] = "";
+		uint16_t index;
+		char *end;
+
+		strncpy(digits, l->file.items[i].section, 4);
+		index = (uint16_t)strtoul(digits, &end, 16);
+		if (end != digits + 4 || strchr("+- ", digits[0]))
+			continue;
+		for (size_t k = 0; k <= l->eds->object_count; k++) {
+			if (k == l->eds->object_count)
+				return eds_fail(&l->file, l->file.items[i].header,
+					"[%s] belongs to no listed object; list it", l->file.items[i].section);
+			if (l->eds->objects[k].index == index)
+				break;
+		}
+	}
+	return 0;
+}
+
+static int check_mapping(struct loader *l, const struct eds_object *object, uint16_t direction)
+{
+	const struct draft *subs = l->drafts + object->first;
+	unsigned bits = 0;
+
+	for (size_t i = 1; i < object->count; i++) {
+		uint32_t mapped = (uint32_t)subs[i].number.u;
+		const struct od_entry *target;
+
+		if (!mapped && subs[i].entry.sub > subs[0].number.u)
+			continue;
+		target = od_find(&l->eds->table, (uint16_t)(mapped >> 16), (uint8_t)(mapped >> 8), NULL);
+		if (!target)
+			return eds_fail(&l->file, subs[i].default_line, "maps %04X:%02X, which is not in the file",
+				mapped >> 16, mapped >> 8 & 0xFF);
+		if (!(target->access & direction))
+			return eds_fail(&l->file, subs[i].default_line, "maps %s, which is not mappable into this PDO",
+				target->name);
+		if ((mapped & 0xFF) != 8u * target->size)
+			return eds_fail(&l->file, subs[i].default_line, "maps %u bits of %s, which has %u",
+				mapped & 0xFF, target->name, 8u * target->size);
+		if (subs[i].entry.sub <= subs[0].number.u)
+			bits += mapped & 0xFF;
+	}
+	if (bits > PDO_BITS_MAX)
+		return eds_fail(&l->file, subs[0].default_line, "the default mapping has %u bits, a PDO at most %d",
+			bits, PDO_BITS_MAX);
+	return 0;
+}
+
+static int check_pdos(struct loader *l)
+{
+	const struct eds *eds = l->eds;
+	uint32_t rpdos = 0, tpdos = 0;
+	const struct eds_item *item;
+
+	for (size_t i = 0; i < eds->object_count; i++) {
+		const struct eds_object *object = &eds->objects[i];
+		uint16_t block = object->index & 0xFE00;
+
+		rpdos += block == 0x1400;
+		tpdos += block == 0x1800;
+		if (block == 0x1600)
+			check_mapping(l, object, OD_RPDO);
+		if (block == 0x1A00)
+			check_mapping(l, object, OD_TPDO);
+	}
+	item = eds_find(&l->file, "DeviceInfo", "NrOfRXPDO");
+	if (eds->info.rpdo_count != rpdos)
+		return eds_fail(
+			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
+	item = eds_find(&l->file, "DeviceInfo", "NrOfTXPDO");
+	if (eds->info.tpdo_count != tpdos)
+		return eds_fail(
+			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
+	return l->file.result;
+}
+
+static int check_identity(struct loader *l)
+{
+	static const char *const KEYS[] = {"VendorNumber", "ProductNumber", "RevisionNumber"};
+	const struct eds_info *info = &l->eds->info;
+	const uint32_t numbers[] = {info->vendor_number, info->product_number, info->revision_number};
+
+	for (uint8_t i = 0; i < 3; i++) {
+		const struct od_entry *entry = od_find(&l->eds->table, 0x1018, i + 1, NULL);
+		const struct eds_item *item = eds_find(&l->file, "DeviceInfo", KEYS[i]);
+
+		if (entry && l->drafts[entry - l->eds->table.entries].number.u != numbers[i])
+			return eds_fail(&l->file, item ? item->line : 0, "[DeviceInfo] %s differs from [1018sub%u]",
+				KEYS[i], i + 1u);
+	}
+	return 0;
+}
+
+static int build(struct loader *l, const char *text, size_t size)
+{
+	if (eds_read(&l->file, text, size) || take_info(l) || take_objects(l) || build_table(l))
+		return l->file.result;
+	if (!strict(l))
+		return 0;
+	if (check_sections(l) || check_names(l) || check_pdos(l))
+		return l->file.result;
+	return check_identity(l);
+}
+
+int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, enum eds_rules rules, char *error,
+	size_t error_size)
+{
+	struct loader l = {
+		.file = {.path = path, .error = error, .error_size = error_size}, .eds = eds, .rules = rules};
+
+	memset(eds, 0, sizeof(*eds));
+	build(&l, text, size);
+	eds->memory = l.file.memory;
+	eds_close(&l.file);
+	free(l.drafts);
+	if (l.file.result)
+		eds_free(eds);
+	return l.file.result;
+}
+
+static long read_file(const char *path, char *text)
+{
+	FILE *file = fopen(path, "rb");
+	size_t size;
+	int error;
+
+	if (!file)
+		return -errno;
+	errno = 0;
+	size = fread(text, 1, FILE_SIZE_MAX, file);
+	error = ferror(file) ? errno : size == FILE_SIZE_MAX ? EFBIG : 0;
+	fclose(file);
+	return error ? -error : (long)size;
+}
+
+int eds_load(struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size)
+{
+	char *text = malloc(FILE_SIZE_MAX);
+	long size = text ? read_file(path, text) : -ENOMEM;
+	int result = (int)size;
+
+	memset(eds, 0, sizeof(*eds));
+	if (size < 0)
+		snprintf(error, error_size, "%s: %s", path, strerror(-result));
+	else
+		result = eds_parse(eds, path, text, (size_t)size, rules, error, error_size);
+	free(text);
+	return result;
+}
+
+void eds_free(struct eds *eds)
+{
+	eds_free_memory(eds->memory);
+	memset(eds, 0, sizeof(*eds));
+}

@@ -1,0 +1,466 @@
+#include "tools/monitor/watch.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+#include "gateway/canopen/canopen.h"
+#include "gateway/status.h"
+#include "model/pipeline.h"
+#include "tools/lib/cli_value.h"
+
+enum {
+	SDO_TIMEOUT_US = 300000,
+	ASK_AGAIN_US = 2000000,
+	SAMPLE_INDEX = 0x210F,
+	SAMPLE_COUNTER = 1,
+};
+
+#define COB_ID_INVALID (1u << 31)
+
+/* ---- the mapping ---- */
+
+/* What must be known of the node to understand its frames. */
+static bool is_wanted(const struct od_entry *entry)
+{
+	uint16_t index = entry->index;
+
+	if (index >= 0x1800 && index < 0x1800 + WATCH_PDOS)
+		return entry->sub == 1 || entry->sub == 2;
+	return (index >= 0x1A00 && index < 0x1A00 + WATCH_PDOS) || index == 0x1005 || index == 0x1014 ||
+	       index == 0x1017 || index == 0x1019 || index == 0x2110 || index == 0x6000;
+}
+
+static double mirrored(const struct watch *watch, const struct od_entry *entry)
+{
+	uint8_t wire[OD_VALUE_MAX];
+
+	od_get(&watch->mirror, entry, wire, sizeof(wire));
+	return cli_number(entry, wire);
+}
+
+uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub)
+{
+	const struct od_entry *entry = od_find(watch->mirror.table, index, sub, NULL);
+
+	return entry ? (uint32_t)mirrored(watch, entry) : 0;
+}
+
+static double step_of(const struct watch *watch, const struct od_entry *entry)
+{
+	const struct od_entry *resolution = cli_resolution(watch->mirror.table, entry);
+
+	return resolution ? mirrored(watch, resolution) * resolution->factor : entry->factor;
+}
+
+static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int number)
+{
+	uint16_t parameter = (uint16_t)(0x1800 + number), mapping = (uint16_t)(0x1A00 + number);
+	uint32_t cob_id = watch_object(watch, parameter, 1);
+	uint32_t count = watch_object(watch, mapping, 0);
+	unsigned int bit = 0;
+	bool changed = false;
+
+	pdo->enabled = !(cob_id & COB_ID_INVALID) && count > 0;
+	pdo->id = cob_id & 0x7FF; /* the gateway takes no other */
+	pdo->type = (uint8_t)watch_object(watch, parameter, 2);
+	pdo->field_count = 0;
+	for (uint8_t sub = 1; sub <= count && pdo->field_count < WATCH_FIELDS; sub++) {
+		struct watch_field *field = &pdo->fields[pdo->field_count];
+		uint32_t object = watch_object(watch, mapping, sub);
+		unsigned int bits = object & 0xFF;
+
+		if (bit + bits > 64)
+			break;
+		changed |= field->mapping != object;
+		field->mapping = object;
+		field->bit = bit;
+		field->bits = bits;
+		field->step = 1;
+		field->entry = od_find(watch->mirror.table, (uint16_t)(object >> 16), (uint8_t)(object >> 8), NULL);
+		if (field->entry && 8u * field->entry->size != bits)
+			field->entry = NULL;
+		if (field->entry)
+			field->step = step_of(watch, field->entry);
+		bit += bits;
+		pdo->field_count++;
+	}
+	pdo->enabled = pdo->enabled && pdo->field_count > 0;
+	if (changed) { /* the values are those of other objects */
+		pdo->rate = (struct watch_rate){0};
+		pdo->counted = false;
+	}
+}
+
+static void set_up(struct watch *watch, enum watch_mapping mapping)
+{
+	const struct od_table *table = watch->mirror.table;
+
+	watch->mapping = mapping;
+	watch->configured++;
+	for (watch->pdo_count = 0; watch->pdo_count < WATCH_PDOS; watch->pdo_count++) {
+		unsigned int number = (unsigned int)watch->pdo_count;
+
+		if (!od_find(table, (uint16_t)(0x1800 + number), 1, NULL))
+			break;
+		set_up_pdo(watch, &watch->pdos[number], number);
+	}
+}
+
+/* ---- asking the node, one object after the other ---- */
+
+static void no_answer(struct watch *watch, uint64_t now_us)
+{
+	watch->ask_again_us = now_us + ASK_AGAIN_US;
+	if (watch->mapping == WATCH_LEARNING)
+		set_up(watch, WATCH_DEFAULTS);
+}
+
+static void ask_next(struct watch *watch, uint64_t now_us)
+{
+	const struct od_table *table = watch->mirror.table;
+
+	while (watch->asked < table->count && !is_wanted(&table->entries[watch->asked]))
+		watch->asked++;
+	if (watch->asked == table->count) {
+		set_up(watch, WATCH_LEARNED);
+		return;
+	}
+	const struct od_entry *entry = &table->entries[watch->asked];
+	sdo_client_upload(&watch->sdo, entry->index, entry->sub, watch->wire, sizeof(watch->wire), now_us);
+	if (watch->sdo.result == SDO_UNSENT)
+		no_answer(watch, now_us);
+}
+
+static void learn(struct watch *watch, uint64_t now_us)
+{
+	if (watch->passive)
+		return;
+	watch->asked = 0;
+	watch->ask_again_us = UINT64_MAX;
+	ask_next(watch, now_us);
+}
+
+static void learn_result(struct watch *watch, uint64_t now_us)
+{
+	const struct od_entry *entry = &watch->mirror.table->entries[watch->asked];
+
+	switch (watch->sdo.result) {
+	case SDO_DONE:
+		od_put(&watch->mirror, entry, watch->wire, watch->sdo.size);
+		watch->asked++;
+		ask_next(watch, now_us);
+		break;
+	case SDO_ABORTED: /* not in this node: the default stands */
+		watch->asked++;
+		ask_next(watch, now_us);
+		break;
+	case SDO_TIMEOUT:
+	case SDO_UNSENT:
+		no_answer(watch, now_us);
+		break;
+	case SDO_IDLE:
+	case SDO_RUNNING:
+		break;
+	}
+}
+
+void watch_init(struct watch *watch, const struct od_table *table, void *values, struct can_port *bus, uint8_t node_id,
+	bool passive, uint64_t now_us)
+{
+	*watch = (struct watch){
+		.nmt_state = WATCH_NMT_UNKNOWN,
+		.node_id = node_id,
+		.passive = passive,
+		.ask_again_us = UINT64_MAX,
+	};
+	od_init(&watch->mirror, table, values, node_id);
+	sdo_client_init(&watch->sdo, bus, node_id, SDO_TIMEOUT_US);
+	if (passive)
+		set_up(watch, WATCH_DEFAULTS);
+	else
+		learn(watch, now_us);
+}
+
+/* ---- what the node sends ---- */
+
+static void count_frame(struct watch_rate *rate, uint64_t now_us)
+{
+	double interval_us = (double)(now_us - rate->last_us);
+
+	if (rate->count == 0)
+		rate->first_us = now_us;
+	else if (rate->count < 16) /* the plain mean first */
+		rate->interval_us = (double)(now_us - rate->first_us) / (double)rate->count;
+	else
+		rate->interval_us += (interval_us - rate->interval_us) / 16;
+	rate->last_us = now_us;
+	rate->count++;
+}
+
+double watch_rate_hz(const struct watch_rate *rate, uint64_t now_us)
+{
+	double silent_us = (double)(now_us - rate->last_us);
+
+	if (rate->count < 2 || rate->interval_us <= 0)
+		return 0;
+	return 1e6 / (silent_us > 2 * rate->interval_us ? silent_us : rate->interval_us);
+}
+
+void watch_sync_sent(struct watch *watch, uint64_t now_us)
+{
+	count_frame(&watch->sync, now_us);
+}
+
+static void count_sample(struct watch_pdo *pdo, uint16_t counter)
+{
+	uint16_t ahead = (uint16_t)(counter - pdo->counter);
+
+	if (pdo->counted && ahead == 0)
+		pdo->repeated++;
+	else if (pdo->counted)
+		pdo->skipped += ahead - 1u;
+	pdo->counted = true;
+	pdo->counter = counter;
+}
+
+static double field_value(const struct watch_field *field, uint64_t payload)
+{
+	uint8_t wire[OD_VALUE_MAX] = {0};
+	uint64_t raw = payload >> field->bit;
+
+	if (field->bits == 0)
+		return 0;
+	if (field->bits < 64)
+		raw &= (UINT64_C(1) << field->bits) - 1;
+	if (!field->entry)
+		return (double)raw;
+	for (size_t i = 0; i < field->entry->size; i++)
+		wire[i] = (uint8_t)(raw >> 8 * i);
+	return cli_number(field->entry, wire);
+}
+
+static size_t mapped_bytes(const struct watch_pdo *pdo)
+{
+	const struct watch_field *last = &pdo->fields[pdo->field_count - 1];
+
+	return (last->bit + last->bits + 7) / 8;
+}
+
+static void take_pdo(struct watch *watch, struct watch_pdo *pdo, const struct can_msg *msg, uint64_t now_us)
+{
+	uint64_t payload = 0;
+
+	watch->nmt_state = NMT_OPERATIONAL; /* or it would send none */
+	if (msg->len != mapped_bytes(pdo)) {
+		pdo->misfits++;
+		if (watch->ask_again_us == UINT64_MAX && watch->sdo.result != SDO_RUNNING)
+			watch->ask_again_us = now_us + ASK_AGAIN_US / 4; /* the mapping has changed */
+		return;
+	}
+	for (unsigned int i = 0; i < msg->len; i++)
+		payload |= (uint64_t)msg->data[i] << 8 * i;
+	count_frame(&pdo->rate, now_us);
+	for (size_t i = 0; i < pdo->field_count; i++) {
+		struct watch_field *field = &pdo->fields[i];
+
+		field->raw = field_value(field, payload);
+		if (field->mapping >> 8 == (SAMPLE_INDEX << 8 | SAMPLE_COUNTER))
+			count_sample(pdo, (uint16_t)field->raw);
+	}
+}
+
+static void take_heartbeat(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
+{
+	int state = msg->data[0] & 0x7F;
+
+	if (state != NMT_INITIALISING) {
+		count_frame(&watch->heartbeat, now_us);
+		watch->nmt_state = state;
+		return;
+	}
+	watch->boot_ups++; /* everything may be different now */
+	watch->nmt_state = NMT_PRE_OPERATIONAL;
+	for (size_t i = 0; i < WATCH_PDOS; i++)
+		watch->pdos[i].counted = false;
+	if (!watch->passive) {
+		watch->mapping = WATCH_LEARNING;
+		learn(watch, now_us);
+	}
+}
+
+static void take_emcy(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
+{
+	count_frame(&watch->emcy, now_us);
+	watch->emcy_code = (uint16_t)(msg->data[0] | msg->data[1] << 8);
+	watch->emcy_register = msg->data[2];
+}
+
+static struct watch_pdo *find_pdo(struct watch *watch, uint32_t id)
+{
+	for (size_t i = 0; i < watch->pdo_count; i++)
+		if (watch->pdos[i].enabled && watch->pdos[i].id == id)
+			return &watch->pdos[i];
+	return NULL;
+}
+
+void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
+{
+	struct watch_pdo *pdo = watch->mapping == WATCH_LEARNING ? NULL : find_pdo(watch, msg->id);
+
+	if (msg->remote || msg->extended)
+		return;
+	if (msg->id == (watch_object(watch, 0x1005, 0) & 0x7FF)) {
+		count_frame(&watch->sync, now_us);
+		return;
+	}
+	if (pdo)
+		take_pdo(watch, pdo, msg, now_us);
+	else if (msg->id == 0x700u + watch->node_id && msg->len == 1)
+		take_heartbeat(watch, msg, now_us);
+	else if (msg->id == (watch_object(watch, 0x1014, 0) & 0x7FF) && msg->len == 8)
+		take_emcy(watch, msg, now_us);
+	else if (msg->id != 0x580u + watch->node_id)
+		return; /* of another node */
+	watch->heard_us = now_us;
+	if (watch->sdo.result == SDO_RUNNING) {
+		sdo_client_receive(&watch->sdo, msg, now_us);
+		learn_result(watch, now_us);
+	}
+}
+
+uint64_t watch_tick(struct watch *watch, uint64_t now_us)
+{
+	if (watch->sdo.result == SDO_RUNNING) {
+		sdo_client_tick(&watch->sdo, now_us);
+		learn_result(watch, now_us);
+	}
+	if (now_us >= watch->ask_again_us)
+		learn(watch, now_us);
+	uint64_t answer_us = sdo_client_tick(&watch->sdo, now_us);
+	return answer_us < watch->ask_again_us ? answer_us : watch->ask_again_us;
+}
+
+int watch_nmt_state(const struct watch *watch, uint64_t now_us)
+{
+	uint64_t period_us = watch_object(watch, 0x1017, 0) * UINT64_C(1000);
+	bool expected = watch->heartbeat.count > 0 && period_us > 0;
+
+	return expected && now_us - watch->heard_us > 3 * period_us ? WATCH_NMT_LOST : watch->nmt_state;
+}
+
+bool watch_has_values(const struct watch *watch)
+{
+	for (size_t i = 0; i < watch->pdo_count; i++)
+		if (watch->pdos[i].rate.count > 0)
+			return true;
+	return false;
+}
+
+/* ---- in words ---- */
+
+void watch_field_text(const struct watch_field *field, char *text, size_t capacity)
+{
+	bool real = field->entry && (field->entry->type == OD_REAL32 || field->entry->type == OD_REAL64);
+	int decimals = field->step < 1 && field->step > 0 ? (int)-floor(log10(field->step)) : 0;
+
+	if (real)
+		snprintf(text, capacity, "%.6g", field->raw * field->step);
+	else
+		snprintf(text, capacity, "%.*f", decimals, field->raw * field->step);
+}
+
+const char *watch_nmt_text(int nmt_state)
+{
+	switch (nmt_state) {
+	case NMT_INITIALISING:
+		return "initialising";
+	case NMT_STOPPED:
+		return "stopped";
+	case NMT_OPERATIONAL:
+		return "operational";
+	case NMT_PRE_OPERATIONAL:
+		return "pre-operational";
+	case WATCH_NMT_LOST:
+		return "lost";
+	default:
+		return "unknown";
+	}
+}
+
+const char *watch_emcy_text(uint16_t code)
+{
+	static const struct {
+		uint16_t mask, code;
+		const char *text;
+	} texts[] = {
+		{0xFFFF, 0x5010, "longitudinal slope out of range"},
+		{0xFFFF, 0x5020, "lateral slope out of range"},
+		{0xFFFF, EMCY_SENSOR_LOST, "the IMU delivers no samples"},
+		{0xFFFF, EMCY_SENSOR_DEGRADED, "a chip of the IMU has a fault, samples go on without it (2124h)"},
+		{0xFFFF, EMCY_STORE_DAMAGED, "the stored values could not be read, defaults are in use"},
+		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
+		{0xFFFF, EMCY_SENSOR_SETTINGS, "the IMU cannot do what 2058h asks for"},
+		{0xFFFF, EMCY_POSITION_UNSURE, "the position is less certain than position.sigma_limit"},
+		{0xFFFF, 0x8100, "SYNC missing (1006h), or seen after its window (1007h)"},
+		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
+		{0xFFFF, 0x8120, "CAN error-passive"},
+		{0xFFFF, 0x8130, "heartbeat of another node lost"},
+		{0xFFFF, 0x8140, "recovered from bus-off"},
+		{0xFFFF, 0x8150, "COB-ID collision"},
+		{0xFFFF, 0x8200, "a value in an RPDO is out of range"},
+		{0xFFFF, 0x8210, "PDO not processed: wrong length"},
+		{0xFFFF, 0x8220, "PDO longer than its mapping"},
+		{0xFFFF, 0x8240, "SYNC of unexpected length"},
+		{0xFFFF, 0x8250, "RPDO did not come in time"},
+		{0xFF00, 0x0000, "no error"},
+		{0xFF00, 0x6100, "internal software"},
+		{0xFF00, 0x6200, "user software"},
+		{0xFF00, 0x6300, "configuration data"},
+		{0xFF00, 0x8100, "communication"},
+		{0xFF00, 0x8200, "protocol"},
+		{0xFF00, 0xFF00, "device-specific"},
+		{0xF000, 0x1000, "generic error"},
+		{0xF000, 0x2000, "current"},
+		{0xF000, 0x3000, "voltage"},
+		{0xF000, 0x4000, "temperature"},
+		{0xF000, 0x5000, "device hardware"},
+		{0xF000, 0x6000, "device software"},
+		{0xF000, 0x7000, "additional modules"},
+		{0xF000, 0x8000, "monitoring"},
+		{0xF000, 0x9000, "external error"},
+		{0xF000, 0xF000, "additional functions"},
+	};
+
+	for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
+		if ((code & texts[i].mask) == texts[i].code)
+			return texts[i].text;
+	return "unknown error";
+}
+
+void watch_status_text(unsigned int status, char *text, size_t capacity)
+{
+	static const struct {
+		unsigned int bit;
+		const char *text;
+	} bits[] = {
+		{PIPELINE_VALID, "valid"},
+		{PIPELINE_REST, "rest"},
+		{PIPELINE_MAG_USED, "magnetometer"},
+		{PIPELINE_TIME_LIMIT, "position-held"},
+		{PIPELINE_GAP, "gap"},
+		{PIPELINE_UNSURE, "position-unsure"},
+		{STATUS_SATURATED, "saturated"},
+		{STATUS_SENSOR_LOST, "sensor-lost"},
+		{STATUS_SENSOR_FAULT, "sensor-fault"},
+		{STATUS_EXTERNAL_AID, "external-aid"},
+		{STATUS_COMMISSIONING, "commissioning"},
+		{STATUS_UTC, "utc"},
+	};
+	size_t used = 0;
+
+	snprintf(text, capacity, "none");
+	for (size_t i = 0; i < sizeof(bits) / sizeof(bits[0]) && used < capacity; i++)
+		if (status & bits[i].bit)
+			used += (size_t)snprintf(text + used, capacity - used, "%s%s", used ? "," : "", bits[i].text);
+}

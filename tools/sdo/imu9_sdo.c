@@ -1,0 +1,175 @@
+/* imu9-sdo: configures a CANopen node by the names of its objects. The commands are in sdo_*.c. */
+#include <errno.h>
+#include <getopt.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "od_values.h"
+#include "tools/sdo/sdo_session.h"
+
+static const char help[] =
+	"Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
+	"Configures the nodes of a CANopen bus: their objects over SDO, NMT and LSS.\n"
+	"\n"
+	"  read OBJECT...        print values; OBJECT is a name (lever_arm.l), a whole record\n"
+	"                        (lever_arm) or an index (0x2000:1, 2000h:1, 0x1017)\n"
+	"    -o FILE             the bytes of one object into FILE; a DOMAIN without it goes to\n"
+	"                        standard output as it is (eds, snapshot and log are short names)\n"
+	"    --block, --no-block transfer in blocks always or never; else DOMAINs do\n"
+	"  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float or text; for a\n"
+	"                        DOMAIN, or after file:, the name of a file with the bytes.\n"
+	"                        For an object that the EDS does not have, with its type:\n"
+	"                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
+	"  watch OBJECT...       a line of values twice a second until Ctrl-C; --rate HZ, --count N\n"
+	"  dump                  print all readable objects of the EDS\n"
+	"  log                   print what happened to the gateway since its start (2131h)\n"
+	"  save FILE             keep the configuration in FILE ('-': standard output), in the\n"
+	"                        form that 'load' and 'imu9-gateway -c' read\n"
+	"  load FILE             bring the node to the configuration in FILE; writes only what\n"
+	"                        differs, PDOs by the mapping procedure\n"
+	"  dcf save FILE         the configuration as a DCF (CiA 306), made of the EDS\n"
+	"  dcf apply FILE        load a DCF, or a concise DCF as 'read snapshot -o FILE' gives it\n"
+	"  dcf compare FILE      print what differs from it; status 1 when something does\n"
+	"  store [GROUP]         let the node keep its configuration over a power cut (1010h)\n"
+	"  restore [GROUP]       let the node forget what it kept (1011h)\n"
+	"                        GROUP: all (default), communication, application, manufacturer\n"
+	"  nmt COMMAND           start, stop, preop, reset or reset-comm; with -n 0 to all nodes\n"
+	"  scan                  the nodes on the bus: state and identity. Asks every node-ID, which\n"
+	"                        ends SDO transfers of other tools\n"
+	"  lss scan              the nodes without a node-ID, by their identities (fastscan)\n"
+	"  lss assign ID         give ID to the first of them, or to the one of --serial N; --store\n"
+	"                        makes the node keep it\n"
+	"  lss inquire           print node-ID and identity\n"
+	"  lss node-id ID        another node-ID, from the next 'nmt reset-comm' on (255: none)\n"
+	"  lss bit-rate KBIT     another bit rate; --activate MS switches the bus to it after MS\n"
+	"  lss store             keep node-ID and bit rate over a power cut\n"
+	"                        For one of several nodes: --serial N, and --vendor N, --product N,\n"
+	"                        --revision N where they are not those of the EDS\n"
+	"\n"
+	"  -i, --bus BUS         interface name, gs_usb[:SERIAL], slcan:/dev/ttyX or udp[:GROUP[:PORT]]\n"
+	"                        (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -e, --eds EDS         the node's EDS (default: the one of the IMU9 gateway, built in)\n"
+	"  -t, --timeout MS      wait so long for each answer (default: 500; lss: 50)\n"
+	"  -q, --quiet           print bare values, without names and units\n"
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
+	"\n"
+	"Exit codes: 0 done, 1 failed, 2 wrong usage.\n"
+	"Example: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
+
+static const struct command {
+	const char *name;
+	int (*run)(struct session *s, int argc, char **argv);
+	int args_min, args_max;
+	const char *args;
+	bool for_all; /* -n 0, or no node at all */
+} commands[] = {
+	{"read", sdo_command_read, 1, SDO_TARGETS_MAX + 3, "OBJECT... [-o FILE] [--block|--no-block]", false},
+	{"write", sdo_command_write, 2, 3, "OBJECT VALUE [--block|--no-block]", false},
+	{"watch", sdo_command_watch, 1, SDO_TARGETS_MAX + 4, "OBJECT... [--rate HZ] [--count N]", false},
+	{"dump", sdo_command_dump, 0, 0, "(no arguments)", false},
+	{"log", sdo_command_log, 0, 0, "(no arguments)", false},
+	{"save", sdo_command_save, 1, 1, "FILE", false},
+	{"load", sdo_command_load, 1, 1, "FILE", false},
+	{"dcf", sdo_command_dcf, 2, 2, "apply|compare|save FILE", false},
+	{"store", sdo_command_store, 0, 1, "[all|communication|application|manufacturer]", false},
+	{"restore", sdo_command_restore, 0, 1, "[all|communication|application|manufacturer]", false},
+	{"nmt", sdo_command_nmt, 1, 1, "start|stop|preop|reset|reset-comm", true},
+	{"scan", sdo_command_scan, 0, 0, "(no arguments)", true},
+	{"lss", sdo_command_lss, 1, 12, "scan|assign|node-id|bit-rate|store|inquire ...", true},
+};
+
+static const struct command *find_command(const char *name)
+{
+	for (size_t i = 0; i < sizeof(commands) / sizeof(commands[0]); i++)
+		if (strcmp(commands[i].name, name) == 0)
+			return &commands[i];
+	cli_usage_error("unknown command '%s'", name);
+}
+
+static void parse_options(struct session *s, int argc, char **argv)
+{
+	static const struct option options[] = {
+		{"bus", required_argument, NULL, 'i'},
+		{"node", required_argument, NULL, 'n'},
+		{"eds", required_argument, NULL, 'e'},
+		{"timeout", required_argument, NULL, 't'},
+		{"quiet", no_argument, NULL, 'q'},
+		{"help", no_argument, NULL, 'h'},
+		{"version", no_argument, NULL, 'V'},
+		{0},
+	};
+	int option;
+
+	opterr = 0;
+	/* '+': options end at the command, so that "write OBJECT -1" is a value */
+	while ((option = getopt_long(argc, argv, "+:i:n:e:t:qhV", options, NULL)) != -1) {
+		switch (option) {
+		case 'i':
+			s->bus = optarg;
+			break;
+		case 'n':
+			s->node_id = cli_integer_option("-n", optarg, 0, 127);
+			break;
+		case 'e':
+			s->eds_path = optarg;
+			break;
+		case 't':
+			s->timeout_ms = (unsigned int)cli_integer_option("-t", optarg, 1, 3600000);
+			s->timeout_given = true;
+			break;
+		case 'q':
+			s->quiet = true;
+			break;
+		case 'h':
+			fputs(help, stdout);
+			exit(CLI_OK);
+		case 'V':
+			puts("imu9-sdo " IMU9_VERSION);
+			exit(CLI_OK);
+		default:
+			cli_bad_option(option, argv);
+		}
+	}
+}
+
+int main(int argc, char **argv)
+{
+	struct session s = {.bus = cli_default_bus(), .node_id = -1, .timeout_ms = 500};
+	struct eds eds;
+	char error[512];
+
+	parse_options(&s, argc, argv);
+	if (s.node_id < 0)
+		s.node_id = cli_default_node();
+	argc -= optind;
+	argv += optind;
+	if (argc == 0)
+		cli_usage_error("what shall be done? Commands: read, write, watch, dump, log, save, load, dcf, store, "
+				"restore, nmt, "
+				"scan, lss");
+	const struct command *command = find_command(argv[0]);
+	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
+		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);
+	if (s.node_id == 0 && !command->for_all)
+		cli_usage_error("-n 0 (all nodes) is for nmt only: give a node-ID from 1 to 127");
+
+	s.table = &imu9_od_table;
+	if (s.eds_path) {
+		if (eds_load(&eds, s.eds_path, EDS_LENIENT, error, sizeof(error)) < 0) {
+			cli_error("%s", error);
+			return CLI_FAILED;
+		}
+		s.table = &eds.table;
+	}
+	int exit_code = command->run(&s, argc - 1, argv + 1);
+	if (s.eds_path)
+		eds_free(&eds);
+	if (fflush(stdout) != 0 || ferror(stdout)) {
+		cli_error("standard output: %s", strerror(errno));
+		return CLI_FAILED;
+	}
+	return exit_code;
+}

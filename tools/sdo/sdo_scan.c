@@ -1,0 +1,123 @@
+/* imu9-sdo scan: who is on the bus. Asks each node-ID for its device type and listens to heartbeats meanwhile. */
+#include <stdio.h>
+#include <string.h>
+
+#include "tools/sdo/sdo_session.h"
+
+enum { NODES = 128, LISTEN_MS = 1100, STATE_UNKNOWN = 0xFF };
+
+struct seen {
+	bool answers;
+	uint8_t state; /* of its heartbeat */
+};
+
+static void take_frame(struct seen nodes[NODES], const struct can_msg *msg)
+{
+	uint32_t function = msg->id & 0x780, id = msg->id & 0x7F;
+
+	if (msg->extended || msg->remote || id == 0)
+		return;
+	if (function == 0x580 && msg->len == 8)
+		nodes[id].answers = true;
+	if (function == 0x700 && msg->len == 1)
+		nodes[id].state = msg->data[0] & 0x7F;
+}
+
+static void listen(struct can_port *bus, struct seen nodes[NODES], uint64_t until_us)
+{
+	struct can_msg msg;
+
+	do {
+		cli_wait(bus, -1, until_us);
+		while (can_receive(bus, &msg, cli_now_us()) > 0)
+			take_frame(nodes, &msg);
+	} while (cli_now_us() < until_us);
+}
+
+static bool ask_all(struct session *s, struct can_port *bus, struct seen nodes[NODES])
+{
+	for (uint32_t id = 1; id < NODES; id++) {
+		const struct can_msg msg = {.id = 0x600 + id, .len = 8, .data = {0x40, 0x00, 0x10}};
+		int rc = can_send(bus, &msg, cli_now_us());
+
+		if (rc < 0 || (rc = cli_flush(bus)) < 0) {
+			cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", s->bus,
+				strerror(-rc));
+			return false;
+		}
+		listen(bus, nodes, cli_now_us() + 1000);
+	}
+	return true;
+}
+
+static const char *state_text(uint8_t state)
+{
+	switch (state) {
+	case 0x00:
+		return "boot-up";
+	case 0x04:
+		return "stopped";
+	case 0x05:
+		return "operational";
+	case 0x7F:
+		return "pre-operational";
+	default:
+		return "no heartbeat";
+	}
+}
+
+static void print_number(struct cli_node *node, const char *name, uint16_t index, uint8_t sub)
+{
+	uint8_t wire[4];
+
+	if (cli_node_read(node, index, sub, wire, sizeof(wire)) && node->sdo.size == 4)
+		printf("  %s %08Xh", name, (unsigned int)sdo_number(wire, 4));
+}
+
+static void print_node(struct session *s, struct can_port *bus, uint8_t id, const struct seen *seen)
+{
+	static const struct od_entry TEXT = {.type = OD_VISIBLE_STRING};
+	struct cli_node node;
+	char name[65];
+	uint8_t wire[64];
+
+	printf("%3u  %-15s", id, state_text(seen->state));
+	if (seen->answers) {
+		cli_node_use(&node, bus, s->bus, id, s->timeout_ms);
+		print_number(&node, "type", 0x1000, 0);
+		print_number(&node, "vendor", 0x1018, 1);
+		print_number(&node, "product", 0x1018, 2);
+		print_number(&node, "revision", 0x1018, 3);
+		print_number(&node, "serial", 0x1018, 4);
+		if (cli_node_read(&node, 0x1008, 0, wire, sizeof(wire)) &&
+			od_format(&TEXT, wire, node.sdo.size, name, sizeof(name)) > 0)
+			printf("  %s", name);
+	}
+	putchar('\n');
+}
+
+int sdo_command_scan(struct session *s, int argc, char **argv)
+{
+	struct can_port *bus = cli_open_bus(s->bus);
+	struct seen nodes[NODES];
+	int found = 0;
+
+	(void)argc, (void)argv;
+	for (int id = 0; id < NODES; id++)
+		nodes[id] = (struct seen){.state = STATE_UNKNOWN};
+	uint64_t until_us = cli_now_us() + (s->timeout_given ? s->timeout_ms : LISTEN_MS) * 1000ull;
+	bool asked = ask_all(s, bus, nodes);
+	if (asked)
+		listen(bus, nodes, until_us);
+	for (uint8_t id = 1; asked && id < NODES; id++) {
+		if (!nodes[id].answers && nodes[id].state == STATE_UNKNOWN)
+			continue;
+		print_node(s, bus, id, &nodes[id]);
+		found++;
+	}
+	can_close(bus);
+	if (asked && !s->quiet)
+		fprintf(stderr, "imu9-sdo: %d node%s on %s%s\n", found, found == 1 ? "" : "s", s->bus,
+			found ? "" : "; those without a node-ID: 'imu9-sdo lss scan'");
+	return asked && found ? CLI_OK : CLI_FAILED;
+}

@@ -1,0 +1,81 @@
+/* tools/sdo/sdo_session.h
+ * What the commands of imu9-sdo share. Each command is one function; it returns the exit code, or ends the program with
+ * a usage error. */
+#ifndef TOOLS_SDO_SDO_SESSION_H
+#define TOOLS_SDO_SDO_SESSION_H
+
+#include "tools/lib/cli.h"
+#include "tools/lib/cli_node.h"
+#include "tools/eds/eds.h"
+
+enum { SDO_TARGETS_MAX = 512, SDO_DOMAIN_MAX = 4 << 20 };
+
+struct session {
+	const char *bus;
+	long node_id;
+	const char *eds_path; /* NULL: the EDS of the IMU9 gateway, built in */
+	unsigned int timeout_ms;
+	bool timeout_given;
+	bool quiet;
+
+	const struct od_table *table;
+	struct cli_node node;
+	const struct od_entry *resolution; /* read last, and the step that it gives */
+	double step;
+};
+
+/** An object named on the command line. */
+struct target {
+	uint16_t index;
+	uint8_t sub;
+	const struct od_entry *entry; /* NULL: not in the EDS */
+};
+
+/** An object, or all of a record. Returns how many; one that is not there is a usage error. */
+size_t sdo_targets(const struct session *s, const char *text, struct target *targets, size_t capacity);
+/** "0.05 m", or the bare value with -q. */
+void sdo_value_text(
+	struct session *s, const struct target *target, const uint8_t *wire, size_t size, char *text, size_t capacity);
+void sdo_target_name(const struct target *target, char *name, size_t capacity);
+
+void sdo_open(struct session *s);
+void sdo_close(struct session *s);
+
+/** Whether an option of a command stands among its arguments; it is taken out of them. With a value: the value, or
+ * NULL. */
+bool sdo_take_flag(int *argc, char **argv, const char *option);
+const char *sdo_take_value(int *argc, char **argv, const char *option);
+
+/** What a client may bring to another node: stored, and writable. */
+bool sdo_is_configuration(const struct od_entry *entry);
+bool sdo_is_mapping(uint16_t index);
+
+uint64_t sdo_number(const uint8_t *wire, size_t size);
+void sdo_put_u32(uint8_t *wire, uint32_t value);
+
+/** All at once; '-' is standard output, where a terminal gets '?' for what is not text. */
+bool sdo_write_file(const char *path, const void *data, size_t size);
+/** The bytes, or NULL after a message; '-' is standard input. */
+uint8_t *sdo_read_file(const char *path, size_t *size);
+
+/* sdo_object.c */
+int sdo_command_read(struct session *s, int argc, char **argv);
+int sdo_command_write(struct session *s, int argc, char **argv);
+int sdo_command_dump(struct session *s, int argc, char **argv);
+int sdo_command_log(struct session *s, int argc, char **argv);
+int sdo_command_watch(struct session *s, int argc, char **argv);
+/* sdo_file.c */
+int sdo_command_save(struct session *s, int argc, char **argv);
+int sdo_command_load(struct session *s, int argc, char **argv);
+/* sdo_control.c */
+int sdo_command_store(struct session *s, int argc, char **argv);
+int sdo_command_restore(struct session *s, int argc, char **argv);
+int sdo_command_nmt(struct session *s, int argc, char **argv);
+/* sdo_scan.c */
+int sdo_command_scan(struct session *s, int argc, char **argv);
+/* sdo_lss.c */
+int sdo_command_lss(struct session *s, int argc, char **argv);
+/* sdo_dcf.c */
+int sdo_command_dcf(struct session *s, int argc, char **argv);
+
+#endif
