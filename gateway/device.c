@@ -225,8 +225,8 @@ static void on_reset(void *ctx, enum od_group group)
 	struct device *d = ctx;
 
 	follow_node_id(d); /* the NMT state of a node that lost its node-ID did not change */
-	commissioning_reset(&d->commissioning);
-	calibrating_reset(&d->calibrating);
+	lever_arm_command_reset(&d->lever_arm_command);
+	calibration_command_reset(&d->calibration_command);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	od_reset(&d->od, group, &d->base);
 	apply_stored(d, group);
@@ -306,8 +306,8 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->configuration_hook);
 	od_attach(&d->od, &d->resolution_hook);
 	od_attach(&d->od, &d->preset_hook);
-	commissioning_init(&d->commissioning, &d->od, &d->values, &d->pipeline);
-	calibrating_init(&d->calibrating, &d->od, &d->values);
+	lever_arm_command_init(&d->lever_arm_command, &d->od, &d->values, &d->pipeline);
+	calibration_command_init(&d->calibration_command, &d->od, &d->values);
 	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
@@ -373,8 +373,8 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 static void invalidate_outputs(struct device *d)
 {
 	publish_sensor_lost(&d->values);
-	commissioning_sensor_lost(&d->commissioning);
-	calibrating_sensor_lost(&d->calibrating);
+	lever_arm_command_sensor_lost(&d->lever_arm_command);
+	calibration_command_sensor_lost(&d->calibration_command);
 	d->values.sample.status &= (uint16_t)~STATUS_COMMISSIONING;
 }
 
@@ -455,16 +455,16 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 		return;
 	d->last_sample_us = now_us;
 	sensor_back(d);
-	commissioning_sample(&d->commissioning, sample, now_us);
-	calibrating_sample(&d->calibrating, sample);
+	lever_arm_command_sample(&d->lever_arm_command, sample, now_us);
+	calibration_command_sample(&d->calibration_command, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
 	unsigned clipped = publish_sample(&d->values, &out, counter);
 	last_movement_publish(&d->last_movement);
 	slope_range_check(&d->canopen, &d->values, clipped, now_us);
 	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)
 		d->values.sample.status |= STATUS_UTC;
-	d->values.sample.status |= (uint16_t)commissioning_status(&d->commissioning);
-	d->values.sample.status |= (uint16_t)calibrating_status(&d->calibrating);
+	d->values.sample.status |= (uint16_t)lever_arm_command_status(&d->lever_arm_command);
+	d->values.sample.status |= (uint16_t)calibration_command_status(&d->calibration_command);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
 	publish_sensor_counters(d);

@@ -17,8 +17,8 @@
 #include "gateway/led.h"
 #include "gateway/utc.h"
 #include "gateway/canopen/node.h"
-#include "gateway/calibrating.h"
-#include "gateway/commissioning.h"
+#include "gateway/calibration_command.h"
+#include "gateway/lever_arm_command.h"
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
 #include "gateway/sensor_watch.h"
@@ -45,8 +45,8 @@ struct device {
 	struct store_image saving; /* what it will hold when the save under way has ended */
 	struct device_storage storage;
 	struct pipeline pipeline;
-	struct commissioning commissioning;
-	struct calibrating calibrating;
+	struct lever_arm_command lever_arm_command;
+	struct calibration_command calibration_command;
 	struct aids aids;
 	struct sensor_watch sensor_watch;
 	struct canopen_node canopen;

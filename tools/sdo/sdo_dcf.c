@@ -96,7 +96,7 @@ static void print_dcf(struct save *save, const char *text, size_t size)
 {
 	const struct od_entry *entry = NULL;
 	const char *end = text + size;
-	bool skip = false; /* the commissioning of a DCF that serves as EDS, and its old values */
+	bool skip = false; /* the lever_arm_command of a DCF that serves as EDS, and its old values */
 
 	while (text < end) {
 		const char *newline = memchr(text, '\n', (size_t)(end - text));

@@ -1,4 +1,4 @@
-/* gateway/commissioning.h
+/* gateway/lever_arm_command.h
  * The lever arm finds itself (2060h): a command starts it, the result appears with its sigma and a verdict, and is taken
  * over into 2000h or left. The acceleration of the reference point from outside comes with the sample (a log's columns) or
  * by 2075h, from an RPDO or an SDO client.
@@ -6,8 +6,8 @@
  * What was written to 2075h holds until the next write, 50 ms at most, as of the sample after the write: at 100 writes a
  * second that is 5 ms late in the mean, beside what the bus takes. The identification estimates this delay, so nobody
  * needs to know it; the steps are above its low-pass. What comes with the sample is believed to be of its instant. */
-#ifndef GATEWAY_COMMISSIONING_H
-#define GATEWAY_COMMISSIONING_H
+#ifndef GATEWAY_LEVER_ARM_COMMAND_H
+#define GATEWAY_LEVER_ARM_COMMAND_H
 
 #include "model/identify/lever_identification.h"
 #include "model/pipeline.h"
@@ -16,7 +16,7 @@
 
 enum lever_state { LEVER_IDLE = 0, LEVER_RUNNING = 1, LEVER_DONE = 2, LEVER_REFUSED = 3 }; /* 2060h:2 */
 
-struct commissioning { /* PRIVATE */
+struct lever_arm_command { /* PRIVATE */
 	struct od *od;
 	struct od_values *values;
 	const struct pipeline *pipeline;
@@ -32,15 +32,15 @@ struct commissioning { /* PRIVATE */
 };
 
 /** Attaches to the dictionary. */
-void commissioning_init(
-	struct commissioning *c, struct od *od, struct od_values *values, const struct pipeline *pipeline);
+void lever_arm_command_init(
+	struct lever_arm_command *c, struct od *od, struct od_values *values, const struct pipeline *pipeline);
 /** NMT reset: what runs ends, and nothing was found. */
-void commissioning_reset(struct commissioning *c);
+void lever_arm_command_reset(struct lever_arm_command *c);
 /** A sample that the pipeline has just taken. */
-void commissioning_sample(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us);
+void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_sample *sample, uint64_t now_us);
 /** The sensor has failed: what runs is refused, and so is a start until the next sample. */
-void commissioning_sensor_lost(struct commissioning *c);
+void lever_arm_command_sensor_lost(struct lever_arm_command *c);
 /** STATUS_COMMISSIONING, or 0. */
-unsigned commissioning_status(const struct commissioning *c);
+unsigned lever_arm_command_status(const struct lever_arm_command *c);
 
 #endif

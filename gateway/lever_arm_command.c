@@ -1,6 +1,6 @@
-#include "gateway/commissioning.h"
+#include "gateway/lever_arm_command.h"
 
-#include "gateway/calibrating.h"
+#include "gateway/calibration_command.h"
 #include "gateway/settings.h"
 #include "gateway/status.h"
 
@@ -19,19 +19,19 @@ enum { PATIENCE = 3 };
 
 #define REFERENCE16_M_S2 0.005 /* one step of 2075h:4 to 6, as in the EDS */
 
-static enum lever_state state_of(const struct commissioning *c)
+static enum lever_state state_of(const struct lever_arm_command *c)
 {
 	return (enum lever_state)c->values->lever_arm_identification.state;
 }
 
-static void enter(struct commissioning *c, enum lever_state state)
+static void enter(struct lever_arm_command *c, enum lever_state state)
 {
 	c->values->lever_arm_identification.state = (uint8_t)state;
 }
 
 /* ---- what it found ----------------------------------------------------------------------------------------------- */
 
-static void publish(struct commissioning *c, const struct lever_estimate *e)
+static void publish(struct lever_arm_command *c, const struct lever_estimate *e)
 {
 	c->arm_b_m = e->lever_arm_b_m;
 	c->values->lever_arm_identification.verdict = (uint8_t)e->verdict;
@@ -46,7 +46,7 @@ static void publish(struct commissioning *c, const struct lever_estimate *e)
 	c->values->lever_arm_identification.delay = (float)e->delay_s;
 }
 
-static void forget(struct commissioning *c)
+static void forget(struct lever_arm_command *c)
 {
 	const struct lever_estimate nothing = {0};
 
@@ -56,7 +56,7 @@ static void forget(struct commissioning *c)
 
 /* ---- commands ---------------------------------------------------------------------------------------------------- */
 
-static enum od_status start(struct commissioning *c, bool reference)
+static enum od_status start(struct lever_arm_command *c, bool reference)
 {
 	const struct lever_identification_config config = {
 		.rate_hz = c->pipeline->rate_hz,
@@ -64,7 +64,7 @@ static enum od_status start(struct commissioning *c, bool reference)
 		.reference = reference,
 	};
 
-	if (c->sensor_lost || state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATING_RUNNING ||
+	if (c->sensor_lost || state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATION_RUNNING ||
 		lever_identification_init(&c->lever, &config) < 0)
 		return OD_DEVICE_STATE;
 	forget(c);
@@ -73,7 +73,7 @@ static enum od_status start(struct commissioning *c, bool reference)
 	return OD_CONSUMED;
 }
 
-static enum od_status accept(struct commissioning *c)
+static enum od_status accept(struct lever_arm_command *c)
 {
 	const float arm[] = {(float)c->arm_b_m.x, (float)c->arm_b_m.y, (float)c->arm_b_m.z};
 	enum od_status status;
@@ -89,7 +89,7 @@ static enum od_status accept(struct commissioning *c)
 
 static enum od_status on_lever_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	struct commissioning *c = ctx;
+	struct lever_arm_command *c = ctx;
 
 	if (entry->sub != 1 || size != 1)
 		return OD_OK;
@@ -118,7 +118,7 @@ static enum od_status on_lever_command(void *ctx, const struct od_entry *entry, 
 /* It is complete when its last component is written: the transversal one, REAL32 or 16 bits. */
 static void on_reference(void *ctx, const struct od_entry *entry)
 {
-	struct commissioning *c = ctx;
+	struct lever_arm_command *c = ctx;
 	const struct od_values *v = c->values;
 
 	if (entry->sub == 3)
@@ -133,7 +133,7 @@ static void on_reference(void *ctx, const struct od_entry *entry)
 	c->ref_written = true;
 }
 
-static const struct vec3 *reference_of(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us)
+static const struct vec3 *reference_of(struct lever_arm_command *c, const struct imu_sample *sample, uint64_t now_us)
 {
 	if (c->ref_written)
 		c->ref_until_us = now_us + REFERENCE_HOLDS_US;
@@ -148,7 +148,7 @@ static const struct vec3 *reference_of(struct commissioning *c, const struct imu
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
 
-static void look(struct commissioning *c, bool late)
+static void look(struct lever_arm_command *c, bool late)
 {
 	const struct lever_estimate e = lever_identification_estimate(&c->lever);
 
@@ -157,7 +157,7 @@ static void look(struct commissioning *c, bool late)
 		enter(c, e.verdict == LEVER_FOUND ? LEVER_DONE : LEVER_REFUSED);
 }
 
-void commissioning_sample(struct commissioning *c, const struct imu_sample *sample, uint64_t now_us)
+void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_sample *sample, uint64_t now_us)
 {
 	const struct vec3 *ref_b_m_s2 = reference_of(c, sample, now_us);
 	struct imu_sample s;
@@ -180,7 +180,7 @@ void commissioning_sample(struct commissioning *c, const struct imu_sample *samp
 		look(c, late);
 }
 
-void commissioning_sensor_lost(struct commissioning *c)
+void lever_arm_command_sensor_lost(struct lever_arm_command *c)
 {
 	c->sensor_lost = true;
 	if (state_of(c) != LEVER_RUNNING)
@@ -189,22 +189,22 @@ void commissioning_sensor_lost(struct commissioning *c)
 	enter(c, LEVER_REFUSED);
 }
 
-unsigned commissioning_status(const struct commissioning *c)
+unsigned lever_arm_command_status(const struct lever_arm_command *c)
 {
 	return state_of(c) == LEVER_RUNNING ? STATUS_COMMISSIONING : 0;
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
-void commissioning_reset(struct commissioning *c)
+void lever_arm_command_reset(struct lever_arm_command *c)
 {
 	forget(c);
 	c->ref_written = false;
 	c->ref_until_us = 0;
 }
 
-void commissioning_init(
-	struct commissioning *c, struct od *od, struct od_values *values, const struct pipeline *pipeline)
+void lever_arm_command_init(
+	struct lever_arm_command *c, struct od *od, struct od_values *values, const struct pipeline *pipeline)
 {
 	c->od = od;
 	c->values = values;
@@ -213,5 +213,5 @@ void commissioning_init(
 	c->reference_hook = (struct od_hook){.first = 0x2075, .last = 0x2075, .after = on_reference, .ctx = c};
 	od_attach(od, &c->lever_hook);
 	od_attach(od, &c->reference_hook);
-	commissioning_reset(c);
+	lever_arm_command_reset(c);
 }

@@ -1,6 +1,6 @@
-#include "gateway/calibrating.h"
+#include "gateway/calibration_command.h"
 
-#include "gateway/commissioning.h"
+#include "gateway/lever_arm_command.h"
 #include "gateway/settings.h"
 #include "gateway/status.h"
 
@@ -8,12 +8,12 @@ enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 an
 enum { FOUND_FIRST = 14 };
 static const double ACCELEROMETER_PATIENCE_S = 900, MAGNETOMETER_PATIENCE_S = 180;
 
-static enum calibrating_state state_of(const struct calibrating *c)
+static enum calibration_command_state state_of(const struct calibration_command *c)
 {
-	return (enum calibrating_state)c->values->calibration.state;
+	return (enum calibration_command_state)c->values->calibration.state;
 }
 
-static void enter(struct calibrating *c, enum calibrating_state state)
+static void enter(struct calibration_command *c, enum calibration_command_state state)
 {
 	c->values->calibration.state = (uint8_t)state;
 }
@@ -26,12 +26,12 @@ static uint8_t percent(double share)
 /* ---- what it found ----------------------------------------------------------------------------------------------- */
 
 /* Value i of the triad, 2061h:14 to 25. */
-static float *found(const struct calibrating *c, int i)
+static float *found(const struct calibration_command *c, int i)
 {
 	return od_value(c->od, 0x2061, (uint8_t)(FOUND_FIRST + i), sizeof(float));
 }
 
-static void publish_triad(struct calibrating *c, const struct triad_calibration *t)
+static void publish_triad(struct calibration_command *c, const struct triad_calibration *t)
 {
 	const double bias[3] = {t->bias.x, t->bias.y, t->bias.z};
 
@@ -39,17 +39,17 @@ static void publish_triad(struct calibrating *c, const struct triad_calibration 
 		*found(c, i) = (float)(i < 3 ? bias[i] : t->matrix[(i - 3) / 3][i % 3]);
 }
 
-static void publish_temperature(struct calibrating *c, double temperature_degC)
+static void publish_temperature(struct calibration_command *c, double temperature_degC)
 {
 	c->values->calibration.temperature =
-		isnan(temperature_degC) ? (float)CALIBRATING_NO_TEMPERATURE : (float)temperature_degC;
+		isnan(temperature_degC) ? (float)CALIBRATION_NO_TEMPERATURE : (float)temperature_degC;
 }
 
-static void forget(struct calibrating *c)
+static void forget(struct calibration_command *c)
 {
 	const struct triad_calibration none = {.bias = {0, 0, 0}};
 
-	enter(c, CALIBRATING_IDLE);
+	enter(c, CALIBRATION_IDLE);
 	c->values->calibration.kind = 0;
 	c->values->calibration.verdict = CALIBRATE_COLLECTING;
 	c->values->calibration.progress = 0;
@@ -62,15 +62,15 @@ static void forget(struct calibrating *c)
 	publish_triad(c, &none);
 }
 
-static void refuse(struct calibrating *c, enum calibrate_verdict why)
+static void refuse(struct calibration_command *c, enum calibrate_verdict why)
 {
 	c->values->calibration.verdict = (uint8_t)why;
-	enter(c, CALIBRATING_REFUSED);
+	enter(c, CALIBRATION_REFUSED);
 }
 
 /* ---- one function a kind, each a sample -------------------------------------------------------------------------- */
 
-static enum calibrate_verdict gyro_sample(struct calibrating *c, const struct imu_sample *raw)
+static enum calibrate_verdict gyro_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	struct calibrate_gyro *g = &c->gyro;
 	const struct calibrate_gyro_result *r = &g->result;
@@ -88,7 +88,7 @@ static enum calibrate_verdict gyro_sample(struct calibrating *c, const struct im
 	return verdict;
 }
 
-static enum calibrate_verdict accelerometer_sample(struct calibrating *c, const struct imu_sample *raw)
+static enum calibrate_verdict accelerometer_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	struct calibrate_accelerometer *a = &c->accelerometer;
 	const int before = a->positions, wanted = c->values->calibration.positions_wanted;
@@ -110,7 +110,7 @@ static enum calibrate_verdict accelerometer_sample(struct calibrating *c, const 
 	return verdict;
 }
 
-static enum calibrate_verdict magnetometer_sample(struct calibrating *c, const struct imu_sample *raw)
+static enum calibrate_verdict magnetometer_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	struct calibrate_magnetometer *m = &c->magnetometer;
 	enum calibrate_verdict verdict = calibrate_magnetometer_step(m, raw);
@@ -125,45 +125,45 @@ static enum calibrate_verdict magnetometer_sample(struct calibrating *c, const s
 	return verdict;
 }
 
-void calibrating_sample(struct calibrating *c, const struct imu_sample *raw)
+void calibration_command_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	enum calibrate_verdict verdict = CALIBRATE_COLLECTING;
 
 	c->sensor_lost = false;
-	if (state_of(c) != CALIBRATING_RUNNING)
+	if (state_of(c) != CALIBRATION_RUNNING)
 		return;
 	switch (c->values->calibration.kind) {
-	case CALIBRATING_GYRO:
+	case CALIBRATION_GYRO:
 		verdict = gyro_sample(c, raw);
 		break;
-	case CALIBRATING_SIX_FACES:
-	case CALIBRATING_FREE:
+	case CALIBRATION_SIX_FACES:
+	case CALIBRATION_FREE:
 		verdict = accelerometer_sample(c, raw);
 		break;
-	case CALIBRATING_MAGNETOMETER:
+	case CALIBRATION_MAGNETOMETER:
 		verdict = magnetometer_sample(c, raw);
 		break;
 	}
 	c->values->calibration.verdict = (uint8_t)verdict;
 	if (verdict != CALIBRATE_COLLECTING)
-		enter(c, verdict == CALIBRATE_GOOD ? CALIBRATING_DONE : CALIBRATING_REFUSED);
+		enter(c, verdict == CALIBRATE_GOOD ? CALIBRATION_DONE : CALIBRATION_REFUSED);
 }
 
 /* ---- commands ---------------------------------------------------------------------------------------------------- */
 
-static void start_accelerometer(struct calibrating *c, const struct calibrate_accelerometer_config *config)
+static void start_accelerometer(struct calibration_command *c, const struct calibrate_accelerometer_config *config)
 {
 	calibrate_accelerometer_init(&c->accelerometer, config);
 	c->values->calibration.positions_wanted = (uint8_t)calibrate_accelerometer_wanted(&c->accelerometer);
 	c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(&c->accelerometer);
 }
 
-static enum od_status start(struct calibrating *c, uint8_t kind)
+static enum od_status start(struct calibration_command *c, uint8_t kind)
 {
 	const struct pipeline_config config = settings_pipeline(c->values);
 	struct calibrate_gyro_config gyro = CALIBRATE_GYRO_DEFAULTS;
 	const struct calibrate_accelerometer_config accelerometer = {
-		.positions = kind == CALIBRATING_SIX_FACES ? CALIBRATE_SIX_FACES : CALIBRATE_FREE,
+		.positions = kind == CALIBRATION_SIX_FACES ? CALIBRATE_SIX_FACES : CALIBRATE_FREE,
 		.gravity_m_s2 = config.estimator.gravity_m_s2,
 		.bias_instability_m_s2 = config.noise.accel_bias_instability_m_s2,
 		.patience_s = ACCELEROMETER_PATIENCE_S,
@@ -173,46 +173,46 @@ static enum od_status start(struct calibrating *c, uint8_t kind)
 		.patience_s = MAGNETOMETER_PATIENCE_S,
 	};
 
-	if (c->sensor_lost || state_of(c) == CALIBRATING_RUNNING ||
+	if (c->sensor_lost || state_of(c) == CALIBRATION_RUNNING ||
 		c->values->lever_arm_identification.state == LEVER_RUNNING)
 		return OD_DEVICE_STATE;
 	gyro.bias_instability_rad_s = config.noise.gyro_bias_instability_rad_s;
 	forget(c);
 	c->values->calibration.kind = kind;
-	if (kind == CALIBRATING_GYRO)
+	if (kind == CALIBRATION_GYRO)
 		calibrate_gyro_init(&c->gyro, &gyro);
-	else if (kind == CALIBRATING_MAGNETOMETER)
+	else if (kind == CALIBRATION_MAGNETOMETER)
 		calibrate_magnetometer_init(&c->magnetometer, &magnetometer);
 	else
 		start_accelerometer(c, &accelerometer);
-	enter(c, CALIBRATING_RUNNING);
+	enter(c, CALIBRATION_RUNNING);
 	return OD_CONSUMED;
 }
 
 /* With 2054h the biases of the objects are those at its reference temperature, not at that of the measurement. */
-static void to_reference_temperature(const struct calibrating *c, float v[TRIAD_VALUES])
+static void to_reference_temperature(const struct calibration_command *c, float v[TRIAD_VALUES])
 {
 	const struct temperature_compensation t = settings_pipeline(c->values).calibration.temperature;
 	const double at_degC = (double)c->values->calibration.temperature;
 	struct vec3 shift;
 
-	if (c->values->calibration.kind == CALIBRATING_MAGNETOMETER || !(at_degC > CALIBRATING_NO_TEMPERATURE))
+	if (c->values->calibration.kind == CALIBRATION_MAGNETOMETER || !(at_degC > CALIBRATION_NO_TEMPERATURE))
 		return;
-	shift = c->values->calibration.kind == CALIBRATING_GYRO ? calibration_gyro_shift(&t, at_degC)
+	shift = c->values->calibration.kind == CALIBRATION_GYRO ? calibration_gyro_shift(&t, at_degC)
 								: calibration_accel_shift(&t, at_degC);
 	v[0] -= (float)shift.x;
 	v[1] -= (float)shift.y;
 	v[2] -= (float)shift.z;
 }
 
-static enum od_status accept(struct calibrating *c)
+static enum od_status accept(struct calibration_command *c)
 {
 	const uint8_t kind = c->values->calibration.kind;
-	const uint16_t index = kind == CALIBRATING_GYRO ? 0x2050 : kind == CALIBRATING_MAGNETOMETER ? 0x2052 : 0x2051;
+	const uint16_t index = kind == CALIBRATION_GYRO ? 0x2050 : kind == CALIBRATION_MAGNETOMETER ? 0x2052 : 0x2051;
 	enum od_status status;
 	float v[TRIAD_VALUES];
 
-	if (state_of(c) != CALIBRATING_DONE)
+	if (state_of(c) != CALIBRATION_DONE)
 		return OD_DEVICE_STATE;
 	for (int i = 0; i < TRIAD_VALUES; i++)
 		v[i] = *found(c, i);
@@ -220,34 +220,34 @@ static enum od_status accept(struct calibrating *c)
 	status = settings_write(c->od, index, v, TRIAD_VALUES);
 	if (status != OD_OK)
 		return status;
-	enter(c, CALIBRATING_IDLE);
+	enter(c, CALIBRATION_IDLE);
 	return OD_CONSUMED;
 }
 
 static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	struct calibrating *c = ctx;
+	struct calibration_command *c = ctx;
 	uint8_t command;
 
 	if (entry->sub != 1 || size != 1)
 		return OD_OK;
 	command = *(const uint8_t *)wire;
 	switch (command) {
-	case CALIBRATING_ABORT:
-		if (state_of(c) != CALIBRATING_RUNNING)
+	case CALIBRATION_ABORT:
+		if (state_of(c) != CALIBRATION_RUNNING)
 			return OD_CONSUMED;
 		forget(c);
 		c->values->calibration.verdict = CALIBRATE_ABORTED;
 		return OD_CONSUMED;
-	case CALIBRATING_GYRO:
-	case CALIBRATING_SIX_FACES:
-	case CALIBRATING_FREE:
-	case CALIBRATING_MAGNETOMETER:
+	case CALIBRATION_GYRO:
+	case CALIBRATION_SIX_FACES:
+	case CALIBRATION_FREE:
+	case CALIBRATION_MAGNETOMETER:
 		return start(c, command);
-	case CALIBRATING_ACCEPT:
+	case CALIBRATION_ACCEPT:
 		return accept(c);
-	case CALIBRATING_DISCARD:
-		if (state_of(c) != CALIBRATING_DONE && state_of(c) != CALIBRATING_REFUSED)
+	case CALIBRATION_DISCARD:
+		if (state_of(c) != CALIBRATION_DONE && state_of(c) != CALIBRATION_REFUSED)
 			return OD_DEVICE_STATE;
 		forget(c);
 		return OD_CONSUMED;
@@ -255,26 +255,26 @@ static enum od_status on_command(void *ctx, const struct od_entry *entry, const 
 	return OD_BAD_VALUE;
 }
 
-void calibrating_sensor_lost(struct calibrating *c)
+void calibration_command_sensor_lost(struct calibration_command *c)
 {
 	c->sensor_lost = true;
-	if (state_of(c) == CALIBRATING_RUNNING)
+	if (state_of(c) == CALIBRATION_RUNNING)
 		refuse(c, CALIBRATE_SENSOR_LOST);
 }
 
-unsigned calibrating_status(const struct calibrating *c)
+unsigned calibration_command_status(const struct calibration_command *c)
 {
-	return state_of(c) == CALIBRATING_RUNNING ? STATUS_COMMISSIONING : 0;
+	return state_of(c) == CALIBRATION_RUNNING ? STATUS_COMMISSIONING : 0;
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
-void calibrating_reset(struct calibrating *c)
+void calibration_command_reset(struct calibration_command *c)
 {
 	forget(c);
 }
 
-void calibrating_init(struct calibrating *c, struct od *od, struct od_values *values)
+void calibration_command_init(struct calibration_command *c, struct od *od, struct od_values *values)
 {
 	c->od = od;
 	c->values = values;

@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "gateway/commissioning.h"
+#include "gateway/lever_arm_command.h"
 #include "tests/scenario/world.h"
 
 enum { ABORT_HELD = 0, START_HELD = 1, START_REFERENCE = 2, ACCEPT = 3, DISCARD = 4 };
@@ -181,9 +181,9 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	assert_int_equal(world_sdo_write(w, 0x2075, 4, &l, 2), 0);
 	assert_int_equal(world_sdo_write(w, 0x2075, 5, &s, 2), 0);
 	assert_int_equal(world_sdo_write(w, 0x2075, 6, &t, 2), 0);
-	assert_near(w->device.commissioning.ref_b_m_s2.x, 1, 1e-12);
-	assert_near(w->device.commissioning.ref_b_m_s2.y, -2, 1e-12);
-	assert_near(w->device.commissioning.ref_b_m_s2.z, 0.005, 1e-12);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.x, 1, 1e-12);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.y, -2, 1e-12);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.z, 0.005, 1e-12);
 }
 
 static void test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time(void **state)
@@ -196,7 +196,7 @@ static void test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_
 	assert_int_equal(command(w, START_REFERENCE), 0);
 	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
-	assert_false(w->device.commissioning.lever.config.estimate_delay);
+	assert_false(w->device.lever_arm_command.lever.config.estimate_delay);
 }
 
 static void map_reference_into_rpdo1(struct world *w)
