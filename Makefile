@@ -21,7 +21,7 @@ LDLIBS := -Wl,--as-needed -linih -lmpack -lusb-1.0 -lmodbus -liio -lgpiod -lm -p
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))
 objects = $(patsubst %.c,$(BUILD)/obj/%.o,$(1))
-GEN := $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md $(BUILD)/gen/imu9-gateway.dbc
+GEN := $(BUILD)/gen/od_index.h $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md $(BUILD)/gen/imu9-gateway.dbc
 
 MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)

@@ -5,6 +5,7 @@
 #include "gateway/publish.h"
 #include "gateway/status.h"
 #include "model/math/rotation.h"
+#include "od_index.h"
 
 #define RAD_PER_DEG (3.14159265358979323846 / 180)
 
@@ -99,7 +100,8 @@ static void reset_attitude(struct aids *a)
 
 static void zero_slopes(struct od_values *v)
 {
-	static const uint16_t presets[] = {0x6012, 0x6022, 0x6112, 0x6122};
+	static const uint16_t presets[] = {OD_INDEX_SLOPE_LONG16_PRESET_VALUE, OD_INDEX_SLOPE_LATERAL16_PRESET_VALUE,
+		OD_INDEX_SLOPE_LONG32_PRESET_VALUE, OD_INDEX_SLOPE_LATERAL32_PRESET_VALUE};
 
 	v->slope_long16_preset_value = v->slope_lateral16_preset_value = 0;
 	v->slope_long32_preset_value = v->slope_lateral32_preset_value = 0;
@@ -126,16 +128,16 @@ static void after_write(void *ctx, const struct od_entry *entry)
 	struct aids *a = ctx;
 
 	switch (entry->index) {
-	case 0x2070:
+	case OD_INDEX_VELOCITY_AID:
 		follow_velocity(a->values, entry->sub);
 		if (entry->sub == 4 || entry->sub == 8)
 			aid_velocity(a);
 		break;
-	case 0x2071:
+	case OD_INDEX_YAW_AID:
 		if (entry->sub == 2)
 			aid_yaw(a);
 		break;
-	case 0x2072:
+	case OD_INDEX_ATTITUDE_RESET:
 		follow_attitude(a->values, entry->sub);
 		if (entry->sub != 7)
 			break;
@@ -143,7 +145,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 			reset_attitude(a);
 		a->reset_command = a->values->attitude_reset.command;
 		break;
-	case 0x2073:
+	case OD_INDEX_COMMANDS:
 		command(a);
 		break;
 	}
@@ -152,7 +154,8 @@ static void after_write(void *ctx, const struct od_entry *entry)
 void aids_init(struct aids *a, struct od *od, struct od_values *values, struct pipeline *pipeline)
 {
 	*a = (struct aids){.values = values, .pipeline = pipeline};
-	a->hook = (struct od_hook){.first = 0x2070, .last = 0x2073, .after = after_write, .ctx = a};
+	a->hook = (struct od_hook){
+		.first = OD_INDEX_VELOCITY_AID, .last = OD_INDEX_COMMANDS, .after = after_write, .ctx = a};
 	od_attach(od, &a->hook);
 }
 

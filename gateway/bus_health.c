@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "gateway/status.h"
+#include "od_index.h"
 
 enum { REGISTER_COMMUNICATION = 1 << 4 };
 
@@ -236,7 +237,8 @@ void bus_health_init(
 	struct bus_health *h, struct can_port *bus, struct canopen_node *node, struct od *od, struct event_log *log)
 {
 	*h = (struct bus_health){.bus = bus, .node = node, .values = od->values, .log = log, .restart_us = UINT64_MAX};
-	h->hook = (struct od_hook){.first = 0x2122, .last = 0x2122, .before = on_write, .ctx = h};
+	h->hook = (struct od_hook){
+		.first = OD_INDEX_BUS_HEALTH, .last = OD_INDEX_BUS_HEALTH, .before = on_write, .ctx = h};
 	od_attach(od, &h->hook);
 }
 

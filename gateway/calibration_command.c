@@ -3,6 +3,7 @@
 #include "gateway/lever_arm_command.h"
 #include "gateway/settings.h"
 #include "gateway/status.h"
+#include "od_index.h"
 
 enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 and 2061h:14 to 25 */
 enum { FOUND_FIRST = 14 };
@@ -28,7 +29,7 @@ static uint8_t percent(double share)
 /* Value i of the triad, 2061h:14 to 25. */
 static float *found(const struct calibration_command *c, int i)
 {
-	return od_value(c->od, 0x2061, (uint8_t)(FOUND_FIRST + i), sizeof(float));
+	return od_value(c->od, OD_INDEX_CALIBRATION, (uint8_t)(FOUND_FIRST + i), sizeof(float));
 }
 
 static void publish_triad(struct calibration_command *c, const struct triad_calibration *t)
@@ -208,7 +209,9 @@ static void to_reference_temperature(const struct calibration_command *c, float 
 static enum od_status accept(struct calibration_command *c)
 {
 	const uint8_t kind = c->values->calibration.kind;
-	const uint16_t index = kind == CALIBRATION_GYRO ? 0x2050 : kind == CALIBRATION_MAGNETOMETER ? 0x2052 : 0x2051;
+	const uint16_t index = kind == CALIBRATION_GYRO		  ? OD_INDEX_GYRO_CALIBRATION
+			       : kind == CALIBRATION_MAGNETOMETER ? OD_INDEX_MAGNETOMETER_CALIBRATION
+								  : OD_INDEX_ACCELEROMETER_CALIBRATION;
 	enum od_status status;
 	float v[TRIAD_VALUES];
 
@@ -278,7 +281,8 @@ void calibration_command_init(struct calibration_command *c, struct od *od, stru
 {
 	c->od = od;
 	c->values = values;
-	c->hook = (struct od_hook){.first = 0x2061, .last = 0x2061, .before = on_command, .ctx = c};
+	c->hook = (struct od_hook){
+		.first = OD_INDEX_CALIBRATION, .last = OD_INDEX_CALIBRATION, .before = on_command, .ctx = c};
 	od_attach(od, &c->hook);
 	forget(c);
 }

@@ -7,6 +7,7 @@
 #include "gateway/settings.h"
 #include "gateway/slope_range.h"
 #include "gateway/threshold.h"
+#include "od_index.h"
 
 /* ERROR REGISTER bits (1001h); the core adds the generic bit */
 enum { REGISTER_MANUFACTURER = 1 << 7 };
@@ -63,7 +64,7 @@ static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries,
 static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct device *d = ctx;
-	const struct od_entry *reset = od_find(d->od.table, 0x2040, 6, NULL);
+	const struct od_entry *reset = od_find(d->od.table, OD_INDEX_POSITION, 6, NULL);
 
 	if (entry != reset)
 		return OD_OK;
@@ -78,7 +79,7 @@ static enum od_status on_resolution(void *ctx, const struct od_entry *entry, con
 	const uint8_t *bytes = wire;
 
 	(void)ctx;
-	if (entry->index != 0x6000 || size != 2)
+	if (entry->index != OD_INDEX_ANGLE_RESOLUTION || size != 2)
 		return OD_OK;
 	unsigned value = bytes[0] | (unsigned)bytes[1] << 8;
 	return value == 1 || value == 10 || value == 100 || value == 1000 ? OD_OK : OD_BAD_VALUE;
@@ -298,9 +299,16 @@ static void attach_hooks(struct device *d)
 {
 	d->configuration_hook =
 		(struct od_hook){.first = 0x2000, .last = 0x206F, .after = on_configuration_changed, .ctx = d};
-	d->command_hook = (struct od_hook){.first = 0x2040, .last = 0x2040, .before = on_command, .ctx = d};
-	d->resolution_hook = (struct od_hook){.first = 0x6000, .last = 0x6000, .before = on_resolution, .ctx = d};
-	d->preset_hook = (struct od_hook){.first = 0x6010, .last = 0x6122, .after = on_preset, .ctx = d};
+	d->command_hook =
+		(struct od_hook){.first = OD_INDEX_POSITION, .last = OD_INDEX_POSITION, .before = on_command, .ctx = d};
+	d->resolution_hook = (struct od_hook){.first = OD_INDEX_ANGLE_RESOLUTION,
+		.last = OD_INDEX_ANGLE_RESOLUTION,
+		.before = on_resolution,
+		.ctx = d};
+	d->preset_hook = (struct od_hook){.first = OD_INDEX_SLOPE_LONG16,
+		.last = OD_INDEX_SLOPE_LATERAL32_PRESET_VALUE,
+		.after = on_preset,
+		.ctx = d};
 	aids_init(&d->aids, &d->od, &d->values, &d->pipeline);
 	od_attach(&d->od, &d->command_hook);
 	od_attach(&d->od, &d->configuration_hook);
@@ -308,7 +316,7 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->preset_hook);
 	lever_arm_command_init(&d->lever_arm_command, &d->od, &d->values, &d->pipeline);
 	calibration_command_init(&d->calibration_command, &d->od, &d->values);
-	d->eds = (struct od_domain){.index = 0x1021, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
+	d->eds = (struct od_domain){.index = OD_INDEX_STORE_EDS, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
 	last_movement_attach(&d->last_movement, &d->od, &d->values);

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "gateway/log.h"
+#include "od_index.h"
 
 enum { LINE_MAX_BYTES = 180, TEXT_MAX_BYTES = 151 };
 
@@ -19,7 +20,7 @@ static size_t read_log(void *ctx, uint8_t *out)
 
 void event_log_attach(struct event_log *log, struct od *od)
 {
-	log->domain = (struct od_domain){.index = 0x2131, .read = read_log, .ctx = log};
+	log->domain = (struct od_domain){.index = OD_INDEX_EVENT_LOG, .read = read_log, .ctx = log};
 	od_set_domain(od, &log->domain);
 }
 

@@ -1,4 +1,5 @@
 #include "gateway/last_movement.h"
+#include "od_index.h"
 
 #include <assert.h>
 #include <stdio.h>
@@ -54,7 +55,7 @@ static size_t read_trajectory(void *ctx, uint8_t *out)
 void last_movement_attach(struct last_movement *m, struct od *od, struct od_values *values)
 {
 	m->values = values;
-	m->domain = (struct od_domain){.index = 0x2132, .read = read_trajectory, .ctx = m};
+	m->domain = (struct od_domain){.index = OD_INDEX_TRAJECTORY, .read = read_trajectory, .ctx = m};
 	od_set_domain(od, &m->domain);
 }
 

@@ -3,6 +3,7 @@
 #include "gateway/calibration_command.h"
 #include "gateway/settings.h"
 #include "gateway/status.h"
+#include "od_index.h"
 
 /* 2060h:1 */
 enum {
@@ -80,7 +81,7 @@ static enum od_status accept(struct lever_arm_command *c)
 
 	if (state_of(c) != LEVER_DONE)
 		return OD_DEVICE_STATE;
-	status = settings_write(c->od, 0x2000, arm, 3);
+	status = settings_write(c->od, OD_INDEX_LEVER_ARM, arm, 3);
 	if (status != OD_OK)
 		return status;
 	enter(c, LEVER_IDLE);
@@ -209,8 +210,14 @@ void lever_arm_command_init(
 	c->od = od;
 	c->values = values;
 	c->pipeline = pipeline;
-	c->lever_hook = (struct od_hook){.first = 0x2060, .last = 0x2060, .before = on_lever_command, .ctx = c};
-	c->reference_hook = (struct od_hook){.first = 0x2075, .last = 0x2075, .after = on_reference, .ctx = c};
+	c->lever_hook = (struct od_hook){.first = OD_INDEX_LEVER_ARM_IDENTIFICATION,
+		.last = OD_INDEX_LEVER_ARM_IDENTIFICATION,
+		.before = on_lever_command,
+		.ctx = c};
+	c->reference_hook = (struct od_hook){.first = OD_INDEX_REFERENCE_ACCELERATION,
+		.last = OD_INDEX_REFERENCE_ACCELERATION,
+		.after = on_reference,
+		.ctx = c};
 	od_attach(od, &c->lever_hook);
 	od_attach(od, &c->reference_hook);
 	lever_arm_command_reset(c);

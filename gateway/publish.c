@@ -1,4 +1,5 @@
 #include "gateway/publish.h"
+#include "od_index.h"
 
 #include <limits.h>
 #include <math.h>
@@ -92,22 +93,22 @@ void publish_preset(struct od_values *v, uint16_t index)
 	int64_t offset;
 
 	switch (index) {
-	case 0x6012:
+	case OD_INDEX_SLOPE_LONG16_PRESET_VALUE:
 		offset = preset_offset(v->slope_long16_preset_value, lon, v->slope_long16_operating_parameter,
 			v->slope_long16_differential_offset);
 		v->slope_long16_offset = (int16_t)clamp(offset, INT16_MAX, &saturated);
 		break;
-	case 0x6022:
+	case OD_INDEX_SLOPE_LATERAL16_PRESET_VALUE:
 		offset = preset_offset(v->slope_lateral16_preset_value, lat, v->slope_lateral16_operating_parameter,
 			v->slope_lateral16_differential_offset);
 		v->slope_lateral16_offset = (int16_t)clamp(offset, INT16_MAX, &saturated);
 		break;
-	case 0x6112:
+	case OD_INDEX_SLOPE_LONG32_PRESET_VALUE:
 		offset = preset_offset(v->slope_long32_preset_value, lon, v->slope_long32_operating_parameter,
 			v->slope_long32_differential_offset);
 		v->slope_long32_offset = clamp(offset, INT32_MAX, &saturated);
 		break;
-	case 0x6122:
+	case OD_INDEX_SLOPE_LATERAL32_PRESET_VALUE:
 		offset = preset_offset(v->slope_lateral32_preset_value, lat, v->slope_lateral32_operating_parameter,
 			v->slope_lateral32_differential_offset);
 		v->slope_lateral32_offset = clamp(offset, INT32_MAX, &saturated);

@@ -4,6 +4,7 @@
 #include <stdio.h>
 
 #include "gateway/status.h"
+#include "od_index.h"
 
 enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_SUB = 7, SELF_TEST_US = 5000000 /* at most */ };
 
@@ -116,7 +117,8 @@ void sensor_watch_init(struct sensor_watch *w, struct imu_port *imu, const struc
 	struct od_values *values, struct canopen_node *canopen, struct event_log *log)
 {
 	*w = (struct sensor_watch){.imu = imu, .values = values, .canopen = canopen, .log = log, .in_use = *opened};
-	w->hook = (struct od_hook){.first = 0x2058, .last = 0x2058, .before = before, .after = after, .ctx = w};
+	w->hook = (struct od_hook){
+		.first = OD_INDEX_SENSOR, .last = OD_INDEX_SENSOR, .before = before, .after = after, .ctx = w};
 	od_attach(od, &w->hook);
 }
 

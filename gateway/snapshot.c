@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/little_endian.h"
+#include "od_index.h"
 
 #define COB_ID_INVALID (1u << 31)
 #define SYNC_PRODUCER  (1u << 30)
@@ -33,22 +34,22 @@ static bool is_cob_id(const struct od_entry *entry)
 {
 	if (entry->size != sizeof(uint32_t))
 		return false;
-	return entry->index == 0x1014 || entry->index == 0x1201 ||
+	return entry->index == OD_INDEX_COB_ID_EMCY || entry->index == OD_INDEX_SECOND_SDO_SERVER_PARAMETER ||
 	       (is_pdo_communication(entry->index) && entry->sub == 1);
 }
 
 static bool is_sync(uint16_t index)
 {
-	return index == 0x1005 || index == 0x1006;
+	return index == OD_INDEX_COB_ID_SYNC || index == OD_INDEX_COMMUNICATION_CYCLE_PERIOD;
 }
 
 static enum phase phase_of(const struct od_entry *entry)
 {
-	if (is_cob_id(entry) || is_sync(entry->index) || entry->index == 0x1016)
+	if (is_cob_id(entry) || is_sync(entry->index) || entry->index == OD_INDEX_CONSUMER_HEARTBEAT_TIME)
 		return SWITCH_ON;
 	if (is_mapping(entry->index) && entry->sub == 0)
 		return SET_COUNT;
-	return entry->index == 0x1020 ? SET_DATE : SET;
+	return entry->index == OD_INDEX_VERIFY_CONFIGURATION ? SET_DATE : SET;
 }
 
 static bool is_switched_off_first(const struct od_entry *entry)
@@ -70,7 +71,7 @@ static uint32_t value_u32(const struct od *od, const struct od_entry *entry)
 /* The value that switches it off: a COB-ID that is invalid, SYNC not produced, no period, consumer or mapping. */
 static void off_value(const struct od *od, const struct od_entry *entry, uint8_t wire[sizeof(uint32_t)])
 {
-	if (entry->index == 0x1005)
+	if (entry->index == OD_INDEX_COB_ID_SYNC)
 		put_u32(wire, value_u32(od, entry) & ~SYNC_PRODUCER);
 	else
 		put_u32(wire, is_cob_id(entry) ? COB_ID_INVALID : 0);
@@ -179,10 +180,10 @@ static void stop_sync(const struct snapshot *s, const struct item *item)
 {
 	uint8_t wire[sizeof(uint32_t)];
 
-	if (item->dcf.index != 0x1005)
+	if (item->dcf.index != OD_INDEX_COB_ID_SYNC)
 		return;
 	off_value(s->od, item->entry, wire);
-	od_write(s->od, 0x1005, 0, wire, sizeof(wire));
+	od_write(s->od, OD_INDEX_COB_ID_SYNC, 0, wire, sizeof(wire));
 }
 
 static enum od_status apply(struct snapshot *s, const uint8_t *in, size_t size, struct item *item)
@@ -247,6 +248,7 @@ static enum od_status write_snapshot(void *ctx, const uint8_t *in, size_t size)
 
 void snapshot_attach(struct snapshot *s)
 {
-	s->domain = (struct od_domain){.index = 0x2130, .read = read_snapshot, .write = write_snapshot, .ctx = s};
+	s->domain = (struct od_domain){
+		.index = OD_INDEX_CONFIGURATION_SNAPSHOT, .read = read_snapshot, .write = write_snapshot, .ctx = s};
 	od_set_domain(s->od, &s->domain);
 }

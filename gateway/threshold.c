@@ -1,4 +1,5 @@
 #include "gateway/threshold.h"
+#include "od_index.h"
 
 #include <math.h>
 #include <string.h>
@@ -7,15 +8,15 @@
 static double step_of(const struct od_values *v, const struct od_entry *entry)
 {
 	switch (entry->index) {
-	case 0x2100:
+	case OD_INDEX_ACCELERATION:
 		return v->resolution.acceleration * 0.001;
-	case 0x2102:
+	case OD_INDEX_POSITION_OUTPUT:
 		return v->resolution.position * 0.001;
-	case 0x2101:
-	case 0x6010:
-	case 0x6020:
-	case 0x6110:
-	case 0x6120:
+	case OD_INDEX_ANGLES:
+	case OD_INDEX_SLOPE_LONG16:
+	case OD_INDEX_SLOPE_LATERAL16:
+	case OD_INDEX_SLOPE_LONG32:
+	case OD_INDEX_SLOPE_LATERAL32:
 		return v->angle_resolution * 0.001;
 	default:
 		return entry->factor;
@@ -31,7 +32,7 @@ double threshold_of(const struct od_values *v, const struct od_entry *entry)
 		{"rad/s", v->change_threshold.angular_rate}, {"m/s", v->change_threshold.velocity},
 		{"m", v->change_threshold.position}};
 
-	if (entry->index == 0x210F && entry->sub != 3) /* counter and time are never the same */
+	if (entry->index == OD_INDEX_SAMPLE && entry->sub != 3) /* counter and time are never the same */
 		return INFINITY;
 	for (size_t i = 0; i < sizeof(kinds) / sizeof(kinds[0]); i++)
 		if (strcmp(entry->unit, kinds[i].unit) == 0)

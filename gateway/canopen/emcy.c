@@ -1,5 +1,6 @@
 /* Emergency: error register 1001h, history 1003h, COB-ID 1014h, inhibit time 1015h (CiA 301, 7.2.7). */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #include <string.h>
 
@@ -49,27 +50,33 @@ void emcy_init(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;
 
-	emcy->error_register = od_value(node->od, 0x1001, 0, sizeof(uint8_t));
-	emcy->cob_id = od_value(node->od, 0x1014, 0, sizeof(uint32_t));
-	emcy->inhibit_100us = node_value(node, 0x1015, 0, sizeof(uint16_t));
-	emcy->history_count = od_value(node->od, 0x1003, 0, sizeof(uint8_t));
+	emcy->error_register = od_value(node->od, OD_INDEX_ERROR_REGISTER, 0, sizeof(uint8_t));
+	emcy->cob_id = od_value(node->od, OD_INDEX_COB_ID_EMCY, 0, sizeof(uint32_t));
+	emcy->inhibit_100us = node_value(node, OD_INDEX_INHIBIT_TIME_EMCY, 0, sizeof(uint16_t));
+	emcy->history_count = od_value(node->od, OD_INDEX_ERROR_HISTORY, 0, sizeof(uint8_t));
 	for (uint8_t i = 0; i < EMCY_HISTORY; i++) {
-		emcy->history[i] = od_value(node->od, 0x1003, (uint8_t)(i + 1), sizeof(uint32_t));
+		emcy->history[i] = od_value(node->od, OD_INDEX_ERROR_HISTORY, (uint8_t)(i + 1), sizeof(uint32_t));
 		if (!emcy->history[i])
 			break;
 		emcy->history_size++;
 	}
-	emcy->cob_id_hook = (struct od_hook){
-		.first = 0x1014, .last = 0x1014, .before = before_cob_id, .after = after_cob_id, .ctx = node};
-	emcy->history_hook = (struct od_hook){
-		.first = 0x1003, .last = 0x1003, .before = before_history, .after = after_history, .ctx = node};
+	emcy->cob_id_hook = (struct od_hook){.first = OD_INDEX_COB_ID_EMCY,
+		.last = OD_INDEX_COB_ID_EMCY,
+		.before = before_cob_id,
+		.after = after_cob_id,
+		.ctx = node};
+	emcy->history_hook = (struct od_hook){.first = OD_INDEX_ERROR_HISTORY,
+		.last = OD_INDEX_ERROR_HISTORY,
+		.before = before_history,
+		.after = after_history,
+		.ctx = node};
 	od_attach(node->od, &emcy->cob_id_hook);
 	od_attach(node->od, &emcy->history_hook);
 }
 
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub)
 {
-	return index == 0x1003 && node->emcy.history_count && sub > *node->emcy.history_count;
+	return index == OD_INDEX_ERROR_HISTORY && node->emcy.history_count && sub > *node->emcy.history_count;
 }
 
 static void update_register(struct emcy *emcy)
@@ -139,7 +146,7 @@ void emcy_check(struct canopen_node *node)
 	if (!enabled(emcy) || cob_id_in_use(*emcy->cob_id))
 		return;
 	*emcy->cob_id |= COB_ID_INVALID;
-	node_bad_data(node, 0x1014);
+	node_bad_data(node, OD_INDEX_COB_ID_EMCY);
 }
 
 static void record(struct emcy *emcy, uint16_t code, const uint8_t *info)

@@ -1,6 +1,7 @@
 /* Node guarding as a slave (CiA 301, 7.2.8.3.2.1): the master asks by remote frame, the answer carries the NMT state and
  * a toggle bit. Life guarding (100Ch, 100Dh) begins with the first question. A heartbeat (1017h) switches both off. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 enum { TOGGLE = 1 << 7 };
 
@@ -11,8 +12,8 @@ static uint64_t life_time_us(const struct guard *guard)
 
 void guard_init(struct canopen_node *node)
 {
-	node->guard.time_ms = node_value(node, 0x100C, 0, sizeof(uint16_t));
-	node->guard.life_factor = node_value(node, 0x100D, 0, sizeof(uint8_t));
+	node->guard.time_ms = node_value(node, OD_INDEX_GUARD_TIME, 0, sizeof(uint16_t));
+	node->guard.life_factor = node_value(node, OD_INDEX_LIFE_TIME_FACTOR, 0, sizeof(uint8_t));
 }
 
 void guard_reset(struct canopen_node *node)

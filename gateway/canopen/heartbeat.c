@@ -2,6 +2,7 @@
  * silent. Watching begins with the first heartbeat of a node, boot-up included; a lost node is watched again from its
  * next one. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 static uint8_t node_of(uint32_t value)
 {
@@ -54,13 +55,17 @@ void heartbeat_init(struct canopen_node *node)
 	struct heartbeat *heartbeat = &node->heartbeat;
 
 	for (uint8_t i = 0; i < HEARTBEAT_CONSUMERS; i++) {
-		const uint32_t *value = od_value(node->od, 0x1016, (uint8_t)(i + 1), sizeof(uint32_t));
+		const uint32_t *value =
+			od_value(node->od, OD_INDEX_CONSUMER_HEARTBEAT_TIME, (uint8_t)(i + 1), sizeof(uint32_t));
 		if (!value)
 			break;
 		heartbeat->consumer[heartbeat->count++].value = value;
 	}
-	heartbeat->hook = (struct od_hook){
-		.first = 0x1016, .last = 0x1016, .before = before_write, .after = after_write, .ctx = node};
+	heartbeat->hook = (struct od_hook){.first = OD_INDEX_CONSUMER_HEARTBEAT_TIME,
+		.last = OD_INDEX_CONSUMER_HEARTBEAT_TIME,
+		.before = before_write,
+		.after = after_write,
+		.ctx = node};
 	od_attach(node->od, &heartbeat->hook);
 }
 
@@ -77,7 +82,7 @@ void heartbeat_reset(struct canopen_node *node)
 		for (size_t k = 0; consumer->node_id && k < i; k++)
 			if (heartbeat->consumer[k].node_id == consumer->node_id) {
 				consumer->node_id = 0;
-				node_bad_data(node, 0x1016);
+				node_bad_data(node, OD_INDEX_CONSUMER_HEARTBEAT_TIME);
 			}
 	}
 }

@@ -2,6 +2,7 @@
  * node-ID. Two states, waiting and configuring; LSS works in every NMT state, and it is all that a node without a
  * node-ID does. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #include <string.h>
 
@@ -42,7 +43,7 @@ void lss_init(struct canopen_node *node)
 	struct lss *lss = &node->lss;
 
 	for (uint8_t i = 0; i < LSS_NUMBERS; i++)
-		lss->identity[i] = node_value(node, 0x1018, (uint8_t)(i + 1), sizeof(uint32_t));
+		lss->identity[i] = node_value(node, OD_INDEX_IDENTITY, (uint8_t)(i + 1), sizeof(uint32_t));
 	lss->start_id = lss->stored_id = lss->node_id = node->id;
 }
 

@@ -1,5 +1,6 @@
 /* NMT slave and heartbeat producer (CiA 301, 7.2.8 and 7.3.2), start-up 1F80h (CiA 302-2), error behaviour 1029h. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 enum nmt_command {
 	NMT_START = 1,
@@ -28,10 +29,11 @@ void nmt_init(struct canopen_node *node)
 {
 	struct nmt *nmt = &node->nmt;
 
-	nmt->heartbeat_ms = node_value(node, 0x1017, 0, sizeof(uint16_t));
-	nmt->error_behaviour = node_value(node, 0x1029, 1, sizeof(uint8_t));
-	nmt->startup = od_value(node->od, 0x1F80, 0, sizeof(uint32_t));
-	nmt->hook = (struct od_hook){.first = 0x1F80, .last = 0x1F80, .before = before_startup, .ctx = node};
+	nmt->heartbeat_ms = node_value(node, OD_INDEX_PRODUCER_HEARTBEAT_TIME, 0, sizeof(uint16_t));
+	nmt->error_behaviour = node_value(node, OD_INDEX_ERROR_BEHAVIOUR, 1, sizeof(uint8_t));
+	nmt->startup = od_value(node->od, OD_INDEX_NMT_STARTUP, 0, sizeof(uint32_t));
+	nmt->hook = (struct od_hook){
+		.first = OD_INDEX_NMT_STARTUP, .last = OD_INDEX_NMT_STARTUP, .before = before_startup, .ctx = node};
 	od_attach(node->od, &nmt->hook);
 }
 

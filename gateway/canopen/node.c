@@ -1,4 +1,5 @@
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #include <errno.h>
 #include <string.h>
@@ -102,7 +103,8 @@ static void reset_services(struct canopen_node *node)
 int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus, const struct canopen_device *device,
 	uint8_t node_id)
 {
-	static const uint16_t mandatory[] = {0x1000, 0x1001, 0x1017, 0x1018};
+	static const uint16_t mandatory[] = {
+		OD_INDEX_DEVICE_TYPE, OD_INDEX_ERROR_REGISTER, OD_INDEX_PRODUCER_HEARTBEAT_TIME, OD_INDEX_IDENTITY};
 
 	if (node_id < 1 || (node_id > 127 && node_id != CANOPEN_UNCONFIGURED))
 		return -EINVAL;

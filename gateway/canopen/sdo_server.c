@@ -1,5 +1,6 @@
 /* SDO server, expedited and segmented (CiA 301, 7.2.4). Block transfer is in sdo_block.c. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #include <string.h>
 
@@ -67,9 +68,13 @@ void sdo_server_init(struct canopen_node *node)
 
 	node->sdo = &node->sdo_servers[0];
 	for (uint8_t i = 0; i < 2; i++)
-		second->cob_id[i] = od_value(node->od, 0x1201, (uint8_t)(i + 1), sizeof(uint32_t));
-	second->hook = (struct od_hook){
-		.first = 0x1201, .last = 0x1201, .before = before_cob_id, .after = after_cob_id, .ctx = node};
+		second->cob_id[i] =
+			od_value(node->od, OD_INDEX_SECOND_SDO_SERVER_PARAMETER, (uint8_t)(i + 1), sizeof(uint32_t));
+	second->hook = (struct od_hook){.first = OD_INDEX_SECOND_SDO_SERVER_PARAMETER,
+		.last = OD_INDEX_SECOND_SDO_SERVER_PARAMETER,
+		.before = before_cob_id,
+		.after = after_cob_id,
+		.ctx = node};
 	od_attach(node->od, &second->hook);
 }
 
@@ -88,7 +93,7 @@ void sdo_server_reset(struct canopen_node *node)
 	for (size_t i = 0; i < 2; i++)
 		if (node->second_sdo.cob_id[i] && !(*node->second_sdo.cob_id[i] & COB_ID_INVALID) &&
 			!cob_id_in_use(*node->second_sdo.cob_id[i]))
-			node_bad_data(node, 0x1201);
+			node_bad_data(node, OD_INDEX_SECOND_SDO_SERVER_PARAMETER);
 }
 
 /* ---- answers ----------------------------------------------------------------------------------------------------- */

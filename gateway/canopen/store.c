@@ -1,5 +1,6 @@
 /* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14; date of the configuration (1020h). */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #include <string.h>
 
@@ -7,7 +8,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 {
 	struct canopen_node *node = ctx;
 	const struct canopen_device *device = &node->device;
-	bool restore = entry->index == 0x1011;
+	bool restore = entry->index == OD_INDEX_RESTORE_DEFAULTS;
 	enum od_status (*action)(void *, enum od_group) = restore ? device->restore : device->store;
 	enum od_status status;
 
@@ -25,7 +26,7 @@ static void after_any_write(void *ctx, const struct od_entry *entry)
 {
 	struct store *store = &((struct canopen_node *)ctx)->store;
 
-	if (!(entry->access & OD_STORED) || entry->index == 0x1020)
+	if (!(entry->access & OD_STORED) || entry->index == OD_INDEX_VERIFY_CONFIGURATION)
 		return;
 	for (size_t i = 0; i < 2; i++)
 		if (store->date[i])
@@ -35,11 +36,15 @@ static void after_any_write(void *ctx, const struct od_entry *entry)
 void store_init(struct canopen_node *node)
 {
 	for (uint8_t i = 0; i < 2; i++)
-		node->store.date[i] = od_value(node->od, 0x1020, (uint8_t)(i + 1), sizeof(uint32_t));
+		node->store.date[i] =
+			od_value(node->od, OD_INDEX_VERIFY_CONFIGURATION, (uint8_t)(i + 1), sizeof(uint32_t));
 	node->store.date_hook =
 		(struct od_hook){.first = 0x1000, .last = 0xFFFF, .after = after_any_write, .ctx = node};
 	od_attach(node->od, &node->store.date_hook);
-	node->store.hook = (struct od_hook){.first = 0x1010, .last = 0x1011, .before = before_write, .ctx = node};
+	node->store.hook = (struct od_hook){.first = OD_INDEX_STORE_PARAMETERS,
+		.last = OD_INDEX_RESTORE_DEFAULTS,
+		.before = before_write,
+		.ctx = node};
 	od_attach(node->od, &node->store.hook);
 }
 

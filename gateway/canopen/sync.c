@@ -1,6 +1,7 @@
 /* SYNC consumer and producer (CiA 301, 7.2.5): COB-ID 1005h, period 1006h, synchronous window 1007h, counter 1019h. A
  * producer is its own consumer. A consumer that has a period misses the SYNC (CiA 303-3 has a LED for that). */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #define SYNC_PRODUCER (1u << 30)
 
@@ -32,11 +33,11 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 
 	(void)size;
 	switch (entry->index) {
-	case 0x1005: /* bit 31 means nothing */
+	case OD_INDEX_COB_ID_SYNC: /* bit 31 means nothing */
 		return before_cob_id(*sync->cob_id, get_u32(wire));
-	case 0x1006:
+	case OD_INDEX_COMMUNICATION_CYCLE_PERIOD:
 		return get_u32(wire) && get_u32(wire) < PERIOD_MIN_US ? OD_BAD_VALUE : OD_OK;
-	case 0x1019:
+	case OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
 		return before_counter(sync, *(const uint8_t *)wire);
 	default:
 		return OD_OK;
@@ -59,13 +60,13 @@ static void after_write(void *ctx, const struct od_entry *entry)
 {
 	struct canopen_node *node = ctx;
 
-	if (entry->index == 0x1005 || entry->index == 0x1006) {
+	if (entry->index == OD_INDEX_COB_ID_SYNC || entry->index == OD_INDEX_COMMUNICATION_CYCLE_PERIOD) {
 		sync_pause(node);
 		emcy_clear(node, EMCY_SYNC_TIME, SOURCE_MISSING);
 	}
-	if (entry->index == 0x1006)
+	if (entry->index == OD_INDEX_COMMUNICATION_CYCLE_PERIOD)
 		node->sync.running = false;
-	if (entry->index != 0x1005)
+	if (entry->index != OD_INDEX_COB_ID_SYNC)
 		return;
 	listen(node);
 	node_filter(node);
@@ -75,12 +76,15 @@ void sync_init(struct canopen_node *node)
 {
 	struct sync *sync = &node->sync;
 
-	sync->cob_id = node_value(node, 0x1005, 0, sizeof(uint32_t));
-	sync->period_us = node_value(node, 0x1006, 0, sizeof(uint32_t));
-	sync->window_us = node_value(node, 0x1007, 0, sizeof(uint32_t));
-	sync->counter_overflow = node_value(node, 0x1019, 0, sizeof(uint8_t));
-	sync->hook = (struct od_hook){
-		.first = 0x1005, .last = 0x1019, .before = before_write, .after = after_write, .ctx = node};
+	sync->cob_id = node_value(node, OD_INDEX_COB_ID_SYNC, 0, sizeof(uint32_t));
+	sync->period_us = node_value(node, OD_INDEX_COMMUNICATION_CYCLE_PERIOD, 0, sizeof(uint32_t));
+	sync->window_us = node_value(node, OD_INDEX_SYNCHRONOUS_WINDOW_LENGTH, 0, sizeof(uint32_t));
+	sync->counter_overflow = node_value(node, OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE, 0, sizeof(uint8_t));
+	sync->hook = (struct od_hook){.first = OD_INDEX_COB_ID_SYNC,
+		.last = OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE,
+		.before = before_write,
+		.after = after_write,
+		.ctx = node};
 	od_attach(node->od, &sync->hook);
 }
 
@@ -91,8 +95,8 @@ void sync_reset(struct canopen_node *node)
 	node->sync.last_us = 0;
 	sync_pause(node);
 	listen(node);
-	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, 0x1005, 0, NULL))
-		node_bad_data(node, 0x1005);
+	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_SYNC, 0, NULL))
+		node_bad_data(node, OD_INDEX_COB_ID_SYNC);
 }
 
 static uint64_t received_us(const struct canopen_node *node, const struct can_msg *msg)
@@ -119,7 +123,7 @@ static bool window_passed(struct canopen_node *node)
 		canopen_error_clear(node, EMCY_SYNC_TIME, node->now_us);
 		return false;
 	}
-	put_u16(info, 0x1007);
+	put_u16(info, OD_INDEX_SYNCHRONOUS_WINDOW_LENGTH);
 	canopen_error_set(node, EMCY_SYNC_TIME, ERROR_COMMUNICATION, info, node->now_us);
 	sync->late++;
 	return true;
@@ -156,7 +160,7 @@ static uint64_t watch(struct canopen_node *node)
 		return UINT64_MAX;
 	if (node->now_us < node->sync.missing_us)
 		return node->sync.missing_us;
-	put_u16(info, 0x1006);
+	put_u16(info, OD_INDEX_COMMUNICATION_CYCLE_PERIOD);
 	emcy_set_info(node, EMCY_SYNC_TIME, SOURCE_MISSING, ERROR_COMMUNICATION, info);
 	sync_pause(node);
 	return UINT64_MAX;

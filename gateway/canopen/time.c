@@ -1,6 +1,7 @@
 /* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. What the time is and when it is sent is
  * the device's business. */
 #include "gateway/canopen/service.h"
+#include "od_index.h"
 
 #define TIME_CONSUMER (1u << 31)
 #define TIME_PRODUCER (1u << 30)
@@ -37,17 +38,20 @@ void time_init(struct canopen_node *node)
 {
 	struct time *time = &node->time;
 
-	time->cob_id = node_value(node, 0x1012, 0, sizeof(uint32_t));
-	time->hook = (struct od_hook){
-		.first = 0x1012, .last = 0x1012, .before = before_write, .after = after_write, .ctx = node};
+	time->cob_id = node_value(node, OD_INDEX_COB_ID_TIME, 0, sizeof(uint32_t));
+	time->hook = (struct od_hook){.first = OD_INDEX_COB_ID_TIME,
+		.last = OD_INDEX_COB_ID_TIME,
+		.before = before_write,
+		.after = after_write,
+		.ctx = node};
 	od_attach(node->od, &time->hook);
 }
 
 void time_reset(struct canopen_node *node)
 {
 	listen(node);
-	if (!cob_id_usable(*node->time.cob_id) && od_find(node->od->table, 0x1012, 0, NULL))
-		node_bad_data(node, 0x1012);
+	if (!cob_id_usable(*node->time.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_TIME, 0, NULL))
+		node_bad_data(node, OD_INDEX_COB_ID_TIME);
 }
 
 void time_receive(struct canopen_node *node, const struct can_msg *msg)

@@ -8,7 +8,7 @@
 #include "tools/calibrate/calibrate_sensor.h"
 #include "tools/lib/cli_node.h"
 
-enum { OBJECT = 0x2061 };
+enum { OBJECT = OD_INDEX_CALIBRATION };
 enum {
 	COMMAND = 1,
 	STATE,

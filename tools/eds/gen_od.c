@@ -1,12 +1,14 @@
 /* tools/eds/gen_od.c
  * gen-od EDS OUTDIR: from the electronic data sheet to what is made of it.
  *
- *   od_values.h        struct od_values: one member per object, nested structs for arrays and
- * records od_table.c         the table that od/ works on, the defaults, and the bytes of the EDS
- * itself (1021h) objects.md         every object, for people imu9-gateway.dbc   the default PDOs,
- * EMCY and heartbeat of node-ID 1, for tools that know CAN but not CANopen
+ *   od_index.h         every object's index and every member's sub-index, as constants
+ *   od_values.h        struct od_values: one member per object, nested structs for arrays and records
+ *   od_table.c         the table that od/ works on, the defaults, and the bytes of the EDS itself (1021h)
+ *   objects.md         every object, for people
+ *   imu9-gateway.dbc   the default PDOs, EMCY and heartbeat of node-ID 1, for tools that know CAN but not CANopen
  *
  * Built at compile time, so it may use the heap. The output depends on nothing but the EDS. */
+#include <ctype.h>
 #include <errno.h>
 #include <math.h>
 #include <stdarg.h>
@@ -195,7 +197,7 @@ static void print_values_header(FILE *out, const struct eds *eds)
 	fprintf(out,
 		"/* od_values.h — %s */\n"
 		"#ifndef OD_VALUES_H\n#define OD_VALUES_H\n\n"
-		"#include <stddef.h>\n#include <stdint.h>\n\n#include \"od/od.h\"\n\n"
+		"#include <stddef.h>\n#include <stdint.h>\n\n#include \"od/od.h\"\n#include \"od_index.h\"\n\n"
 		"struct od_values {\n",
 		NOTICE);
 	for (size_t i = 0; i < eds->object_count; i++) {
@@ -223,6 +225,35 @@ static void print_values_header(FILE *out, const struct eds *eds)
 	      "extern const uint8_t imu9_eds[];\n"
 	      "extern const size_t imu9_eds_size;\n\n#endif\n",
 		out);
+}
+
+/* ---- od_index.h ---- */
+
+static void print_upper(FILE *out, const char *text)
+{
+	for (; *text; text++)
+		fputc(*text == '.' ? '_' : toupper((unsigned char)*text), out);
+}
+
+static void print_index_header(FILE *out, const struct eds *eds)
+{
+	fprintf(out, "/* od_index.h — %s */\n#ifndef OD_INDEX_H\n#define OD_INDEX_H\n\nenum {\n", NOTICE);
+	for (size_t i = 0; i < eds->object_count; i++) {
+		const struct eds_object *object = &eds->objects[i];
+		const struct od_entry *entries = &eds->table.entries[object->first];
+
+		fputs("\tOD_INDEX_", out);
+		print_upper(out, object->kind == EDS_VAR ? entries->name : object->name);
+		fprintf(out, " = 0x%04X,\n", object->index);
+		for (size_t k = 0; k < object->count; k++) {
+			if (entries[k].sub == 0)
+				continue;
+			fputs("\tOD_SUB_", out);
+			print_upper(out, entries[k].name);
+			fprintf(out, " = %u,\n", entries[k].sub);
+		}
+	}
+	fputs("};\n\n#endif\n", out);
 }
 
 /* ---- od_table.c ---- */
@@ -705,7 +736,12 @@ static void check_names(const struct eds *eds, const char *path)
 int main(int argc, char **argv)
 {
 	struct output outputs[] = {
-		{.name = "od_values.h"}, {.name = "od_table.c"}, {.name = "objects.md"}, {.name = "imu9-gateway.dbc"}};
+		{.name = "od_index.h"},
+		{.name = "od_values.h"},
+		{.name = "od_table.c"},
+		{.name = "objects.md"},
+		{.name = "imu9-gateway.dbc"},
+	};
 	enum { COUNT = sizeof(outputs) / sizeof(*outputs) };
 	FILE *streams[COUNT];
 	char error[512] = "";
@@ -726,10 +762,11 @@ int main(int argc, char **argv)
 		if (!streams[i])
 			die("out of memory");
 	}
-	print_values_header(streams[0], &eds);
-	print_table(streams[1], &eds, file, file_size);
-	print_markdown(streams[2], &eds);
-	print_dbc(streams[3], &eds);
+	print_index_header(streams[0], &eds);
+	print_values_header(streams[1], &eds);
+	print_table(streams[2], &eds, file, file_size);
+	print_markdown(streams[3], &eds);
+	print_dbc(streams[4], &eds);
 	for (size_t i = 0; i < COUNT; i++)
 		fclose(streams[i]);
 	write_outputs(argv[2], outputs, COUNT);

@@ -7,6 +7,7 @@
 #include <strings.h>
 
 #include "tools/lib/cli.h"
+#include "od_index.h"
 
 /* 0x1A or 1Ah; plain decimal only where `decimal` says so. */
 static bool object_number(const char *text, size_t length, bool decimal, long high, long *value)
@@ -62,8 +63,10 @@ const struct od_entry *cli_resolution(const struct od_table *table, const struct
 		uint16_t first, last;
 		const char *name;
 	} rules[] = {
-		{0x2100, 0x2100, "resolution.acceleration"}, {0x2102, 0x2102, "resolution.position"},
-		{0x2101, 0x2101, "0x6000"}, {0x6010, 0x6FFF, "0x6000"}, /* CiA 410: slopes, presets and offsets */
+		{OD_INDEX_ACCELERATION, OD_INDEX_ACCELERATION, "resolution.acceleration"},
+		{OD_INDEX_POSITION_OUTPUT, OD_INDEX_POSITION_OUTPUT, "resolution.position"},
+		{OD_INDEX_ANGLES, OD_INDEX_ANGLES, "0x6000"},
+		{OD_INDEX_SLOPE_LONG16, 0x6FFF, "0x6000"}, /* CiA 410: slopes, presets and offsets */
 	};
 
 	if (entry->unit[0] == '\0' || entry->factor == 1)

@@ -115,7 +115,7 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 
 static bool is_status(const struct watch_field *field)
 {
-	return field->entry && field->entry->index == 0x210F && field->entry->sub == 3;
+	return field->entry && field->entry->index == OD_INDEX_SAMPLE && field->entry->sub == 3;
 }
 
 static void field_name(const struct watch_field *field, char *text, size_t capacity)
@@ -378,8 +378,8 @@ static void send_start(struct monitor *m, uint64_t now_us)
 static void send_sync(struct monitor *m, uint64_t now_us)
 {
 	uint64_t period_us = (uint64_t)(1e6 / m->sync_hz);
-	uint32_t counter_overflow = watch_object(&m->watch, 0x1019, 0);
-	struct can_msg msg = {.id = watch_object(&m->watch, 0x1005, 0) & 0x7FF};
+	uint32_t counter_overflow = watch_object(&m->watch, OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE, 0);
+	struct can_msg msg = {.id = watch_object(&m->watch, OD_INDEX_COB_ID_SYNC, 0) & 0x7FF};
 
 	if (counter_overflow >= 2) {
 		m->sync_counter = (uint8_t)(m->sync_counter % counter_overflow + 1);

@@ -8,11 +8,12 @@
 #include "gateway/status.h"
 #include "model/pipeline.h"
 #include "tools/lib/cli_value.h"
+#include "od_index.h"
 
 enum {
 	SDO_TIMEOUT_US = 300000,
 	ASK_AGAIN_US = 2000000,
-	SAMPLE_INDEX = 0x210F,
+	SAMPLE_INDEX = OD_INDEX_SAMPLE,
 	SAMPLE_COUNTER = 1,
 };
 
@@ -27,8 +28,10 @@ static bool is_wanted(const struct od_entry *entry)
 
 	if (index >= 0x1800 && index < 0x1800 + WATCH_PDOS)
 		return entry->sub == 1 || entry->sub == 2;
-	return (index >= 0x1A00 && index < 0x1A00 + WATCH_PDOS) || index == 0x1005 || index == 0x1014 ||
-	       index == 0x1017 || index == 0x1019 || index == 0x2110 || index == 0x6000;
+	return (index >= 0x1A00 && index < 0x1A00 + WATCH_PDOS) || index == OD_INDEX_COB_ID_SYNC ||
+	       index == OD_INDEX_COB_ID_EMCY || index == OD_INDEX_PRODUCER_HEARTBEAT_TIME ||
+	       index == OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE || index == OD_INDEX_RESOLUTION ||
+	       index == OD_INDEX_ANGLE_RESOLUTION;
 }
 
 static double mirrored(const struct watch *watch, const struct od_entry *entry)
@@ -310,7 +313,7 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 
 	if (msg->remote || msg->extended)
 		return;
-	if (msg->id == (watch_object(watch, 0x1005, 0) & 0x7FF)) {
+	if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_SYNC, 0) & 0x7FF)) {
 		count_frame(&watch->sync, now_us);
 		return;
 	}
@@ -318,7 +321,7 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 		take_pdo(watch, pdo, msg, now_us);
 	else if (msg->id == 0x700u + watch->node_id && msg->len == 1)
 		take_heartbeat(watch, msg, now_us);
-	else if (msg->id == (watch_object(watch, 0x1014, 0) & 0x7FF) && msg->len == 8)
+	else if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_EMCY, 0) & 0x7FF) && msg->len == 8)
 		take_emcy(watch, msg, now_us);
 	else if (msg->id != 0x580u + watch->node_id)
 		return; /* of another node */
@@ -343,7 +346,7 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us)
 
 int watch_nmt_state(const struct watch *watch, uint64_t now_us)
 {
-	uint64_t period_us = watch_object(watch, 0x1017, 0) * UINT64_C(1000);
+	uint64_t period_us = watch_object(watch, OD_INDEX_PRODUCER_HEARTBEAT_TIME, 0) * UINT64_C(1000);
 	bool expected = watch->heartbeat.count > 0 && period_us > 0;
 
 	return expected && now_us - watch->heard_us > 3 * period_us ? WATCH_NMT_LOST : watch->nmt_state;

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "tools/sdo/sdo_session.h"
+#include "od_index.h"
 
 enum { STORE_TIMEOUT_MS = 5000 }; /* a disk may take its time */
 
@@ -27,12 +28,12 @@ static int write_signature(struct session *s, uint16_t index, const char *signat
 
 int sdo_command_store(struct session *s, int argc, char **argv)
 {
-	return write_signature(s, 0x1010, "save", argc ? argv[0] : "all");
+	return write_signature(s, OD_INDEX_STORE_PARAMETERS, "save", argc ? argv[0] : "all");
 }
 
 int sdo_command_restore(struct session *s, int argc, char **argv)
 {
-	int exit_code = write_signature(s, 0x1011, "load", argc ? argv[0] : "all");
+	int exit_code = write_signature(s, OD_INDEX_RESTORE_DEFAULTS, "load", argc ? argv[0] : "all");
 
 	if (exit_code == CLI_OK && !s->quiet)
 		fprintf(stderr, "imu9-sdo: the defaults hold after the next reset: imu9-sdo nmt reset\n");

@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "tools/lib/cli_value.h"
+#include "od_index.h"
 
 #define COB_ID_INVALID (1u << 31)
 #define SYNC_PRODUCER  (1u << 30)
@@ -134,7 +135,7 @@ static bool write_sync(struct load *load, const struct setting *setting)
 /* Nor the range of its counter while there is a period, which has its new value by now. */
 static bool write_sync_counter(struct load *load, const struct setting *setting)
 {
-	const struct od_entry *entry = od_find(load->session->table, 0x1006, 0, NULL);
+	const struct od_entry *entry = od_find(load->session->table, OD_INDEX_COMMUNICATION_CYCLE_PERIOD, 0, NULL);
 	uint32_t period_us = 0;
 
 	if (entry && (!load_read_u32(load, entry, &period_us) || (period_us && !write_cob_id(load, entry, 0))))
@@ -149,7 +150,8 @@ static void forget_consumers(struct load *load)
 	for (size_t i = 0; i < load->settings->count; i++) {
 		const struct setting *setting = &load->settings->list[i];
 
-		if (setting->entry->index == 0x1016 && setting->size == 4 && !is_same(load, setting))
+		if (setting->entry->index == OD_INDEX_CONSUMER_HEARTBEAT_TIME && setting->size == 4 &&
+			!is_same(load, setting))
 			write_cob_id(load, setting->entry, 0);
 	}
 }
@@ -157,12 +159,12 @@ static void forget_consumers(struct load *load)
 static bool write_plain(struct load *load, const struct setting *setting)
 {
 	switch (setting->entry->index) {
-	case 0x1005:
+	case OD_INDEX_COB_ID_SYNC:
 		return write_sync(load, setting);
-	case 0x1019:
+	case OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:
 		return write_sync_counter(load, setting);
-	case 0x1014:
-	case 0x1201:
+	case OD_INDEX_COB_ID_EMCY:
+	case OD_INDEX_SECOND_SDO_SERVER_PARAMETER:
 		return write_switched_off(load, setting);
 	default:
 		return load_write(load, setting->entry, setting->wire, setting->size);
@@ -181,7 +183,7 @@ static void load_plain(struct load *load, const struct setting *setting)
 static void load_date(struct load *load)
 {
 	for (unsigned int sub = 1; sub <= 2; sub++) {
-		const struct setting *setting = find_setting(load->settings, 0x1020, sub);
+		const struct setting *setting = find_setting(load->settings, OD_INDEX_VERIFY_CONFIGURATION, sub);
 
 		if (setting)
 			load_plain(load, setting);
@@ -271,7 +273,7 @@ static void load_all(struct load *load)
 		const struct setting *setting = find_setting(load->settings, entry->index, entry->sub);
 
 		if (!is_pdo_parameter(entry->index)) {
-			if (setting && entry->index != 0x1020)
+			if (setting && entry->index != OD_INDEX_VERIFY_CONFIGURATION)
 				load_plain(load, setting);
 		} else if (!sdo_is_mapping(entry->index) && entry->index != index) {
 			index = entry->index;

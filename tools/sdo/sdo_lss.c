@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "tools/sdo/sdo_session.h"
+#include "od_index.h"
 
 enum {
 	REQUEST_ID = 0x7E5,
@@ -309,7 +310,7 @@ static void take_identity(struct lss *lss, int *argc, char **argv)
 	const struct od_table *table = lss->session->table;
 
 	for (uint8_t i = 0; i < NUMBERS; i++) {
-		const struct od_entry *entry = od_find(table, 0x1018, (uint8_t)(i + 1), NULL);
+		const struct od_entry *entry = od_find(table, OD_INDEX_IDENTITY, (uint8_t)(i + 1), NULL);
 		char option[16];
 
 		snprintf(option, sizeof(option), "--%s", number_names[i]);

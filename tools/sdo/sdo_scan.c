@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "tools/sdo/sdo_session.h"
+#include "od_index.h"
 
 enum { NODES = 128, LISTEN_MS = 1100, STATE_UNKNOWN = 0xFF };
 
@@ -84,12 +85,12 @@ static void print_node(struct session *s, struct can_port *bus, uint8_t id, cons
 	printf("%3u  %-15s", id, state_text(seen->state));
 	if (seen->answers) {
 		cli_node_use(&node, bus, s->bus, id, s->timeout_ms);
-		print_number(&node, "type", 0x1000, 0);
-		print_number(&node, "vendor", 0x1018, 1);
-		print_number(&node, "product", 0x1018, 2);
-		print_number(&node, "revision", 0x1018, 3);
-		print_number(&node, "serial", 0x1018, 4);
-		if (cli_node_read(&node, 0x1008, 0, wire, sizeof(wire)) &&
+		print_number(&node, "type", OD_INDEX_DEVICE_TYPE, 0);
+		print_number(&node, "vendor", OD_INDEX_IDENTITY, 1);
+		print_number(&node, "product", OD_INDEX_IDENTITY, 2);
+		print_number(&node, "revision", OD_INDEX_IDENTITY, 3);
+		print_number(&node, "serial", OD_INDEX_IDENTITY, 4);
+		if (cli_node_read(&node, OD_INDEX_MANUFACTURER_DEVICE_NAME, 0, wire, sizeof(wire)) &&
 			od_format(&TEXT, wire, node.sdo.size, name, sizeof(name)) > 0)
 			printf("  %s", name);
 	}

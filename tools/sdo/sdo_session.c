@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "tools/lib/cli_value.h"
+#include "od_index.h"
 
 /* ---- objects named on the command line --------------------------------------------------------------------------- */
 
@@ -16,7 +17,8 @@ static bool find_target(const struct session *s, const char *text, struct target
 	static const struct {
 		const char *name;
 		uint16_t index;
-	} short_names[] = {{"eds", 0x1021}, {"snapshot", 0x2130}, {"log", 0x2131}};
+	} short_names[] = {{"eds", OD_INDEX_STORE_EDS}, {"snapshot", OD_INDEX_CONFIGURATION_SNAPSHOT},
+		{"log", OD_INDEX_EVENT_LOG}};
 	const struct od_entry *entry = od_find_name(s->table, text);
 
 	for (size_t i = 0; !entry && i < sizeof(short_names) / sizeof(short_names[0]); i++)
