@@ -6,8 +6,7 @@
 #include "gateway/status.h"
 #include "model/math/rotation.h"
 #include "od_index.h"
-
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 /* bits of 2073h */
 enum { COMMAND_RESET_POSITION = 1 << 0, COMMAND_STANDS_STILL = 1 << 1, COMMAND_ZERO_SLOPES = 1 << 2 };

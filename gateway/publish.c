@@ -1,10 +1,9 @@
 #include "gateway/publish.h"
 #include "od_index.h"
+#include "model/math/units.h"
 
 #include <limits.h>
 #include <math.h>
-
-#define DEG_PER_RAD (180 / 3.14159265358979323846)
 
 /* The value in units of `lsb`, rounded to the nearest; saturated, and then said so in *saturated.
  */

@@ -3,9 +3,7 @@
 #include <string.h>
 
 #include "gateway/canopen/little_endian.h"
-
-#define RAD_PER_DEG	 (3.14159265358979323846 / 180)
-#define STANDARD_GRAVITY 9.80665
+#include "model/math/units.h"
 
 /* the three calibration records have the same members, but generated structs of their own */
 #define TRIAD(record)                                                                                \
@@ -73,9 +71,9 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 		.angle_sigma_rad = (double)v->noise.angle_sigma * RAD_PER_DEG,
 		.gyro_density_rad_s_sqrt_hz = (double)v->noise.gyro_density * RAD_PER_DEG,
 		.gyro_bias_instability_rad_s = (double)v->noise.gyro_bias_instability * RAD_PER_DEG,
-		.accel_density_m_s2_sqrt_hz = (double)v->noise.accelerometer_density * 1e-6 * STANDARD_GRAVITY,
+		.accel_density_m_s2_sqrt_hz = (double)v->noise.accelerometer_density * 1e-6 * STANDARD_GRAVITY_M_S2,
 		.accel_bias_instability_m_s2 =
-			(double)v->noise.accelerometer_bias_instability * 1e-3 * STANDARD_GRAVITY,
+			(double)v->noise.accelerometer_bias_instability * 1e-3 * STANDARD_GRAVITY_M_S2,
 	};
 
 	c.estimator.lever_arm_b_m =

@@ -4,9 +4,7 @@
 #include <string.h>
 
 #include "model/math/rotation.h"
-
-#define PI  3.14159265358979323846
-#define DEG (PI / 180)
+#include "model/math/units.h"
 
 enum {
 	BIAS = KALMAN_BIAS,
@@ -19,13 +17,14 @@ enum {
 /* Time between two corrections: short against the filter's time constants, long enough to cost little. */
 static const double CORRECTION_S = 0.03;
 /* 1 sigma at the start. A wrong tilt makes the field's heading wrong by more: by the tangent of the dip. */
-static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_S = 0.3, START_BIAS_RAD_S = 0.5 * DEG;
+static const double START_TILT_RAD = 0.1, HEADING_BY_TILT = 3, START_VELOCITY_M_S = 0.3,
+		    START_BIAS_RAD_S = 0.5 * RAD_PER_DEG;
 /* No working gyro has more bias than this; the scale is within so many of its sigmas. */
-static const double MOST_BIAS_RAD_S = 2 * DEG, MOST_SIGMAS = 5;
+static const double MOST_BIAS_RAD_S = 2 * RAD_PER_DEG, MOST_SIGMAS = 5;
 /* What was learnt of the scale is outdated after that time (temperature, ageing). */
 static const double SCALE_TIME_S = 36000;
 /* White noise of the gyro, rad/s/sqrt(Hz): in motion with what else goes wrong there, and at rest. */
-static const double GYRO_NOISE = 0.12 * DEG, REST_GYRO_NOISE = 0.03 * DEG;
+static const double GYRO_NOISE = 0.12 * RAD_PER_DEG, REST_GYRO_NOISE = 0.03 * RAD_PER_DEG;
 /* For how long the gyro's error in motion, and a velocity, keep their sign. */
 static const double GYRO_ERROR_TIME_S = 0.3, VELOCITY_TIME_S = 0.5;
 /* The spread of the velocity: its memory, and the least of it as a share of the configured. */
@@ -34,7 +33,7 @@ static const double SPREAD_TIME_S = 3, LEAST_SPREAD = 0.2;
 static const double REST_VELOCITY_M_S = 0.01;
 /* Memory of the mean force, which is gravity's; further off the vertical than this, the tilt is lost; 1 sigma of the
  * heading then. */
-static const double MEAN_FORCE_TIME_S = 1, LOST_TILT_RAD = 60 * DEG, LOST_HEADING_RAD = 1;
+static const double MEAN_FORCE_TIME_S = 1, LOST_TILT_RAD = 60 * RAD_PER_DEG, LOST_HEADING_RAD = 1;
 /* A rate at the end of the gyro's range may be larger by that share of it. */
 static const double SATURATED_SHARE = 0.5;
 /* A longer time without samples leaves no velocity to integrate from. */
@@ -49,7 +48,7 @@ static const double POSE_RAD = 1, POSE_LEAST_S = 0.5, POSE_MOST_S = 3;
  * size (squared; to and fro about one axis by 80 degrees, say). */
 static const double REFERENCE_TIME_S = 60, OTHER_FIELD_TIME_S = 2, OTHER_FIELD_S = 20, TURNED_SHARE = 0.7;
 /* A tilt known worse than that makes the dip seen count for less. */
-static const double DIP_TILT_RAD = 2 * DEG;
+static const double DIP_TILT_RAD = 2 * RAD_PER_DEG;
 /* After a disturbance the field has to be within the limits for so long. */
 static const double UNDISTURBED_S = 0.25;
 /* Of the disturbance seen in length and dip, squared, what is to be expected in the heading: as much as along each. */
@@ -57,9 +56,9 @@ static const double DISTURBANCE_SHARE = 0.5;
 /* At rest, the field of the first time counts, and one near it by this share of its length. */
 static const double STILL_FIELD_S = 1, STILL_FIELD_SHARE = 0.04;
 /* An attitude from outside is taken to be right within this. What is told from outside holds for so long. */
-static const double SET_ANGLE_RAD = 1 * DEG, TOLD_S = 10;
+static const double SET_ANGLE_RAD = 1 * RAD_PER_DEG, TOLD_S = 10;
 /* No working gyro loses the heading by so much. */
-static const double ASTRAY_RAD = 60 * DEG;
+static const double ASTRAY_RAD = 60 * RAD_PER_DEG;
 /* Unless the tilt was wrong when the field was first seen, which this much of it, well known, rules out. */
 static const double KNOWN_FIELD_S = 10;
 /* A heading told that is further off is refused, but not the fifth in a row: then this filter is wrong; a velocity takes

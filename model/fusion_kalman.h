@@ -30,6 +30,7 @@
 #define MODEL_FUSION_KALMAN_H
 
 #include "model/math/quat.h"
+#include "model/math/units.h"
 
 struct fusion_kalman_config {
 	double velocity_sigma_m_s; /* 0.01..1000: of the reference point, at most; a smaller one trusts the
@@ -45,11 +46,11 @@ struct fusion_kalman_config {
 	double gyro_scale_sigma; /* 0..0.05: of the scale factors as calibrated; 0: they are right, none is learnt */
 };
 
-#define FUSION_KALMAN_DEFAULTS                                                                                      \
-	{                                                                                                           \
-		.velocity_sigma_m_s = 1, .heading_sigma_rad = 2 * 0.0174532925199433, .field_limit = 0.1,           \
-		.rejection_time_s = 60, .gyro_error = 0.001, .bias_walk_rad_s_sqrt_s = 0.0025 * 0.0174532925199433, \
-		.gyro_scale_sigma = 0.002,                                                                          \
+#define FUSION_KALMAN_DEFAULTS                                                                               \
+	{                                                                                                    \
+		.velocity_sigma_m_s = 1, .heading_sigma_rad = 2 * RAD_PER_DEG, .field_limit = 0.1,           \
+		.rejection_time_s = 60, .gyro_error = 0.001, .bias_walk_rad_s_sqrt_s = 0.0025 * RAD_PER_DEG, \
+		.gyro_scale_sigma = 0.002,                                                                   \
 	}
 
 /** What the gyro gets wrong, as learnt: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes,

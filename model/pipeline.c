@@ -4,9 +4,8 @@
 #include <string.h>
 
 #include "model/smoother.h"
+#include "model/math/units.h"
 
-#define PI  3.14159265358979323846
-#define DEG (PI / 180)
 #define IDENTITY_TRIAD                                        \
 	{                                                     \
 		.matrix = { {1, 0, 0}, {0, 1, 0}, {0, 0, 1} } \
@@ -28,11 +27,11 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 	.latency = {.sensor_s = 0.0042, .accelerometer_s = -0.0016},
 	.noise =
 		{
-			.angle_sigma_rad = 0.05 * DEG,
-			.gyro_density_rad_s_sqrt_hz = 0.03 * DEG,
-			.gyro_bias_instability_rad_s = 0.01 * DEG,
-			.accel_density_m_s2_sqrt_hz = 220e-6 * 9.80665,
-			.accel_bias_instability_m_s2 = 0.1e-3 * 9.80665,
+			.angle_sigma_rad = 0.05 * RAD_PER_DEG,
+			.gyro_density_rad_s_sqrt_hz = 0.03 * RAD_PER_DEG,
+			.gyro_bias_instability_rad_s = 0.01 * RAD_PER_DEG,
+			.accel_density_m_s2_sqrt_hz = 220e-6 * STANDARD_GRAVITY_M_S2,
+			.accel_bias_instability_m_s2 = 0.1e-3 * STANDARD_GRAVITY_M_S2,
 		},
 	.estimator =
 		{
@@ -42,7 +41,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		},
 	.rest =
 		{
-			.gyro_threshold_rad_s = 2 * DEG,
+			.gyro_threshold_rad_s = 2 * RAD_PER_DEG,
 			.accel_threshold_m_s2 = 0.5,
 			.time_s = 1.5,
 		},

@@ -15,6 +15,7 @@
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/merge.h"
 #include "drivers/imu/source.h"
+#include "model/math/units.h"
 
 enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256, KERNEL_SAMPLES = 64, SETTLING_INTERVALS = 5 };
 /* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, where nobody raised it): a magnetometer of its own has
@@ -26,8 +27,6 @@ enum { TIMER_MOTION, TIMER_MAG, TIMERS };
 #define WAKE_NS	     (20 * NS_PER_MS)  /* a device that has gone wakes nobody */
 #define STALL_NS     (100 * NS_PER_MS) /* or five intervals */
 #define MAG_RETRY_NS (2 * NS_PER_S)
-#define G_M_S2	     9.80665
-#define DEG	     (3.14159265358979323846 / 180)
 
 static const char TIMER_TRIGGERS[] = "/sys/kernel/config/iio/triggers/hrtimer", TIMER_PREFIX[] = "imu9-";
 
@@ -218,8 +217,8 @@ static int find_triads(struct iio_imu *imu, char *error, size_t error_size)
 /* What the settings ask of each, in the kernel's unit. */
 static double wanted_range(const struct imu_settings *settings, int kind)
 {
-	return kind == GYRO    ? settings->gyro_range_deg_s * DEG
-	       : kind == ACCEL ? settings->accel_range_g * G_M_S2
+	return kind == GYRO    ? settings->gyro_range_deg_s * RAD_PER_DEG
+	       : kind == ACCEL ? settings->accel_range_g * STANDARD_GRAVITY_M_S2
 			       : settings->mag_range_uT / 100;
 }
 

@@ -10,6 +10,7 @@
 #include "drivers/imu/frozen.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
+#include "model/math/units.h"
 
 enum {
 	REG_BANDWIDTH = 0x1F,
@@ -30,11 +31,9 @@ enum {
 	OPEN_TRIES = 3,
 };
 
-#define G_M_S2		 9.80665
 #define ACCEL_RANGE_G	 16.0
 #define GYRO_RANGE_DEG_S 2000.0
 #define FULL_SCALE	 32768.0
-#define DEG		 (3.14159265358979323846 / 180)
 
 #define NS_PER_MS	    1000000.0
 #define TURNAROUND_NS	    (3 * NS_PER_MS)    /* the sensor's own setting (74h) as delivered */
@@ -188,8 +187,8 @@ static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 {
 	struct imu_sample sample = {
 		.t_us = (uint64_t)(t_ns / 1e3),
-		.accel_m_s2 = triad(words, ACCEL_RANGE_G * G_M_S2 / FULL_SCALE),
-		.gyro_rad_s = triad(words + 3, GYRO_RANGE_DEG_S * DEG / FULL_SCALE),
+		.accel_m_s2 = triad(words, ACCEL_RANGE_G * STANDARD_GRAVITY_M_S2 / FULL_SCALE),
+		.gyro_rad_s = triad(words + 3, GYRO_RANGE_DEG_S * RAD_PER_DEG / FULL_SCALE),
 		.mag_uT = triad(words + 6, w->mag_step_uT),
 		.temperature_degC = 0.01 * (int16_t)words[TEMPERATURE_WORD],
 		.flags = SAMPLE_MAG | SAMPLE_TEMPERATURE | (saturated(words) ? SAMPLE_SATURATED : 0),

@@ -1,6 +1,5 @@
 #include "model/identify/calibrate.h"
-
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 static const uint64_t BLOCK_US = 250000, GAP_US = 500000;
 static const double MEAN_TIME_BLOCKS = 8; /* 2 s */

@@ -2,8 +2,7 @@
 
 #include "model/identify/ellipsoid.h"
 #include "model/math/linalg.h"
-
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 enum { BLOCKS_LEAST = 5, SIDES = 14 };	     /* 1.25 s */
 static const double ANOTHER_COS = 0.9396926; /* 20 deg: less is the same position again */

@@ -1,6 +1,5 @@
 #include "model/identify/calibrate_gyro.h"
-
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 static const double BLOCK_S = 0.25, LEAST_REST_S = 5;
 static const double GRAVITY_DRIFT_M_S3 = 0.005, FIELD_DRIFT_UT_S = 0.03;

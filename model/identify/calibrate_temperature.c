@@ -1,10 +1,11 @@
 #include "model/identify/calibrate_temperature.h"
+#include "model/math/units.h"
 
 enum { CHANNELS = 6 };
 static const double BLOCK_S = 0.25, LEAST_REST_S = 20;
 static const double LEAST_SPAN_K = 5, QUADRATIC_SPAN_K = 15;
-static const double QUADRATIC_GAIN = 0.8; /* of the straight line's sum of squares */
-static const double RESIDUAL_MAX[2] = {0.1 * 3.14159265358979323846 / 180, 0.05}; /* rad/s, m/s^2 */
+static const double QUADRATIC_GAIN = 0.8;			 /* of the straight line's sum of squares */
+static const double RESIDUAL_MAX[2] = {0.1 * RAD_PER_DEG, 0.05}; /* rad/s, m/s^2 */
 
 void calibrate_temperature_init(struct calibrate_temperature *c)
 {

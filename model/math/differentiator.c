@@ -1,6 +1,7 @@
 #include "model/math/differentiator.h"
+#include "model/math/units.h"
 
-static const double PI = 3.14159265358979323846, CUTOFF_MOST = 0.3;
+static const double CUTOFF_MOST = 0.3;
 
 /* The characteristic polynomial z^3 + p1 z^2 + p2 z + p3 of the wanted poles, compared with that of the observer. */
 void differentiator3_tune(struct differentiator3 *d, double cutoff_hz, double rate_hz)

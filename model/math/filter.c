@@ -1,9 +1,8 @@
 #include "model/math/filter.h"
+#include "model/math/units.h"
 
 #include <errno.h>
 #include <string.h>
-
-static const double PI = 3.14159265358979323846;
 
 /* One section by the bilinear transform of an analogue low-pass of unit cut-off, w = tan(pi fc /
  * fs) pre-warped: second order w^2 / (s^2 + d w s + w^2), or first order w / (s + w). Unit gain at

@@ -1,6 +1,5 @@
 #include "model/math/rotation.h"
-
-static const double PI = 3.14159265358979323846;
+#include "model/math/units.h"
 
 struct mat3 mat3_multiply(struct mat3 a, struct mat3 b)
 {

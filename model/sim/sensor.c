@@ -1,13 +1,9 @@
 #include "model/sim/sensor.h"
+#include "model/math/units.h"
 
 #include <errno.h>
 #include <math.h>
 #include <string.h>
-
-#define PI    3.14159265358979323846
-#define DPS   (PI / 180)
-#define G     9.80665
-#define GAUSS 100.0 /* uT */
 
 /* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8 .. 4096 s. */
 static const double START_DEGC = 25;
@@ -16,28 +12,31 @@ static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.
 /* Chips at a full scale and its digit: densities, offsets, digits and ranges are the datasheets' typical values (the
  * gyro's offset that of its finest range), bandwidths what they offer at about 100 Hz. For bias instability and random
  * walk the datasheets have no figure: usual ones of this class of chips. */
-#define L3G4200D(full_scale, digit)                                                                          \
-	{                                                                                                    \
-		.density = 0.03 * DPS, .bias_instability = 0.01 * DPS, .random_walk = 0.0002 * DPS,          \
-		.bias_sigma = 10 * DPS, .temperature_sigma = 0.03 * DPS, .scale_sigma = 0.02,                \
-		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = (digit)*DPS, .range = (full_scale)*DPS \
+#define L3G4200D(full_scale, digit)                                                                     \
+	{                                                                                               \
+		.density = 0.03 * RAD_PER_DEG, .bias_instability = 0.01 * RAD_PER_DEG,                  \
+		.random_walk = 0.0002 * RAD_PER_DEG, .bias_sigma = 10 * RAD_PER_DEG,                    \
+		.temperature_sigma = 0.03 * RAD_PER_DEG, .scale_sigma = 0.02, .cross_axis_sigma = 0.01, \
+		.bandwidth_hz = 50, .step = (digit)*RAD_PER_DEG, .range = (full_scale)*RAD_PER_DEG      \
 	}
-#define LSM303DLHC_ACCEL(full_scale, digit)                                                              \
-	{                                                                                                \
-		.density = 220e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,          \
-		.bias_sigma = 0.06 * G, .temperature_sigma = 0.5e-3 * G, .scale_sigma = 0.02,            \
-		.cross_axis_sigma = 0.01, .bandwidth_hz = 50, .step = (digit)*G, .range = (full_scale)*G \
+#define LSM303DLHC_ACCEL(full_scale, digit)                                                                            \
+	{                                                                                                              \
+		.density = 220e-6 * STANDARD_GRAVITY_M_S2, .bias_instability = 0.1e-3 * STANDARD_GRAVITY_M_S2,         \
+		.random_walk = 2e-6 * STANDARD_GRAVITY_M_S2, .bias_sigma = 0.06 * STANDARD_GRAVITY_M_S2,               \
+		.temperature_sigma = 0.5e-3 * STANDARD_GRAVITY_M_S2, .scale_sigma = 0.02, .cross_axis_sigma = 0.01,    \
+		.bandwidth_hz = 50, .step = (digit)*STANDARD_GRAVITY_M_S2, .range = (full_scale)*STANDARD_GRAVITY_M_S2 \
 	}
-#define LSM303DLH_ACCEL(full_scale, digit)                                                               \
-	{                                                                                                \
-		.density = 218e-6 * G, .bias_instability = 0.1e-3 * G, .random_walk = 2e-6 * G,          \
-		.bias_sigma = 0.02 * G, .temperature_sigma = 0.2e-3 * G, .scale_sigma = 0.02,            \
-		.cross_axis_sigma = 0.01, .bandwidth_hz = 74, .step = (digit)*G, .range = (full_scale)*G \
+#define LSM303DLH_ACCEL(full_scale, digit)                                                                             \
+	{                                                                                                              \
+		.density = 218e-6 * STANDARD_GRAVITY_M_S2, .bias_instability = 0.1e-3 * STANDARD_GRAVITY_M_S2,         \
+		.random_walk = 2e-6 * STANDARD_GRAVITY_M_S2, .bias_sigma = 0.02 * STANDARD_GRAVITY_M_S2,               \
+		.temperature_sigma = 0.2e-3 * STANDARD_GRAVITY_M_S2, .scale_sigma = 0.02, .cross_axis_sigma = 0.01,    \
+		.bandwidth_hz = 74, .step = (digit)*STANDARD_GRAVITY_M_S2, .range = (full_scale)*STANDARD_GRAVITY_M_S2 \
 	}
 #define LSM303_MAG(noise_density, digits_per_gauss)                                                          \
 	{                                                                                                    \
 		.density = (noise_density), .bias_sigma = 10, .scale_sigma = 0.05, .cross_axis_sigma = 0.02, \
-		.step = GAUSS / (digits_per_gauss), .range = 1.3 * GAUSS                                     \
+		.step = UT_PER_GAUSS / (digits_per_gauss), .range = 1.3 * UT_PER_GAUSS                       \
 	}
 #define COMMON \
 	.rate_hz = 100, .gravity_m_s2 = 9.81, .field_n_uT = {0, 20, -45}, .warming_s = 120, .temperature_step_K = 1

@@ -1,10 +1,9 @@
 #include "model/sim/signal.h"
+#include "model/math/units.h"
 
 #include <string.h>
 
-#define PI	3.14159265358979323846
-#define TWO_PI	(2 * PI)
-#define DEGREES (PI / 180)
+#define TWO_PI (2 * PI)
 
 /* A value with its first and second derivative by time. */
 struct jet {
@@ -175,8 +174,8 @@ static void multiposition(const struct signal *signal, double t, struct motion *
 	t = fmod(t, signal->period_s);
 	for (int i = 0; i < POSITIONS; i++) {
 		struct jet step = smooth_step(t, (i + 1) * stay_s - turn_s, turn_s);
-		double roll = DEGREES * (positions[i + 1].roll_deg - positions[i].roll_deg);
-		double pitch = DEGREES * (positions[i + 1].pitch_deg - positions[i].pitch_deg) +
+		double roll = RAD_PER_DEG * (positions[i + 1].roll_deg - positions[i].roll_deg);
+		double pitch = RAD_PER_DEG * (positions[i + 1].pitch_deg - positions[i].pitch_deg) +
 			       signal->angle_rad * (positions[i + 1].corner - positions[i].corner);
 
 		m->roll = add(m->roll, scale(roll, step));
@@ -195,17 +194,18 @@ static void figure(const struct signal *signal, double t, struct motion *m)
 }
 
 const struct signal SIGNALS[] = {
-	{"square", "robot on a manoeuvring square of 2 m: drives over rough ground, stops, turns", square, 3 * DEGREES,
-		0.2, 40},
-	{"boat", "boat on a light sea, a large wave every 20 s", boat, 25 * DEGREES, 2.5, 20},
-	{"roll_step", "step about the roll axis, up and down", roll_step, 33 * DEGREES, 0.1, 4},
+	{"square", "robot on a manoeuvring square of 2 m: drives over rough ground, stops, turns", square,
+		3 * RAD_PER_DEG, 0.2, 40},
+	{"boat", "boat on a light sea, a large wave every 20 s", boat, 25 * RAD_PER_DEG, 2.5, 20},
+	{"roll_step", "step about the roll axis, up and down", roll_step, 33 * RAD_PER_DEG, 0.1, 4},
 	{"rest", "level and still", rest, 0, 1, 10},
 	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 10},
-	{"pendulum", "swing about the roll axis", pendulum, 30 * DEGREES, 1, 10},
-	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * DEGREES, 1, 10},
+	{"pendulum", "swing about the roll axis", pendulum, 30 * RAD_PER_DEG, 1, 10},
+	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * RAD_PER_DEG, 1, 10},
 	{"multiposition", "laid on six faces, then held on eight corners: to calibrate an accelerometer", multiposition,
-		35.264 * DEGREES, 1.5, 63},
-	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 60 * DEGREES, 5, 40},
+		35.264 * RAD_PER_DEG, 1.5, 63},
+	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 60 * RAD_PER_DEG, 5,
+		40},
 	{0},
 };
 

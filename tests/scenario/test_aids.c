@@ -8,8 +8,7 @@
 #include "gateway/threshold.h"
 #include "model/math/rotation.h"
 #include "tests/scenario/world.h"
-
-#define RAD_PER_DEG (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 static struct world *new_world(const char *signal)
 {

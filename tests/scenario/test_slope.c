@@ -3,8 +3,9 @@
 
 #include "gateway/publish.h"
 #include "gateway/slope_range.h"
+#include "model/math/units.h"
 
-#define RAD(deg) ((deg)*3.14159265358979323846 / 180)
+#define RAD(deg) ((deg)*RAD_PER_DEG)
 
 #define LONG_EMCY    "090 10 50 21 00 00 00 00 00"
 #define LATERAL_EMCY "090 20 50 21 00 00 00 00 00"

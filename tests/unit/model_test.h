@@ -11,9 +11,7 @@
 #include <cmocka.h>
 
 #include "model/math/quat.h"
-
-#define PI  3.14159265358979323846
-#define DEG (PI / 180)
+#include "model/math/units.h"
 
 #define assert_near(a, b, tolerance)	 assert_near_at(a, b, tolerance, #a, __FILE__, __LINE__)
 #define assert_vec_near(a, b, tolerance) assert_vec_near_at(a, b, tolerance, #a, __FILE__, __LINE__)

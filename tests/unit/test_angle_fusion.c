@@ -9,8 +9,9 @@
 #include "model/angle_fusion.h"
 #include "model/sim/rng.h"
 #include "model/sim/signal.h"
+#include "model/math/units.h"
 
-static const double DEG = 3.14159265358979323846 / 180, DT_S = 0.01;
+static const double DT_S = 0.01;
 static const struct noise_config NOISE = {0.035, 5e-4, 2e-4, 0, 0}; /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */
 
 static struct vec3 gauss3(struct rng *rng, double sigma)
@@ -65,7 +66,7 @@ static void test_the_gyro_makes_given_angles_quiet(void **state)
 	struct run run = run_on("rest", 60, (struct vec3){0, 0, 0}, &NOISE, 1);
 
 	(void)state;
-	assert_true(run.rms_rad < 0.2 * DEG); /* given with 3.5 degrees: 2 an axis */
+	assert_true(run.rms_rad < 0.2 * RAD_PER_DEG); /* given with 3.5 degrees: 2 an axis */
 }
 
 static void test_it_follows_fast_turns_without_lag(void **state)
@@ -73,7 +74,7 @@ static void test_it_follows_fast_turns_without_lag(void **state)
 	struct run run = run_on("tumble", 60, (struct vec3){0, 0, 0}, &NOISE, 1);
 
 	(void)state;
-	assert_true(run.rms_rad < 0.5 * DEG); /* one sample of lag would be up to 7 degrees */
+	assert_true(run.rms_rad < 0.5 * RAD_PER_DEG); /* one sample of lag would be up to 7 degrees */
 }
 
 static void test_a_bias_of_the_gyro_is_learnt(void **state)

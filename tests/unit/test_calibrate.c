@@ -105,7 +105,7 @@ static void test_a_gyro_waits_for_the_rest_after_a_motion(void **state)
 		calibrate_gyro_step(&gyro, &s);
 	}
 	assert_int_equal(gyro.verdict, CALIBRATE_GOOD);
-	assert_vec_near(gyro.result.bias_rad_s, sensor.gyro.bias, 0.1 * DEG);
+	assert_vec_near(gyro.result.bias_rad_s, sensor.gyro.bias, 0.1 * RAD_PER_DEG);
 }
 
 /* About the vertical only the magnetometer sees it, about a horizontal axis gravity moves. */
@@ -115,7 +115,7 @@ static void test_a_slow_steady_turn_about_the_vertical_is_no_rest(void **state)
 
 	(void)state;
 	new_chip(1);
-	slow.angle_rad = 0.3 * DEG;
+	slow.angle_rad = 0.3 * RAD_PER_DEG;
 	assert_int_equal(calibrate_gyro_on(&slow, 15), CALIBRATE_TURNED);
 }
 
@@ -127,7 +127,7 @@ static void test_a_slow_steady_tilt_is_no_rest(void **state)
 	new_chip(1);
 	slow.period_s = 1000;
 	slow.change_s = 200;
-	slow.angle_rad = 8 * DEG;
+	slow.angle_rad = 8 * RAD_PER_DEG;
 	for (int i = 0; i < 34500; i++)
 		next(&slow); /* to the middle of the turn: 0.09 deg/s */
 	assert_int_equal(calibrate_gyro_on(&slow, 15), CALIBRATE_TURNED);
@@ -299,7 +299,7 @@ static void test_a_hand_that_shakes_is_no_rest(void **state)
 
 static void test_faces_that_are_no_faces_of_the_sensor_are_refused(void **state)
 {
-	const struct quat turn = quat_from_aerospace((struct vec3){7 * DEG, 0, 0});
+	const struct quat turn = quat_from_aerospace((struct vec3){7 * RAD_PER_DEG, 0, 0});
 
 	(void)state;
 	new_chip(1);
@@ -571,7 +571,7 @@ static void test_slopes_of_the_biases_are_found_while_it_warms_up(void **state)
 	for (uint64_t seed = 0; seed < 4; seed++) {
 		new_chip(seed);
 		assert_int_equal(calibrate_temperature_on(signal_find("rest"), 20, 300), CALIBRATE_GOOD);
-		assert_vec_near(t->gyro_slope, sensor.gyro.slope, 0.003 * DEG);
+		assert_vec_near(t->gyro_slope, sensor.gyro.slope, 0.003 * RAD_PER_DEG);
 		assert_vec_near(t->accel_slope, sensor.accel.slope, 5e-4);
 	}
 }

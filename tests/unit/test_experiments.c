@@ -8,8 +8,8 @@
 #include <stdlib.h>
 
 #include "tools/experiments/methods.h"
+#include "model/math/units.h"
 
-static const double DEG = 3.14159265358979323846 / 180;
 static const double NOISE_DEG[] = {0.02, 0.05, 0.1, 0.2, 0.3, 0.7, 2.0};
 enum { NOISES = sizeof NOISE_DEG / sizeof *NOISE_DEG };
 
@@ -21,7 +21,7 @@ static double rms(const struct trial_config *config, enum method method, double 
 
 	assert_int_equal(trial_make(&trial, config), 0);
 	estimate = calloc((size_t)trial.count, sizeof *estimate);
-	method_run(method, &trial, noise_deg * DEG, estimate);
+	method_run(method, &trial, noise_deg * RAD_PER_DEG, estimate);
 	error = method_score(&trial, estimate).rms_m_s2;
 	free(estimate);
 	trial_free(&trial);

@@ -131,8 +131,8 @@ static void test_a_moving_body_is_followed_within_half_a_degree(void **state)
 	struct result r = follow(&f, &e, 1, 60);
 
 	(void)state;
-	assert_true(r.tilt_rad < 0.3 * DEG);
-	assert_true(r.heading_rad < 0.5 * DEG);
+	assert_true(r.tilt_rad < 0.3 * RAD_PER_DEG);
+	assert_true(r.heading_rad < 0.5 * RAD_PER_DEG);
 }
 
 static void test_it_does_so_at_any_rate_of_samples(void **state)
@@ -145,8 +145,8 @@ static void test_it_does_so_at_any_rate_of_samples(void **state)
 		struct fusion f = fusion(NINE_AXES);
 		struct result r = follow(&f, &e, 1, 40);
 
-		assert_true(r.tilt_rad < 0.5 * DEG);
-		assert_true(r.heading_rad < 1 * DEG);
+		assert_true(r.tilt_rad < 0.5 * RAD_PER_DEG);
+		assert_true(r.heading_rad < 1 * RAD_PER_DEG);
 	}
 }
 
@@ -161,8 +161,8 @@ static void test_a_wrong_start_is_forgotten(void **state)
 	follow(&f, &e, 1, 0.02);
 	f.q_nb = quat_multiply(off, f.q_nb);
 	r = follow(&f, &e, 1, 60);
-	assert_true(r.tilt_rad < 0.5 * DEG);
-	assert_quat_near(f.q_nb, r.truth, 2 * DEG);
+	assert_true(r.tilt_rad < 0.5 * RAD_PER_DEG);
+	assert_quat_near(f.q_nb, r.truth, 2 * RAD_PER_DEG);
 }
 
 static void test_the_bias_is_learnt_at_rest_within_seconds(void **state)
@@ -194,7 +194,7 @@ static void test_the_bias_learnt_stays_below_what_any_gyro_has(void **state)
 
 	(void)state;
 	follow(&f, &e, 0, 20);
-	assert_true(vec3_norm(f.learnt.bias_b_rad_s) < 2.01 * DEG);
+	assert_true(vec3_norm(f.learnt.bias_b_rad_s) < 2.01 * RAD_PER_DEG);
 }
 
 static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
@@ -209,7 +209,7 @@ static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
 		double turned = follow(&f, &e, 1, 60).heading_rad;
 
 		madgwick.config.algorithm = FUSION_MADGWICK;
-		assert_true(turned < 4 * DEG);
+		assert_true(turned < 4 * RAD_PER_DEG);
 		assert_true(turned < 0.8 * follow(&madgwick, &e, 1, 60).heading_rad);
 	}
 }
@@ -220,7 +220,7 @@ static void test_a_magnet_beside_a_still_object_does_not_turn_its_heading(void *
 	struct fusion f = fusion(NINE_AXES);
 
 	(void)state;
-	assert_true(follow(&f, &e, 0, 60).heading_rad < 0.1 * DEG);
+	assert_true(follow(&f, &e, 0, 60).heading_rad < 0.1 * RAD_PER_DEG);
 	assert_false(fusion_mag_used(&f));
 }
 
@@ -266,8 +266,8 @@ static void test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only
 	struct result r = follow(&f, &e, 1, 60);
 
 	(void)state;
-	assert_true(r.tilt_rad < 0.3 * DEG);
-	assert_true(r.heading_rad < 3 * DEG);
+	assert_true(r.tilt_rad < 0.3 * RAD_PER_DEG);
+	assert_true(r.heading_rad < 3 * RAD_PER_DEG);
 }
 
 static void test_a_field_lost_leaves_the_heading_to_the_gyro(void **state)
@@ -276,7 +276,7 @@ static void test_a_field_lost_leaves_the_heading_to_the_gyro(void **state)
 	struct fusion f = fusion(NINE_AXES);
 
 	(void)state;
-	assert_true(follow(&f, &e, 1, 60).heading_rad < 1 * DEG);
+	assert_true(follow(&f, &e, 1, 60).heading_rad < 1 * RAD_PER_DEG);
 	assert_false(fusion_mag_used(&f));
 }
 
@@ -291,7 +291,7 @@ static void test_a_start_in_motion_finds_the_attitude(void **state)
 
 			fusion_step(&f, &m.sample, 1.0 / 200);
 			if (k > 200 * 15)
-				assert_quat_near(f.q_nb, m.q_nb, 3 * DEG);
+				assert_quat_near(f.q_nb, m.q_nb, 3 * RAD_PER_DEG);
 		}
 	}
 }
@@ -308,8 +308,8 @@ static void test_a_lever_arm_taken_into_account_saves_a_third_of_the_tilt_error(
 	config.lever_arm_b_m = e.arm;
 	with = fusion(config);
 	heeded = follow(&with, &e, 1.5, 60).tilt_rad;
-	print_message(
-		"tilt with a lever arm of 24 cm: %.2f degrees ignored, %.2f heeded\n", ignored / DEG, heeded / DEG);
+	print_message("tilt with a lever arm of 24 cm: %.2f degrees ignored, %.2f heeded\n", ignored / RAD_PER_DEG,
+		heeded / RAD_PER_DEG);
 	assert_true(heeded < 0.7 * ignored);
 }
 
@@ -348,7 +348,7 @@ static void test_switching_to_it_and_away_keeps_attitude_and_bias(void **state)
 	assert_int_equal(fusion_configure(&f, &NINE_AXES), 0);
 	assert_quat_near(f.q_nb, before.q_nb, 1e-7);
 	assert_vec_near(f.learnt.bias_b_rad_s, before.learnt.bias_b_rad_s, 0);
-	assert_true(follow(&f, &e, 0, 10).tilt_rad < 0.1 * DEG);
+	assert_true(follow(&f, &e, 0, 10).tilt_rad < 0.1 * RAD_PER_DEG);
 }
 
 static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
@@ -360,7 +360,7 @@ static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
 	(void)state;
 	follow(&f, &e, 1, 20);
 	fusion_step(&f, &m.sample, 0.7); /* whatever happened meanwhile */
-	assert_true(follow(&f, &e, 1, 120).tilt_rad < 0.5 * DEG);
+	assert_true(follow(&f, &e, 1, 120).tilt_rad < 0.5 * RAD_PER_DEG);
 	assert_true(vec3_norm(f.learnt.bias_b_rad_s) < 2e-3);
 }
 
@@ -383,7 +383,7 @@ static void test_measurements_without_sense_are_survived(void **state)
 		assert_near(quat_apart_rad(f.q_nb, f.q_nb), 0, 1e-6);
 		assert_true(vec3_finite(f.learnt.bias_b_rad_s));
 	}
-	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * DEG);
+	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * RAD_PER_DEG);
 }
 
 /* On and on from one time to another, in this field; the truth at the end. */
@@ -417,9 +417,9 @@ static void test_an_attitude_upside_down_is_found_again_within_half_a_minute(voi
 		go_on(&f, 0, 10, FIELD_N);
 		f.q_nb = quat_multiply(quat_from_rotation_vector(turn), f.q_nb);
 		truth = go_on(&f, 10, 40, FIELD_N);
-		assert_true(tilt_off_rad(&f, truth) < 1 * DEG);
+		assert_true(tilt_off_rad(&f, truth) < 1 * RAD_PER_DEG);
 		truth = go_on(&f, 40, 140, FIELD_N);
-		assert_quat_near(f.q_nb, truth, 3 * DEG);
+		assert_quat_near(f.q_nb, truth, 3 * RAD_PER_DEG);
 	}
 }
 
@@ -455,7 +455,8 @@ static void test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_acceleromet
 	double told = tilt_after_clipping_rad(SAMPLE_SATURATED), untold = tilt_after_clipping_rad(0);
 
 	(void)state;
-	print_message("tilt after clipping: %.2f degrees, %.2f if it is not told\n", told / DEG, untold / DEG);
+	print_message("tilt after clipping: %.2f degrees, %.2f if it is not told\n", told / RAD_PER_DEG,
+		untold / RAD_PER_DEG);
 	assert_true(told < 0.7 * untold);
 }
 
@@ -468,7 +469,7 @@ static void test_a_field_from_the_wrong_side_does_not_turn_the_heading(void **st
 	(void)state;
 	go_on(&f, 0, 30, FIELD_N);
 	truth = go_on(&f, 30, 80, (struct vec3){5, -19.4, -45});
-	assert_quat_near(f.q_nb, truth, 2 * DEG);
+	assert_quat_near(f.q_nb, truth, 2 * RAD_PER_DEG);
 }
 
 /* Shaken by 10 m/s^2 to and fro, so that the first tilt may be wrong by 45 degrees. */
@@ -491,8 +492,8 @@ static void test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_h
 		}
 		worst = fmax(worst, quat_apart_rad(f.q_nb, m.q_nb));
 	}
-	print_message("worst of 60 starts in motion: %.1f degrees off after 30 s\n", worst / DEG);
-	assert_true(worst < 10 * DEG);
+	print_message("worst of 60 starts in motion: %.1f degrees off after 30 s\n", worst / RAD_PER_DEG);
+	assert_true(worst < 10 * RAD_PER_DEG);
 }
 
 static void test_a_heading_lost_is_found_again_after_the_rejection_time(void **state)
@@ -504,7 +505,7 @@ static void test_a_heading_lost_is_found_again_after_the_rejection_time(void **s
 	go_on(&f, 0, 30, FIELD_N);
 	f.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 2.5}), f.q_nb);
 	truth = go_on(&f, 30, 30 + NINE_AXES.kalman.rejection_time_s + 30, FIELD_N);
-	assert_quat_near(f.q_nb, truth, 3 * DEG);
+	assert_quat_near(f.q_nb, truth, 3 * RAD_PER_DEG);
 }
 
 static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree(void **state)
@@ -532,7 +533,7 @@ static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_d
 			off = acos(fmin(1, vec3_dot(up_of(fusion_attitude_now(&f, s.gyro_rad_s)), up_of(truth.q_nb))));
 			sum += k >= n / 2 ? off * off / (n - n / 2) : 0;
 		}
-		assert_true(sqrt(sum) < 0.5 * DEG);
+		assert_true(sqrt(sum) < 0.5 * RAD_PER_DEG);
 	}
 }
 

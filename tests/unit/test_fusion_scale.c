@@ -60,7 +60,7 @@ static double turn(struct fusion *f, struct vec3 scale, struct vec3 magnet_b_uT,
 		if (t == from_s)
 			east_from = east;
 	}
-	return remainder(atan2(east.y, east.x) - atan2(east_from.y, east_from.x), 2 * 3.14159265358979323846);
+	return remainder(atan2(east.y, east.x) - atan2(east_from.y, east_from.x), 2 * PI);
 }
 
 static void test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetometer(void **state)
@@ -86,9 +86,9 @@ static void test_the_heading_then_drifts_a_fifth_as_much(void **state)
 	turn(&presumes, scale, ZERO, 0, 60);
 	learning = turn(&knows, scale, ZERO, 60, 120);
 	fixed = turn(&presumes, scale, ZERO, 60, 120);
-	print_message(
-		"heading after a minute of turning: %.2f degrees, scale learnt %.2f\n", fixed / DEG, learning / DEG);
-	assert_true(fabs(fixed) > 5 * DEG);
+	print_message("heading after a minute of turning: %.2f degrees, scale learnt %.2f\n", fixed / RAD_PER_DEG,
+		learning / RAD_PER_DEG);
+	assert_true(fabs(fixed) > 5 * RAD_PER_DEG);
 	assert_true(fabs(learning) < fabs(fixed) / 5);
 }
 

@@ -11,9 +11,7 @@
 
 #include "tests/unit/i2c_stub.h"
 #include "tests/unit/i2c_world.h"
-
-#define DPS (3.14159265358979323846 / 180)
-#define G   9.80665
+#include "model/math/units.h"
 
 static const char *const BOARDS[] = {"v0", "v1", "v2", "v3", "v5", "v6"};
 enum { BOARD_COUNT = 6 };
@@ -199,7 +197,10 @@ static void test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets(
 						: sample.accel_m_s2;
 		if (s->chip == IMU_CHIP_ACCEL && w->board.accel != w->board.gyro) /* between its two signs */
 			got = w->board.accel->readings[w->board.accel->first].value[0];
-		if (!shown(got, s, s->chip == IMU_CHIP_GYRO ? DPS : s->chip == IMU_CHIP_ACCEL ? G : 1))
+		if (!shown(got, s,
+			    s->chip == IMU_CHIP_GYRO	? RAD_PER_DEG
+			    : s->chip == IMU_CHIP_ACCEL ? STANDARD_GRAVITY_M_S2
+							: 1))
 			fail_msg("%s, range %g: %g %g %g", s->board, s->range, got.x, got.y, got.z);
 		world_free(w);
 	}
@@ -233,11 +234,11 @@ static void test_samples_are_the_motion_within_a_digit_and_the_time_within_a_ten
 			if (n < 20)
 				continue;
 			/* |alpha| < 40 rad/s^2 and |jerk| < 300 m/s^3 here */
-			assert_true(
-				worst(sample.gyro_rad_s, truth.omega_b_rad_s) < DIGITS[i].gyro_dps * DPS + 0.001 * 40);
+			assert_true(worst(sample.gyro_rad_s, truth.omega_b_rad_s) <
+				    DIGITS[i].gyro_dps * RAD_PER_DEG + 0.001 * 40);
 			assert_true(worst(sample.accel_m_s2,
 					    sensor_specific_force(&truth, w->config.sensor.lever_arm_b_m, 9.81)) <
-				    DIGITS[i].accel_g * G + 0.0001 * 300);
+				    DIGITS[i].accel_g * STANDARD_GRAVITY_M_S2 + 0.0001 * 300);
 			if (sample.flags & SAMPLE_MAG)
 				assert_true(worst(sample.mag_uT, quat_rotate_inverse(truth.q_nb,
 									 w->config.sensor.field_n_uT)) < 0.4);

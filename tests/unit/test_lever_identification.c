@@ -186,7 +186,7 @@ static void test_biases_and_lost_samples_hardly_matter(void **state)
 	struct scene s = BY_HAND;
 
 	(void)state;
-	s.gyro_bias_rad_s = (struct vec3){0.3 * DEG, -0.3 * DEG, 0.2 * DEG};
+	s.gyro_bias_rad_s = (struct vec3){0.3 * RAD_PER_DEG, -0.3 * RAD_PER_DEG, 0.2 * RAD_PER_DEG};
 	s.accel_bias_m_s2 = (struct vec3){0.3, -0.2, 0.4};
 	s.every_lost = 17;
 	struct lever_estimate e = identify(&s);
@@ -199,7 +199,7 @@ static void test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_accelerati
 
 	(void)state;
 	struct lever_estimate without = identify(&s);
-	s.gyro_bias_rad_s = (struct vec3){1 * DEG, -1 * DEG, 1 * DEG};
+	s.gyro_bias_rad_s = (struct vec3){1 * RAD_PER_DEG, -1 * RAD_PER_DEG, 1 * RAD_PER_DEG};
 	struct lever_estimate with = identify(&s);
 	assert_found(&with, ARM, 0.001);
 	assert_true(with.residual_m_s2 < 2 * without.residual_m_s2);

@@ -13,14 +13,15 @@ enum { N = NAVIGATION_STATES };
 
 static const double DT_S = 0.005, G = 9.81;
 static const struct vec3 ZERO = {0, 0, 0};
-static const struct navigation_config BARE = {.still_gyro_rad_s = 2 * DEG, .still_accel_m_s2 = 0.5, .rest_s = 1.5};
+static const struct navigation_config BARE = {
+	.still_gyro_rad_s = 2 * RAD_PER_DEG, .still_accel_m_s2 = 0.5, .rest_s = 1.5};
 
 static struct navigation_config levelling(void)
 {
 	struct navigation_config config = BARE;
 
 	config.levelling = 1;
-	config.noise = (struct noise_config){0.001, 0.03 * DEG, 0.01 * DEG, 220e-6 * G, 1e-4 * G};
+	config.noise = (struct noise_config){0.001, 0.03 * RAD_PER_DEG, 0.01 * RAD_PER_DEG, 220e-6 * G, 1e-4 * G};
 	return config;
 }
 
@@ -247,7 +248,8 @@ static struct position travel(const struct way *way, const struct navigation_con
 		sensor_measure(&sensor, &truth, &sample);
 		in.gyro_b_rad_s = sample.gyro_rad_s;
 		in.force_b_m_s2 = sample.accel_m_s2;
-		in.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0.5 * DEG, -0.5 * DEG, 0}), truth.q_nb);
+		in.q_nb = quat_multiply(
+			quat_from_rotation_vector((struct vec3){0.5 * RAD_PER_DEG, -0.5 * RAD_PER_DEG, 0}), truth.q_nb);
 		position_navigate(&p, &in, ZERO, 1 / DT_S, DT_S);
 	}
 	return p;
@@ -403,7 +405,7 @@ static void test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate(void **stat
 		for (int j = 0; j < 4; j++) {
 			struct honesty h = simulate(motions[j], RATES_HZ[i], lever);
 
-			assert_true(h.tilt_rad < 1.5 * DEG);
+			assert_true(h.tilt_rad < 1.5 * RAD_PER_DEG);
 			assert_true(h.position_m < 3); /* over 100 m when the sensor's velocity was levelled */
 			assert_true(h.position < 3);
 			assert_true(h.accel < 2);
@@ -522,7 +524,7 @@ static void test_a_prior_holds_the_velocity(void **state)
 		struct navigation n = {.started = false};
 
 		config.velocity_prior_m_s = i ? 0.3 : 0;
-		navigation_start(&n, &config, quat_from_rotation_vector((struct vec3){0, 1 * DEG, 0}));
+		navigation_start(&n, &config, quat_from_rotation_vector((struct vec3){0, 1 * RAD_PER_DEG, 0}));
 		for (int k = 0; k < 4000; k++) {
 			struct navigation_input in = {.force_b_m_s2 = {0, 0, G + (k % 2 ? 3 : -3)}, .gravity_m_s2 = G};
 

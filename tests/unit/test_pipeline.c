@@ -204,8 +204,8 @@ static void test_attitude_and_acceleration_are_of_the_time_stamp_though_the_samp
 	late(0.008, 0.004, none, &accel[0], &angle[0]);
 	late(0.008, 0.004, one, &accel[1], &angle[1]);
 	late(0.008, 0.004, both, &accel[2], &angle[2]);
-	assert_true(angle[0] > 0.5 * DEG);
-	assert_true(angle[2] < 0.1 * DEG);
+	assert_true(angle[0] > 0.5 * RAD_PER_DEG);
+	assert_true(angle[2] < 0.1 * RAD_PER_DEG);
 	assert_true(accel[2] < 0.5 * accel[1]);
 	assert_true(accel[2] < 0.5 * accel[0]);
 }
@@ -337,7 +337,7 @@ static void test_a_turn_faster_than_the_rest_threshold_is_not_taken_for_bias(voi
 	(void)state;
 	config.fusion.algorithm = FUSION_MADGWICK; /* the Kalman filter learns in motion, too */
 	p = pipeline(&config);
-	stand_with_bias(&p, (struct vec3){0, 0, 3 * DEG}, 0, 5 * RATE_HZ);
+	stand_with_bias(&p, (struct vec3){0, 0, 3 * RAD_PER_DEG}, 0, 5 * RATE_HZ);
 	assert_vec_near(p.fusion.learnt.bias_b_rad_s, ZERO, 0);
 }
 
@@ -696,8 +696,8 @@ static void test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did(void
 		config.fusion.use_magnetometer = 0;
 		p = pipeline(&config);
 		run(&p, standing, 0, 200);
-		assert_int_equal(pipeline_aid_yaw(&p, -2, 1 * DEG), 0);
-		assert_near(run(&p, standing, 200, 201).angles_rad.z, -2, 0.1 * DEG);
+		assert_int_equal(pipeline_aid_yaw(&p, -2, 1 * RAD_PER_DEG), 0);
+		assert_near(run(&p, standing, 200, 201).angles_rad.z, -2, 0.1 * RAD_PER_DEG);
 	}
 }
 
@@ -707,15 +707,15 @@ static void test_a_yaw_told_is_followed_and_the_magnetometer_does_not_fight_it(v
 	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
 		struct pipeline_config config = by_algorithm((enum fusion_algorithm)algorithm);
 		struct pipeline p = pipeline(&config);
-		double yaw = run(&p, standing, 0, 2000).angles_rad.z + 20 * DEG;
-		struct pipeline_output out = stand_told(&p, yaw, 1 * DEG, 2000, 6000);
+		double yaw = run(&p, standing, 0, 2000).angles_rad.z + 20 * RAD_PER_DEG;
+		struct pipeline_output out = stand_told(&p, yaw, 1 * RAD_PER_DEG, 2000, 6000);
 
-		assert_near(out.angles_rad.z, yaw, 0.5 * DEG);
-		assert_near(out.angles_rad.y, aerospace_from_quat(standing(0).q_nb).y, 0.1 * DEG);
+		assert_near(out.angles_rad.z, yaw, 0.5 * RAD_PER_DEG);
+		assert_near(out.angles_rad.y, aerospace_from_quat(standing(0).q_nb).y, 0.1 * RAD_PER_DEG);
 		assert_int_equal(out.status & PIPELINE_MAG_USED, 0);
 		/* 40 s after the last one the magnetometer counts again, and holds the heading that was told */
 		out = run(&p, standing, 6000, 14000);
-		assert_near(out.angles_rad.z, yaw, 1 * DEG);
+		assert_near(out.angles_rad.z, yaw, 1 * RAD_PER_DEG);
 		assert_true(out.status & PIPELINE_MAG_USED);
 	}
 }
@@ -728,11 +728,11 @@ static void test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed(void
 
 	(void)state;
 	for (int i = 0; i < 4; i++) {
-		assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * DEG), 0);
-		assert_near(run(&p, standing, 2000 + i, 2001 + i).angles_rad.z, yaw, 0.5 * DEG);
+		assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * RAD_PER_DEG), 0);
+		assert_near(run(&p, standing, 2000 + i, 2001 + i).angles_rad.z, yaw, 0.5 * RAD_PER_DEG);
 	}
-	assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * DEG), 0);
-	assert_near(run(&p, standing, 2004, 2005).angles_rad.z, yaw + 1.5, 0.5 * DEG);
+	assert_int_equal(pipeline_aid_yaw(&p, yaw + 1.5, 1 * RAD_PER_DEG), 0);
+	assert_near(run(&p, standing, 2004, 2005).angles_rad.z, yaw + 1.5, 0.5 * RAD_PER_DEG);
 }
 
 static void test_a_yaw_told_weighs_by_its_sigma(void **state)
@@ -743,10 +743,10 @@ static void test_a_yaw_told_weighs_by_its_sigma(void **state)
 
 	(void)state;
 	vague = sharp;
-	assert_int_equal(pipeline_aid_yaw(&sharp, yaw + 2 * DEG, 0.1 * DEG), 0);
-	assert_int_equal(pipeline_aid_yaw(&vague, yaw + 2 * DEG, 60 * DEG), 0);
-	assert_near(run(&sharp, standing, 2000, 2001).angles_rad.z, yaw + 2 * DEG, 0.2 * DEG);
-	assert_near(run(&vague, standing, 2000, 2001).angles_rad.z, yaw, 0.2 * DEG);
+	assert_int_equal(pipeline_aid_yaw(&sharp, yaw + 2 * RAD_PER_DEG, 0.1 * RAD_PER_DEG), 0);
+	assert_int_equal(pipeline_aid_yaw(&vague, yaw + 2 * RAD_PER_DEG, 60 * RAD_PER_DEG), 0);
+	assert_near(run(&sharp, standing, 2000, 2001).angles_rad.z, yaw + 2 * RAD_PER_DEG, 0.2 * RAD_PER_DEG);
+	assert_near(run(&vague, standing, 2000, 2001).angles_rad.z, yaw, 0.2 * RAD_PER_DEG);
 }
 
 static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **state)
@@ -770,15 +770,15 @@ static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **s
 		after = run(&p, moving, 600, 601);
 		assert_quat_near(after.q_nb,
 			quat_multiply(turned, quat_multiply(quat_conjugate(moving(599).q_nb), moving(600).q_nb)),
-			0.2 * DEG);
+			0.2 * RAD_PER_DEG);
 		assert_vec_near(quat_rotate_inverse(after.q_nb, after.velocity_n_m_s),
 			quat_rotate_inverse(own, before.velocity_n_m_s), 0.1);
 		assert_vec_near(after.position_n_m, before.position_n_m, 0.02);
 		/* and stays: the magnetometer has another north now */
 		after = run(&p, moving, 601, 6000);
 		assert_near(quat_rotate(after.q_nb, up_b).z, quat_rotate(moving(5999).q_nb, up_b).z, 0.02);
-		assert_near(
-			remainder(after.angles_rad.z - aerospace_from_quat(moving(5999).q_nb).z, 2 * PI), 1, 3 * DEG);
+		assert_near(remainder(after.angles_rad.z - aerospace_from_quat(moving(5999).q_nb).z, 2 * PI), 1,
+			3 * RAD_PER_DEG);
 	}
 }
 
@@ -790,7 +790,7 @@ static void test_an_attitude_told_before_the_first_sample_holds(void **state)
 
 	(void)state;
 	assert_int_equal(pipeline_reset_attitude(&p, north_up), 0);
-	assert_quat_near(run(&p, standing, 0, 400).q_nb, north_up, 0.5 * DEG);
+	assert_quat_near(run(&p, standing, 0, 400).q_nb, north_up, 0.5 * RAD_PER_DEG);
 }
 
 /* A vehicle on its way at 3 m/s that nothing shakes: nobody can tell by its sensors that it moves. */
@@ -850,7 +850,7 @@ static void test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_atti
 		if (told)
 			assert_near(out.velocity_n_m_s.x, 20, 0.3);
 	}
-	assert_true(tilt[1] < 0.3 * DEG);
+	assert_true(tilt[1] < 0.3 * RAD_PER_DEG);
 	assert_true(tilt[0] > 3 * tilt[1]);
 }
 
@@ -1017,7 +1017,7 @@ static void test_a_recorded_hand_movement_is_followed_within_five_degrees(void *
 	fclose(imu);
 	fclose(ref);
 	assert_true(n > 10000);
-	assert_true(sqrt(sum / n) < 5 * DEG);
+	assert_true(sqrt(sum / n) < 5 * RAD_PER_DEG);
 }
 
 /* What is taken for the acceleration points as wrongly as the attitude. */

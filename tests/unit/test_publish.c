@@ -8,8 +8,9 @@
 #include <math.h>
 
 #include "gateway/publish.h"
+#include "model/math/units.h"
 
-#define RAD(deg) ((deg)*3.14159265358979323846 / 180)
+#define RAD(deg) ((deg)*RAD_PER_DEG)
 
 static struct od od;
 static struct od_values values;

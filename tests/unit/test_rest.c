@@ -4,7 +4,7 @@
 #include "model/rest.h"
 
 static const double DT_S = 0.01;
-static const struct rest_config CONFIG = {2 * DEG, 0.5, 1.5};
+static const struct rest_config CONFIG = {2 * RAD_PER_DEG, 0.5, 1.5};
 static const struct vec3 STILL = {0, 0, 0}, UP = {0, 0, 9.81};
 
 static struct rest rest(void)
@@ -41,7 +41,7 @@ static void test_noise_below_the_thresholds_is_rest(void **state)
 
 	(void)state;
 	for (int k = 0; k < 200; k++)
-		at_rest = rest_step(&r, any_vec(1 * DEG), vec3_add(UP, any_vec(0.2)), DT_S);
+		at_rest = rest_step(&r, any_vec(1 * RAD_PER_DEG), vec3_add(UP, any_vec(0.2)), DT_S);
 	assert_true(at_rest);
 }
 
@@ -51,7 +51,7 @@ static void test_one_sample_of_motion_ends_rest_at_once(void **state)
 
 	(void)state;
 	assert_true(after(&turning, 3, STILL, UP) && after(&pushed, 3, STILL, UP));
-	assert_false(rest_step(&turning, (struct vec3){0, 0, 2.1 * DEG}, UP, DT_S));
+	assert_false(rest_step(&turning, (struct vec3){0, 0, 2.1 * RAD_PER_DEG}, UP, DT_S));
 	assert_false(rest_step(&pushed, STILL, (struct vec3){0.51, 0, 9.81}, DT_S));
 	assert_false(after(&turning, 1.4, STILL, UP));
 }
@@ -67,7 +67,7 @@ static void test_a_sensor_at_rest_is_so_at_any_rate_of_samples(void **state)
 		struct rest r = rest();
 
 		for (int k = 0; k < (int)(10 * rates_hz[i]); k++) {
-			struct vec3 gyro = any_vec(0.5 * DEG * size), force = vec3_add(UP, any_vec(0.1 * size));
+			struct vec3 gyro = any_vec(0.5 * RAD_PER_DEG * size), force = vec3_add(UP, any_vec(0.1 * size));
 
 			rest_s += rest_step(&r, gyro, force, 1 / rates_hz[i]) / rates_hz[i];
 		}
@@ -80,7 +80,7 @@ static void test_a_steady_turn_is_not_rest(void **state)
 	struct rest r = rest();
 
 	(void)state;
-	assert_false(after(&r, 10, (struct vec3){0, 0, 5 * DEG}, UP));
+	assert_false(after(&r, 10, (struct vec3){0, 0, 5 * RAD_PER_DEG}, UP));
 }
 
 static void test_a_small_gyro_bias_does_not_hide_rest(void **state)
@@ -88,7 +88,7 @@ static void test_a_small_gyro_bias_does_not_hide_rest(void **state)
 	struct rest r = rest();
 
 	(void)state;
-	assert_true(after(&r, 3, (struct vec3){0, 0, 1.5 * DEG}, UP));
+	assert_true(after(&r, 3, (struct vec3){0, 0, 1.5 * RAD_PER_DEG}, UP));
 }
 
 static void test_a_restart_waits_the_rest_time_again(void **state)

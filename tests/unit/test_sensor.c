@@ -10,8 +10,6 @@
 
 #include "model/sim/sensor.h"
 
-#define PI 3.14159265358979323846
-
 static struct sensor_config ideal(void)
 {
 	return *sensor_preset("ideal");

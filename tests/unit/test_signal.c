@@ -10,8 +10,7 @@
 #include "model/sim/rng.h"
 #include "model/sim/sensor.h"
 #include "model/sim/signal.h"
-
-#define PI 3.14159265358979323846
+#include "model/math/units.h"
 
 enum { INSTANTS = 300 };
 

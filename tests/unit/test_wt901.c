@@ -22,6 +22,7 @@
 #include <cmocka.h>
 
 #include "drivers/ports/imu.h"
+#include "model/math/units.h"
 
 enum { ADDRESS = 0x50, REGISTERS = 0x80, BAUD = 115200 };
 enum answer { RIGHT, NOTHING, BAD_CRC, BAD_CRC_ONCE, EXCEPTION, SHORT, OTHER_SLAVE, GARBAGE };
@@ -321,12 +322,12 @@ static void test_every_measurement_comes_with_the_scale_of_the_data_sheet(void *
 	set_registers(0x34, 13, words);
 	port = open_sensor();
 	assert_int_equal(next(port, &sample, 500), 1);
-	assert_near(sample.accel_m_s2.x, 8 * 9.80665, 1e-9);
-	assert_near(sample.accel_m_s2.y, -9.80665, 1e-9);
-	assert_near(sample.accel_m_s2.z, 9.80665, 1e-9);
-	assert_near(sample.gyro_rad_s.x, 1000 * M_PI / 180, 1e-9);
-	assert_near(sample.gyro_rad_s.y, -1000 * M_PI / 180, 1e-9);
-	assert_near(sample.gyro_rad_s.z, 100 * 2000.0 / 32768 * M_PI / 180, 1e-9);
+	assert_near(sample.accel_m_s2.x, 8 * STANDARD_GRAVITY_M_S2, 1e-9);
+	assert_near(sample.accel_m_s2.y, -STANDARD_GRAVITY_M_S2, 1e-9);
+	assert_near(sample.accel_m_s2.z, STANDARD_GRAVITY_M_S2, 1e-9);
+	assert_near(sample.gyro_rad_s.x, 1000 * PI / 180, 1e-9);
+	assert_near(sample.gyro_rad_s.y, -1000 * PI / 180, 1e-9);
+	assert_near(sample.gyro_rad_s.z, 100 * 2000.0 / 32768 * PI / 180, 1e-9);
 	assert_near(sample.mag_uT.x, 26, 1e-9);
 	assert_near(sample.mag_uT.y, -13, 1e-9);
 	assert_near(sample.mag_uT.z, 0.013, 1e-9);

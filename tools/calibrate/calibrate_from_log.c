@@ -10,8 +10,7 @@
 #include "model/identify/calibrate_temperature.h"
 #include "tools/calibrate/calibrate_sensor.h"
 #include "tools/lib/cli.h"
-
-static const double DEG_PER_RAD = 180 / 3.14159265358979323846;
+#include "model/math/units.h"
 
 /* ---- reading ----------------------------------------------------------------------------------------------------- */
 

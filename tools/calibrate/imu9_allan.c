@@ -11,6 +11,7 @@
 #include "tools/calibrate/allan.h"
 #include "tools/lib/cli.h"
 #include "tools/lib/plot.h"
+#include "model/math/units.h"
 
 static const char usage[] =
 	"usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
@@ -29,7 +30,6 @@ static const char usage[] =
 
 enum { CHANNELS = 6, LEAST_SAMPLES = 1000 };
 static const char *const NAMES[CHANNELS] = {"gx", "gy", "gz", "ax", "ay", "az"};
-static const double DEG_PER_RAD = 180 / 3.14159265358979323846, G_M_S2 = 9.80665;
 
 struct recording {
 	double *values[CHANNELS]; /* deg/s and mg */
@@ -40,8 +40,8 @@ struct recording {
 static void append(struct recording *r, const struct imu_sample *s)
 {
 	const double row[CHANNELS] = {s->gyro_rad_s.x * DEG_PER_RAD, s->gyro_rad_s.y * DEG_PER_RAD,
-		s->gyro_rad_s.z * DEG_PER_RAD, s->accel_m_s2.x * 1e3 / G_M_S2, s->accel_m_s2.y * 1e3 / G_M_S2,
-		s->accel_m_s2.z * 1e3 / G_M_S2};
+		s->gyro_rad_s.z * DEG_PER_RAD, s->accel_m_s2.x * 1e3 / STANDARD_GRAVITY_M_S2,
+		s->accel_m_s2.y * 1e3 / STANDARD_GRAVITY_M_S2, s->accel_m_s2.z * 1e3 / STANDARD_GRAVITY_M_S2};
 
 	if (r->count == r->room) {
 		r->room = r->room ? 2 * r->room : 1 << 16;

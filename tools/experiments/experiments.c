@@ -12,6 +12,7 @@
 #include "tools/lib/csv.h"
 #include "tools/experiments/methods.h"
 #include "tools/lib/plot.h"
+#include "model/math/units.h"
 
 #define BLUE	"#0072b2"
 #define ORANGE	"#d55e00"
@@ -24,7 +25,7 @@
 
 enum { NOISES = 7, PATH_SIZE = 4096 };
 static const double NOISE_DEG[NOISES] = {0.02, 0.05, 0.1, 0.2, 0.3, 0.7, 2.0};
-static const double RAD_PER_DEG = 3.14159265358979323846 / 180, G_M_S2 = 9.81;
+static const double G_M_S2 = 9.81;
 
 /* What the experiments work with. Whatever cannot go on ends the program: there is nothing to clean up. */
 static const char *directory;

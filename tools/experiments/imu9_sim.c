@@ -10,6 +10,7 @@
 #include "tools/lib/cli.h"
 #include "tools/lib/csv.h"
 #include "tools/experiments/experiments.h"
+#include "model/math/units.h"
 
 static const char usage[] =
 	"usage: imu9-sim [OPTION]... SIGNAL >LOG.imu.csv\n"
@@ -28,7 +29,7 @@ static const char usage[] =
 	"      --jitter S        1-sigma of the instant of sampling, seconds (default 0)\n"
 	"      --seed N          another seed is another chip with other noise (default 1)\n"
 	"      --lever-arm L,S,T metres from the reference point to the accelerometer (default 0,0,0)\n"
-	"      --angle DEG       size of the motion's largest quick rotation\n"
+	"      --angle RAD_PER_DEG       size of the motion's largest quick rotation\n"
 	"      --change S        how long a quick change takes\n"
 	"  -t, --truth           further columns: attitude (object -> ENU), rate, angular acceleration,\n"
 	"                        acceleration of the reference point in object and global frame,\n"
@@ -42,8 +43,6 @@ static const char usage[] =
 
 static const char HEADER[] = "t,gx,gy,gz,ax,ay,az,mx,my,mz";
 static const char TRUTH_HEADER[] = ",qw,qx,qy,qz,wl,ws,wt,dwl,dws,dwt,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz";
-
-static const double RAD_PER_DEG = 3.14159265358979323846 / 180;
 
 struct request {
 	struct signal signal;

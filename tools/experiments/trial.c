@@ -6,8 +6,9 @@
 #include <string.h>
 
 #include "model/math/filter.h"
+#include "model/math/units.h"
 
-static const double PI = 3.14159265358979323846, G_M_S2 = 9.81;
+static const double G_M_S2 = 9.81;
 
 const char *const WORLD_NAMES[WORLDS] = {"seed", "physical"};
 const char *const TRIAL_SIGNAL_NAMES[TRIAL_SIGNALS] = {"roll_step", "boat", "square"};

@@ -17,6 +17,7 @@
 #include "tools/lib/cli.h"
 #include "tools/lib/cli_config.h"
 #include "tools/lib/csv.h"
+#include "model/math/units.h"
 
 enum { EXIT_USAGE = 2 };
 
@@ -48,7 +49,6 @@ static const char movements_header[] = "movement,t,t_s,x_m,y_m,z_m,vx_m_s,vy_m_s
 
 static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
 {
-	const double deg_per_rad = 180 / 3.14159265358979323846;
 	static struct csv_row row;
 
 	csv_time(&row, t_us);
@@ -60,7 +60,7 @@ static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t s
 	csv_vec3(&row, o->position_n_m, 6);
 	csv_number(&row, o->status & PIPELINE_REST ? 1 : 0, 0);
 	csv_number(&row, (double)sample, 0);
-	csv_vec3(&row, vec3_scale(deg_per_rad, o->angles_rad), 5);
+	csv_vec3(&row, vec3_scale(DEG_PER_RAD, o->angles_rad), 5);
 	csv_vec3(&row, o->rate_b_rad_s, 7);
 	csv_vec3(&row, o->alpha_b_rad_s2, 5);
 	csv_number(&row, o->status, 0);

@@ -1,12 +1,11 @@
 /* Gyros L3G4200D (Doc ID 17116), L3GD20 (022116), L3GD20H (023469): one register map. */
 #include "drivers/imu/pololu/chips.h"
+#include "model/math/units.h"
 
-#define DPS (3.14159265358979323846 / 180)
-
-static const struct chip_range RANGES[] = {
-	{250, 8.75e-3 * DPS, 0, 0}, {500, 17.5e-3 * DPS, 0, 1}, {2000, 70e-3 * DPS, 0, 2}, {.full_scale = 0}};
-static const struct chip_range RANGES_H[] = {
-	{245, 8.75e-3 * DPS, 0, 0}, {500, 17.5e-3 * DPS, 0, 1}, {2000, 70e-3 * DPS, 0, 2}, {.full_scale = 0}};
+static const struct chip_range RANGES[] = {{250, 8.75e-3 * RAD_PER_DEG, 0, 0}, {500, 17.5e-3 * RAD_PER_DEG, 0, 1},
+	{2000, 70e-3 * RAD_PER_DEG, 0, 2}, {.full_scale = 0}};
+static const struct chip_range RANGES_H[] = {{245, 8.75e-3 * RAD_PER_DEG, 0, 0}, {500, 17.5e-3 * RAD_PER_DEG, 0, 1},
+	{2000, 70e-3 * RAD_PER_DEG, 0, 2}, {.full_scale = 0}};
 
 static const struct chip_rate RATES_4200[] = {{100, 0, {12.5, 25}}, {200, 1, {12.5, 25, 50, 70}},
 	{400, 2, {20, 25, 50, 110}}, {800, 3, {30, 35, 50, 110}}, {.hz = 0}};
@@ -43,8 +42,8 @@ static void registers_h(const struct chip_setup *setup, struct chip_registers *o
 		.triads = {{.what = IMU_CHIP_GYRO,                                                                   \
 			.ranges = (range_list),                                                                      \
 			.order = {0, 1, 2},                                                                          \
-			.density = (noise)*DPS,                                                                      \
-			.self_test = {0x23, 0x06, 0x02, 40 * DPS, 1500 * DPS}}},                                     \
+			.density = (noise)*RAD_PER_DEG,                                                              \
+			.self_test = {0x23, 0x06, 0x02, 40 * RAD_PER_DEG, 1500 * RAD_PER_DEG}}},                     \
 		.triad_count = 1, .temperature = {0x26, 1, -1, 25}, .registers = (put)                               \
 	}
 

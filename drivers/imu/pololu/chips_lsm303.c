@@ -1,14 +1,12 @@
 /* E-compasses LSM303DLH (Doc ID 16941), LSM303DLM (018725), LSM303DLHC (018771), LSM303D (023312). The first three are
  * an accelerometer and a magnetometer with an address each. */
 #include "drivers/imu/pololu/chips.h"
-
-#define G  9.80665
-#define MG (1e-3 * G)
+#include "model/math/units.h"
 
 /* ---- accelerometer of DLH and DLM: 12 bits, left-justified: a digit of the data sheet is 16 of the word's --------- */
 
-static const struct chip_range DLH_RANGES[] = {
-	{2, 1 * MG / 16, 0, 0}, {4, 2 * MG / 16, 0, 1}, {8, 3.9 * MG / 16, 0, 3}, {.full_scale = 0}};
+static const struct chip_range DLH_RANGES[] = {{2, 1 * M_S2_PER_MG / 16, 0, 0}, {4, 2 * M_S2_PER_MG / 16, 0, 1},
+	{8, 3.9 * M_S2_PER_MG / 16, 0, 3}, {.full_scale = 0}};
 static const struct chip_rate DLH_RATES[] = {
 	{50, 0, {37}}, {100, 1, {74}}, {400, 2, {292}}, {1000, 3, {780}}, {.hz = 0}};
 
@@ -33,15 +31,15 @@ const struct chip CHIP_LSM303DLH_ACCEL = {.name = "LSM303DLH",
 		.ranges = DLH_RANGES,
 		.digit = 16,
 		.order = {0, 1, 2},
-		.density = 218e-6 * G,
-		.self_test = {0x23, 0x0A, 0x02, 120 * MG, 750 * MG}}},
+		.density = 218e-6 * STANDARD_GRAVITY_M_S2,
+		.self_test = {0x23, 0x0A, 0x02, 120 * M_S2_PER_MG, 750 * M_S2_PER_MG}}},
 	.triad_count = 1,
 	.registers = dlh_accel};
 
 /* ---- accelerometer of the DLHC: 12 bits in its high-resolution mode ----------------------------------------------- */
 
-static const struct chip_range DLHC_RANGES[] = {{2, 1 * MG / 16, 0, 0}, {4, 2 * MG / 16, 0, 1}, {8, 4 * MG / 16, 0, 2},
-	{16, 12 * MG / 16, 0, 3}, {.full_scale = 0}};
+static const struct chip_range DLHC_RANGES[] = {{2, 1 * M_S2_PER_MG / 16, 0, 0}, {4, 2 * M_S2_PER_MG / 16, 0, 1},
+	{8, 4 * M_S2_PER_MG / 16, 0, 2}, {16, 12 * M_S2_PER_MG / 16, 0, 3}, {.full_scale = 0}};
 static const struct chip_rate DLHC_RATES[] = {{10, 2, {5}}, {25, 3, {12.5}}, {50, 4, {25}}, {100, 5, {50}},
 	{200, 6, {100}}, {400, 7, {200}}, {1344, 9, {672}}, {.hz = 0}};
 
@@ -70,7 +68,7 @@ const struct chip CHIP_LSM303DLHC_ACCEL = {.name = "LSM303DLHC",
 		.ranges = DLHC_RANGES,
 		.digit = 16,
 		.order = {0, 1, 2},
-		.density = 220e-6 * G}},
+		.density = 220e-6 * STANDARD_GRAVITY_M_S2}},
 	.triad_count = 1,
 	.registers = dlhc_accel};
 
@@ -126,8 +124,9 @@ const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, D
 
 /* ---- LSM303D: one address, 16 bits; two oscillators' worth of samples --------------------------------------------- */
 
-static const struct chip_range D_RANGES[] = {{2, 0.061 * MG, 0, 0}, {4, 0.122 * MG, 0, 1}, {6, 0.183 * MG, 0, 2},
-	{8, 0.244 * MG, 0, 3}, {16, 0.732 * MG, 0, 4}, {.full_scale = 0}};
+static const struct chip_range D_RANGES[] = {{2, 0.061 * M_S2_PER_MG, 0, 0}, {4, 0.122 * M_S2_PER_MG, 0, 1},
+	{6, 0.183 * M_S2_PER_MG, 0, 2}, {8, 0.244 * M_S2_PER_MG, 0, 3}, {16, 0.732 * M_S2_PER_MG, 0, 4},
+	{.full_scale = 0}};
 #define D_FILTERS                 \
 	{                         \
 		773, 194, 362, 50 \
@@ -174,8 +173,8 @@ const struct chip CHIP_LSM303D_ACCEL = {.name = "LSM303D",
 	.triads = {{.what = IMU_CHIP_ACCEL,
 		.ranges = D_RANGES,
 		.order = {0, 1, 2},
-		.density = 150e-6 * G,
-		.self_test = {0x21, 0x02, 0x02, 70 * MG, 1700 * MG}}},
+		.density = 150e-6 * STANDARD_GRAVITY_M_S2,
+		.self_test = {0x21, 0x02, 0x02, 70 * M_S2_PER_MG, 1700 * M_S2_PER_MG}}},
 	.triad_count = 1,
 	.registers = d_accel};
 

@@ -1,16 +1,14 @@
 /* LSM6DS33 (DocID027423) and LSM6DSO (DS12140): accelerometer and gyro on one oscillator, sampled together. LIS3MDL
  * (DocID024204): the magnetometer beside them. */
 #include "drivers/imu/pololu/chips.h"
-
-#define G   9.80665
-#define MG  (1e-3 * G)
-#define DPS (3.14159265358979323846 / 180)
+#include "model/math/units.h"
 
 /* the code is FS_G and FS_125 as they stand in CTRL2_G */
-static const struct chip_range GYRO_RANGES[] = {{125, 4.375e-3 * DPS, 0, 0x02}, {250, 8.75e-3 * DPS, 0, 0x00},
-	{500, 17.5e-3 * DPS, 0, 0x04}, {1000, 35e-3 * DPS, 0, 0x08}, {2000, 70e-3 * DPS, 0, 0x0C}, {.full_scale = 0}};
-static const struct chip_range ACCEL_RANGES[] = {{2, 0.061 * MG, 0, 0x00}, {4, 0.122 * MG, 0, 0x08},
-	{8, 0.244 * MG, 0, 0x0C}, {16, 0.488 * MG, 0, 0x04}, {.full_scale = 0}};
+static const struct chip_range GYRO_RANGES[] = {{125, 4.375e-3 * RAD_PER_DEG, 0, 0x02},
+	{250, 8.75e-3 * RAD_PER_DEG, 0, 0x00}, {500, 17.5e-3 * RAD_PER_DEG, 0, 0x04},
+	{1000, 35e-3 * RAD_PER_DEG, 0, 0x08}, {2000, 70e-3 * RAD_PER_DEG, 0, 0x0C}, {.full_scale = 0}};
+static const struct chip_range ACCEL_RANGES[] = {{2, 0.061 * M_S2_PER_MG, 0, 0x00}, {4, 0.122 * M_S2_PER_MG, 0, 0x08},
+	{8, 0.244 * M_S2_PER_MG, 0, 0x0C}, {16, 0.488 * M_S2_PER_MG, 0, 0x04}, {.full_scale = 0}};
 static const struct chip_rate RATES[] = {
 	{104, 4, {52}}, {208, 5, {104}}, {416, 6, {208}}, {833, 7, {416}}, {1660, 8, {830}}, {.hz = 0}};
 
@@ -50,14 +48,14 @@ static void dso(const struct chip_setup *setup, struct chip_registers *out)
 		.triads = {{.what = IMU_CHIP_GYRO,                                                                     \
 				   .ranges = GYRO_RANGES,                                                              \
 				   .order = {0, 1, 2},                                                                 \
-				   .density = (gyro_noise)*DPS,                                                        \
-				   .self_test = {0x14, 0x0C, 0x04, 150 * DPS, 700 * DPS}},                             \
+				   .density = (gyro_noise)*RAD_PER_DEG,                                                \
+				   .self_test = {0x14, 0x0C, 0x04, 150 * RAD_PER_DEG, 700 * RAD_PER_DEG}},             \
 			{.what = IMU_CHIP_ACCEL,                                                                       \
 				.ranges = ACCEL_RANGES,                                                                \
 				.byte = 6,                                                                             \
 				.order = {0, 1, 2},                                                                    \
-				.density = (accel_noise)*1e-6 * G,                                                     \
-				.self_test = {0x14, 0x03, 0x01, 50 * MG, 1700 * MG}}},                                 \
+				.density = (accel_noise)*1e-6 * STANDARD_GRAVITY_M_S2,                                 \
+				.self_test = {0x14, 0x03, 0x01, 50 * M_S2_PER_MG, 1700 * M_S2_PER_MG}}},               \
 		.triad_count = 2, .temperature = {0x20, 2, 1.0 / (digits_per_degC), 25}, .registers = (put)            \
 	}
 

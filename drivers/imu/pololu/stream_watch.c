@@ -1,4 +1,5 @@
 #include "drivers/imu/pololu/board_parts.h"
+#include "model/math/units.h"
 
 #include <errno.h>
 #include <math.h>
@@ -8,7 +9,6 @@
 /* Chance that noise alone repeats itself often enough to be taken for frozen data; at 400 Hz, with all three axes at
  * the worst place all the time, once in 80 years. */
 #define FROZEN_CHANCE 1e-12
-#define PI	      3.14159265358979323846
 
 enum {
 	SILENT_MS = 20,

@@ -1,12 +1,11 @@
 #include "drivers/imu/sim/sim_chips.h"
+#include "model/math/units.h"
 
 #include <errno.h>
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#define DPS   (3.14159265358979323846 / 180)
-#define MG    9.80665e-3
 #define GAUSS 100.0
 
 enum { CHIPS = 3, SETS = 32, WORDS = 4096, ENTRIES = 512, ENTRY = 7, BEHIND_MAX = 64, TEMPERATURE_DEGC = 30 };
@@ -122,7 +121,7 @@ static void effect_l3g(struct sim_chip *c)
 	const uint8_t *r = c->regs;
 	struct sim_triad *t = &c->triads[0];
 	unsigned fs = r[0x23] >> 4 & 3, test = r[0x23] >> 1 & 3;
-	double digit = mdps[fs] * 1e-3 * DPS;
+	double digit = mdps[fs] * 1e-3 * RAD_PER_DEG;
 
 	t->rate_hz = r[0x20] & 8 ? odr[c->kind][r[0x20] >> 6] : 0;
 	if (c->kind == L3GD20H && r[0x39] & 1 && t->rate_hz > 0)
@@ -132,7 +131,7 @@ static void effect_l3g(struct sim_chip *c)
 	t->self_test = vec3_scale(test == 1   ? 1
 				  : test == 3 ? -1
 					      : 0,
-		(struct vec3){test_dps[fs] * DPS, -test_dps[fs] * DPS, test_dps[fs] * DPS});
+		(struct vec3){test_dps[fs] * RAD_PER_DEG, -test_dps[fs] * RAD_PER_DEG, test_dps[fs] * RAD_PER_DEG});
 	c->fifo_on = r[0x24] & 0x40 && r[0x2E] >> 5 == 2;
 }
 
@@ -141,13 +140,13 @@ static void effect_dlh_accel(struct sim_chip *c)
 	static const double odr[4] = {50, 100, 400, 1000}, mg[4] = {1, 2, 2, 3.9};
 	const uint8_t *r = c->regs;
 	struct sim_triad *t = &c->triads[0];
-	double digit = mg[r[0x23] >> 4 & 3] * MG / 16;
+	double digit = mg[r[0x23] >> 4 & 3] * M_S2_PER_MG / 16;
 
 	t->rate_hz = r[0x20] >> 5 == 1 ? odr[r[0x20] >> 3 & 3] : 0;
 	set_axes(t, r[0x20]);
 	set_scale(t, digit, digit, digit, 16);
-	t->self_test =
-		vec3_scale(r[0x23] & 2 ? (r[0x23] & 8 ? -1 : 1) : 0, (struct vec3){300 * MG, -300 * MG, 350 * MG});
+	t->self_test = vec3_scale(r[0x23] & 2 ? (r[0x23] & 8 ? -1 : 1) : 0,
+		(struct vec3){300 * M_S2_PER_MG, -300 * M_S2_PER_MG, 350 * M_S2_PER_MG});
 }
 
 static void effect_dlhc_accel(struct sim_chip *c)
@@ -155,7 +154,7 @@ static void effect_dlhc_accel(struct sim_chip *c)
 	static const double odr[16] = {0, 1, 10, 25, 50, 100, 200, 400, 1620, 1344}, mg[4] = {1, 2, 4, 12};
 	const uint8_t *r = c->regs;
 	struct sim_triad *t = &c->triads[0];
-	double digit = mg[r[0x23] >> 4 & 3] * MG / 16;
+	double digit = mg[r[0x23] >> 4 & 3] * M_S2_PER_MG / 16;
 
 	t->rate_hz = odr[r[0x20] >> 4];
 	set_axes(t, r[0x20]);
@@ -186,12 +185,13 @@ static void effect_lsm303d(struct sim_chip *c)
 	static const double mgauss[4] = {0.080, 0.160, 0.320, 0.479};
 	const uint8_t *r = c->regs;
 	struct sim_triad *a = &c->triads[0], *m = &c->triads[1];
-	double digit = mg[r[0x21] >> 3 & 7] * MG, field = mgauss[r[0x25] >> 5 & 3] * 1e-3 * GAUSS;
+	double digit = mg[r[0x21] >> 3 & 7] * M_S2_PER_MG, field = mgauss[r[0x25] >> 5 & 3] * 1e-3 * GAUSS;
 
 	a->rate_hz = odr[r[0x20] >> 4];
 	set_axes(a, r[0x20]);
 	set_scale(a, digit, digit, digit, 1);
-	a->self_test = vec3_scale(r[0x21] & 2 ? 1 : 0, (struct vec3){400 * MG, 400 * MG, 400 * MG});
+	a->self_test =
+		vec3_scale(r[0x21] & 2 ? 1 : 0, (struct vec3){400 * M_S2_PER_MG, 400 * M_S2_PER_MG, 400 * M_S2_PER_MG});
 	c->fifo_on = r[0x1F] & 0x40 && r[0x2E] >> 5 == 2;
 	m->rate_hz = (r[0x26] & 3) == 0 ? mag_odr[r[0x24] >> 2 & 7] : 0;
 	set_axes(m, 7);
@@ -204,8 +204,8 @@ static void effect_lsm6(struct sim_chip *c)
 	static const double mg[4] = {0.061, 0.488, 0.122, 0.244}, mdps[4] = {8.75, 17.5, 35, 70};
 	const uint8_t *r = c->regs;
 	struct sim_triad *g = &c->triads[0], *a = &c->triads[1];
-	double rate = r[0x11] & 2 ? 4.375e-3 * DPS : mdps[r[0x11] >> 2 & 3] * 1e-3 * DPS;
-	double digit = mg[r[0x10] >> 2 & 3] * MG;
+	double rate = r[0x11] & 2 ? 4.375e-3 * RAD_PER_DEG : mdps[r[0x11] >> 2 & 3] * 1e-3 * RAD_PER_DEG;
+	double digit = mg[r[0x10] >> 2 & 3] * M_S2_PER_MG;
 
 	g->rate_hz = odr[r[0x11] >> 4];
 	a->rate_hz = odr[r[0x10] >> 4];
@@ -213,8 +213,10 @@ static void effect_lsm6(struct sim_chip *c)
 	set_axes(a, 7);
 	set_scale(g, rate, rate, rate, 1);
 	set_scale(a, digit, digit, digit, 1);
-	g->self_test = vec3_scale((r[0x14] >> 2 & 3) == 1 ? 1 : 0, (struct vec3){300 * DPS, 300 * DPS, 300 * DPS});
-	a->self_test = vec3_scale((r[0x14] & 3) == 1 ? 1 : 0, (struct vec3){500 * MG, 500 * MG, 500 * MG});
+	g->self_test = vec3_scale((r[0x14] >> 2 & 3) == 1 ? 1 : 0,
+		(struct vec3){300 * RAD_PER_DEG, 300 * RAD_PER_DEG, 300 * RAD_PER_DEG});
+	a->self_test = vec3_scale(
+		(r[0x14] & 3) == 1 ? 1 : 0, (struct vec3){500 * M_S2_PER_MG, 500 * M_S2_PER_MG, 500 * M_S2_PER_MG});
 	c->fifo_on = (r[0x0A] & 7) == 6 && (c->kind == LSM6DS33 ? r[0x08] == 0x09 : r[0x09] != 0);
 }
 
