@@ -190,8 +190,11 @@ score: all ## replay the recorded trials and score them against their optical re
 check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must not
 	@tests/check-layers $(MODEL_LIB)
 
+check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
+	@tests/check-docs
+
 # ---- installing ----------------------------------------------------------------------------------------------------
-.PHONY: install uninstall clean help
+.PHONY: install uninstall clean help check-docs
 share = $(DESTDIR)$(PREFIX)/share/imu9-gateway
 install: all ## install programs, EDS, udev rule, systemd unit and an example configuration under $(DESTDIR)$(PREFIX)
 	install -d $(DESTDIR)$(PREFIX)/bin $(share) $(addprefix $(DESTDIR)$(PREFIX)/lib/,udev/rules.d systemd/system)
