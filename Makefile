@@ -184,8 +184,10 @@ readme: $(BUILD)/gen/objects.md ## bring the README's object table up to date
 check-readme: $(BUILD)/gen/objects.md ## fail when the README's object table is not that of the EDS
 	@$(README_TABLE) | cmp -s - README.md || { echo "README.md: the object table is out of date: make readme" >&2; exit 1; }
 
-score: all ## replay the recorded trials and score them against their optical reference
-	@BUILD=$(BUILD) tests/score
+BROAD ?= ../shared/data/broad
+score: all ## replay the trials in BROAD=DIR and compare them with their optical reference
+	@DEPS=$(DEPS) tools/deps score
+	@BUILD=$(BUILD) tests/score $(BROAD)
 
 check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must not
 	@tests/check-layers $(MODEL_LIB)
