@@ -1,9 +1,10 @@
 #include "model/identify/calibrate.h"
 #include "model/math/units.h"
 
-static const uint64_t BLOCK_US = 250000, GAP_US = 500000;
-static const double MEAN_TIME_BLOCKS = 8; /* 2 s */
-enum { LEAST_SAMPLES = 3 };
+static const uint64_t BLOCK_US = (uint64_t)(1e6 * CALIBRATE_BLOCK_S), GAP_US = 500000;
+static const double MEAN_BLOCKS = 8; /* time constant of the mean over blocks: 2 s */
+/* MIN_SAMPLES: for a standard deviation; MIN_RUN: a block at rest with one at rest on either side. */
+enum { MIN_SAMPLES = 3, MIN_RUN = 3 };
 
 const struct calibrate_stillness CALIBRATE_LYING = {1 * RAD_PER_DEG, 0.15}, CALIBRATE_HELD = {5 * RAD_PER_DEG, 0.4};
 
@@ -11,37 +12,39 @@ const char *calibrate_text(enum calibrate_verdict verdict)
 {
 	switch (verdict) {
 	case CALIBRATE_COLLECTING:
-		return "under way";
+		return "running";
 	case CALIBRATE_GOOD:
 		return "good";
 	case CALIBRATE_MOVED:
 		return "the sensor did not lie still long enough: put it down and do not touch it";
 	case CALIBRATE_TURNED:
-		return "the sensor turned slowly and steadily: gravity or the magnetic field moved in its axes";
+		return "the sensor turned slowly and steadily: the measured gravity or magnetic field changed "
+		       "direction";
 	case CALIBRATE_TOO_FEW_POSITIONS:
-		return "too few positions: hold each still for 3 s, turned by 20 deg or more from all others";
+		return "too few positions: hold the sensor still for 3 s in each, at least 20 deg away from all others";
 	case CALIBRATE_POOR_COVERAGE:
-		return "the orientations do not span the sphere: turn every side up and down";
+		return "the orientations do not cover the sphere: turn every side up and down";
 	case CALIBRATE_LARGE_RESIDUAL:
-		return "the measurements contradict each other: vibration, a hand too unsteady, iron or a magnet "
-		       "moving "
-		       "nearby";
+		return "the measurements are inconsistent: avoid vibration, hold the sensor more steadily, keep away "
+		       "from moving iron and magnets";
 	case CALIBRATE_NO_ELLIPSOID:
-		return "the magnetic measurements form no ellipsoid: move away from iron, and turn about all axes";
+		return "the magnetic measurements do not form an ellipsoid: move away from iron and turn about all "
+		       "axes";
 	case CALIBRATE_IMPLAUSIBLE:
-		return "the errors found are larger than any healthy sensor has: check sensor, units and field "
-		       "strength";
+		return "the estimated errors are larger than those of a working sensor: check the sensor, the units "
+		       "and "
+		       "the field strength";
 	case CALIBRATE_FACES_TURNED:
-		return "the faces are more than 5 deg off the sensor's axes: use a squarer fixture, or the free "
-		       "positions";
+		return "the faces are more than 5 deg away from the sensor's axes: use a more accurate fixture, or "
+		       "calibrate without one";
 	case CALIBRATE_NO_MAGNETOMETER:
-		return "no magnetometer values arrive";
+		return "no magnetometer values were received";
 	case CALIBRATE_NO_TEMPERATURE:
-		return "no temperature arrives";
+		return "no temperature was received";
 	case CALIBRATE_SMALL_TEMPERATURE_SPAN:
-		return "the temperature at rest moved by less than 5 K: warm or cool the sensor more";
+		return "the temperature changed by less than 5 K at rest: warm or cool the sensor more";
 	case CALIBRATE_SENSOR_LOST:
-		return "the sensor stopped";
+		return "the sensor stopped sending samples";
 	case CALIBRATE_ABORTED:
 		return "aborted";
 	case CALIBRATE_VERDICTS:
@@ -72,7 +75,7 @@ static void begin_block(struct calibrate_rest *r, uint64_t t_us)
 	r->block_t_us = t_us;
 }
 
-/* The deviation from the slow mean is summed: far smaller squares than those of the raw values. */
+/* Sums deviations from the mean over blocks: squares of the raw values would lose digits to the bias and gravity. */
 static void add(struct calibrate_rest *r, const struct imu_sample *s)
 {
 	struct calibrate_block *b = &r->sum;
@@ -93,25 +96,25 @@ static void add(struct calibrate_rest *r, const struct imu_sample *s)
 	}
 }
 
-/* Norm over the axes of the standard deviation, from sum and sum of squares. */
-static double spread(struct vec3 sum, struct vec3 square_sum, unsigned n)
+/* Root of the summed variances of the axes, from sum and sum of squares. */
+static double deviation(struct vec3 sum, struct vec3 square_sum, unsigned n)
 {
 	double variance = square_sum.x + square_sum.y + square_sum.z - vec3_dot(sum, sum) / n;
 
 	return sqrt(fmax(0, variance) / (n - 1));
 }
 
-/* Closes the block: its means in r->sum, and whether it was still. */
+/* Turns r->sum from sums into means. True: the block was at rest. */
 static bool close_block(struct calibrate_rest *r)
 {
 	struct calibrate_block *b = &r->sum;
 	const struct calibrate_stillness *limit = &r->stillness;
 	bool first = r->run == 0, still;
 
-	if (b->samples < LEAST_SAMPLES)
+	if (b->samples < MIN_SAMPLES)
 		return false;
-	still = spread(b->gyro_rad_s, r->gyro_squares, b->samples) < limit->gyro_rad_s &&
-		spread(b->accel_m_s2, r->accel_squares, b->samples) < limit->accel_m_s2;
+	still = deviation(b->gyro_rad_s, r->gyro_squares, b->samples) < limit->gyro_rad_s &&
+		deviation(b->accel_m_s2, r->accel_squares, b->samples) < limit->accel_m_s2;
 	b->gyro_rad_s = vec3_scale(1.0 / b->samples, b->gyro_rad_s);
 	b->accel_m_s2 = vec3_scale(1.0 / b->samples, b->accel_m_s2);
 	if (!first)
@@ -127,30 +130,31 @@ static bool close_block(struct calibrate_rest *r)
 	return still;
 }
 
-static enum calibrate_rest_event disturbed(struct calibrate_rest *r)
+static enum calibrate_rest_event end_rest(struct calibrate_rest *r)
 {
-	enum calibrate_rest_event event = r->run >= 3 ? CALIBRATE_REST_ENDED : CALIBRATE_REST_NOTHING;
+	enum calibrate_rest_event event = r->run >= MIN_RUN ? CALIBRATE_REST_ENDED : CALIBRATE_REST_NOTHING;
 
 	r->run = 0;
 	return event;
 }
 
-/* Of a row of still blocks the first and the last are left out: motion may reach into them. */
-static enum calibrate_rest_event take_block(struct calibrate_rest *r)
+/* The first and the last block of a rest are dropped, because motion can reach into them: a block is reported one block
+ * late. */
+static enum calibrate_rest_event end_block(struct calibrate_rest *r)
 {
 	bool still = close_block(r);
-	double share = r->run == 0 ? 1 : fmax(1 / MEAN_TIME_BLOCKS, 1.0 / (r->run + 1));
+	double share = r->run == 0 ? 1 : fmax(1 / MEAN_BLOCKS, 1.0 / (r->run + 1));
 
-	if (r->sum.samples >= LEAST_SAMPLES) {
+	if (r->sum.samples >= MIN_SAMPLES) {
 		r->gyro_mean = vec3_add(r->gyro_mean, vec3_scale(share, vec3_sub(r->sum.gyro_rad_s, r->gyro_mean)));
 		r->accel_mean = vec3_add(r->accel_mean, vec3_scale(share, vec3_sub(r->sum.accel_m_s2, r->accel_mean)));
 	}
 	if (!still)
-		return disturbed(r);
+		return end_rest(r);
 	r->run++;
 	r->block = r->pending;
 	r->pending = r->sum;
-	return r->run >= 3 ? CALIBRATE_REST_BLOCK : CALIBRATE_REST_NOTHING;
+	return r->run >= MIN_RUN ? CALIBRATE_REST_BLOCK : CALIBRATE_REST_NOTHING;
 }
 
 enum calibrate_rest_event calibrate_rest_step(struct calibrate_rest *r, const struct imu_sample *raw)
@@ -166,9 +170,9 @@ enum calibrate_rest_event calibrate_rest_step(struct calibrate_rest *r, const st
 	if (r->started && !gap)
 		r->elapsed_us += raw->t_us - r->last_t_us;
 	if (gap || unusable)
-		event = disturbed(r);
+		event = end_rest(r);
 	else if (raw->t_us - r->block_t_us >= BLOCK_US)
-		event = take_block(r);
+		event = end_block(r);
 	if (gap || unusable || raw->t_us - r->block_t_us >= BLOCK_US)
 		begin_block(r, raw->t_us);
 	r->started = true;

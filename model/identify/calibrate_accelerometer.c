@@ -4,14 +4,19 @@
 #include "model/math/linalg.h"
 #include "model/math/units.h"
 
-enum { BLOCKS_LEAST = 5, SIDES = 14 };	     /* 1.25 s */
-static const double ANOTHER_COS = 0.9396926; /* 20 deg: less is the same position again */
-static const double FACE_COS = 0.9396926;    /* more than 20 deg off is no face */
-static const double COVERAGE_LEAST = 0.4;
-static const double RESIDUAL_MAX = 0.008; /* of gravity */
-static const double BIAS_MAX = 0.5;	  /* of gravity */
-static const double SCALE_MIN = 0.7, SCALE_MAX = 1.4;
-static const double FACES_TURNED_MAX_RAD = 5 * RAD_PER_DEG;
+/* MIN_BLOCKS: rest of 1.25 s, shorter than the 3 s that the user is asked for. SIDES: six faces and eight corners. */
+enum { MIN_BLOCKS = 5, SIDES = 14 };
+/* cos 20 deg: positions closer than that are one, and a position farther than that from every axis is not a face. */
+static const double SAME_POSITION_COS = 0.9396926;
+/* Chosen limits. Faces and corners together have a coverage (struct ellipsoid) of 1.0, a hemisphere 0.13. Simulated
+ * chips with the datasheets' errors leave a residual of 0.03 % of gravity; the rest is for a hand. Their offsets are
+ * 0.06 g and their scale errors 2 % (1 sigma); data in a wrong unit are off by more than these limits. */
+static const double MIN_COVERAGE = 0.4;
+static const double MAX_RESIDUAL = 0.008; /* share of gravity */
+static const double MAX_BIAS = 0.5;	  /* share of gravity */
+static const double MIN_SCALE = 0.7, MAX_SCALE = 1.4;
+/* The matrix is solved for small rotations; beyond this a face is probably the wrong one. */
+static const double MAX_FACES_TURNED_RAD = 5 * RAD_PER_DEG;
 
 void calibrate_accelerometer_init(
 	struct calibrate_accelerometer *c, const struct calibrate_accelerometer_config *config)
@@ -22,7 +27,7 @@ void calibrate_accelerometer_init(
 
 int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c)
 {
-	return c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : CALIBRATE_FREE_LEAST;
+	return c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : CALIBRATE_FREE_MIN;
 }
 
 static double cosine(struct vec3 a, struct vec3 b)
@@ -30,6 +35,7 @@ static double cosine(struct vec3 a, struct vec3 b)
 	return vec3_dot(a, b) / (vec3_norm(a) * vec3_norm(b));
 }
 
+/* Direction of side 1..14, not of unit length for corners. */
 static struct vec3 side(int number)
 {
 	int corner = number - CALIBRATE_FACES - 1;
@@ -53,7 +59,7 @@ static struct vec3 side(int number)
 int calibrate_accelerometer_next(const struct calibrate_accelerometer *c)
 {
 	const int sides = c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : SIDES;
-	double farthest = ANOTHER_COS;
+	double farthest = SAME_POSITION_COS;
 	int next = 0;
 
 	for (int i = 1; i <= sides; i++) {
@@ -72,19 +78,20 @@ int calibrate_accelerometer_next(const struct calibrate_accelerometer *c)
 
 /* ---- the positions ----------------------------------------------------------------------------------------------- */
 
-/* Where a rest belongs; -1: nowhere. Faces have their places, 0 +x, 1 -x, .. 5 -z. */
+/* Index of the face whose axis points up, 0 +x, 1 -x, .. 5 -z; -1: none. */
 static int face_of(struct vec3 force)
 {
 	for (int i = 0; i < CALIBRATE_FACES; i++)
-		if (cosine(side(i + 1), force) > FACE_COS)
+		if (cosine(side(i + 1), force) > SAME_POSITION_COS)
 			return i;
 	return -1;
 }
 
-static int place_of(const struct calibrate_accelerometer *c, struct vec3 force)
+/* Index of the position to which a rest belongs, an existing one or the next free one; -1: none. */
+static int position_of(const struct calibrate_accelerometer *c, struct vec3 force)
 {
 	int nearest = -1;
-	double most = ANOTHER_COS;
+	double most = SAME_POSITION_COS;
 
 	if (c->config.positions == CALIBRATE_SIX_FACES)
 		return face_of(force);
@@ -98,15 +105,15 @@ static int place_of(const struct calibrate_accelerometer *c, struct vec3 force)
 	return c->positions < CALIBRATE_POSITIONS_MAX ? c->positions : -1;
 }
 
-/* Takes the rest that lasts; a longer one replaces an earlier one of the same position. True: a new position. */
-static bool keep(struct calibrate_accelerometer *c)
+/* Records the current rest; the longest one of each position counts. True: it is a new position. */
+static bool record_position(struct calibrate_accelerometer *c)
 {
 	struct vec3 mean = vec3_scale(1.0 / c->blocks, c->sum_m_s2);
 	struct calibrate_position *p;
 	bool new;
 
 	if (c->at < 0)
-		c->at = place_of(c, mean);
+		c->at = position_of(c, mean);
 	if (c->at < 0)
 		return false;
 	p = &c->position[c->at];
@@ -117,7 +124,8 @@ static bool keep(struct calibrate_accelerometer *c)
 	return new;
 }
 
-/* ---- the answer -------------------------------------------------------------------------------------------------- */
+/* ---- the solution
+ * -------------------------------------------------------------------------------------------------- */
 
 static double element(struct vec3 v, int i)
 {
@@ -142,9 +150,9 @@ static void inverse(double m[3][3], double out[3][3])
 		}
 }
 
-/* raw = S f + bias with f = +-g along each axis, least squares: the bias is the mean of all faces, column i of S half the
- * difference of the two faces of axis i. What is left, 18 values less 12 unknowns, is that the mean of each pair of faces
- * is the bias. */
+/* Least squares of raw = S f + bias with f = +-g along each axis: the bias is the mean of all faces, and column i of S
+ * is half the difference of the two faces of axis i. The residual has 18 values less 12 unknowns: the differences of
+ * each pair's mean from the bias. */
 static enum calibrate_verdict solve_faces(struct calibrate_accelerometer *c)
 {
 	struct calibrate_accelerometer_result *r = &c->result;
@@ -174,7 +182,7 @@ static enum calibrate_verdict solve_faces(struct calibrate_accelerometer *c)
 		for (int j = 0; j < i; j++)
 			turned += (s[i][j] - s[j][i]) * (s[i][j] - s[j][i]) / 4;
 	r->faces_turned_rad = sqrt(turned);
-	return r->faces_turned_rad > FACES_TURNED_MAX_RAD ? CALIBRATE_FACES_TURNED : CALIBRATE_GOOD;
+	return r->faces_turned_rad > MAX_FACES_TURNED_RAD ? CALIBRATE_FACES_TURNED : CALIBRATE_GOOD;
 }
 
 static enum calibrate_verdict solve_free(struct calibrate_accelerometer *c)
@@ -186,7 +194,7 @@ static enum calibrate_verdict solve_free(struct calibrate_accelerometer *c)
 	for (int i = 0; i < c->positions; i++)
 		points[i] = c->position[i].force_m_s2;
 	if (ellipsoid_fit(points, c->positions, c->config.gravity_m_s2, false, &e) < 0)
-		return c->positions < CALIBRATE_FREE_LEAST ? CALIBRATE_TOO_FEW_POSITIONS : CALIBRATE_POOR_COVERAGE;
+		return c->positions < CALIBRATE_FREE_MIN ? CALIBRATE_TOO_FEW_POSITIONS : CALIBRATE_POOR_COVERAGE;
 	c->coverage = e.coverage;
 	r->calibration.bias = e.centre;
 	for (int i = 0; i < 3; i++)
@@ -195,12 +203,12 @@ static enum calibrate_verdict solve_free(struct calibrate_accelerometer *c)
 	r->residual_m_s2 = e.rms;
 	r->bias_sigma_m_s2 = e.sigma;
 	r->matrix_sigma = e.matrix_sigma;
-	if (c->positions < CALIBRATE_FREE_LEAST)
+	if (c->positions < CALIBRATE_FREE_MIN)
 		return CALIBRATE_TOO_FEW_POSITIONS;
-	return e.coverage < COVERAGE_LEAST ? CALIBRATE_POOR_COVERAGE : CALIBRATE_GOOD;
+	return e.coverage < MIN_COVERAGE ? CALIBRATE_POOR_COVERAGE : CALIBRATE_GOOD;
 }
 
-static double with_drift(const struct calibrate_accelerometer *c, double sigma)
+static double add_drift(const struct calibrate_accelerometer *c, double sigma)
 {
 	double drift = CALIBRATE_DRIFT * c->config.bias_instability_m_s2;
 
@@ -211,13 +219,13 @@ static bool plausible(const struct calibrate_accelerometer *c)
 {
 	const struct triad_calibration *t = &c->result.calibration;
 
-	if (!(vec3_norm(t->bias) < BIAS_MAX * c->config.gravity_m_s2))
+	if (!(vec3_norm(t->bias) < MAX_BIAS * c->config.gravity_m_s2))
 		return false;
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++) {
 			double m = t->matrix[i][j];
 
-			if (i == j ? !(m > SCALE_MIN && m < SCALE_MAX) : !(fabs(m) < SCALE_MAX - 1))
+			if (i == j ? !(m > MIN_SCALE && m < MAX_SCALE) : !(fabs(m) < MAX_SCALE - 1))
 				return false;
 		}
 	return true;
@@ -230,25 +238,25 @@ static enum calibrate_verdict solve(struct calibrate_accelerometer *c)
 	c->result = (struct calibrate_accelerometer_result){
 		.temperature_degC = c->temperatures ? c->temperature_sum_degC / c->temperatures : (double)NAN};
 	verdict = c->config.positions == CALIBRATE_SIX_FACES ? solve_faces(c) : solve_free(c);
-	c->result.bias_sigma_m_s2 = (struct vec3){with_drift(c, c->result.bias_sigma_m_s2.x),
-		with_drift(c, c->result.bias_sigma_m_s2.y), with_drift(c, c->result.bias_sigma_m_s2.z)};
+	c->result.bias_sigma_m_s2 = (struct vec3){add_drift(c, c->result.bias_sigma_m_s2.x),
+		add_drift(c, c->result.bias_sigma_m_s2.y), add_drift(c, c->result.bias_sigma_m_s2.z)};
 	if (verdict != CALIBRATE_GOOD)
 		return verdict;
-	if (c->result.residual_m_s2 > RESIDUAL_MAX * c->config.gravity_m_s2)
+	if (c->result.residual_m_s2 > MAX_RESIDUAL * c->config.gravity_m_s2)
 		return CALIBRATE_LARGE_RESIDUAL;
 	return plausible(c) ? CALIBRATE_GOOD : CALIBRATE_IMPLAUSIBLE;
 }
 
 /* ---- sample by sample -------------------------------------------------------------------------------------------- */
 
-static void rest_over(struct calibrate_accelerometer *c)
+static void end_rest(struct calibrate_accelerometer *c)
 {
 	c->sum_m_s2 = (struct vec3){0, 0, 0};
 	c->blocks = 0;
 	c->at = -1;
 }
 
-/* Free positions that do not suffice yet may with the next ones. */
+/* Free positions that do not suffice yet can do so with the next ones; six faces cannot. */
 static void new_position(struct calibrate_accelerometer *c)
 {
 	const bool free = c->config.positions == CALIBRATE_FREE;
@@ -256,7 +264,7 @@ static void new_position(struct calibrate_accelerometer *c)
 
 	if (!free)
 		c->coverage = c->positions / (double)CALIBRATE_FACES;
-	if (c->config.whole || c->positions < calibrate_accelerometer_wanted(c))
+	if (c->config.use_all || c->positions < calibrate_accelerometer_wanted(c))
 		return;
 	if (verdict == CALIBRATE_GOOD || !free || c->positions == CALIBRATE_POSITIONS_MAX)
 		c->verdict = verdict;
@@ -272,24 +280,21 @@ static void rest_block(struct calibrate_accelerometer *c)
 		c->temperature_sum_degC += b->temperature_degC;
 		c->temperatures++;
 	}
-	if (c->blocks >= BLOCKS_LEAST && keep(c))
+	if (c->blocks >= MIN_BLOCKS && record_position(c))
 		new_position(c);
 }
 
 enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_accelerometer *c, const struct imu_sample *raw)
 {
+	enum calibrate_rest_event event;
+
 	if (c->verdict != CALIBRATE_COLLECTING)
 		return c->verdict;
-	switch (calibrate_rest_step(&c->rest, raw)) {
-	case CALIBRATE_REST_BLOCK:
+	event = calibrate_rest_step(&c->rest, raw);
+	if (event == CALIBRATE_REST_BLOCK)
 		rest_block(c);
-		break;
-	case CALIBRATE_REST_ENDED:
-		rest_over(c);
-		break;
-	case CALIBRATE_REST_NOTHING:
-		break;
-	}
+	else if (event == CALIBRATE_REST_ENDED)
+		end_rest(c);
 	if (c->verdict == CALIBRATE_COLLECTING && calibrate_rest_time_s(&c->rest) > c->config.patience_s)
 		c->verdict = solve(c);
 	return c->verdict;

@@ -1,13 +1,13 @@
 /* model/identify/calibrate_accelerometer.h
- * The accelerometer's bias, scale factors and cross-axis terms from rests in different positions, gravity being the
- * measure. corrected = matrix * (raw - bias), as 2051h.
+ * Bias, scale factors and cross-axis terms of the accelerometer from rests in different positions, with gravity as the
+ * reference. corrected = matrix * (raw - bias), as 2051h.
  *
- * CALIBRATE_SIX_FACES: in a fixture, each face of which lies level, so that each axis of the sensor points up once and
- * down once, in any order. Gravity's direction is known: all twelve unknowns, the rotation of the triad against the
- * faces included.
- * CALIBRATE_FREE: without a fixture, twelve positions or more; only the length of gravity is known. How the triad is
- * turned against the sensor's other triads stays unknown; the matrix is symmetric (model/identify/ellipsoid.h). After I. Skog and
- * P. Handel, "Calibration of a MEMS inertial measurement unit", 2006, with Levenberg-Marquardt. */
+ * CALIBRATE_SIX_FACES: in a fixture, level on each of its six faces in any order, so that each axis of the sensor
+ * points up once and down once. The direction of gravity is known, hence all twelve unknowns are, including the
+ * rotation of the triad against the faces. CALIBRATE_FREE: without a fixture, in at least twelve positions. Only the
+ * magnitude of gravity is known. The rotation of the triad against the other triads is not observable, so the matrix is
+ * symmetric (model/identify/ellipsoid.h). Method: I. Skog and P. Handel, "Calibration of a MEMS inertial measurement
+ * unit", 2006, solved by Levenberg-Marquardt. */
 #ifndef MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 #define MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 
@@ -15,40 +15,52 @@
 #include "model/calibration.h"
 
 enum calibrate_positions { CALIBRATE_SIX_FACES, CALIBRATE_FREE };
-enum { CALIBRATE_POSITIONS_MAX = 24, CALIBRATE_FACES = 6, CALIBRATE_FREE_LEAST = 12 };
+enum {
+	CALIBRATE_POSITIONS_MAX = 24,
+	CALIBRATE_FACES = 6,
+	CALIBRATE_FREE_MIN = 12, /* nine unknowns, and three positions more for the residual */
+};
 
 struct calibrate_accelerometer_config {
 	enum calibrate_positions positions;
+	/* Local gravity, above 0; the gateway passes 2003h, 9.81. An error of 1 % is an error of 1 % in the scale
+	 * factors. */
 	double gravity_m_s2;
-	double bias_instability_m_s2; /* of the sensor (2020h): what no averaging takes away */
-	bool whole;		      /* a log: use all of it, not only what suffices */
-	double patience_s;	      /* that long without an answer: refused */
+	/* Bias instability of the sensor, 0 or more (2020h). Larger: larger bias_sigma_m_s2; no influence on the
+	 * result. */
+	double bias_instability_m_s2;
+	/* false: end as soon as the positions suffice (the device); true: use every sample until _finish() (a log). */
+	bool use_all;
+	/* Time after which an unfinished calibration gets its verdict, above 0; INFINITY: never. Smaller: the user is
+	 * hurried; larger: an abandoned calibration blocks the command object longer. */
+	double patience_s;
 };
 
 struct calibrate_accelerometer_result {
 	struct triad_calibration calibration;
-	double residual_m_s2;	     /* of |corrected| (six faces: of the vector), RMS per degree of freedom */
+	double residual_m_s2; /* RMS per degree of freedom, of |corrected| - gravity (six faces: of the vector) */
 	struct vec3 bias_sigma_m_s2; /* 1 sigma, from residual, geometry and bias instability */
-	double matrix_sigma;	     /* of the least certain element */
-	double faces_turned_rad;     /* six faces: between the faces and the sensor's axes */
-	double temperature_degC;     /* NAN: not known */
+	double matrix_sigma;	     /* 1 sigma of the least certain element */
+	double faces_turned_rad;     /* six faces: angle between the faces and the sensor's axes */
+	double temperature_degC;     /* mean during the rests; NAN: not known */
 };
 
 struct calibrate_accelerometer {
 	struct calibrate_accelerometer_config config;
 	struct calibrate_accelerometer_result result; /* with CALIBRATE_GOOD */
 	enum calibrate_verdict verdict;
-	int positions;	 /* so far */
-	double coverage; /* 0..1: of the faces; free: see struct ellipsoid, once there are ten positions */
+	int positions;	 /* recorded so far */
+	double coverage; /* 0..1: share of the faces; free: see struct ellipsoid, from ten positions on */
 	/* PRIVATE */
 	struct calibrate_rest rest;
 	struct calibrate_position {
 		struct vec3 force_m_s2;
-		unsigned blocks; /* 0: not taken yet */
+		unsigned blocks; /* 0: not recorded yet */
 	} position[CALIBRATE_POSITIONS_MAX];
-	struct vec3 sum_m_s2; /* of the rest that lasts */
+	/* the current rest: sum of its blocks, their number, index of its position (-1: none yet) */
+	struct vec3 sum_m_s2;
 	unsigned blocks;
-	int at; /* its position; -1: none yet */
+	int at;
 	double temperature_sum_degC;
 	unsigned temperatures;
 };
@@ -56,12 +68,12 @@ struct calibrate_accelerometer {
 void calibrate_accelerometer_init(
 	struct calibrate_accelerometer *c, const struct calibrate_accelerometer_config *config);
 enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_accelerometer *c, const struct imu_sample *raw);
-/** No more samples. */
+/** Call after the last sample of a log. */
 enum calibrate_verdict calibrate_accelerometer_finish(struct calibrate_accelerometer *c);
-/** How many positions are asked for. */
+/** Number of positions that are needed. */
 int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c);
-/** Which side to turn up next: 1 +x, 2 -x, .. 6 -z, then the corners 7 +x+y+z, 8 -x+y+z, 9 +x-y+z, .. 14 -x-y-z; 0: any.
- * The one that is farthest from all positions so far. */
+/** The side to turn up next, the farthest one from all positions so far: 1 +x, 2 -x, .. 6 -z, then the corners 7
+ * +x+y+z, 8 -x+y+z, 9 +x-y+z, .. 14 -x-y-z; 0: any. */
 int calibrate_accelerometer_next(const struct calibrate_accelerometer *c);
 
 #endif

@@ -2,17 +2,20 @@
 
 #include "model/identify/ellipsoid.h"
 
-static const double SPACING_UT = 2, WIDER = 1.3;
-static const double COVERAGE_HOPELESS = 0.2;			 /* of the first guess: not worth a fit */
-static const double COVERAGE_LEAST = 0.4, COVERAGE_WANTED = 0.6; /* to take it; to end by itself */
-static const double RESIDUAL_MAX = 0.05;			 /* of the field */
-static const double STRETCH_MAX = 2.5;			   /* longest by shortest axis: soft iron stays below 1.5 */
-static const double FIELD_MIN_UT = 10, FIELD_MAX_UT = 150; /* the Earth's has 22 to 67 */
-static const double RANGE_MAX_UT = 1e6;			   /* of any magnetometer, and then some */
-static const double SPIKE_UT = 10;			   /* off the two samples beside it */
-static const double RADIUS_UT = 50;			   /* of the fit; the scale comes after it */
-static const uint64_t LOOK_US = 1000000, NO_MAG_US = 5000000, GAP_US = 500000;
-enum { POINTS_LEAST = 30 };
+/* Initial distance between points, and the factor by which it grows whenever the memory is full. 2 uT is 2 deg of the
+ * Earth's field, and above the noise of the supported magnetometers (0.1 to 0.6 uT). */
+static const double SPACING_UT = 2, SPACING_GROWTH = 1.3;
+/* Coverage (struct ellipsoid): below it the quadric is not worth a fit; least one of a valid result; the one at which
+ * the device ends. A hemisphere has 0.13, the simulated motion `figure` 0.97. */
+static const double MIN_QUADRIC_COVERAGE = 0.2, MIN_COVERAGE = 0.4, COVERAGE_WANTED = 0.6;
+static const double MAX_RESIDUAL = 0.05;		   /* share of the field: 3 deg of heading */
+static const double MAX_AXIS_RATIO = 2.5;		   /* longest to shortest; soft iron stays below 1.5 */
+static const double MIN_FIELD_UT = 10, MAX_FIELD_UT = 150; /* the Earth's field is 22 to 67 */
+static const double MAX_RANGE_UT = 1e6;			   /* beyond every magnetometer: not a measurement */
+static const double SPIKE_UT = 10;			   /* distance from the middle of both neighbours in time */
+static const double RADIUS_UT = 50;			   /* of the fit; the result is scaled afterwards */
+static const uint64_t SOLVE_INTERVAL_US = 1000000, NO_MAG_US = 5000000, GAP_US = 500000;
+enum { MIN_POINTS = 30 }; /* nine unknowns, and enough points for the residual */
 
 void calibrate_magnetometer_init(struct calibrate_magnetometer *c, const struct calibrate_magnetometer_config *config)
 {
@@ -43,42 +46,43 @@ static void thin_out(struct calibrate_magnetometer *c)
 {
 	int kept = 0;
 
-	c->spacing_uT *= WIDER;
+	c->spacing_uT *= SPACING_GROWTH;
 	for (int i = 0; i < c->count; i++)
 		if (!near_a_point(c, kept, c->points[i]))
 			c->points[kept++] = c->points[i];
 	c->count = kept;
 }
 
-static void keep(struct calibrate_magnetometer *c, struct vec3 p)
+static void add_point(struct calibrate_magnetometer *c, struct vec3 p)
 {
-	if (!(vec3_norm(p) <= RANGE_MAX_UT) || near_a_point(c, c->count, p)) /* nor NaN */
+	if (!(vec3_norm(p) <= MAX_RANGE_UT) || near_a_point(c, c->count, p)) /* true for NaN, too */
 		return;
 	while (c->count == CALIBRATE_POINTS_MAX)
 		thin_out(c);
 	c->points[c->count++] = p;
 }
 
-static bool spike(struct vec3 before, struct vec3 p, struct vec3 after)
+static bool is_spike(struct vec3 before, struct vec3 p, struct vec3 after)
 {
-	struct vec3 half_way = vec3_scale(0.5, vec3_add(before, after));
+	struct vec3 middle = vec3_scale(0.5, vec3_add(before, after));
 
-	return vec3_norm(vec3_sub(p, half_way)) > SPIKE_UT + 0.5 * vec3_norm(vec3_sub(after, before));
+	return vec3_norm(vec3_sub(p, middle)) > SPIKE_UT + 0.5 * vec3_norm(vec3_sub(after, before));
 }
 
-/* A single wrong sample lies far from all others: evenly spaced points would keep it, whatever their number. Each waits
- * for the one after it. */
-static void take(struct calibrate_magnetometer *c, struct vec3 p)
+/* A single wrong sample lies far from all others, so thinning out would always keep it. It is removed here instead, for
+ * which each sample waits until the next one has come. */
+static void filter_spikes(struct calibrate_magnetometer *c, struct vec3 p)
 {
-	if (c->recent_count == 2 && !spike(c->recent[0], c->recent[1], p))
-		keep(c, c->recent[1]);
+	if (c->recent_count == 2 && !is_spike(c->recent[0], c->recent[1], p))
+		add_point(c, c->recent[1]);
 	c->recent[0] = c->recent[1];
 	c->recent[1] = p;
 	if (c->recent_count < 2)
 		c->recent_count++;
 }
 
-/* ---- the answer -------------------------------------------------------------------------------------------------- */
+/* ---- the solution
+ * -------------------------------------------------------------------------------------------------- */
 
 static enum calibrate_verdict solve(struct calibrate_magnetometer *c)
 {
@@ -87,21 +91,21 @@ static enum calibrate_verdict solve(struct calibrate_magnetometer *c)
 	double mean, scale;
 
 	c->coverage = 0;
-	if (c->count < POINTS_LEAST)
+	if (c->count < MIN_POINTS)
 		return CALIBRATE_POOR_COVERAGE;
 	if (ellipsoid_guess(c->points, c->count, RADIUS_UT, &e) < 0)
 		return CALIBRATE_NO_ELLIPSOID;
 	c->coverage = e.coverage;
-	if (e.coverage < COVERAGE_HOPELESS)
+	if (e.coverage < MIN_QUADRIC_COVERAGE)
 		return CALIBRATE_POOR_COVERAGE;
 	if (ellipsoid_fit(c->points, c->count, RADIUS_UT, true, &e) < 0)
 		return CALIBRATE_NO_ELLIPSOID;
 	c->coverage = e.coverage;
 	if (!(e.least > 0))
 		return CALIBRATE_NO_ELLIPSOID;
-	if (e.coverage < COVERAGE_LEAST)
+	if (e.coverage < MIN_COVERAGE)
 		return CALIBRATE_POOR_COVERAGE;
-	if (e.largest > STRETCH_MAX * e.least)
+	if (e.largest > MAX_AXIS_RATIO * e.least)
 		return CALIBRATE_NO_ELLIPSOID;
 	mean = RADIUS_UT / e.mean;
 	r->field_uT = c->config.field_uT > 0 ? c->config.field_uT : mean;
@@ -112,9 +116,9 @@ static enum calibrate_verdict solve(struct calibrate_magnetometer *c)
 			r->calibration.matrix[i][j] = scale * e.matrix.m[i][j];
 	r->residual = e.rms / RADIUS_UT;
 	r->bias_sigma_uT = e.sigma;
-	if (r->residual > RESIDUAL_MAX)
+	if (r->residual > MAX_RESIDUAL)
 		return CALIBRATE_LARGE_RESIDUAL;
-	return mean > FIELD_MIN_UT && mean < FIELD_MAX_UT ? CALIBRATE_GOOD : CALIBRATE_IMPLAUSIBLE;
+	return mean > MIN_FIELD_UT && mean < MAX_FIELD_UT ? CALIBRATE_GOOD : CALIBRATE_IMPLAUSIBLE;
 }
 
 /* ---- sample by sample -------------------------------------------------------------------------------------------- */
@@ -127,13 +131,13 @@ static void run_clock(struct calibrate_magnetometer *c, uint64_t t_us)
 	c->last_t_us = t_us;
 }
 
-static void look(struct calibrate_magnetometer *c)
+static void try_to_end(struct calibrate_magnetometer *c)
 {
 	enum calibrate_verdict verdict = solve(c);
-	bool late = (double)c->elapsed_us * 1e-6 > c->config.patience_s;
+	bool timeout = (double)c->elapsed_us * 1e-6 > c->config.patience_s;
 
-	c->looked_us = c->elapsed_us;
-	if (late || (verdict == CALIBRATE_GOOD && c->coverage >= COVERAGE_WANTED && !c->config.whole))
+	c->solved_us = c->elapsed_us;
+	if (timeout || (verdict == CALIBRATE_GOOD && c->coverage >= COVERAGE_WANTED && !c->config.use_all))
 		c->verdict = verdict;
 }
 
@@ -143,9 +147,9 @@ enum calibrate_verdict calibrate_magnetometer_step(struct calibrate_magnetometer
 		return c->verdict;
 	run_clock(c, raw->t_us);
 	if ((raw->flags & SAMPLE_MAG) && !(raw->flags & SAMPLE_SATURATED))
-		take(c, raw->mag_uT);
-	if (c->elapsed_us - c->looked_us >= LOOK_US)
-		look(c);
+		filter_spikes(c, raw->mag_uT);
+	if (c->elapsed_us - c->solved_us >= SOLVE_INTERVAL_US)
+		try_to_end(c);
 	if (c->count == 0 && c->elapsed_us > NO_MAG_US)
 		c->verdict = CALIBRATE_NO_MAGNETOMETER;
 	return c->verdict;

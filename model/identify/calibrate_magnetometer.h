@@ -1,8 +1,9 @@
 /* model/identify/calibrate_magnetometer.h
- * The magnetometer's hard iron (bias) and soft iron (matrix) with its own scale and cross-axis errors, from turning it
- * about all axes where the field is even: an ellipsoid through points kept evenly spaced, so that lingering in one
- * attitude weighs nothing; quadric fit, then a robust geometric one (model/identify/ellipsoid.h: the matrix is symmetric, a
- * rotation against the other triads stays unknown). corrected = matrix * (raw - bias), as 2052h. */
+ * Hard iron (bias) and soft iron (matrix) of the magnetometer, including its own offset, scale and cross-axis errors,
+ * from turning it about all axes in a homogeneous field. An ellipsoid is fitted to the measured vectors, which are
+ * thinned out to an even spacing so that time spent in one attitude does not add weight: first a quadric, then a robust
+ * geometric fit (model/identify/ellipsoid.h; the matrix is symmetric, because the rotation against the other triads is
+ * not observable). corrected = matrix * (raw - bias), as 2052h. */
 #ifndef MODEL_IDENTIFY_CALIBRATE_MAGNETOMETER_H
 #define MODEL_IDENTIFY_CALIBRATE_MAGNETOMETER_H
 
@@ -12,15 +13,20 @@
 enum { CALIBRATE_POINTS_MAX = 200 };
 
 struct calibrate_magnetometer_config {
-	double field_uT; /* local field strength: corrected vectors get that length; 0: the mean radius of the ellipsoid */
-	bool whole;	 /* a log: use all of it, not only what suffices */
+	/* Local field strength in uT, 22 to 67 on Earth: the length of corrected vectors. 0 (default): the mean radius
+	 * of the ellipsoid, i.e. the magnetometer's own scale is believed. Only the length depends on it, not the
+	 * heading. */
+	double field_uT;
+	/* false: end as soon as the coverage suffices (the device); true: use every sample until _finish() (a log). */
+	bool use_all;
+	/* Time after which an unfinished calibration gets its verdict, above 0; INFINITY: never. */
 	double patience_s;
 };
 
 struct calibrate_magnetometer_result {
 	struct triad_calibration calibration;
 	double field_uT;	   /* length of corrected vectors */
-	double residual;	   /* RMS of their length's error, as a part of the field */
+	double residual;	   /* RMS error of their length, as a share of field_uT */
 	struct vec3 bias_sigma_uT; /* 1 sigma, from the residual and the geometry */
 };
 
@@ -33,17 +39,17 @@ struct calibrate_magnetometer {
 	struct vec3 points[CALIBRATE_POINTS_MAX];
 	int count;
 	double spacing_uT;
-	struct vec3 recent[2]; /* the last two samples */
+	struct vec3 recent[2]; /* the last two samples, for the removal of spikes */
 	int recent_count;
-	uint64_t last_t_us, elapsed_us, looked_us; /* since the start; the last look whether it suffices */
+	uint64_t last_t_us, elapsed_us, solved_us; /* time stamp; time since the start: now, at the last solution */
 	bool started;
 };
 
 void calibrate_magnetometer_init(struct calibrate_magnetometer *c, const struct calibrate_magnetometer_config *config);
 enum calibrate_verdict calibrate_magnetometer_step(struct calibrate_magnetometer *c, const struct imu_sample *raw);
-/** No more samples. */
+/** Call after the last sample of a log. */
 enum calibrate_verdict calibrate_magnetometer_finish(struct calibrate_magnetometer *c);
-/** 0..1. */
+/** 0..1, the coverage as a share of the coverage wanted. */
 double calibrate_magnetometer_progress(const struct calibrate_magnetometer *c);
 
 #endif

@@ -2,10 +2,12 @@
 #include "model/math/units.h"
 
 enum { CHANNELS = 6 };
-static const double BLOCK_S = 0.25, LEAST_REST_S = 20;
-static const double LEAST_SPAN_K = 5, QUADRATIC_SPAN_K = 15;
-static const double QUADRATIC_GAIN = 0.8;			 /* of the straight line's sum of squares */
-static const double RESIDUAL_MAX[2] = {0.1 * RAD_PER_DEG, 0.05}; /* rad/s, m/s^2 */
+static const double MIN_REST_S = 20;
+/* Over 5 K a typical slope of 0.03 deg/s/K is 15 times the bias instability. A parabola needs a wider span, and must
+ * reduce the sum of squares of at least one channel to QUADRATIC_GAIN of the straight line's. */
+static const double MIN_SPAN_K = 5, QUADRATIC_SPAN_K = 15, QUADRATIC_GAIN = 0.8;
+/* RMS of the blocks: 10 (gyro) and 50 times (accelerometer) the bias instability of the supported chips. */
+static const double MAX_RESIDUAL[2] = {0.1 * RAD_PER_DEG, 0.05}; /* rad/s, m/s^2 */
 
 void calibrate_temperature_init(struct calibrate_temperature *c)
 {
@@ -19,7 +21,7 @@ static void begin(struct calibrate_temperature *c, const struct calibrate_block 
 	c->first_degC = c->lowest_degC = c->highest_degC = b->temperature_degC;
 }
 
-static void block(struct calibrate_temperature *c, const struct calibrate_block *b)
+static void add_block(struct calibrate_temperature *c, const struct calibrate_block *b)
 {
 	struct calibrate_temperature_sums *s = &c->now;
 	double y[CHANNELS] = {
@@ -60,8 +62,8 @@ static void block(struct calibrate_temperature *c, const struct calibrate_block 
 	}
 }
 
-/* Adds this rest's squares and products about its own means to those of all. */
-static void rest_over(struct calibrate_temperature *c)
+/* Adds the squares and products of this rest, about its own means, to those of all rests. */
+static void end_rest(struct calibrate_temperature *c)
 {
 	struct calibrate_temperature_sums *s = &c->now, *all = &c->all;
 
@@ -82,19 +84,15 @@ static void rest_over(struct calibrate_temperature *c)
 
 void calibrate_temperature_step(struct calibrate_temperature *c, const struct imu_sample *raw)
 {
-	switch (calibrate_rest_step(&c->rest, raw)) {
-	case CALIBRATE_REST_BLOCK:
-		block(c, &c->rest.block);
-		break;
-	case CALIBRATE_REST_ENDED:
-		rest_over(c);
-		break;
-	case CALIBRATE_REST_NOTHING:
-		break;
-	}
+	enum calibrate_rest_event event = calibrate_rest_step(&c->rest, raw);
+
+	if (event == CALIBRATE_REST_BLOCK)
+		add_block(c, &c->rest.block);
+	else if (event == CALIBRATE_REST_ENDED)
+		end_rest(c);
 }
 
-/* Sums of squares that a straight line leaves, and a parabola with its two coefficients. */
+/* Residual sum of squares of channel i for a straight line; likewise for a parabola below. */
 static double line(const struct calibrate_temperature_sums *s, int i, double *slope)
 {
 	*slope = s->zy[0][i] / s->zz[0];
@@ -110,7 +108,7 @@ static double parabola(const struct calibrate_temperature_sums *s, int i, double
 	return fmax(0, s->yy[i] - *slope * s->zy[0][i] - *square * s->zy[1][i]);
 }
 
-static bool quadratic(const struct calibrate_temperature *c)
+static bool parabola_is_better(const struct calibrate_temperature *c)
 {
 	const struct calibrate_temperature_sums *s = &c->all;
 	double slope, square;
@@ -129,7 +127,7 @@ static struct vec3 triad(const double v[3])
 	return (struct vec3){v[0], v[1], v[2]};
 }
 
-/* Slopes about the first temperature become slopes about the mean one. */
+/* Slopes are converted from the first temperature to the mean one. False: a residual is too large. */
 static bool fit(struct calibrate_temperature *c)
 {
 	struct calibrate_temperature_result *r = &c->result;
@@ -138,14 +136,14 @@ static bool fit(struct calibrate_temperature *c)
 	double t0 = c->z_sum[0] / c->n, rise = c->z_sum[1] / c->n - t0 * t0;
 	bool good = true;
 
-	r->quadratic = quadratic(c);
+	r->quadratic = parabola_is_better(c);
 	for (int i = 0; i < CHANNELS; i++) {
-		double left = r->quadratic ? parabola(s, i, &slope[i], &square[i]) : line(s, i, &slope[i]);
+		double squares = r->quadratic ? parabola(s, i, &slope[i], &square[i]) : line(s, i, &slope[i]);
 
-		rms[i] = sqrt(left / (s->n - c->rests - 2));
+		rms[i] = sqrt(squares / (s->n - c->rests - 2));
 		sigma[i] = rms[i] / sqrt(s->zz[0]);
 		slope[i] += 2 * square[i] * t0;
-		good = good && rms[i] <= RESIDUAL_MAX[i / 3];
+		good = good && rms[i] <= MAX_RESIDUAL[i / 3];
 	}
 	for (int i = 0; i < 3; i++)
 		gyro[i] = c->gyro_sum[i] / c->n - square[i] * rise;
@@ -166,18 +164,18 @@ static bool fit(struct calibrate_temperature *c)
 
 enum calibrate_verdict calibrate_temperature_finish(struct calibrate_temperature *c)
 {
-	rest_over(c);
-	if (c->blocks * BLOCK_S < LEAST_REST_S)
+	end_rest(c);
+	if (c->blocks * CALIBRATE_BLOCK_S < MIN_REST_S)
 		c->verdict = CALIBRATE_MOVED;
-	else if (c->all.n * BLOCK_S < LEAST_REST_S)
+	else if (c->all.n * CALIBRATE_BLOCK_S < MIN_REST_S)
 		c->verdict = CALIBRATE_NO_TEMPERATURE;
-	/* the span must lie inside the rests, not between them */
-	else if (c->highest_degC - c->lowest_degC < LEAST_SPAN_K || !(sqrt(c->all.zz[0] / c->all.n) > LEAST_SPAN_K / 6))
+	/* the temperature must change during the rests, not between them */
+	else if (c->highest_degC - c->lowest_degC < MIN_SPAN_K || !(sqrt(c->all.zz[0] / c->all.n) > MIN_SPAN_K / 6))
 		c->verdict = CALIBRATE_SMALL_TEMPERATURE_SPAN;
 	else
 		c->verdict = fit(c) ? CALIBRATE_GOOD : CALIBRATE_LARGE_RESIDUAL;
 	c->result.lowest_degC = c->lowest_degC;
 	c->result.highest_degC = c->highest_degC;
-	c->result.rest_s = c->all.n * BLOCK_S;
+	c->result.rest_s = c->all.n * CALIBRATE_BLOCK_S;
 	return c->verdict;
 }

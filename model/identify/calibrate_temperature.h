@@ -1,8 +1,8 @@
 /* model/identify/calibrate_temperature.h
- * How the biases of gyro and accelerometer follow the temperature, from rests during which it moves:
- * bias(T) = bias + slope (T - T0) + quadratic (T - T0)^2, least squares over quarters of a second. Each rest has an offset
- * of its own: the sensor may be laid down otherwise in between, for the accelerometer sees gravity. Hence no bias comes
- * out of it, only how it changes. */
+ * Temperature dependence of the biases of gyro and accelerometer, from rests during which the temperature changes:
+ * bias(T) = bias + slope (T - T0) + quadratic (T - T0)^2, by least squares over blocks of CALIBRATE_BLOCK_S. Each rest
+ * has its own constant offset, because the accelerometer measures gravity and the sensor can be put down differently
+ * each time. Hence the accelerometer's bias itself is not observable, only its change. */
 #ifndef MODEL_IDENTIFY_CALIBRATE_TEMPERATURE_H
 #define MODEL_IDENTIFY_CALIBRATE_TEMPERATURE_H
 
@@ -12,11 +12,11 @@
 struct calibrate_temperature_result {
 	struct temperature_compensation compensation; /* reference: the mean temperature of the rests */
 	double lowest_degC, highest_degC;
-	struct vec3 gyro_residual_rad_s, accel_residual_m_s2; /* RMS of a quarter of a second */
-	struct vec3 gyro_slope_sigma, accel_slope_sigma;      /* 1 sigma of the noise between quarters of a second */
-	struct vec3 gyro_rad_s; /* mean over all rests at the reference: the gyro's bias there */
-	double rest_s;
-	bool quadratic; /* it explains enough more than a straight line */
+	struct vec3 gyro_residual_rad_s, accel_residual_m_s2; /* RMS of the blocks */
+	struct vec3 gyro_slope_sigma, accel_slope_sigma;      /* 1 sigma per K, from the residual */
+	struct vec3 gyro_rad_s;				      /* bias of the gyro at the reference temperature */
+	double rest_s;					      /* total length of the rests with a temperature */
+	bool quadratic;					      /* a parabola was fitted, not a straight line */
 };
 
 struct calibrate_temperature {
@@ -25,9 +25,9 @@ struct calibrate_temperature {
 	/* PRIVATE */
 	struct calibrate_rest rest;
 	struct calibrate_temperature_sums {
-		double n, z[2], zz[3], y[6], zy[2][6],
-			yy[6]; /* z: t and t^2, t from the first block; y: gyro, accelerometer */
-	} now, all;	       /* of this rest; of all rests, their means taken away */
+		/* sums over blocks; z: t and t^2, with t the temperature from first_degC; y: gyro, accelerometer */
+		double n, z[2], zz[3], y[6], zy[2][6], yy[6];
+	} now, all; /* the current rest; all rests, about the means of each */
 	double gyro_sum[3], z_sum[2], n;
 	double first_degC, lowest_degC, highest_degC;
 	double origin[6];
@@ -37,7 +37,7 @@ struct calibrate_temperature {
 
 void calibrate_temperature_init(struct calibrate_temperature *c);
 void calibrate_temperature_step(struct calibrate_temperature *c, const struct imu_sample *raw);
-/** No more samples. */
+/** Call after the last sample of a log. */
 enum calibrate_verdict calibrate_temperature_finish(struct calibrate_temperature *c);
 
 #endif

@@ -5,13 +5,14 @@
 #include "model/math/linalg.h"
 
 enum { N = ELLIPSOID_UNKNOWNS, ROBUST_PASSES = 3, STEPS_MAX = 15 };
-/* Least eigenvalue of the information a point gives on average, points all over the sphere: 1/5 - 1/15 */
+/* Least eigenvalue of the mean information of a point, for points evenly spaced on the sphere: 1/5 - 1/15. */
 static const double BEST_INFORMATION = 2.0 / 15;
-static const double HUBER = 2; /* of the mean distance; 1.6 sigma of a normal distribution */
+/* Edge of Huber's weight, in mean absolute distances: 1.6 sigma of a normal distribution. */
+static const double HUBER = 2;
 
 /* ---- the quadric ------------------------------------------------------------------------------------------------- */
 
-/* Origin and unit that make the normal matrix well conditioned. */
+/* Mean and RMS distance from it: origin and unit in which the normal matrix is well conditioned. */
 static double span(const struct vec3 *points, int count, struct vec3 *mean)
 {
 	double sum = 0;
@@ -90,7 +91,7 @@ static double weight(const struct ellipsoid *e, struct vec3 p, double edge)
 	return d <= edge ? 1 : edge / d;
 }
 
-/* Derivatives of the distance, in radii, by centre / radius and the matrix's elements. */
+/* Derivatives of distance / radius with respect to centre / radius and the elements of the matrix. */
 static void derivatives(const struct ellipsoid *e, struct vec3 p, double row[N])
 {
 	struct vec3 d = vec3_sub(p, e->centre), f = mat3_apply(e->matrix, d);
@@ -108,7 +109,7 @@ static void derivatives(const struct ellipsoid *e, struct vec3 p, double row[N])
 	row[8] = n.y * d.z + n.z * d.y;
 }
 
-static struct ellipsoid moved(const struct ellipsoid *e, const double step[N])
+static struct ellipsoid step_from(const struct ellipsoid *e, const double step[N])
 {
 	struct ellipsoid m = *e;
 
@@ -121,11 +122,11 @@ static struct ellipsoid moved(const struct ellipsoid *e, const double step[N])
 	return m;
 }
 
-/* The points and, of the robust fit, the beginning of this pass that gives their weights. */
+/* The weights follow from the ellipsoid at the beginning of a pass of the robust fit. */
 struct problem {
 	const struct vec3 *points;
 	int count;
-	struct ellipsoid weigh;
+	struct ellipsoid before;
 	double edge;
 };
 
@@ -136,7 +137,7 @@ static double cost(const struct problem *p, const struct ellipsoid *e)
 	for (int i = 0; i < p->count; i++) {
 		double d = distance(e, p->points[i]) / e->radius;
 
-		sum += weight(&p->weigh, p->points[i], p->edge) * d * d;
+		sum += weight(&p->before, p->points[i], p->edge) * d * d;
 	}
 	return sum;
 }
@@ -149,7 +150,7 @@ static void normal_equations(const struct problem *p, const struct ellipsoid *e,
 		right[j] = 0;
 	for (int i = 0; i < p->count; i++) {
 		double row[N], d = distance(e, p->points[i]) / e->radius;
-		double w = weight(&p->weigh, p->points[i], p->edge);
+		double w = weight(&p->before, p->points[i], p->edge);
 
 		derivatives(e, p->points[i], row);
 		for (int j = 0; j < N; j++) {
@@ -182,7 +183,7 @@ static int minimise(const struct problem *p, struct ellipsoid *e)
 			normal[j * (N + 1)] *= 1 + damping;
 		if (linalg_solve(N, normal, step) < 0)
 			return -EDOM;
-		there = moved(e, step);
+		there = step_from(e, step);
 		next = cost(p, &there);
 		if (next <= now) {
 			*e = there;
@@ -206,7 +207,7 @@ static double mean_distance(const struct vec3 *points, int count, const struct e
 	return sum / count;
 }
 
-/* As if the points were those of a sphere of radius 1: only their directions count. */
+/* For the directions of the points only, as if they lay on the unit sphere. */
 static double coverage(const struct problem *p, const struct ellipsoid *e)
 {
 	double information[N * N] = {0}, values[N], vectors[N * N];
@@ -226,8 +227,8 @@ static double coverage(const struct problem *p, const struct ellipsoid *e)
 	return sqrt(fmin(1, fmax(0, values[0]) / BEST_INFORMATION));
 }
 
-/* What the fit is worth. */
-static int judge(const struct problem *p, struct ellipsoid *e)
+/* Fills in the quality of the fit. */
+static int evaluate(const struct problem *p, struct ellipsoid *e)
 {
 	double normal[N * N], right[N], copy[9], values[3], vectors[9], sum = 0, variance;
 
@@ -285,7 +286,7 @@ int ellipsoid_guess(const struct vec3 *points, int count, double radius, struct 
 	e->matrix = compose(f, vectors);
 	e->centre = vec3_add(origin, vec3_scale(unit, centre));
 	e->radius = radius;
-	return judge(&(struct problem){points, count, *e, (double)INFINITY}, e);
+	return evaluate(&(struct problem){points, count, *e, (double)INFINITY}, e);
 }
 
 int ellipsoid_fit(const struct vec3 *points, int count, double radius, bool robust, struct ellipsoid *e)
@@ -297,12 +298,12 @@ int ellipsoid_fit(const struct vec3 *points, int count, double radius, bool robu
 		return -EDOM;
 	fit.radius = radius;
 	for (int pass = 0; pass < (robust ? ROBUST_PASSES : 1); pass++) {
-		p.weigh = fit;
+		p.before = fit;
 		p.edge = robust ? HUBER * mean_distance(points, count, &fit) : (double)INFINITY;
 		if (minimise(&p, &fit) < 0)
 			return -EDOM;
 	}
-	if (judge(&p, &fit) < 0)
+	if (evaluate(&p, &fit) < 0)
 		return -EDOM;
 	*e = fit;
 	return 0;

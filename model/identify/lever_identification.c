@@ -8,30 +8,31 @@
 /* The parameters: r, bias of the accelerometer, delay of the reference. */
 enum { PARAMETER_ARM = 0, PARAMETER_BIAS = 3, PARAMETER_DELAY = 6, PARAMETERS = 7 };
 
-/* The parameters are known a little beforehand, so that what the motion does not tell stays finite: r and bias to this
- * 1 sigma, the delay to its limit, where samples err by PRIOR_NOISE_M_S2. */
+/* A weak prior keeps the unobservable parameters finite: 1 sigma of r, of the bias, and of the noise of a sample to
+ * which they are related; that of the delay is its limit. All far wider than the final sigma. */
 static const double PRIOR_ARM_M = 10, PRIOR_BIAS_M_S2 = 1, PRIOR_NOISE_M_S2 = 0.2;
 
-/* Newton's steps for the delay. */
+/* Newton steps for the delay. */
 enum { DELAY_STEPS = 4 };
 
-/* The filters settle for so long: ten time constants. */
+/* Settling time of the filters: ten time constants of the low-pass. */
 static const double SETTLING_S = 0.3;
 
-/* So many lost samples are bridged by a straight line; the interval of sampling follows the time stamps with this share of
- * each. */
-static const double BRIDGED = 3, RATE_SHARE = 0.01;
+/* Up to BRIDGED_MAX consecutive lost samples are interpolated; more start a new window. RATE_GAIN: gain of the
+ * first-order filter that tracks the sampling interval, a time constant of 100 samples. */
+static const double BRIDGED_MAX = 3, RATE_GAIN = 0.01;
 
-/* Refusals. The RMS of alpha x + omega x omega x of a unit lever arm along the direction that the motion tells least of,
- * absolute and as a share of the best one, and along the best one. The noise of a gyro alone (0.03 deg/s/sqrt(Hz), below
- * 8 Hz) makes 0.05; slow movements by hand have 4 and more, quick ones 50. */
-static const double SLOW_S2 = 1, BLIND_S2 = 0.4, BLIND_SHARE = 0.05;
-/* What is left over of a held point, of an outside reference, and the share of the lever arm's own acceleration. */
-static const double HELD_M_S2 = 0.3, REFERENCE_M_S2 = 1, LEFT_SHARE = 0.1;
-/* Noise of r that is too much: per axis, or the share of |r|. */
-static const double UNSURE_M = 0.005, UNSURE_SHARE = 0.03;
-/* One direction worse than the others by this is named. */
-static const double LOPSIDED = 3;
+/* Limits of the excitation, the RMS of (alpha x + omega x omega x) of a unit lever arm: least value along the best
+ * observable direction, along the worst one, and of the worst as a share of the best. The noise of the gyro alone (0.03
+ * deg/s/sqrt(Hz), below 8 Hz) gives 0.05; slow movements by hand give 4 and more, quick ones 50. */
+static const double MIN_EXCITATION_S2 = 1, MIN_WORST_EXCITATION_S2 = 0.4, MIN_WORST_SHARE = 0.05;
+/* Limits of the residual: constant part for a held point and for a reference, plus a share of the acceleration that the
+ * lever arm explains. The optical reference of the recorded trials leaves 0.14 to 0.40 m/s^2. */
+static const double MAX_HELD_RESIDUAL_M_S2 = 0.3, MAX_REFERENCE_RESIDUAL_M_S2 = 1, MAX_RESIDUAL_SHARE = 0.1;
+/* Limit of noise_sigma_b_m: the larger of both, absolute and as a share of |r|. */
+static const double MAX_NOISE_SIGMA_M = 0.005, MAX_NOISE_SIGMA_SHARE = 0.03;
+/* When sigma is too large: ratio of the best to the worst excitation from which the axis is named as the cause. */
+static const double UNEVEN_RATIO = 3;
 
 const char *lever_verdict_text(enum lever_verdict verdict)
 {
@@ -39,26 +40,27 @@ const char *lever_verdict_text(enum lever_verdict verdict)
 	case LEVER_FOUND:
 		return "found";
 	case LEVER_TOO_SHORT:
-		return "too short: at least 10 s of motion without gaps are needed, better 30 s";
+		return "too short: move it for at least 10 s without gaps, better 30 s";
 	case LEVER_NO_REFERENCE:
-		return "no reference: the acceleration of the reference point did not come, or not often enough";
+		return "no reference: the acceleration of the reference point was not received often enough";
 	case LEVER_TOO_SLOW:
-		return "too slow: turn the object to and fro, about all its axes, once or twice a second";
+		return "too slow: turn the object back and forth about all its axes, once or twice a second";
 	case LEVER_BLIND_L:
-		return "turned about the longitudinal axis only: that does not tell r along it; turn about the others, "
-		       "too";
+		return "turned about the longitudinal axis only, so r along it is not observable: turn about the other "
+		       "axes as well";
 	case LEVER_BLIND_S:
-		return "turned about the side axis only: that does not tell r along it; turn about the others, too";
+		return "turned about the side axis only, so r along it is not observable: turn about the other axes as "
+		       "well";
 	case LEVER_BLIND_T:
-		return "turned about the transversal axis only: that does not tell r along it; turn about the others, "
-		       "too";
+		return "turned about the transversal axis only, so r along it is not observable: turn about the other "
+		       "axes as well";
 	case LEVER_NOT_HELD:
-		return "does not fit: the reference point was not held still, or the reference is not that of this "
+		return "does not fit: the reference point was not held still, or the reference belongs to another "
 		       "motion";
 	case LEVER_UNSURE:
-		return "not sure enough: turn faster, or for longer";
+		return "sigma is too large: turn faster, or for longer";
 	case LEVER_SENSOR_LOST:
-		return "the sensor stopped";
+		return "the sensor stopped sending samples";
 	}
 	return "unknown";
 }
@@ -88,7 +90,7 @@ static int pair(int i, int j)
 	return i >= j ? i * (i + 1) / 2 + j : j * (j + 1) / 2 + i;
 }
 
-static void empty_window(struct lever_identification *id)
+static void reset_window(struct lever_identification *id)
 {
 	memset(&id->window, 0, sizeof(id->window));
 	memset(id->sum, 0, sizeof(id->sum));
@@ -103,7 +105,7 @@ static void add_block(struct lever_block *to, const struct lever_block *from)
 	to->samples += from->samples;
 }
 
-static void halve_blocks(struct lever_identification *id)
+static void merge_blocks(struct lever_identification *id)
 {
 	for (int i = 0; i < LEVER_BLOCKS / 2; i++) {
 		id->block[i] = id->block[2 * i];
@@ -113,7 +115,7 @@ static void halve_blocks(struct lever_identification *id)
 	id->windows_per_block *= 2;
 }
 
-static void keep_window(struct lever_identification *id)
+static void store_window(struct lever_identification *id)
 {
 	if (id->blocks > 0 && id->last_block_windows < id->windows_per_block) {
 		add_block(&id->block[id->blocks - 1], &id->window);
@@ -121,28 +123,28 @@ static void keep_window(struct lever_identification *id)
 		return;
 	}
 	if (id->blocks == LEVER_BLOCKS)
-		halve_blocks(id);
+		merge_blocks(id);
 	id->block[id->blocks++] = id->window;
 	id->last_block_windows = 1;
 }
 
-/* What a constant and a slope, one of each for each axis, would explain goes out of the products. */
+/* Removes from the products what a constant and a slope of each axis explain. */
 static void end_window(struct lever_identification *id)
 {
-	const double n = id->window_count, spread = n * (n * n - 1) / 12; /* of the instants about their middle */
+	const double n = id->window_count, spread = n * (n * n - 1) / 12; /* sum of squares of the instants */
 
 	for (int i = 0; i < LEVER_TERMS; i++)
 		for (int j = 0; j <= i; j++)
 			id->window.product[pair(i, j)] -=
 				vec3_dot(id->sum[i], id->sum[j]) / n + vec3_dot(id->moment[i], id->moment[j]) / spread;
 	id->window.samples = n;
-	keep_window(id);
+	store_window(id);
 	id->windows++;
 	id->window_ended = true;
-	empty_window(id);
+	reset_window(id);
 }
 
-static void gather(struct lever_identification *id, const struct vec3 term[LEVER_TERMS])
+static void accumulate(struct lever_identification *id, const struct vec3 term[LEVER_TERMS])
 {
 	const double instant = id->window_count - 0.5 * (id->window_size - 1);
 
@@ -158,8 +160,8 @@ static void gather(struct lever_identification *id, const struct vec3 term[LEVER
 
 /* ---- samples to terms -------------------------------------------------------------------------------------------- */
 
-/* Five-point formulas, exact for polynomials of the fourth degree: three points lose 7 % of an oscillation at a tenth of
- * the sampling rate. */
+/* Five-point formulas, exact for polynomials of degree 4. With three points an oscillation at a tenth of the sampling
+ * rate would lose 7 %. */
 static struct vec3 first_derivative(const struct vec3 x[LEVER_STENCIL], double dt_s)
 {
 	struct vec3 near = vec3_sub(x[3], x[1]), far = vec3_sub(x[4], x[0]);
@@ -174,7 +176,7 @@ static struct vec3 second_derivative(const struct vec3 x[LEVER_STENCIL], double 
 	return vec3_scale(1 / (12 * dt_s * dt_s), vec3_sub(vec3_scale(16, near), vec3_add(far, vec3_scale(30, x[2]))));
 }
 
-/* The terms at the middle of the stencil, in the almost inertial frame. */
+/* At the middle of the stencil, in the almost inertial frame. */
 static void make_terms(const struct lever_identification *id, struct vec3 term[LEVER_TERMS])
 {
 	static const struct vec3 UNIT[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
@@ -204,7 +206,7 @@ void lever_identification_break(struct lever_identification *id)
 {
 	id->raw_count = id->settling = 0;
 	id->window_ended = false;
-	empty_window(id);
+	reset_window(id);
 }
 
 static void push(struct lever_identification *id, const struct lever_raw *raw)
@@ -216,8 +218,8 @@ static void push(struct lever_identification *id, const struct lever_raw *raw)
 	id->raw[id->raw_count - 1] = *raw;
 }
 
-/* The gyro's turn from one sample to the next, by the mean of both rates. */
-static struct quat turned(const struct lever_raw *from, struct vec3 gyro_b_rad_s, double dt_s)
+/* Attitude of the next sample, from the mean of both rates. */
+static struct quat propagate(const struct lever_raw *from, struct vec3 gyro_b_rad_s, double dt_s)
 {
 	struct vec3 mean = vec3_scale(0.5, vec3_add(from->gyro_b_rad_s, gyro_b_rad_s));
 
@@ -229,17 +231,17 @@ static bool usable(struct vec3 v)
 	return fabs(v.x) < 1e5 && fabs(v.y) < 1e5 && fabs(v.z) < 1e5; /* false for NaN */
 }
 
-static struct vec3 between(struct vec3 a, struct vec3 b, double share)
+static struct vec3 interpolate(struct vec3 a, struct vec3 b, double share)
 {
 	return vec3_add(a, vec3_scale(share, vec3_sub(b, a)));
 }
 
-static void take(struct lever_identification *id, struct lever_raw raw)
+static void add_sample(struct lever_identification *id, struct lever_raw raw)
 {
 	struct vec3 term[LEVER_TERMS];
 
 	if (id->raw_count > 0)
-		raw.q = turned(&id->raw[id->raw_count - 1], raw.gyro_b_rad_s, id->dt_s);
+		raw.q = propagate(&id->raw[id->raw_count - 1], raw.gyro_b_rad_s, id->dt_s);
 	push(id, &raw);
 	if (id->raw_count < LEVER_STENCIL)
 		return;
@@ -252,27 +254,27 @@ static void take(struct lever_identification *id, struct lever_raw raw)
 	if (id->settling < SETTLING_S * id->config.rate_hz)
 		id->settling++;
 	else
-		gather(id, term);
+		accumulate(id, term);
 }
 
-/* The samples lost before this one, as a straight line; too many of them begin a new window. */
+/* Interpolates the samples lost before this one, or starts a new window if they are too many. */
 static void bridge(struct lever_identification *id, const struct lever_raw *to, double interval_s)
 {
 	const double intervals = fmax(floor(interval_s * id->config.rate_hz + 0.5), 1);
 	const struct lever_raw from = id->raw[id->raw_count > 0 ? id->raw_count - 1 : 0];
 
-	if (!(interval_s > 0 && intervals <= 1 + BRIDGED))
+	if (!(interval_s > 0 && intervals <= 1 + BRIDGED_MAX))
 		lever_identification_break(id);
 	if (id->raw_count == 0)
 		return;
-	id->dt_s += RATE_SHARE * (interval_s / intervals - id->dt_s);
+	id->dt_s += RATE_GAIN * (interval_s / intervals - id->dt_s);
 	for (double k = 1; k < intervals; k++)
-		take(id, (struct lever_raw){
-				 .gyro_b_rad_s = between(from.gyro_b_rad_s, to->gyro_b_rad_s, k / intervals),
-				 .force_b_m_s2 = between(from.force_b_m_s2, to->force_b_m_s2, k / intervals),
-				 .ref_b_m_s2 = between(from.ref_b_m_s2, to->ref_b_m_s2, k / intervals),
-				 .q = QUAT_IDENTITY,
-			 });
+		add_sample(id, (struct lever_raw){
+				       .gyro_b_rad_s = interpolate(from.gyro_b_rad_s, to->gyro_b_rad_s, k / intervals),
+				       .force_b_m_s2 = interpolate(from.force_b_m_s2, to->force_b_m_s2, k / intervals),
+				       .ref_b_m_s2 = interpolate(from.ref_b_m_s2, to->ref_b_m_s2, k / intervals),
+				       .q = QUAT_IDENTITY,
+			       });
 }
 
 void lever_identification_step(struct lever_identification *id, uint64_t t_us, struct vec3 gyro_b_rad_s,
@@ -293,7 +295,7 @@ void lever_identification_step(struct lever_identification *id, uint64_t t_us, s
 		return;
 	}
 	bridge(id, &raw, interval_s);
-	take(id, raw);
+	add_sample(id, raw);
 }
 
 bool lever_identification_news(const struct lever_identification *id)
@@ -303,10 +305,11 @@ bool lever_identification_news(const struct lever_identification *id)
 
 /* ---- blocks to an estimate --------------------------------------------------------------------------------------- */
 
-/* What is compared (row 0) and what explains it (one row a parameter), each a sum of terms. */
+/* Row 0: the dependent variable; the other rows: the regressor of each parameter. Each is a linear combination of
+ * terms. */
 typedef double combination[1 + PARAMETERS][LEVER_TERMS];
 
-/* a_ref(t) = ref(t + delay), to the second order, and its change with the delay. */
+/* a_ref(t) = ref(t + delay) to the second order, and its derivative with respect to the delay. */
 static void combine(double delay_s, combination c)
 {
 	memset(c, 0, sizeof(combination));
@@ -322,7 +325,7 @@ static void combine(double delay_s, combination c)
 	c[1 + PARAMETER_DELAY][LEVER_REFERENCE_DDOT] = delay_s;
 }
 
-/* Products of the combinations; [0][0] is the square of what is compared. */
+/* Products of the combinations; [0][0] is the square of the dependent variable. */
 static void multiply(const struct lever_block *b, combination c, double out[1 + PARAMETERS][1 + PARAMETERS])
 {
 	combination half;
@@ -343,13 +346,13 @@ static void multiply(const struct lever_block *b, combination c, double out[1 + 
 
 struct solution {
 	double value[PARAMETERS];
-	double inverse[PARAMETERS * PARAMETERS]; /* of the information; in units of a sample's variance */
+	double inverse[PARAMETERS * PARAMETERS]; /* of the information matrix, for samples of unit variance */
 	double noise_variance[3];		 /* of r */
-	double residual_m_s2, arm_m_s2;		 /* RMS: what is left over, what the lever arm explains */
+	double residual_m_s2, arm_m_s2;		 /* RMS of the residual, and of what the lever arm explains */
 	double delay_s;
 };
 
-static void weigh_prior(double information[PARAMETERS * PARAMETERS], bool with_delay)
+static void add_prior(double information[PARAMETERS * PARAMETERS], bool with_delay)
 {
 	const double variance = PRIOR_NOISE_M_S2 * PRIOR_NOISE_M_S2;
 
@@ -357,12 +360,12 @@ static void weigh_prior(double information[PARAMETERS * PARAMETERS], bool with_d
 		information[(PARAMETER_ARM + i) * (PARAMETERS + 1)] += variance / (PRIOR_ARM_M * PRIOR_ARM_M);
 		information[(PARAMETER_BIAS + i) * (PARAMETERS + 1)] += variance / (PRIOR_BIAS_M_S2 * PRIOR_BIAS_M_S2);
 	}
-	/* what is not estimated is known to be 0 */
+	/* a delay that is not estimated is known to be 0 */
 	information[PARAMETER_DELAY * (PARAMETERS + 1)] +=
 		with_delay ? variance / (LEVER_DELAY_MAX_S * LEVER_DELAY_MAX_S) : 1e12;
 }
 
-/* One linear step, the delay's terms taken at s->delay_s. */
+/* One Newton step, linearised at s->delay_s. */
 static bool solve_once(const struct lever_block *total, bool with_delay, struct solution *s)
 {
 	double product[1 + PARAMETERS][1 + PARAMETERS], explained = 0, arm = 0;
@@ -373,7 +376,7 @@ static bool solve_once(const struct lever_block *total, bool with_delay, struct 
 	for (int i = 0; i < PARAMETERS; i++)
 		for (int j = 0; j < PARAMETERS; j++)
 			s->inverse[i * PARAMETERS + j] = product[1 + i][1 + j];
-	weigh_prior(s->inverse, with_delay);
+	add_prior(s->inverse, with_delay);
 	if (linalg_invert(PARAMETERS, s->inverse) < 0)
 		return false;
 	for (int i = 0; i < PARAMETERS; i++) {
@@ -390,8 +393,8 @@ static bool solve_once(const struct lever_block *total, bool with_delay, struct 
 	return true;
 }
 
-/* Each block pulls the estimate where it would have it (its score); the scatter of these pulls is the noise. */
-static void scatter(const struct lever_identification *id, bool with_delay, struct solution *s)
+/* Cluster-robust variance: the sum over blocks of the squared influence of each (inverse information times score). */
+static void estimate_variance(const struct lever_identification *id, bool with_delay, struct solution *s)
 {
 	const int free_parameters = with_delay ? PARAMETERS : PARAMETERS - 1;
 	double product[1 + PARAMETERS][1 + PARAMETERS], score[PARAMETERS];
@@ -407,11 +410,11 @@ static void scatter(const struct lever_identification *id, bool with_delay, stru
 				score[i] -= product[1 + i][1 + j] * s->value[j];
 		}
 		for (int i = 0; i < 3; i++) {
-			double pull = 0;
+			double influence = 0;
 
 			for (int j = 0; j < PARAMETERS; j++)
-				pull += s->inverse[i * PARAMETERS + j] * score[j];
-			s->noise_variance[i] += pull * pull;
+				influence += s->inverse[i * PARAMETERS + j] * score[j];
+			s->noise_variance[i] += influence * influence;
 		}
 	}
 	for (int i = 0; i < 3; i++)
@@ -432,14 +435,14 @@ static bool solve(const struct lever_identification *id, bool with_delay, struct
 		if (!solve_once(&total, with_delay, s))
 			return false;
 	}
-	scatter(id, with_delay, s);
+	estimate_variance(id, with_delay, s);
 	return true;
 }
 
-/* RMS of alpha x + omega x omega x a unit lever arm along the direction that it tells least of, and most; the weakest
- * axis. */
+/* RMS of (alpha x + omega x omega x) of a unit lever arm along the worst and the best observable direction; the axis
+ * next to the worst one. */
 struct excitation {
-	double weakest_s2, strongest_s2;
+	double worst_s2, best_s2;
 	int axis;
 };
 
@@ -453,8 +456,8 @@ static struct excitation excitation(const struct solution *s, double samples)
 			covariance[3 * i + j] = s->inverse[i * PARAMETERS + j];
 	if (linalg_eigen(3, covariance, values, vectors) < 0)
 		return e;
-	e.weakest_s2 = 1 / sqrt(values[2] * samples);
-	e.strongest_s2 = 1 / sqrt(values[0] * samples);
+	e.worst_s2 = 1 / sqrt(values[2] * samples);
+	e.best_s2 = 1 / sqrt(values[0] * samples);
 	for (int i = 1; i < 3; i++)
 		if (fabs(vectors[6 + i]) > fabs(vectors[6 + e.axis]))
 			e.axis = i;
@@ -463,7 +466,7 @@ static struct excitation excitation(const struct solution *s, double samples)
 
 static bool too_noisy(const struct lever_estimate *e)
 {
-	const double limit_m = fmax(UNSURE_M, UNSURE_SHARE * vec3_norm(e->lever_arm_b_m));
+	const double limit_m = fmax(MAX_NOISE_SIGMA_M, MAX_NOISE_SIGMA_SHARE * vec3_norm(e->lever_arm_b_m));
 	const struct vec3 n = e->noise_sigma_b_m;
 
 	return !(n.x <= limit_m && n.y <= limit_m && n.z <= limit_m);
@@ -474,33 +477,34 @@ static enum lever_verdict judge(
 {
 	const double samples = (double)id->windows * id->window_size;
 	const struct excitation x = excitation(s, samples);
-	const double allowed_m_s2 = (id->config.reference ? REFERENCE_M_S2 : HELD_M_S2) + LEFT_SHARE * s->arm_m_s2;
+	const double limit_m_s2 = (id->config.reference ? MAX_REFERENCE_RESIDUAL_M_S2 : MAX_HELD_RESIDUAL_M_S2) +
+				  MAX_RESIDUAL_SHARE * s->arm_m_s2;
 	const enum lever_verdict blind = (enum lever_verdict)(LEVER_BLIND_L + x.axis);
 
-	if (!(x.strongest_s2 >= SLOW_S2))
+	if (!(x.best_s2 >= MIN_EXCITATION_S2))
 		return LEVER_TOO_SLOW;
-	if (x.weakest_s2 < BLIND_S2 || x.weakest_s2 < BLIND_SHARE * x.strongest_s2)
+	if (x.worst_s2 < MIN_WORST_EXCITATION_S2 || x.worst_s2 < MIN_WORST_SHARE * x.best_s2)
 		return blind;
-	if (s->residual_m_s2 > allowed_m_s2)
+	if (s->residual_m_s2 > limit_m_s2)
 		return LEVER_NOT_HELD;
 	if (too_noisy(e))
-		return LOPSIDED * x.weakest_s2 < x.strongest_s2 ? blind : LEVER_UNSURE;
+		return UNEVEN_RATIO * x.worst_s2 < x.best_s2 ? blind : LEVER_UNSURE;
 	return LEVER_FOUND;
 }
 
-static double hypotenuse(double a, double b, double c)
+static double hypot3(double a, double b, double c)
 {
 	return sqrt(a * a + b * b + c * c);
 }
 
-/* Noise, what no recording shows of itself, and what a delay would change that was not to be estimated. */
-static struct vec3 whole_sigma(const struct lever_estimate *e, struct vec3 by_delay)
+/* Noise, systematic errors that the data do not show, and the effect of a delay that was not estimated. */
+static struct vec3 total_sigma(const struct lever_estimate *e, struct vec3 by_delay)
 {
-	const double always = hypot(LEVER_POINT_SIGMA_M, LEVER_SCALE_SIGMA * vec3_norm(e->lever_arm_b_m));
+	const double systematic = hypot(LEVER_POINT_SIGMA_M, LEVER_SCALE_SIGMA * vec3_norm(e->lever_arm_b_m));
 
-	return (struct vec3){hypotenuse(e->noise_sigma_b_m.x, always, by_delay.x),
-		hypotenuse(e->noise_sigma_b_m.y, always, by_delay.y),
-		hypotenuse(e->noise_sigma_b_m.z, always, by_delay.z)};
+	return (struct vec3){hypot3(e->noise_sigma_b_m.x, systematic, by_delay.x),
+		hypot3(e->noise_sigma_b_m.y, systematic, by_delay.y),
+		hypot3(e->noise_sigma_b_m.z, systematic, by_delay.z)};
 }
 
 static struct vec3 arm_of(const struct solution *s)
@@ -529,7 +533,7 @@ struct lever_estimate lever_identification_estimate(const struct lever_identific
 		by_delay = vec3_sub(arm_of(&other), e.lever_arm_b_m);
 		e.delay_s = other.delay_s;
 	}
-	e.sigma_b_m = whole_sigma(&e, by_delay);
+	e.sigma_b_m = total_sigma(&e, by_delay);
 	e.verdict = judge(id, &s, &e);
 	return e;
 }

@@ -43,7 +43,7 @@ double rng_uniform(struct rng *rng)
 	return (double)(rng_u64(rng) >> 11) * 0x1p-53;
 }
 
-/* Marsaglia's polar method. */
+/* Marsaglia's polar method: two independent numbers from a point in the unit circle. */
 double rng_gauss(struct rng *rng)
 {
 	double u, v, s, k;

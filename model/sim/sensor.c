@@ -5,13 +5,13 @@
 #include <math.h>
 #include <string.h>
 
-/* Time constants of the Gauss-Markov processes whose sum stands for flicker noise: 1, 8 .. 4096 s. */
 static const double START_DEGC = 25;
+/* Flicker noise is approximated by a sum of Gauss-Markov processes with the time constants 1, 8, .. 4096 s. */
 static const double FLICKER_TAU_S = 1, FLICKER_RATIO = 8, LOG_FLICKER_RATIO = 2.0794415416798357;
 
-/* Chips at a full scale and its digit: densities, offsets, digits and ranges are the datasheets' typical values (the
- * gyro's offset that of its finest range), bandwidths what they offer at about 100 Hz. For bias instability and random
- * walk the datasheets have no figure: usual ones of this class of chips. */
+/* Chips at a full scale with its digit. Densities, offsets, digits and ranges are the typical values of the datasheets
+ * (the offset of the gyro is that of its finest range), bandwidths those available at about 100 Hz. The datasheets do
+ * not specify bias instability and random walk: the values are common ones for this class of chips. */
 #define L3G4200D(full_scale, digit)                                                                     \
 	{                                                                                               \
 		.density = 0.03 * RAD_PER_DEG, .bias_instability = 0.01 * RAD_PER_DEG,                  \
@@ -50,14 +50,14 @@ const struct sensor_config SENSOR_PRESETS[] = {
 		.mag_rate_hz = 75,
 		COMMON},
 	{.name = "lsm303dlhc_l3gd20_fine",
-		.about = "the same at 2 g and 250 deg/s: fine digits, to calibrate and to see the noise at rest",
+		.about = "the same at 2 g and 250 deg/s: finer digits, for calibrations and noise at rest",
 		.gyro = L3G4200D(250, 0.00875),
 		.accel = LSM303DLHC_ACCEL(2, 0.001),
 		.mag = LSM303_MAG(0.02, 1100),
 		.mag_rate_hz = 75,
 		COMMON},
 	{.name = "lsm303dlh_l3g4200d",
-		.about = "Pololu IMU 9 v0, the seed's: LSM303DLH at 8 g and 1.3 gauss, L3G4200D at 2000 deg/s",
+		.about = "Pololu IMU 9 v0, as in the paper: LSM303DLH at 8 g and 1.3 gauss, L3G4200D at 2000 deg/s",
 		.gyro = L3G4200D(2000, 0.07),
 		.accel = LSM303DLH_ACCEL(8, 0.0039),
 		.mag = LSM303_MAG(0.1, 1055),
@@ -98,8 +98,8 @@ static int errors_valid(const struct triad_errors *e)
 	return 1;
 }
 
-/* Processes of equal variance v, time constants a factor k apart: one-sided spectrum v / (ln k *
- * f), and flicker noise of bias instability B has B^2 / (pi f). */
+/* Processes of equal variance v whose time constants differ by a factor k have together the one-sided spectrum
+ * v / (ln k f); flicker noise of bias instability B has B^2 / (pi f). */
 static void flicker_init(struct triad *triad, double interval_s)
 {
 	double sigma = triad->errors.bias_instability * sqrt(LOG_FLICKER_RATIO / PI);
@@ -139,7 +139,7 @@ static void triad_init(struct triad *triad, const struct triad_errors *errors, d
 
 			triad->matrix[i][j] = i == j ? 1 + errors->scale_sigma * g : errors->cross_axis_sigma * g;
 		}
-	/* drawn apart, so that what was drawn before it stays as it was */
+	/* from a generator of its own, so that the other draws do not depend on it */
 	rng_init(&slopes, ~seed);
 	triad->slope.x = errors->temperature_sigma * rng_gauss(&slopes);
 	triad->slope.y = errors->temperature_sigma * rng_gauss(&slopes);
@@ -211,7 +211,7 @@ static double digitise(const struct triad_errors *errors, double value)
 	return value;
 }
 
-static struct vec3 triad_measure(struct triad *triad, struct vec3 in, double warmer_K, int first)
+static struct vec3 triad_measure(struct triad *triad, struct vec3 in, double rise_K, int first)
 {
 	double(*m)[3] = triad->matrix;
 	struct vec3 v = low_pass(triad, in, first);
@@ -221,7 +221,7 @@ static struct vec3 triad_measure(struct triad *triad, struct vec3 in, double war
 		m[2][0] * v.x + m[2][1] * v.y + m[2][2] * v.z + triad->bias.z,
 	};
 
-	out = vec3_add(out, vec3_scale(warmer_K, triad->slope));
+	out = vec3_add(out, vec3_scale(rise_K, triad->slope));
 	out.x = digitise(&triad->errors, out.x + noise(triad, 0));
 	out.y = digitise(&triad->errors, out.y + noise(triad, 1));
 	out.z = digitise(&triad->errors, out.z + noise(triad, 2));
@@ -230,7 +230,7 @@ static struct vec3 triad_measure(struct triad *triad, struct vec3 in, double war
 
 double sensor_instant_s(struct sensor *sensor)
 {
-	double t_s = (double)sensor->taken / sensor->config.rate_hz;
+	double t_s = (double)sensor->count / sensor->config.rate_hz;
 
 	return fmax(0, t_s + sensor->config.jitter_s * rng_gauss(&sensor->jitter));
 }
@@ -244,37 +244,37 @@ struct vec3 sensor_specific_force(const struct signal_truth *truth, struct vec3 
 	return vec3_add(force, vec3_cross(w, vec3_cross(w, r)));
 }
 
-/* The magnetometer has a new value when its own sample number changed. */
+/* The magnetometer has a new value when its own sample number has changed since the last sample. */
 static int mag_is_new(const struct sensor *sensor)
 {
 	double ratio = sensor->config.mag_rate_hz / sensor->config.rate_hz;
-	double k = (double)sensor->taken;
+	double k = (double)sensor->count;
 
-	return sensor->taken == 0 || ratio <= 0 || ratio >= 1 || floor(k * ratio) > floor((k - 1) * ratio);
+	return sensor->count == 0 || ratio <= 0 || ratio >= 1 || floor(k * ratio) > floor((k - 1) * ratio);
 }
 
-static double warmer(const struct sensor *sensor)
+static double temperature_rise(const struct sensor *sensor)
 {
 	const struct sensor_config *config = &sensor->config;
 
 	if (config->warming_K == 0)
 		return 0;
-	return config->warming_K * (1 - exp(-(double)sensor->taken / (config->rate_hz * config->warming_s)));
+	return config->warming_K * (1 - exp(-(double)sensor->count / (config->rate_hz * config->warming_s)));
 }
 
 void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, struct imu_sample *sample)
 {
 	const struct sensor_config *config = &sensor->config;
-	const int first = sensor->taken == 0, mag = mag_is_new(sensor);
+	const int first = sensor->count == 0, mag = mag_is_new(sensor);
 	struct vec3 force = sensor_specific_force(truth, config->lever_arm_b_m, config->gravity_m_s2);
 	struct vec3 field = quat_rotate_inverse(truth->q_nb, config->field_n_uT);
-	double warmer_K = warmer(sensor);
+	double rise_K = temperature_rise(sensor);
 
 	*sample = (struct imu_sample){
-		.t_us = (uint64_t)floor((double)sensor->taken * 1e6 / config->rate_hz + 0.5),
-		.gyro_rad_s = triad_measure(&sensor->gyro, truth->omega_b_rad_s, warmer_K, first),
-		.accel_m_s2 = triad_measure(&sensor->accel, force, warmer_K, first),
-		.mag_uT = triad_measure(&sensor->mag, field, warmer_K, first),
+		.t_us = (uint64_t)floor((double)sensor->count * 1e6 / config->rate_hz + 0.5),
+		.gyro_rad_s = triad_measure(&sensor->gyro, truth->omega_b_rad_s, rise_K, first),
+		.accel_m_s2 = triad_measure(&sensor->accel, force, rise_K, first),
+		.mag_uT = triad_measure(&sensor->mag, field, rise_K, first),
 		.flags = mag ? SAMPLE_MAG : 0,
 	};
 	if (!mag)
@@ -282,10 +282,10 @@ void sensor_measure(struct sensor *sensor, const struct signal_truth *truth, str
 	if (config->warming_K != 0) {
 		const struct triad_errors thermometer = {.step = config->temperature_step_K};
 
-		sample->temperature_degC = digitise(&thermometer, START_DEGC + warmer_K);
+		sample->temperature_degC = digitise(&thermometer, START_DEGC + rise_K);
 		sample->flags |= SAMPLE_TEMPERATURE;
 	}
-	sensor->taken++;
+	sensor->count++;
 }
 
 void sensor_next(

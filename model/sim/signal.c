@@ -5,7 +5,7 @@
 
 #define TWO_PI (2 * PI)
 
-/* A value with its first and second derivative by time. */
+/* A value with its first and second time derivative. */
 struct jet {
 	double v, d, dd;
 };
@@ -43,8 +43,8 @@ static struct jet sine(double t, double period, double phase)
 	return (struct jet){s, w * c, -w * w * s};
 }
 
-/* From 0 to 1 between `start` and `start + length`, with three continuous derivatives: 35u^4 -
- * 84u^5 + 70u^6 - 20u^7. */
+/* From 0 to 1 between `start` and `start + length`, with three continuous derivatives: 35u^4 - 84u^5 + 70u^6 -
+ * 20u^7. */
 static struct jet smooth_step(double t, double start, double length)
 {
 	double u = (t - start) / length, w = 1 - u;
@@ -60,7 +60,7 @@ static struct jet smooth_step(double t, double start, double length)
 	};
 }
 
-/* 1 once in every period, at its middle, and smoothly near 0 elsewhere: exp(-k (1 + cos)). */
+/* 1 at the middle of each period, and smoothly close to 0 elsewhere: exp(-k (1 + cos)). */
 static struct jet swell(double t, double period, double sharpness)
 {
 	double w = TWO_PI / period, c = cos(w * t), s = sin(w * t);
@@ -88,12 +88,11 @@ static void roll_step(const struct signal *signal, double t, struct motion *m)
 	m->roll = scale(signal->angle_rad, add(up, scale(-1, down)));
 }
 
-/* A light sea, and once in every period a wave train that heaves, pitches, rolls and shoves the
- * boat. */
+/* A light sea, and in each period a wave train that heaves, pitches, rolls and displaces the boat. */
 static void boat(const struct signal *signal, double t, struct motion *m)
 {
 	const double period = signal->change_s, angle = signal->angle_rad;
-	/* long waves are high waves: the slope stays */
+	/* the height grows with the wavelength, so that the slope is constant */
 	const double height_m = angle * 9.81 * period * period / (TWO_PI * TWO_PI) / 2;
 	struct jet wave = swell(t, signal->period_s, 6);
 	struct jet sea = add(constant(0.05), wave);
@@ -106,8 +105,7 @@ static void boat(const struct signal *signal, double t, struct motion *m)
 	m->y = scale(height_m / 2, multiply(wave, sine(t, period * 2, 0)));
 }
 
-/* A side: wait, drive, wait, turn left by 90 degrees. Rough ground shakes the robot while it
- * drives. */
+/* Each side: wait, drive, wait, turn left by 90 degrees. Rough ground rolls and pitches the robot while it drives. */
 static void square(const struct signal *signal, double t, struct motion *m)
 {
 	const double side_m = 2, leg_s = signal->period_s / 4;
@@ -131,7 +129,7 @@ static void square(const struct signal *signal, double t, struct motion *m)
 	m->roll = scale(angle, multiply(moving, ground));
 	ground = add(scale(0.6, sine(t, bump_s * 1.3, 2)), scale(0.4, sine(t, bump_s * 3.1, 3)));
 	m->pitch = scale(angle, multiply(moving, ground));
-	/* half of a wheelbase of 0.3 m rises with the roll and pitch */
+	/* height of the centre of a wheelbase of 0.3 m */
 	bumps = add(scale(0.5, sine(t, bump_s, 4)), scale(0.5, sine(t, bump_s * 1.7, 5)));
 	m->z = scale(0.15 * angle, multiply(moving, bumps));
 }
@@ -148,8 +146,7 @@ static void pendulum(const struct signal *signal, double t, struct motion *m)
 	m->roll = scale(signal->angle_rad, sine(t, signal->change_s, 0));
 }
 
-/* Held in the hand and turned about all axes, the reference point staying where it is: shows every
- * part of a lever arm. */
+/* Turned by hand about all axes while the reference point rests: all components of a lever arm are observable. */
 static void tumble(const struct signal *signal, double t, struct motion *m)
 {
 	double period = signal->period_s;
@@ -159,8 +156,8 @@ static void tumble(const struct signal *signal, double t, struct motion *m)
 	m->yaw = scale(signal->angle_rad, sine(t, period / 4, 0));
 }
 
-/* Laid on every face, then held on every corner: angle is that of the corners' pitch. A rest in each, then a turn to the
- * next that takes change_s. */
+/* Put on every face, then held on every corner; angle_rad is the pitch of the corners. A rest in each position, then a
+ * rotation of change_s to the next. */
 static void multiposition(const struct signal *signal, double t, struct motion *m)
 {
 	enum { POSITIONS = 14 };
@@ -183,7 +180,7 @@ static void multiposition(const struct signal *signal, double t, struct motion *
 	}
 }
 
-/* Held in the hand and turned slowly until every direction of the sensor has pointed everywhere. */
+/* Turned by hand slowly, until each axis of the sensor has pointed in all directions. */
 static void figure(const struct signal *signal, double t, struct motion *m)
 {
 	double turn = TWO_PI / signal->change_s;
@@ -202,7 +199,7 @@ const struct signal SIGNALS[] = {
 	{"turntable", "constant turn about the vertical axis", turntable, TWO_PI, 1, 10},
 	{"pendulum", "swing about the roll axis", pendulum, 30 * RAD_PER_DEG, 1, 10},
 	{"tumble", "turned about all three axes around a point at rest", tumble, 60 * RAD_PER_DEG, 1, 10},
-	{"multiposition", "laid on six faces, then held on eight corners: to calibrate an accelerometer", multiposition,
+	{"multiposition", "put on six faces, then held on eight corners: to calibrate an accelerometer", multiposition,
 		35.264 * RAD_PER_DEG, 1.5, 63},
 	{"figure", "turned slowly through all directions: to calibrate a magnetometer", figure, 60 * RAD_PER_DEG, 5,
 		40},

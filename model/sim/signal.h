@@ -1,11 +1,11 @@
 /* model/sim/signal.h
- * Test signals: motions of a rigid body in continuous time, for simulated sensors. Each is a
- * formula, so attitude, rate, angular acceleration, position, velocity and acceleration belong
- * together exactly, at every instant. The seed's three (section V: roll step, boat on a large wave,
- * robot on a manoeuvring square) and some with textbook answers.
+ * Test signals: motions of a rigid body in continuous time, for simulated sensors. Each is an analytical function, so
+ * attitude, rate, angular acceleration, position, velocity and acceleration are exactly consistent at every instant.
+ * They are the three of the paper (section V: roll step, boat on a large wave, robot on a manoeuvring square) and some
+ * with textbook solutions.
  *
- * What the seed leaves open (how large, how fast) are the parameters of struct signal: copy one,
- * change it, sweep it. */
+ * Amplitude and duration, which the paper does not specify, are parameters of struct signal: copy one and change
+ * it. */
 #ifndef MODEL_SIM_SIGNAL_H
 #define MODEL_SIM_SIGNAL_H
 
@@ -14,10 +14,10 @@
 struct signal_truth {
 	double t_s;
 	struct vec3 angles_rad;	      /* roll, pitch, yaw: z-y'-x'' of q_nb (rotation.h) */
-	struct vec3 angles_dot_rad_s; /* their derivatives: not body rates */
+	struct vec3 angles_dot_rad_s; /* their derivatives, which are not the body rates */
 	struct vec3 angles_ddot_rad_s2;
 	struct quat q_nb;
-	struct vec3 omega_b_rad_s;  /* what an ideal gyro shows */
+	struct vec3 omega_b_rad_s;  /* what an ideal gyro measures */
 	struct vec3 alpha_b_rad_s2; /* derivative of omega_b */
 	struct vec3 position_n_m;   /* of the reference point */
 	struct vec3 velocity_n_m_s;
@@ -30,16 +30,16 @@ struct signal {
 	const char *name;
 	const char *about;
 	void (*motion)(const struct signal *signal, double t_s, struct motion *motion);
-	double angle_rad; /* size of the largest quick rotation */
-	double change_s;  /* time of one quick change: rise of the step, period of the wave, of a bump, of the swing;
-			     the turntable turns by angle_rad in it */
-	double period_s;  /* once through the motion, which goes on for ever */
+	double angle_rad; /* amplitude of the largest quick rotation; larger: faster rotation */
+	double change_s; /* duration of a quick change: rise of the step, period of the wave, of a bump or of the swing;
+			     the turntable turns by angle_rad in this time. Smaller: faster rotation */
+	double period_s; /* duration of one cycle of the motion, which repeats for ever */
 };
 
-/** All signals; ends with a NULL name. The first is the default of simulations. */
+/** All signals; ends with a NULL name. The first one is the default of simulations. */
 extern const struct signal SIGNALS[];
 
-/** NULL where there is none of that name. */
+/** NULL when there is no signal of that name. */
 const struct signal *signal_find(const char *name);
 
 /** The motion at t_s >= 0. */

@@ -274,7 +274,7 @@ static void test_positions_that_contradict_each_other_are_refused(void **state)
 	(void)state;
 	new_chip(1);
 	begin_accelerometer(CALIBRATE_FREE);
-	accel.config.whole = true;
+	accel.config.use_all = true;
 	for (int i = 0; i < 14; i++) {
 		struct vec3 up = i < 6 ? (struct vec3){i / 2 == 0, i / 2 == 1, i / 2 == 2}
 				       : (struct vec3){i & 1 ? -1 : 1, i & 2 ? -1 : 1, i & 4 ? 1 : -1};

@@ -163,7 +163,7 @@ static int accelerometer(const struct calibrate_request *r)
 		.positions = r->six ? CALIBRATE_SIX_FACES : CALIBRATE_FREE,
 		.gravity_m_s2 = r->settings.estimator.gravity_m_s2,
 		.bias_instability_m_s2 = r->settings.noise.accel_bias_instability_m_s2,
-		.whole = true,
+		.use_all = true,
 		.patience_s = (double)INFINITY};
 	struct triad_calibration triad;
 	enum calibrate_verdict verdict;
@@ -200,7 +200,7 @@ static int magnetometer(const struct calibrate_request *r)
 {
 	static struct calibrate_magnetometer c;
 	const struct calibrate_magnetometer_config config = {
-		.field_uT = r->field_uT, .whole = true, .patience_s = (double)INFINITY};
+		.field_uT = r->field_uT, .use_all = true, .patience_s = (double)INFINITY};
 	const struct calibrate_magnetometer_result *result = &c.result;
 	enum calibrate_verdict verdict;
 
