@@ -115,7 +115,7 @@ class Options(unittest.TestCase):
     def test_what_is_no_quantity_is_named_with_those_there_are(self):
         result = rig.run("imu9-calibrate", "giro", "log.csv")
         self.assertEqual(result.returncode, 2)
-        self.assertIn("giro: name a quantity: gyro, accelerometer", result.stderr)
+        self.assertIn("giro: not a quantity: give gyro, accelerometer", result.stderr)
 
 
 class ByCommand(unittest.TestCase):

@@ -6,8 +6,8 @@
 enum { TERMS = 4 };
 static const double FLICKER = 0.44127122; /* 2 ln 2 / pi */
 
-/* Values become x[k], the sum of all before k: the mean of a cluster is a difference of two. The last one is lost, which
- * among thousands does not show. */
+/* Values become x[k], the sum of all before k: the mean of a cluster is a difference of two. The last one is lost,
+ * which among thousands does not show. */
 static void integrate(double *values, size_t count)
 {
 	double mean = 0, sum = 0;
@@ -97,8 +97,8 @@ static void add_point(struct normal *normal, const struct allan_point *point)
 	}
 }
 
-/* Solves for the terms of `set` by Gauss-Jordan elimination, scaled (their sizes differ by many decades); the others are
- * 0. False when one comes out negative. */
+/* Solves for the terms of `set` by Gauss-Jordan elimination, scaled (their sizes differ by many decades); the others
+ * are 0. False when one comes out negative. */
 static bool solve(const struct normal *normal, unsigned set, double x[TERMS])
 {
 	double m[TERMS][TERMS + 1], size[TERMS];

@@ -1,87 +1,24 @@
-#include <errno.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
-#include "drivers/imu/imu_log.h"
 #include "model/identify/calibrate_accelerometer.h"
 #include "model/identify/calibrate_gyro.h"
 #include "model/identify/calibrate_magnetometer.h"
 #include "model/identify/calibrate_temperature.h"
+#include "model/math/units.h"
 #include "tools/calibrate/calibrate_sensor.h"
 #include "tools/lib/cli.h"
-#include "model/math/units.h"
+#include "tools/lib/cli_file.h"
 
-/* ---- reading ----------------------------------------------------------------------------------------------------- */
-
-static void for_each_sample(const char *path, void (*take)(void *ctx, const struct imu_sample *sample), void *ctx)
-{
-	static struct imu_log log;
-	struct imu_sample sample;
-	char error[256];
-	int got;
-
-	if (imu_log_open(&log, path, error, sizeof error) < 0) {
-		cli_error("%s", error);
-		exit(CLI_FAILED);
-	}
-	while ((got = imu_log_next(&log, &sample)) == 1)
-		take(ctx, &sample);
-	imu_log_close(&log);
-	if (got < 0) {
-		cli_error("%s:%ld: %s", path, log.line, strerror(-got));
-		exit(CLI_FAILED);
-	}
-	if (log.skipped)
-		cli_error("%u rows skipped, the last one: %s", log.skipped, log.last_skip);
-}
-
-static void take_gyro(void *ctx, const struct imu_sample *sample)
-{
-	calibrate_gyro_step(ctx, sample);
-}
-
-static void take_accelerometer(void *ctx, const struct imu_sample *sample)
-{
-	calibrate_accelerometer_step(ctx, sample);
-}
-
-static void take_magnetometer(void *ctx, const struct imu_sample *sample)
-{
-	calibrate_magnetometer_step(ctx, sample);
-}
-
-static void take_temperature(void *ctx, const struct imu_sample *sample)
-{
-	calibrate_temperature_step(ctx, sample);
-}
+static struct imu_log input;
 
 /* ---- the result as a configuration file -------------------------------------------------------------------------- */
 
 static FILE *open_output(const struct calibrate_request *r)
 {
-	FILE *f = r->output ? fopen(r->output, "we") : stdout;
-
-	if (!f) {
-		cli_error("%s: %s", r->output, strerror(errno));
-		exit(CLI_FAILED);
-	}
 	if (!r->output)
-		puts("\nFor the gateway's configuration file:");
-	return f;
-}
-
-static int close_output(const struct calibrate_request *r, FILE *f)
-{
-	bool bad = ferror(f) != 0;
-
-	if (r->output)
-		bad |= fclose(f) != 0;
-	else
-		bad |= fflush(f) != 0;
-	if (bad)
-		cli_error("%s: %s", r->output ? r->output : "standard output", strerror(errno));
-	return bad ? CLI_FAILED : CLI_OK;
+		puts("\nFor the configuration file of the gateway:");
+	return cli_create(r->output);
 }
 
 static void write_vec3(FILE *f, const char *name, struct vec3 v)
@@ -98,6 +35,15 @@ static void write_triad(FILE *f, const char *section, const struct triad_calibra
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++)
 			fprintf(f, "%c%c = %.7g\n", AXES[i], AXES[j], t->matrix[i][j]);
+}
+
+static int save_triad(const struct calibrate_request *r, const char *section, const struct triad_calibration *t)
+{
+	FILE *f = open_output(r);
+
+	write_triad(f, section, t);
+	cli_close(f, r->output);
+	return CLI_OK;
 }
 
 static int refused(const struct calibrate_request *r, enum calibrate_verdict verdict)
@@ -118,20 +64,25 @@ static void print_matrix(const struct triad_calibration *t)
 			t->matrix[i][2]);
 }
 
-/* With a temperature compensation the bias of the file is that at its reference temperature. */
-static void print_temperature(double temperature_degC, const struct temperature_compensation *c)
+/* The bias in the file is that at the reference temperature of the temperature compensation. */
+static struct vec3 bias_at_reference(const struct calibrate_request *r, struct vec3 bias, double temperature_degC,
+	struct vec3 (*shift)(const struct temperature_compensation *c, double temperature_degC))
 {
+	const struct temperature_compensation *c = &r->settings.calibration.temperature;
+
 	if (isnan(temperature_degC))
-		return;
-	printf("%-12s %12.4g degC (bias of the file: at %.4g degC)\n", "temperature", temperature_degC,
+		return bias;
+	printf("%-12s %12.4g degC (the bias in the file is that at %.4g degC)\n", "temperature", temperature_degC,
 		c->reference_degC);
+	return vec3_sub(bias, shift(c, temperature_degC));
 }
 
-/* ---- one function a quantity ------------------------------------------------------------------------------------- */
+/* ---- one function for each quantity ------------------------------------------------------------------------------ */
 
 static int gyro(const struct calibrate_request *r)
 {
 	static struct calibrate_gyro c;
+	struct imu_sample sample;
 	const struct calibrate_gyro_config config = {.rest_s = (double)INFINITY,
 		.patience_s = (double)INFINITY,
 		.bias_instability_rad_s = r->settings.noise.gyro_bias_instability_rad_s};
@@ -139,26 +90,23 @@ static int gyro(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_gyro_init(&c, &config);
-	for_each_sample(r->log, take_gyro, &c);
+	cli_log_open(&input, r->log);
+	while (cli_log_next(&input, &sample))
+		calibrate_gyro_step(&c, &sample);
 	verdict = calibrate_gyro_finish(&c);
 	if (verdict != CALIBRATE_GOOD)
 		return refused(r, verdict);
 	print_vec3("bias", vec3_scale(DEG_PER_RAD, c.result.bias_rad_s), "deg/s");
 	print_vec3("1 sigma", vec3_scale(DEG_PER_RAD, c.result.sigma_rad_s), "deg/s");
 	printf("%-12s %12.4g s\n", "rest", c.result.rest_s);
-	print_temperature(c.result.temperature_degC, &r->settings.calibration.temperature);
-	triad.bias = c.result.bias_rad_s;
-	if (!isnan(c.result.temperature_degC))
-		triad.bias = vec3_sub(triad.bias,
-			calibration_gyro_shift(&r->settings.calibration.temperature, c.result.temperature_degC));
-	FILE *f = open_output(r);
-	write_triad(f, "gyro_calibration", &triad);
-	return close_output(r, f);
+	triad.bias = bias_at_reference(r, c.result.bias_rad_s, c.result.temperature_degC, calibration_gyro_shift);
+	return save_triad(r, "gyro_calibration", &triad);
 }
 
 static int accelerometer(const struct calibrate_request *r)
 {
 	static struct calibrate_accelerometer c;
+	struct imu_sample sample;
 	const struct calibrate_accelerometer_config config = {
 		.positions = r->six ? CALIBRATE_SIX_FACES : CALIBRATE_FREE,
 		.gravity_m_s2 = r->settings.estimator.gravity_m_s2,
@@ -169,7 +117,9 @@ static int accelerometer(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_accelerometer_init(&c, &config);
-	for_each_sample(r->log, take_accelerometer, &c);
+	cli_log_open(&input, r->log);
+	while (cli_log_next(&input, &sample))
+		calibrate_accelerometer_step(&c, &sample);
 	verdict = calibrate_accelerometer_finish(&c);
 	if (verdict == CALIBRATE_TOO_FEW_POSITIONS)
 		cli_error("%d of %d positions found", c.positions, calibrate_accelerometer_wanted(&c));
@@ -185,27 +135,25 @@ static int accelerometer(const struct calibrate_request *r)
 	printf("%-12s %12.4f m/s^2 RMS in %d positions, coverage %.0f %%\n", "residual", c.result.residual_m_s2,
 		c.positions, 100 * c.coverage);
 	if (r->six)
-		printf("%-12s %12.2f deg between faces and sensor axes\n", "turned",
+		printf("%-12s %12.2f deg between faces and sensor axes\n", "rotation",
 			c.result.faces_turned_rad * DEG_PER_RAD);
-	print_temperature(c.result.temperature_degC, &r->settings.calibration.temperature);
-	if (!isnan(c.result.temperature_degC))
-		triad.bias = vec3_sub(triad.bias,
-			calibration_accel_shift(&r->settings.calibration.temperature, c.result.temperature_degC));
-	FILE *f = open_output(r);
-	write_triad(f, "accelerometer_calibration", &triad);
-	return close_output(r, f);
+	triad.bias = bias_at_reference(r, triad.bias, c.result.temperature_degC, calibration_accel_shift);
+	return save_triad(r, "accelerometer_calibration", &triad);
 }
 
 static int magnetometer(const struct calibrate_request *r)
 {
 	static struct calibrate_magnetometer c;
+	struct imu_sample sample;
 	const struct calibrate_magnetometer_config config = {
 		.field_uT = r->field_uT, .use_all = true, .patience_s = (double)INFINITY};
 	const struct calibrate_magnetometer_result *result = &c.result;
 	enum calibrate_verdict verdict;
 
 	calibrate_magnetometer_init(&c, &config);
-	for_each_sample(r->log, take_magnetometer, &c);
+	cli_log_open(&input, r->log);
+	while (cli_log_next(&input, &sample))
+		calibrate_magnetometer_step(&c, &sample);
 	verdict = calibrate_magnetometer_finish(&c);
 	if (verdict == CALIBRATE_POOR_COVERAGE)
 		cli_error("coverage %.0f %%", 100 * c.coverage);
@@ -219,20 +167,21 @@ static int magnetometer(const struct calibrate_request *r)
 	printf("%-12s %12.2f %% of the field RMS, coverage %.0f %%\n", "residual", 100 * result->residual,
 		100 * c.coverage);
 	printf("%-12s %12.2f uT\n", "field", result->field_uT);
-	FILE *f = open_output(r);
-	write_triad(f, "magnetometer_calibration", &result->calibration);
-	return close_output(r, f);
+	return save_triad(r, "magnetometer_calibration", &result->calibration);
 }
 
 static int temperature(const struct calibrate_request *r)
 {
 	static struct calibrate_temperature c;
+	struct imu_sample sample;
 	const struct calibrate_temperature_result *result = &c.result;
 	const struct temperature_compensation *t = &result->compensation;
 	enum calibrate_verdict verdict;
 
 	calibrate_temperature_init(&c);
-	for_each_sample(r->log, take_temperature, &c);
+	cli_log_open(&input, r->log);
+	while (cli_log_next(&input, &sample))
+		calibrate_temperature_step(&c, &sample);
 	verdict = calibrate_temperature_finish(&c);
 	if (verdict != CALIBRATE_GOOD && result->rest_s > 0)
 		cli_error("%.0f s of rest from %.1f to %.1f degC", result->rest_s, result->lowest_degC,
@@ -256,7 +205,8 @@ static int temperature(const struct calibrate_request *r)
 	write_vec3(f, "accelerometer_quadratic", t->accel_quadratic);
 	fputs("[gyro_calibration]\n", f);
 	write_vec3(f, "bias", result->gyro_rad_s);
-	return close_output(r, f);
+	cli_close(f, r->output);
+	return CLI_OK;
 }
 
 int calibrate_from_log(const struct calibrate_request *r)

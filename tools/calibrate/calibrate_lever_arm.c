@@ -1,38 +1,36 @@
 #include "tools/calibrate/calibrate_lever_arm.h"
 
-#include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "drivers/imu/imu_log.h"
 #include "gateway/settings.h"
 #include "model/identify/lever_identification.h"
 #include "od_values.h"
 #include "tools/lib/cli.h"
 #include "tools/lib/cli_config.h"
+#include "tools/lib/cli_file.h"
 #include "tools/lib/reference_log.h"
 
 static const char usage[] =
 	"usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
-	"Finds the lever arm (2000h: from the reference point to the accelerometer) from a log:\n"
-	"  - the reference point was held still, and the object turned about it, about all its axes,\n"
-	"    for 30 s; or\n"
-	"  - with --reference, or with the columns ref_al,ref_as,ref_at (m/s^2, object frame, without\n"
-	"    gravity) in LOG: any motion with quick turns.\n"
-	"The gateway does the same by itself: object 2060h.\n"
+	"Identifies the lever arm (2000h: from the reference point to the accelerometer) from a log in\n"
+	"which either\n"
+	"  - the reference point was held still while the object was turned about all its axes for 30 s, or\n"
+	"  - the object moved in any way with quick rotations, and the acceleration of the reference point\n"
+	"    is known: from REF, or from the columns ref_al,ref_as,ref_at of LOG (m/s^2, object frame,\n"
+	"    without gravity).\n"
+	"The gateway can do the same online: object 2060h.\n"
 	"\n"
-	"  -r, --reference REF   CSV with t,qw,qx,qy,qz,arx,ary,arz: s; attitude sensor -> world;\n"
-	"                        acceleration of the reference point in the world without gravity,\n"
-	"                        m/s^2; empty where not known\n"
-	"  -d, --estimate-delay  the time stamps of the reference are not exact: estimate its delay\n"
-	"                        (+-20 ms)\n"
-	"  -c, --config FILE     the gateway's configuration: its calibration and mounting hold here, too\n"
+	"  -r, --reference REF   CSV with the columns t,qw,qx,qy,qz,arx,ary,arz: time in s; attitude\n"
+	"                        sensor -> world; acceleration of the reference point in the world frame\n"
+	"                        without gravity, m/s^2. Fields can be empty\n"
+	"  -d, --estimate-delay  estimate the delay of the reference (+-20 ms) instead of trusting its\n"
+	"                        time stamps\n"
+	"  -c, --config FILE     configuration of the gateway: its calibration and mounting are applied\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name\n"
 	"      --help\n"
 	"\n"
-	"Calibrate gyro and accelerometer before. Exit status: 0 found, 1 not found or failed,\n"
-	"2 wrong usage.\n";
+	"Calibrate gyro and accelerometer first. Exit status: 0 found, 1 not found or failed, 2 wrong usage.\n";
 
 struct options {
 	const char *reference, *log;
@@ -59,28 +57,28 @@ static void prepare(struct run *r, const struct options *o)
 	char why[512];
 	struct od od;
 
-	if (imu_log_open(&r->log, o->log, why, sizeof why) < 0 ||
-		(o->reference && reference_log_load(&r->reference, o->reference, why, sizeof why) < 0)) {
+	cli_log_open(&r->log, o->log);
+	if (o->reference && reference_log_load(&r->reference, o->reference, why, sizeof why) < 0) {
 		cli_error("%s", why);
 		exit(CLI_FAILED);
 	}
 	config.rate_hz = r->log.rate_hz;
 	config.reference = o->reference || imu_log_has_reference(&r->log);
 	if (config.estimate_delay && !config.reference)
-		cli_usage_error("--estimate-delay is for a reference from outside: give --reference REF");
+		cli_usage_error("--estimate-delay needs a reference: give --reference REF");
 	od_init(&od, &imu9_od_table, &values, 1);
 	config_apply(&o->config, &od);
 	settings = settings_pipeline(&values);
 	if (pipeline_init(&r->pipeline, &settings, r->log.rate_hz) < 0)
-		cli_usage_error("the configuration contradicts itself: is a calibration matrix singular?");
+		cli_usage_error("invalid configuration: is a calibration matrix singular?");
 	if (lever_identification_init(&r->identification, &config) < 0) {
-		cli_error("%s: %.4g samples a second: at least 25 are needed", o->log, r->log.rate_hz);
+		cli_error("%s: %.4g samples per second: at least 25 are needed", o->log, r->log.rate_hz);
 		exit(CLI_FAILED);
 	}
 }
 
-/* The reference point's acceleration in the object frame. That of REF is turned by REF's own attitude: both are of one
- * frame, so an offset of the heading between REF and this sensor does not matter. */
+/* Acceleration of the reference point in the object frame. REF's acceleration was rotated by REF's own attitude, so a
+ * heading offset between REF and this sensor cancels. */
 static const struct vec3 *reference_of(struct run *r, struct imu_sample *s)
 {
 	const struct vec3 mounting_rad = r->pipeline.config.calibration.mounting_rad;
@@ -94,8 +92,8 @@ static const struct vec3 *reference_of(struct run *r, struct imu_sample *s)
 	return &s->ref_accel_b_m_s2;
 }
 
-/* The pipeline learns the gyro's bias on the way, as it does in the gateway. */
-static void take(struct run *r, const struct imu_sample *sample)
+/* The pipeline estimates the bias of the gyro, as in the gateway. */
+static void add_sample(struct run *r, const struct imu_sample *sample)
 {
 	struct imu_sample s = calibration_apply(&r->pipeline.calibration, sample);
 	struct pipeline_output out;
@@ -112,23 +110,7 @@ static void take(struct run *r, const struct imu_sample *sample)
 	r->last_us = s.t_us;
 }
 
-static void replay(struct run *r, const char *path)
-{
-	struct imu_sample sample;
-	int got;
-
-	while ((got = imu_log_next(&r->log, &sample)) == 1)
-		take(r, &sample);
-	imu_log_close(&r->log);
-	if (got < 0) {
-		cli_error("%s:%ld: %s", path, r->log.line, strerror(-got));
-		exit(CLI_FAILED);
-	}
-	if (r->log.skipped)
-		cli_error("%u rows skipped, the last one: %s", r->log.skipped, r->log.last_skip);
-}
-
-/* ---- what it found ----------------------------------------------------------------------------------------------- */
+/* ---- the result ----------------------------------------------------------------------------------------------- */
 
 static void print(const struct run *r, const struct lever_estimate *e)
 {
@@ -137,23 +119,24 @@ static void print(const struct run *r, const struct lever_estimate *e)
 
 	printf("%lu samples at %.4g Hz, %.1f s, %s\n", r->samples, config->rate_hz,
 		(double)(r->last_us - r->first_us) * 1e-6,
-		config->reference ? "acceleration of the reference point from outside" : "reference point held still");
+		config->reference ? "with a reference" : "reference point held still");
 	printf("lever arm   l %9.2f +- %.2f   s %9.2f +- %.2f   t %9.2f +- %.2f mm (1 sigma)\n", 1e3 * arm.x,
 		1e3 * sigma.x, 1e3 * arm.y, 1e3 * sigma.y, 1e3 * arm.z, 1e3 * sigma.z);
-	printf("left over   %.3f m/s^2\n", e->residual_m_s2);
+	printf("residual    %.3f m/s^2 RMS\n", e->residual_m_s2);
 	if (config->reference)
 		printf("reference   %.1f ms %s%s\n", fabs(1e3 * e->delay_s), e->delay_s < 0 ? "early" : "late",
-			config->estimate_delay ? "" : ", its time stamps taken as they are (see --estimate-delay)");
+			config->estimate_delay ? "" : ", not corrected (see --estimate-delay)");
 	printf("verdict     %s\n", lever_verdict_text(e->verdict));
 	if (e->verdict == LEVER_FOUND)
-		printf("\nFor the gateway:\n[lever_arm]\nl = %.5f\ns = %.5f\nt = %.5f\n", arm.x, arm.y, arm.z);
+		printf("\nFor the configuration file of the gateway:\n[lever_arm]\nl = %.5f\ns = %.5f\nt = %.5f\n",
+			arm.x, arm.y, arm.z);
 }
 
 static const struct option known[] = {{"reference", required_argument, NULL, 'r'},
 	{"estimate-delay", no_argument, NULL, 'd'}, {"config", required_argument, NULL, 'c'},
 	{"set", required_argument, NULL, 's'}, {"help", no_argument, NULL, 'h'}, {0}};
 
-static void take_option(struct options *o, int option, char **argv)
+static void apply_option(struct options *o, int option, char **argv)
 {
 	switch (option) {
 	case 'r':
@@ -169,7 +152,7 @@ static void take_option(struct options *o, int option, char **argv)
 		fputs(usage, stdout);
 		exit(CLI_OK);
 	case 'c':
-		break; /* taken before */
+		break; /* read by cli_config_files() */
 	default:
 		cli_bad_option(option, argv);
 	}
@@ -183,7 +166,7 @@ static void parse_options(struct options *o, int argc, char **argv)
 	config_init(&o->config, &imu9_od_table);
 	cli_config_files(&o->config, argc, argv, letters, known);
 	while ((option = getopt_long(argc, argv, letters, known, NULL)) != -1)
-		take_option(o, option, argv);
+		apply_option(o, option, argv);
 	if (optind != argc - 1)
 		cli_usage_error("give one log, or - for standard input");
 	o->log = argv[optind];
@@ -194,10 +177,12 @@ int calibrate_lever_arm(int argc, char **argv)
 	static struct options options;
 	static struct run run;
 	struct lever_estimate estimate;
+	struct imu_sample sample;
 
 	parse_options(&options, argc, argv);
 	prepare(&run, &options);
-	replay(&run, options.log);
+	while (cli_log_next(&run.log, &sample))
+		add_sample(&run, &sample);
 	reference_log_close(&run.reference);
 	estimate = lever_identification_estimate(&run.identification);
 	print(&run, &estimate);

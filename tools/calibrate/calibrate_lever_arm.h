@@ -1,5 +1,5 @@
 /* tools/calibrate/calibrate_lever_arm.h
- * imu9-calibrate lever-arm: the lever arm from a log. */
+ * imu9-calibrate lever-arm: identifies the lever arm from a log. */
 #ifndef TOOLS_CALIBRATE_CALIBRATE_LEVER_ARM_H
 #define TOOLS_CALIBRATE_CALIBRATE_LEVER_ARM_H
 

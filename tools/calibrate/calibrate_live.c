@@ -27,14 +27,15 @@ enum {
 }; /* sub-indices */
 enum { ABORT = 0, GYRO = 1, SIX_FACES, FREE, MAGNETOMETER, ACCEPT = 10, DISCARD = 11 };
 enum { RUNNING = 1, DONE = 2 };
-static const uint64_t LOOK_US = 200000;
+static const uint64_t POLL_US = 200000;
 
 /* ---- the object -------------------------------------------------------------------------------------------------- */
 
 static bool explain(const struct cli_node *node, uint8_t sub)
 {
 	if (node->sdo.result == SDO_DONE)
-		cli_error("%04Xh:%02X of node %u is of another size: is it an IMU9 gateway?", OBJECT, sub, node->id);
+		cli_error("%04Xh:%02X of node %u has an unexpected size: is it an IMU9 gateway of this version?",
+			OBJECT, sub, node->id);
 	cli_node_explain(node, od_find(&imu9_od_table, OBJECT, sub, NULL));
 	return false;
 }
@@ -70,7 +71,7 @@ static const char *side_text(uint8_t side)
 	return SIDES[side < sizeof SIDES / sizeof *SIDES ? side : 0];
 }
 
-/* One line that is written over on a terminal; each change a line of its own elsewhere. */
+/* Overwrites one line on a terminal; elsewhere each change gets a new line. */
 static void show(const char *text)
 {
 	static char last[160];
@@ -122,7 +123,7 @@ static void pause_for(struct cli_node *node, uint64_t us, int signal_fd, bool *s
 	}
 }
 
-/* Until it has ended; false when the node could not be asked or the user stops it. */
+/* Shows the progress until the calibration ends. False: the node does not answer, or the user stopped it. */
 static bool watch(struct cli_node *node, uint8_t kind, int signal_fd, uint8_t *state)
 {
 	bool stop = false;
@@ -134,12 +135,12 @@ static bool watch(struct cli_node *node, uint8_t kind, int signal_fd, uint8_t *s
 			break;
 		if (!show_progress(node, kind))
 			return false;
-		pause_for(node, LOOK_US, signal_fd, &stop);
+		pause_for(node, POLL_US, signal_fd, &stop);
 	}
 	if (isatty(STDOUT_FILENO))
 		putchar('\n');
 	if (stop && command(node, ABORT))
-		cli_error("stopped: nothing has changed");
+		cli_error("stopped: the calibration is unchanged");
 	return !stop;
 }
 
@@ -165,7 +166,7 @@ static bool print_result(struct cli_node *node, uint8_t kind)
 	return true;
 }
 
-static bool wanted(int signal_fd)
+static bool ask(int signal_fd)
 {
 	struct pollfd fds[] = {{STDIN_FILENO, POLLIN, 0}, {signal_fd, POLLIN, 0}};
 	char answer[16];
@@ -181,16 +182,15 @@ static bool start(struct cli_node *node, uint8_t kind)
 	if (command(node, kind))
 		return true;
 	if (node->sdo.result == SDO_ABORTED && node->sdo.abort_code == 0x08000022)
-		cli_error("does another one run (imu9-sdo write calibration.command 0 ends it), or does the sensor "
-			  "give no "
-			  "samples (imu9-sdo log)?");
+		cli_error("is another calibration running (imu9-sdo write calibration.command 0 ends it), or does the "
+			  "sensor give no samples (imu9-sdo log)?");
 	return false;
 }
 
 static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t kind)
 {
 	const float strength = (float)r->field_uT;
-	const int signal_fd = cli_signal_fd(); /* blocks the signals to the end: at the question they say no */
+	const int signal_fd = cli_signal_fd(); /* signals stay blocked: at the question they mean no */
 	uint8_t state = 0, verdict;
 
 	if (strength > 0 && !cli_node_write(node, OBJECT, STRENGTH, &strength, sizeof strength)) {
@@ -205,14 +205,14 @@ static int run(struct cli_node *node, const struct calibrate_request *r, uint8_t
 	}
 	if (!print_result(node, kind))
 		return CLI_FAILED;
-	if (!r->yes && !wanted(signal_fd)) {
+	if (!r->yes && !ask(signal_fd)) {
 		if (command(node, DISCARD))
 			puts("discarded");
 		return CLI_FAILED;
 	}
 	if (!command(node, ACCEPT))
 		return CLI_FAILED;
-	puts("accepted: in use from now on; 'imu9-sdo store' keeps it");
+	puts("accepted and in use; 'imu9-sdo store' makes it permanent");
 	return CLI_OK;
 }
 

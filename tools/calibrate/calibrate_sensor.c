@@ -12,27 +12,27 @@
 static const char usage[] =
 	"usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
 	"       imu9-calibrate gyro|accelerometer|magnetometer [-i BUS] [-n NODE] [OPTION]...\n"
-	"Finds bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or,\n"
-	"without a log, by the gateway on the bus (2061h), and refuses data that do not tell.\n"
+	"Estimates bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or,\n"
+	"without a log, in the gateway on the bus (2061h). Unsuitable data are refused with the reason.\n"
 	"\n"
-	"  gyro            bias: let the sensor lie still for 10 s (of a log the longest rest counts)\n"
-	"  accelerometer   hold it still for 3 s in 12 positions or more, every side up and down; no\n"
-	"                  fixture needed\n"
-	"      --six       in a fixture: on each of its six faces, in any order\n"
+	"  gyro            bias: let the sensor rest for 10 s (in a log the longest rest is used)\n"
+	"  accelerometer   hold it still for 3 s in at least 12 positions, every side up and down; no\n"
+	"                  fixture is needed\n"
+	"      --six       use a fixture instead, on each of its six faces, in any order\n"
 	"  magnetometer    turn it slowly through all directions for half a minute, away from iron\n"
-	"      --field UT  local field strength from a map (default: as the magnetometer has it)\n"
-	"  temperature     how the biases of gyro and accelerometer follow it: let the sensor lie still\n"
-	"                  while it warms up; the log needs a column temperature\n"
+	"      --field UT  local field strength from a map (default: as the magnetometer measures it)\n"
+	"  temperature     temperature dependence of the biases of gyro and accelerometer: let the sensor\n"
+	"                  rest while it warms up; the log needs a column temperature\n"
 	"\n"
-	"Of a log ('-': standard input):\n"
+	"With a log ('-': standard input):\n"
 	"  -o, --output FILE   write the result as a configuration file for imu9-gateway -c\n"
-	"  -c, --config FILE   what is configured already: gravity, noise, temperature compensation\n"
-	"      --set NAME=VALUE\n"
+	"  -c, --config FILE   present configuration: gravity, noise, temperature compensation\n"
+	"      --set NAME=VALUE  any configuration object by its EDS name\n"
 	"On the bus:\n"
 	"  -i, --bus BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node NODE     node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -y, --yes           accept a good result without asking\n"
-	"  -t, --timeout MS    for one answer (default 1000)\n"
+	"  -t, --timeout MS    for one SDO answer (default 1000)\n"
 	"      --help\n"
 	"\n"
 	"Exit status: 0 found (and accepted), 1 refused, discarded or failed, 2 wrong usage.\n";
@@ -53,7 +53,7 @@ static const struct option options[] = {
 	{0},
 };
 
-static void take_option(struct calibrate_request *r, int option, char **argv)
+static void apply_option(struct calibrate_request *r, int option, char **argv)
 {
 	switch (option) {
 	case OPT_SIX:
@@ -66,7 +66,7 @@ static void take_option(struct calibrate_request *r, int option, char **argv)
 		cli_config_set(&r->config, optarg);
 		break;
 	case 'c':
-		break; /* taken before */
+		break; /* read by cli_config_files() */
 	case 'o':
 		r->output = optarg;
 		break;
@@ -99,7 +99,7 @@ static void check(const struct calibrate_request *r)
 	if (!r->log && strcmp(r->what, "temperature") == 0)
 		cli_usage_error("temperature needs a log");
 	if (!r->log && r->output)
-		cli_usage_error("-o is for a log: the gateway keeps what it accepts (imu9-sdo store)");
+		cli_usage_error("-o needs a log: the gateway stores the result itself (imu9-sdo store)");
 }
 
 int calibrate_sensor(int argc, char **argv)
@@ -114,9 +114,9 @@ int calibrate_sensor(int argc, char **argv)
 	config_init(&r.config, &imu9_od_table);
 	cli_config_files(&r.config, argc, argv, letters, options);
 	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1)
-		take_option(&r, option, argv);
+		apply_option(&r, option, argv);
 	if (optind < argc - 1)
-		cli_usage_error("give one log, or none for the gateway on the bus");
+		cli_usage_error("give one log, or none to calibrate in the gateway on the bus");
 	r.log = argv[optind];
 	check(&r);
 	if (r.log) {

@@ -1,5 +1,5 @@
 /* tools/calibrate/calibrate_sensor.h
- * imu9-calibrate gyro, accelerometer, magnetometer, temperature: from a log, or without one by a gateway on the bus. */
+ * imu9-calibrate gyro, accelerometer, magnetometer, temperature: from a log, or without one in a gateway on the bus. */
 #ifndef TOOLS_CALIBRATE_CALIBRATE_SENSOR_H
 #define TOOLS_CALIBRATE_CALIBRATE_SENSOR_H
 
@@ -12,12 +12,12 @@
 
 struct calibrate_request {
 	const char *what;   /* "gyro", .. */
-	const char *log;    /* NULL: live */
+	const char *log;    /* NULL: on the bus */
 	const char *output; /* INI file; NULL: standard output */
 	bool six, yes;
 	double field_uT; /* 0: not given */
 	struct config config;
-	struct pipeline_config settings; /* what the configuration comes to; of a log only */
+	struct pipeline_config settings; /* from config; only with a log */
 	const char *bus;
 	uint8_t node;
 	unsigned timeout_ms;
@@ -26,7 +26,7 @@ struct calibrate_request {
 /** argv[0] is the name of the subcommand. Returns an exit code of cli.h. */
 int calibrate_sensor(int argc, char **argv);
 
-/** The two ways, each in a file of its own. */
+/** With a log, and on the bus. */
 int calibrate_from_log(const struct calibrate_request *request);
 int calibrate_live(const struct calibrate_request *request);
 

@@ -1,6 +1,6 @@
 /* tools/calibrate/imu9_calibrate.c
- * imu9-calibrate: what a sensor and its mounting are like, from recorded logs or by a gateway on the bus. One subcommand a
- * quantity. */
+ * imu9-calibrate: calibration of a sensor and its lever arm, from logs or in a gateway on the bus. One subcommand for
+ * each quantity. */
 #include <stdio.h>
 #include <string.h>
 
@@ -14,9 +14,9 @@ static const struct subcommand {
 } subcommands[] = {
 	{"gyro", "bias, from a rest", calibrate_sensor},
 	{"accelerometer", "bias, scale and cross-axis terms, from rests in many positions", calibrate_sensor},
-	{"magnetometer", "hard and soft iron, from turning about all axes", calibrate_sensor},
-	{"temperature", "how the biases follow it, from a rest while it moves", calibrate_sensor},
-	{"lever-arm", "where the accelerometer sits, from a motion", calibrate_lever_arm},
+	{"magnetometer", "hard and soft iron, from rotations about all axes", calibrate_sensor},
+	{"temperature", "temperature dependence of the biases, from a rest while it changes", calibrate_sensor},
+	{"lever-arm", "from the reference point to the accelerometer, from a motion", calibrate_lever_arm},
 	{0},
 };
 
@@ -26,11 +26,11 @@ static void print_usage(void)
 	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer [OPTION]...\n");
 	for (const struct subcommand *s = subcommands; s->name; s++)
 		printf("  %-14s %s\n", s->name, s->about);
-	puts("\nWithout a log the gateway on the bus does it. imu9-calibrate SUBCOMMAND --help tells more.\n"
+	puts("\nWithout a log the gateway on the bus is calibrated. More: imu9-calibrate SUBCOMMAND --help\n"
 	     "Exit status: 0 done, 1 failed or refused, 2 wrong usage.");
 }
 
-/* Its name may stand behind options: it comes first for the subcommand. */
+/* The name of the subcommand can follow options; it is moved to the front. */
 static int run(const struct subcommand *s, int at, int argc, char **argv)
 {
 	for (; at > 1; at--)
@@ -42,7 +42,7 @@ static int run(const struct subcommand *s, int at, int argc, char **argv)
 int main(int argc, char **argv)
 {
 	if (argc < 2)
-		cli_usage_error("which quantity? gyro, accelerometer, magnetometer, temperature or lever-arm");
+		cli_usage_error("give a quantity: gyro, accelerometer, magnetometer, temperature or lever-arm");
 	if (strcmp(argv[1], "--help") == 0) {
 		print_usage();
 		return CLI_OK;
@@ -55,5 +55,6 @@ int main(int argc, char **argv)
 		for (const struct subcommand *s = subcommands; s->name; s++)
 			if (strcmp(argv[i], s->name) == 0)
 				return run(s, i, argc, argv);
-	cli_usage_error("%s: name a quantity: gyro, accelerometer, magnetometer, temperature or lever-arm", argv[1]);
+	cli_usage_error(
+		"%s: not a quantity: give gyro, accelerometer, magnetometer, temperature or lever-arm", argv[1]);
 }
