@@ -6,8 +6,8 @@
 enum { TERMS = 4 };
 static const double FLICKER = 0.44127122; /* 2 ln 2 / pi */
 
-/* Values become x[k], the sum of all before k: the mean of a cluster is a difference of two. The last one is lost,
- * which among thousands does not show. */
+/* Replaces values[k] by the sum of all values before k, so that a cluster mean is a difference of two. The last value
+ * is not used. */
 static void integrate(double *values, size_t count)
 {
 	double mean = 0, sum = 0;
@@ -15,7 +15,7 @@ static void integrate(double *values, size_t count)
 	for (size_t k = 0; k < count; k++)
 		mean += values[k] / (double)count;
 	for (size_t k = 0; k < count; k++) {
-		double value = values[k] - mean; /* keeps the sums small, and differences exact */
+		double value = values[k] - mean; /* small sums lose no digits in the differences */
 
 		values[k] = sum;
 		sum += value;
@@ -97,8 +97,8 @@ static void add_point(struct normal *normal, const struct allan_point *point)
 	}
 }
 
-/* Solves for the terms of `set` by Gauss-Jordan elimination, scaled (their sizes differ by many decades); the others
- * are 0. False when one comes out negative. */
+/* Solves for the terms in `set` by Gauss-Jordan elimination, scaled because their magnitudes differ by decades; the
+ * other terms are 0. False when a term is negative. */
 static bool solve(const struct normal *normal, unsigned set, double x[TERMS])
 {
 	double m[TERMS][TERMS + 1], size[TERMS];
@@ -125,7 +125,7 @@ static bool solve(const struct normal *normal, unsigned set, double x[TERMS])
 	return true;
 }
 
-/* Residual, less the part that is the same for all x. */
+/* Sum of squares, without the constant that is independent of x. */
 static double misfit(const struct normal *normal, const double x[TERMS])
 {
 	double sum = 0;

@@ -1,8 +1,8 @@
 /* tools/calibrate/allan.h
- * Overlapping Allan deviation, and the noise it shows: sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi) B^2 +
- * K^2 tau / 3 (IEEE Std 952-1997, annex C), a signal of x units a second being the sum of
+ * Overlapping Allan deviation, and a noise model fitted to it: sigma^2(tau) = 3 Q^2 / tau^2 + N^2 / tau + (2 ln 2 / pi)
+ * B^2 + K^2 tau / 3 (IEEE Std 952-1997, annex C), where
  *   Q  quantisation of the integral, unit s
- *   N  white noise, unit / sqrt(Hz) two-sided: the density of datasheets is N sqrt(2)
+ *   N  white noise, unit / sqrt(Hz), two-sided; the density in datasheets is N sqrt(2)
  *   B  bias instability, unit
  *   K  random walk, unit / sqrt(s) */
 #ifndef TOOLS_CALIBRATE_ALLAN_H
@@ -23,17 +23,18 @@ struct allan {
 };
 
 struct allan_noise {
-	double quantisation, white, bias_instability, random_walk; /* Q, N, B, K; 0: does not show */
+	double quantisation, white, bias_instability, random_walk; /* Q, N, B, K; 0: not observable */
 };
 
-/** `values` (at least 3) become their own running sum. Ten averaging times a decade, up to a ninth of the whole. */
+/** At ten averaging times per decade, up to a ninth of the record. Replaces `values` (at least 3) by their running
+ * sum. */
 void allan_deviation(double *values, size_t count, double rate_hz, struct allan *result);
-/** Least squares of the relative errors of sigma^2, each weighted by its certainty; no term below 0. */
+/** Weighted least squares of the relative errors of sigma^2, with no term below 0. */
 struct allan_noise allan_fit(const struct allan *allan);
-/** sigma(tau) of that noise. */
+/** sigma(tau) of the noise model. */
 double allan_model(const struct allan_noise *noise, double tau_s);
 
-/** The white noise's density as datasheets give it, one-sided. */
+/** One-sided density of the white noise, as in datasheets. */
 double allan_density(const struct allan_noise *noise);
 
 #endif

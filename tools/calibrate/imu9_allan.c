@@ -1,34 +1,32 @@
 /* tools/calibrate/imu9_allan.c
- * imu9-allan: what noise a sensor has, from a log of it at rest. */
-#include <errno.h>
+ * imu9-allan: identifies the noise of a sensor from a log at rest. */
 #include <getopt.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "drivers/imu/imu_log.h"
+#include "model/math/units.h"
 #include "tools/calibrate/allan.h"
 #include "tools/lib/cli.h"
+#include "tools/lib/cli_file.h"
 #include "tools/lib/plot.h"
-#include "model/math/units.h"
 
 static const char usage[] =
 	"usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
-	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (the longer the\n"
-	"better: hours), and the noise it shows, in the units of the gateway's objects 2020h.\n"
+	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (several hours are\n"
+	"best), and the noise figures fitted to it, in the units of the gateway's objects 2020h.\n"
 	"`-` reads standard input.\n"
 	"\n"
-	"  -o, --output PREFIX   PREFIX.csv with the deviations; PREFIX.gp, .png and .svg with their\n"
-	"                        plot (gnuplot)\n"
+	"  -o, --output PREFIX   write the deviations to PREFIX.csv and plot them to PREFIX.gp, .png and\n"
+	"                        .svg (needs gnuplot)\n"
 	"      --help, --version\n"
 	"\n"
 	"Densities are one-sided, as in datasheets: white noise of density n has the Allan deviation\n"
-	"n / sqrt(2 tau). The bias instability B has its floor at 0.664 B, the random walk K rises as\n"
-	"K sqrt(tau / 3).\n"
+	"n / sqrt(2 tau), bias instability B a floor of 0.664 B, random walk K a rise of K sqrt(tau / 3).\n"
 	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
 
-enum { CHANNELS = 6, LEAST_SAMPLES = 1000 };
+enum { CHANNELS = 6, MIN_SAMPLES = 1000 };
 static const char *const NAMES[CHANNELS] = {"gx", "gy", "gz", "ax", "ay", "az"};
 
 struct recording {
@@ -48,7 +46,7 @@ static void append(struct recording *r, const struct imu_sample *s)
 		for (int i = 0; i < CHANNELS; i++) {
 			r->values[i] = realloc(r->values[i], r->room * sizeof(double));
 			if (!r->values[i]) {
-				cli_error("out of memory after %zu samples: give a shorter log", r->count);
+				cli_error("out of memory after %zu samples: use a shorter log", r->count);
 				exit(CLI_FAILED);
 			}
 		}
@@ -63,35 +61,23 @@ static void load(struct recording *r, const char *path)
 	static struct imu_log log;
 	struct imu_sample sample;
 	uint64_t first_us = 0;
-	char error[256];
-	int got;
 
-	if (imu_log_open(&log, path, error, sizeof error) < 0) {
-		cli_error("%s", error);
-		exit(CLI_FAILED);
-	}
-	while ((got = imu_log_next(&log, &sample)) == 1) {
+	cli_log_open(&log, path);
+	while (cli_log_next(&log, &sample)) {
 		if (r->count == 0)
 			first_us = sample.t_us;
 		append(r, &sample);
 	}
-	imu_log_close(&log);
-	if (got < 0) {
-		cli_error("%s:%ld: %s", path, log.line, strerror(-got));
+	if (r->count < MIN_SAMPLES) {
+		cli_error("%s: only %zu samples: record at least %d of a sensor at rest, better several hours", path,
+			r->count, MIN_SAMPLES);
 		exit(CLI_FAILED);
 	}
-	if (r->count < LEAST_SAMPLES) {
-		cli_error("%s: only %zu samples: record at least %d, better hours, of a sensor at rest", path, r->count,
-			LEAST_SAMPLES);
-		exit(CLI_FAILED);
-	}
-	if (log.skipped)
-		cli_error("%u rows skipped, the last one: %s", log.skipped, log.last_skip);
-	/* the mean rate: over hours the median interval of the first rows is off */
+	/* the mean rate: over hours the median interval of the first rows (log.rate_hz) is too inaccurate */
 	r->rate_hz = (double)(r->count - 1) * 1e6 / (double)(sample.t_us - first_us);
 }
 
-/* Distance of neighbouring values: the least difference there is between samples. */
+/* Quantisation step: the smallest difference between successive samples. */
 static double digit(const double *values, size_t count)
 {
 	double least = INFINITY;
@@ -128,7 +114,7 @@ static void print_noise(const struct allan_noise noise[CHANNELS], const double d
 			gyro ? density : 1e3 * density, gyro ? "deg/s/sqrtHz" : "ug/sqrtHz", noise[i].bias_instability,
 			gyro ? "deg/s" : "mg", noise[i].random_walk, gyro ? "deg/s/sqrt(s)" : "mg/sqrt(s)", digits[i],
 			gyro ? "deg/s" : "mg",
-			digits[i] > 1.5 * sigma ? "  (coarse digits: part of this noise is theirs)" : "");
+			digits[i] > 1.5 * sigma ? "  (coarse digits: part of this noise is quantisation)" : "");
 	}
 }
 
@@ -145,23 +131,19 @@ static void print_settings(const struct allan_noise noise[CHANNELS])
 		density[i] = allan_density(&noise[i]);
 		bias[i] = noise[i].bias_instability;
 	}
-	printf("\nFor the gateway (mean of the axes):\n");
+	printf("\nFor the configuration of the gateway (mean of the axes):\n");
 	printf("noise.gyro_density=%.4g\nnoise.accelerometer_density=%.4g\n", mean3(density), 1e3 * mean3(density + 3));
 	printf("noise.gyro_bias_instability=%.4g\nnoise.accelerometer_bias_instability=%.4g\n", mean3(bias),
 		mean3(bias + 3));
 }
 
-static int write_csv(const char *prefix, const struct allan all[CHANNELS], const struct allan_noise noise[CHANNELS])
+static void write_csv(const char *prefix, const struct allan all[CHANNELS], const struct allan_noise noise[CHANNELS])
 {
 	char path[4096];
 	FILE *file;
 
 	snprintf(path, sizeof path, "%s.csv", prefix);
-	file = fopen(path, "we");
-	if (!file) {
-		cli_error("%s: %s", path, strerror(errno));
-		return -1;
-	}
+	file = cli_create(path);
 	fputs("tau", file);
 	for (int i = 0; i < CHANNELS; i++)
 		fprintf(file, ",%s,%s_fit", NAMES[i], NAMES[i]);
@@ -172,7 +154,7 @@ static int write_csv(const char *prefix, const struct allan all[CHANNELS], const
 				allan_model(&noise[i], all[0].points[k].tau_s));
 	}
 	fputc('\n', file);
-	return fclose(file);
+	cli_close(file, path);
 }
 
 static struct plot_panel panel(const char *title, const char *ylabel, const char *csv, const char *const names[3])
@@ -249,7 +231,8 @@ int main(int argc, char **argv)
 	print_deviations(all);
 	print_noise(noise, digits, recording.rate_hz);
 	print_settings(noise);
-	if (prefix && (write_csv(prefix, all, noise) != 0 || plot(prefix) != 0))
-		return CLI_FAILED;
-	return CLI_OK;
+	if (!prefix)
+		return CLI_OK;
+	write_csv(prefix, all, noise);
+	return plot(prefix) == 0 ? CLI_OK : CLI_FAILED;
 }

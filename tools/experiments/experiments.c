@@ -8,11 +8,12 @@
 #include <string.h>
 #include <sys/stat.h>
 
-#include "tools/lib/cli.h"
-#include "tools/lib/csv.h"
-#include "tools/experiments/methods.h"
-#include "tools/lib/plot.h"
 #include "model/math/units.h"
+#include "tools/experiments/methods.h"
+#include "tools/lib/cli.h"
+#include "tools/lib/cli_file.h"
+#include "tools/lib/csv.h"
+#include "tools/lib/plot.h"
 
 #define BLUE	"#0072b2"
 #define ORANGE	"#d55e00"
@@ -27,7 +28,7 @@ enum { NOISES = 7, PATH_SIZE = 4096 };
 static const double NOISE_DEG[NOISES] = {0.02, 0.05, 0.1, 0.2, 0.3, 0.7, 2.0};
 static const double G_M_S2 = 9.81;
 
-/* What the experiments work with. Whatever cannot go on ends the program: there is nothing to clean up. */
+/* Output directory. All failures end the program: there is nothing to clean up. */
 static const char *directory;
 
 static FILE *open_csv(const char *name, const char *header)
@@ -36,21 +37,14 @@ static FILE *open_csv(const char *name, const char *header)
 	FILE *file;
 
 	snprintf(path, sizeof path, "%s/%s", directory, name);
-	file = fopen(path, "we");
-	if (!file) {
-		cli_error("%s: %s", path, strerror(errno));
-		exit(CLI_FAILED);
-	}
+	file = cli_create(path);
 	fprintf(file, "%s\n", header);
 	return file;
 }
 
 static void close_csv(FILE *file)
 {
-	if (ferror(file) | fclose(file)) {
-		cli_error("%s: a file could not be written: is the disk full?", directory);
-		exit(CLI_FAILED);
-	}
+	cli_close(file, directory);
 }
 
 static void draw(const struct plot_figure *figure)
@@ -61,7 +55,7 @@ static void draw(const struct plot_figure *figure)
 	fflush(stdout);
 }
 
-static struct trial made(const struct trial_config *config)
+static struct trial make_trial(const struct trial_config *config)
 {
 	struct trial trial;
 
@@ -72,7 +66,7 @@ static struct trial made(const struct trial_config *config)
 	return trial;
 }
 
-static void *room(int count, size_t size)
+static void *allocate(int count, size_t size)
 {
 	void *values = calloc((size_t)count, size);
 
@@ -83,9 +77,9 @@ static void *room(int count, size_t size)
 	return values;
 }
 
-static struct score scored(enum method method, const struct trial *trial, double angle_noise_deg)
+static struct score run_and_score(enum method method, const struct trial *trial, double angle_noise_deg)
 {
-	struct vec3 *estimate = room(trial->count, sizeof *estimate);
+	struct vec3 *estimate = allocate(trial->count, sizeof *estimate);
 	struct score score;
 
 	method_run(method, trial, angle_noise_deg * RAD_PER_DEG, estimate);
@@ -94,9 +88,10 @@ static struct score scored(enum method method, const struct trial *trial, double
 	return score;
 }
 
-/* ---- Figs. 5-7: the roll step -------------------------------------------------------------------------------------- */
+/* ---- Figs. 5-7: the roll step
+ * -------------------------------------------------------------------------------------- */
 
-/* The second component of (9)'s last term in g, from angles with that noise; 0 degrees: the true one. */
+/* Second component of the last term of (9), in g, from angles with that noise; 0 degrees: the true one. */
 static void second_correction(const struct trial *trial, double angle_noise_deg, double *correction_g)
 {
 	struct seed_motion *motion = trial->scratch;
@@ -106,7 +101,7 @@ static void second_correction(const struct trial *trial, double angle_noise_deg,
 			trial->motion[k].angles_rad, vec3_scale(angle_noise_deg * RAD_PER_DEG, trial->angle_noise[k]));
 	seed_differentiate(motion, trial->count, trial->dt_s);
 	for (int k = 0; k < trial->count; k++) {
-		/* of the roll alone, as in the paper */
+		/* for the roll alone, as in the paper */
 		struct seed_motion roll = {.rates_rad_s = {motion[k].rates_rad_s.x, 0, 0}};
 
 		correction_g[k] = seed_lever_arm(&roll, trial->config.lever_arm_b_m).y / G_M_S2;
@@ -117,13 +112,13 @@ static void roll_step_figures(void)
 {
 	const struct trial_config config = trial_defaults(WORLD_SEED, "roll_step");
 	const double noise_deg[] = {0, 0.2, 0.7, 2.0};
-	struct trial trial = made(&config);
+	struct trial trial = make_trial(&config);
 	const int shown = (int)(4 * config.rate_hz);
 	FILE *file = open_csv("fig05_07.csv", "t,phi_deg,phi_noisy_deg,phi_rate_gyro,true_g,g_0.2,g_0.7,g_2.0,gyro_g");
 	double *correction[4];
 
 	for (int i = 0; i < 4; i++) {
-		correction[i] = room(trial.count, sizeof(double));
+		correction[i] = allocate(trial.count, sizeof(double));
 		second_correction(&trial, noise_deg[i], correction[i]);
 	}
 	for (int k = 0; k < shown; k++) {
@@ -151,7 +146,7 @@ static void roll_step_figures(void)
 				{{"fig05_07.csv", "\"t\":\"phi_noisy_deg\"", "phi, noisy", BOTH(BLUE)}}}}});
 	draw(&(struct plot_figure){"fig06_correction",
 		"Fig. 6: correction of the roll step at r = 5 cm, noise of 0.7 degrees", 1, 2,
-		{{"the paper's way: angles differentiated", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
+		{{"the paper's method: differentiated angles", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
 			 {{"fig05_07.csv", "\"t\":\"g_0.7\"", "from noisy angles", BOTH(ORANGE)},
 				 {"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}},
 			{"rate from the gyro", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
@@ -167,7 +162,8 @@ static void roll_step_figures(void)
 					{"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}}}});
 }
 
-/* ---- Figs. 8-9: the other inputs ----------------------------------------------------------------------------------- */
+/* ---- Figs. 8-9: the other inputs
+ * ----------------------------------------------------------------------------------- */
 
 static void input_figure(const char *signal, double until_s, const char *csv, const char *name, const char *title)
 {
@@ -183,7 +179,7 @@ static void input_figure(const char *signal, double until_s, const char *csv, co
 			{"measured acceleration, (11)", "time [s]", "acceleration [m/s^2]", NULL,
 				{{csv, "\"t\":\"fl\"", "a_l", LINE(BLUE)}, {csv, "\"t\":\"fs\"", "a_s", LINE(GREEN)},
 					{csv, "\"t\":\"ft\"", "a_t", LINE(ORANGE)}}}}};
-	struct trial trial = made(&config);
+	struct trial trial = make_trial(&config);
 	FILE *file = open_csv(csv, "t,phi_deg,theta_deg,psi_deg,al,as,at,fl,fs,ft");
 
 	for (int k = 0; k < trial.count && k * trial.dt_s < until_s; k++) {
@@ -201,13 +197,14 @@ static void input_figure(const char *signal, double until_s, const char *csv, co
 	draw(&figure);
 }
 
-/* ---- Figs. 10-12: estimates at low, medium and high noise ---------------------------------------------------------- */
+/* ---- Figs. 10-12: estimates at low, medium and high noise
+ * ---------------------------------------------------------- */
 
 static void estimate_csv(const char *name, const char *signal, double from_s, double to_s, double noise_deg)
 {
 	const struct trial_config config = trial_defaults(WORLD_SEED, signal);
-	struct trial trial = made(&config);
-	struct vec3 *seed = room(trial.count, sizeof *seed), *automatic = room(trial.count, sizeof *automatic);
+	struct trial trial = make_trial(&config);
+	struct vec3 *seed = allocate(trial.count, sizeof *seed), *automatic = allocate(trial.count, sizeof *automatic);
 	FILE *file = open_csv(name, "t,al,as,at,seed_l,seed_s,seed_t,auto_l,auto_s,auto_t");
 
 	method_run(METHOD_SEED, &trial, noise_deg * RAD_PER_DEG, seed);
@@ -260,7 +257,8 @@ static void estimate_figure(int number, const char *word, double noise_deg)
 			estimate_panel(square, "robot, rates from the gyro, auto", false)}});
 }
 
-/* ---- the table ----------------------------------------------------------------------------------------------------- */
+/* ---- the table
+ * ----------------------------------------------------------------------------------------------------- */
 
 struct table {
 	struct score score[WORLDS][TRIAL_SIGNALS][METHODS][NOISES];
@@ -274,11 +272,11 @@ static void make_table(struct table *table)
 		for (int signal = 0; signal < TRIAL_SIGNALS; signal++) {
 			const struct trial_config config =
 				trial_defaults((enum world)world, TRIAL_SIGNAL_NAMES[signal]);
-			struct trial trial = made(&config);
+			struct trial trial = make_trial(&config);
 
 			for (int method = 0; method < METHODS; method++)
 				for (int noise = 0; noise < NOISES; noise++) {
-					struct score s = scored((enum method)method, &trial, NOISE_DEG[noise]);
+					struct score s = run_and_score((enum method)method, &trial, NOISE_DEG[noise]);
 
 					table->score[world][signal][method][noise] = s;
 					fprintf(file, "%s,%s,%s,%.2f,%.5f,%.4f\n", WORLD_NAMES[world],
@@ -328,9 +326,10 @@ static void table_figure(void)
 	draw(&figure);
 }
 
-/* ---- what the correction depends on -------------------------------------------------------------------------------- */
+/* ---- dependence on lever arm and rate
+ * -------------------------------------------------------------------------------- */
 
-/* R^2 of a line through the origin and the points. */
+/* R^2 of the regression line through the origin. */
 static double line_r2(const double *x, const double *y, int n)
 {
 	double xx = 0, xy = 0, residual = 0, total = 0, mean = 0;
@@ -351,7 +350,7 @@ struct peaks {
 	double rate_rad_s, seed_m_s2, physical_m_s2;
 };
 
-/* The largest effect of a lever arm along s on the measured side component: by (9), and on a rigid body. */
+/* Largest effect of a lever arm along s on the measured side component: by (9), and for a rigid body. */
 static struct peaks lever_arm_peaks(double r_m, double angle_scale)
 {
 	struct trial_config config = trial_defaults(WORLD_SEED, "roll_step");
@@ -361,7 +360,7 @@ static struct peaks lever_arm_peaks(double r_m, double angle_scale)
 	struct trial trial;
 
 	config.angle_scale = angle_scale;
-	trial = made(&config);
+	trial = make_trial(&config);
 	for (int k = 0; k < trial.count; k++)
 		peaks.seed_m_s2 = fmax(peaks.seed_m_s2, fabs(seed_lever_arm(&trial.motion[k], r).y));
 	trial_free(&trial);
@@ -427,9 +426,10 @@ static void dependence_figure(struct dependence *d)
 					{"rate.csv", "\"rate_rad_s\":\"physical_g\"", "rigid body", BOTH(BLUE)}}}}});
 }
 
-/* ---- auto over the noise of the gyro ------------------------------------------------------------------------------- */
+/* ---- auto over the noise of the gyro
+ * ------------------------------------------------------------------------------- */
 
-struct ratio { /* of auto's error to that of the better of none and rigid_gyro */
+struct ratio { /* error of auto / smaller one of the errors of none and rigid_gyro */
 	double worst, best;
 };
 
@@ -446,8 +446,8 @@ static void auto_figure(struct ratio *ratio)
 	static char use[TRIAL_SIGNALS][3][256];
 	const enum method methods[3] = {METHOD_NONE, METHOD_RIGID_GYRO, METHOD_AUTO};
 	struct plot_figure figure = {"fig15_auto",
-		"auto: the correction as far as it is worth its noise (physical world, angle noise of 0.05 degrees)", 1,
-		3, {{0}}};
+		"auto: the correction weighted against its noise (physical world, angle noise of 0.05 degrees)", 1, 3,
+		{{0}}};
 	FILE *file = open_csv("auto.csv", "signal,gyro_density,none,rigid_gyro,auto");
 
 	*ratio = (struct ratio){0, 1e9};
@@ -467,9 +467,9 @@ static void auto_figure(struct ratio *ratio)
 			double rms[3];
 
 			config.gyro_noise_scale = pow(10, decade);
-			trial = made(&config);
+			trial = make_trial(&config);
 			for (int m = 0; m < 3; m++)
-				rms[m] = scored(methods[m], &trial, 0.05).rms_m_s2;
+				rms[m] = run_and_score(methods[m], &trial, 0.05).rms_m_s2;
 			fprintf(file, "%s,%.5f,%.5f,%.5f,%.5f\n", TRIAL_SIGNAL_NAMES[signal],
 				trial.sensor.gyro.density / RAD_PER_DEG, rms[0], rms[1], rms[2]);
 			note(ratio, rms[2], rms[0], rms[1]);
@@ -480,7 +480,8 @@ static void auto_figure(struct ratio *ratio)
 	draw(&figure);
 }
 
-/* ---- what the paper leaves open: sampling rate and amplitude ------------------------------------------------------- */
+/* ---- what the paper leaves open: sampling rate and amplitude
+ * ------------------------------------------------------- */
 
 enum { RATES = 5, SCALES = 4 };
 static const double RATE_HZ[RATES] = {25, 50, 100, 200, 400}, ANGLE_SCALE[SCALES] = {0.25, 0.5, 1, 1.5};
@@ -488,11 +489,11 @@ static const double RATE_HZ[RATES] = {25, 50, 100, 200, 400}, ANGLE_SCALE[SCALES
 static void sweep_one(FILE *file, const struct trial_config *config)
 {
 	const double noise_deg[] = {0.02, 0.05, 0.3, 2.0};
-	struct trial trial = made(config);
+	struct trial trial = make_trial(config);
 
 	for (int method = 0; method < METHODS; method++)
 		for (int i = 0; i < 4; i++) {
-			struct score s = scored((enum method)method, &trial, noise_deg[i]);
+			struct score s = run_and_score((enum method)method, &trial, noise_deg[i]);
 
 			fprintf(file, "%s,%s,%g,%g,%s,%.2f,%.5f,%.4f\n", WORLD_NAMES[config->world], config->signal,
 				config->rate_hz, config->angle_scale, METHOD_NAMES[method], noise_deg[i], s.rms_m_s2,
@@ -526,16 +527,17 @@ static void sweep(void)
 	puts("  sweep.csv: the same over sampling rate and amplitude");
 }
 
-/* The angle noise at which (12) does no better than no correction at all, degrees. */
+/* Angle noise at which (12) is as good as no correction, degrees. */
 static double break_even_deg(const struct trial_config *config)
 {
-	struct trial trial = made(config);
+	struct trial trial = make_trial(config);
 	double low = log(1e-4), high = log(10);
 
 	for (int i = 0; i < 12; i++) {
 		double middle = (low + high) / 2, noise_deg = exp(middle);
 
-		if (scored(METHOD_SEED, &trial, noise_deg).rms_m_s2 < scored(METHOD_NONE, &trial, noise_deg).rms_m_s2)
+		if (run_and_score(METHOD_SEED, &trial, noise_deg).rms_m_s2 <
+			run_and_score(METHOD_NONE, &trial, noise_deg).rms_m_s2)
 			low = middle;
 		else
 			high = middle;
@@ -553,7 +555,7 @@ static double peak_g(double rate_hz, double angle_scale)
 
 	config.rate_hz = rate_hz;
 	config.angle_scale = angle_scale;
-	trial = made(&config);
+	trial = make_trial(&config);
 	for (int k = 0; k < trial.count; k++)
 		peak = fmax(peak, seed_lever_arm(&trial.motion[k], r).y / G_M_S2);
 	trial_free(&trial);
@@ -584,7 +586,7 @@ static void open_choices_figure(void)
 	}
 	close_csv(file);
 	draw(&(struct plot_figure){"fig16_open_choices",
-		"What the paper leaves open decides what it finds (the seed's world)", 1, 2,
+		"The results of the paper depend on what it leaves open (its world)", 1, 2,
 		{{"peak of phi'^2 r at r = 5 cm", "height of the roll step [deg]", "peak [g]", "set yrange [0:4]",
 			 {{"step_height.csv", "\"step_deg\":\"hz25\"", "25 Hz", LINE(GREY)},
 				 {"step_height.csv", "\"step_deg\":\"hz50\"", "50 Hz (chosen)", LINE(ORANGE)},
@@ -594,7 +596,7 @@ static void open_choices_figure(void)
 					 "lines dt 2 lc rgb '" BLACK "'"},
 				 {"step_height.csv", "\"step_deg\":(0.8)", ".. to 0.8 g",
 					 "lines dt 3 lc rgb '" BLACK "'"}}},
-			{"angle noise at which (12) is no better than none", "sampling rate [Hz]", "angle noise [deg]",
+			{"angle noise at which (12) equals no correction", "sampling rate [Hz]", "angle noise [deg]",
 				"set logscale xy\nset xtics (25, 50, 100, 200, 400)",
 				{{"break_even.csv", "\"rate_hz\":\"roll_step\"", "roll step", BOTH(BLUE)},
 					{"break_even.csv", "\"rate_hz\":\"boat\"", "boat", BOTH(GREEN)},
@@ -605,7 +607,7 @@ static void open_choices_figure(void)
 						"lines dt 3 lc rgb '" BLACK "'"}}}}});
 }
 
-/* ---- what comes of it ---------------------------------------------------------------------------------------------- */
+/* ---- the claims ---------------------------------------------------------------------------------------------- */
 
 static void claim(FILE *file, const char *text, double measured, bool holds)
 {
@@ -613,7 +615,7 @@ static void claim(FILE *file, const char *text, double measured, bool holds)
 	printf("  %-92s %10.5g  %s\n", text, measured, holds ? "yes" : "NO");
 }
 
-/* Error of one method at one noise, by that of another. */
+/* Ratio of the errors of two methods, each at its noise. */
 static double compare(
 	const struct table *table, int world, int signal, enum method a, int noise_a, enum method b, int noise_b)
 {
@@ -628,14 +630,15 @@ static void table_claims(FILE *file, const struct table *table)
 		const char *name = TRIAL_SIGNAL_NAMES[signal];
 		double r = compare(table, WORLD_SEED, signal, METHOD_SEED, 1, METHOD_NONE, 1);
 
-		snprintf(text, sizeof text, "paper, %s: 0.05 degrees suffice (error by that of none)", name);
+		snprintf(text, sizeof text, "paper, %s: 0.05 degrees suffice (ratio of errors to none)", name);
 		claim(file, text, r, r < 1);
 		r = compare(table, WORLD_SEED, signal, METHOD_SEED, 5, METHOD_NONE, 5);
-		snprintf(text, sizeof text, "paper, %s: above 0.3 degrees useless (0.7; error by that of none)", name);
+		snprintf(
+			text, sizeof text, "paper, %s: above 0.3 degrees useless (0.7; ratio of errors to none)", name);
 		claim(file, text, r, r > 1);
 		r = compare(table, WORLD_SEED, signal, METHOD_SEED_GYRO, NOISES - 1, METHOD_SEED, 0);
-		snprintf(text, sizeof text, "seed's world, %s: seed_gyro at 2.0 beats seed at 0.02 degrees (ratio)",
-			name);
+		snprintf(text, sizeof text,
+			"world of the paper, %s: seed_gyro at 2.0 beats seed at 0.02 degrees (ratio)", name);
 		claim(file, text, r, r < 1);
 		r = compare(table, WORLD_PHYSICAL, signal, METHOD_RIGID_GYRO, NOISES - 1, METHOD_SEED, 0);
 		snprintf(text, sizeof text, "physical world, %s: rigid_gyro at 2.0 beats seed at 0.02 degrees (ratio)",
@@ -660,21 +663,21 @@ static void claims(const struct table *table, const struct dependence *d, const 
 	printf("\nClaims (claims.csv):\n");
 	claim(file, "paper: correction above 0.5 g at r = 5 cm [g]", d->peak_5_cm_g[WORLD_SEED],
 		d->peak_5_cm_g[WORLD_SEED] > 0.5);
-	claim(file, "the same of a rigid body [g]", d->peak_5_cm_g[WORLD_PHYSICAL],
+	claim(file, "the same for a rigid body [g]", d->peak_5_cm_g[WORLD_PHYSICAL],
 		d->peak_5_cm_g[WORLD_PHYSICAL] > 0.5);
 	claim(file, "paper: the peak grows linearly with r (R^2)", d->linear_r2[WORLD_SEED],
 		d->linear_r2[WORLD_SEED] > 0.999);
-	claim(file, "the same of a rigid body (R^2)", d->linear_r2[WORLD_PHYSICAL],
+	claim(file, "the same for a rigid body (R^2)", d->linear_r2[WORLD_PHYSICAL],
 		d->linear_r2[WORLD_PHYSICAL] > 0.999);
 	claim(file, "the peak grows with the square of the rate (R^2)", d->quadratic_r2[WORLD_SEED],
 		d->quadratic_r2[WORLD_SEED] > 0.999);
-	claim(file, "the same of a rigid body (R^2)", d->quadratic_r2[WORLD_PHYSICAL],
+	claim(file, "the same for a rigid body (R^2)", d->quadratic_r2[WORLD_PHYSICAL],
 		d->quadratic_r2[WORLD_PHYSICAL] > 0.999);
 	table_claims(file, table);
 	claim(file, "auto is at most 5 % worse than the better of none and rigid_gyro (table, worst ratio)",
 		ratio.worst, ratio.worst <= 1.05);
-	claim(file, ".. over the noise of the gyro (worst ratio)", swept->worst, swept->worst <= 1.05);
-	claim(file, ".. and better than both where they are alike (best ratio)", swept->best, swept->best < 0.95);
+	claim(file, "likewise over the noise of the gyro (worst ratio)", swept->worst, swept->worst <= 1.05);
+	claim(file, "auto is better than both where they are equal (best ratio)", swept->best, swept->best < 0.95);
 	close_csv(file);
 }
 
@@ -704,7 +707,7 @@ int experiments(const char *into)
 	directory = into;
 	if (make_directory(directory) < 0)
 		return CLI_FAILED;
-	printf("Into %s:\n", directory);
+	printf("Writing to %s:\n", directory);
 	make_table(&table);
 	roll_step_figures();
 	input_figure("boat", 20, "fig08.csv", "fig08_boat", "Fig. 8: simulated boat on a large wave (50 Hz)");

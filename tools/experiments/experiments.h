@@ -1,10 +1,10 @@
 /* tools/experiments/experiments.h
- * The seed paper's experiments and what beats them: CSV and figures (gnuplot scripts, PNG, SVG) into a directory. What they
- * show is in tools/experiments/REPORT.md. */
-#ifndef TOOLS_EXPERIMENTS_H
-#define TOOLS_EXPERIMENTS_H
+ * The experiments of the paper, and the gateway's methods in comparison: CSV and figures (gnuplot scripts, PNG, SVG).
+ * The results are discussed in tools/experiments/REPORT.md. */
+#ifndef TOOLS_EXPERIMENTS_EXPERIMENTS_H
+#define TOOLS_EXPERIMENTS_EXPERIMENTS_H
 
-/** Makes the directory, prints what it does; returns an exit code. */
+/** Creates the directory and prints the progress. Returns an exit code of cli.h. */
 int experiments(const char *directory);
 
 #endif

@@ -1,42 +1,41 @@
 /* tools/experiments/imu9_sim.c
- * imu9-sim: logs of simulated motions and sensors, and the seed paper's experiments. */
-#include <errno.h>
+ * imu9-sim: logs of simulated sensors on simulated motions, and the experiments of the paper. */
 #include <getopt.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
+#include "model/math/units.h"
 #include "model/sim/sensor.h"
 #include "tools/lib/cli.h"
+#include "tools/lib/cli_file.h"
 #include "tools/lib/csv.h"
 #include "tools/experiments/experiments.h"
-#include "model/math/units.h"
 
 static const char usage[] =
 	"usage: imu9-sim [OPTION]... SIGNAL >LOG.imu.csv\n"
 	"       imu9-sim experiments [-o DIR]\n"
 	"       imu9-sim --list\n"
-	"Writes the log of a simulated IMU: t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT. Or\n"
-	"repeats the experiments of the paper that the accelerometer's model comes from: tables and\n"
-	"figures into DIR.\n"
+	"Writes the log of a simulated IMU: t,gx,gy,gz,ax,ay,az,mx,my,mz in s, rad/s, m/s^2, uT. Or\n"
+	"repeats the experiments of the paper of the acceleration model, with tables and figures in DIR.\n"
 	"\n"
-	"  -d, --duration S      seconds (default: once through the motion)\n"
-	"  -r, --rate HZ         samples a second (default 100)\n"
-	"  -s, --sensor PRESET   whose errors it has (default lsm303dlhc_l3gd20)\n"
-	"      --uncalibrated    with the bias, scale and cross-axis errors of a chip from the factory\n"
-	"      --warming K       it warms up from 25 degC by K, its biases follow, and the log has a\n"
-	"                        column temperature\n"
-	"      --jitter S        1-sigma of the instant of sampling, seconds (default 0)\n"
-	"      --seed N          another seed is another chip with other noise (default 1)\n"
+	"  -d, --duration S      seconds (default: one cycle of the motion)\n"
+	"  -r, --rate HZ         samples per second (default 100)\n"
+	"  -s, --sensor PRESET   sensor error model (default lsm303dlhc_l3gd20)\n"
+	"      --uncalibrated    with bias, scale and cross-axis errors, as delivered\n"
+	"      --warming K       warm up by K from 25 degC: the biases change, and the log gets a column\n"
+	"                        temperature\n"
+	"      --jitter S        1 sigma of the sampling instant, seconds (default 0)\n"
+	"      --seed N          each seed is another chip with other noise (default 1)\n"
 	"      --lever-arm L,S,T metres from the reference point to the accelerometer (default 0,0,0)\n"
-	"      --angle RAD_PER_DEG       size of the motion's largest quick rotation\n"
-	"      --change S        how long a quick change takes\n"
-	"  -t, --truth           further columns: attitude (object -> ENU), rate, angular acceleration,\n"
+	"      --angle DEG       amplitude of the largest quick rotation of the motion\n"
+	"      --change S        duration of a quick change\n"
+	"  -t, --truth           append columns: attitude (object -> ENU), rate, angular acceleration,\n"
 	"                        acceleration of the reference point in object and global frame,\n"
 	"                        velocity, position\n"
-	"  -o, --output FILE     instead of standard output; experiments: a directory\n"
-	"                        (default build/experiments)\n"
-	"  -l, --list            the signals and sensor presets\n"
+	"  -o, --output FILE     output file (default: standard output); experiments: a directory\n"
+	"                        (default: build/experiments)\n"
+	"  -l, --list            list the signals and sensor presets\n"
 	"      --help, --version\n"
 	"\n"
 	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
@@ -55,10 +54,10 @@ struct request {
 
 static void list(void)
 {
-	puts("Signals (angle and time of their quick changes):");
+	puts("Signals (amplitude and duration of their quick changes):");
 	for (const struct signal *s = SIGNALS; s->name; s++)
-		printf("  %-24s %s (%.3g deg, %.3g s; once through: %.3g s)\n", s->name, s->about,
-			s->angle_rad / RAD_PER_DEG, s->change_s, s->period_s);
+		printf("  %-24s %s (%.3g deg, %.3g s; cycle: %.3g s)\n", s->name, s->about, s->angle_rad / RAD_PER_DEG,
+			s->change_s, s->period_s);
 	puts("Sensor presets:");
 	for (const struct sensor_config *s = SENSOR_PRESETS; s->name; s++)
 		printf("  %-24s %s\n", s->name, s->about);
@@ -90,7 +89,7 @@ static void write_sample(struct csv_row *row, const struct imu_sample *sample)
 		csv_number(row, sample->temperature_degC, 3);
 }
 
-static int write_log(const struct request *request, FILE *file)
+static void write_log(const struct request *request, FILE *file)
 {
 	const uint64_t count = (uint64_t)(request->duration_s * request->sensor.rate_hz + 0.5);
 	static struct sensor sensor;
@@ -111,26 +110,6 @@ static int write_log(const struct request *request, FILE *file)
 			write_truth(&row, &truth);
 		csv_write(&row, file);
 	}
-	return fflush(file) == 0 && !ferror(file) ? 0 : -errno;
-}
-
-static int run(const struct request *request)
-{
-	FILE *file = request->output ? fopen(request->output, "we") : stdout;
-	int result;
-
-	if (!file) {
-		cli_error("%s: %s", request->output, strerror(errno));
-		return CLI_FAILED;
-	}
-	result = write_log(request, file);
-	if (request->output && fclose(file) != 0)
-		result = -errno;
-	if (result < 0) {
-		cli_error("%s: %s", request->output ? request->output : "standard output", strerror(-result));
-		return CLI_FAILED;
-	}
-	return CLI_OK;
 }
 
 static struct vec3 lever_arm_option(const char *text)
@@ -155,7 +134,7 @@ static const struct sensor_config *sensor_option(const char *name)
 	const struct sensor_config *preset = sensor_preset(name);
 
 	if (!preset)
-		cli_usage_error("--sensor %s: there is none of that name (imu9-sim --list)", name);
+		cli_usage_error("--sensor %s: unknown preset: see imu9-sim --list", name);
 	return preset;
 }
 
@@ -190,8 +169,8 @@ static const struct option options[] = {
 	{0},
 };
 
-/* What the command line says, before the signal's name is known. 0: as the signal has it. */
-struct wishes {
+/* The command line; 0: the value of the signal, whose name is known after the options. */
+struct arguments {
 	const struct sensor_config *sensor;
 	struct vec3 lever_arm_b_m;
 	double duration_s, rate_hz, warming_K, jitter_s, angle_rad, change_s;
@@ -200,44 +179,44 @@ struct wishes {
 	const char *output;
 };
 
-static void take_option(struct wishes *w, int option, char **argv)
+static void apply_option(struct arguments *a, int option, char **argv)
 {
 	switch (option) {
 	case 'd':
-		w->duration_s = cli_real_option("--duration", optarg, 1e-3, 1e7);
+		a->duration_s = cli_real_option("--duration", optarg, 1e-3, 1e7);
 		break;
 	case 'r':
-		w->rate_hz = cli_real_option("--rate", optarg, 0.1, 1e5);
+		a->rate_hz = cli_real_option("--rate", optarg, 0.1, 1e5);
 		break;
 	case 's':
-		w->sensor = sensor_option(optarg);
+		a->sensor = sensor_option(optarg);
 		break;
 	case 't':
-		w->truth = true;
+		a->truth = true;
 		break;
 	case 'o':
-		w->output = optarg;
+		a->output = optarg;
 		break;
 	case OPT_UNCALIBRATED:
-		w->uncalibrated = true;
+		a->uncalibrated = true;
 		break;
 	case OPT_WARMING:
-		w->warming_K = cli_real_option("--warming", optarg, -100, 100);
+		a->warming_K = cli_real_option("--warming", optarg, -100, 100);
 		break;
 	case OPT_JITTER:
-		w->jitter_s = cli_real_option("--jitter", optarg, 0, 1);
+		a->jitter_s = cli_real_option("--jitter", optarg, 0, 1);
 		break;
 	case OPT_SEED:
-		w->seed = (uint64_t)cli_integer_option("--seed", optarg, 0, 0x7fffffff);
+		a->seed = (uint64_t)cli_integer_option("--seed", optarg, 0, 0x7fffffff);
 		break;
 	case OPT_LEVER_ARM:
-		w->lever_arm_b_m = lever_arm_option(optarg);
+		a->lever_arm_b_m = lever_arm_option(optarg);
 		break;
 	case OPT_ANGLE:
-		w->angle_rad = RAD_PER_DEG * cli_real_option("--angle", optarg, 1e-6, 1e6);
+		a->angle_rad = RAD_PER_DEG * cli_real_option("--angle", optarg, 1e-6, 1e6);
 		break;
 	case OPT_CHANGE:
-		w->change_s = cli_real_option("--change", optarg, 1e-3, 1e4);
+		a->change_s = cli_real_option("--change", optarg, 1e-3, 1e4);
 		break;
 	case 'l':
 		list();
@@ -258,53 +237,57 @@ static const struct signal *signal_option(const char *name)
 	const struct signal *signal = signal_find(name);
 
 	if (!signal)
-		cli_usage_error("there is no signal %s (imu9-sim --list)", name);
+		cli_usage_error("%s: unknown signal: see imu9-sim --list", name);
 	return signal;
 }
 
-static struct request request_of(const struct wishes *w, const char *name)
+static struct request request_of(const struct arguments *a, const char *name)
 {
 	const struct signal *signal = signal_option(name);
 	struct request request;
 
 	request = (struct request){.signal = *signal,
-		.sensor = *w->sensor,
-		.duration_s = w->duration_s > 0 ? w->duration_s : signal->period_s,
-		.seed = w->seed,
-		.truth = w->truth,
-		.output = w->output};
-	if (w->angle_rad > 0)
-		request.signal.angle_rad = w->angle_rad;
-	if (w->change_s > 0)
-		request.signal.change_s = w->change_s;
-	if (w->rate_hz > 0)
-		request.sensor.rate_hz = w->rate_hz;
-	request.sensor.warming_K = w->warming_K;
-	request.sensor.jitter_s = w->jitter_s;
-	request.sensor.lever_arm_b_m = w->lever_arm_b_m;
-	if (!w->uncalibrated)
+		.sensor = *a->sensor,
+		.duration_s = a->duration_s > 0 ? a->duration_s : signal->period_s,
+		.seed = a->seed,
+		.truth = a->truth,
+		.output = a->output};
+	if (a->angle_rad > 0)
+		request.signal.angle_rad = a->angle_rad;
+	if (a->change_s > 0)
+		request.signal.change_s = a->change_s;
+	if (a->rate_hz > 0)
+		request.sensor.rate_hz = a->rate_hz;
+	request.sensor.warming_K = a->warming_K;
+	request.sensor.jitter_s = a->jitter_s;
+	request.sensor.lever_arm_b_m = a->lever_arm_b_m;
+	if (!a->uncalibrated)
 		sensor_calibrate(&request.sensor);
 	return request;
 }
 
 int main(int argc, char **argv)
 {
-	struct wishes wishes = {.sensor = &SENSOR_PRESETS[0], .seed = 1};
+	struct arguments arguments = {.sensor = &SENSOR_PRESETS[0], .seed = 1};
 	struct request request;
-	bool of_a_log = false;
+	FILE *file;
+	bool log_options = false;
 	int option;
 
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":d:r:s:to:l", options, NULL)) != -1) {
-		take_option(&wishes, option, argv);
-		of_a_log |= option != 'o';
+		apply_option(&arguments, option, argv);
+		log_options |= option != 'o';
 	}
 	if (optind != argc - 1)
-		cli_usage_error("give one signal (imu9-sim --list), or the word experiments");
-	if (strcmp(argv[optind], "experiments") == 0 && of_a_log)
-		cli_usage_error("experiments take no option but -o");
+		cli_usage_error("give one signal (see imu9-sim --list), or the word experiments");
+	if (strcmp(argv[optind], "experiments") == 0 && log_options)
+		cli_usage_error("experiments has no option but -o");
 	if (strcmp(argv[optind], "experiments") == 0)
-		return experiments(wishes.output ? wishes.output : "build/experiments");
-	request = request_of(&wishes, argv[optind]);
-	return run(&request);
+		return experiments(arguments.output ? arguments.output : "build/experiments");
+	request = request_of(&arguments, argv[optind]);
+	file = cli_create(request.output);
+	write_log(&request, file);
+	cli_close(file, request.output);
+	return CLI_OK;
 }

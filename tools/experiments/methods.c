@@ -14,7 +14,7 @@ static struct vec3 given_angles(const struct trial *trial, int k, double angle_s
 	return vec3_add(trial->motion[k].angles_rad, vec3_scale(angle_sigma_rad, trial->angle_noise[k]));
 }
 
-/* Angles only: (8) or (12) backwards. */
+/* From angles only: (8) or (12), solved for the acceleration. */
 static void from_angles(enum method method, const struct trial *trial, double angle_sigma_rad, struct vec3 *estimate)
 {
 	const struct trial_config *c = &trial->config;
@@ -32,7 +32,7 @@ static void from_angles(enum method method, const struct trial *trial, double an
 		estimate[k] = seed_estimate(trial->force_b_m_s2[k], &motion[k], r, c->gravity_m_s2);
 }
 
-/* What the gyro and the given angles say of the motion. */
+/* Motion from the gyro and the given angles. */
 struct fused {
 	struct angle_fusion angles;
 	struct rates rates;
@@ -96,7 +96,7 @@ static void with_gyro(enum method method, const struct trial *trial, double angl
 	}
 }
 
-/* The seed's world: (12) with the gyro's rates, differentiated as that world differentiates. */
+/* World of the paper: (12) with the rates of the gyro, differentiated as in that world. */
 static void seed_with_gyro(enum method method, const struct trial *trial, double angle_sigma_rad, struct vec3 *estimate)
 {
 	const struct trial_config *c = &trial->config;

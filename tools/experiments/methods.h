@@ -1,18 +1,19 @@
 /* tools/experiments/methods.h
- * The ways to the reference point's acceleration that the experiments compare. All see the same accelerations and the same
- * noisy angles; those with gyro a gyro, too, and the estimator, rates and differentiator of the gateway's pipeline. */
-#ifndef TOOLS_METHODS_H
-#define TOOLS_METHODS_H
+ * The estimators of the acceleration of the reference point that the experiments compare. All use the same
+ * accelerations and the same noisy angles. Those with gyro use a gyro as well, and rates, differentiator and estimator
+ * of the pipeline. */
+#ifndef TOOLS_EXPERIMENTS_METHODS_H
+#define TOOLS_EXPERIMENTS_METHODS_H
 
 #include "tools/experiments/trial.h"
 
 enum method {
-	METHOD_NONE,	     /* gravity alone is taken away */
-	METHOD_SEED,	     /* (12), the given angles differentiated */
-	METHOD_SEED_LOWPASS, /* the same, the angles smoothed by the seed's FIR first, its delay removed */
-	METHOD_SEED_GYRO,    /* (12), rates from the gyro, angles fused with it */
-	METHOD_RIGID_GYRO,   /* the rigid body in place of (12) */
-	METHOD_AUTO,	     /* .. as far as it is worth its noise */
+	METHOD_NONE,	     /* subtract gravity only */
+	METHOD_SEED,	     /* (12) with differentiated angles */
+	METHOD_SEED_LOWPASS, /* likewise, angles smoothed by the paper's FIR without its delay */
+	METHOD_SEED_GYRO,    /* (12) with rates from the gyro and angles fused with it */
+	METHOD_RIGID_GYRO,   /* the rigid body instead of (12) */
+	METHOD_AUTO,	     /* likewise, weighted against its noise */
 	METHODS
 };
 
@@ -22,7 +23,7 @@ struct score {
 	double rms_m_s2, peak_m_s2; /* of the length of the error vector */
 };
 
-/** The acceleration of each sample, object frame, into estimate[trial->count]. */
+/** Writes the acceleration of each sample, object frame, to estimate[trial->count]. */
 void method_run(enum method method, const struct trial *trial, double angle_sigma_rad, struct vec3 *estimate);
 struct score method_score(const struct trial *trial, const struct vec3 *estimate);
 

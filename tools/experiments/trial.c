@@ -28,14 +28,14 @@ struct trial_config trial_defaults(enum world world, const char *signal)
 	};
 }
 
-/* ---- the seed's world: signals with an unlimited spectrum ---------------------------------------------------------- */
+/* ---- the world `seed`: signals of unlimited bandwidth ---------------------------------------------------------- */
 
 static double degrees(double angle)
 {
 	return angle * PI / 180;
 }
 
-/* 1 from start for length, else 0. */
+/* 1 from start for length; 0 elsewhere. */
 static double pulse(double t, double start, double length)
 {
 	return t >= start && t < start + length ? 1 : 0;
@@ -62,7 +62,7 @@ static struct raw raw_roll_step(double t)
 	return (struct raw){.angles_rad = {degrees(24) * pulse(second, 1, 2), 0, 0}};
 }
 
-/* A wave arrives at once, lifts, pitches and rolls the boat twice, and is gone; a light sea before and after. */
+/* A light sea, and in each 20 s a sudden wave that heaves, pitches and rolls the boat twice. */
 static struct raw raw_boat(double t)
 {
 	double sea = degrees(1) * sin(2 * PI * t / 4), since = fmod(t, 20);
@@ -76,7 +76,8 @@ static struct raw raw_boat(double t)
 	};
 }
 
-/* Four sides of 10 s: 2 s still, a start of 1 s, a drive with three bumps, a stop of 1 s, a turn of 90 degrees in 1 s. */
+/* Four sides of 10 s: 2 s at rest, 1 s of acceleration, a drive over three bumps, 1 s of braking, a 90 degree turn in 1
+ * s. */
 static struct raw raw_square(double t)
 {
 	double leg = fmod(t, 10);
@@ -126,7 +127,7 @@ static void seed_signals(struct trial *trial)
 	struct raw (*raw)(double) = strcmp(trial->config.signal, "roll_step") == 0 ? raw_roll_step
 				    : strcmp(trial->config.signal, "boat") == 0	   ? raw_boat
 										   : raw_square;
-	struct vec3 *angles = trial->gyro_b_rad_s; /* not measured yet: room to filter in */
+	struct vec3 *angles = trial->gyro_b_rad_s; /* used as a buffer before the gyro is simulated */
 
 	for (int k = 0; k < trial->count; k++) {
 		struct raw now = raw(k * trial->dt_s);
@@ -151,7 +152,7 @@ static struct vec3 gauss3(struct rng *rng)
 	return v;
 }
 
-/* The gyro of the preset turns with the paper's angles; its bandwidth has no meaning in discrete time. */
+/* The gyro of the preset measures the rates of the angles; its bandwidth has no meaning in discrete time. */
 static void seed_measurements(struct trial *trial, struct sensor *sensor, struct rng *rng)
 {
 	const struct trial_config *c = &trial->config;
@@ -168,9 +169,10 @@ static void seed_measurements(struct trial *trial, struct sensor *sensor, struct
 	}
 }
 
-/* ---- the physical world -------------------------------------------------------------------------------------------- */
+/* ---- the physical world
+ * -------------------------------------------------------------------------------------------- */
 
-/* Yaw goes on beyond half a turn instead of jumping, as the derivatives need it. */
+/* Yaw without jumps at half a turn, for its derivatives. */
 static double unwrap(double angle, double before)
 {
 	return angle - 2 * PI * round((angle - before) / (2 * PI));
@@ -198,7 +200,8 @@ static void physical_measurements(struct trial *trial, struct sensor *sensor)
 	}
 }
 
-/* ---- both ---------------------------------------------------------------------------------------------------------- */
+/* ---- both
+ * ---------------------------------------------------------------------------------------------------------- */
 
 static struct sensor_config trial_sensor(const struct trial_config *config)
 {

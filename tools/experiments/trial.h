@@ -1,12 +1,13 @@
 /* tools/experiments/trial.h
- * One experiment's data: a motion, what the sensors made of it, and the truth to compare with. Two worlds:
+ * Data of one experiment: a motion, its measurements, and the truth for comparison. There are two worlds:
  *
- * seed      as the paper simulated: discrete signals with sudden changes, smoothed by its FIR (delay removed), derivatives
- *           by differences of neighbouring samples (backward, so an estimator can do the same), measurements by (11)
- *           with white noise of 0.03 g.
- * physical  a rigid body in continuous time (model/sim/signal.h) seen by the sensor preset lsm303dlh_l3g4200d, calibrated. */
-#ifndef TOOLS_TRIAL_H
-#define TOOLS_TRIAL_H
+ * seed      as simulated in the paper: discrete signals with sudden changes, smoothed by its FIR (delay removed);
+ *           derivatives are backward differences, which an estimator can compute as well; measurements by (11) with
+ *           white noise of 0.03 g.
+ * physical  a rigid body in continuous time (model/sim/signal.h), measured by the sensor preset lsm303dlh_l3g4200d,
+ *           calibrated. */
+#ifndef TOOLS_EXPERIMENTS_TRIAL_H
+#define TOOLS_EXPERIMENTS_TRIAL_H
 
 #include <stdint.h>
 
@@ -23,15 +24,15 @@ struct trial_config {
 	enum world world;
 	const char *signal;
 	double rate_hz;
-	double angle_scale; /* on all rotations; 1: as chosen */
+	double angle_scale; /* factor on all rotations; default 1 */
 	struct vec3 lever_arm_b_m;
 	double gravity_m_s2;
-	double force_sigma_m_s2; /* seed world: white noise of the accelerometer */
-	double gyro_noise_scale; /* on the gyro's density and bias instability */
+	double force_sigma_m_s2; /* white noise of the accelerometer in the world `seed`; default 0.03 g */
+	double gyro_noise_scale; /* factor on density and bias instability of the gyro; default 1 */
 	uint64_t seed;
 };
 
-/** 5 cm along each axis, 50 Hz in the seed's world and 100 Hz in the physical one. */
+/** Lever arm of 5 cm along each axis; 50 Hz in the world `seed`, 100 Hz in `physical`. */
 struct trial_config trial_defaults(enum world world, const char *signal);
 
 struct trial {
@@ -43,17 +44,17 @@ struct trial {
 	struct seed_motion *motion;  /* truth */
 	struct vec3 *force_b_m_s2;   /* measured */
 	struct vec3 *gyro_b_rad_s;   /* measured */
-	struct vec3 *angle_noise;    /* unit variance: every noise level and method gets the same */
-	struct seed_motion *scratch; /* room for a method */
+	struct vec3 *angle_noise;    /* of unit variance, the same for all noise levels and methods */
+	struct seed_motion *scratch; /* for the methods */
 };
 
-/** 0, or -ENOMEM. Free with trial_free(). */
+/** 0, or -ENOMEM. Free it with trial_free(). */
 int trial_make(struct trial *trial, const struct trial_config *config);
 void trial_free(struct trial *trial);
 
-/** Smooths with the seed's FIR, its delay taken away. In place. */
+/** Smooths in place with the FIR of the paper, and removes its delay. */
 void seed_fir(struct vec3 *values, int count, double rate_hz);
-/** Fills in the derivatives of motion[].angles_rad by backward differences. */
+/** Computes the derivatives of motion[].angles_rad by backward differences. */
 void seed_differentiate(struct seed_motion *motion, int count, double dt_s);
 
 #endif

@@ -14,7 +14,7 @@
 #include <time.h>
 #include <unistd.h>
 
-/* What it quotes from a log or a device may have control codes in it. */
+/* Replaces control codes, which text quoted from a log or a device can contain. */
 __attribute__((format(printf, 1, 0))) static void print_error(const char *format, va_list args)
 {
 	char text[2048];
@@ -67,7 +67,7 @@ bool cli_integer(const char *text, long low, long high, long *value)
 	char *end;
 
 	if (!isdigit((unsigned char)digits[0]))
-		return false; /* strtol() would take spaces and a '+' */
+		return false; /* strtol() would accept spaces and a '+' */
 	errno = 0;
 	long n = strtol(text, &end, hex ? 16 : 10);
 	if (*end || errno || n < low || n > high)

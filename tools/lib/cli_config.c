@@ -8,7 +8,7 @@ void cli_config_files(struct config *config, int argc, char **argv, const char *
 	int option;
 
 	opterr = 0;
-	optind = 0; /* glibc: scans anew */
+	optind = 0; /* glibc: restart the scan */
 	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			cli_usage_error("%s", why);

@@ -7,7 +7,7 @@
 #include "tools/lib/cli_value.h"
 
 enum {
-	LARGE_BYTES = 64, /* from here on blocks need fewer frames for sure */
+	LARGE_BYTES = 64, /* from this size on, block transfer needs fewer frames */
 	PROGRESS_US = 100000,
 	BAR_WIDTH = 40,
 };
@@ -71,11 +71,11 @@ static bool finish(struct cli_node *node, struct progress *progress)
 	struct sdo_client *sdo = &node->sdo;
 	struct can_msg msg;
 
-	/* frames first: what waits to be read is no silence */
+	/* frames first: those already received must not count as a timeout */
 	while (sdo->result == SDO_RUNNING) {
 		uint64_t now_us = cli_now_us();
 		while (can_receive(node->bus, &msg, now_us) > 0) {
-			now_us = cli_now_us(); /* a whole block may come in this loop */
+			now_us = cli_now_us(); /* a complete block can arrive in this loop */
 			sdo_client_receive(sdo, &msg, now_us);
 			if (progress)
 				show(progress, sdo, now_us);
@@ -110,8 +110,8 @@ static bool finish_large(struct cli_node *node)
 	return done;
 }
 
-/* A node without block transfer says so; then it goes in segments. */
-static bool knows_no_blocks(const struct cli_node *node)
+/* The node aborted because it does not support block transfer: use segmented transfer. */
+static bool lacks_block_transfer(const struct cli_node *node)
 {
 	return node->blocks != CLI_BLOCKS_ALWAYS && node->sdo.result == SDO_ABORTED && node->sdo.aborted_by_server &&
 	       (node->sdo.abort_code == SDO_ABORT_COMMAND || node->sdo.abort_code == 0x06010000);
@@ -123,7 +123,7 @@ bool cli_node_read_large(struct cli_node *node, uint16_t index, uint8_t sub, voi
 		sdo_client_block_upload(&node->sdo, index, sub, wire, capacity, cli_now_us());
 		if (finish_large(node))
 			return true;
-		if (!knows_no_blocks(node))
+		if (!lacks_block_transfer(node))
 			return false;
 	}
 	sdo_client_upload(&node->sdo, index, sub, wire, capacity, cli_now_us());
@@ -138,7 +138,7 @@ bool cli_node_write_large(struct cli_node *node, uint16_t index, uint8_t sub, co
 		sdo_client_block_download(&node->sdo, index, sub, wire, size, cli_now_us());
 		if (finish_large(node))
 			return true;
-		if (!knows_no_blocks(node))
+		if (!lacks_block_transfer(node))
 			return false;
 	}
 	sdo_client_download(&node->sdo, index, sub, wire, size, cli_now_us());
@@ -158,7 +158,7 @@ static void explain_abort(const struct cli_node *node, const struct od_entry *en
 		sdo_abort_text(sdo->abort_code), sdo->abort_code, limits[0] ? "; allowed: " : "", limits);
 }
 
-/* Only interfaces of the kernel have a name without a colon. */
+/* Only names of kernel interfaces have no colon. */
 static void explain_bus(const struct cli_node *node)
 {
 	if (node->bus->state == CAN_STATE_BUS_OFF)

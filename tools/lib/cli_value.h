@@ -1,5 +1,5 @@
 /* tools/lib/cli_value.h
- * Objects and their values as people write and read them. */
+ * Text form of object addresses and values. */
 #ifndef TOOLS_LIB_CLI_VALUE_H
 #define TOOLS_LIB_CLI_VALUE_H
 
@@ -23,16 +23,15 @@ const struct od_entry *cli_resolution(const struct od_table *table, const struct
 /** A value in wire form as a number; 0 for strings. */
 double cli_number(const struct od_entry *entry, const void *wire);
 
-/** "0.05 m", "123 (0.615 m/s^2)", "1073742209 (0x40000181)"; bytes in hex when the size does not
- * fit the type. `step` is the physical value of 1. */
+/** "0.05 m", "123 (0.615 m/s^2)", "1073742209 (0x40000181)"; bytes in hex when the size does not match the type. `step`
+ * is the physical value of 1. */
 void cli_value_text(
 	const struct od_entry *entry, double step, const void *wire, size_t size, char *text, size_t capacity);
 
-/** "05 00": at most the first 32 bytes. */
+/** "05 00": the first 32 bytes at most. */
 void cli_hex_text(const void *wire, size_t size, char *text, size_t capacity);
 
-/** A value that brings its type: "u16:5", "i8:-1", "r32:0.5", "str:abc", "hex:0102FF". OD_BAD_VALUE
- * when it has not this form. */
+/** A value with its type: "u16:5", "i8:-1", "r32:0.5", "str:abc", "hex:0102FF". OD_BAD_VALUE for any other form. */
 enum od_status cli_typed_value(const char *text, void *wire, size_t capacity, size_t *size);
 
 #endif

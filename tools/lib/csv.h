@@ -1,5 +1,5 @@
 /* tools/lib/csv.h
- * Rows of numbers as text, fast: fixed-point digits, no printf(). For logs of millions of rows. */
+ * Rows of numbers as text with fixed-point digits, without printf(): fast enough for logs of millions of rows. */
 #ifndef TOOLS_LIB_CSV_H
 #define TOOLS_LIB_CSV_H
 
@@ -17,7 +17,7 @@ struct csv_row { /* all 0: an empty row */
 
 /** Microseconds as seconds with six decimals. */
 void csv_time(struct csv_row *row, uint64_t t_us);
-/** At most nine decimals. A value that is too large for digits, or not finite, is written as %g does. */
+/** `decimals`: at most nine. A value of 1e9 or more, or not finite, is written in the format %.9g. */
 void csv_number(struct csv_row *row, double value, int decimals);
 void csv_vec3(struct csv_row *row, struct vec3 v, int decimals);
 void csv_empty(struct csv_row *row, int fields);

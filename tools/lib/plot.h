@@ -1,5 +1,5 @@
 /* tools/lib/plot.h
- * Figures by gnuplot: a description becomes a script, and the script a PNG and an SVG, all beside the CSV files they show. */
+ * Figures drawn by gnuplot: a script, a PNG and an SVG, in the directory of the CSV files they show. */
 #ifndef TOOLS_LIB_PLOT_H
 #define TOOLS_LIB_PLOT_H
 
@@ -24,7 +24,7 @@ struct plot_figure {
 	struct plot_panel panels[PLOT_PANELS_MAX];
 };
 
-/** DIR/NAME.gp, .png and .svg. 0, or -1 after saying why on stderr. */
+/** Writes DIR/NAME.gp, .png and .svg. 0, or -1 after a message on stderr. */
 int plot_figure(const char *directory, const struct plot_figure *figure);
 
 #endif

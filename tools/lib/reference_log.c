@@ -9,7 +9,7 @@
 
 enum { COLUMN_T, COLUMN_Q, COLUMN_ACCEL = 5, COLUMNS = 8, FIELDS_MAX = 256 };
 static const char *const NAMES[COLUMNS] = {"t", "qw", "qx", "qy", "qz", "arx", "ary", "arz"};
-static const double APART_MAX_S = 0.05;
+static const double MAX_GAP_S = 0.05;
 
 static int split(char *line, char *field[FIELDS_MAX])
 {
@@ -41,7 +41,7 @@ static int find_columns(char *line, int field_of[COLUMNS], const char *path, cha
 	return count;
 }
 
-/* 1: a row; 0: it has empty fields; -EINVAL. */
+/* 1: a row; 0: a row with an empty field; -EINVAL. */
 static int parse(char *line, const int field_of[COLUMNS], int fields, double value[COLUMNS])
 {
 	char *field[FIELDS_MAX], *end;
@@ -91,7 +91,8 @@ static int read_rows(struct reference_log *log, FILE *file, const char *path, ch
 	size_t size = 0;
 
 	if (getline(&line, &size, file) < 0) {
-		snprintf(error, error_size, "%s:1: empty: a reference begins with t,qw,qx,qy,qz,..,arx,ary,arz", path);
+		snprintf(
+			error, error_size, "%s:1: empty: a reference needs the header t,qw,qx,qy,qz,arx,ary,arz", path);
 		free(line);
 		return -EINVAL;
 	}
@@ -102,7 +103,8 @@ static int read_rows(struct reference_log *log, FILE *file, const char *path, ch
 			result = append(log, value);
 		if (result < 0)
 			snprintf(error, error_size, "%s:%ld: %s", path, number,
-				result == -ENOMEM ? "out of memory" : "not numbers, or time does not increase");
+				result == -ENOMEM ? "out of memory"
+						  : "not a number, not a unit quaternion, or time does not increase");
 	}
 	free(line);
 	return fields < 0 ? fields : result < 0 ? result : 0;
@@ -139,7 +141,7 @@ bool reference_log_at(struct reference_log *log, uint64_t t_us, struct vec3 *acc
 		return false;
 	a = &log->rows[log->at];
 	b = a + 1;
-	if (t_s < a->t_s || t_s > b->t_s || b->t_s - a->t_s > APART_MAX_S)
+	if (t_s < a->t_s || t_s > b->t_s || b->t_s - a->t_s > MAX_GAP_S)
 		return false;
 	*accel_m_s2 = vec3_add(
 		a->accel_m_s2, vec3_scale((t_s - a->t_s) / (b->t_s - a->t_s), vec3_sub(b->accel_m_s2, a->accel_m_s2)));

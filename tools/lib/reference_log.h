@@ -1,7 +1,7 @@
 /* tools/lib/reference_log.h
- * The motion of the reference point as something else saw it (a motion capture system, say): rows of time, attitude of the
- * sensor axes (sensor -> world) and acceleration in the world, without gravity. A CSV with the columns
- * t,qw,qx,qy,qz,arx,ary,arz (s, m/s^2) in any order, others ignored; fields are empty where it saw nothing. */
+ * Motion of the reference point as measured by another system, e.g. motion capture: time, attitude of the sensor axes
+ * (sensor -> world) and acceleration in the world frame without gravity. A CSV with the columns
+ * t,qw,qx,qy,qz,arx,ary,arz (s, m/s^2) in any order; others are ignored. Rows with an empty field are skipped. */
 #ifndef TOOLS_LIB_REFERENCE_LOG_H
 #define TOOLS_LIB_REFERENCE_LOG_H
 
@@ -11,7 +11,7 @@
 
 #include "model/math/vec3.h"
 
-struct reference_log { /* start from all 0 */
+struct reference_log { /* initialise to 0 */
 	size_t count;
 	/* PRIVATE */
 	struct reference_row {
@@ -21,10 +21,10 @@ struct reference_log { /* start from all 0 */
 	size_t room, at;
 };
 
-/** 0, or -errno and one line in `error` with file:line. Close it even then. */
+/** 0, or -errno and one line in `error` with file:line. Close it in both cases. */
 int reference_log_load(struct reference_log *log, const char *path, char *error, size_t error_size);
-/** The acceleration at that time in the axes of the sensor, by a straight line between rows; times that rise are found
- * fastest. False where rows are missing (more than 50 ms apart). */
+/** Acceleration at that time in sensor axes, interpolated between rows. Fast for increasing times. False in a gap of
+ * more than 50 ms and outside the log. */
 bool reference_log_at(struct reference_log *log, uint64_t t_us, struct vec3 *accel_m_s2);
 void reference_log_close(struct reference_log *log);
 

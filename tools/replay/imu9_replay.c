@@ -1,43 +1,39 @@
 /* tools/replay/imu9_replay.c
- * imu9-replay: the gateway's pipeline over a recorded log, as fast as it can; one output row per
+ * imu9-replay: runs the pipeline of the gateway over a recorded log as fast as possible; one output row for each
  * sample. */
-#include <errno.h>
 #include <getopt.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
-#include "drivers/imu/imu_log.h"
 #include "gateway/config.h"
 #include "gateway/settings.h"
+#include "model/math/units.h"
 #include "model/pipeline.h"
 #include "model/smoother.h"
 #include "od_values.h"
 #include "tools/lib/cli.h"
 #include "tools/lib/cli_config.h"
+#include "tools/lib/cli_file.h"
 #include "tools/lib/csv.h"
-#include "model/math/units.h"
-
-enum { EXIT_USAGE = 2 };
 
 static const char usage[] =
 	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--movements FILE] LOG.imu.csv >OUT.csv\n"
-	"Runs a recorded IMU log through the gateway's pipeline; `-` reads it from standard input.\n"
+	"Runs a recorded IMU log through the pipeline of the gateway; `-` reads standard input.\n"
 	"\n"
-	"  -c, --config FILE     the gateway's configuration file ([gateway] is read over)\n"
+	"  -c, --config FILE     configuration file of the gateway (its section [gateway] is ignored)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
-	"      --movements FILE  the path of each movement from one standstill to the next, smoothed\n"
+	"      --movements FILE  write the smoothed path of each movement between two standstills\n"
 	"      --help, --version\n"
 	"\n"
-	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; the magnetometer may be empty.\n"
+	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; magnetometer fields can be empty.\n"
 	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
 	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
-	"     (ENU), the rest flag, the sample counter as the PDOs carry it (here not wrapped),\n"
+	"     (ENU), the rest flag, the sample counter as in the PDOs (here without wrap-around),\n"
 	"     angular rate wl..wt and acceleration dwl..dwt, the status word,\n"
 	"     1 sigma of the attitude (srx..srz, about x y z of ENU, radians), of aw, v and p.\n"
-	"FILE: movement (from 1), t (as in LOG), t_s (since it began), position x_m..z_m since then and\n"
-	"     velocity vx_m_s..vz_m_s (ENU), 1 sigma of the position sx_m..sz_m, whole (0: broken by a gap).\n"
+	"FILE: movement (from 1), t (as in LOG), t_s (since it began), position x_m..z_m since then,\n"
+	"     velocity vx_m_s..vz_m_s (ENU), 1 sigma of the position sx_m..sz_m, whole (0: interrupted by a gap).\n"
 	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
 
 static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
@@ -45,7 +41,8 @@ static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,
 
 static const char movements_header[] = "movement,t,t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m,whole\n";
 
-/* ---- a row ---------------------------------------------------------------------------------------------------------- */
+/* ---- a row
+ * ---------------------------------------------------------------------------------------------------------- */
 
 static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
 {
@@ -71,7 +68,7 @@ static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t s
 	csv_write(&row, stdout);
 }
 
-/* The movement that was over stood_s before. */
+/* The movement ended stood_s before t_us. */
 static void print_movement(const struct smoother_movement *m, uint64_t t_us, FILE *file)
 {
 	uint64_t start_us = t_us - (uint64_t)llround(1e6 * (m->duration_s + m->stood_s));
@@ -99,36 +96,29 @@ static int fail(int status, const char *why)
 	return status;
 }
 
-static int cannot_write(const char *path)
-{
-	cli_error("%s: %s", path, strerror(errno));
-	return EXIT_FAILURE;
-}
-
-static int replay(const struct config *config, struct imu_log *log, FILE *movements)
+static int replay(const struct config *config, const char *path, FILE *movements)
 {
 	static struct pipeline pipeline;
 	static struct smoother smoother;
 	static struct od_values values;
 	struct od od;
+	static struct imu_log log;
 	struct imu_sample sample;
 	struct pipeline_output out;
 	uint64_t samples = 0, rows = 0;
 	unsigned movement = 0;
-	int rc;
 
+	cli_log_open(&log, path);
 	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
 	config_apply(config, &od);
 	const struct pipeline_config settings = settings_pipeline(&values);
-	if (pipeline_init(&pipeline, &settings, log->rate_hz) < 0)
-		return fail(EXIT_USAGE, "the configuration contradicts itself: is a calibration matrix singular?");
-
+	if (pipeline_init(&pipeline, &settings, log.rate_hz) < 0)
+		return fail(CLI_USAGE, "invalid configuration: is a calibration matrix singular?");
 	pipeline_smooth(&pipeline, &smoother);
-
 	fputs(header, stdout);
 	if (movements)
 		fputs(movements_header, movements);
-	for (; (rc = imu_log_next(log, &sample)) > 0; samples++) {
+	for (; cli_log_next(&log, &sample); samples++) {
 		if (pipeline_step(&pipeline, &sample, &out) < 0)
 			continue;
 		print_row(&out, sample.t_us, samples);
@@ -137,15 +127,10 @@ static int replay(const struct config *config, struct imu_log *log, FILE *moveme
 			print_movement(&smoother.last, sample.t_us, movements);
 		movement = smoother.last.number;
 	}
-	if (rc < 0)
-		return fail(EXIT_FAILURE, "the log cannot be read to its end");
-	if (log->skipped > 0)
-		cli_error("%u rows skipped, the last one: %s", log->skipped, log->last_skip);
 	if (rows == 0)
-		return fail(EXIT_FAILURE, "the log has no usable row");
-	if (fflush(stdout) != 0 || ferror(stdout))
-		return fail(EXIT_FAILURE, "the output cannot be written: is the disk full?");
-	return EXIT_SUCCESS;
+		return fail(CLI_FAILED, "the log has no usable row");
+	cli_close(stdout, NULL);
+	return CLI_OK;
 }
 
 /* -1: run; else the exit status. */
@@ -160,11 +145,11 @@ static int read_configuration(struct config *config, const char **movements, int
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1) {
 		if (option == 'h') {
 			fputs(usage, stdout);
-			return EXIT_SUCCESS;
+			return CLI_OK;
 		}
 		if (option == 'v') {
 			puts("imu9-replay " IMU9_VERSION);
-			return EXIT_SUCCESS;
+			return CLI_OK;
 		}
 		if (option == '?' || option == ':')
 			cli_bad_option(option, argv);
@@ -181,20 +166,16 @@ static int read_configuration(struct config *config, const char **movements, int
 int main(int argc, char **argv)
 {
 	static struct config config;
-	struct imu_log log;
 	const char *path = NULL;
-	char why[CONFIG_ERROR_MAX];
+	FILE *movements;
 
 	config_init(&config, &imu9_od_table);
 	int status = read_configuration(&config, &path, argc, argv);
 	if (status >= 0)
 		return status;
-	if (imu_log_open(&log, argv[optind], why, sizeof(why)) < 0)
-		return fail(EXIT_FAILURE, why);
-	FILE *movements = path ? fopen(path, "w") : NULL;
-	status = path && !movements ? cannot_write(path) : replay(&config, &log, movements);
-	imu_log_close(&log);
-	if (movements && (ferror(movements) | fclose(movements)) != 0)
-		return cannot_write(path);
+	movements = path ? cli_create(path) : NULL;
+	status = replay(&config, argv[optind], movements);
+	if (movements)
+		cli_close(movements, path);
 	return status;
 }
