@@ -1,6 +1,7 @@
 /* tests/bench/bench_bus.c
- * The gateway on vcan0 against the least program that answers every frame (the floor): same boot, same processor,
- * batches in turn, medians. Prints ratios, for absolute times are those of the machine.
+ * Latency of the gateway on vcan0 compared with that of a minimal program that answers every frame (the floor): on the
+ * same boot and processor, in alternating batches, medians. Prints ratios, because absolute times depend on the
+ * machine.
  *
  *     tests/rig/vcan-run build/tests/bench/bench_bus       (`make bench` does) */
 #include <errno.h>
@@ -38,7 +39,7 @@ static int open_bus(void)
 	int size = 1 << 20;
 
 	if (fd < 0 || bind(fd, (struct sockaddr *)&address, sizeof(address)) < 0)
-		fail("no vcan0 here (call it through tests/rig/vcan-run)");
+		fail("there is no vcan0: run it with tests/rig/vcan-run");
 	setsockopt(fd, SOL_SOCKET, SO_RCVBUFFORCE, &size, sizeof(size));
 	return fd;
 }
@@ -155,7 +156,7 @@ static void sdo_write(int fd, uint16_t index, uint8_t sub, uint32_t value, uint8
 	}
 }
 
-/* Operational, and TPDO1 the only one: the floor has one, too. */
+/* Operational with TPDO1 only, like the floor. */
 static void set_up(int fd)
 {
 	for (uint8_t n = 1; n < 4; n++)
@@ -187,7 +188,7 @@ static void stop(pid_t pid)
 	waitpid(pid, NULL, 0);
 }
 
-/* ---- what is measured -------------------------------------------------------------------------------------------- */
+/* ---- measurements -------------------------------------------------------------------------------------------- */
 
 static void sync_to_tpdo(int fd, double *us)
 {
@@ -293,7 +294,7 @@ static void compare(int fd, const char *folder)
 
 /* ---- system calls ------------------------------------------------------------------------------------------------ */
 
-/* System calls of `pid`'s first thread while `traffic` runs in a process of its own. */
+/* System calls of the main thread of `pid` while `traffic` runs in another process. */
 static long syscalls_during(pid_t pid, void (*traffic)(int fd))
 {
 	long stops = 0;
@@ -331,7 +332,7 @@ static long syscalls_during(pid_t pid, void (*traffic)(int fd))
 	return stops / 2;
 }
 
-/* With pauses: a traced process is slow, and frames that come meanwhile would be fetched together. */
+/* With pauses: a traced process is slow, and would read several frames in one call. */
 static void sdo_traffic(int fd)
 {
 	static const uint8_t read_1000h[8] = {0x40, 0x00, 0x10, 0x00};
@@ -358,7 +359,7 @@ static void foreign_traffic(int fd)
 		put(fd, FOREIGN_ID, "foreign", 7);
 }
 
-/* A log of one sample a second, so that the sensor's own work is not counted. */
+/* A log of one sample per second, so that almost no system calls are those of the sensor. */
 static void write_slow_log(const char *path)
 {
 	FILE *f = fopen(path, "w");
@@ -381,11 +382,11 @@ static void count_syscalls(int fd, const char *folder)
 	pid_t pid = start_gateway(folder, imu);
 
 	set_up(fd);
-	printf("%-28s %.1f for request and answer\n", "system calls, SDO",
+	printf("%-28s %.1f per request and answer\n", "system calls, SDO",
 		(double)syscalls_during(pid, sdo_traffic) / ROUNDS);
-	printf("%-28s %.1f for SYNC and TPDO\n", "system calls, SYNC",
+	printf("%-28s %.1f per SYNC and TPDO\n", "system calls, SYNC",
 		(double)syscalls_during(pid, sync_traffic) / ROUNDS);
-	printf("%-28s %.2f for each\n", "system calls, foreign frames",
+	printf("%-28s %.2f per frame\n", "system calls, foreign frames",
 		(double)syscalls_during(pid, foreign_traffic) / FOREIGN);
 	stop(pid);
 }

@@ -1,4 +1,5 @@
-/* What a sample costs while the lever arm is being identified, and what the estimate costs once a second. */
+/* tests/bench/bench_lever.c
+ * Time of one sample during the identification of the lever arm, and of the estimate, which is made once per second. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>

@@ -1,6 +1,6 @@
 /* tests/bench/bench_pipeline.c
- * Time of one pipeline step on a moving robot, for each fusion and lever-arm model: best of several rounds, one core. The
- * robot stands still at the beginning and at the end, so that with smoothing its whole way is one movement. */
+ * Time of one pipeline step on a moving robot, for each fusion and lever-arm model: best of several rounds, one core.
+ * The robot stands still at the beginning and at the end, so that smoothing has one movement. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
@@ -66,8 +66,8 @@ static int ascending(const void *a, const void *b)
 	return (x > y) - (x < y);
 }
 
-/* Each step's shortest time of several rounds, which leaves out what the system does beside: median and longest. */
-static void print_spread(const char *what, const struct pipeline_config *config, struct smoother *smoothed)
+/* Median and maximum over the steps of the shortest time of each step in several rounds, which excludes preemption. */
+static void print_times(const char *what, const struct pipeline_config *config, struct smoother *smoothed)
 {
 	static double least[SAMPLES];
 
@@ -111,9 +111,9 @@ int main(void)
 		struct pipeline_config config = PIPELINE_DEFAULTS;
 
 		config.position.mode = (enum position_mode)mode;
-		print_spread(modes[mode], &config, NULL);
+		print_times(modes[mode], &config, NULL);
 	}
-	print_spread("navigation and its smoothing", &PIPELINE_DEFAULTS, &smoother);
+	print_times("navigation and its smoothing", &PIPELINE_DEFAULTS, &smoother);
 	printf("smoothed: %u movement of %.0f s in %zu points\n", smoother.last.number, smoother.last.duration_s,
 		smoother.last.count);
 	return 0;

@@ -1,4 +1,4 @@
-"""imu9-calibrate against scipy, on recorded trials, and by a gateway on a real bus."""
+"""imu9-calibrate: compared with scipy, on recorded trials, and with a gateway on a real bus."""
 import configparser
 import csv
 import unittest
@@ -25,7 +25,7 @@ def simulated(signal, *args):
 
 
 def calibrated(what, log, *args):
-    """(bias, matrix) as imu9-calibrate writes them."""
+    """(bias, matrix) from the file that imu9-calibrate writes."""
     ini = rig.scratch(".ini")
     result = rig.run("imu9-calibrate", what, *args, "-o", str(ini), str(log))
     assert result.returncode == 0, result.stderr
@@ -38,7 +38,7 @@ def calibrated(what, log, *args):
 
 
 def ellipsoid(points, radius):
-    """scipy's own: centre and symmetric matrix of least squared | |M (p - c)| - radius |."""
+    """Centre c and symmetric matrix M that minimise the squares of |M (p - c)| - radius, by scipy."""
     def unpack(x):
         return x[:3], numpy.array([[x[3], x[6], x[7]], [x[6], x[4], x[8]], [x[7], x[8], x[5]]])
 
@@ -52,17 +52,17 @@ def ellipsoid(points, radius):
 
 @unittest.skipIf(numpy is None, "numpy and scipy are missing: apt-get install python3-numpy python3-scipy")
 class AgainstScipy(unittest.TestCase):
-    def test_free_positions_come_to_what_scipy_finds_in_the_rests(self):
+    def test_free_positions_give_the_result_of_scipy_for_the_rests(self):
         log = simulated("multiposition")
         accel = columns(log, ["ax", "ay", "az"])
-        # the simulation rests for 3 s at the beginning of every 4.5 s
+        # the simulation rests for 3 s at the beginning of each 4.5 s
         rests = [accel[int(100 * (4.5 * k + (0.5 if k else 0.2))):int(100 * (4.5 * k + 2.7))].mean(0) for k in range(14)]
         centre, matrix = ellipsoid(numpy.array(rests), 9.80665)
         bias, found = calibrated("accelerometer", log)
         self.assertLess(abs(bias - centre).max(), 0.006)
         self.assertLess(abs(found - matrix).max(), 5e-4)
 
-    def test_the_magnetometer_comes_to_what_scipy_finds_in_all_samples(self):
+    def test_the_magnetometer_gives_the_result_of_scipy_for_all_samples(self):
         log = simulated("figure")
         centre, matrix = ellipsoid(columns(log, ["mx", "my", "mz"]), 50)
         bias, found = calibrated("magnetometer", log, "--field", "50")
@@ -72,8 +72,8 @@ class AgainstScipy(unittest.TestCase):
 
 @unittest.skipIf(numpy is None, "numpy and scipy are missing: apt-get install python3-numpy python3-scipy")
 class RecordedTrials(unittest.TestCase):
-    def test_iron_put_into_one_trial_is_taken_out_of_another_one(self):
-        """The trials' magnetometer is calibrated already; what is left, 2 %, is the room's."""
+    def test_iron_calibrated_in_one_trial_is_corrected_in_another_one(self):
+        """The magnetometer of the trials is calibrated; the remaining 2 % are the inhomogeneity of the room."""
         iron, offset = numpy.array([[1.1, 0.05, 0], [0, 0.9, 0.03], [0.02, 0, 1.05]]), numpy.array([30, -20, 15])
 
         def spread(vectors):
@@ -106,13 +106,13 @@ class RecordedTrials(unittest.TestCase):
 
 @unittest.skipIf(numpy is None, "numpy is missing: apt-get install python3-numpy")
 class Options(unittest.TestCase):
-    def test_set_holds_over_the_file_whatever_the_order(self):
+    def test_set_overrides_the_file_in_any_order(self):
         log = simulated("rest", "--duration", 20)
         file = rig.written("gyro_calibration.xx = 1.02\n", ".ini")
         matrix = calibrated("gyro", log, "--set", "gyro_calibration.xx=1.01", "-c", str(file))[1]
         self.assertEqual(matrix[0, 0], 1.01)
 
-    def test_what_is_no_quantity_is_named_with_those_there_are(self):
+    def test_an_unknown_quantity_is_refused_with_the_list_of_quantities(self):
         result = rig.run("imu9-calibrate", "giro", "log.csv")
         self.assertEqual(result.returncode, 2)
         self.assertIn("giro: not a quantity: give gyro, accelerometer", result.stderr)

@@ -1,5 +1,5 @@
 #!/bin/bash
-# tools_calibrate.sh [BUS]: imu9-calibrate and the user who changes his mind.
+# tools_calibrate.sh [BUS]: imu9-calibrate is interrupted at its question, and has a sensor without samples.
 . "$(dirname "$0")/tools_common.bash"
 
 start_gateway --imu sim:rest
@@ -21,11 +21,11 @@ kill -KILL $calibrating 2>/dev/null
 wait $calibrating
 rc=$?
 err=$(<"$work/err")
-check "a signal at the question says no" test "$rc" = 1
+check "a signal at the question means no" test "$rc" = 1
 out=$(tail -n 1 "$work/out")
 check "and the result is discarded" says "discarded"
 
-# ---- a sensor that has ended
+# ---- a sensor without samples
 stop_gateway
 printf 't,gx,gy,gz,ax,ay,az,mx,my,mz\n0.%02d,0,0,0,0,0,9.81,,,\n' 0 >"$work/short.imu.csv"
 printf '0.%02d,0,0,0,0,0,9.81,,,\n' {1..5} >>"$work/short.imu.csv"
@@ -35,5 +35,5 @@ for _ in {1..20}; do
 	sleep 0.1
 done
 run imu9-calibrate gyro
-check "without samples nothing is begun, and why is said" fails 1 "does the sensor give no samples"
+check "without samples the calibration is refused with the reason" fails 1 "does the sensor give no samples"
 finish

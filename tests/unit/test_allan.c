@@ -41,7 +41,7 @@ static void test_a_ramp_deviates_by_its_slope_times_tau_over_root_two(void **sta
 		assert_within(allan.points[i].deviation, 0.3 * allan.points[i].tau_s / sqrt(2), 1e-6);
 }
 
-/* +1, -1, +1 ..: single values differ by 2, means of pairs not at all. */
+/* +1, -1, +1, ..: single values differ by 2, means of pairs by 0. */
 static void test_alternating_values_average_out_in_pairs(void **state)
 {
 	(void)state;
@@ -52,7 +52,7 @@ static void test_alternating_values_average_out_in_pairs(void **state)
 	assert_true(allan.points[1].tau_s == 2 && allan.points[1].deviation < 1e-9);
 }
 
-static void test_white_noise_falls_with_the_root_of_tau_within_the_error_it_says(void **state)
+static void test_the_deviation_of_white_noise_falls_with_the_root_of_tau_within_its_stated_error(void **state)
 {
 	struct rng rng;
 
@@ -66,7 +66,7 @@ static void test_white_noise_falls_with_the_root_of_tau_within_the_error_it_says
 			3.5 * allan.points[i].relative_error);
 }
 
-static void test_averaging_times_are_ten_a_decade_up_to_a_ninth_of_the_log(void **state)
+static void test_there_are_ten_averaging_times_per_decade_up_to_a_ninth_of_the_log(void **state)
 {
 	(void)state;
 	allan_deviation(values, 90000, 100, &allan);
@@ -97,7 +97,7 @@ static void test_the_fit_finds_the_noise_of_an_exact_curve(void **state)
 	assert_within(fit.random_walk, noise.random_walk, 1e-6);
 }
 
-static void test_the_fit_says_0_for_noise_that_is_not_there(void **state)
+static void test_the_fit_gives_0_for_absent_noise(void **state)
 {
 	const struct allan_noise noise = {0, 0.02, 0, 0};
 	struct allan_noise fit;
@@ -108,7 +108,7 @@ static void test_the_fit_says_0_for_noise_that_is_not_there(void **state)
 	assert_true(fit.quantisation < 1e-8 && fit.bias_instability < 1e-6 && fit.random_walk < 1e-7);
 }
 
-static void test_no_noise_at_all_fits_as_none(void **state)
+static void test_without_noise_all_terms_are_0(void **state)
 {
 	struct allan_noise fit;
 
@@ -120,8 +120,8 @@ static void test_no_noise_at_all_fits_as_none(void **state)
 	assert_true(fit.white == 0 && fit.bias_instability == 0 && fit.random_walk == 0 && fit.quantisation == 0);
 }
 
-/* Six hours of a simulated gyro at rest: its curve is that of the noise it was given, and so are the figures found. */
-static void test_six_hours_of_a_simulated_gyro_show_the_noise_it_was_given(void **state)
+/* Curve and identified noise of a simulated gyro at rest are those of its configuration. */
+static void test_the_noise_of_a_simulated_gyro_is_identified_from_six_hours(void **state)
 {
 	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20_fine");
 	const struct triad_errors *gyro = &config.gyro;
@@ -142,7 +142,7 @@ static void test_six_hours_of_a_simulated_gyro_show_the_noise_it_was_given(void 
 	}
 	allan_deviation(x, count, 20, &allan);
 	free(x);
-	for (int i = 0; i < allan.count; i++) /* 8 %: the flicker of five processes is not quite flat */
+	for (int i = 0; i < allan.count; i++) /* 8 %: five processes approximate flicker noise */
 		assert_within(allan.points[i].deviation, allan_model(&given, allan.points[i].tau_s),
 			0.08 + 3 * allan.points[i].relative_error);
 	found = allan_fit(&allan);
@@ -156,12 +156,12 @@ int main(void)
 		cmocka_unit_test(test_a_constant_value_has_no_deviation),
 		cmocka_unit_test(test_a_ramp_deviates_by_its_slope_times_tau_over_root_two),
 		cmocka_unit_test(test_alternating_values_average_out_in_pairs),
-		cmocka_unit_test(test_white_noise_falls_with_the_root_of_tau_within_the_error_it_says),
-		cmocka_unit_test(test_averaging_times_are_ten_a_decade_up_to_a_ninth_of_the_log),
+		cmocka_unit_test(test_the_deviation_of_white_noise_falls_with_the_root_of_tau_within_its_stated_error),
+		cmocka_unit_test(test_there_are_ten_averaging_times_per_decade_up_to_a_ninth_of_the_log),
 		cmocka_unit_test(test_the_fit_finds_the_noise_of_an_exact_curve),
-		cmocka_unit_test(test_the_fit_says_0_for_noise_that_is_not_there),
-		cmocka_unit_test(test_no_noise_at_all_fits_as_none),
-		cmocka_unit_test(test_six_hours_of_a_simulated_gyro_show_the_noise_it_was_given),
+		cmocka_unit_test(test_the_fit_gives_0_for_absent_noise),
+		cmocka_unit_test(test_without_noise_all_terms_are_0),
+		cmocka_unit_test(test_the_noise_of_a_simulated_gyro_is_identified_from_six_hours),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

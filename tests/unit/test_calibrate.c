@@ -1,5 +1,5 @@
-/* Calibrations find the errors that a simulated chip was given, within the sigma they state, and refuse what can not tell
- * them. Every chip of model/sim/sensor is another draw of bias, scale, cross-axis errors and noise. */
+/* Calibrations estimate the errors of a simulated chip within their stated sigma, and refuse unsuitable data. Each seed
+ * of model/sim/sensor is another chip: bias, scale, cross-axis errors and noise are drawn from it. */
 #include "model_test.h"
 
 #include <stdlib.h>
@@ -41,7 +41,7 @@ static double square(double error, double sigma)
 	return error * error / (sigma * sigma);
 }
 
-/* Mean over the axes: 1 where sigma is honest. */
+/* Mean over the axes of the normalised error squared: 1 on average if sigma is right. */
 static double normalised(struct vec3 found, struct vec3 truth, struct vec3 sigma)
 {
 	struct vec3 e = vec3_sub(found, truth);
@@ -49,7 +49,7 @@ static double normalised(struct vec3 found, struct vec3 truth, struct vec3 sigma
 	return (square(e.x, sigma.x) + square(e.y, sigma.y) + square(e.z, sigma.z)) / 3;
 }
 
-/* matrix * (what the chip makes of v) */
+/* The chip's measurement of v, corrected. */
 static struct vec3 corrected(const struct triad_calibration *c, const struct triad *t, struct vec3 v)
 {
 	struct mat3 m, s;
@@ -108,8 +108,8 @@ static void test_a_gyro_waits_for_the_rest_after_a_motion(void **state)
 	assert_vec_near(gyro.result.bias_rad_s, sensor.gyro.bias, 0.1 * RAD_PER_DEG);
 }
 
-/* About the vertical only the magnetometer sees it, about a horizontal axis gravity moves. */
-static void test_a_slow_steady_turn_about_the_vertical_is_no_rest(void **state)
+/* Only the magnetometer shows a rotation about the vertical; about a horizontal axis gravity shows it. */
+static void test_a_slow_steady_turn_about_the_vertical_is_not_a_rest(void **state)
 {
 	struct signal slow = *signal_find("turntable");
 
@@ -119,7 +119,7 @@ static void test_a_slow_steady_turn_about_the_vertical_is_no_rest(void **state)
 	assert_int_equal(calibrate_gyro_on(&slow, 15), CALIBRATE_TURNED);
 }
 
-static void test_a_slow_steady_tilt_is_no_rest(void **state)
+static void test_a_slow_steady_tilt_is_not_a_rest(void **state)
 {
 	struct signal slow = *signal_find("roll_step");
 
@@ -135,11 +135,11 @@ static void test_a_slow_steady_tilt_is_no_rest(void **state)
 
 static void test_a_log_without_a_rest_of_five_seconds_is_refused(void **state)
 {
-	const struct calibrate_gyro_config whole = {(double)INFINITY, (double)INFINITY, 1e-4};
+	const struct calibrate_gyro_config of_a_log = {(double)INFINITY, (double)INFINITY, 1e-4};
 
 	(void)state;
 	new_chip(1);
-	calibrate_gyro_init(&gyro, &whole);
+	calibrate_gyro_init(&gyro, &of_a_log);
 	for (int i = 0; i < 450; i++) {
 		struct imu_sample s = next(signal_find("rest"));
 
@@ -169,7 +169,7 @@ static enum calibrate_verdict calibrate_accelerometer_on(const struct signal *si
 	return accel.verdict;
 }
 
-static void test_free_positions_find_the_bias_within_its_sigma_and_make_gravity_g_everywhere(void **state)
+static void test_free_positions_give_the_bias_within_its_sigma_and_gravity_in_every_attitude(void **state)
 {
 	double sum = 0;
 
@@ -199,7 +199,7 @@ static void test_the_matrix_of_free_positions_is_symmetric(void **state)
 	assert_true(m[0][1] == m[1][0] && m[0][2] == m[2][0] && m[1][2] == m[2][1] && m[0][1] != 0);
 }
 
-static void test_six_faces_find_the_whole_matrix_with_its_rotation(void **state)
+static void test_six_faces_give_the_full_matrix_including_its_rotation(void **state)
 {
 	double sum = 0;
 
@@ -218,7 +218,7 @@ static void test_six_faces_find_the_whole_matrix_with_its_rotation(void **state)
 	assert_true(sum / CHIPS > 0.4 && sum / CHIPS < 2);
 }
 
-/* Holds the simulated accelerometer with `up` up for three seconds. */
+/* Holds the simulated accelerometer for three seconds, with `up` pointing up. */
 static void hold(struct vec3 up, double shake_m_s2)
 {
 	static uint64_t t_us;
@@ -257,7 +257,7 @@ static void test_too_few_positions_are_refused(void **state)
 	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_TOO_FEW_POSITIONS);
 }
 
-static void test_positions_of_one_half_of_the_sphere_are_refused(void **state)
+static void test_positions_on_one_hemisphere_are_refused(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -269,7 +269,7 @@ static void test_positions_of_one_half_of_the_sphere_are_refused(void **state)
 	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_POOR_COVERAGE);
 }
 
-static void test_positions_that_contradict_each_other_are_refused(void **state)
+static void test_inconsistent_positions_are_refused(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -281,14 +281,14 @@ static void test_positions_that_contradict_each_other_are_refused(void **state)
 
 		hold(vec3_scale(i < 6 && i % 2 ? -1 : 1, up), 0.01);
 	}
-	/* no ellipsoid bulges at every other corner of a cube */
+	/* no ellipsoid passes through points moved outwards at every other corner of a cube */
 	for (int i = 6; i < 14; i++)
 		if ((i ^ i >> 1 ^ i >> 2) & 1)
 			accel.position[i].force_m_s2 = vec3_scale(1.04, accel.position[i].force_m_s2);
 	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_LARGE_RESIDUAL);
 }
 
-static void test_a_hand_that_shakes_is_no_rest(void **state)
+static void test_a_shaking_hand_is_not_a_rest(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -297,7 +297,7 @@ static void test_a_hand_that_shakes_is_no_rest(void **state)
 	assert_int_equal(accel.positions, 0);
 }
 
-static void test_faces_that_are_no_faces_of_the_sensor_are_refused(void **state)
+static void test_faces_seven_degrees_off_the_axes_of_the_sensor_are_refused(void **state)
 {
 	const struct quat turn = quat_from_aerospace((struct vec3){7 * RAD_PER_DEG, 0, 0});
 
@@ -327,7 +327,7 @@ static void test_an_accelerometer_in_units_of_g_is_refused_as_implausible(void *
 	assert_int_equal(accel.verdict, CALIBRATE_IMPLAUSIBLE);
 }
 
-static void test_the_next_side_is_one_that_was_not_up_yet(void **state)
+static void test_the_next_side_is_the_farthest_one_from_all_positions(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -350,7 +350,7 @@ static void begin_magnetometer(double field_uT)
 	calibrate_magnetometer_init(&mag, &config);
 }
 
-/* distort: what the surroundings do to the field in the sensor's axes */
+/* distort: effect of the surroundings on the field, in sensor axes */
 static enum calibrate_verdict calibrate_magnetometer_on(
 	const struct signal *signal, struct vec3 (*distort)(struct vec3 field_uT, double t_s))
 {
@@ -401,7 +401,7 @@ static void test_hard_iron_of_twice_the_field_is_found(void **state)
 	assert_vec_near(mag.result.calibration.bias, car(sensor.mag.bias, 0), 0.2);
 }
 
-static void test_without_a_given_field_the_volume_of_the_ellipsoid_stays(void **state)
+static void test_without_a_field_strength_the_matrix_keeps_the_volume(void **state)
 {
 	double(*m)[3] = mag.result.calibration.matrix;
 	double det;
@@ -454,7 +454,7 @@ static struct vec3 spikes(struct vec3 f, double t_s)
 	return f;
 }
 
-static void test_single_wrong_samples_change_nothing(void **state)
+static void test_single_spikes_do_not_change_the_result(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -471,7 +471,7 @@ static struct vec3 flat(struct vec3 f, double t_s)
 	return f;
 }
 
-static void test_an_ellipsoid_flatter_than_any_soft_iron_makes_it_is_refused(void **state)
+static void test_an_ellipsoid_flatter_than_soft_iron_can_be_is_refused(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -493,7 +493,7 @@ static void test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible(v
 	assert_int_equal(calibrate_magnetometer_on(signal_find("figure"), gauss), CALIBRATE_IMPLAUSIBLE);
 }
 
-static void test_no_magnetometer_is_told_after_five_seconds(void **state)
+static void test_a_missing_magnetometer_is_reported_after_five_seconds(void **state)
 {
 	struct imu_sample s = {.t_us = 0};
 
@@ -506,7 +506,7 @@ static void test_no_magnetometer_is_told_after_five_seconds(void **state)
 	assert_int_equal(mag.verdict, CALIBRATE_NO_MAGNETOMETER);
 }
 
-static void test_values_that_are_not_finite_are_left_out(void **state)
+static void test_values_that_are_not_finite_are_ignored(void **state)
 {
 	struct imu_sample s = {.t_us = 1, .flags = SAMPLE_MAG, .mag_uT = {NAN, 0, 0}, .accel_m_s2 = {INFINITY, 0, 0}};
 
@@ -519,7 +519,7 @@ static void test_values_that_are_not_finite_are_left_out(void **state)
 	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_TOO_FEW_POSITIONS);
 }
 
-static void test_values_that_no_magnetometer_measures_are_left_out_and_stall_nothing(void **state)
+static void test_values_out_of_any_range_are_ignored_and_fill_no_memory(void **state)
 {
 	struct imu_sample s = {.flags = SAMPLE_MAG};
 
@@ -533,7 +533,7 @@ static void test_values_that_no_magnetometer_measures_are_left_out_and_stall_not
 	assert_int_equal(mag.count, 0);
 }
 
-static void test_the_patience_with_an_accelerometer_ends_though_every_sample_is_saturated(void **state)
+static void test_the_timeout_ends_an_accelerometer_calibration_even_if_all_samples_are_saturated(void **state)
 {
 	struct imu_sample s = {.flags = SAMPLE_SATURATED, .accel_m_s2 = {160, 0, 0}};
 
@@ -576,7 +576,7 @@ static void test_slopes_of_the_biases_are_found_while_it_warms_up(void **state)
 	}
 }
 
-static void test_a_temperature_that_hardly_moves_is_refused(void **state)
+static void test_a_temperature_that_changes_too_little_is_refused(void **state)
 {
 	(void)state;
 	new_chip(1);
@@ -597,8 +597,8 @@ static void test_temperature_without_a_rest_is_refused(void **state)
 	assert_int_equal(calibrate_temperature_on(signal_find("tumble"), 20, 60), CALIBRATE_MOVED);
 }
 
-/* Bias 0.002 rad/s + 1e-5 (T - 25) + 2e-6 (T - 25)^2, exactly: found as such at the mean temperature. */
-static void test_a_parabola_is_found_where_it_explains_more(void **state)
+/* Bias 0.002 rad/s + 1e-5 (T - 25) + 2e-6 (T - 25)^2, without noise; the result is for the mean temperature. */
+static void test_a_parabola_is_fitted_where_it_fits_better(void **state)
 {
 	const struct temperature_compensation *t = &temperature.result.compensation;
 	struct imu_sample s = {.accel_m_s2 = {0, 0, G}, .flags = SAMPLE_TEMPERATURE};
@@ -621,9 +621,9 @@ static void test_a_parabola_is_found_where_it_explains_more(void **state)
 	assert_near(temperature.result.gyro_rad_s.x, 0.002 + 1e-5 * d0 + 2e-6 * d0 * d0, 1e-7);
 }
 
-/* ---- everybody --------------------------------------------------------------------------------------------------- */
+/* ---- common ----------------------------------------------------------------------------------------------------- */
 
-static void test_every_verdict_has_a_text_of_its_own(void **state)
+static void test_all_verdicts_have_different_texts(void **state)
 {
 	(void)state;
 	for (int a = 0; a < CALIBRATE_VERDICTS; a++)
@@ -633,8 +633,8 @@ static void test_every_verdict_has_a_text_of_its_own(void **state)
 				a == b);
 }
 
-/* The inverse is numpy's. */
-static void test_exact_points_of_an_ellipsoid_give_it_back(void **state)
+/* The inverse was computed with numpy. */
+static void test_exact_points_of_an_ellipsoid_give_its_parameters(void **state)
 {
 	const struct mat3 m = {{{1.1, 0.05, -0.02}, {0.05, 0.9, 0.03}, {-0.02, 0.03, 1.2}}};
 	const struct mat3 inverse = {{{0.911717740096, -0.0512001622183, 0.0164752997237},
@@ -662,40 +662,40 @@ int main(void)
 		cmocka_unit_test(test_the_gyro_bias_is_found_within_its_sigma),
 		cmocka_unit_test(test_a_gyro_that_is_moved_is_refused),
 		cmocka_unit_test(test_a_gyro_waits_for_the_rest_after_a_motion),
-		cmocka_unit_test(test_a_slow_steady_turn_about_the_vertical_is_no_rest),
-		cmocka_unit_test(test_a_slow_steady_tilt_is_no_rest),
+		cmocka_unit_test(test_a_slow_steady_turn_about_the_vertical_is_not_a_rest),
+		cmocka_unit_test(test_a_slow_steady_tilt_is_not_a_rest),
 		cmocka_unit_test(test_a_log_without_a_rest_of_five_seconds_is_refused),
-		cmocka_unit_test(test_free_positions_find_the_bias_within_its_sigma_and_make_gravity_g_everywhere),
+		cmocka_unit_test(test_free_positions_give_the_bias_within_its_sigma_and_gravity_in_every_attitude),
 		cmocka_unit_test(test_the_matrix_of_free_positions_is_symmetric),
-		cmocka_unit_test(test_six_faces_find_the_whole_matrix_with_its_rotation),
+		cmocka_unit_test(test_six_faces_give_the_full_matrix_including_its_rotation),
 		cmocka_unit_test(test_the_same_position_twice_counts_once),
 		cmocka_unit_test(test_too_few_positions_are_refused),
-		cmocka_unit_test(test_positions_of_one_half_of_the_sphere_are_refused),
-		cmocka_unit_test(test_positions_that_contradict_each_other_are_refused),
-		cmocka_unit_test(test_a_hand_that_shakes_is_no_rest),
-		cmocka_unit_test(test_faces_that_are_no_faces_of_the_sensor_are_refused),
+		cmocka_unit_test(test_positions_on_one_hemisphere_are_refused),
+		cmocka_unit_test(test_inconsistent_positions_are_refused),
+		cmocka_unit_test(test_a_shaking_hand_is_not_a_rest),
+		cmocka_unit_test(test_faces_seven_degrees_off_the_axes_of_the_sensor_are_refused),
 		cmocka_unit_test(test_an_accelerometer_in_units_of_g_is_refused_as_implausible),
-		cmocka_unit_test(test_the_next_side_is_one_that_was_not_up_yet),
+		cmocka_unit_test(test_the_next_side_is_the_farthest_one_from_all_positions),
 		cmocka_unit_test(test_hard_and_soft_iron_are_found_within_their_sigma),
 		cmocka_unit_test(test_hard_iron_of_twice_the_field_is_found),
-		cmocka_unit_test(test_without_a_given_field_the_volume_of_the_ellipsoid_stays),
+		cmocka_unit_test(test_without_a_field_strength_the_matrix_keeps_the_volume),
 		cmocka_unit_test(test_a_magnetometer_turned_about_one_axis_is_refused),
 		cmocka_unit_test(test_a_magnetometer_at_rest_is_refused),
 		cmocka_unit_test(test_a_field_that_changes_while_turning_is_refused),
-		cmocka_unit_test(test_an_ellipsoid_flatter_than_any_soft_iron_makes_it_is_refused),
+		cmocka_unit_test(test_an_ellipsoid_flatter_than_soft_iron_can_be_is_refused),
 		cmocka_unit_test(test_a_field_ten_times_that_of_the_earth_is_refused_as_implausible),
-		cmocka_unit_test(test_single_wrong_samples_change_nothing),
-		cmocka_unit_test(test_no_magnetometer_is_told_after_five_seconds),
-		cmocka_unit_test(test_values_that_are_not_finite_are_left_out),
-		cmocka_unit_test(test_values_that_no_magnetometer_measures_are_left_out_and_stall_nothing),
-		cmocka_unit_test(test_the_patience_with_an_accelerometer_ends_though_every_sample_is_saturated),
+		cmocka_unit_test(test_single_spikes_do_not_change_the_result),
+		cmocka_unit_test(test_a_missing_magnetometer_is_reported_after_five_seconds),
+		cmocka_unit_test(test_values_that_are_not_finite_are_ignored),
+		cmocka_unit_test(test_values_out_of_any_range_are_ignored_and_fill_no_memory),
+		cmocka_unit_test(test_the_timeout_ends_an_accelerometer_calibration_even_if_all_samples_are_saturated),
 		cmocka_unit_test(test_slopes_of_the_biases_are_found_while_it_warms_up),
-		cmocka_unit_test(test_a_temperature_that_hardly_moves_is_refused),
+		cmocka_unit_test(test_a_temperature_that_changes_too_little_is_refused),
 		cmocka_unit_test(test_a_log_without_temperature_is_refused),
 		cmocka_unit_test(test_temperature_without_a_rest_is_refused),
-		cmocka_unit_test(test_a_parabola_is_found_where_it_explains_more),
-		cmocka_unit_test(test_every_verdict_has_a_text_of_its_own),
-		cmocka_unit_test(test_exact_points_of_an_ellipsoid_give_it_back),
+		cmocka_unit_test(test_a_parabola_is_fitted_where_it_fits_better),
+		cmocka_unit_test(test_all_verdicts_have_different_texts),
+		cmocka_unit_test(test_exact_points_of_an_ellipsoid_give_its_parameters),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* imu9-calibrate lever-arm as people run it: a log in, three lines for a configuration file out. */
+/* imu9-calibrate lever-arm as a program: from a log to three lines of a configuration file. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +15,8 @@ enum { ARGUMENTS_MAX = 8, TEXT_MAX = 4096 };
 
 static char log_path[] = "/tmp/imu9_lever_log_XXXXXX", config_path[] = "/tmp/imu9_lever_ini_XXXXXX";
 
-/* Half a minute of a sensor 50, -100, 200 mm from a point that is held, or that moves as columns of the log say. */
+/* A log of a sensor at 50, -100, 200 mm from a reference point that moves; its acceleration is in columns of the
+ * log. */
 static int write_logs(void **state)
 {
 	struct sensor_config config = *sensor_preset("ideal");
@@ -54,7 +55,7 @@ static int remove_logs(void **state)
 	return 0;
 }
 
-/* Runs the subcommand in a process of its own; its exit status, and all it said. */
+/* Runs the subcommand in a child process. Returns its exit status, and its output in text. */
 static int run(char text[TEXT_MAX], const char *a, const char *b, const char *c)
 {
 	char *argv[ARGUMENTS_MAX] = {(char *)"lever-arm", (char *)a, (char *)b, (char *)c};
@@ -83,13 +84,13 @@ static int run(char text[TEXT_MAX], const char *a, const char *b, const char *c)
 	return WEXITSTATUS(status);
 }
 
-static void assert_says(const char *text, const char *words)
+static void assert_contains(const char *text, const char *words)
 {
 	if (!strstr(text, words))
-		fail_msg("it does not say '%s' but '%s'", words, text);
+		fail_msg("'%s' is not in the output '%s'", words, text);
 }
 
-static void test_its_last_lines_are_a_configuration_file_that_the_gateway_takes(void **state)
+static void test_the_last_lines_are_a_valid_configuration_file(void **state)
 {
 	static struct od_values values;
 	static struct config config;
@@ -100,7 +101,7 @@ static void test_its_last_lines_are_a_configuration_file_that_the_gateway_takes(
 	(void)state;
 	assert_int_equal(run(text, log_path, NULL, NULL), 0);
 	assert_non_null(file);
-	assert_says(text, "[lever_arm]");
+	assert_contains(text, "[lever_arm]");
 	fputs(strstr(text, "[lever_arm]"), file);
 	fclose(file);
 	config_init(&config, &imu9_od_table);
@@ -113,39 +114,39 @@ static void test_its_last_lines_are_a_configuration_file_that_the_gateway_takes(
 	assert_near((double)values.lever_arm.t, 0.2, 0.001);
 }
 
-static void test_a_reference_that_is_not_in_the_object_frame_of_the_mounting_does_not_fit(void **state)
+static void test_a_reference_in_sensor_axes_instead_of_the_object_frame_does_not_fit(void **state)
 {
 	char text[TEXT_MAX];
 
 	(void)state;
-	/* the columns are of the axes of the sensor here */
+	/* with a mounting, columns in sensor axes are wrong */
 	assert_int_equal(run(text, "--set", "mounting.yaw=90", log_path), 1);
-	assert_says(text, "does not fit");
+	assert_contains(text, "does not fit");
 }
 
-static void test_wrong_usage_is_2_and_what_cannot_be_read_is_1(void **state)
+static void test_wrong_usage_exits_with_2_and_an_unreadable_file_with_1(void **state)
 {
 	char text[TEXT_MAX];
 
 	(void)state;
 	assert_int_equal(run(text, NULL, NULL, NULL), 2);
-	assert_says(text, "give one log");
+	assert_contains(text, "give one log");
 	assert_int_equal(run(text, "--nonsense", log_path, NULL), 2);
 	assert_int_equal(run(text, "--set", "lever_arm.q=1", log_path), 2);
 	assert_int_equal(run(text, "/nowhere.csv", NULL, NULL), 1);
-	assert_says(text, "/nowhere.csv: No such file");
+	assert_contains(text, "/nowhere.csv: No such file");
 	assert_int_equal(run(text, "--reference", "/nowhere.csv", log_path), 1);
-	assert_says(text, "/nowhere.csv: No such file");
+	assert_contains(text, "/nowhere.csv: No such file");
 	assert_int_equal(run(text, "--help", NULL, NULL), 0);
-	assert_says(text, "usage: imu9-calibrate lever-arm");
+	assert_contains(text, "usage: imu9-calibrate lever-arm");
 }
 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_its_last_lines_are_a_configuration_file_that_the_gateway_takes),
-		cmocka_unit_test(test_a_reference_that_is_not_in_the_object_frame_of_the_mounting_does_not_fit),
-		cmocka_unit_test(test_wrong_usage_is_2_and_what_cannot_be_read_is_1),
+		cmocka_unit_test(test_the_last_lines_are_a_valid_configuration_file),
+		cmocka_unit_test(test_a_reference_in_sensor_axes_instead_of_the_object_frame_does_not_fit),
+		cmocka_unit_test(test_wrong_usage_exits_with_2_and_an_unreadable_file_with_1),
 	};
 
 	return cmocka_run_group_tests(tests, write_logs, remove_logs);

@@ -31,7 +31,7 @@ static void test_numbers_are_written_with_their_decimals_and_rounded(void **stat
 	assert_number(1e-9, 9, "0.000000001");
 }
 
-static void test_what_does_not_fit_is_still_a_number_or_says_what_it_is(void **state)
+static void test_large_and_not_finite_values_are_written_in_the_format_g(void **state)
 {
 	(void)state;
 	assert_number(1e12, 3, "1e+12");
@@ -40,7 +40,7 @@ static void test_what_does_not_fit_is_still_a_number_or_says_what_it_is(void **s
 	assert_number(NAN, 3, "nan");
 }
 
-/* printf() is the oracle; halves, where it rounds to even, do not occur among random numbers. */
+/* printf() is the oracle; it rounds halves to even, but random numbers have no halves. */
 static void test_random_numbers_are_written_as_printf_does(void **state)
 {
 	struct rng rng;
@@ -59,7 +59,7 @@ static void test_random_numbers_are_written_as_printf_does(void **state)
 	}
 }
 
-static void test_a_row_is_fields_between_commas_and_empties_itself(void **state)
+static void test_a_row_has_commas_between_its_fields_and_is_empty_after_writing(void **state)
 {
 	struct csv_row row = {0};
 	char text[128] = "";
@@ -76,7 +76,7 @@ static void test_a_row_is_fields_between_commas_and_empties_itself(void **state)
 	assert_string_equal(text, "12.000034,1.0,-2.0,0.5,,\n0.000000\n");
 }
 
-static void test_a_row_that_is_full_takes_no_more(void **state)
+static void test_a_full_row_ignores_further_fields(void **state)
 {
 	struct csv_row row = {0};
 
@@ -90,10 +90,10 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_numbers_are_written_with_their_decimals_and_rounded),
-		cmocka_unit_test(test_what_does_not_fit_is_still_a_number_or_says_what_it_is),
+		cmocka_unit_test(test_large_and_not_finite_values_are_written_in_the_format_g),
 		cmocka_unit_test(test_random_numbers_are_written_as_printf_does),
-		cmocka_unit_test(test_a_row_is_fields_between_commas_and_empties_itself),
-		cmocka_unit_test(test_a_row_that_is_full_takes_no_more),
+		cmocka_unit_test(test_a_row_has_commas_between_its_fields_and_is_empty_after_writing),
+		cmocka_unit_test(test_a_full_row_ignores_further_fields),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* The goals of the experiments, at the paper's noise levels. */
+/* The claims of tools/experiments/REPORT.md, at the noise levels of the paper. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -28,7 +28,7 @@ static double rms(const struct trial_config *config, enum method method, double 
 	return error;
 }
 
-static void test_in_the_seeds_world_the_gyro_at_2_degrees_beats_eq12_at_0_02_degrees(void **state)
+static void test_in_the_world_of_the_paper_the_gyro_at_2_degrees_beats_eq12_at_0_02_degrees(void **state)
 {
 	(void)state;
 	for (uint64_t seed = 1; seed <= 3; seed++)
@@ -67,8 +67,8 @@ static void test_auto_is_at_most_5_percent_worse_than_the_better_of_none_and_rig
 			}
 }
 
-/* Where the noise of the gyro makes none and rigid equal. */
-static void test_auto_beats_both_where_noise_and_benefit_are_alike(void **state)
+/* At the gyro noise at which none and rigid have the same error. */
+static void test_auto_beats_none_and_rigid_where_they_are_equal(void **state)
 {
 	(void)state;
 	for (int signal = 0; signal < TRIAL_SIGNALS; signal++) {
@@ -83,8 +83,8 @@ static void test_auto_beats_both_where_noise_and_benefit_are_alike(void **state)
 	}
 }
 
-/* Without noise, (12) takes away what (9) put in, to the last bits. */
-static void test_in_the_seeds_world_eq12_is_exact_without_noise(void **state)
+/* Without noise, (12) removes exactly what (9) adds. */
+static void test_in_the_world_of_the_paper_eq12_is_exact_without_noise(void **state)
 {
 	(void)state;
 	for (int signal = 0; signal < TRIAL_SIGNALS; signal++) {
@@ -95,7 +95,7 @@ static void test_in_the_seeds_world_eq12_is_exact_without_noise(void **state)
 	}
 }
 
-static void test_the_seeds_fir_keeps_a_constant_and_moves_a_pulse_by_nothing(void **state)
+static void test_the_fir_of_the_paper_keeps_a_constant_and_does_not_delay_a_pulse(void **state)
 {
 	struct vec3 values[101];
 
@@ -112,13 +112,13 @@ static void test_the_seeds_fir_keeps_a_constant_and_moves_a_pulse_by_nothing(voi
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_in_the_seeds_world_the_gyro_at_2_degrees_beats_eq12_at_0_02_degrees),
+		cmocka_unit_test(test_in_the_world_of_the_paper_the_gyro_at_2_degrees_beats_eq12_at_0_02_degrees),
 		cmocka_unit_test(test_in_the_physical_world_the_rigid_body_at_2_degrees_beats_eq12_at_0_02_degrees),
 		cmocka_unit_test(
 			test_auto_is_at_most_5_percent_worse_than_the_better_of_none_and_rigid_at_every_angle_noise),
-		cmocka_unit_test(test_auto_beats_both_where_noise_and_benefit_are_alike),
-		cmocka_unit_test(test_in_the_seeds_world_eq12_is_exact_without_noise),
-		cmocka_unit_test(test_the_seeds_fir_keeps_a_constant_and_moves_a_pulse_by_nothing),
+		cmocka_unit_test(test_auto_beats_none_and_rigid_where_they_are_equal),
+		cmocka_unit_test(test_in_the_world_of_the_paper_eq12_is_exact_without_noise),
+		cmocka_unit_test(test_the_fir_of_the_paper_keeps_a_constant_and_does_not_delay_a_pulse),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

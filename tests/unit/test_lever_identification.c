@@ -1,4 +1,4 @@
-/* The lever arm from motion: simulated sensors on formulas of motion, with the known answer. */
+/* Identification of the lever arm from simulated sensors on analytical motions, with the true value known. */
 #include <string.h>
 
 #include "model/identify/lever_identification.h"
@@ -7,21 +7,21 @@
 
 static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */
 
-/* How the object turns and how its reference point moves. */
+/* Rotation of the object and translation of its reference point. */
 struct scene {
-	struct vec3 swing_rad, swing_hz; /* roll, pitch, yaw to and fro */
-	struct vec3 travel_m, travel_hz; /* of the reference point to and fro, global frame */
+	struct vec3 swing_rad, swing_hz; /* amplitude and frequency of roll, pitch, yaw */
+	struct vec3 travel_m, travel_hz; /* amplitude and frequency of the reference point, global frame */
 	double travel_ahead_s;
 	double seconds, rate_hz;
 	const char *sensor;
 	struct vec3 arm_b_m;
 	bool reference, estimate_delay;
 	double delay_s; /* of the reference */
-	int hold;	/* samples that one value of the reference lasts */
+	int hold;	/* samples for which a value of the reference is held */
 	struct vec3 gyro_bias_rad_s, accel_bias_m_s2;
-	double nominal_hz; /* what the driver believes the rate to be; 0: it is right */
-	int pause_each;	   /* the sensor is silent for the second half of each so many samples */
-	int every_lost;	   /* each n-th sample does not come */
+	double nominal_hz; /* configured sampling rate; 0: rate_hz */
+	int pause_each;	   /* no samples in the second half of each pause_each samples */
+	int every_lost;	   /* each n-th sample is lost */
 	uint64_t seed;
 };
 
@@ -67,7 +67,7 @@ static struct quat attitude(const struct scene *s, double t_s)
 				(struct vec3){swing(s->swing_rad.x, s->swing_hz.x, t_s, unused), 0, 0})));
 }
 
-/* The body's rate from two attitudes an instant apart: exact to 1e-9. */
+/* Body rate from two attitudes 0.2 ms apart: exact to 1e-9. */
 static struct vec3 rate(const struct scene *s, double t_s)
 {
 	const double h = 1e-4;
@@ -152,9 +152,10 @@ static void assert_found(const struct lever_estimate *e, struct vec3 arm_b_m, do
 	assert_vec_near(e->lever_arm_b_m, arm_b_m, tolerance_m);
 }
 
-/* ---- held still -------------------------------------------------------------------------------------------------- */
+/* ---- reference point held still
+ * -------------------------------------------------------------------------------------------------- */
 
-static void test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_the_reference_point_is_held(void **state)
+static void test_with_the_reference_point_held_100_mm_are_identified_within_1_mm(void **state)
 {
 	(void)state;
 	for (uint64_t seed = 1; seed <= 5; seed++) {
@@ -163,11 +164,11 @@ static void test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_th
 		s.seed = seed;
 		struct lever_estimate e = identify(&s);
 		assert_found(&e, ARM, 0.001);
-		assert_int_equal(e.progress_percent, 96); /* 29 windows of a second: the filters settle first */
+		assert_int_equal(e.progress_percent, 96); /* 29 windows of 1 s: the filters settle first */
 	}
 }
 
-static void test_it_is_found_at_every_usual_rate(void **state)
+static void test_the_result_is_the_same_at_every_usual_sampling_rate(void **state)
 {
 	const double rates_hz[] = {50, 100, 200, 286, 500, 1000};
 
@@ -181,7 +182,7 @@ static void test_it_is_found_at_every_usual_rate(void **state)
 	}
 }
 
-static void test_biases_and_lost_samples_hardly_matter(void **state)
+static void test_biases_and_lost_samples_cost_less_than_1_mm(void **state)
 {
 	struct scene s = BY_HAND;
 
@@ -193,7 +194,7 @@ static void test_biases_and_lost_samples_hardly_matter(void **state)
 	assert_found(&e, ARM, 0.001);
 }
 
-static void test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_acceleration(void **state)
+static void test_drift_of_gravity_by_a_gyro_bias_is_eliminated(void **state)
 {
 	struct scene s = BY_HAND;
 
@@ -205,18 +206,18 @@ static void test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_accelerati
 	assert_true(with.residual_m_s2 < 2 * without.residual_m_s2);
 }
 
-static void test_pauses_of_the_sensor_part_the_motion_and_do_no_harm(void **state)
+static void test_gaps_of_seconds_do_not_change_the_result(void **state)
 {
 	struct scene s = BY_HAND;
 
 	(void)state;
-	s.pause_each = 700; /* 3.5 s, and a pause as long */
+	s.pause_each = 700; /* 3.5 s of samples, 3.5 s without */
 	s.seconds = 60;
 	struct lever_estimate e = identify(&s);
 	assert_found(&e, ARM, 0.001);
 }
 
-static void test_a_rate_that_is_not_the_nominal_one_is_followed(void **state)
+static void test_the_actual_sampling_rate_is_tracked(void **state)
 {
 	struct scene s = BY_HAND;
 
@@ -227,7 +228,7 @@ static void test_a_rate_that_is_not_the_nominal_one_is_followed(void **state)
 	assert_found(&e, ARM, 0.001);
 }
 
-static void test_no_lever_arm_is_found_to_be_none(void **state)
+static void test_a_lever_arm_of_zero_is_identified_as_zero(void **state)
 {
 	struct scene s = BY_HAND;
 
@@ -237,9 +238,9 @@ static void test_no_lever_arm_is_found_to_be_none(void **state)
 	assert_found(&e, s.arm_b_m, 0.0005);
 }
 
-/* ---- acceleration from outside ----------------------------------------------------------------------------------- */
+/* ---- with a reference ----------------------------------------------------------------------------------- */
 
-static void test_it_is_found_within_a_hundredth_while_the_reference_point_moves_as_told_from_outside(void **state)
+static void test_with_a_reference_100_mm_are_identified_within_1_mm(void **state)
 {
 	(void)state;
 	for (uint64_t seed = 1; seed <= 5; seed++) {
@@ -251,7 +252,7 @@ static void test_it_is_found_within_a_hundredth_while_the_reference_point_moves_
 	}
 }
 
-static void test_a_late_or_early_reference_is_found_out(void **state)
+static void test_the_delay_of_a_reference_is_estimated(void **state)
 {
 	const double delays_s[] = {-0.01, -0.002, 0.005, 0.01};
 
@@ -262,11 +263,11 @@ static void test_a_late_or_early_reference_is_found_out(void **state)
 
 		assert_found(&e, ARM, 0.001);
 		assert_near(
-			e.delay_s, delays_s[i] - 1 / (2 * PI * 50), 0.001); /* the sensor's own bandwidth lags, too */
+			e.delay_s, delays_s[i] - 1 / (2 * PI * 50), 0.001); /* delay of the sensor by its bandwidth */
 	}
 }
 
-static void test_a_reference_of_a_quick_movement_may_be_15_ms_late(void **state)
+static void test_the_reference_of_a_quick_movement_can_be_15_ms_late(void **state)
 {
 	struct scene s = with_reference(0.015);
 
@@ -275,10 +276,11 @@ static void test_a_reference_of_a_quick_movement_may_be_15_ms_late(void **state)
 	s.travel_hz = (struct vec3){3.1, 3.7, 4.3};
 	struct lever_estimate e = identify(&s);
 	assert_found(&e, ARM, 0.001);
-	assert_true(e.residual_m_s2 < 0.15); /* of accelerations up to 15 m/s^2: to the second order of the delay */
+	assert_true(e.residual_m_s2 <
+		    0.15); /* of accelerations up to 15 m/s^2; the delay is expanded to the second order */
 }
 
-static void test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz(void **state)
+static void test_a_reference_of_100_hz_suffices_for_samples_at_200_hz(void **state)
 {
 	struct scene s = with_reference(0.004);
 
@@ -289,29 +291,29 @@ static void test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz(voi
 	assert_found(&e, ARM, 0.001);
 }
 
-static void test_a_delay_that_is_not_to_be_estimated_widens_sigma_by_what_it_would_change(void **state)
+static void test_a_delay_that_is_not_estimated_increases_sigma_by_its_effect(void **state)
 {
 	struct scene s = with_reference(0.01);
 
 	(void)state;
-	/* sideways a quarter of a period ahead of the roll: what comes late looks like a longer lever arm */
+	/* sideways a quarter of a period ahead of the roll: a delay looks like a longer lever arm */
 	s.travel_m = (struct vec3){0, 0.5, 0};
 	s.travel_hz.y = s.swing_hz.x;
 	s.travel_ahead_s = 0.25 / s.swing_hz.x;
-	struct lever_estimate heeded = identify(&s);
+	struct lever_estimate corrected = identify(&s);
 	s.estimate_delay = false;
 	struct lever_estimate e = identify(&s);
-	struct vec3 off = vec3_sub(e.lever_arm_b_m, heeded.lever_arm_b_m);
+	struct vec3 off = vec3_sub(e.lever_arm_b_m, corrected.lever_arm_b_m);
 	assert_true(vec3_norm(off) > 0.002);
 	assert_true(e.sigma_b_m.x >= fabs(off.x) && e.sigma_b_m.y >= fabs(off.y) && e.sigma_b_m.z >= fabs(off.z));
-	assert_near(e.delay_s, heeded.delay_s, 1e-6);
+	assert_near(e.delay_s, corrected.delay_s, 1e-6);
 }
 
 /* ---- sigma ------------------------------------------------------------------------------------------------------- */
 
-/* A coarse sensor, its noise above every systematic error, over 60 seeds: the squared error in units of its variance has
- * the mean 1 where sigma is honest (a Student distribution of few windows: a little more). */
-static void test_the_noise_sigma_is_honest_over_many_seeds_and_the_truth_is_inside_three_of_the_whole(void **state)
+/* A coarse sensor, whose noise is larger than all systematic errors. The normalised error squared has the mean 1 if
+ * sigma is right (a little more for the Student distribution of few windows). */
+static void test_the_noise_sigma_matches_the_scatter_over_60_seeds_and_the_error_is_below_3_sigma(void **state)
 {
 	double squares = 0;
 	const int seeds = 60;
@@ -337,7 +339,7 @@ static void test_the_noise_sigma_is_honest_over_many_seeds_and_the_truth_is_insi
 
 /* ---- refusals ---------------------------------------------------------------------------------------------------- */
 
-static void test_a_turn_about_one_axis_only_is_refused_and_the_axis_named(void **state)
+static void test_rotation_about_one_axis_is_refused_and_the_axis_named(void **state)
 {
 	const enum lever_verdict blind[] = {LEVER_BLIND_L, LEVER_BLIND_S, LEVER_BLIND_T};
 
@@ -350,7 +352,7 @@ static void test_a_turn_about_one_axis_only_is_refused_and_the_axis_named(void *
 	}
 }
 
-static void test_a_turn_about_two_axes_is_enough(void **state)
+static void test_rotation_about_two_axes_suffices(void **state)
 {
 	struct scene s = BY_HAND;
 
@@ -399,7 +401,7 @@ static void test_too_little_motion_is_too_short(void **state)
 	assert_int_equal(identify(&s).verdict, LEVER_TOO_SHORT);
 }
 
-static void test_a_reference_that_does_not_come_is_told(void **state)
+static void test_a_missing_reference_is_reported(void **state)
 {
 	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30, .reference = true};
 
@@ -422,7 +424,7 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
 }
 
-static void test_whatever_comes_the_estimate_stays_finite(void **state)
+static void test_the_estimate_stays_finite_for_any_input(void **state)
 {
 	const struct lever_identification_config config = {
 		.rate_hz = 100, .duration_s = 30, .reference = true, .estimate_delay = true};
@@ -449,7 +451,7 @@ static void test_whatever_comes_the_estimate_stays_finite(void **state)
 		    isfinite(e.delay_s));
 }
 
-static void test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_other(void **state)
+static void test_only_the_sample_that_ends_a_window_gives_news(void **state)
 {
 	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30};
 	unsigned news = 0;
@@ -457,7 +459,7 @@ static void test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_ot
 	(void)state;
 	assert_int_equal(lever_identification_init(&id, &config), 0);
 	for (uint64_t i = 1; i <= 1000; i++) {
-		uint64_t pause_us = i > 500 ? 1000000 : 0; /* the filters settle anew */
+		uint64_t pause_us = i > 500 ? 1000000 : 0; /* the filters settle again */
 
 		lever_identification_step(
 			&id, 10000 * i + pause_us, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
@@ -467,13 +469,13 @@ static void test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_ot
 	assert_int_equal(news, id.windows);
 }
 
-static void test_hours_need_no_more_memory_and_the_estimate_only_gets_better(void **state)
+static void test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases(void **state)
 {
 	struct scene s = BY_HAND;
 
 	(void)state;
 	struct lever_estimate first = identify(&s);
-	s.seconds = 300; /* the blocks are put together three times */
+	s.seconds = 300; /* blocks are merged three times */
 	struct lever_estimate e = identify(&s);
 	assert_found(&e, ARM, 0.001);
 	assert_true(e.noise_sigma_b_m.x < first.noise_sigma_b_m.x && e.noise_sigma_b_m.z < first.noise_sigma_b_m.z);
@@ -487,33 +489,30 @@ static void test_hours_need_no_more_memory_and_the_estimate_only_gets_better(voi
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(
-			test_a_lever_arm_of_100_mm_is_found_within_a_hundredth_of_it_when_the_reference_point_is_held),
-		cmocka_unit_test(test_it_is_found_at_every_usual_rate),
-		cmocka_unit_test(test_biases_and_lost_samples_hardly_matter),
-		cmocka_unit_test(test_a_rate_that_is_not_the_nominal_one_is_followed),
-		cmocka_unit_test(test_pauses_of_the_sensor_part_the_motion_and_do_no_harm),
-		cmocka_unit_test(test_a_gyro_bias_that_lets_gravity_drift_is_not_taken_for_acceleration),
-		cmocka_unit_test(test_no_lever_arm_is_found_to_be_none),
-		cmocka_unit_test(
-			test_it_is_found_within_a_hundredth_while_the_reference_point_moves_as_told_from_outside),
-		cmocka_unit_test(test_a_late_or_early_reference_is_found_out),
-		cmocka_unit_test(test_a_reference_of_a_quick_movement_may_be_15_ms_late),
-		cmocka_unit_test(test_a_reference_of_100_hz_may_be_held_for_two_samples_of_200_hz),
-		cmocka_unit_test(test_a_delay_that_is_not_to_be_estimated_widens_sigma_by_what_it_would_change),
-		cmocka_unit_test(
-			test_the_noise_sigma_is_honest_over_many_seeds_and_the_truth_is_inside_three_of_the_whole),
-		cmocka_unit_test(test_a_turn_about_one_axis_only_is_refused_and_the_axis_named),
-		cmocka_unit_test(test_a_turn_about_two_axes_is_enough),
+		cmocka_unit_test(test_with_the_reference_point_held_100_mm_are_identified_within_1_mm),
+		cmocka_unit_test(test_the_result_is_the_same_at_every_usual_sampling_rate),
+		cmocka_unit_test(test_biases_and_lost_samples_cost_less_than_1_mm),
+		cmocka_unit_test(test_the_actual_sampling_rate_is_tracked),
+		cmocka_unit_test(test_gaps_of_seconds_do_not_change_the_result),
+		cmocka_unit_test(test_drift_of_gravity_by_a_gyro_bias_is_eliminated),
+		cmocka_unit_test(test_a_lever_arm_of_zero_is_identified_as_zero),
+		cmocka_unit_test(test_with_a_reference_100_mm_are_identified_within_1_mm),
+		cmocka_unit_test(test_the_delay_of_a_reference_is_estimated),
+		cmocka_unit_test(test_the_reference_of_a_quick_movement_can_be_15_ms_late),
+		cmocka_unit_test(test_a_reference_of_100_hz_suffices_for_samples_at_200_hz),
+		cmocka_unit_test(test_a_delay_that_is_not_estimated_increases_sigma_by_its_effect),
+		cmocka_unit_test(test_the_noise_sigma_matches_the_scatter_over_60_seeds_and_the_error_is_below_3_sigma),
+		cmocka_unit_test(test_rotation_about_one_axis_is_refused_and_the_axis_named),
+		cmocka_unit_test(test_rotation_about_two_axes_suffices),
 		cmocka_unit_test(test_a_reference_point_that_moves_is_refused_as_not_held),
 		cmocka_unit_test(test_the_reference_of_another_motion_is_refused),
 		cmocka_unit_test(test_a_robot_at_rest_and_a_slow_one_are_too_slow),
 		cmocka_unit_test(test_too_little_motion_is_too_short),
-		cmocka_unit_test(test_a_reference_that_does_not_come_is_told),
+		cmocka_unit_test(test_a_missing_reference_is_reported),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
-		cmocka_unit_test(test_whatever_comes_the_estimate_stays_finite),
-		cmocka_unit_test(test_there_is_news_with_the_sample_that_ends_a_window_and_with_no_other),
-		cmocka_unit_test(test_hours_need_no_more_memory_and_the_estimate_only_gets_better),
+		cmocka_unit_test(test_the_estimate_stays_finite_for_any_input),
+		cmocka_unit_test(test_only_the_sample_that_ends_a_window_gives_news),
+		cmocka_unit_test(test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

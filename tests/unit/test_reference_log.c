@@ -1,4 +1,4 @@
-/* The reference of a motion: rows, what is missing, and what is wrong, told with its line. */
+/* Reference logs: rows, gaps, and errors with their line. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -30,13 +30,13 @@ static void assert_refused(const char *text, const char *words)
 
 	assert_int_equal(load(&log, text, error), -EINVAL);
 	if (!strstr(error, words))
-		fail_msg("'%s' does not say '%s'", error, words);
+		fail_msg("'%s' does not contain '%s'", error, words);
 	reference_log_close(&log);
 }
 
-static void test_an_acceleration_is_turned_into_the_axes_of_the_sensor(void **state)
+static void test_an_acceleration_is_rotated_into_sensor_axes(void **state)
 {
-	/* the sensor's x axis points north, its y axis west */
+	/* the x axis of the sensor points north, its y axis west */
 	const char text[] = "t,px,qw,qx,qy,qz,arx,ary,arz\n0,9,0.70710678,0,0,0.70710678,0,5,1\n"
 			    "0.01,9,0.70710678,0,0,0.70710678,0,5,1\n";
 	struct reference_log log;
@@ -50,7 +50,7 @@ static void test_an_acceleration_is_turned_into_the_axes_of_the_sensor(void **st
 	reference_log_close(&log);
 }
 
-static void test_between_rows_it_is_a_straight_line_whatever_the_order_of_the_questions(void **state)
+static void test_values_between_rows_are_interpolated_in_any_order_of_times(void **state)
 {
 	struct reference_log log;
 	char error[256];
@@ -67,7 +67,7 @@ static void test_between_rows_it_is_a_straight_line_whatever_the_order_of_the_qu
 	reference_log_close(&log);
 }
 
-static void test_where_it_saw_nothing_for_more_than_50_ms_there_is_no_answer(void **state)
+static void test_a_gap_of_more_than_50_ms_has_no_value(void **state)
 {
 	struct reference_log log;
 	char error[256];
@@ -86,7 +86,7 @@ static void test_where_it_saw_nothing_for_more_than_50_ms_there_is_no_answer(voi
 	reference_log_close(&log);
 }
 
-static void test_what_is_wrong_is_told_with_its_line(void **state)
+static void test_an_error_is_reported_with_its_line(void **state)
 {
 	(void)state;
 	assert_refused("", ":1: empty");
@@ -99,7 +99,7 @@ static void test_what_is_wrong_is_told_with_its_line(void **state)
 	assert_refused(HEADER ",,,,,,,\n", "no row");
 }
 
-static void test_a_file_that_is_not_there_is_told(void **state)
+static void test_a_missing_file_is_reported(void **state)
 {
 	struct reference_log log = {0};
 	char error[256] = "";
@@ -112,11 +112,11 @@ static void test_a_file_that_is_not_there_is_told(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_an_acceleration_is_turned_into_the_axes_of_the_sensor),
-		cmocka_unit_test(test_between_rows_it_is_a_straight_line_whatever_the_order_of_the_questions),
-		cmocka_unit_test(test_where_it_saw_nothing_for_more_than_50_ms_there_is_no_answer),
-		cmocka_unit_test(test_what_is_wrong_is_told_with_its_line),
-		cmocka_unit_test(test_a_file_that_is_not_there_is_told),
+		cmocka_unit_test(test_an_acceleration_is_rotated_into_sensor_axes),
+		cmocka_unit_test(test_values_between_rows_are_interpolated_in_any_order_of_times),
+		cmocka_unit_test(test_a_gap_of_more_than_50_ms_has_no_value),
+		cmocka_unit_test(test_an_error_is_reported_with_its_line),
+		cmocka_unit_test(test_a_missing_file_is_reported),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -7,7 +7,7 @@
 
 #include "model/sim/rng.h"
 
-/* The published sequence of xoshiro256++ whose state splitmix64 filled from 0. */
+/* The published sequence of xoshiro256++, initialised by splitmix64 from 0. */
 static void test_the_integers_are_those_of_xoshiro256plusplus(void **state)
 {
 	struct rng rng;

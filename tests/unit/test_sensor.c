@@ -26,7 +26,7 @@ static void assert_near(struct vec3 a, struct vec3 b, double tolerance)
 		fail_msg("(%.12g %.12g %.12g), expected (%.12g %.12g %.12g)", a.x, a.y, a.z, b.x, b.y, b.z);
 }
 
-/* n samples of the gyro's x axis, from a sensor at rest. */
+/* n samples of the x axis of the gyro at rest. */
 static double *gyro_at_rest(const struct triad_errors *errors, double rate_hz, int n)
 {
 	double *x = malloc((size_t)n * sizeof *x);
@@ -44,7 +44,7 @@ static double *gyro_at_rest(const struct triad_errors *errors, double rate_hz, i
 	return x;
 }
 
-/* Allan deviation over m samples, clusters side by side. */
+/* Allan deviation over m samples, without overlap. */
 static double allan(const double *x, int n, int m)
 {
 	double sum = 0, last = 0;
@@ -68,7 +68,7 @@ static void assert_within(double value, double expected, double share)
 		fail_msg("%g, expected %g within %g %%", value, expected, 100 * share);
 }
 
-static void test_at_rest_the_ideal_sensor_shows_g_upwards_no_rate_and_the_field(void **state)
+static void test_at_rest_the_ideal_sensor_measures_g_upwards_no_rate_and_the_field(void **state)
 {
 	struct sensor_config config = ideal();
 	struct imu_sample sample;
@@ -84,11 +84,11 @@ static void test_at_rest_the_ideal_sensor_shows_g_upwards_no_rate_and_the_field(
 	assert_int_equal(sample.flags, SAMPLE_MAG);
 }
 
-/* The oracle is the path of the accelerometer itself: its position p + R r, differentiated twice. */
-static void test_the_force_at_the_lever_arm_is_that_of_the_accelerometers_own_path(void **state)
+/* The oracle is the position of the accelerometer, p + R r, differentiated twice. */
+static void test_the_specific_force_is_the_second_derivative_of_the_path_of_the_accelerometer(void **state)
 {
 	const struct vec3 r = {0.03, -0.05, 0.11}, g = {0, 0, 9.81};
-	const double h = 1e-3, weight[4] = {-490, 270, -27, 2}; /* seven points, divided by 180 h^2 */
+	const double h = 1e-3, weight[4] = {-490, 270, -27, 2}; /* seven-point formula, to be divided by 180 h^2 */
 
 	(void)state;
 	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
@@ -108,7 +108,7 @@ static void test_the_force_at_the_lever_arm_is_that_of_the_accelerometers_own_pa
 	}
 }
 
-static void test_white_noise_has_the_density_through_half_the_sampling_rate(void **state)
+static void test_the_variance_of_white_noise_is_density_squared_times_half_the_sampling_rate(void **state)
 {
 	const struct triad_errors errors = {.density = 0.01};
 	double *x = gyro_at_rest(&errors, 200, 200000), sum = 0;
@@ -131,7 +131,8 @@ static void test_the_allan_deviation_of_white_noise_falls_with_the_root_of_time(
 	free(x);
 }
 
-/* Flicker noise of B: flat at B sqrt(2 ln 2 / pi), from some times the shortest to below the longest time constant. */
+/* Flicker noise of bias instability B: flat at B sqrt(2 ln 2 / pi) between the shortest and the longest time
+ * constant. */
 static void test_the_allan_deviation_of_bias_instability_is_flat(void **state)
 {
 	const struct triad_errors errors = {.bias_instability = 0.5};
@@ -154,7 +155,7 @@ static void test_the_allan_deviation_of_a_random_walk_rises_with_the_root_of_tim
 	free(x);
 }
 
-static void test_values_are_multiples_of_the_step_and_end_at_the_range(void **state)
+static void test_values_are_multiples_of_the_step_and_saturate_at_the_range(void **state)
 {
 	const struct triad_errors errors = {.density = 0.1, .step = 0.25, .range = 1};
 	double *x = gyro_at_rest(&errors, 100, 10000);
@@ -170,7 +171,7 @@ static void test_values_are_multiples_of_the_step_and_end_at_the_range(void **st
 	free(x);
 }
 
-static void test_constant_errors_are_those_the_sensor_says_it_has(void **state)
+static void test_constant_errors_are_those_in_the_struct(void **state)
 {
 	struct sensor_config config = ideal();
 	struct signal_truth truth;
@@ -194,7 +195,7 @@ static void test_constant_errors_are_those_the_sensor_says_it_has(void **state)
 	assert_true(vec3_norm(sensor.gyro.bias) > 0.1);
 }
 
-static void test_constant_errors_differ_from_seed_to_seed_with_their_sigma(void **state)
+static void test_constant_errors_of_many_seeds_have_their_sigma(void **state)
 {
 	struct sensor_config config = ideal();
 	double squares = 0;
@@ -209,7 +210,7 @@ static void test_constant_errors_differ_from_seed_to_seed_with_their_sigma(void 
 	assert_within(sqrt(squares / 6000), 0.6, 0.03);
 }
 
-static void test_calibration_takes_the_constant_errors_away_and_leaves_the_noise(void **state)
+static void test_calibration_removes_the_constant_errors_and_keeps_the_noise(void **state)
 {
 	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
 	struct sensor sensor;
@@ -223,7 +224,7 @@ static void test_calibration_takes_the_constant_errors_away_and_leaves_the_noise
 }
 
 /* Amplitude of a sine through a first-order low-pass: 1 / sqrt(1 + (f / f_c)^2). */
-static void test_the_bandwidth_is_where_a_sine_has_lost_3_db(void **state)
+static void test_a_sine_at_the_bandwidth_is_attenuated_by_3_db(void **state)
 {
 	struct sensor_config config = ideal();
 	struct signal pendulum = *signal_find("pendulum");
@@ -247,8 +248,8 @@ static void test_the_bandwidth_is_where_a_sine_has_lost_3_db(void **state)
 	assert_within(sqrt(out / in), 1 / sqrt(2), 0.005);
 }
 
-/* A turntable's angle is its time: jitter shows as error of the heading, and the time stamp hides it. */
-static void test_jitter_moves_the_instant_and_not_the_time_stamp(void **state)
+/* The angle of a turntable is proportional to time, so jitter appears as an error of the measured heading. */
+static void test_jitter_changes_the_sampling_instant_but_not_the_time_stamp(void **state)
 {
 	struct sensor_config config = ideal();
 	struct signal turntable = *signal_find("turntable");
@@ -287,7 +288,7 @@ static void test_the_magnetometer_measures_at_its_own_rate(void **state)
 	assert_int_equal(measured, 750);
 }
 
-static void test_one_error_more_leaves_the_other_triads_noise_as_it_was(void **state)
+static void test_an_additional_error_does_not_change_the_noise_of_other_triads(void **state)
 {
 	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
 	struct imu_sample a, b;
@@ -329,7 +330,7 @@ static uint64_t hash_of(uint64_t seed)
 	return hash;
 }
 
-static void test_a_sensor_that_warms_up_says_so_and_its_bias_follows(void **state)
+static void test_the_bias_of_a_sensor_that_warms_up_follows_its_temperature(void **state)
 {
 	struct sensor_config config = ideal();
 	struct sensor sensor;
@@ -356,7 +357,7 @@ static void test_one_seed_gives_one_sequence_another_seed_another(void **state)
 	assert_true(hash_of(1) != hash_of(2));
 }
 
-static void test_a_configuration_that_cannot_be_is_refused(void **state)
+static void test_an_invalid_configuration_is_refused(void **state)
 {
 	struct sensor_config config = ideal();
 	struct sensor sensor;
@@ -378,23 +379,23 @@ static void test_a_configuration_that_cannot_be_is_refused(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_at_rest_the_ideal_sensor_shows_g_upwards_no_rate_and_the_field),
-		cmocka_unit_test(test_the_force_at_the_lever_arm_is_that_of_the_accelerometers_own_path),
-		cmocka_unit_test(test_white_noise_has_the_density_through_half_the_sampling_rate),
+		cmocka_unit_test(test_at_rest_the_ideal_sensor_measures_g_upwards_no_rate_and_the_field),
+		cmocka_unit_test(test_the_specific_force_is_the_second_derivative_of_the_path_of_the_accelerometer),
+		cmocka_unit_test(test_the_variance_of_white_noise_is_density_squared_times_half_the_sampling_rate),
 		cmocka_unit_test(test_the_allan_deviation_of_white_noise_falls_with_the_root_of_time),
 		cmocka_unit_test(test_the_allan_deviation_of_bias_instability_is_flat),
 		cmocka_unit_test(test_the_allan_deviation_of_a_random_walk_rises_with_the_root_of_time),
-		cmocka_unit_test(test_values_are_multiples_of_the_step_and_end_at_the_range),
-		cmocka_unit_test(test_constant_errors_are_those_the_sensor_says_it_has),
-		cmocka_unit_test(test_constant_errors_differ_from_seed_to_seed_with_their_sigma),
-		cmocka_unit_test(test_calibration_takes_the_constant_errors_away_and_leaves_the_noise),
-		cmocka_unit_test(test_the_bandwidth_is_where_a_sine_has_lost_3_db),
-		cmocka_unit_test(test_jitter_moves_the_instant_and_not_the_time_stamp),
+		cmocka_unit_test(test_values_are_multiples_of_the_step_and_saturate_at_the_range),
+		cmocka_unit_test(test_constant_errors_are_those_in_the_struct),
+		cmocka_unit_test(test_constant_errors_of_many_seeds_have_their_sigma),
+		cmocka_unit_test(test_calibration_removes_the_constant_errors_and_keeps_the_noise),
+		cmocka_unit_test(test_a_sine_at_the_bandwidth_is_attenuated_by_3_db),
+		cmocka_unit_test(test_jitter_changes_the_sampling_instant_but_not_the_time_stamp),
 		cmocka_unit_test(test_the_magnetometer_measures_at_its_own_rate),
-		cmocka_unit_test(test_one_error_more_leaves_the_other_triads_noise_as_it_was),
-		cmocka_unit_test(test_a_sensor_that_warms_up_says_so_and_its_bias_follows),
+		cmocka_unit_test(test_an_additional_error_does_not_change_the_noise_of_other_triads),
+		cmocka_unit_test(test_the_bias_of_a_sensor_that_warms_up_follows_its_temperature),
 		cmocka_unit_test(test_one_seed_gives_one_sequence_another_seed_another),
-		cmocka_unit_test(test_a_configuration_that_cannot_be_is_refused),
+		cmocka_unit_test(test_an_invalid_configuration_is_refused),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

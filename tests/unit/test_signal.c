@@ -1,5 +1,5 @@
-/* The oracle is numerical differentiation: what signal_at() says of rates and accelerations must be the derivative of what
- * it says of attitude and position. */
+/* The oracle is numerical differentiation: rates and accelerations of signal_at() must be the derivatives of its
+ * attitude and position. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -135,7 +135,7 @@ static struct vec3 rate_from_attitude(const struct signal *signal, double t)
 	return (struct vec3){2 * dq.x, 2 * dq.y, 2 * dq.z};
 }
 
-/* Instants off the joints of piecewise motions, which all lie on multiples of 0.05 s. */
+/* Instants away from the joints of piecewise motions, which are multiples of 0.05 s. */
 static double instant(struct rng *rng)
 {
 	return 0.05 * (double)(rng_u64(rng) % 800) + 0.01 + 0.03 * rng_uniform(rng);
@@ -196,7 +196,7 @@ static void test_rate_and_angular_acceleration_are_the_derivatives_of_the_attitu
 	for_all(check_rotation);
 }
 
-/* Turns about z, y, x, one after the other, each of them a quaternion of its own. */
+/* Rotations about z, y, x in this order, as a product of three quaternions. */
 static void check_attitude(const struct signal *signal, double t)
 {
 	struct signal_truth truth;
@@ -236,7 +236,7 @@ static void test_every_motion_repeats(void **state)
 	for_all(check_period);
 }
 
-static void test_every_motion_closes_without_a_jump(void **state)
+static void test_every_motion_is_continuous_at_the_end_of_its_period(void **state)
 {
 	(void)state;
 	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
@@ -285,8 +285,8 @@ static void test_the_robot_drives_forward_along_its_longitudinal_axis(void **sta
 	}
 }
 
-/* The seed, section V A and VI: p^2 r above 0.5 g, up to 0.8 g, at r = 5 cm. */
-static void test_the_roll_step_gives_the_seeds_correction_of_0_8_g_at_5_cm(void **state)
+/* The paper, sections V A and VI: p^2 r above 0.5 g, up to 0.8 g, at r = 5 cm. */
+static void test_the_roll_step_gives_the_correction_of_the_paper_0_8_g_at_5_cm(void **state)
 {
 	double peak = 0;
 
@@ -300,7 +300,7 @@ static void test_the_roll_step_gives_the_seeds_correction_of_0_8_g_at_5_cm(void 
 	assert_true(peak > 0.8 * 9.81 && peak < 0.82 * 9.81);
 }
 
-static void test_a_turntable_pulls_inwards_by_rate_squared_times_radius(void **state)
+static void test_a_turntable_has_the_centripetal_acceleration_rate_squared_times_radius(void **state)
 {
 	struct signal turntable = *signal_find("turntable");
 	struct signal_truth truth;
@@ -314,8 +314,8 @@ static void test_a_turntable_pulls_inwards_by_rate_squared_times_radius(void **s
 	assert_near(force, (struct vec3){-10, 0, 9.81}, 1e-12);
 }
 
-/* At the turning point, only the tangential part: A w^2 r; at the lowest point, only the centripetal one: A^2 w^2 r. */
-static void test_a_pendulum_shows_the_textbook_forces(void **state)
+/* Tangential A w^2 r at the turning point, centripetal A^2 w^2 r at the lowest point. */
+static void test_a_pendulum_has_the_tangential_and_centripetal_acceleration_of_the_textbook(void **state)
 {
 	const struct signal *pendulum = signal_find("pendulum");
 	const double a = pendulum->angle_rad, w = 2 * PI / pendulum->change_s, r = 0.2, g = 9.81;
@@ -331,7 +331,7 @@ static void test_a_pendulum_shows_the_textbook_forces(void **state)
 	assert_near(force, (struct vec3){0, g * sin(a) - a * w * w * r, g * cos(a)}, 1e-12);
 }
 
-static void test_an_unknown_name_is_no_signal(void **state)
+static void test_an_unknown_name_gives_no_signal(void **state)
 {
 	(void)state;
 	assert_null(signal_find("squar"));
@@ -346,13 +346,13 @@ int main(void)
 		cmocka_unit_test(test_rate_and_angular_acceleration_are_the_derivatives_of_the_attitude),
 		cmocka_unit_test(test_the_attitude_is_yaw_then_pitch_then_roll),
 		cmocka_unit_test(test_every_motion_repeats),
-		cmocka_unit_test(test_every_motion_closes_without_a_jump),
+		cmocka_unit_test(test_every_motion_is_continuous_at_the_end_of_its_period),
 		cmocka_unit_test(test_the_robot_stands_still_at_the_corners_of_its_square),
 		cmocka_unit_test(test_the_robot_drives_forward_along_its_longitudinal_axis),
-		cmocka_unit_test(test_the_roll_step_gives_the_seeds_correction_of_0_8_g_at_5_cm),
-		cmocka_unit_test(test_a_turntable_pulls_inwards_by_rate_squared_times_radius),
-		cmocka_unit_test(test_a_pendulum_shows_the_textbook_forces),
-		cmocka_unit_test(test_an_unknown_name_is_no_signal),
+		cmocka_unit_test(test_the_roll_step_gives_the_correction_of_the_paper_0_8_g_at_5_cm),
+		cmocka_unit_test(test_a_turntable_has_the_centripetal_acceleration_rate_squared_times_radius),
+		cmocka_unit_test(test_a_pendulum_has_the_tangential_and_centripetal_acceleration_of_the_textbook),
+		cmocka_unit_test(test_an_unknown_name_gives_no_signal),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
