@@ -133,7 +133,7 @@ void lever_identification_break(struct lever_identification *id);
 /** The last step completed a window, so lever_identification_estimate() has changed. */
 bool lever_identification_news(const struct lever_identification *id);
 
-/** The estimate from all windows so far. Costs some 10 us (tests/bench/bench_lever.c). */
+/** The estimate from all windows so far; takes about 0.2 ms (tests/bench/bench_lever.c). */
 struct lever_estimate lever_identification_estimate(const struct lever_identification *id);
 
 #endif
