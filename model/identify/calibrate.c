@@ -31,9 +31,8 @@ const char *calibrate_text(enum calibrate_verdict verdict)
 		return "the magnetic measurements do not form an ellipsoid: move away from iron and turn about all "
 		       "axes";
 	case CALIBRATE_IMPLAUSIBLE:
-		return "the estimated errors are larger than those of a working sensor: check the sensor, the units "
-		       "and "
-		       "the field strength";
+		return "the estimated errors are larger than those of a working sensor: check sensor, units and field "
+		       "strength";
 	case CALIBRATE_FACES_TURNED:
 		return "the faces are more than 5 deg away from the sensor's axes: use a more accurate fixture, or "
 		       "calibrate without one";

@@ -15,7 +15,7 @@ static const double MIN_COVERAGE = 0.4;
 static const double MAX_RESIDUAL = 0.008; /* share of gravity */
 static const double MAX_BIAS = 0.5;	  /* share of gravity */
 static const double MIN_SCALE = 0.7, MAX_SCALE = 1.4;
-/* The matrix is solved for small rotations; beyond this a face is probably the wrong one. */
+/* The angle is computed for small rotations. A larger one is a wrong fixture, not a misaligned sensor. */
 static const double MAX_FACES_TURNED_RAD = 5 * RAD_PER_DEG;
 
 void calibrate_accelerometer_init(
@@ -124,8 +124,7 @@ static bool record_position(struct calibrate_accelerometer *c)
 	return new;
 }
 
-/* ---- the solution
- * -------------------------------------------------------------------------------------------------- */
+/* ---- the solution ------------------------------------------------------------------------------------------------ */
 
 static double element(struct vec3 v, int i)
 {

@@ -3,11 +3,13 @@
  * reference. corrected = matrix * (raw - bias), as 2051h.
  *
  * CALIBRATE_SIX_FACES: in a fixture, level on each of its six faces in any order, so that each axis of the sensor
- * points up once and down once. The direction of gravity is known, hence all twelve unknowns are, including the
- * rotation of the triad against the faces. CALIBRATE_FREE: without a fixture, in at least twelve positions. Only the
- * magnitude of gravity is known. The rotation of the triad against the other triads is not observable, so the matrix is
- * symmetric (model/identify/ellipsoid.h). Method: I. Skog and P. Handel, "Calibration of a MEMS inertial measurement
- * unit", 2006, solved by Levenberg-Marquardt. */
+ * points up once and down once. The direction of gravity is known, so all twelve unknowns are observable, including the
+ * rotation of the triad against the faces.
+ *
+ * CALIBRATE_FREE: without a fixture, in at least twelve positions. Only the magnitude of gravity is known. The rotation
+ * of the triad against the other triads is not observable, so the matrix is symmetric (model/identify/ellipsoid.h).
+ * Method: I. Skog and P. Handel, "Calibration of a MEMS inertial measurement unit", 2006, solved by
+ * Levenberg-Marquardt. */
 #ifndef MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 #define MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 

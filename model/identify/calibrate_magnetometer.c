@@ -81,8 +81,7 @@ static void filter_spikes(struct calibrate_magnetometer *c, struct vec3 p)
 		c->recent_count++;
 }
 
-/* ---- the solution
- * -------------------------------------------------------------------------------------------------- */
+/* ---- the solution ------------------------------------------------------------------------------------------------ */
 
 static enum calibrate_verdict solve(struct calibrate_magnetometer *c)
 {

@@ -69,7 +69,7 @@ enum { LEVER_LEAST_WINDOWS = 10, LEVER_BLOCKS = 64, LEVER_STENCIL = 5 };
 /* Short enough that the drift of gravity in the almost inertial frame is a straight line, long enough for one swing by
  * hand. */
 #define LEVER_WINDOW_S 1.0
-/* Motion by hand has its energy below 5 Hz; alpha, a derivative of the gyro, is mostly noise above. */
+/* Chosen: above it alpha, a derivative of the gyro, is mostly noise; motion by hand is mostly below 5 Hz. */
 #define LEVER_CUTOFF_HZ 8.0
 /* The second-order expansion of the delay holds to 2 % of a 4 Hz oscillation at this value. */
 #define LEVER_DELAY_MAX_S 0.02

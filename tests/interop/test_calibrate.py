@@ -56,7 +56,8 @@ class AgainstScipy(unittest.TestCase):
         log = simulated("multiposition")
         accel = columns(log, ["ax", "ay", "az"])
         # the simulation rests for 3 s at the beginning of each 4.5 s
-        rests = [accel[int(100 * (4.5 * k + (0.5 if k else 0.2))):int(100 * (4.5 * k + 2.7))].mean(0) for k in range(14)]
+        starts = [4.5 * k for k in range(14)]
+        rests = [accel[int(100 * (t + (0.5 if t else 0.2))):int(100 * (t + 2.7))].mean(0) for t in starts]
         centre, matrix = ellipsoid(numpy.array(rests), 9.80665)
         bias, found = calibrated("accelerometer", log)
         self.assertLess(abs(bias - centre).max(), 0.006)

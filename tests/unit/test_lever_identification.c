@@ -152,8 +152,7 @@ static void assert_found(const struct lever_estimate *e, struct vec3 arm_b_m, do
 	assert_vec_near(e->lever_arm_b_m, arm_b_m, tolerance_m);
 }
 
-/* ---- reference point held still
- * -------------------------------------------------------------------------------------------------- */
+/* ---- reference point held still ---------------------------------------------------------------------------------- */
 
 static void test_with_the_reference_point_held_100_mm_are_identified_within_1_mm(void **state)
 {

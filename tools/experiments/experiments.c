@@ -88,8 +88,7 @@ static struct score run_and_score(enum method method, const struct trial *trial,
 	return score;
 }
 
-/* ---- Figs. 5-7: the roll step
- * -------------------------------------------------------------------------------------- */
+/* ---- Figs. 5-7: the roll step ------------------------------------------------------------------------------------ */
 
 /* Second component of the last term of (9), in g, from angles with that noise; 0 degrees: the true one. */
 static void second_correction(const struct trial *trial, double angle_noise_deg, double *correction_g)
@@ -162,8 +161,7 @@ static void roll_step_figures(void)
 					{"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}}}});
 }
 
-/* ---- Figs. 8-9: the other inputs
- * ----------------------------------------------------------------------------------- */
+/* ---- Figs. 8-9: the other inputs --------------------------------------------------------------------------------- */
 
 static void input_figure(const char *signal, double until_s, const char *csv, const char *name, const char *title)
 {
@@ -197,8 +195,7 @@ static void input_figure(const char *signal, double until_s, const char *csv, co
 	draw(&figure);
 }
 
-/* ---- Figs. 10-12: estimates at low, medium and high noise
- * ---------------------------------------------------------- */
+/* ---- Figs. 10-12: estimates at low, medium and high noise -------------------------------------------------------- */
 
 static void estimate_csv(const char *name, const char *signal, double from_s, double to_s, double noise_deg)
 {
@@ -257,8 +254,7 @@ static void estimate_figure(int number, const char *word, double noise_deg)
 			estimate_panel(square, "robot, rates from the gyro, auto", false)}});
 }
 
-/* ---- the table
- * ----------------------------------------------------------------------------------------------------- */
+/* ---- the table --------------------------------------------------------------------------------------------------- */
 
 struct table {
 	struct score score[WORLDS][TRIAL_SIGNALS][METHODS][NOISES];
@@ -326,8 +322,7 @@ static void table_figure(void)
 	draw(&figure);
 }
 
-/* ---- dependence on lever arm and rate
- * -------------------------------------------------------------------------------- */
+/* ---- dependence on lever arm and rate ---------------------------------------------------------------------------- */
 
 /* R^2 of the regression line through the origin. */
 static double line_r2(const double *x, const double *y, int n)
@@ -426,8 +421,7 @@ static void dependence_figure(struct dependence *d)
 					{"rate.csv", "\"rate_rad_s\":\"physical_g\"", "rigid body", BOTH(BLUE)}}}}});
 }
 
-/* ---- auto over the noise of the gyro
- * ------------------------------------------------------------------------------- */
+/* ---- auto over the noise of the gyro ----------------------------------------------------------------------------- */
 
 struct ratio { /* error of auto / smaller one of the errors of none and rigid_gyro */
 	double worst, best;
@@ -480,8 +474,7 @@ static void auto_figure(struct ratio *ratio)
 	draw(&figure);
 }
 
-/* ---- what the paper leaves open: sampling rate and amplitude
- * ------------------------------------------------------- */
+/* ---- what the paper leaves open: sampling rate and amplitude ----------------------------------------------------- */
 
 enum { RATES = 5, SCALES = 4 };
 static const double RATE_HZ[RATES] = {25, 50, 100, 200, 400}, ANGLE_SCALE[SCALES] = {0.25, 0.5, 1, 1.5};

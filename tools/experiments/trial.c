@@ -169,8 +169,7 @@ static void seed_measurements(struct trial *trial, struct sensor *sensor, struct
 	}
 }
 
-/* ---- the physical world
- * -------------------------------------------------------------------------------------------- */
+/* ---- the physical world ------------------------------------------------------------------------------------------ */
 
 /* Yaw without jumps at half a turn, for its derivatives. */
 static double unwrap(double angle, double before)
@@ -200,8 +199,7 @@ static void physical_measurements(struct trial *trial, struct sensor *sensor)
 	}
 }
 
-/* ---- both
- * ---------------------------------------------------------------------------------------------------------- */
+/* ---- both -------------------------------------------------------------------------------------------------------- */
 
 static struct sensor_config trial_sensor(const struct trial_config *config)
 {

@@ -9,7 +9,7 @@
 
 enum { COLUMN_T, COLUMN_Q, COLUMN_ACCEL = 5, COLUMNS = 8, FIELDS_MAX = 256 };
 static const char *const NAMES[COLUMNS] = {"t", "qw", "qx", "qy", "qz", "arx", "ary", "arz"};
-static const double MAX_GAP_S = 0.05;
+static const double MAX_GAP_S = 0.05; /* the longest gap between rows that is interpolated */
 
 static int split(char *line, char *field[FIELDS_MAX])
 {
@@ -104,7 +104,7 @@ static int read_rows(struct reference_log *log, FILE *file, const char *path, ch
 		if (result < 0)
 			snprintf(error, error_size, "%s:%ld: %s", path, number,
 				result == -ENOMEM ? "out of memory"
-						  : "not a number, not a unit quaternion, or time does not increase");
+						  : "not a number or quaternion, or time does not increase");
 	}
 	free(line);
 	return fields < 0 ? fields : result < 0 ? result : 0;

@@ -41,8 +41,7 @@ static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,
 
 static const char movements_header[] = "movement,t,t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m,whole\n";
 
-/* ---- a row
- * ---------------------------------------------------------------------------------------------------------- */
+/* ---- a row ------------------------------------------------------------------------------------------------------- */
 
 static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
 {
