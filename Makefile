@@ -184,7 +184,9 @@ readme: $(BUILD)/gen/objects.md ## bring the README's object table up to date
 check-readme: $(BUILD)/gen/objects.md ## fail when the README's object table is not that of the EDS
 	@$(README_TABLE) | cmp -s - README.md || { echo "README.md: the object table is out of date: make readme" >&2; exit 1; }
 
-BROAD ?= ../shared/data/broad
+# one place for all tests on recorded trials: they read IMU9_BROAD
+BROAD ?= $(or $(IMU9_BROAD),../shared/data/broad)
+export IMU9_BROAD := $(abspath $(BROAD))
 score: all ## replay the trials in BROAD=DIR and compare them with their optical reference
 	@DEPS=$(DEPS) tools/deps score
 	@BUILD=$(BUILD) tests/score $(BROAD)
