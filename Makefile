@@ -2,17 +2,20 @@
 #
 #   CC=clang        another compiler            BUILD=DIR       where everything is built (default build)
 #   DEPS=no         do not install packages     SAN=FLAGS       e.g. -fsanitize=thread
+#   WERROR=yes      a warning is an error (for developers and CI)
 #   PREFIX, DESTDIR where `make install` puts things
 
 VERSION := 0.2.0
 BUILD ?= build
 PREFIX ?= /usr/local
 DEPS ?= yes
+WERROR ?= no
 FUZZ_SECONDS ?= 30
 SAN ?=
 
 CFLAGS ?= -O2 -g
-WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Wmissing-prototypes -Werror
+WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Wmissing-prototypes \
+	$(if $(filter yes,$(WERROR)),-Werror)
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
 	-MMD -MP $(CFLAGS) $(SAN)
