@@ -127,7 +127,8 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers readme check-readme
+.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers readme check-readme \
+	eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 check: all tests ## unit and scenario tests only (seconds, no rig)
@@ -179,13 +180,19 @@ format: ## apply .clang-format
 check-format: ## fail when a file is not formatted
 	@clang-format --dry-run --Werror $(FORMATTED)
 
-README_TABLE = awk '/^<!-- objects/ {print; system("tools/eds/object-table $(BUILD)/gen/objects.md"); skip = 1} \
-	/^<!-- end of objects/ {skip = 0} !skip' README.md
-readme: $(BUILD)/gen/objects.md ## bring the README's object table up to date
-	@$(README_TABLE) >$(BUILD)/README.md && cp $(BUILD)/README.md README.md
+WITH_OBJECTS = awk '/^<!-- objects/ {print; system("sed -n \"/^\#\# /,$$ p\" $(BUILD)/gen/objects.md"); skip = 1} \
+	/^<!-- end of objects/ {skip = 0} !skip' eds/README.md
+readme: $(BUILD)/gen/objects.md ## bring the object tables of eds/README.md up to date
+	@$(WITH_OBJECTS) >$(BUILD)/README.md && cp $(BUILD)/README.md eds/README.md
 
-check-readme: $(BUILD)/gen/objects.md ## fail when the README's object table is not that of the EDS
-	@$(README_TABLE) | cmp -s - README.md || { echo "README.md: the object table is out of date: make readme" >&2; exit 1; }
+check-readme: $(BUILD)/gen/objects.md ## fail when the object tables of eds/README.md are not those of the EDS
+	@$(WITH_OBJECTS) | cmp -s - eds/README.md || { echo "eds/README.md: the object tables are out of date: make readme" >&2; exit 1; }
+
+eds-revision: ## raise the revision of the EDS after a change, 1018h:3 too (MAJOR=yes: an object means something else)
+	@tools/eds/eds-revision eds/imu9-gateway.eds $(if $(filter yes,$(MAJOR)),major,minor)
+
+check-eds: ## fail when the EDS changed and its revision did not
+	@tools/eds/eds-revision eds/imu9-gateway.eds check
 
 # one place for all tests on recorded trials: they read IMU9_BROAD
 BROAD ?= $(or $(IMU9_BROAD),../shared/data/broad)

@@ -2,6 +2,7 @@
 # tools_sdo_lss.sh [BUS]: imu9-sdo finds the nodes of a bus and gives them node-IDs.
 . "$(dirname "$0")/tools_common.bash"
 
+revision=$(sed -n 's/^RevisionNumber=0x\([0-9A-F]*\).*/\1/p' eds/imu9-gateway.eds)
 start_gateway
 
 # ---- who is there
@@ -13,7 +14,7 @@ for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255"
 	check "wrong usage: '$arguments'" fails 2 "imu9-sdo: "
 done
 run imu9-sdo lss inquire
-check "lss inquire" says "node-ID 16  vendor 00494D55h  product 00000009h  revision 00010000h  serial "
+check "lss inquire" says "node-ID 16  vendor 00494D55h  product 00000009h  revision ${revision}h  serial "
 serial=${out##*serial } serial=0x${serial%h}
 run imu9-sdo lss inquire --serial 1
 check "a node that is not there is not answered for" fails 1 "no node with vendor 00494D55h"
@@ -90,7 +91,7 @@ start_unconfigured() {
 }
 start_unconfigured
 run imu9-sdo lss scan
-check "lss scan finds it by its identity, bit by bit" prints "vendor 00494D55h  product 00000009h  revision 00010000h  serial ${serial#0x}h"
+check "lss scan finds it by its identity, bit by bit" prints "vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
 run imu9-sdo scan
 check "scan does not see it, and says where to look" fails 1 "imu9-sdo lss scan"
 run imu9-sdo lss assign 42 --store

@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "od_index.h"
+
 #define INVALID	    0x80000000u
 #define BAD_VALUE   0x06090030u
 #define WRONG_STATE 0x08000022u
@@ -115,7 +117,7 @@ static void add_application(struct reference *r)
 
 static void add_communication(struct reference *r)
 {
-	static const uint32_t identity[] = {4, 0x00494D55, 9, 0x00010000, 0};
+	static const uint32_t identity[] = {4, 0x00494D55, 9, OD_REVISION, 0};
 
 	add(r, 0x1000, 0, 4, RO, 0x0004019A);
 	add(r, 0x1001, 0, 1, RO | REF_TPDO, 0);

@@ -6,8 +6,9 @@
 #define REVISION_IS_RIGHT "7E5 42 00 00 01 00 00 00 00"
 #define SERIAL_IS_RIGHT	  "7E5 43 78 56 34 12 00 00 00"
 
-static void set_serial(struct bus *bus)
+static void set_identity(struct bus *bus)
 {
+	bus_put(bus, 0x1018, 3, 4, 0x00010000);
 	bus_put(bus, 0x1018, 4, 4, 0x12345678);
 }
 
@@ -16,7 +17,7 @@ static struct bus *unconfigured(void)
 {
 	struct bus *bus = bus_new_with_id(CANOPEN_UNCONFIGURED);
 
-	set_serial(bus);
+	set_identity(bus);
 	bus_start(bus);
 	return bus;
 }
@@ -59,7 +60,7 @@ static void test_the_node_whose_four_numbers_are_right_is_switched_and_says_so(v
 {
 	struct bus *bus = *state;
 
-	set_serial(bus);
+	set_identity(bus);
 	bus_send(bus, VENDOR_IS_RIGHT);
 	bus_send(bus, PRODUCT_IS_RIGHT);
 	bus_send(bus, REVISION_IS_RIGHT);
@@ -72,7 +73,7 @@ static void test_one_wrong_number_and_the_node_is_not_switched(void **state)
 {
 	struct bus *bus = *state;
 
-	set_serial(bus);
+	set_identity(bus);
 	bus_send(bus, VENDOR_IS_RIGHT);
 	bus_send(bus, PRODUCT_IS_RIGHT);
 	bus_send(bus, "7E5 42 01 00 01 00 00 00 00");
@@ -84,7 +85,7 @@ static void test_one_wrong_number_and_the_node_is_not_switched(void **state)
 
 static void test_the_last_number_alone_does_not_switch(void **state)
 {
-	set_serial(*state);
+	set_identity(*state);
 	bus_send(*state, SERIAL_IS_RIGHT);
 	bus_expect_nothing(*state);
 }
@@ -574,7 +575,7 @@ static void test_the_bit_rate_is_stored_with_the_node_id(void **state)
 
 static void test_each_number_of_the_identity_can_be_asked_for(void **state)
 {
-	set_serial(*state);
+	set_identity(*state);
 	configure(*state);
 	bus_exchange(*state, "7E5 5A 00 00 00 00 00 00 00", "7E4 5A 55 4D 49 00 00 00 00");
 	bus_exchange(*state, "7E5 5B 00 00 00 00 00 00 00", "7E4 5B 09 00 00 00 00 00 00");
@@ -584,7 +585,7 @@ static void test_each_number_of_the_identity_can_be_asked_for(void **state)
 
 static void identify(struct bus *bus, const char *serial_from, const char *serial_to)
 {
-	set_serial(bus);
+	set_identity(bus);
 	bus_send(bus, "7E5 46 55 4D 49 00 00 00 00");
 	bus_send(bus, "7E5 47 09 00 00 00 00 00 00");
 	bus_send(bus, "7E5 48 00 00 01 00 00 00 00");

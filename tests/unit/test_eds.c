@@ -901,6 +901,54 @@ static void test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output
 	assert_int_equal(system(path), 0);
 }
 
+/* tools/eds/eds-revision STEP on a copy of the device's EDS: its exit status. */
+static int eds_revision(const char *path, const char *step)
+{
+	char command[400];
+
+	snprintf(command, sizeof(command), "tools/eds/eds-revision %s %s >%s.out 2>&1", path, step, path);
+	return WEXITSTATUS(system(command));
+}
+
+/* FileVersion, FileRevision and 1018h:3, which are the same two numbers; the strict rules compare 1018h:3 with DeviceInfo. */
+static void expect_revision(const char *path, unsigned major, unsigned minor)
+{
+	struct eds copy;
+
+	assert_int_equal(eds_load(&copy, path, EDS_STRICT, error, sizeof(error)), 0);
+	assert_int_equal(copy.info.file_version, major);
+	assert_int_equal(copy.info.file_revision, minor);
+	assert_int_equal(copy.info.revision_number, major << 16 | minor);
+	eds_free(&copy);
+}
+
+static void test_a_changed_eds_needs_a_new_revision(void **state)
+{
+	char folder[] = "/tmp/imu9-eds-revision-XXXXXX", path[64], command[200];
+
+	(void)state;
+	assert_non_null(mkdtemp(folder));
+	snprintf(path, sizeof(path), "%s/copy.eds", folder);
+	snprintf(command, sizeof(command), "cp eds/imu9-gateway.eds %s", path);
+	assert_int_equal(system(command), 0);
+	assert_int_equal(eds_revision(path, "major"), 0);
+	expect_revision(path, OD_REVISION / 65536 + 1, 0);
+	assert_int_equal(eds_revision(path, "check"), 0);
+
+	snprintf(command, sizeof(command), "sed -i 's/^;RealHighLimit=10\\r/;RealHighLimit=11\\r/' %s", path);
+	assert_int_equal(system(command), 0);
+	assert_int_equal(eds_revision(path, "check"), 1);
+	snprintf(command, sizeof(command), "grep -q 'make eds-revision' %s.out", path);
+	assert_int_equal(system(command), 0);
+	assert_int_equal(eds_revision(path, "minor"), 0);
+	expect_revision(path, OD_REVISION / 65536 + 1, 1);
+	assert_int_equal(eds_revision(path, "check"), 0);
+	assert_int_equal(eds_revision(path, "minor"), 0); /* nothing changed since */
+	expect_revision(path, OD_REVISION / 65536 + 1, 1);
+	snprintf(command, sizeof(command), "rm -r %s", folder);
+	assert_int_equal(system(command), 0);
+}
+
 #define CASE(test) cmocka_unit_test_teardown(test, release)
 
 int main(int argc, char **argv)
@@ -963,6 +1011,7 @@ int main(int argc, char **argv)
 		CASE(test_the_device_file_has_crlf_line_ends_and_no_empty_key),
 		CASE(test_the_factor_of_a_measurement_is_its_default_resolution),
 		CASE(test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output),
+		CASE(test_a_changed_eds_needs_a_new_revision),
 	};
 	const char *slash = strrchr(argv[0], '/');
 

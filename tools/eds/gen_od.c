@@ -253,7 +253,8 @@ static void print_index_header(FILE *out, const struct eds *eds)
 			fprintf(out, " = %u,\n", entries[k].sub);
 		}
 	}
-	fputs("};\n\n#endif\n", out);
+	fprintf(out, "};\n\n/** The default of 1018h:3. */\nenum { OD_REVISION = 0x%08X };\n\n#endif\n",
+		eds->info.revision_number);
 }
 
 /* ---- od_table.c ---- */
