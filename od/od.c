@@ -1,5 +1,5 @@
 /* od/od.c
- * Find, read and write entries. */
+ * Finds, reads and writes entries. */
 #include "od/od.h"
 
 #include <math.h>
@@ -54,7 +54,7 @@ static void host_put(void *host, uint64_t value, size_t size)
 	}
 }
 
-static uint8_t *place_of(const struct od *od, const struct od_entry *entry)
+static uint8_t *value_of(const struct od *od, const struct od_entry *entry)
 {
 	return (uint8_t *)od->values + entry->offset;
 }
@@ -93,7 +93,7 @@ void od_reset(struct od *od, enum od_group group, const void *base)
 		if (!(entry->access & OD_STORED))
 			continue;
 		if (group == OD_GROUP_ALL || group == od_group_of(entry->index))
-			memcpy(place_of(od, entry), (const uint8_t *)base + entry->offset, entry->size);
+			memcpy(value_of(od, entry), (const uint8_t *)base + entry->offset, entry->size);
 	}
 }
 
@@ -149,7 +149,7 @@ enum od_group od_group_of(uint16_t index)
 
 size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, size_t capacity)
 {
-	const uint8_t *from = place_of(od, entry);
+	const uint8_t *from = value_of(od, entry);
 	size_t size = entry->type == OD_VISIBLE_STRING ? strnlen((const char *)from, entry->size) : entry->size;
 
 	if (size == 0 || size > capacity)
@@ -208,7 +208,7 @@ static enum od_status check_string(const uint8_t *text, size_t size)
 
 	for (; end && end < text + size; end++)
 		if (*end)
-			return OD_BAD_VALUE; /* NUL pads a string, it is no part of one */
+			return OD_BAD_VALUE; /* NUL pads a string and is not a character of it */
 	return OD_OK;
 }
 
@@ -259,7 +259,7 @@ enum od_status od_check(const struct od_entry *entry, const void *wire, size_t s
 
 static void set(struct od *od, const struct od_entry *entry, const void *wire, size_t size)
 {
-	uint8_t *to = place_of(od, entry);
+	uint8_t *to = value_of(od, entry);
 
 	if (!is_string(entry)) {
 		host_put(to, wire_get(wire, size), size);
@@ -320,5 +320,5 @@ void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size)
 {
 	const struct od_entry *entry = od_find(od->table, index, sub, NULL);
 
-	return entry && entry->size == size ? place_of(od, entry) : NULL;
+	return entry && entry->size == size ? value_of(od, entry) : NULL;
 }

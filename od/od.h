@@ -1,11 +1,11 @@
 /* od/od.h
- * The object dictionary: typed, bounded, named values (CiA 301, 7.4), and nothing else. It knows neither CAN nor
- * Modbus; both write through od_write() and so meet the same checks.
+ * The object dictionary: typed, bounded, named values (CiA 301, 7.4). It does not depend on CAN or Modbus; both write
+ * through od_write(), so the same checks apply to both.
  *
  * The table (struct od_table) is generated from eds/imu9-gateway.eds and is constant; the values are one struct owned
  * by the caller (struct od_values of the generated od_values.h), so that C code reads `values.lever_arm.l` directly.
- * Values are in host order inside and little-endian ("wire", as CiA 301 transmits them) at od_read()/od_write().
- * Nothing here allocates, blocks or has globals. */
+ * Values are in host byte order in the struct and little-endian ("wire", as CiA 301 transmits them) at od_read() and
+ * od_write(). Nothing here allocates memory, blocks or has global state. */
 #ifndef OD_OD_H
 #define OD_OD_H
 
@@ -23,9 +23,9 @@ enum od_type {
 	OD_UNSIGNED16 = 0x06,
 	OD_UNSIGNED32 = 0x07,
 	OD_REAL32 = 0x08,
-	OD_VISIBLE_STRING = 0x09, /* held NUL-padded in a field of od_entry.size bytes */
+	OD_VISIBLE_STRING = 0x09, /* NUL-padded in a field of od_entry.size bytes */
 	OD_OCTET_STRING = 0x0A,	  /* fixed length: od_entry.size bytes */
-	OD_DOMAIN = 0x0F,	  /* no value of its own: see struct od_domain */
+	OD_DOMAIN = 0x0F,	  /* not in the values struct: see struct od_domain */
 	OD_REAL64 = 0x11,
 	OD_INTEGER64 = 0x15,
 	OD_UNSIGNED64 = 0x1B,
@@ -35,17 +35,16 @@ enum od_type {
 enum {
 	OD_READ = 1 << 0,
 	OD_WRITE = 1 << 1,
-	OD_CONST = 1 << 2, /* never changes after start-up */
-	OD_TPDO = 1 << 3,  /* mappable into a TPDO */
-	OD_RPDO = 1 << 4,  /* mappable into an RPDO */
-	OD_STORED =
-		1 << 5, /* kept by 1010h: readable and writable, and ObjFlags bit 0 (a command) not set; or Stored=1 */
-	OD_NODE_ID = 1 << 6, /* the default value is $NODEID + default */
+	OD_CONST = 1 << 2,  /* does not change after start-up */
+	OD_TPDO = 1 << 3,   /* mappable into a TPDO */
+	OD_RPDO = 1 << 4,   /* mappable into an RPDO */
+	OD_STORED = 1 << 5, /* stored by 1010h: read-write without ObjFlags bit 0 (a command), or Stored=1 in the EDS */
+	OD_NODE_ID = 1 << 6, /* the default is $NODEID + the value in the table */
 	OD_LIMIT_LOW = 1 << 7,
 	OD_LIMIT_HIGH = 1 << 8,
 };
 
-/** Storage groups: the sub-indices of 1010h/1011h (CiA 301, 7.5.2.13). Sub-index 1 means all of them. */
+/** Storage groups: the sub-indices of 1010h/1011h (CiA 301, 7.5.2.13). Sub-index 1 is all of them. */
 enum od_group {
 	OD_GROUP_ALL = 1,
 	OD_GROUP_COMMUNICATION = 2, /* 1000h-1FFFh */
@@ -53,12 +52,12 @@ enum od_group {
 	OD_GROUP_MANUFACTURER = 4,  /* 2000h-5FFFh */
 };
 
-/** What a request to the dictionary comes to. SDO abort codes and Modbus exceptions are exhaustive switches over it. */
+/** Result of a request to the dictionary. SDO abort codes and Modbus exceptions are exhaustive switches over it. */
 enum od_status {
 	OD_OK = 0,
-	OD_CONSUMED,  /* from a hook only: a command, carried out; no value is kept. od_write() returns OD_OK */
-	OD_PENDING,   /* accepted, completes later (a store waiting for the disk) */
-	OD_NO_OBJECT, /* index not in the dictionary */
+	OD_CONSUMED,  /* from a hook only: a command was executed and no value is stored. od_write() returns OD_OK */
+	OD_PENDING,   /* accepted, completes later (storing waits for the disk) */
+	OD_NO_OBJECT, /* the index is not in the dictionary */
 	OD_NO_SUBINDEX,
 	OD_WRITE_ONLY, /* read of a write-only entry */
 	OD_READ_ONLY,  /* write of a read-only or constant entry */
@@ -67,15 +66,15 @@ enum od_status {
 	OD_TOO_SHORT,
 	OD_TOO_HIGH,
 	OD_TOO_LOW,
-	OD_BAD_VALUE, /* inside the limits, yet not allowed (NaN, a reserved bit, a bad signature) */
+	OD_BAD_VALUE, /* within the limits, but not allowed (NaN, a reserved bit, a wrong signature) */
 	OD_NOT_MAPPABLE,
 	OD_PDO_LENGTH,	  /* the mapping would exceed 8 bytes */
 	OD_INCOMPATIBLE,  /* parameter incompatibility */
 	OD_CANNOT_STORE,  /* storage failed */
 	OD_LOCAL_CONTROL, /* refused because of local control */
 	OD_DEVICE_STATE,  /* refused in the present device state */
-	OD_NO_DATA,	  /* nothing there to be read yet */
-	OD_GENERAL,	  /* internal failure */
+	OD_NO_DATA,	  /* no value available yet */
+	OD_GENERAL,	  /* internal error */
 	OD_STATUS_COUNT
 };
 
@@ -94,7 +93,7 @@ struct od_entry {
 	uint16_t size;		   /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
 	uint32_t offset;	   /* into the values struct */
 	union od_number low, high; /* valid with OD_LIMIT_LOW, OD_LIMIT_HIGH */
-	double factor;		   /* physical = raw * factor at default resolution; 1 when the EDS says nothing */
+	double factor;		   /* physical = raw * factor at the default resolution; 1 if the EDS has none */
 	const char *name; /* "lever_arm.l", normalised from the EDS: lower case, runs of other characters as '_' */
 	const char *unit; /* "m", or "" */
 	const char *description; /* one line, or "" */
@@ -103,34 +102,34 @@ struct od_entry {
 struct od_table {
 	const struct od_entry *entries; /* sorted by index, then sub-index */
 	size_t count;
-	const void *defaults; /* a values struct; entries with OD_NODE_ID still lack the node-ID */
+	const void *defaults; /* a values struct, without the node-ID in entries with OD_NODE_ID */
 	size_t values_size;
 };
 
-/** Longest value of any entry but a DOMAIN, in bytes; a buffer of this size always suffices for od_read(). */
+/** Longest value of an entry that is not a DOMAIN, in bytes: the buffer size that od_read() needs at most. */
 enum { OD_VALUE_MAX = 64 };
 
-/** Longest domain that read() makes or write() takes, in bytes. Those that are memory may be longer. */
+/** Longest DOMAIN that read() provides or write() accepts, in bytes. A DOMAIN in constant memory may be longer. */
 enum { OD_DOMAIN_MAX = 16384 };
 
-/** What stands behind an object of type DOMAIN; owned by whoever set it, must outlive the dictionary. */
+/** Data of an object of type DOMAIN; owned by the caller of od_set_domain(), must outlive the dictionary. */
 struct od_domain {
 	struct od_domain *next;
 	uint16_t index;
 	uint8_t sub;
-	/** What is read: memory that never changes, or with read() != NULL what that puts into out[OD_DOMAIN_MAX] at the
-	 * beginning of a transfer; it returns the bytes, at most OD_DOMAIN_MAX. */
+	/** Data to read: constant memory; or, if read is not NULL, what read() puts into out[OD_DOMAIN_MAX] at the
+	 * beginning of a transfer. It returns the number of bytes, at most OD_DOMAIN_MAX. */
 	const uint8_t *data;
 	size_t size;
 	size_t (*read)(void *ctx, uint8_t *out);
-	/** Takes what was written, whole; NULL: cannot be written. When it refuses, nothing has changed. */
+	/** Gets the complete written data; NULL: cannot be written. After a status other than OD_OK nothing has changed. */
 	enum od_status (*write)(void *ctx, const uint8_t *data, size_t size);
 	void *ctx;
 };
 
-/** Someone who cares about writes to a range of indices. `before` sees the new value (wire form, type and limits
- * already checked) and may refuse it, consume it (OD_CONSUMED) or take it to be finished later (OD_PENDING, the value
- * is not kept); `after` runs when the value is in place. Either may be NULL. Hooks run in the order of attachment. */
+/** Callbacks for writes to a range of indices. `before` gets the new value (wire form, type and limits already checked)
+ * and can refuse it with a status, consume it (OD_CONSUMED) or complete it later (OD_PENDING); then the value is not
+ * changed. `after` is called when the value has changed. Either may be NULL. Hooks run in the order of attachment. */
 struct od_hook {
 	struct od_hook *next;
 	uint16_t first, last; /* indices, inclusive */
@@ -146,21 +145,21 @@ struct od {
 	struct od_domain *domains;
 };
 
-/** Binds the table to the caller's values and fills them with the defaults for that node-ID (1..127, or 255: none). */
+/** Binds the table to the caller's values and sets them to the defaults for this node-ID (1..127, or 255: none). */
 void od_init(struct od *od, const struct od_table *table, void *values, uint8_t node_id);
 
-/** The stored entries (OD_STORED) of one group, or of all, back to what they are in `base`: a values struct, for example
- * a copy taken at start-up. No hook runs. */
+/** Resets the stored entries (OD_STORED) of a group, or of all, to their values in `base`: a values struct, for
+ * example a copy made at start-up. No hook runs. */
 void od_reset(struct od *od, enum od_group group, const void *base);
 
-/** The entries of a values struct that are $NODEID + default for the node-ID `old` become those of `node_id` (1..127, or
- * 255: none); what was configured otherwise stays. */
+/** Entries of a values struct that have their default for the node-ID `old` ($NODEID + value) get that for `node_id`
+ * (1..127, or 255: none); other values remain. */
 void od_follow_node_id(const struct od_table *table, void *values, uint8_t old, uint8_t node_id);
 
 void od_attach(struct od *od, struct od_hook *hook);
 void od_set_domain(struct od *od, struct od_domain *domain);
 
-/** The entry, or NULL. `status` (may be NULL) tells OD_NO_OBJECT from OD_NO_SUBINDEX. */
+/** The entry, or NULL. `status` (may be NULL) is then OD_NO_OBJECT or OD_NO_SUBINDEX. */
 const struct od_entry *od_find(const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status);
 
 /** By name ("lever_arm.l", any case, spaces as '_'), by index ("0x2000:1", "2000h:1", "0x2000" for sub-index 0). */
@@ -168,43 +167,44 @@ const struct od_entry *od_find_name(const struct od_table *table, const char *na
 
 enum od_group od_group_of(uint16_t index);
 
-/** Reads in wire form, honouring access. A VISIBLE_STRING comes without its padding. OD_UNSUPPORTED_ACCESS for a
- * DOMAIN: use od_find_domain(). */
+/** Reads a value in wire form with access check; a VISIBLE_STRING without padding. OD_UNSUPPORTED_ACCESS for a DOMAIN:
+ * use od_find_domain(). */
 enum od_status od_read(const struct od *od, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size);
 
-/** Like od_read() without the access check, for an entry already found. */
+/** Like od_read() without access check. Returns the size; 0: more than `capacity`, or an empty string. */
 size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, size_t capacity);
 
 const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub);
 
-/** A write from outside: access, size, limits (NaN and infinity refused), hooks, and only then the value. When it is
- * refused the old value stands. A DOMAIN gets its bytes by od_domain.write(). */
+/** A write by a client: checks access, size and limits (NaN and infinity are refused), runs the hooks, then sets the
+ * value. After a refusal the old value remains. A DOMAIN is written by od_domain.write(). */
 enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *wire, size_t size);
 
-/** Whether a value in wire form has the entry's size, type and limits: OD_OK, or what is wrong with it. */
+/** Checks size, type and limits of a value in wire form. */
 enum od_status od_check(const struct od_entry *entry, const void *wire, size_t size);
 
-/** A write from the device itself (a default from a file, a stored value): size and limits are checked, access is
- * not, and no hook runs. Constants are refused. */
+/** A write by the device itself (a value from a file or from storage): checks size and limits but not access, and runs
+ * no hook. Constants are refused. */
 enum od_status od_put(struct od *od, const struct od_entry *entry, const void *wire, size_t size);
 
-/** Pointer to the value in host order, for code that looks an object up by number (the CANopen core). NULL if absent
- * or of another size. */
+/** Pointer to the value in host byte order, for code that addresses objects by number (the CANopen core). NULL: no such
+ * entry, or its size is not `size`. */
 void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size);
 
-/** Text to wire form and back; limits are od_check()'s business. Accepts decimal, 0x hex, floats, true/false, and strings as they are. Prints integers
- * in decimal, REALs so that they read back to the same bits, OCTET_STRING in hex. */
+/** Text to wire form and back, without limits: see od_check(). Reads decimal, 0x hex, floats, true/false, strings as
+ * they are, OCTET_STRING in hex. Writes integers in decimal, REALs with the digits that give the same bits when read.
+ * od_format() returns the length, or -ENOSPC, or -EINVAL for a wrong size. */
 enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
 int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
 
-/** "-10 to 10 m", "0 or more", or "" where the entry has no limits; scaled ones in steps, without their unit. */
+/** "-10 to 10 m", "0 or more", or "" without limits; limits of scaled integers are in steps, without unit. */
 void od_limits_text(const struct od_entry *entry, char *text, size_t capacity);
 
-/** One line for people: "value above its high limit". */
+/** Text for messages, such as "value above its high limit". */
 const char *od_status_text(enum od_status status);
 
-/** The stored entries of a group that differ from those in `base` (a values struct), as a concise DCF (CiA 302-3: u32
- * count, then per entry u16 index, u8 sub, u32 size, data, all little-endian). Returns the length, or -ENOSPC. */
+/** Encodes the stored entries of a group that differ from `base` (a values struct) as a concise DCF (CiA 302-3: u32
+ * count, then for each entry u16 index, u8 sub-index, u32 size, data; little-endian). The length, or -ENOSPC. */
 long od_encode(const struct od *od, enum od_group group, const void *base, uint8_t *out, size_t capacity);
 
 /** One entry of a concise DCF. */
@@ -215,16 +215,15 @@ struct od_dcf_item {
 	size_t size;
 };
 
-/** Whether the bytes are a concise DCF: what its count says, neither more nor less. */
+/** Whether the bytes are a concise DCF with exactly as many entries as its count says. */
 bool od_dcf_valid(const uint8_t *in, size_t size);
-/** The entry at `*used` of a valid one; begin with 0. False: there is no more. */
+/** The entry at offset `*used` of a valid concise DCF, and the offset of the next; start with 0. False: end. */
 bool od_dcf_next(const uint8_t *in, size_t size, size_t *used, struct od_dcf_item *item);
-/** Adds an entry to the `*used` bytes of `out`; begin with 0. False: no room; what was there stands. */
+/** Appends an entry to the `*used` bytes of `out`; start with 0. False: no room; `out` is unchanged. */
 bool od_dcf_add(uint8_t *out, size_t capacity, size_t *used, const struct od_dcf_item *item);
 
-/** Applies a concise DCF with od_put(). Entries that this dictionary does not have, does not store or refuses are
- * skipped and counted in *skipped. Returns the number applied, or -EINVAL when the bytes are not a concise DCF (then
- * nothing was applied). */
+/** Applies a concise DCF with od_put(). Entries that are not in this dictionary, not stored, or refused are skipped and
+ * counted in *skipped. Returns the number applied, or -EINVAL: not a concise DCF, nothing was applied. */
 long od_decode(struct od *od, const uint8_t *in, size_t size, size_t *skipped);
 
 /** CRC-32 (IEEE 802.3, reflected) of stored files. */

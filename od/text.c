@@ -1,5 +1,5 @@
 /* od/text.c
- * Names and values as people write them. */
+ * Names and values as text. */
 #include "od/od.h"
 
 #include <ctype.h>
@@ -18,7 +18,7 @@ static bool is_name_character(char c)
 	return isalnum((unsigned char)c) || c == '.';
 }
 
-/* Compares a name as typed with a normalised one. */
+/* Compares a name as entered with a normalised one. */
 static bool names_match(const char *typed, const char *name)
 {
 	while (*typed) {
@@ -35,7 +35,7 @@ static bool names_match(const char *typed, const char *name)
 	return !*name;
 }
 
-/* "0x2000", "2000h" in hex, the sub-index also plain decimal. Returns what follows, or NULL. */
+/* "0x2000" or "2000h"; with `plain` also a decimal number (sub-index). Returns the rest of the text, or NULL. */
 static const char *parse_index(const char *text, bool plain, unsigned long most, unsigned long *value)
 {
 	bool prefixed = text[0] == '0' && (text[1] == 'x' || text[1] == 'X');
@@ -149,7 +149,7 @@ static enum od_status parse_octets(const char *text, uint8_t *wire, size_t capac
 	return OD_OK;
 }
 
-/* Numbers may have blanks around them and be spelled true or false. */
+/* Blanks around the number are allowed, and true and false for 1 and 0. */
 static enum od_status parse_number(const struct od_entry *entry, const char *text, uint64_t *value)
 {
 	unsigned bits = entry->type == OD_BOOLEAN ? 1 : 8u * entry->size;
@@ -211,7 +211,7 @@ enum od_status od_parse(const struct od_entry *entry, const char *text, void *wi
 	}
 }
 
-/* The shortest decimal that reads back to the same bits. */
+/* The shortest decimal text that gives the same bits when read again. */
 static void print_real(uint64_t raw, enum od_type type, char *text, size_t capacity)
 {
 	uint32_t bits = (uint32_t)raw;
@@ -235,7 +235,7 @@ static void print_real(uint64_t raw, enum od_type type, char *text, size_t capac
 	}
 }
 
-/* What another device calls text must not reach a terminal as control codes; VISIBLE_CHAR is 20h to 7Eh. */
+/* Control codes in the text of another device must not reach a terminal. VISIBLE_CHAR is 20h to 7Eh (CiA 301). */
 static char printable(uint8_t c)
 {
 	return c < 0x20 || c > 0x7E ? '?' : (char)c;
@@ -328,17 +328,17 @@ const char *od_status_text(enum od_status status)
 	case OD_OK:
 		return "done";
 	case OD_CONSUMED:
-		return "command carried out";
+		return "command executed";
 	case OD_PENDING:
-		return "accepted, not finished yet";
+		return "accepted, not completed yet";
 	case OD_NO_OBJECT:
 		return "no such object";
 	case OD_NO_SUBINDEX:
 		return "no such sub-index";
 	case OD_WRITE_ONLY:
-		return "cannot be read, only written";
+		return "write-only, cannot be read";
 	case OD_READ_ONLY:
-		return "cannot be written, only read";
+		return "read-only, cannot be written";
 	case OD_UNSUPPORTED_ACCESS:
 		return "access not supported for this object";
 	case OD_TOO_LONG:
@@ -354,9 +354,9 @@ const char *od_status_text(enum od_status status)
 	case OD_NOT_MAPPABLE:
 		return "cannot be mapped into a PDO";
 	case OD_PDO_LENGTH:
-		return "mapping longer than a PDO";
+		return "mapping is longer than a PDO";
 	case OD_INCOMPATIBLE:
-		return "does not go together with other parameters";
+		return "incompatible with other parameters";
 	case OD_CANNOT_STORE:
 		return "could not be stored";
 	case OD_LOCAL_CONTROL:
@@ -366,7 +366,7 @@ const char *od_status_text(enum od_status status)
 	case OD_NO_DATA:
 		return "no data yet";
 	case OD_GENERAL:
-		return "internal failure";
+		return "internal error";
 	case OD_STATUS_COUNT:
 		break;
 	}

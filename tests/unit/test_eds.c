@@ -1,4 +1,4 @@
-/* The EDS loader: what a file says arrives in the table, and a fault is told with its line. */
+/* The EDS loader: the contents of a file are in the table, and an error names its line. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -16,7 +16,7 @@
 #include "od_values.h"
 #include "tools/eds/eds.h"
 
-/* A whole file that keeps every rule. The tests change one place of it. */
+/* A complete, valid file. Each test changes one place of it. */
 static const char GOOD[] = "[FileInfo]\n"
 			   "FileName=test.eds\n"
 			   "[DeviceInfo]\n"
@@ -142,7 +142,7 @@ static int release(void **state)
 	return 0;
 }
 
-/* GOOD with the only place that reads `from` (whole lines without their ends) changed to `to`; NULL leaves it out. */
+/* GOOD with the only occurrence of `from` (complete lines) replaced by `to`; NULL: removed. */
 static char *changed(const char *from, const char *to)
 {
 	static char text[2 * sizeof(GOOD)];
@@ -177,7 +177,7 @@ static unsigned line_of(const char *text, const char *line)
 	return number;
 }
 
-/* The text is refused because of `line` (the first that reads so), with `what` in the words. */
+/* The text is refused with the number of the first line equal to `line`, and `what` in the message. */
 static void assert_refused(const char *text, enum eds_rules rules, const char *line, const char *what)
 {
 	char expected[64];
@@ -189,7 +189,7 @@ static void assert_refused(const char *text, enum eds_rules rules, const char *l
 	assert_null(eds.table.entries);
 }
 
-/* The strict rules refuse the change; the lenient ones live with it. */
+/* The strict rules refuse the change, the lenient rules accept it. */
 static void assert_only_strict_refuses(const char *from, const char *to, const char *line, const char *what)
 {
 	const char *text = changed(from, to);
@@ -214,7 +214,7 @@ static const struct od_entry *entry_of(uint16_t index, uint8_t sub)
 	return entry;
 }
 
-/* The default of an entry, of a size up to 8, as a number without sign. */
+/* The default of an entry of up to 8 bytes as an unsigned number. */
 static uint64_t default_of(uint16_t index, uint8_t sub)
 {
 	const struct od_entry *entry = entry_of(index, sub);
@@ -236,9 +236,9 @@ static uint64_t default_of(uint16_t index, uint8_t sub)
 	}
 }
 
-/* ---- what the file says arrives ---- */
+/* ---- contents ---- */
 
-static void test_a_file_that_keeps_every_rule_is_loaded(void **state)
+static void test_a_valid_file_is_loaded(void **state)
 {
 	(void)state;
 	if (load(GOOD, EDS_STRICT))
@@ -293,21 +293,21 @@ static void test_access_rwr_and_rww_give_the_direction_of_the_pdo(void **state)
 	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE | OD_STORED | OD_RPDO);
 }
 
-static void test_what_a_download_must_not_write_is_not_stored(void **state)
+static void test_entries_excluded_from_download_are_not_stored(void **state)
 {
 	(void)state;
 	assert_int_equal(load(changed("AccessType=wo\nObjFlags=1", "AccessType=rw\nObjFlags=1"), EDS_STRICT), 0);
 	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE);
 }
 
-static void test_the_flags_of_an_object_hold_for_its_sub_indices(void **state)
+static void test_the_flags_of_an_object_apply_to_its_sub_indices(void **state)
 {
 	(void)state;
 	assert_int_equal(load(changed("Description=To the sensor", "ObjFlags=1"), EDS_STRICT), 0);
 	assert_false(entry_of(0x2000, 1)->access & OD_STORED);
 }
 
-static void test_the_node_id_may_stand_on_either_side(void **state)
+static void test_the_node_id_may_be_on_either_side(void **state)
 {
 	static const char *const TEXTS[] = {"DefaultValue=$NODEID+0x180", "DefaultValue=0x180+$NODEID",
 		"DefaultValue=$nodeid + 384", "DefaultValue=384 +$NodeId"};
@@ -352,7 +352,7 @@ static void test_a_real_default_may_be_decimal_or_the_bits_in_hex(void **state)
 	assert_int_equal(default_of(0x2000, 1), 0x3F800000);
 }
 
-static void test_a_real_default_may_stand_right_on_a_limit_that_is_no_binary_fraction(void **state)
+static void test_a_real_default_may_equal_a_limit_that_is_not_a_binary_fraction(void **state)
 {
 	(void)state;
 	assert_int_equal(
@@ -360,7 +360,7 @@ static void test_a_real_default_may_stand_right_on_a_limit_that_is_no_binary_fra
 		0);
 }
 
-static void test_strings_have_the_size_that_the_file_says(void **state)
+static void test_strings_have_the_size_given_in_the_file(void **state)
 {
 	static const char TEXT[] = "DataType=0x0009\nAccessType=ro\nDefaultValue=Hello\nStringSize=12";
 
@@ -395,7 +395,7 @@ static void test_a_domain_has_no_value(void **state)
 	assert_int_equal(entry_of(0x2001, 0)->access, OD_READ | OD_WRITE);
 }
 
-static void test_compact_sub_objects_share_what_their_object_says(void **state)
+static void test_compact_sub_objects_use_the_keys_of_their_object(void **state)
 {
 	static const char TEXT[] = "ObjectType=8\nCompactSubObj=3\nDataType=3\nAccessType=rw\nDefaultValue=-5\n"
 				   "[2001Name]\nNrOfEntries=1\n2=Middle\n"
@@ -422,7 +422,7 @@ static void test_keys_and_sections_are_found_in_any_case_and_any_order(void **st
 	assert_string_equal(entry_of(0x2001, 0)->name, "mode");
 }
 
-static void test_crlf_comments_and_a_byte_order_mark_are_taken(void **state)
+static void test_crlf_comments_and_a_byte_order_mark_are_accepted(void **state)
 {
 	char text[3 * sizeof(GOOD)] = "\xEF\xBB\xBF", *to = text + 3;
 
@@ -460,9 +460,9 @@ static void test_names_are_normalised(void **state)
 	assert_string_equal(name, "abc");
 }
 
-/* ---- other people's files ---- */
+/* ---- files of other devices ---- */
 
-static void test_lenient_rules_take_what_other_files_leave_out(void **state)
+static void test_lenient_rules_accept_missing_keys(void **state)
 {
 	static const char TEXT[] = "[OptionalObjects]\nSupportedObjects=4\n1=0x2000\n3=0x0005\n4=0x2003\n"
 				   "[2000]\nDataType=0x0005\n"
@@ -478,20 +478,20 @@ static void test_lenient_rules_take_what_other_files_leave_out(void **state)
 	assert_int_equal(entry_of(0x2003, 2)->size, 3);
 }
 
-static void test_an_empty_value_is_an_absent_one(void **state)
+static void test_an_empty_value_is_an_absent_key(void **state)
 {
 	(void)state;
 	assert_int_equal(load(changed("LowLimit=-100", "LowLimit="), EDS_STRICT), 0);
 	assert_false(entry_of(0x2000, 2)->access & OD_LIMIT_LOW);
 }
 
-/* ---- faults ---- */
+/* ---- errors ---- */
 
-static void test_a_line_that_is_none_of_an_eds_is_refused(void **state)
+static void test_a_line_without_eds_syntax_is_refused(void **state)
 {
 	(void)state;
-	assert_both_refuse("Unit=m", "Unit m", "Unit m", "no key=value");
-	assert_both_refuse("[2001]", "[2001", "[2001", "no key=value");
+	assert_both_refuse("Unit=m", "Unit m", "Unit m", "is not a [section]");
+	assert_both_refuse("[2001]", "[2001", "[2001", "is not a [section]");
 }
 
 static void test_a_line_too_long_is_refused(void **state)
@@ -514,22 +514,22 @@ static void test_a_nul_byte_is_refused(void **state)
 	(void)state;
 	assert_int_equal(
 		eds_parse(&eds, "test.eds", TEXT, sizeof(TEXT) - 1, EDS_LENIENT, error, sizeof(error)), -EINVAL);
-	assert_string_equal(error, "test.eds:2: has a NUL byte; an EDS is plain text");
+	assert_string_equal(error, "test.eds:2: contains a NUL byte; an EDS is plain text");
 }
 
-static void test_a_key_that_is_there_twice_is_refused(void **state)
+static void test_a_duplicate_key_is_refused(void **state)
 {
 	(void)state;
-	assert_both_refuse("Unit=m", "Unit=m\nUNIT=mm", "UNIT=mm", "already in line");
+	assert_both_refuse("Unit=m", "Unit=m\nUNIT=mm", "UNIT=mm", "already has UNIT in line");
 }
 
-static void test_a_section_that_is_there_twice_is_refused(void **state)
+static void test_a_duplicate_section_is_refused(void **state)
 {
 	(void)state;
 	assert_both_refuse("[2001]", "[2000SUB2]\nUnit=V\n[2001]", "[2000SUB2]", "twice");
 }
 
-static void test_a_sub_index_that_is_there_twice_is_refused(void **state)
+static void test_a_duplicate_sub_index_is_refused(void **state)
 {
 	(void)state;
 	assert_both_refuse("[2001]", "[2000sub02]\nParameterName=again\nDataType=5\nAccessType=ro\n[2001]",
@@ -549,7 +549,7 @@ static void test_an_object_listed_twice_is_refused(void **state)
 	assert_both_refuse("2=0x2001", "2=0x2000", "2=0x2000", "listed in line");
 }
 
-static void test_a_list_that_does_not_hold_as_many_as_it_says_is_refused(void **state)
+static void test_a_list_with_a_wrong_count_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses("1=0x1800", NULL, "SupportedObjects=2", "but 1 are listed");
@@ -569,10 +569,10 @@ static void test_a_section_of_an_unlisted_object_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses("[2001]", "[2002]\nParameterName=Lost\nDataType=5\nAccessType=ro\n[2001]", "[2002]",
-		"belongs to no listed object");
+		"belongs to an object that is not listed");
 }
 
-static void test_a_sub_number_that_does_not_agree_is_refused(void **state)
+static void test_a_wrong_sub_number_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses("SubNumber=3", "SubNumber=5", "SubNumber=5", "but 3 sub-indices");
@@ -580,7 +580,7 @@ static void test_a_sub_number_that_does_not_agree_is_refused(void **state)
 	assert_only_strict_refuses("[1018sub0]", "[1018sub2]", "SubNumber=2", "no sub-index 0");
 }
 
-static void test_a_sub_index_0_that_does_not_agree_is_refused(void **state)
+static void test_a_wrong_sub_index_0_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses("DefaultValue=2   ", "DefaultValue=5", "DefaultValue=5", "highest sub-index");
@@ -596,19 +596,19 @@ static void test_an_array_without_any_sub_index_is_refused(void **state)
 static void test_a_bad_sub_index_is_refused(void **state)
 {
 	(void)state;
-	assert_both_refuse("[2000sub2]", "[2000subG]", "[2000subG]", "no sub-index");
-	assert_both_refuse("[2000sub2]", "[2000sub100]", "[2000sub100]", "no sub-index");
-	assert_both_refuse("[2000sub2]", "[2000sub]", "[2000sub]", "no sub-index");
+	assert_both_refuse("[2000sub2]", "[2000subG]", "[2000subG]", "name a sub-index");
+	assert_both_refuse("[2000sub2]", "[2000sub100]", "[2000sub100]", "name a sub-index");
+	assert_both_refuse("[2000sub2]", "[2000sub]", "[2000sub]", "name a sub-index");
 }
 
 static void test_an_unknown_type_is_refused(void **state)
 {
 	(void)state;
-	assert_both_refuse("DataType=0x0003", "DataType=0x0099", "DataType=0x0099", "not known");
-	assert_both_refuse("DataType=0x0003", "DataType=INTEGER", "DataType=INTEGER", "not known");
+	assert_both_refuse("DataType=0x0003", "DataType=0x0099", "DataType=0x0099", "unknown");
+	assert_both_refuse("DataType=0x0003", "DataType=INTEGER", "DataType=INTEGER", "unknown");
 	assert_both_refuse("DataType=0x0003", NULL, "[2000sub2]", "no DataType");
 	assert_only_strict_refuses("DataType=0x0003\nAccessType=rw\nDefaultValue=-7",
-		"DataType=0x0010\nAccessType=rw\nDefaultValue=-7", "DataType=0x0010", "not known");
+		"DataType=0x0010\nAccessType=rw\nDefaultValue=-7", "DataType=0x0010", "unknown");
 }
 
 static void test_an_unknown_access_is_refused(void **state)
@@ -622,7 +622,7 @@ static void test_an_unknown_object_type_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses(
-		"ParameterName=Mode", "ParameterName=Mode\nObjectType=5", "ObjectType=5", "is none of");
+		"ParameterName=Mode", "ParameterName=Mode\nObjectType=5", "ObjectType=5", "is not 0x2");
 }
 
 static void test_a_default_outside_the_limits_is_refused(void **state)
@@ -633,7 +633,7 @@ static void test_a_default_outside_the_limits_is_refused(void **state)
 	assert_only_strict_refuses("RealDefault=0.5", "RealDefault=10.5", "RealDefault=10.5", "above");
 }
 
-static void test_a_value_that_its_type_cannot_hold_is_refused(void **state)
+static void test_a_value_out_of_range_of_its_type_is_refused(void **state)
 {
 	static const char *const TEXTS[] = {"DefaultValue=-32769", "DefaultValue=32768", "DefaultValue=0x10000",
 		"DefaultValue=1.5", "DefaultValue=08", "DefaultValue=seven", "DefaultValue=7 7", "DefaultValue=--7",
@@ -641,17 +641,19 @@ static void test_a_value_that_its_type_cannot_hold_is_refused(void **state)
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(TEXTS) / sizeof(*TEXTS); i++)
-		assert_both_refuse("DefaultValue=-7", TEXTS[i], TEXTS[i], "no value of data type 0x0003");
-	assert_both_refuse("RealDefault=0.5", "RealDefault=half", "RealDefault=half", "no value of data type 0x0008");
-	assert_both_refuse("RealDefault=0.5", "RealDefault=nan", "RealDefault=nan", "no value of data type 0x0008");
-	assert_both_refuse("RealDefault=0.5", "RealDefault=1e39", "RealDefault=1e39", "no value of data type 0x0008");
+		assert_both_refuse("DefaultValue=-7", TEXTS[i], TEXTS[i], "not a value of data type 0x0003");
+	assert_both_refuse(
+		"RealDefault=0.5", "RealDefault=half", "RealDefault=half", "not a value of data type 0x0008");
+	assert_both_refuse("RealDefault=0.5", "RealDefault=nan", "RealDefault=nan", "not a value of data type 0x0008");
+	assert_both_refuse(
+		"RealDefault=0.5", "RealDefault=1e39", "RealDefault=1e39", "not a value of data type 0x0008");
 	assert_both_refuse("DefaultValue=0x0004019A", "DefaultValue=-1", "DefaultValue=-1", "data type 0x0007");
 	assert_both_refuse("HighLimit=100", "HighLimit=lots", "HighLimit=lots", "data type 0x0003");
 	assert_both_refuse("Factor=0.25", "Factor=0", "Factor=0", "Factor");
-	assert_both_refuse("ObjFlags=1", "ObjFlags=x", "ObjFlags=x", "no number");
-	assert_both_refuse("Description=To the sensor", "ObjFlags=x", "ObjFlags=x", "no number");
-	assert_both_refuse("1=0x1800", "1=first", "1=first", "no index");
-	assert_both_refuse("SubNumber=3", "SubNumber=three", "SubNumber=three", "no number");
+	assert_both_refuse("ObjFlags=1", "ObjFlags=x", "ObjFlags=x", "not a number");
+	assert_both_refuse("Description=To the sensor", "ObjFlags=x", "ObjFlags=x", "not a number");
+	assert_both_refuse("1=0x1800", "1=first", "1=first", "not an index");
+	assert_both_refuse("SubNumber=3", "SubNumber=three", "SubNumber=three", "not a number");
 }
 
 static void test_a_string_longer_than_its_size_is_refused(void **state)
@@ -666,7 +668,7 @@ static void test_a_string_longer_than_its_size_is_refused(void **state)
 		"DefaultValue=abc", "hex digits");
 }
 
-static void test_a_mapping_to_nothing_is_refused(void **state)
+static void test_a_mapping_to_a_missing_object_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses(
@@ -678,7 +680,7 @@ static void test_a_mapping_to_an_object_that_cannot_be_mapped_is_refused(void **
 {
 	(void)state;
 	assert_only_strict_refuses(
-		"DefaultValue=0x20000120", "DefaultValue=0x10000020", "DefaultValue=0x10000020", "not mappable");
+		"DefaultValue=0x20000120", "DefaultValue=0x10000020", "DefaultValue=0x10000020", "cannot be mapped");
 }
 
 static void test_a_mapping_of_the_wrong_length_is_refused(void **state)
@@ -701,24 +703,24 @@ static void test_a_default_mapping_longer_than_a_pdo_is_refused(void **state)
 			"DataType=0x0007\nAccessType=rw\nDefaultValue=0x10010008");
 
 	(void)state;
-	assert_refused(text, EDS_STRICT, "DefaultValue=3", "has 72 bits, a PDO at most 64");
+	assert_refused(text, EDS_STRICT, "DefaultValue=3", "has 72 bits; a PDO has at most 64");
 	assert_int_equal(load(text, EDS_LENIENT), 0);
 }
 
-static void test_two_objects_of_one_name_are_refused(void **state)
+static void test_two_objects_with_one_name_are_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses(
 		"ParameterName=Mode", "ParameterName=LEVER-ARM", "ParameterName=LEVER-ARM", "choose another");
 }
 
-static void test_two_sub_indices_of_one_name_are_refused(void **state)
+static void test_two_sub_indices_with_one_name_are_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses("ParameterName=s", "ParameterName=L!", "ParameterName=L!", "choose another");
 }
 
-static void test_a_name_that_cannot_be_a_word_of_c_is_refused(void **state)
+static void test_a_name_that_is_not_a_c_identifier_is_refused(void **state)
 {
 	(void)state;
 	assert_only_strict_refuses(
@@ -732,10 +734,10 @@ static void test_device_info_that_differs_from_the_objects_is_refused(void **sta
 	assert_only_strict_refuses("VendorNumber=0x12", "VendorNumber=0x13", "VendorNumber=0x13", "[1018sub1]");
 	assert_only_strict_refuses("NrOfTXPDO=1", "NrOfTXPDO=4", "NrOfTXPDO=4", "must be 1");
 	assert_only_strict_refuses("NrOfRXPDO=0", "NrOfRXPDO=1", "NrOfRXPDO=1", "must be 0");
-	assert_both_refuse("NrOfTXPDO=1", "NrOfTXPDO=many", "NrOfTXPDO=many", "no number");
+	assert_both_refuse("NrOfTXPDO=1", "NrOfTXPDO=many", "NrOfTXPDO=many", "not a number");
 }
 
-static void test_what_is_no_eds_at_all_is_refused(void **state)
+static void test_a_file_that_is_not_an_eds_is_refused(void **state)
 {
 	(void)state;
 	assert_int_equal(load("", EDS_LENIENT), -EINVAL);
@@ -744,7 +746,7 @@ static void test_what_is_no_eds_at_all_is_refused(void **state)
 	assert_string_equal(error, "test.eds: lists no objects; is it an EDS file?");
 }
 
-static void test_a_file_that_cannot_be_read_is_told_by_name(void **state)
+static void test_a_file_that_cannot_be_read_is_named_in_the_error(void **state)
 {
 	(void)state;
 	assert_int_equal(eds_load(&eds, "/nonexistent.eds", EDS_LENIENT, error, sizeof(error)), -ENOENT);
@@ -752,7 +754,7 @@ static void test_a_file_that_cannot_be_read_is_told_by_name(void **state)
 	assert_int_equal(eds_load(&eds, "/", EDS_LENIENT, error, sizeof(error)), -EISDIR);
 }
 
-static void test_an_error_text_is_cut_to_its_buffer(void **state)
+static void test_an_error_text_is_truncated_to_its_buffer(void **state)
 {
 	char small[16];
 
@@ -763,11 +765,11 @@ static void test_an_error_text_is_cut_to_its_buffer(void **state)
 	assert_int_equal(small[12], 'x');
 }
 
-static void test_a_file_cut_anywhere_is_loaded_or_refused_with_a_name(void **state)
+static void test_a_file_truncated_anywhere_is_loaded_or_refused_by_name(void **state)
 {
 	(void)state;
 	for (size_t size = 0; size < sizeof(GOOD); size++) {
-		char *cut = malloc(size + 1); /* its end is where a sanitizer watches */
+		char *cut = malloc(size + 1); /* exact size: a sanitizer finds reads beyond the end */
 
 		memcpy(cut, GOOD, size);
 		error[0] = '\0';
@@ -782,7 +784,7 @@ static void test_a_file_cut_anywhere_is_loaded_or_refused_with_a_name(void **sta
 
 /* ---- the device's own file ---- */
 
-static void test_the_generated_table_is_what_the_loader_reads_from_the_same_file(void **state)
+static void test_the_generated_table_equals_the_loaded_one(void **state)
 {
 	(void)state;
 	if (eds_parse(&eds, "imu9", (const char *)imu9_eds, imu9_eds_size, EDS_STRICT, error, sizeof(error)))
@@ -841,7 +843,7 @@ static void test_the_factor_of_a_measurement_is_its_default_resolution(void **st
 	}
 }
 
-/* ---- gen-od, the program ---- */
+/* ---- the programs gen-od and eds-revision ---- */
 
 static char gen_od[512];
 
@@ -868,8 +870,8 @@ static void test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output
 {
 	static const char *const OUTPUTS[] = {"od_values.h", "od_table.c", "objects.md", "imu9-gateway.dbc"};
 	static const char *const BROKEN[][2] = {
-		{"DataType=0x0099", "not known"},	   /* a fault of the file */
-		{"ParameterName=default", "word of the C"} /* a fault only for C */
+		{"DataType=0x0099", "unknown"},		      /* an error of the file */
+		{"ParameterName=default", "keyword of the C"} /* an error only for C */
 	};
 	char folder[] = "/tmp/imu9-gen-od-XXXXXX", path[64], output[400], expected[100];
 
@@ -910,7 +912,7 @@ static int eds_revision(const char *path, const char *step)
 	return WEXITSTATUS(system(command));
 }
 
-/* FileVersion, FileRevision and 1018h:3, which are the same two numbers; the strict rules compare 1018h:3 with DeviceInfo. */
+/* FileVersion and FileRevision, and the same two numbers in 1018h:3, which the strict rules compare with DeviceInfo. */
 static void expect_revision(const char *path, unsigned major, unsigned minor)
 {
 	struct eds copy;
@@ -954,60 +956,60 @@ static void test_a_changed_eds_needs_a_new_revision(void **state)
 int main(int argc, char **argv)
 {
 	const struct CMUnitTest tests[] = {
-		CASE(test_a_file_that_keeps_every_rule_is_loaded),
+		CASE(test_a_valid_file_is_loaded),
 		CASE(test_an_entry_has_name_unit_factor_limits_and_default),
 		CASE(test_access_and_mapping_become_bits),
 		CASE(test_access_rwr_and_rww_give_the_direction_of_the_pdo),
-		CASE(test_what_a_download_must_not_write_is_not_stored),
-		CASE(test_the_flags_of_an_object_hold_for_its_sub_indices),
-		CASE(test_the_node_id_may_stand_on_either_side),
+		CASE(test_entries_excluded_from_download_are_not_stored),
+		CASE(test_the_flags_of_an_object_apply_to_its_sub_indices),
+		CASE(test_the_node_id_may_be_on_either_side),
 		CASE(test_integers_are_decimal_hex_or_octal),
 		CASE(test_hex_of_full_width_is_a_negative_number_in_twos_complement),
 		CASE(test_a_real_default_may_be_decimal_or_the_bits_in_hex),
-		CASE(test_a_real_default_may_stand_right_on_a_limit_that_is_no_binary_fraction),
-		CASE(test_strings_have_the_size_that_the_file_says),
+		CASE(test_a_real_default_may_equal_a_limit_that_is_not_a_binary_fraction),
+		CASE(test_strings_have_the_size_given_in_the_file),
 		CASE(test_octets_are_read_with_and_without_blanks),
 		CASE(test_a_domain_has_no_value),
-		CASE(test_compact_sub_objects_share_what_their_object_says),
+		CASE(test_compact_sub_objects_use_the_keys_of_their_object),
 		CASE(test_keys_and_sections_are_found_in_any_case_and_any_order),
-		CASE(test_crlf_comments_and_a_byte_order_mark_are_taken),
+		CASE(test_crlf_comments_and_a_byte_order_mark_are_accepted),
 		CASE(test_names_are_normalised),
-		CASE(test_lenient_rules_take_what_other_files_leave_out),
-		CASE(test_an_empty_value_is_an_absent_one),
-		CASE(test_a_line_that_is_none_of_an_eds_is_refused),
+		CASE(test_lenient_rules_accept_missing_keys),
+		CASE(test_an_empty_value_is_an_absent_key),
+		CASE(test_a_line_without_eds_syntax_is_refused),
 		CASE(test_a_line_too_long_is_refused),
 		CASE(test_a_nul_byte_is_refused),
-		CASE(test_a_key_that_is_there_twice_is_refused),
-		CASE(test_a_section_that_is_there_twice_is_refused),
-		CASE(test_a_sub_index_that_is_there_twice_is_refused),
+		CASE(test_a_duplicate_key_is_refused),
+		CASE(test_a_duplicate_section_is_refused),
+		CASE(test_a_duplicate_sub_index_is_refused),
 		CASE(test_a_listed_object_without_section_is_refused),
 		CASE(test_an_object_listed_twice_is_refused),
-		CASE(test_a_list_that_does_not_hold_as_many_as_it_says_is_refused),
+		CASE(test_a_list_with_a_wrong_count_is_refused),
 		CASE(test_an_object_in_the_wrong_list_is_refused),
 		CASE(test_a_section_of_an_unlisted_object_is_refused),
-		CASE(test_a_sub_number_that_does_not_agree_is_refused),
-		CASE(test_a_sub_index_0_that_does_not_agree_is_refused),
+		CASE(test_a_wrong_sub_number_is_refused),
+		CASE(test_a_wrong_sub_index_0_is_refused),
 		CASE(test_an_array_without_any_sub_index_is_refused),
 		CASE(test_a_bad_sub_index_is_refused),
 		CASE(test_an_unknown_type_is_refused),
 		CASE(test_an_unknown_access_is_refused),
 		CASE(test_an_unknown_object_type_is_refused),
 		CASE(test_a_default_outside_the_limits_is_refused),
-		CASE(test_a_value_that_its_type_cannot_hold_is_refused),
+		CASE(test_a_value_out_of_range_of_its_type_is_refused),
 		CASE(test_a_string_longer_than_its_size_is_refused),
-		CASE(test_a_mapping_to_nothing_is_refused),
+		CASE(test_a_mapping_to_a_missing_object_is_refused),
 		CASE(test_a_mapping_to_an_object_that_cannot_be_mapped_is_refused),
 		CASE(test_a_mapping_of_the_wrong_length_is_refused),
 		CASE(test_a_default_mapping_longer_than_a_pdo_is_refused),
-		CASE(test_two_objects_of_one_name_are_refused),
-		CASE(test_two_sub_indices_of_one_name_are_refused),
-		CASE(test_a_name_that_cannot_be_a_word_of_c_is_refused),
+		CASE(test_two_objects_with_one_name_are_refused),
+		CASE(test_two_sub_indices_with_one_name_are_refused),
+		CASE(test_a_name_that_is_not_a_c_identifier_is_refused),
 		CASE(test_device_info_that_differs_from_the_objects_is_refused),
-		CASE(test_what_is_no_eds_at_all_is_refused),
-		CASE(test_a_file_that_cannot_be_read_is_told_by_name),
-		CASE(test_an_error_text_is_cut_to_its_buffer),
-		CASE(test_a_file_cut_anywhere_is_loaded_or_refused_with_a_name),
-		CASE(test_the_generated_table_is_what_the_loader_reads_from_the_same_file),
+		CASE(test_a_file_that_is_not_an_eds_is_refused),
+		CASE(test_a_file_that_cannot_be_read_is_named_in_the_error),
+		CASE(test_an_error_text_is_truncated_to_its_buffer),
+		CASE(test_a_file_truncated_anywhere_is_loaded_or_refused_by_name),
+		CASE(test_the_generated_table_equals_the_loaded_one),
 		CASE(test_the_device_file_has_crlf_line_ends_and_no_empty_key),
 		CASE(test_the_factor_of_a_measurement_is_its_default_resolution),
 		CASE(test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output),

@@ -1,4 +1,4 @@
-/* The object dictionary: what is read is what was written, and nothing gets in that the EDS does not allow. */
+/* The object dictionary: a value reads as it was written, and values that the EDS does not allow are refused. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -12,7 +12,7 @@
 
 enum { NODE_ID = 16 };
 
-/* Types that the device's own EDS does not use, written by hand. */
+/* A hand-written table with types that the device's EDS does not use. */
 struct other_values {
 	uint8_t flag;
 	int8_t i8;
@@ -98,7 +98,7 @@ static void test_every_entry_is_found_by_its_index_and_sub_index(void **state)
 	}
 }
 
-static void test_a_missing_object_is_told_from_a_missing_sub_index(void **state)
+static void test_a_missing_object_and_a_missing_sub_index_have_different_statuses(void **state)
 {
 	static const struct {
 		uint16_t index;
@@ -155,7 +155,7 @@ static void test_commands_and_measurements_are_not_stored(void **state)
 
 /* ---- defaults ---- */
 
-static void test_the_node_id_is_added_to_the_defaults_that_ask_for_it(void **state)
+static void test_the_node_id_is_added_to_defaults_with_nodeid(void **state)
 {
 	(void)state;
 	assert_int_equal(values.cob_id_emcy, 0x80 + NODE_ID);
@@ -166,7 +166,7 @@ static void test_the_node_id_is_added_to_the_defaults_that_ask_for_it(void **sta
 	assert_int_equal(values.cob_id_emcy, 0x80 + 127);
 }
 
-static void test_a_device_without_node_id_has_the_bare_defaults(void **state)
+static void test_a_device_without_node_id_has_the_defaults_without_it(void **state)
 {
 	(void)state;
 	od_init(&od, &imu9_od_table, &values, 255);
@@ -223,7 +223,7 @@ static void test_a_string_is_read_without_its_padding(void **state)
 	assert_memory_equal(wire, "IMU9 CANopen gateway", size);
 }
 
-static void test_a_string_that_fills_its_field_is_read_whole(void **state)
+static void test_a_string_that_fills_its_field_is_read_completely(void **state)
 {
 	uint8_t wire[OD_VALUE_MAX];
 	size_t size = 0;
@@ -235,7 +235,7 @@ static void test_a_string_that_fills_its_field_is_read_whole(void **state)
 	assert_memory_equal(wire, "12345678", 8);
 }
 
-static void test_no_entry_has_a_value_longer_than_a_buffer_for_any_value(void **state)
+static void test_no_value_is_longer_than_od_value_max(void **state)
 {
 	(void)state;
 	for (size_t i = 0; i < imu9_od_table.count; i++)
@@ -265,7 +265,7 @@ static void test_a_write_only_entry_is_not_read(void **state)
 	assert_int_equal(od_read(&od, 0x2040, 6, wire, sizeof(wire), &size), OD_WRITE_ONLY);
 }
 
-static void test_a_domain_is_read_through_what_was_set_for_it(void **state)
+static void test_a_domain_is_found_by_its_index(void **state)
 {
 	struct od_domain domain = {.index = 0x1021, .data = imu9_eds, .size = imu9_eds_size};
 	uint8_t wire[OD_VALUE_MAX];
@@ -279,7 +279,7 @@ static void test_a_domain_is_read_through_what_was_set_for_it(void **state)
 	assert_int_equal(od_read(&od, 0x1021, 0, wire, sizeof(wire), &size), OD_UNSUPPORTED_ACCESS);
 }
 
-static void test_a_value_is_found_by_number_only_in_its_own_size(void **state)
+static void test_a_value_pointer_requires_the_right_size(void **state)
 {
 	(void)state;
 	assert_ptr_equal(od_value(&od, 0x1017, 0, 2), &values.producer_heartbeat_time);
@@ -289,14 +289,14 @@ static void test_a_value_is_found_by_number_only_in_its_own_size(void **state)
 
 /* ---- writing ---- */
 
-static void test_a_written_float_stands_in_the_struct(void **state)
+static void test_a_written_float_is_in_the_struct(void **state)
 {
 	(void)state;
 	assert_int_equal(write_real32(0x2000, 1, 0.05f), OD_OK);
 	assert_true(values.lever_arm.l == 0.05f);
 }
 
-static void test_a_write_above_the_high_limit_is_refused_and_the_old_value_stands(void **state)
+static void test_a_write_above_the_high_limit_is_refused_and_the_old_value_remains(void **state)
 {
 	(void)state;
 	assert_int_equal(write_real32(0x2000, 1, 1.0f), OD_OK);
@@ -306,7 +306,7 @@ static void test_a_write_above_the_high_limit_is_refused_and_the_old_value_stand
 	assert_int_equal(values.lever_arm_model, 2);
 }
 
-static void test_a_write_below_the_low_limit_is_refused_and_the_old_value_stands(void **state)
+static void test_a_write_below_the_low_limit_is_refused_and_the_old_value_remains(void **state)
 {
 	(void)state;
 	assert_int_equal(write_real32(0x2003, 0, nextafterf(9.0f, 0.0f)), OD_TOO_LOW);
@@ -315,7 +315,7 @@ static void test_a_write_below_the_low_limit_is_refused_and_the_old_value_stands
 	assert_int_equal(values.acceleration_filter.order, 2);
 }
 
-static void test_a_value_right_on_a_limit_is_taken(void **state)
+static void test_a_value_equal_to_a_limit_is_accepted(void **state)
 {
 	(void)state;
 	assert_int_equal(write_real32(0x2000, 1, -10.0f), OD_OK);
@@ -325,7 +325,7 @@ static void test_a_value_right_on_a_limit_is_taken(void **state)
 	assert_int_equal(write_u8(0x2010, 2, 8), OD_OK);
 }
 
-static void test_limits_of_negative_integers_hold(void **state)
+static void test_limits_of_negative_integers_are_checked(void **state)
 {
 	(void)state;
 	assert_int_equal(od_write(&other, 0x2001, 0, "\xF5", 1), OD_TOO_LOW);  /* -11 */
@@ -336,7 +336,7 @@ static void test_limits_of_negative_integers_hold(void **state)
 	assert_int_equal(od_write(&other, 0x2001, 0, "\xFE", 1), OD_OK); /* -2 */
 }
 
-static void test_limits_of_64_bits_hold(void **state)
+static void test_limits_of_64_bits_are_checked(void **state)
 {
 	(void)state;
 	assert_int_equal(od_write(&other, 0x2005, 0, "\xFF\xFF\xFF\xFF\xFF\xFF\xFF\xFF", 8), OD_TOO_HIGH);
@@ -376,7 +376,7 @@ static void test_a_value_of_the_wrong_size_is_refused(void **state)
 	assert_int_equal(values.producer_heartbeat_time, 1000);
 }
 
-static void test_a_shorter_string_leaves_nothing_of_the_longer_one(void **state)
+static void test_a_shorter_string_replaces_a_longer_one_completely(void **state)
 {
 	(void)state;
 	assert_int_equal(od_write(&other, 0x2002, 0, "12345678", 8), OD_OK);
@@ -386,7 +386,7 @@ static void test_a_shorter_string_leaves_nothing_of_the_longer_one(void **state)
 	assert_memory_equal(other_values.text, "\0\0\0\0\0\0\0\0", 8);
 }
 
-static void test_a_nul_may_end_a_string_but_not_part_it(void **state)
+static void test_a_nul_is_allowed_only_at_the_end_of_a_string(void **state)
 {
 	(void)state;
 	assert_int_equal(od_write(&other, 0x2002, 0, "xy\0", 3), OD_OK);
@@ -402,14 +402,14 @@ static void test_read_only_and_constant_entries_are_not_written(void **state)
 	assert_int_equal(od_write(&od, 0x1021, 0, "x", 1), OD_READ_ONLY);
 }
 
-static void test_writing_what_is_not_there_says_what_is_missing(void **state)
+static void test_a_write_to_a_missing_entry_says_whether_index_or_sub_index_is_missing(void **state)
 {
 	(void)state;
 	assert_int_equal(write_u8(0x3000, 0, 0), OD_NO_OBJECT);
 	assert_int_equal(write_u8(0x2000, 9, 0), OD_NO_SUBINDEX);
 }
 
-static void test_the_device_itself_may_set_read_only_values_but_no_constants(void **state)
+static void test_the_device_itself_can_set_read_only_values_but_not_constants(void **state)
 {
 	const struct od_entry *serial = od_find(&imu9_od_table, 0x1018, 4, NULL);
 
@@ -419,7 +419,7 @@ static void test_the_device_itself_may_set_read_only_values_but_no_constants(voi
 	assert_int_equal(od_put(&od, od_find(&imu9_od_table, 0x1008, 0, NULL), "x", 1), OD_READ_ONLY);
 }
 
-static void test_the_device_itself_is_held_to_size_and_limits(void **state)
+static void test_size_and_limits_apply_to_the_device_itself(void **state)
 {
 	const struct od_entry *model = od_find(&imu9_od_table, 0x2001, 0, NULL);
 
@@ -434,8 +434,8 @@ static void test_the_device_itself_is_held_to_size_and_limits(void **state)
 struct watcher {
 	enum od_status answer;
 	int before, after;
-	uint8_t seen;	     /* the new value as `before` saw it */
-	uint8_t value_then;  /* the value that stood at that time */
+	uint8_t seen;	     /* the new value passed to `before` */
+	uint8_t value_then;  /* the value in place during `before` */
 	uint8_t value_after; /* ... and in `after` */
 };
 
@@ -466,7 +466,7 @@ static struct od_hook watch(struct watcher *watcher, uint16_t first, uint16_t la
 		.first = first, .last = last, .before = watch_before, .after = watch_after, .ctx = watcher};
 }
 
-static void test_a_hook_sees_the_new_value_before_and_after_it_stands(void **state)
+static void test_a_hook_gets_the_new_value_before_and_after_it_is_set(void **state)
 {
 	struct watcher watcher = {.answer = OD_OK};
 	struct od_hook hook = watch(&watcher, 0x2001, 0x2001);
@@ -492,7 +492,7 @@ static void test_a_hook_that_refuses_keeps_the_old_value(void **state)
 	assert_int_equal(watcher.after, 0);
 }
 
-static void test_a_consumed_command_succeeds_and_leaves_no_value(void **state)
+static void test_a_consumed_command_succeeds_and_stores_no_value(void **state)
 {
 	struct watcher watcher = {.answer = OD_CONSUMED};
 	struct od_hook hook = watch(&watcher, 0x2001, 0x2001);
@@ -504,7 +504,7 @@ static void test_a_consumed_command_succeeds_and_leaves_no_value(void **state)
 	assert_int_equal(watcher.after, 0);
 }
 
-static void test_a_pending_command_is_told_and_leaves_no_value(void **state)
+static void test_a_pending_command_returns_pending_and_stores_no_value(void **state)
 {
 	struct watcher watcher = {.answer = OD_PENDING};
 	struct od_hook hook = watch(&watcher, 0x2001, 0x2001);
@@ -515,7 +515,7 @@ static void test_a_pending_command_is_told_and_leaves_no_value(void **state)
 	assert_int_equal(values.lever_arm_model, 2);
 }
 
-static void test_a_hook_is_not_asked_about_a_value_that_the_limits_refuse(void **state)
+static void test_a_hook_is_not_called_for_a_value_outside_the_limits(void **state)
 {
 	struct watcher watcher = {.answer = OD_OK};
 	struct od_hook hook = watch(&watcher, 0x2001, 0x2001);
@@ -526,7 +526,7 @@ static void test_a_hook_is_not_asked_about_a_value_that_the_limits_refuse(void *
 	assert_int_equal(watcher.before, 0);
 }
 
-static void test_a_hook_hears_only_of_its_own_objects(void **state)
+static void test_a_hook_is_called_only_for_its_own_objects(void **state)
 {
 	struct watcher below = {.answer = OD_OK}, around = {.answer = OD_OK}, above = {.answer = OD_OK};
 	struct od_hook hooks[] = {
@@ -541,7 +541,7 @@ static void test_a_hook_hears_only_of_its_own_objects(void **state)
 	assert_int_equal(above.before + above.after, 0);
 }
 
-static void test_hooks_are_asked_in_the_order_of_attachment_until_one_refuses(void **state)
+static void test_hooks_run_in_the_order_of_attachment_until_one_refuses(void **state)
 {
 	struct watcher first = {.answer = OD_OK}, second = {.answer = OD_BAD_VALUE}, third = {.answer = OD_OK};
 	struct od_hook hooks[] = {
@@ -569,7 +569,7 @@ static void test_no_hook_runs_when_the_device_itself_sets_a_value(void **state)
 	assert_int_equal(watcher.before + watcher.after, 0);
 }
 
-/* ---- back to what was ---- */
+/* ---- reset ---- */
 
 static void test_a_reset_of_one_group_leaves_the_others(void **state)
 {
@@ -588,7 +588,7 @@ static void test_a_reset_of_one_group_leaves_the_others(void **state)
 	assert_int_equal(values.angle_resolution, 10);
 }
 
-static void test_a_reset_leaves_what_is_not_stored(void **state)
+static void test_a_reset_does_not_change_entries_that_are_not_stored(void **state)
 {
 	const struct od_values base = values;
 
@@ -605,46 +605,47 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_entries_are_sorted_so_that_a_binary_search_finds_them),
 		cmocka_unit_test(test_every_entry_is_found_by_its_index_and_sub_index),
-		cmocka_unit_test(test_a_missing_object_is_told_from_a_missing_sub_index),
+		cmocka_unit_test(test_a_missing_object_and_a_missing_sub_index_have_different_statuses),
 		cmocka_unit_test(test_objects_belong_to_the_groups_of_1010h),
 		cmocka_unit_test(test_commands_and_measurements_are_not_stored),
-		cmocka_unit_test_setup(test_the_node_id_is_added_to_the_defaults_that_ask_for_it, fresh),
-		cmocka_unit_test_setup(test_a_device_without_node_id_has_the_bare_defaults, fresh),
+		cmocka_unit_test_setup(test_the_node_id_is_added_to_defaults_with_nodeid, fresh),
+		cmocka_unit_test_setup(test_a_device_without_node_id_has_the_defaults_without_it, fresh),
 		cmocka_unit_test_setup(test_the_defaults_are_those_of_the_eds, fresh),
 		cmocka_unit_test_setup(test_a_number_is_read_as_little_endian_bytes, fresh),
 		cmocka_unit_test_setup(test_a_float_is_read_as_its_little_endian_ieee_754_bits, fresh),
 		cmocka_unit_test_setup(test_a_string_is_read_without_its_padding, fresh),
-		cmocka_unit_test_setup(test_a_string_that_fills_its_field_is_read_whole, fresh),
-		cmocka_unit_test(test_no_entry_has_a_value_longer_than_a_buffer_for_any_value),
+		cmocka_unit_test_setup(test_a_string_that_fills_its_field_is_read_completely, fresh),
+		cmocka_unit_test(test_no_value_is_longer_than_od_value_max),
 		cmocka_unit_test_setup(test_a_buffer_that_is_too_small_is_refused_and_not_written, fresh),
 		cmocka_unit_test_setup(test_a_write_only_entry_is_not_read, fresh),
-		cmocka_unit_test_setup(test_a_domain_is_read_through_what_was_set_for_it, fresh),
-		cmocka_unit_test_setup(test_a_value_is_found_by_number_only_in_its_own_size, fresh),
-		cmocka_unit_test_setup(test_a_written_float_stands_in_the_struct, fresh),
-		cmocka_unit_test_setup(test_a_write_above_the_high_limit_is_refused_and_the_old_value_stands, fresh),
-		cmocka_unit_test_setup(test_a_write_below_the_low_limit_is_refused_and_the_old_value_stands, fresh),
-		cmocka_unit_test_setup(test_a_value_right_on_a_limit_is_taken, fresh),
-		cmocka_unit_test_setup(test_limits_of_negative_integers_hold, fresh),
-		cmocka_unit_test_setup(test_limits_of_64_bits_hold, fresh),
+		cmocka_unit_test_setup(test_a_domain_is_found_by_its_index, fresh),
+		cmocka_unit_test_setup(test_a_value_pointer_requires_the_right_size, fresh),
+		cmocka_unit_test_setup(test_a_written_float_is_in_the_struct, fresh),
+		cmocka_unit_test_setup(test_a_write_above_the_high_limit_is_refused_and_the_old_value_remains, fresh),
+		cmocka_unit_test_setup(test_a_write_below_the_low_limit_is_refused_and_the_old_value_remains, fresh),
+		cmocka_unit_test_setup(test_a_value_equal_to_a_limit_is_accepted, fresh),
+		cmocka_unit_test_setup(test_limits_of_negative_integers_are_checked, fresh),
+		cmocka_unit_test_setup(test_limits_of_64_bits_are_checked, fresh),
 		cmocka_unit_test_setup(test_nan_and_infinity_are_refused, fresh),
 		cmocka_unit_test_setup(test_a_boolean_is_0_or_1, fresh),
 		cmocka_unit_test_setup(test_a_value_of_the_wrong_size_is_refused, fresh),
-		cmocka_unit_test_setup(test_a_shorter_string_leaves_nothing_of_the_longer_one, fresh),
-		cmocka_unit_test_setup(test_a_nul_may_end_a_string_but_not_part_it, fresh),
+		cmocka_unit_test_setup(test_a_shorter_string_replaces_a_longer_one_completely, fresh),
+		cmocka_unit_test_setup(test_a_nul_is_allowed_only_at_the_end_of_a_string, fresh),
 		cmocka_unit_test_setup(test_read_only_and_constant_entries_are_not_written, fresh),
-		cmocka_unit_test_setup(test_writing_what_is_not_there_says_what_is_missing, fresh),
-		cmocka_unit_test_setup(test_the_device_itself_may_set_read_only_values_but_no_constants, fresh),
-		cmocka_unit_test_setup(test_the_device_itself_is_held_to_size_and_limits, fresh),
-		cmocka_unit_test_setup(test_a_hook_sees_the_new_value_before_and_after_it_stands, fresh),
+		cmocka_unit_test_setup(
+			test_a_write_to_a_missing_entry_says_whether_index_or_sub_index_is_missing, fresh),
+		cmocka_unit_test_setup(test_the_device_itself_can_set_read_only_values_but_not_constants, fresh),
+		cmocka_unit_test_setup(test_size_and_limits_apply_to_the_device_itself, fresh),
+		cmocka_unit_test_setup(test_a_hook_gets_the_new_value_before_and_after_it_is_set, fresh),
 		cmocka_unit_test_setup(test_a_hook_that_refuses_keeps_the_old_value, fresh),
-		cmocka_unit_test_setup(test_a_consumed_command_succeeds_and_leaves_no_value, fresh),
-		cmocka_unit_test_setup(test_a_pending_command_is_told_and_leaves_no_value, fresh),
-		cmocka_unit_test_setup(test_a_hook_is_not_asked_about_a_value_that_the_limits_refuse, fresh),
-		cmocka_unit_test_setup(test_a_hook_hears_only_of_its_own_objects, fresh),
-		cmocka_unit_test_setup(test_hooks_are_asked_in_the_order_of_attachment_until_one_refuses, fresh),
+		cmocka_unit_test_setup(test_a_consumed_command_succeeds_and_stores_no_value, fresh),
+		cmocka_unit_test_setup(test_a_pending_command_returns_pending_and_stores_no_value, fresh),
+		cmocka_unit_test_setup(test_a_hook_is_not_called_for_a_value_outside_the_limits, fresh),
+		cmocka_unit_test_setup(test_a_hook_is_called_only_for_its_own_objects, fresh),
+		cmocka_unit_test_setup(test_hooks_run_in_the_order_of_attachment_until_one_refuses, fresh),
 		cmocka_unit_test_setup(test_no_hook_runs_when_the_device_itself_sets_a_value, fresh),
 		cmocka_unit_test_setup(test_a_reset_of_one_group_leaves_the_others, fresh),
-		cmocka_unit_test_setup(test_a_reset_leaves_what_is_not_stored, fresh),
+		cmocka_unit_test_setup(test_a_reset_does_not_change_entries_that_are_not_stored, fresh),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* Stored values as a concise DCF: they come back as they were, and damaged bytes never do harm. */
+/* Stored values as a concise DCF: decoding restores them, and damaged bytes are refused or skipped. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -33,7 +33,7 @@ static void random_bytes(uint8_t *bytes, size_t size)
 		bytes[i] = (uint8_t)rand();
 }
 
-/* Random values into about half of the stored entries. Most are refused by a limit the first time. */
+/* Random values for about half of the stored entries; many attempts are refused by a limit. */
 static void scatter(void)
 {
 	uint8_t wire[OD_VALUE_MAX];
@@ -51,7 +51,7 @@ static void scatter(void)
 	}
 }
 
-static void test_random_values_come_back_as_they_were(void **state)
+static void test_random_values_survive_encoding_and_decoding(void **state)
 {
 	(void)state;
 	for (int round = 0; round < ROUNDS; round++) {
@@ -86,7 +86,7 @@ static void test_the_bytes_are_those_of_cia_302(void **state)
 	assert_memory_equal(dcf, EXPECTED, sizeof(EXPECTED));
 }
 
-static void test_nothing_changed_is_a_count_of_zero(void **state)
+static void test_no_change_is_encoded_as_a_count_of_zero(void **state)
 {
 	size_t skipped;
 
@@ -96,7 +96,7 @@ static void test_nothing_changed_is_a_count_of_zero(void **state)
 	assert_int_equal(od_decode(&od, dcf, 4, &skipped), 0);
 }
 
-static void test_a_group_holds_only_its_own_objects(void **state)
+static void test_a_group_contains_only_its_own_objects(void **state)
 {
 	(void)state;
 	values.producer_heartbeat_time = 500;
@@ -120,7 +120,7 @@ static void test_measurements_and_commands_are_not_encoded(void **state)
 	assert_int_equal(od_encode(&od, OD_GROUP_ALL, &base, dcf, sizeof(dcf)), 4);
 }
 
-static void test_any_buffer_that_is_too_small_is_told(void **state)
+static void test_a_buffer_that_is_too_small_is_refused(void **state)
 {
 	long whole;
 
@@ -132,7 +132,7 @@ static void test_any_buffer_that_is_too_small_is_told(void **state)
 	assert_int_equal(od_encode(&od, OD_GROUP_ALL, &base, dcf, (size_t)whole), whole);
 }
 
-static void test_a_dcf_cut_anywhere_is_refused_whole(void **state)
+static void test_a_dcf_truncated_anywhere_is_refused_completely(void **state)
 {
 	size_t skipped;
 	long whole;
@@ -142,7 +142,7 @@ static void test_a_dcf_cut_anywhere_is_refused_whole(void **state)
 	whole = od_encode(&od, OD_GROUP_ALL, &base, dcf, sizeof(dcf));
 	values = base;
 	for (long size = 0; size < whole; size++) {
-		uint8_t *cut = malloc((size_t)size + !size); /* its end is where a sanitizer watches */
+		uint8_t *cut = malloc((size_t)size + !size); /* exact size: a sanitizer finds reads beyond the end */
 
 		memcpy(cut, dcf, (size_t)size);
 		assert_int_equal(od_decode(&od, cut, (size_t)size, &skipped), -EINVAL);
@@ -163,7 +163,7 @@ static void test_bytes_after_the_last_entry_are_refused(void **state)
 	assert_int_equal(od_decode(&od, dcf, (size_t)whole + 1, &skipped), -EINVAL);
 }
 
-/* Every REAL finite and every value inside its limits, whatever was decoded. */
+/* Every REAL is finite and every value is within its limits. */
 static void assert_all_values_are_allowed(void)
 {
 	static struct od_values copy;
@@ -214,7 +214,7 @@ static void test_entries_that_do_not_fit_are_skipped_and_counted(void **state)
 		0x00, 0x21, 1, 2, 0, 0, 0, 1, 0,       /* read-only */
 		0x01, 0x20, 0, 1, 0, 0, 0, 4,	       /* above its limit */
 		0x17, 0x10, 0, 4, 0, 0, 0, 1, 0, 0, 0, /* too long */
-		0x02, 0x20, 0, 1, 0, 0, 0, 1,	       /* this one is good */
+		0x02, 0x20, 0, 1, 0, 0, 0, 1,	       /* valid */
 	};
 	size_t skipped = 0;
 
@@ -226,7 +226,7 @@ static void test_entries_that_do_not_fit_are_skipped_and_counted(void **state)
 	assert_memory_equal(&values, &base, sizeof(base));
 }
 
-static void test_a_count_beyond_the_bytes_is_refused_at_once(void **state)
+static void test_a_count_beyond_the_bytes_is_refused(void **state)
 {
 	static const uint8_t DCF[] = {0xFF, 0xFF, 0xFF, 0xFF};
 	static const uint8_t LENGTH[] = {1, 0, 0, 0, 0x00, 0x20, 1, 0xFF, 0xFF, 0xFF, 0xFF};
@@ -237,7 +237,7 @@ static void test_a_count_beyond_the_bytes_is_refused_at_once(void **state)
 	assert_int_equal(od_decode(&od, LENGTH, sizeof(LENGTH), &skipped), -EINVAL);
 }
 
-static void test_crc32_is_that_of_ethernet_and_zip(void **state)
+static void test_crc32_is_that_of_ieee_802_3(void **state)
 {
 	(void)state;
 	assert_int_equal(od_crc32(0, "123456789", 9), 0xCBF43926);
@@ -245,7 +245,7 @@ static void test_crc32_is_that_of_ethernet_and_zip(void **state)
 	assert_int_equal(od_crc32(0, "\0\0\0\0", 4), 0x2144DF1C);
 }
 
-static void test_crc32_can_be_taken_in_pieces(void **state)
+static void test_crc32_can_be_computed_in_pieces(void **state)
 {
 	(void)state;
 	assert_int_equal(od_crc32(od_crc32(0, "1234", 4), "56789", 5), 0xCBF43926);
@@ -254,19 +254,19 @@ static void test_crc32_can_be_taken_in_pieces(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test_setup(test_random_values_come_back_as_they_were, fresh),
+		cmocka_unit_test_setup(test_random_values_survive_encoding_and_decoding, fresh),
 		cmocka_unit_test_setup(test_the_bytes_are_those_of_cia_302, fresh),
-		cmocka_unit_test_setup(test_nothing_changed_is_a_count_of_zero, fresh),
-		cmocka_unit_test_setup(test_a_group_holds_only_its_own_objects, fresh),
+		cmocka_unit_test_setup(test_no_change_is_encoded_as_a_count_of_zero, fresh),
+		cmocka_unit_test_setup(test_a_group_contains_only_its_own_objects, fresh),
 		cmocka_unit_test_setup(test_measurements_and_commands_are_not_encoded, fresh),
-		cmocka_unit_test_setup(test_any_buffer_that_is_too_small_is_told, fresh),
-		cmocka_unit_test_setup(test_a_dcf_cut_anywhere_is_refused_whole, fresh),
+		cmocka_unit_test_setup(test_a_buffer_that_is_too_small_is_refused, fresh),
+		cmocka_unit_test_setup(test_a_dcf_truncated_anywhere_is_refused_completely, fresh),
 		cmocka_unit_test_setup(test_bytes_after_the_last_entry_are_refused, fresh),
 		cmocka_unit_test_setup(test_any_flipped_bit_is_refused_or_skipped_or_an_allowed_value, fresh),
 		cmocka_unit_test_setup(test_entries_that_do_not_fit_are_skipped_and_counted, fresh),
-		cmocka_unit_test_setup(test_a_count_beyond_the_bytes_is_refused_at_once, fresh),
-		cmocka_unit_test(test_crc32_is_that_of_ethernet_and_zip),
-		cmocka_unit_test(test_crc32_can_be_taken_in_pieces),
+		cmocka_unit_test_setup(test_a_count_beyond_the_bytes_is_refused, fresh),
+		cmocka_unit_test(test_crc32_is_that_of_ieee_802_3),
+		cmocka_unit_test(test_crc32_can_be_computed_in_pieces),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

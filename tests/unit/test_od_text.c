@@ -1,4 +1,4 @@
-/* Names and values as people write them. */
+/* Names and values as text. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -83,7 +83,7 @@ static void test_true_and_false_are_1_and_0(void **state)
 	assert_refused(&REAL32, "true", OD_BAD_VALUE);
 }
 
-static void test_the_ends_of_each_integer_type_are_taken_and_one_beyond_is_not(void **state)
+static void test_the_ends_of_each_integer_type_are_accepted_and_one_beyond_is_not(void **state)
 {
 	static const struct {
 		const struct od_entry *entry;
@@ -114,7 +114,7 @@ static void test_the_ends_of_each_integer_type_are_taken_and_one_beyond_is_not(v
 	}
 }
 
-static void test_what_is_not_a_whole_number_is_refused(void **state)
+static void test_text_that_is_not_an_integer_is_refused(void **state)
 {
 	static const char *const TEXTS[] = {"", " ", "x", "1x", "1.0", "1e3", "0x", "0xG", "--1", "- 1", "+1", "1 2",
 		"-", "0x-1", "nan", "ten", "9999999999999999999999999999999999999999999999999999999999999999999999"};
@@ -136,7 +136,7 @@ static void test_floats_are_read(void **state)
 	assert_parses(&REAL64, "0.5", "\0\0\0\0\0\0\xE0\x3F", 8);
 }
 
-static void test_floats_beyond_their_type_and_what_is_no_number_are_refused(void **state)
+static void test_floats_beyond_their_type_and_text_that_is_not_a_number_are_refused(void **state)
 {
 	static const char *const TEXTS[] = {
 		"", "nan", "-NaN", "nan(1)", "inf", "-Infinity", "1.0.0", "1,5", "1 m", "e5"};
@@ -152,7 +152,7 @@ static void test_floats_beyond_their_type_and_what_is_no_number_are_refused(void
 	assert_refused(&REAL64, "-1e400", OD_TOO_LOW);
 }
 
-static void test_strings_are_taken_as_they_are(void **state)
+static void test_strings_are_not_converted(void **state)
 {
 	(void)state;
 	assert_parses(&TEXT, " a b ", " a b ", 5);
@@ -202,7 +202,7 @@ static void test_a_number_of_another_size_is_not_printed(void **state)
 	assert_int_equal(od_format(&REAL32, "\0\0\0\0\0\0\0\0", 8, text, sizeof(text)), -EINVAL);
 }
 
-static void test_floats_print_as_short_as_they_can(void **state)
+static void test_floats_are_printed_with_the_fewest_digits(void **state)
 {
 	(void)state;
 	assert_prints_real32(0.1f, "0.1");
@@ -238,7 +238,7 @@ static void assert_limits(struct od_entry entry, const char *expected)
 	assert_string_equal(text, expected);
 }
 
-static void test_limits_are_told_with_their_unit_where_a_step_is_one(void **state)
+static void test_limits_are_printed_with_their_unit_if_a_step_is_one_unit(void **state)
 {
 	struct od_entry metres = {.type = OD_REAL32, .size = 4, .low.f = -10, .high.f = 2.5, .unit = "m", .factor = 1};
 	struct od_entry steps = {
@@ -267,7 +267,7 @@ static void test_padding_of_a_string_is_not_printed(void **state)
 	assert_string_equal(text, "abc");
 }
 
-static void test_every_value_reads_back_from_its_text_to_the_same_bytes(void **state)
+static void test_the_text_of_every_value_gives_the_same_bytes(void **state)
 {
 	static const struct od_entry *const ENTRIES[] = {
 		&BOOLEAN, &I8, &I16, &I32, &I64, &U8, &U16, &U32, &U64, &REAL32, &REAL64, &OCTETS};
@@ -333,7 +333,7 @@ static void test_entries_are_found_by_their_numbers(void **state)
 	assert_finds("0x2050:0xC", 0x2050, 12);
 }
 
-static void test_what_names_nothing_is_not_found(void **state)
+static void test_an_unknown_name_is_not_found(void **state)
 {
 	static const char *const NAMES[] = {"", ".", "lever_arm", "lever_arm.", "lever_arm.x", "lever_arm.ll", "lever",
 		"leverarm.l", "lever_arm.l ", "lever_arm.l.l", "2000", "2000:1", "0x2000:", "0x2000:1:1", "0x2000:9",
@@ -344,7 +344,7 @@ static void test_what_names_nothing_is_not_found(void **state)
 		assert_null(od_find_name(&imu9_od_table, NAMES[i]));
 }
 
-static void test_every_status_has_words_of_its_own(void **state)
+static void test_every_status_has_its_own_text(void **state)
 {
 	(void)state;
 	for (int a = 0; a < OD_STATUS_COUNT; a++) {
@@ -359,25 +359,25 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_integers_are_decimal_or_hex),
 		cmocka_unit_test(test_true_and_false_are_1_and_0),
-		cmocka_unit_test(test_the_ends_of_each_integer_type_are_taken_and_one_beyond_is_not),
-		cmocka_unit_test(test_what_is_not_a_whole_number_is_refused),
+		cmocka_unit_test(test_the_ends_of_each_integer_type_are_accepted_and_one_beyond_is_not),
+		cmocka_unit_test(test_text_that_is_not_an_integer_is_refused),
 		cmocka_unit_test(test_floats_are_read),
-		cmocka_unit_test(test_floats_beyond_their_type_and_what_is_no_number_are_refused),
-		cmocka_unit_test(test_strings_are_taken_as_they_are),
+		cmocka_unit_test(test_floats_beyond_their_type_and_text_that_is_not_a_number_are_refused),
+		cmocka_unit_test(test_strings_are_not_converted),
 		cmocka_unit_test(test_octets_are_pairs_of_hex_digits),
 		cmocka_unit_test(test_a_domain_has_no_text),
 		cmocka_unit_test(test_a_buffer_too_small_for_the_value_is_refused),
 		cmocka_unit_test(test_a_number_of_another_size_is_not_printed),
-		cmocka_unit_test(test_floats_print_as_short_as_they_can),
+		cmocka_unit_test(test_floats_are_printed_with_the_fewest_digits),
 		cmocka_unit_test(test_control_codes_from_another_device_do_not_reach_the_terminal),
-		cmocka_unit_test(test_limits_are_told_with_their_unit_where_a_step_is_one),
+		cmocka_unit_test(test_limits_are_printed_with_their_unit_if_a_step_is_one_unit),
 		cmocka_unit_test(test_padding_of_a_string_is_not_printed),
-		cmocka_unit_test(test_every_value_reads_back_from_its_text_to_the_same_bytes),
+		cmocka_unit_test(test_the_text_of_every_value_gives_the_same_bytes),
 		cmocka_unit_test(test_every_entry_is_found_by_its_name),
 		cmocka_unit_test(test_names_may_be_written_as_in_the_eds),
 		cmocka_unit_test(test_entries_are_found_by_their_numbers),
-		cmocka_unit_test(test_what_names_nothing_is_not_found),
-		cmocka_unit_test(test_every_status_has_words_of_its_own),
+		cmocka_unit_test(test_an_unknown_name_is_not_found),
+		cmocka_unit_test(test_every_status_has_its_own_text),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* What the monitor makes of a node's frames. The node is scripted: an SDO server with a few objects, and raw frames. */
+/* Decoding of a node's frames by the monitor. A simulated node: an SDO server with a few objects, and frames. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -19,7 +19,7 @@ struct object {
 };
 
 struct bench {
-	struct can_port bus; /* first: ops->send() gets it back */
+	struct can_port bus; /* first member: ops->send() gets a pointer to it */
 	struct watch watch;
 	struct od_values values;
 	struct can_msg request;
@@ -102,7 +102,7 @@ static void test_a_pdo_is_decoded_by_the_default_mapping_with_units(void **state
 	assert_int_equal(b->watch.nmt_state, NMT_OPERATIONAL);
 }
 
-static void test_frames_with_29_bits_are_of_others(void **state)
+static void test_frames_with_29_bit_identifiers_are_ignored(void **state)
 {
 	static const uint32_t IDS[] = {0x080, 0x080 + NODE, 0x180 + NODE, 0x700 + NODE};
 	struct bench *bench = bench_new(true);
@@ -129,7 +129,7 @@ static void test_a_passive_watch_sends_nothing(void **state)
 	assert_int_equal(b->requests, 0);
 }
 
-static void test_the_mapping_and_the_steps_are_those_of_the_node(void **state)
+static void test_mapping_and_resolutions_are_read_from_the_node(void **state)
 {
 	(void)state;
 	static const struct object objects[] = {
@@ -165,7 +165,7 @@ static void test_pdos_are_not_decoded_before_the_mapping_is_known(void **state)
 	assert_false(watch_has_values(&b->watch));
 }
 
-static void test_a_node_that_does_not_answer_is_taken_by_the_default_mapping_and_asked_again(void **state)
+static void test_without_an_answer_the_default_mapping_is_used_and_the_node_is_asked_again(void **state)
 {
 	(void)state;
 	struct bench *b = bench_new(false);
@@ -180,10 +180,10 @@ static void test_a_node_that_does_not_answer_is_taken_by_the_default_mapping_and
 	assert_true(b->asked);
 	serve(b, NULL, 0, deadline_us);
 	assert_int_equal(b->watch.mapping, WATCH_LEARNED);
-	assert_true(watch_has_values(&b->watch)); /* the mapping is the same: nothing is thrown away */
+	assert_true(watch_has_values(&b->watch)); /* the mapping is the same: values are kept */
 }
 
-static void test_a_boot_up_makes_it_ask_for_the_mapping_again(void **state)
+static void test_the_mapping_is_read_again_after_a_boot_up(void **state)
 {
 	(void)state;
 	static const struct object objects[] = {{0x1800, 1, 4, 0x1C5}};
@@ -199,7 +199,7 @@ static void test_a_boot_up_makes_it_ask_for_the_mapping_again(void **state)
 	assert_int_equal(b->watch.configured, 2);
 }
 
-static void test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_asked_for_again(void **state)
+static void test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_read_again(void **state)
 {
 	(void)state;
 	struct bench *b = bench_new(false);
@@ -238,7 +238,7 @@ static void test_the_rate_is_that_of_the_frames_and_falls_when_they_stop(void **
 	assert_true(watch_rate_hz(rate, 4 * SECOND) <= 0.5);
 }
 
-static void test_heartbeat_sync_and_emergency_are_noted(void **state)
+static void test_heartbeat_sync_and_emergency_are_recorded(void **state)
 {
 	(void)state;
 	struct bench *b = bench_new(true);
@@ -253,7 +253,7 @@ static void test_heartbeat_sync_and_emergency_are_noted(void **state)
 	assert_string_equal(watch_emcy_text(b->watch.emcy_code), "CAN error-passive");
 }
 
-static void test_a_node_whose_heartbeat_stops_is_lost_after_three_times(void **state)
+static void test_a_node_is_lost_after_three_heartbeat_periods_of_silence(void **state)
 {
 	(void)state;
 	struct bench *b = bench_new(true); /* 1017h: 1000 ms */
@@ -279,7 +279,7 @@ static void test_frames_of_other_nodes_are_ignored(void **state)
 	assert_int_equal(b->watch.heard_us, 0);
 }
 
-static void test_status_bits_are_told_in_words(void **state)
+static void test_status_bits_have_texts(void **state)
 {
 	(void)state;
 	char text[128];
@@ -296,19 +296,19 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_pdo_is_decoded_by_the_default_mapping_with_units),
-		cmocka_unit_test(test_frames_with_29_bits_are_of_others),
+		cmocka_unit_test(test_frames_with_29_bit_identifiers_are_ignored),
 		cmocka_unit_test(test_a_passive_watch_sends_nothing),
-		cmocka_unit_test(test_the_mapping_and_the_steps_are_those_of_the_node),
+		cmocka_unit_test(test_mapping_and_resolutions_are_read_from_the_node),
 		cmocka_unit_test(test_pdos_are_not_decoded_before_the_mapping_is_known),
-		cmocka_unit_test(test_a_node_that_does_not_answer_is_taken_by_the_default_mapping_and_asked_again),
-		cmocka_unit_test(test_a_boot_up_makes_it_ask_for_the_mapping_again),
-		cmocka_unit_test(test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_asked_for_again),
+		cmocka_unit_test(test_without_an_answer_the_default_mapping_is_used_and_the_node_is_asked_again),
+		cmocka_unit_test(test_the_mapping_is_read_again_after_a_boot_up),
+		cmocka_unit_test(test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_read_again),
 		cmocka_unit_test(test_skipped_and_repeated_samples_are_counted_across_the_wrap),
 		cmocka_unit_test(test_the_rate_is_that_of_the_frames_and_falls_when_they_stop),
-		cmocka_unit_test(test_heartbeat_sync_and_emergency_are_noted),
-		cmocka_unit_test(test_a_node_whose_heartbeat_stops_is_lost_after_three_times),
+		cmocka_unit_test(test_heartbeat_sync_and_emergency_are_recorded),
+		cmocka_unit_test(test_a_node_is_lost_after_three_heartbeat_periods_of_silence),
 		cmocka_unit_test(test_frames_of_other_nodes_are_ignored),
-		cmocka_unit_test(test_status_bits_are_told_in_words),
+		cmocka_unit_test(test_status_bits_have_texts),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

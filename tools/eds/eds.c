@@ -1,6 +1,5 @@
 /* tools/eds/eds.c
- * From the items of the file to entries, objects and the table. Each fault is told with the line of the item that has to
- * change. */
+ * Converts the items of the file to entries, objects and the table. Each error names the line of the item to change. */
 #include "tools/eds/eds.h"
 
 #include <ctype.h>
@@ -23,7 +22,7 @@ enum {
 	PDO_BITS_MAX = 64,
 };
 
-/* An entry while its place in the table is not known yet. */
+/* An entry before its offset in the values struct is known. */
 struct draft {
 	struct od_entry entry;
 	const char *label;
@@ -37,7 +36,7 @@ struct loader {
 	struct eds_file file;
 	struct eds *eds;
 	enum eds_rules rules;
-	struct draft *drafts; /* sorted, like the table they become */
+	struct draft *drafts; /* sorted like the table */
 	size_t draft_count, draft_capacity;
 };
 
@@ -66,9 +65,8 @@ size_t eds_normalise(const char *label, char *name, size_t capacity)
 	return n;
 }
 
-/* The value of a numeric key: 0, or -EINVAL when it is there and does not parse. Absent: *out
- * stays. */
-static int take_u32(struct loader *l, const char *section, const char *key, uint32_t *out)
+/* Reads the value of a numeric key. 0, or -EINVAL: not a number. Without the key *out is unchanged. */
+static int read_u32(struct loader *l, const char *section, const char *key, uint32_t *out)
 {
 	const struct eds_item *item = eds_find(&l->file, section, key);
 	union od_number number;
@@ -76,12 +74,13 @@ static int take_u32(struct loader *l, const char *section, const char *key, uint
 	if (!item)
 		return 0;
 	if (!eds_parse_integer(item->value, 32, false, &number))
-		return eds_fail(&l->file, item->line, "[%s] %s=%s is no number of 32 bits", section, key, item->value);
+		return eds_fail(
+			&l->file, item->line, "[%s] %s=%s is not a number of 32 bits", section, key, item->value);
 	*out = (uint32_t)number.u;
 	return 0;
 }
 
-static const char *take_text(const struct loader *l, const char *section, const char *key)
+static const char *read_text(const struct loader *l, const char *section, const char *key)
 {
 	const struct eds_item *item = eds_find(&l->file, section, key);
 
@@ -90,9 +89,8 @@ static const char *take_text(const struct loader *l, const char *section, const 
 
 /* ---- names ---- */
 
-/* The human name of a section and its normalised form. A name that says nothing is replaced, except
- * in our own file. */
-static int take_name(struct loader *l, const char *section, const struct eds_item *item, const char *substitute,
+/* The ParameterName of a section and its normalised form. Lenient rules replace an empty name by `substitute`. */
+static int read_name(struct loader *l, const char *section, const struct eds_item *item, const char *substitute,
 	const char **label, const char **name, unsigned *line)
 {
 	char normalised[EDS_LINE_MAX];
@@ -114,14 +112,14 @@ static int take_name(struct loader *l, const char *section, const struct eds_ite
 
 /* ---- entries ---- */
 
-/* Where the facts of an entry stand: its own section, or for a CompactSubObj its object's. */
+/* Section with the keys of an entry: its own, or that of the object with CompactSubObj. */
 struct source {
 	const char *section;
 	const struct eds_item *label, *initial;
 	uint32_t inherited_flags;
 };
 
-static int take_access(struct loader *l, const struct source *source, struct od_entry *entry)
+static int read_access(struct loader *l, const struct source *source, struct od_entry *entry)
 {
 	static const struct {
 		const char *text;
@@ -141,8 +139,8 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 	if (!item && strict(l))
 		return eds_fail(&l->file, eds_section(&l->file, source->section)->header,
 			"[%s] has no AccessType; add it", source->section);
-	if (take_u32(l, source->section, "PDOMapping", &mappable) || take_u32(l, source->section, "ObjFlags", &flags) ||
-		take_u32(l, source->section, "Stored", &stored))
+	if (read_u32(l, source->section, "PDOMapping", &mappable) || read_u32(l, source->section, "ObjFlags", &flags) ||
+		read_u32(l, source->section, "Stored", &stored))
 		return l->file.result;
 	flags |= source->inherited_flags;
 	for (size_t i = 0; i < sizeof(ACCESS) / sizeof(*ACCESS); i++) {
@@ -162,8 +160,8 @@ static int take_access(struct loader *l, const struct source *source, struct od_
 		source->section, text);
 }
 
-/* One limit, of the key for REALs if that is there. */
-static int take_limit(struct loader *l, const char *section, const char *key, const char *real_key,
+/* A limit; for a REAL the key real_key takes precedence. */
+static int read_limit(struct loader *l, const char *section, const char *key, const char *real_key,
 	const struct eds_type *type, uint16_t flag, struct od_entry *entry, union od_number *limit)
 {
 	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, section, real_key) : NULL;
@@ -173,21 +171,21 @@ static int take_limit(struct loader *l, const char *section, const char *key, co
 	if (!item || (!type->bits && !eds_is_real(type)))
 		return 0;
 	if (!eds_parse_number(item->value, type, limit))
-		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", section, item->key,
-			item->value, type->code);
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is not a value of data type 0x%04X", section,
+			item->key, item->value, type->code);
 	entry->access |= flag;
 	return 0;
 }
 
-static int take_number(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
+static int read_number(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
 {
 	struct od_entry *entry = &draft->entry;
 	const struct eds_item *item = eds_is_real(type) ? eds_find(&l->file, source->section, "RealDefault") : NULL;
 	char rest[EDS_LINE_MAX];
 	const char *text;
 
-	if (take_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry, &entry->low) ||
-		take_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH, entry, &entry->high))
+	if (read_limit(l, source->section, "LowLimit", "RealLowLimit", type, OD_LIMIT_LOW, entry, &entry->low) ||
+		read_limit(l, source->section, "HighLimit", "RealHighLimit", type, OD_LIMIT_HIGH, entry, &entry->high))
 		return l->file.result;
 	if (!item)
 		item = source->initial;
@@ -200,7 +198,7 @@ static int take_number(struct loader *l, const struct source *source, const stru
 		entry->access |= OD_NODE_ID;
 	}
 	if (!eds_parse_number(text, type, &draft->number))
-		return eds_fail(&l->file, item->line, "[%s] %s=%s is no value of data type 0x%04X", source->section,
+		return eds_fail(&l->file, item->line, "[%s] %s=%s is not a value of data type 0x%04X", source->section,
 			item->key, item->value, type->code);
 	if (!strict(l))
 		return 0;
@@ -213,14 +211,14 @@ static int take_number(struct loader *l, const struct source *source, const stru
 	return 0;
 }
 
-static int take_string(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
+static int read_string(struct loader *l, const struct source *source, const struct eds_type *type, struct draft *draft)
 {
 	const struct eds_item *item = type->foreign ? NULL : source->initial;
 	const struct eds_item *size_item = eds_find(&l->file, source->section, "StringSize");
 	uint32_t size = type->size;
 	int length = 0;
 
-	if (take_u32(l, source->section, "StringSize", &size))
+	if (read_u32(l, source->section, "StringSize", &size))
 		return l->file.result;
 	if (size_item && (size < 1 || size > OD_VALUE_MAX))
 		return eds_fail(&l->file, size_item->line, "[%s] StringSize=%s is not 1 to %d", source->section,
@@ -231,8 +229,9 @@ static int take_string(struct loader *l, const struct source *source, const stru
 		length = type->type == OD_OCTET_STRING ? eds_parse_octets(item->value, NULL, 0)
 						       : (int)strlen(item->value);
 		if (length < 0)
-			return eds_fail(&l->file, item->line, "[%s] DefaultValue=%s is not made of pairs of hex digits",
-				source->section, item->value);
+			return eds_fail(&l->file, item->line,
+				"[%s] DefaultValue=%s does not consist of pairs of hex digits", source->section,
+				item->value);
 		if (size && (uint32_t)length > size)
 			return eds_fail(&l->file, item->line, "[%s] the default has %d bytes, more than StringSize=%u",
 				source->section, length, size);
@@ -245,7 +244,7 @@ static int take_string(struct loader *l, const struct source *source, const stru
 	return 0;
 }
 
-static int take_factor(struct loader *l, const char *section, double *factor)
+static int read_factor(struct loader *l, const char *section, double *factor)
 {
 	const struct eds_item *item = eds_find(&l->file, section, "Factor");
 	union od_number number;
@@ -254,7 +253,8 @@ static int take_factor(struct loader *l, const char *section, double *factor)
 	if (!item)
 		return 0;
 	if (!eds_parse_real(item->value, OD_REAL64, &number) || number.f == 0)
-		return eds_fail(&l->file, item->line, "[%s] Factor=%s is no number other than 0", section, item->value);
+		return eds_fail(
+			&l->file, item->line, "[%s] Factor=%s is not a number other than 0", section, item->value);
 	*factor = number.f;
 	return 0;
 }
@@ -270,7 +270,7 @@ static int add_draft(struct loader *l, const struct draft *draft)
 	return l->file.result;
 }
 
-static const struct eds_type *take_type(struct loader *l, const char *section, uint32_t object_type)
+static const struct eds_type *read_type(struct loader *l, const char *section, uint32_t object_type)
 {
 	const struct eds_item *item = eds_find(&l->file, section, "DataType");
 	const struct eds_type *type;
@@ -284,14 +284,13 @@ static const struct eds_type *take_type(struct loader *l, const char *section, u
 	}
 	type = eds_parse_integer(item->value, 32, false, &code) ? eds_type_of(code.u) : NULL;
 	if (!type || (type->foreign && strict(l)))
-		eds_fail(&l->file, item->line,
-			"[%s] DataType=%s is not known; use one that od/od.h lists, such as 0x0007", section,
-			item->value);
+		eds_fail(&l->file, item->line, "[%s] DataType=%s is unknown; use one listed in od/od.h, such as 0x0007",
+			section, item->value);
 	return l->file.result ? NULL : type;
 }
 
-/* Appends one entry of `object`; for a VAR `name` is NULL. */
-static int take_entry(struct loader *l, const struct eds_object *object, uint8_t sub, const char *name,
+/* Appends an entry of `object`; for a VAR `name` is NULL. */
+static int read_entry(struct loader *l, const struct eds_object *object, uint8_t sub, const char *name,
 	const struct source *source, struct draft draft)
 {
 	uint32_t object_type = OBJECT_TYPE_VAR;
@@ -299,9 +298,9 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 	struct od_entry *entry = &draft.entry;
 	char full[2 * EDS_LINE_MAX];
 
-	if (take_u32(l, source->section, "ObjectType", &object_type))
+	if (read_u32(l, source->section, "ObjectType", &object_type))
 		return l->file.result;
-	type = take_type(l, source->section, object_type);
+	type = read_type(l, source->section, object_type);
 	if (!type)
 		return l->file.result;
 	entry->index = object->index;
@@ -311,33 +310,33 @@ static int take_entry(struct loader *l, const struct eds_object *object, uint8_t
 	snprintf(full, sizeof(full), "%s%s%s", object->name, name ? "." : "", name ? name : "");
 	entry->name = eds_copy(&l->file, full);
 	draft.default_line = draft.label_line;
-	if (*take_text(l, source->section, "ParameterValue"))
-		draft.value = take_text(l, source->section, "ParameterValue");
-	entry->unit = take_text(l, source->section, "Unit");
-	entry->description = take_text(l, source->section, "Description");
-	if (take_access(l, source, entry) || take_factor(l, source->section, &entry->factor))
+	if (*read_text(l, source->section, "ParameterValue"))
+		draft.value = read_text(l, source->section, "ParameterValue");
+	entry->unit = read_text(l, source->section, "Unit");
+	entry->description = read_text(l, source->section, "Description");
+	if (read_access(l, source, entry) || read_factor(l, source->section, &entry->factor))
 		return l->file.result;
 	if (type->bits || eds_is_real(type))
-		take_number(l, source, type, &draft);
+		read_number(l, source, type, &draft);
 	else if (type->type != OD_DOMAIN)
-		take_string(l, source, type, &draft);
+		read_string(l, source, type, &draft);
 	return l->file.result ? l->file.result : add_draft(l, &draft);
 }
 
-static int take_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
+static int read_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
 {
 	struct draft draft = {0};
 	const char *name = NULL;
 	char substitute[sizeof("Sub 255")];
 
 	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
-	if (take_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
+	if (read_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
 		return l->file.result;
-	return take_entry(l, object, sub, name, source, draft);
+	return read_entry(l, object, sub, name, source, draft);
 }
 
-/* CompactSubObj: sub-index 0 is implied, the others share the facts of the object's own section. */
-static int take_compact(struct loader *l, const struct eds_object *object, const char *section, uint8_t count)
+/* CompactSubObj: sub-index 0 is implied, the others use the keys of the object's section. */
+static int read_compact_subs(struct loader *l, const struct eds_object *object, const char *section, uint8_t count)
 {
 	static const char LABEL[] = "NrOfObjects";
 	char names[sizeof("FFFFValue")], values[sizeof("FFFFValue")], number[sizeof("255")];
@@ -369,8 +368,8 @@ static int take_compact(struct loader *l, const struct eds_object *object, const
 			source.label = &label;
 		if (!source.initial)
 			source.initial = eds_find(&l->file, section, "DefaultValue");
-		if (take_u32(l, section, "ObjFlags", &source.inherited_flags) ||
-			take_sub(l, object, (uint8_t)sub, &source))
+		if (read_u32(l, section, "ObjFlags", &source.inherited_flags) ||
+			read_sub(l, object, (uint8_t)sub, &source))
 			return l->file.result;
 	}
 	return 0;
@@ -385,14 +384,14 @@ static int compare_subs(const void *a, const void *b)
 	return (x->label_line > y->label_line) - (x->label_line < y->label_line);
 }
 
-/* All [1018subN] of an object, whatever the order in the file. */
-static int take_subs(struct loader *l, const struct eds_object *object, const char *section)
+/* All sections [1018subN] of an object, in any order of the file. */
+static int read_subs(struct loader *l, const struct eds_object *object, const char *section)
 {
 	char prefix[sizeof("FFFFsub")];
 	size_t length = (size_t)snprintf(prefix, sizeof(prefix), "%Xsub", object->index);
 	uint32_t flags = 0;
 
-	if (take_u32(l, section, "ObjFlags", &flags))
+	if (read_u32(l, section, "ObjFlags", &flags))
 		return l->file.result;
 	for (size_t i = eds_section_start(&l->file, prefix); i < l->file.count; i = eds_section_end(&l->file, i)) {
 		const char *name = l->file.items[i].section;
@@ -404,10 +403,11 @@ static int take_subs(struct loader *l, const struct eds_object *object, const ch
 			break;
 		sub = strtoul(name + length, &end, 16);
 		if (!isxdigit((unsigned char)name[length]) || *end || sub > 0xFF)
-			return eds_fail(&l->file, l->file.items[i].header, "[%s] names no sub-index of 0 to FF", name);
+			return eds_fail(
+				&l->file, l->file.items[i].header, "[%s] does not name a sub-index from 0 to FF", name);
 		source.label = eds_find(&l->file, name, "ParameterName");
 		source.initial = eds_find(&l->file, name, "DefaultValue");
-		if (take_sub(l, object, (uint8_t)sub, &source))
+		if (read_sub(l, object, (uint8_t)sub, &source))
 			return l->file.result;
 	}
 	if (l->draft_count > object->first)
@@ -423,9 +423,9 @@ static int check_subs(struct loader *l, const struct eds_object *object, const c
 
 	for (size_t i = 1; i < object->count; i++)
 		if (subs[i].entry.sub == subs[i - 1].entry.sub)
-			return eds_fail(&l->file, subs[i].label_line, "[%s] has sub-index %X twice; remove one",
-				section, subs[i].entry.sub);
-	if (take_u32(l, section, "SubNumber", &count) || !strict(l))
+			return eds_fail(&l->file, subs[i].label_line,
+				"[%s] sub-index %X is described twice; remove one", section, subs[i].entry.sub);
+	if (read_u32(l, section, "SubNumber", &count) || !strict(l))
 		return l->file.result;
 	if (!item)
 		return eds_fail(&l->file, object->line, "[%s] has no SubNumber; add it", section);
@@ -442,7 +442,7 @@ static int check_subs(struct loader *l, const struct eds_object *object, const c
 
 /* ---- objects ---- */
 
-static int take_object(struct loader *l, struct eds_object *object, const struct eds_item *listed)
+static int read_object(struct loader *l, struct eds_object *object, const struct eds_item *listed)
 {
 	char section[sizeof("FFFF")], substitute[sizeof("Object FFFF")];
 	uint32_t object_type = OBJECT_TYPE_VAR, compact = 0;
@@ -453,11 +453,11 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 	if (!eds_section(&l->file, section))
 		return eds_fail(&l->file, listed->line,
 			"object %s is listed, but has no section [%s]; add it or unlist it", listed->value, section);
-	if (take_name(l, section, eds_find(&l->file, section, "ParameterName"), substitute, &object->label,
+	if (read_name(l, section, eds_find(&l->file, section, "ParameterName"), substitute, &object->label,
 		    &object->name, &object->line) ||
-		take_u32(l, section, "ObjectType", &object_type) || take_u32(l, section, "CompactSubObj", &compact))
+		read_u32(l, section, "ObjectType", &object_type) || read_u32(l, section, "CompactSubObj", &compact))
 		return l->file.result;
-	object->description = take_text(l, section, "Description");
+	object->description = read_text(l, section, "Description");
 	object->first = l->draft_count;
 	switch (object_type) {
 	case OBJECT_TYPE_DOMAIN:
@@ -466,7 +466,7 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 		struct draft draft = {.label = object->label, .label_line = object->line};
 
 		object->kind = EDS_VAR;
-		take_entry(l, object, 0, NULL, &source, draft);
+		read_entry(l, object, 0, NULL, &source, draft);
 		break;
 	}
 	case OBJECT_TYPE_ARRAY:
@@ -476,14 +476,14 @@ static int take_object(struct loader *l, struct eds_object *object, const struct
 		if (compact > 0xFE)
 			eds_fail(&l->file, item->line, "[%s] CompactSubObj=%s is above 254", section, item->value);
 		else if (compact)
-			take_compact(l, object, section, (uint8_t)compact);
+			read_compact_subs(l, object, section, (uint8_t)compact);
 		else
-			take_subs(l, object, section);
+			read_subs(l, object, section);
 		break;
-	default: /* NULL, DEFTYPE, DEFSTRUCT: nothing to be read or written */
+	default: /* NULL, DEFTYPE, DEFSTRUCT: cannot be accessed by SDO */
 		item = eds_find(&l->file, section, "ObjectType");
 		if (strict(l))
-			eds_fail(&l->file, item->line, "[%s] ObjectType=%s is none of 0x2, 0x7, 0x8, 0x9", section,
+			eds_fail(&l->file, item->line, "[%s] ObjectType=%s is not 0x2, 0x7, 0x8 or 0x9", section,
 				item->value);
 		return l->file.result;
 	}
@@ -519,14 +519,14 @@ static bool belongs_to_list(const char *list, uint16_t index)
 	return strcmp(list, "ManufacturerObjects") ? !mandatory && !manufacturer : manufacturer;
 }
 
-/* Appends what one list holds. `listings` has room for as many as there are items in the file. */
-static int take_list(struct loader *l, const char *list, struct listing *listings, size_t *count)
+/* Appends the indices of a list. `listings` has room for as many as there are items in the file. */
+static int read_list(struct loader *l, const char *list, struct listing *listings, size_t *count)
 {
 	const struct eds_item *supported = eds_find(&l->file, list, "SupportedObjects");
 	size_t from = eds_section_start(&l->file, list), present;
 	uint32_t n = 0;
 
-	if (take_u32(l, list, "SupportedObjects", &n))
+	if (read_u32(l, list, "SupportedObjects", &n))
 		return l->file.result;
 	if (!eds_section(&l->file, list))
 		return strict(l) ? eds_fail(&l->file, 0, "has no section [%s]; add it", list) : 0;
@@ -547,27 +547,27 @@ static int take_list(struct loader *l, const char *list, struct listing *listing
 		if (!item)
 			continue;
 		if (!eds_parse_integer(item->value, 16, false, &index))
-			return eds_fail(&l->file, item->line, "[%s] %s is no index of 16 bits, such as 0x1000", list,
-				item->value);
+			return eds_fail(&l->file, item->line, "[%s] %s is not an index of 16 bits, such as 0x1000",
+				list, item->value);
 		if (strict(l) && !belongs_to_list(list, (uint16_t)index.u))
 			return eds_fail(
 				&l->file, item->line, "object %s does not belong in [%s]; move it", item->value, list);
 		if (index.u < 0x1000)
-			continue; /* data types, no objects */
+			continue; /* data types are not objects */
 		listings[(*count)++] = (struct listing){item, (uint16_t)index.u};
 	}
 	return 0;
 }
 
-static int take_objects(struct loader *l)
+static int read_objects(struct loader *l)
 {
 	struct listing *listings = eds_allocate(&l->file, l->file.count * sizeof(*listings));
 	struct eds *eds = l->eds;
 	size_t count = 0;
 
-	if (!listings || take_list(l, "MandatoryObjects", listings, &count) ||
-		take_list(l, "OptionalObjects", listings, &count) ||
-		take_list(l, "ManufacturerObjects", listings, &count))
+	if (!listings || read_list(l, "MandatoryObjects", listings, &count) ||
+		read_list(l, "OptionalObjects", listings, &count) ||
+		read_list(l, "ManufacturerObjects", listings, &count))
 		return l->file.result;
 	if (!count)
 		return eds_fail(&l->file, 0, "lists no objects; is it an EDS file?");
@@ -580,10 +580,10 @@ static int take_objects(struct loader *l)
 
 		if (i && listings[i].index == listings[i - 1].index)
 			return eds_fail(&l->file, listings[i].item->line,
-				"object %s is listed in line %u already; remove one", listings[i].item->value,
+				"object %s is already listed in line %u; remove one", listings[i].item->value,
 				listings[i - 1].item->line);
 		object->index = listings[i].index;
-		if (take_object(l, object, listings[i].item))
+		if (read_object(l, object, listings[i].item))
 			return l->file.result;
 		if (object->count)
 			eds->object_count++;
@@ -605,8 +605,8 @@ static size_t round_up(size_t value, size_t to)
 	return (value + to - 1) / to * to;
 }
 
-/* As a compiler lays out a struct with one member per object, which is a struct with one member per
- * sub-index. */
+/* Sets the offsets as a compiler does for a struct with one member per object, itself a struct with one member per
+ * sub-index for arrays and records. Returns the size. */
 static size_t lay_out(struct loader *l)
 {
 	size_t end = 0, widest = 1;
@@ -632,7 +632,7 @@ static size_t lay_out(struct loader *l)
 	return round_up(end, widest);
 }
 
-static void place_default(const struct draft *draft, uint8_t *values)
+static void set_default(const struct draft *draft, uint8_t *values)
 {
 	const struct od_entry *entry = &draft->entry;
 	uint8_t *to = values + entry->offset;
@@ -690,13 +690,13 @@ static int build_table(struct loader *l)
 	for (size_t i = 0; i < l->draft_count; i++) {
 		entries[i] = l->drafts[i].entry;
 		eds->entries[i] = (struct eds_entry){l->drafts[i].label, l->drafts[i].label_line, l->drafts[i].value};
-		place_default(&l->drafts[i], defaults);
+		set_default(&l->drafts[i], defaults);
 	}
 	eds->table = (struct od_table){entries, l->draft_count, defaults, values_size};
 	return 0;
 }
 
-static int take_info(struct loader *l)
+static int read_info(struct loader *l)
 {
 	struct eds_info *info = &l->eds->info;
 	const struct {
@@ -714,13 +714,13 @@ static int take_info(struct loader *l)
 	};
 
 	for (size_t i = 0; i < sizeof(numbers) / sizeof(*numbers); i++)
-		if (take_u32(l, numbers[i].section, numbers[i].key, numbers[i].value))
+		if (read_u32(l, numbers[i].section, numbers[i].key, numbers[i].value))
 			return l->file.result;
-	info->file_name = take_text(l, "FileInfo", "FileName");
-	info->description = take_text(l, "FileInfo", "Description");
-	info->vendor_name = take_text(l, "DeviceInfo", "VendorName");
-	info->product_name = take_text(l, "DeviceInfo", "ProductName");
-	info->order_code = take_text(l, "DeviceInfo", "OrderCode");
+	info->file_name = read_text(l, "FileInfo", "FileName");
+	info->description = read_text(l, "FileInfo", "Description");
+	info->vendor_name = read_text(l, "DeviceInfo", "VendorName");
+	info->product_name = read_text(l, "DeviceInfo", "ProductName");
+	info->order_code = read_text(l, "DeviceInfo", "OrderCode");
 	return 0;
 }
 
@@ -746,7 +746,7 @@ enum od_status eds_value(
 	return od_parse(entry, plain, wire, capacity, size);
 }
 
-/* ---- what only our own file must fulfil ---- */
+/* ---- rules for the device's own file (EDS_STRICT) ---- */
 
 static int check_names(struct loader *l)
 {
@@ -756,9 +756,8 @@ static int check_names(struct loader *l)
 		for (size_t k = 0; k < i; k++)
 			if (!strcmp(eds->objects[i].name, eds->objects[k].name))
 				return eds_fail(&l->file, eds->objects[i].line,
-					"the name \"%s\" is that of object %04X already; choose "
-					"another",
-					eds->objects[i].name, eds->objects[k].index);
+					"object %04X already has the name \"%s\"; choose another",
+					eds->objects[k].index, eds->objects[i].name);
 	for (size_t o = 0; o < eds->object_count; o++) {
 		const struct draft *subs = l->drafts + eds->objects[o].first;
 
@@ -766,14 +765,14 @@ static int check_names(struct loader *l)
 			for (size_t k = 0; k < i; k++)
 				if (!strcmp(subs[i].entry.name, subs[k].entry.name))
 					return eds_fail(&l->file, subs[i].label_line,
-						"the name \"%s\" is that of sub-index %X already; "
-						"choose another",
-						subs[i].entry.name, subs[k].entry.sub);
+						"sub-index %X already has the name \"%s\"; choose "
+						"another",
+						subs[k].entry.sub, subs[i].entry.name);
 	}
 	return 0;
 }
 
-/* Every [1018...] section belongs to a listed object. */
+/* Every section [1018...] must belong to a listed object. */
 static int check_sections(struct loader *l)
 {
 	for (size_t i = 0; i < l->file.count; i = eds_section_end(&l->file, i)) {
@@ -788,7 +787,8 @@ static int check_sections(struct loader *l)
 		for (size_t k = 0; k <= l->eds->object_count; k++) {
 			if (k == l->eds->object_count)
 				return eds_fail(&l->file, l->file.items[i].header,
-					"[%s] belongs to no listed object; list it", l->file.items[i].section);
+					"[%s] belongs to an object that is not listed; list it",
+					l->file.items[i].section);
 			if (l->eds->objects[k].index == index)
 				break;
 		}
@@ -812,7 +812,7 @@ static int check_mapping(struct loader *l, const struct eds_object *object, uint
 			return eds_fail(&l->file, subs[i].default_line, "maps %04X:%02X, which is not in the file",
 				mapped >> 16, mapped >> 8 & 0xFF);
 		if (!(target->access & direction))
-			return eds_fail(&l->file, subs[i].default_line, "maps %s, which is not mappable into this PDO",
+			return eds_fail(&l->file, subs[i].default_line, "maps %s, which cannot be mapped into this PDO",
 				target->name);
 		if ((mapped & 0xFF) != 8u * target->size)
 			return eds_fail(&l->file, subs[i].default_line, "maps %u bits of %s, which has %u",
@@ -821,7 +821,7 @@ static int check_mapping(struct loader *l, const struct eds_object *object, uint
 			bits += mapped & 0xFF;
 	}
 	if (bits > PDO_BITS_MAX)
-		return eds_fail(&l->file, subs[0].default_line, "the default mapping has %u bits, a PDO at most %d",
+		return eds_fail(&l->file, subs[0].default_line, "the default mapping has %u bits; a PDO has at most %d",
 			bits, PDO_BITS_MAX);
 	return 0;
 }
@@ -845,12 +845,12 @@ static int check_pdos(struct loader *l)
 	}
 	item = eds_find(&l->file, "DeviceInfo", "NrOfRXPDO");
 	if (eds->info.rpdo_count != rpdos)
-		return eds_fail(
-			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfRXPDO must be %u, as described", rpdos);
+		return eds_fail(&l->file, item ? item->line : 0,
+			"[DeviceInfo] NrOfRXPDO must be %u, the number of RPDOs described", rpdos);
 	item = eds_find(&l->file, "DeviceInfo", "NrOfTXPDO");
 	if (eds->info.tpdo_count != tpdos)
-		return eds_fail(
-			&l->file, item ? item->line : 0, "[DeviceInfo] NrOfTXPDO must be %u, as described", tpdos);
+		return eds_fail(&l->file, item ? item->line : 0,
+			"[DeviceInfo] NrOfTXPDO must be %u, the number of TPDOs described", tpdos);
 	return l->file.result;
 }
 
@@ -873,7 +873,7 @@ static int check_identity(struct loader *l)
 
 static int build(struct loader *l, const char *text, size_t size)
 {
-	if (eds_read(&l->file, text, size) || take_info(l) || take_objects(l) || build_table(l))
+	if (eds_read(&l->file, text, size) || read_info(l) || read_objects(l) || build_table(l))
 		return l->file.result;
 	if (!strict(l))
 		return 0;

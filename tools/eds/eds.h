@@ -1,12 +1,10 @@
 /* tools/eds/eds.h
- * Loads an electronic data sheet (CiA 306) into a table that od/ works on. Two users: gen-od with
- * the device's own file at build time (EDS_STRICT), and imu9-sdo at run time with other people's
- * files (EDS_LENIENT).
+ * Loads an electronic data sheet (CiA 306) into an object dictionary table. Two users: gen-od with the device's own
+ * file at build time (EDS_STRICT), and imu9-sdo at run time with files of other devices (EDS_LENIENT).
  *
- * Beyond CiA 306 these keys of an entry are understood: Unit, Factor, Description (as
- * python-canopen reads them), StringSize (bytes of a VISIBLE_STRING or OCTET_STRING), and for REALs
- * RealDefault, RealLowLimit, RealHighLimit as decimal text, because tools disagree on how
- * DefaultValue writes a REAL (0x... is taken as its IEEE 754 bits). */
+ * Keys in addition to CiA 306, as keys or in comments (";Unit=m"): Unit, Factor, Description (as python-canopen reads
+ * them), StringSize (bytes of a VISIBLE_STRING or OCTET_STRING), Stored, and for REALs RealDefault, RealLowLimit and
+ * RealHighLimit as decimal text: tools differ in how DefaultValue writes a REAL. Here 0x... means its IEEE 754 bits. */
 #ifndef TOOLS_EDS_EDS_H
 #define TOOLS_EDS_EDS_H
 
@@ -16,9 +14,8 @@
 #include "od/od.h"
 
 enum eds_rules {
-	EDS_LENIENT, /* takes whatever still tells type and access of each entry without doubt */
-	EDS_STRICT,  /* everything that must hold for our own file: lists, counts, limits, PDO
-			mappings, unique names */
+	EDS_LENIENT, /* accepts a file as long as type and access of each entry are unambiguous */
+	EDS_STRICT, /* for the device's own file: also lists, counts, limits, PDO mappings and unique names are checked */
 };
 
 enum eds_kind { EDS_VAR, EDS_ARRAY, EDS_RECORD };
@@ -33,10 +30,9 @@ struct eds_object {
 	size_t first, count;	 /* its entries in the table */
 };
 
-/** What belongs to a table entry besides struct od_entry. */
+/** Data of a table entry that struct od_entry does not have. */
 struct eds_entry {
-	const char *label; /* ParameterName as written: of the object for a VAR, else of the
-			      sub-index */
+	const char *label; /* ParameterName as written: of the object for a VAR, else of the sub-index */
 	unsigned line;
 	const char *value; /* DCF: its ParameterValue; NULL: none */
 };
@@ -59,22 +55,22 @@ struct eds {
 	void *memory; /* PRIVATE: owns all of the above */
 };
 
-/** 0 with *eds to be freed by eds_free(), or -errno with "file:line: what, and what to do" in
- * `error`: -EINVAL a fault in the file, -ENOMEM, or why the file could not be read. */
+/** 0: free *eds with eds_free(). Or -errno and "file:line: what, and what to do" in `error`: -EINVAL an error in the
+ * file, -ENOMEM, or the reason why the file could not be read. */
 int eds_load(struct eds *eds, const char *path, enum eds_rules rules, char *error, size_t error_size);
 
-/** The same for text in memory; `path` is only for the error text. */
+/** The same for text in memory; `path` is used in the error text only. */
 int eds_parse(struct eds *eds, const char *path, const char *text, size_t size, enum eds_rules rules, char *error,
 	size_t error_size);
 
 void eds_free(struct eds *eds);
 
-/** A value as an EDS or DCF writes it, for that node-ID: $NODEID, hexadecimal, IEEE 754 bits. */
+/** Parses a value in the notation of an EDS or DCF for this node-ID: $NODEID, hexadecimal, IEEE 754 bits. */
 enum od_status eds_value(
 	const struct od_entry *entry, const char *text, uint8_t node_id, void *wire, size_t capacity, size_t *size);
 
-/** A ParameterName in its normalised form: lower case, runs of other characters than letters and
- * digits as one '_', none at the ends. Returns its length, cut to fit. */
+/** The normalised form of a ParameterName: lower case, '_' for each run of characters other than letters and digits,
+ * none at the ends. Returns its length, truncated to fit. */
 size_t eds_normalise(const char *label, char *name, size_t capacity);
 
 #endif

@@ -8,9 +8,9 @@
 #include <string.h>
 #include <strings.h>
 
-_Static_assert(EDS_LINE_MAX == INI_MAX_LINE, "inih cuts lines at another length");
+_Static_assert(EDS_LINE_MAX == INI_MAX_LINE, "inih truncates lines at another length");
 
-struct block { /* one allocation; they are freed together */
+struct block { /* one allocation; all are freed together */
 	struct block *next;
 	max_align_t data[];
 };
@@ -84,8 +84,8 @@ void *eds_grow(struct eds_file *file, void *array, size_t count, size_t *capacit
 	return array;
 }
 
-/* A key of our own stands in a comment, ";Unit=m": others would stumble over keys that they do not know. */
-static bool is_own_key(const char *from, size_t size)
+/* A key in a comment, ";Unit=m": other readers refuse keys that are not in CiA 306. */
+static bool is_comment_key(const char *from, size_t size)
 {
 	static const char *const keys[] = {"Unit=", "Factor=", "Description=", "RealDefault=", "RealLowLimit=",
 		"RealHighLimit=", "StringSize=", "Stored="};
@@ -96,8 +96,8 @@ static bool is_own_key(const char *from, size_t size)
 	return false;
 }
 
-/* inih's reader. Counts the lines (inih keeps its count to itself), notes section headers, and
- * takes leading blanks away, which inih would read as the continuation of the line before. */
+/* Line reader for inih. Counts lines and section headers for error messages, and removes leading blanks, which inih
+ * would read as a continuation of the line before. */
 static char *read_line(char *buffer, int capacity, void *ctx)
 {
 	struct eds_file *file = ctx;
@@ -113,14 +113,14 @@ static char *read_line(char *buffer, int capacity, void *ctx)
 	while (from < end && (*from == ' ' || *from == '\t'))
 		from++;
 	size = (size_t)(end - from);
-	if (size && *from == ';' && is_own_key(from + 1, size - 1)) {
+	if (size && *from == ';' && is_comment_key(from + 1, size - 1)) {
 		from++;
 		size--;
 	}
 	if (size && *from == ';')
 		size = 0;
 	if (memchr(from, '\0', size)) {
-		eds_fail(file, file->line, "has a NUL byte; an EDS is plain text");
+		eds_fail(file, file->line, "contains a NUL byte; an EDS is plain text");
 		return NULL;
 	}
 	if (size >= (size_t)capacity) {
@@ -134,8 +134,8 @@ static char *read_line(char *buffer, int capacity, void *ctx)
 	return buffer;
 }
 
-/* inih's handler. An empty value means the same as an absent key (CiA 306). */
-static int take_item(void *ctx, const char *section, const char *key, const char *value)
+/* Handler for inih. An empty value has the same meaning as an absent key (CiA 306). */
+static int on_item(void *ctx, const char *section, const char *key, const char *value)
 {
 	struct eds_file *file = ctx;
 	const struct eds_item *last = file->count ? &file->items[file->count - 1] : NULL;
@@ -179,11 +179,11 @@ int eds_read(struct eds_file *file, const char *text, size_t size)
 	file->end = text + size;
 	if (size >= 3 && !memcmp(text, BOM, 3))
 		file->text += 3;
-	line = ini_parse_stream(read_line, file, take_item, file);
+	line = ini_parse_stream(read_line, file, on_item, file);
 	if (file->result)
 		return file->result;
 	if (line)
-		return eds_fail(file, (unsigned)line, "is no [section], no key=value and no ; comment");
+		return eds_fail(file, (unsigned)line, "is not a [section], key=value or ; comment");
 	if (!file->count)
 		return eds_fail(file, 0, "has no content; is it an EDS file?");
 	qsort(file->items, file->count, sizeof(*file->items), compare_items_and_lines);
@@ -192,9 +192,9 @@ int eds_read(struct eds_file *file, const char *text, size_t size)
 
 		if (!strcasecmp(a->section, b->section) && a->header != b->header)
 			return eds_fail(file, a->header > b->header ? a->header : b->header,
-				"section [%s] is there twice; merge them", b->section);
+				"section [%s] exists twice; merge them", b->section);
 		if (!compare_items(a, b))
-			return eds_fail(file, b->line, "[%s] has %s already in line %u; remove one", b->section, b->key,
+			return eds_fail(file, b->line, "[%s] already has %s in line %u; remove one", b->section, b->key,
 				a->line);
 	}
 	return 0;

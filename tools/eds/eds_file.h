@@ -1,5 +1,5 @@
 /* tools/eds/eds_file.h — inside the EDS loader
- * An EDS as key=value items that know their lines, and the first fault that was found. */
+ * An EDS as key=value items with their line numbers, and the first error. */
 #ifndef TOOLS_EDS_EDS_FILE_H
 #define TOOLS_EDS_EDS_FILE_H
 
@@ -13,36 +13,36 @@ struct eds_item {
 };
 
 struct eds_file {
-	const char *path; /* these three are the caller's */
+	const char *path; /* path, error and error_size are set by the caller */
 	char *error;
 	size_t error_size;
-	int result;		/* 0, or -errno of the first fault */
-	void *memory;		/* all that eds_allocate() gave */
-	struct eds_item *items; /* sorted by section and key, in any case; eds_close() frees them */
+	int result;		/* 0, or -errno of the first error */
+	void *memory;		/* of eds_allocate() */
+	struct eds_item *items; /* sorted by section and key without regard to case; freed by eds_close() */
 	size_t count, capacity;
-	const char *text, *end; /* what is still to be read */
+	const char *text, *end; /* text that is not read yet */
 	unsigned line, header;
 };
 
 /** Fills file->items. 0, or -errno after eds_fail(). */
 int eds_read(struct eds_file *file, const char *text, size_t size);
-/** Frees the items; not the memory, which the strings are in. */
+/** Frees the items, but not the memory with their strings. */
 void eds_close(struct eds_file *file);
 
-/** The first fault is kept as "path:line: what" (without line for 0), later ones are not. Returns file->result. */
+/** Records the first error as "path:line: what", without line if it is 0. Returns file->result. */
 int eds_fail(struct eds_file *file, unsigned line, const char *format, ...) __attribute__((format(printf, 3, 4)));
 
 /** Zeroed; NULL after eds_fail(). */
 void *eds_allocate(struct eds_file *file, size_t size);
 const char *eds_copy(struct eds_file *file, const char *text);
 void eds_free_memory(void *memory);
-/** The malloc'ed array with room for one more element; NULL after eds_fail(), and then the old one still stands. */
+/** The malloc'ed array with room for one more element; NULL after eds_fail(), and then `array` is still valid. */
 void *eds_grow(struct eds_file *file, void *array, size_t count, size_t *capacity, size_t element);
 
 const struct eds_item *eds_find(const struct eds_file *file, const char *section, const char *key);
 /** Any item of a section, or NULL if there is no such section. */
 const struct eds_item *eds_section(const struct eds_file *file, const char *section);
-/** Index of the first item of the first section at or after that name; file->count: there is none. */
+/** Index of the first item of the first section whose name is not before `section`; file->count: none. */
 size_t eds_section_start(const struct eds_file *file, const char *section);
 /** Index of the first item of the next section. */
 size_t eds_section_end(const struct eds_file *file, size_t i);

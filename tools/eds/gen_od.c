@@ -1,13 +1,13 @@
 /* tools/eds/gen_od.c
- * gen-od EDS OUTDIR: from the electronic data sheet to what is made of it.
+ * gen-od EDS OUTDIR: generates from the electronic data sheet:
  *
- *   od_index.h         every object's index and every member's sub-index, as constants
+ *   od_index.h         indices and sub-indices as constants, and the revision
  *   od_values.h        struct od_values: one member per object, nested structs for arrays and records
- *   od_table.c         the table that od/ works on, the defaults, and the bytes of the EDS itself (1021h)
- *   objects.md         every object, for people
- *   imu9-gateway.dbc   the default PDOs, EMCY and heartbeat of node-ID 1, for tools that know CAN but not CANopen
+ *   od_table.c         the table for od/, the defaults, and the bytes of the EDS itself (1021h)
+ *   objects.md         every object, as tables for people
+ *   imu9-gateway.dbc   the default PDOs, EMCY and heartbeat of node-ID 1, for tools that support CAN but not CANopen
  *
- * Built at compile time, so it may use the heap. The output depends on nothing but the EDS. */
+ * It runs at build time, so it may use the heap. The output depends on the EDS only. */
 #include <ctype.h>
 #include <errno.h>
 #include <math.h>
@@ -44,7 +44,7 @@ static void die(const char *format, ...)
 	exit(1);
 }
 
-/* ---- the pieces that several outputs need ---- */
+/* ---- shared by several outputs ---- */
 
 static const char *type_name(const struct od_entry *entry)
 {
@@ -137,7 +137,7 @@ static const char *member_name(const struct od_entry *entry)
 	return dot ? dot + 1 : entry->name;
 }
 
-/* The default without node-ID as text. */
+/* The default as text, without the node-ID. */
 static void format_default(const struct eds *eds, const struct od_entry *entry, char *text, size_t capacity)
 {
 	const struct od od = {.table = &eds->table, .values = (void *)(uintptr_t)eds->table.defaults};
@@ -330,7 +330,7 @@ static void print_default(FILE *out, const struct eds *eds, const struct od_entr
 	while (used < entry->size && !value[used])
 		used++;
 	if (used == entry->size)
-		return; /* zero, as is what no initialiser names */
+		return; /* zero, as all members without initialiser */
 	format_default(eds, entry, text, sizeof(text));
 	fprintf(out, "\t.%s = ", entry->name);
 	if (entry->type == OD_OCTET_STRING) {
@@ -373,7 +373,7 @@ static void print_table(FILE *out, const struct eds *eds, const uint8_t *file, s
 
 /* ---- objects.md ---- */
 
-/* A row is "|" and its cells. */
+/* A row is "|", then cells. */
 static void print_cell(FILE *out, const char *text)
 {
 	fputc(' ', out);
@@ -394,7 +394,7 @@ static const char *access_text(const struct od_entry *entry)
 	return "ro";
 }
 
-/* Identifiers and mappings read better in hex. */
+/* COB-IDs and mappings are in hex. */
 static void print_default_cell(FILE *out, const struct eds *eds, const struct od_entry *entry)
 {
 	bool in_hex = entry->type == OD_UNSIGNED32 && entry->index < 0x2000 && !*entry->unit;
@@ -426,7 +426,7 @@ static void print_limits_cell(FILE *out, const struct od_entry *entry)
 	print_cell(out, text);
 }
 
-/* "m/s^2", or "0.005 m/s^2" when one step is not one unit. */
+/* "m/s^2", or "0.005 m/s^2" if a step is not one unit. */
 static void print_unit_cell(FILE *out, const struct od_entry *entry)
 {
 	if (entry->factor != 1)
@@ -480,11 +480,9 @@ static void print_markdown(FILE *out, const struct eds *eds)
 
 	fprintf(out,
 		"# Objects of the %s\n\n%s\n\n"
-		"*Unit* is the physical value of one step, at the default resolution. *PDO*: can be mapped into "
-		"one.\n"
-		"*Stored*: kept by 1010h, and settable by its name in the configuration file and by `--set`. Sub-index "
-		"0 of\n"
-		"arrays and records is left out where it is only the highest sub-index.\n",
+		"*Unit* is the physical value of one step at the default resolution. *PDO*: can be mapped into a PDO. "
+		"*Stored*: stored by\n1010h, and can be set by name in the configuration file and with `--set`. "
+		"Sub-index 0 of arrays and records is\nleft out if it is only the highest sub-index.\n",
 		eds->info.product_name, NOTICE);
 	for (size_t i = 0; i < eds->object_count; i++) {
 		while (area < sizeof(AREAS) / sizeof(*AREAS) && eds->objects[i].index >= AREAS[area].first)
@@ -534,8 +532,7 @@ static const struct od_entry *mapped_entry(const struct eds *eds, uint16_t index
 	return od_find(&eds->table, (uint16_t)(target >> 16), (uint8_t)(target >> 8), NULL);
 }
 
-/* CAN-ID of node DBC_NODE_ID, or 0 when there is no such object or it is switched off by default.
- */
+/* CAN-ID for node DBC_NODE_ID, or 0 if there is no such object or it is not valid by default. */
 static uint32_t can_id(const struct eds *eds, uint16_t index, uint8_t sub)
 {
 	const struct od_entry *entry = od_find(&eds->table, index, sub, NULL);
@@ -550,7 +547,7 @@ static uint32_t can_id(const struct eds *eds, uint16_t index, uint8_t sub)
 
 struct dbc_pdo {
 	const char *kind, *sender, *receiver;
-	uint16_t communication; /* index; that of the mapping is 200h higher */
+	uint16_t communication; /* index; the mapping is 200h higher */
 	unsigned number;	/* from 1 */
 	uint32_t id;
 };
@@ -611,7 +608,7 @@ static void print_float_types(FILE *out, const struct eds *eds, const struct dbc
 				entry->type == OD_REAL32 ? 1 : 2);
 }
 
-/* For each PDO of one direction that is switched on by default; `first` is a PDO 1 yet without its CAN-ID. */
+/* Calls print() for each PDO of a direction that is valid by default; `first` is PDO 1 without CAN-ID. */
 static void for_each_pdo(FILE *out, const struct eds *eds, struct dbc_pdo first, unsigned count,
 	void (*print)(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo))
 {
@@ -686,7 +683,7 @@ static void output_path(char *path, size_t capacity, const char *directory, cons
 		die("%s: the path is too long", directory);
 }
 
-/* All of the files or none. */
+/* Writes all files or none. */
 static void write_outputs(const char *directory, const struct output *outputs, size_t count)
 {
 	char path[4096];
@@ -712,7 +709,7 @@ static void write_outputs(const char *directory, const struct output *outputs, s
 	}
 }
 
-/* What an EDS may hold and C or a DBC may not. */
+/* Names that are valid in an EDS, but not in C or in a DBC. */
 static void check_names(const struct eds *eds, const char *path)
 {
 	static const char KEYWORDS[] = " auto break case char const continue default do double else enum extern float "
@@ -725,7 +722,7 @@ static void check_names(const struct eds *eds, const char *path)
 
 		snprintf(word, sizeof(word), " %s ", member_name(entry));
 		if (strstr(KEYWORDS, word))
-			die("%s:%u: the name%sis a word of the C language; choose another ParameterName", path,
+			die("%s:%u: the name%sis a keyword of the C language; choose another ParameterName", path,
 				eds->entries[i].line, word);
 		if ((entry->access & (OD_TPDO | OD_RPDO)) && strlen(entry->name) > DBC_NAME_MAX)
 			die("%s:%u: \"%s\" is longer than the %d characters of a signal in a DBC; shorten the "
