@@ -23,7 +23,7 @@ struct bench {
 	struct watch watch;
 	struct od_values values;
 	struct can_msg request;
-	bool asked;
+	bool requested;
 	unsigned int requests;
 };
 
@@ -32,7 +32,7 @@ static int capture(struct can_port *port, const struct can_msg *msg)
 	struct bench *bench = (struct bench *)port;
 
 	bench->request = *msg;
-	bench->asked = true;
+	bench->requested = true;
 	bench->requests++;
 	return 0;
 }
@@ -61,11 +61,11 @@ static void frame(struct bench *bench, uint32_t id, const void *data, uint8_t le
 /* Answers all SDO requests: these objects expedited, all others aborted. */
 static void serve(struct bench *bench, const struct object *objects, size_t count, uint64_t now_us)
 {
-	while (bench->asked) {
+	while (bench->requested) {
 		const uint8_t *r = bench->request.data;
 		uint8_t answer[8] = {0x80, r[1], r[2], r[3], 0x00, 0x00, 0x02, 0x06};
 
-		bench->asked = false;
+		bench->requested = false;
 		assert_int_equal(bench->request.id, 0x600 + NODE);
 		for (size_t i = 0; i < count; i++)
 			if (objects[i].index == (r[1] | r[2] << 8) && objects[i].sub == r[3]) {
@@ -145,7 +145,7 @@ static void test_mapping_and_resolutions_are_read_from_the_node(void **state)
 	const struct watch_pdo *pdo = &b->watch.pdos[0];
 
 	serve(b, objects, sizeof(objects) / sizeof(objects[0]), SECOND);
-	assert_int_equal(b->watch.mapping, WATCH_LEARNED);
+	assert_int_equal(b->watch.mapping, WATCH_READ);
 	FRAME(b, 0x1C5, SECOND, 0x00, 0x00, 0x00, 0xBF, 0x0A, 0x00, 0x81);
 	assert_int_equal(pdo->rate.count, 1);
 	assert_string_equal(text_of(&pdo->fields[0]), "-0.5");
@@ -165,7 +165,7 @@ static void test_pdos_are_not_decoded_before_the_mapping_is_known(void **state)
 	assert_false(watch_has_values(&b->watch));
 }
 
-static void test_without_an_answer_the_default_mapping_is_used_and_the_node_is_asked_again(void **state)
+static void test_without_an_answer_the_default_mapping_is_used_and_reading_is_retried(void **state)
 {
 	(void)state;
 	struct bench *b = bench_new(false);
@@ -175,11 +175,11 @@ static void test_without_an_answer_the_default_mapping_is_used_and_the_node_is_a
 	assert_int_equal(b->watch.mapping, WATCH_DEFAULTS);
 	FRAME(b, 0x180 + NODE, 2 * SECOND, 0, 0, 0, 0, 0, 0, 0, 0);
 	assert_true(watch_has_values(&b->watch));
-	b->asked = false;
+	b->requested = false;
 	watch_tick(&b->watch, deadline_us);
-	assert_true(b->asked);
+	assert_true(b->requested);
 	serve(b, NULL, 0, deadline_us);
-	assert_int_equal(b->watch.mapping, WATCH_LEARNED);
+	assert_int_equal(b->watch.mapping, WATCH_READ);
 	assert_true(watch_has_values(&b->watch)); /* the mapping is the same: values are kept */
 }
 
@@ -192,7 +192,7 @@ static void test_the_mapping_is_read_again_after_a_boot_up(void **state)
 	serve(b, NULL, 0, SECOND);
 	assert_int_equal(b->watch.pdos[0].id, 0x185);
 	FRAME(b, 0x700 + NODE, SECOND, 0x00);
-	assert_int_equal(b->watch.mapping, WATCH_LEARNING);
+	assert_int_equal(b->watch.mapping, WATCH_READING);
 	assert_int_equal(b->watch.nmt_state, NMT_PRE_OPERATIONAL);
 	serve(b, objects, 1, SECOND);
 	assert_int_equal(b->watch.pdos[0].id, 0x1C5);
@@ -211,7 +211,7 @@ static void test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_read_
 	uint64_t deadline_us = watch_tick(&b->watch, SECOND);
 	assert_true(deadline_us <= 2 * SECOND);
 	watch_tick(&b->watch, deadline_us);
-	assert_true(b->asked);
+	assert_true(b->requested);
 }
 
 static void test_skipped_and_repeated_samples_are_counted_across_the_wrap(void **state)
@@ -300,7 +300,7 @@ int main(void)
 		cmocka_unit_test(test_a_passive_watch_sends_nothing),
 		cmocka_unit_test(test_mapping_and_resolutions_are_read_from_the_node),
 		cmocka_unit_test(test_pdos_are_not_decoded_before_the_mapping_is_known),
-		cmocka_unit_test(test_without_an_answer_the_default_mapping_is_used_and_the_node_is_asked_again),
+		cmocka_unit_test(test_without_an_answer_the_default_mapping_is_used_and_reading_is_retried),
 		cmocka_unit_test(test_the_mapping_is_read_again_after_a_boot_up),
 		cmocka_unit_test(test_a_pdo_of_another_length_is_not_decoded_and_the_mapping_is_read_again),
 		cmocka_unit_test(test_skipped_and_repeated_samples_are_counted_across_the_wrap),

@@ -1,4 +1,4 @@
-/* imu9-monitor: shows what a CANopen node sends: PDO values with units, rates, NMT state, emergencies. */
+/* imu9-monitor: displays the frames of a CANopen node: PDO values with units, rates, NMT state, emergencies. */
 #include <errno.h>
 #include <getopt.h>
 #include <math.h>
@@ -17,42 +17,41 @@ static const double ONCE_SECONDS = 3, SCREEN_HZ = 5, LINE_HZ = 2;
 
 static const char help[] =
 	"Usage: imu9-monitor [-i BUS] [-n NODE] [--start] [--sync HZ] [--once|--line] [-t SECS]\n"
-	"Shows live what a CANopen node sends: values with units, rates, NMT state, emergencies.\n"
-	"It asks the node for its PDO mapping by SDO; while another SDO client works on the same\n"
-	"node use --passive.\n"
+	"Displays live what a CANopen node sends: values with units, rates, NMT state, emergencies.\n"
+	"It reads the PDO mapping from the node by SDO. Use --passive while another SDO client\n"
+	"accesses the same node.\n"
 	"\n"
 	"  -i, --bus BUS      interface, gs_usb[:SERIAL], slcan:/dev/ttyX, udp[:GROUP[:PORT]]\n"
 	"                     (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
-	"  -s, --start        send NMT start to the node first, and again when it has rebooted\n"
-	"  -S, --sync HZ      send SYNC HZ times a second. The node's PDOs are synchronous unless\n"
-	"                     configured otherwise: without a master on the bus nothing else\n"
-	"                     makes it send them\n"
-	"  -p, --passive      send no SDO; take the PDO mapping of the EDS\n"
+	"  -s, --start        send NMT start to the node first, and after each boot-up\n"
+	"  -S, --sync HZ      send SYNC HZ times a second. PDOs are synchronous by default: they\n"
+	"                     are sent only if this option or a master on the bus produces SYNC\n"
+	"  -p, --passive      send no SDO; use the default PDO mapping of the EDS\n"
 	"  -o, --once         print the values once, then end\n"
-	"  -l, --line         print one line of key=value columns an update (the default when\n"
+	"  -l, --line         print one line of key=value columns for each update (default if\n"
 	"                     standard output is not a terminal)\n"
 	"  -r, --rate HZ      updates a second (default: 5 in a terminal, 2 lines otherwise)\n"
 	"  -t, --time SECS    end after this time and print a table of what was received\n"
 	"  -h, --help         this text\n"
 	"  -V, --version      the version\n"
 	"\n"
-	"The counter in a PDO says which sample it carries. Samples that no PDO carried are skipped,\n"
-	"PDOs with the sample of the one before are repeated: both are usual where SYNC and sensor\n"
-	"have clocks of their own.\n"
+	"The counter in a PDO identifies its sample. \"Skipped\" counts samples that were in no PDO,\n"
+	"\"repeated\" counts PDOs with the same sample as the one before. Both are normal if SYNC and\n"
+	"sensor have different clocks.\n"
 	"\n"
-	"Exit codes: 0 done, 1 failed (with -t or --once also: no PDO came), 2 wrong usage.\n"
+	"Exit codes: 0 done, 1 failed (with -t or --once also: no PDO received), 2 wrong usage.\n"
 	"Example: imu9-monitor -n 5 --start --sync 100\n";
 
 struct monitor {
 	const char *bus_name;
 	long node_id;
 	bool start, passive, once, line, screen;
-	double sync_hz, update_hz, seconds; /* 0: off, the default, for ever */
+	double sync_hz, update_hz, seconds; /* 0: off, default rate, no limit */
 
 	struct can_port *bus;
 	struct watch watch;
-	struct od_values values; /* the watch's */
+	struct od_values values; /* memory for `watch` */
 	uint64_t begin_us, end_us, next_update_us, next_sync_us;
 	unsigned int started;	/* watch.configured when NMT start was sent */
 	unsigned int announced; /* watch.configured when the units were printed */
@@ -60,7 +59,7 @@ struct monitor {
 	char hint[TEXT_MAX]; /* the last one printed in line mode */
 };
 
-/* ---- what is missing, and what to do ---- */
+/* ---- hints: why there are no values, and what to do ---- */
 
 static bool any_enabled(const struct watch *watch, bool synchronous_only)
 {
@@ -70,7 +69,7 @@ static bool any_enabled(const struct watch *watch, bool synchronous_only)
 	return false;
 }
 
-/* Why there are no values, or "" when there are. */
+/* Why there are no values; "" if there are values. */
 static void find_hint(const struct monitor *m, char *text, size_t capacity)
 {
 	const struct watch *w = &m->watch;
@@ -87,8 +86,8 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 			"nothing heard of node %ld on %s: is the gateway running with --node-id %ld "
 			"--can %s?",
 			n, m->bus_name, n, m->bus_name);
-	else if (w->mapping == WATCH_LEARNING)
-		snprintf(text, capacity, "asking node %ld for its PDO mapping", n);
+	else if (w->mapping == WATCH_READING)
+		snprintf(text, capacity, "reading the PDO mapping of node %ld", n);
 	else if (!any_enabled(w, false))
 		snprintf(text, capacity,
 			"no PDO yet: all are switched off in the node: imu9-sdo -n %ld restore "
@@ -104,14 +103,14 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 			n);
 	else if (w->sync.count == 0 && any_enabled(w, true))
 		snprintf(text, capacity,
-			"no PDO yet: synchronous PDOs need a SYNC and none is on the bus: let a "
-			"master send it, or --sync 100 here");
+			"no PDO yet: synchronous PDOs need a SYNC and none is on the bus: produce it by "
+			"a master, or --sync 100 here");
 	else
 		snprintf(text, capacity, "no PDO yet that fits its mapping: imu9-sdo -n %ld dump shows 1800h to 1A03h",
 			n);
 }
 
-/* ---- values in words ---- */
+/* ---- values as text ---- */
 
 static bool is_status(const struct watch_field *field)
 {
@@ -148,7 +147,7 @@ static double seconds_since(uint64_t then_us, uint64_t now_us)
 
 static void screen_enter(void)
 {
-	fputs("\033[?1049h\033[?25l\033[?7l", stdout); /* other page, no cursor, no wrapping */
+	fputs("\033[?1049h\033[?25l\033[?7l", stdout); /* alternate screen, no cursor, no line wrap */
 }
 
 static void screen_leave(void)
@@ -165,9 +164,9 @@ static void end_line(const struct monitor *m)
 static void show_node(const struct monitor *m, uint64_t now_us)
 {
 	static const char *const mappings[] = {
-		[WATCH_LEARNING] = "being read from the node",
-		[WATCH_LEARNED] = "as read from the node",
-		[WATCH_DEFAULTS] = "the default of the EDS",
+		[WATCH_READING] = "being read from the node",
+		[WATCH_READ] = "read from the node",
+		[WATCH_DEFAULTS] = "default of the EDS",
 	};
 	const struct watch *w = &m->watch;
 
@@ -188,7 +187,7 @@ static void show_node(const struct monitor *m, uint64_t now_us)
 	end_line(m);
 }
 
-/* Members of one record that follow each other stand in one line: "acceleration  l 0.615  s 0.005 m/s^2". */
+/* Consecutive members of a record are in one line: "acceleration  l 0.615  s 0.005 m/s^2". */
 static void show_fields(const struct monitor *m, const struct watch_pdo *pdo)
 {
 	char name[TEXT_MAX], record[TEXT_MAX] = "", value[TEXT_MAX];
@@ -263,7 +262,7 @@ static void show_all(const struct monitor *m, uint64_t now_us)
 
 /* ---- one line of key=value columns ---- */
 
-/* The sample counter stands in every PDO: one column is enough. */
+/* An object that is in several PDOs (the sample counter) has one column. */
 static bool shown_before(const struct watch *watch, size_t pdo, size_t field)
 {
 	uint32_t mapping = watch->pdos[pdo].fields[field].mapping;
@@ -365,7 +364,7 @@ static void show_summary(const struct monitor *m, uint64_t now_us)
 		w->emcy.count ? watch_emcy_text(w->emcy_code) : "");
 }
 
-/* ---- the master's part: NMT start and SYNC ---- */
+/* ---- NMT master and SYNC producer ---- */
 
 static void send_start(struct monitor *m, uint64_t now_us)
 {
@@ -389,7 +388,7 @@ static void send_sync(struct monitor *m, uint64_t now_us)
 	if (can_send(m->bus, &msg, now_us) == 0)
 		watch_sync_sent(&m->watch, now_us);
 	m->next_sync_us += period_us;
-	if (m->next_sync_us < now_us) /* we were stopped: do not catch up in a burst */
+	if (m->next_sync_us < now_us) /* after a delay: no burst to catch up */
 		m->next_sync_us = now_us + period_us;
 }
 
@@ -419,11 +418,11 @@ static uint64_t earliest(uint64_t a, uint64_t b)
 	return a < b ? a : b;
 }
 
-/* Does what is due. Returns when to call again. */
+/* Does everything that is due. Returns when it must be called again. */
 static uint64_t serve(struct monitor *m, uint64_t now_us)
 {
 	uint64_t next_us = earliest(watch_tick(&m->watch, now_us), m->end_us);
-	bool ready = m->watch.mapping != WATCH_LEARNING;
+	bool ready = m->watch.mapping != WATCH_READING;
 
 	if (ready && m->start && m->started != m->watch.configured)
 		send_start(m, now_us);
@@ -437,7 +436,7 @@ static uint64_t serve(struct monitor *m, uint64_t now_us)
 	return earliest(next_us, m->next_update_us);
 }
 
-/* Until the time is over, all values are there (--once) or a signal comes (true). */
+/* Runs until the time is over, all values are received (--once) or a signal arrives (true). */
 static bool run(struct monitor *m, int signal_fd)
 {
 	struct can_msg msg;
@@ -514,7 +513,7 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 		}
 	}
 	if (optind < argc)
-		cli_usage_error("%s: no argument is expected here", argv[optind]);
+		cli_usage_error("%s: unexpected argument", argv[optind]);
 	if (m->once && m->line)
 		cli_usage_error("--once and --line exclude each other");
 }

@@ -12,7 +12,7 @@
 
 enum {
 	SDO_TIMEOUT_US = 300000,
-	ASK_AGAIN_US = 2000000,
+	RETRY_US = 2000000,
 	SAMPLE_INDEX = OD_INDEX_SAMPLE,
 	SAMPLE_COUNTER = 1,
 };
@@ -21,8 +21,8 @@ enum {
 
 /* ---- the mapping ---- */
 
-/* What must be known of the node to understand its frames. */
-static bool is_wanted(const struct od_entry *entry)
+/* Objects that are needed to decode the frames of the node. */
+static bool is_needed(const struct od_entry *entry)
 {
 	uint16_t index = entry->index;
 
@@ -65,7 +65,7 @@ static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int 
 	bool changed = false;
 
 	pdo->enabled = !(cob_id & COB_ID_INVALID) && count > 0;
-	pdo->id = cob_id & 0x7FF; /* the gateway takes no other */
+	pdo->id = cob_id & 0x7FF; /* the gateway supports 11-bit identifiers only */
 	pdo->type = (uint8_t)watch_object(watch, parameter, 2);
 	pdo->field_count = 0;
 	for (uint8_t sub = 1; sub <= count && pdo->field_count < WATCH_FIELDS; sub++) {
@@ -89,7 +89,7 @@ static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int 
 		pdo->field_count++;
 	}
 	pdo->enabled = pdo->enabled && pdo->field_count > 0;
-	if (changed) { /* the values are those of other objects */
+	if (changed) { /* the values belong to other objects */
 		pdo->rate = (struct watch_rate){0};
 		pdo->counted = false;
 	}
@@ -110,53 +110,53 @@ static void set_up(struct watch *watch, enum watch_mapping mapping)
 	}
 }
 
-/* ---- asking the node, one object after the other ---- */
+/* ---- reading the objects, one after the other ---- */
 
 static void no_answer(struct watch *watch, uint64_t now_us)
 {
-	watch->ask_again_us = now_us + ASK_AGAIN_US;
-	if (watch->mapping == WATCH_LEARNING)
+	watch->retry_us = now_us + RETRY_US;
+	if (watch->mapping == WATCH_READING)
 		set_up(watch, WATCH_DEFAULTS);
 }
 
-static void ask_next(struct watch *watch, uint64_t now_us)
+static void read_next(struct watch *watch, uint64_t now_us)
 {
 	const struct od_table *table = watch->mirror.table;
 
-	while (watch->asked < table->count && !is_wanted(&table->entries[watch->asked]))
-		watch->asked++;
-	if (watch->asked == table->count) {
-		set_up(watch, WATCH_LEARNED);
+	while (watch->reading < table->count && !is_needed(&table->entries[watch->reading]))
+		watch->reading++;
+	if (watch->reading == table->count) {
+		set_up(watch, WATCH_READ);
 		return;
 	}
-	const struct od_entry *entry = &table->entries[watch->asked];
+	const struct od_entry *entry = &table->entries[watch->reading];
 	sdo_client_upload(&watch->sdo, entry->index, entry->sub, watch->wire, sizeof(watch->wire), now_us);
 	if (watch->sdo.result == SDO_UNSENT)
 		no_answer(watch, now_us);
 }
 
-static void learn(struct watch *watch, uint64_t now_us)
+static void start_reading(struct watch *watch, uint64_t now_us)
 {
 	if (watch->passive)
 		return;
-	watch->asked = 0;
-	watch->ask_again_us = UINT64_MAX;
-	ask_next(watch, now_us);
+	watch->reading = 0;
+	watch->retry_us = UINT64_MAX;
+	read_next(watch, now_us);
 }
 
-static void learn_result(struct watch *watch, uint64_t now_us)
+static void on_answer(struct watch *watch, uint64_t now_us)
 {
-	const struct od_entry *entry = &watch->mirror.table->entries[watch->asked];
+	const struct od_entry *entry = &watch->mirror.table->entries[watch->reading];
 
 	switch (watch->sdo.result) {
 	case SDO_DONE:
 		od_put(&watch->mirror, entry, watch->wire, watch->sdo.size);
-		watch->asked++;
-		ask_next(watch, now_us);
+		watch->reading++;
+		read_next(watch, now_us);
 		break;
-	case SDO_ABORTED: /* not in this node: the default stands */
-		watch->asked++;
-		ask_next(watch, now_us);
+	case SDO_ABORTED: /* not in this node: the default remains */
+		watch->reading++;
+		read_next(watch, now_us);
 		break;
 	case SDO_TIMEOUT:
 	case SDO_UNSENT:
@@ -175,17 +175,17 @@ void watch_init(struct watch *watch, const struct od_table *table, void *values,
 		.nmt_state = WATCH_NMT_UNKNOWN,
 		.node_id = node_id,
 		.passive = passive,
-		.ask_again_us = UINT64_MAX,
+		.retry_us = UINT64_MAX,
 	};
 	od_init(&watch->mirror, table, values, node_id);
 	sdo_client_init(&watch->sdo, bus, node_id, SDO_TIMEOUT_US);
 	if (passive)
 		set_up(watch, WATCH_DEFAULTS);
 	else
-		learn(watch, now_us);
+		start_reading(watch, now_us);
 }
 
-/* ---- what the node sends ---- */
+/* ---- frames of the node ---- */
 
 static void count_frame(struct watch_rate *rate, uint64_t now_us)
 {
@@ -193,7 +193,7 @@ static void count_frame(struct watch_rate *rate, uint64_t now_us)
 
 	if (rate->count == 0)
 		rate->first_us = now_us;
-	else if (rate->count < 16) /* the plain mean first */
+	else if (rate->count < 16) /* the arithmetic mean first */
 		rate->interval_us = (double)(now_us - rate->first_us) / (double)rate->count;
 	else
 		rate->interval_us += (interval_us - rate->interval_us) / 16;
@@ -250,15 +250,15 @@ static size_t mapped_bytes(const struct watch_pdo *pdo)
 	return (last->bit + last->bits + 7) / 8;
 }
 
-static void take_pdo(struct watch *watch, struct watch_pdo *pdo, const struct can_msg *msg, uint64_t now_us)
+static void on_pdo(struct watch *watch, struct watch_pdo *pdo, const struct can_msg *msg, uint64_t now_us)
 {
 	uint64_t payload = 0;
 
-	watch->nmt_state = NMT_OPERATIONAL; /* or it would send none */
+	watch->nmt_state = NMT_OPERATIONAL; /* PDOs are sent in operational only */
 	if (msg->len != mapped_bytes(pdo)) {
 		pdo->misfits++;
-		if (watch->ask_again_us == UINT64_MAX && watch->sdo.result != SDO_RUNNING)
-			watch->ask_again_us = now_us + ASK_AGAIN_US / 4; /* the mapping has changed */
+		if (watch->retry_us == UINT64_MAX && watch->sdo.result != SDO_RUNNING)
+			watch->retry_us = now_us + RETRY_US / 4; /* the mapping has changed */
 		return;
 	}
 	for (unsigned int i = 0; i < msg->len; i++)
@@ -273,7 +273,7 @@ static void take_pdo(struct watch *watch, struct watch_pdo *pdo, const struct ca
 	}
 }
 
-static void take_heartbeat(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
+static void on_heartbeat(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
 {
 	int state = msg->data[0] & 0x7F;
 
@@ -282,17 +282,17 @@ static void take_heartbeat(struct watch *watch, const struct can_msg *msg, uint6
 		watch->nmt_state = state;
 		return;
 	}
-	watch->boot_ups++; /* everything may be different now */
+	watch->boot_ups++; /* the configuration may have changed */
 	watch->nmt_state = NMT_PRE_OPERATIONAL;
 	for (size_t i = 0; i < WATCH_PDOS; i++)
 		watch->pdos[i].counted = false;
 	if (!watch->passive) {
-		watch->mapping = WATCH_LEARNING;
-		learn(watch, now_us);
+		watch->mapping = WATCH_READING;
+		start_reading(watch, now_us);
 	}
 }
 
-static void take_emcy(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
+static void on_emcy(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
 {
 	count_frame(&watch->emcy, now_us);
 	watch->emcy_code = (uint16_t)(msg->data[0] | msg->data[1] << 8);
@@ -309,7 +309,7 @@ static struct watch_pdo *find_pdo(struct watch *watch, uint32_t id)
 
 void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
 {
-	struct watch_pdo *pdo = watch->mapping == WATCH_LEARNING ? NULL : find_pdo(watch, msg->id);
+	struct watch_pdo *pdo = watch->mapping == WATCH_READING ? NULL : find_pdo(watch, msg->id);
 
 	if (msg->remote || msg->extended)
 		return;
@@ -318,17 +318,17 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 		return;
 	}
 	if (pdo)
-		take_pdo(watch, pdo, msg, now_us);
+		on_pdo(watch, pdo, msg, now_us);
 	else if (msg->id == 0x700u + watch->node_id && msg->len == 1)
-		take_heartbeat(watch, msg, now_us);
+		on_heartbeat(watch, msg, now_us);
 	else if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_EMCY, 0) & 0x7FF) && msg->len == 8)
-		take_emcy(watch, msg, now_us);
+		on_emcy(watch, msg, now_us);
 	else if (msg->id != 0x580u + watch->node_id)
-		return; /* of another node */
+		return; /* from another node */
 	watch->heard_us = now_us;
 	if (watch->sdo.result == SDO_RUNNING) {
 		sdo_client_receive(&watch->sdo, msg, now_us);
-		learn_result(watch, now_us);
+		on_answer(watch, now_us);
 	}
 }
 
@@ -336,12 +336,12 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us)
 {
 	if (watch->sdo.result == SDO_RUNNING) {
 		sdo_client_tick(&watch->sdo, now_us);
-		learn_result(watch, now_us);
+		on_answer(watch, now_us);
 	}
-	if (now_us >= watch->ask_again_us)
-		learn(watch, now_us);
+	if (now_us >= watch->retry_us)
+		start_reading(watch, now_us);
 	uint64_t answer_us = sdo_client_tick(&watch->sdo, now_us);
-	return answer_us < watch->ask_again_us ? answer_us : watch->ask_again_us;
+	return answer_us < watch->retry_us ? answer_us : watch->retry_us;
 }
 
 int watch_nmt_state(const struct watch *watch, uint64_t now_us)
@@ -360,7 +360,7 @@ bool watch_has_values(const struct watch *watch)
 	return false;
 }
 
-/* ---- in words ---- */
+/* ---- texts ---- */
 
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity)
 {

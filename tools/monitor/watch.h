@@ -1,7 +1,6 @@
 /* tools/monitor/watch.h
- * Watches one node from outside: what it sends, decoded by the PDO mapping that it has. A passive
- * core like the node's own: frames and time go in; SDO requests (to learn the mapping) go out
- * through the bus. */
+ * Monitors one node: decodes its frames by its PDO mapping. Passive like the core of the node itself: frames and time
+ * are arguments; SDO requests, which read the mapping, are sent through the bus. */
 #ifndef TOOLS_MONITOR_WATCH_H
 #define TOOLS_MONITOR_WATCH_H
 
@@ -20,11 +19,11 @@ struct watch_field {
 	const struct od_entry *entry; /* NULL: not in the EDS */
 	uint32_t mapping;	      /* as in 1A00h: index, sub-index, bits */
 	unsigned int bit, bits;	      /* place in the PDO */
-	double step;		      /* physical value of 1 */
+	double step;		      /* physical value of one step */
 	double raw;		      /* the last value, not scaled */
 };
 
-/** Frames of one kind, and how often they come. */
+/** Count and rate of one kind of frame. */
 struct watch_rate {
 	uint64_t count;
 	uint64_t first_us, last_us;
@@ -38,67 +37,66 @@ struct watch_pdo {
 	struct watch_field fields[WATCH_FIELDS];
 	size_t field_count;
 	struct watch_rate rate;
-	uint64_t misfits;  /* PDOs of another length than the mapping says; not decoded */
+	uint64_t misfits;  /* PDOs whose length does not match the mapping; not decoded */
 	bool counted;	   /* a sample counter was seen */
 	uint16_t counter;  /* the last one */
-	uint64_t skipped;  /* samples that no PDO brought: lost, or the SYNC is slower than the IMU */
-	uint64_t repeated; /* PDOs that brought the same sample again */
+	uint64_t skipped;  /* samples that were in no PDO: lost, or SYNC is slower than the IMU */
+	uint64_t repeated; /* PDOs with the same sample as the one before */
 };
 
 enum watch_mapping {
-	WATCH_LEARNING, /* asking the node; PDOs are counted, not decoded */
-	WATCH_LEARNED,
-	WATCH_DEFAULTS, /* of the EDS, because the node did not answer or must not be asked */
+	WATCH_READING, /* being read from the node; PDOs are not decoded yet */
+	WATCH_READ,
+	WATCH_DEFAULTS, /* default of the EDS: the node does not answer, or passive */
 };
 
 struct watch {
 	enum watch_mapping mapping;
-	unsigned int configured; /* times that the mapping was set: rises when it may have changed */
+	unsigned int configured; /* incremented when the mapping is set and may have changed */
 	struct watch_pdo pdos[WATCH_PDOS];
 	size_t pdo_count;
-	int nmt_state; /* the last one told: enum nmt_state, or WATCH_NMT_UNKNOWN */
+	int nmt_state; /* the last one received: enum nmt_state, or WATCH_NMT_UNKNOWN */
 	struct watch_rate heartbeat, sync, emcy;
 	uint64_t boot_ups;
 	uint16_t emcy_code; /* of the last EMCY */
 	uint8_t emcy_register;
-	uint64_t heard_us; /* anything from the node; 0: nothing yet */
+	uint64_t heard_us; /* time of the last frame of the node; 0: none yet */
 
 	/* PRIVATE */
-	struct od mirror; /* of the node's dictionary, as far as it was read */
+	struct od mirror; /* copy of the node's dictionary, as far as it was read */
 	uint8_t node_id;
 	bool passive;
 	struct sdo_client sdo;
 	uint8_t wire[OD_VALUE_MAX];
-	size_t asked; /* entry of the table that is being read */
-	uint64_t ask_again_us;
+	size_t reading; /* entry of the table that is being read */
+	uint64_t retry_us;
 };
 
-/** `values`: memory of table->values_size bytes, kept. `passive`: send nothing, use the default
- * mapping. */
+/** `values`: memory of table->values_size bytes for the lifetime of the watch. `passive`: sends nothing and uses the
+ * default mapping. */
 void watch_init(struct watch *watch, const struct od_table *table, void *values, struct can_port *bus, uint8_t node_id,
 	bool passive, uint64_t now_us);
 void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_us);
-/** Returns when it must be called again at the latest. */
+/** Returns the time at which it must be called again at the latest. */
 uint64_t watch_tick(struct watch *watch, uint64_t now_us);
-/** The watcher has sent a SYNC itself. */
+/** The program itself has sent a SYNC. */
 void watch_sync_sent(struct watch *watch, uint64_t now_us);
 
-/** A communication object as the node has it (or its default): 1005h, 1019h. 0 when there is none.
- */
+/** Value of a communication object in the node, such as 1005h, or its default. 0: no such object. */
 uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub);
-/** Per second, now; falls when nothing comes any more. */
+/** Frames per second; decreases when no more frames arrive. */
 double watch_rate_hz(const struct watch_rate *rate, uint64_t now_us);
 bool watch_has_values(const struct watch *watch);
 
-/** The physical value as text, with as many decimals as its step has, without the unit. */
+/** The physical value as text without unit, with the decimals of its step. */
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity);
-/** The NMT state, or WATCH_NMT_LOST when a node with a heartbeat has been silent for three heartbeat times. */
+/** The NMT state, or WATCH_NMT_LOST after three heartbeat periods without a frame. */
 int watch_nmt_state(const struct watch *watch, uint64_t now_us);
 /** "operational", .. */
 const char *watch_nmt_text(int nmt_state);
 /** What an emergency error code means (CiA 301 table 26 and the gateway's own). */
 const char *watch_emcy_text(uint16_t code);
-/** The bits of the status word (210Fh:3) in words, separated by commas; "none" for 0. */
+/** The bits of the status word (210Fh:3) as words, separated by commas; "none" for 0. */
 void watch_status_text(unsigned int status, char *text, size_t capacity);
 
 #endif

@@ -10,48 +10,48 @@
 
 static const char help[] =
 	"Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
-	"Configures the nodes of a CANopen bus: their objects over SDO, NMT and LSS.\n"
+	"Configures the nodes of a CANopen bus: objects by SDO, NMT and LSS.\n"
 	"\n"
 	"  read OBJECT...        print values; OBJECT is a name (lever_arm.l), a whole record\n"
 	"                        (lever_arm) or an index (0x2000:1, 2000h:1, 0x1017)\n"
-	"    -o FILE             the bytes of one object into FILE; a DOMAIN without it goes to\n"
-	"                        standard output as it is (eds, snapshot and log are short names)\n"
-	"    --block, --no-block transfer in blocks always or never; else DOMAINs do\n"
+	"    -o FILE             write the bytes of one object to FILE; without it a DOMAIN is written\n"
+	"                        to standard output (eds, snapshot and log are short names)\n"
+	"    --block, --no-block use block transfer always or never (default: for DOMAINs)\n"
 	"  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float or text; for a\n"
 	"                        DOMAIN, or after file:, the name of a file with the bytes.\n"
-	"                        For an object that the EDS does not have, with its type:\n"
+	"                        If the object is not in the EDS, with its type:\n"
 	"                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
-	"  watch OBJECT...       a line of values twice a second until Ctrl-C; --rate HZ, --count N\n"
+	"  watch OBJECT...       print a line of values twice a second until Ctrl-C; --rate HZ, --count N\n"
 	"  dump                  print all readable objects of the EDS\n"
-	"  log                   print what happened to the gateway since its start (2131h)\n"
-	"  save FILE             keep the configuration in FILE ('-': standard output), in the\n"
-	"                        form that 'load' and 'imu9-gateway -c' read\n"
-	"  load FILE             bring the node to the configuration in FILE; writes only what\n"
-	"                        differs, PDOs by the mapping procedure\n"
-	"  dcf save FILE         the configuration as a DCF (CiA 306), made of the EDS\n"
-	"  dcf apply FILE        load a DCF, or a concise DCF as 'read snapshot -o FILE' gives it\n"
-	"  dcf compare FILE      print what differs from it; status 1 when something does\n"
-	"  store [GROUP]         let the node keep its configuration over a power cut (1010h)\n"
-	"  restore [GROUP]       let the node forget what it kept (1011h)\n"
+	"  log                   print the event log of the gateway since its start (2131h)\n"
+	"  save FILE             save the configuration to FILE ('-': standard output), in the\n"
+	"                        format that 'load' and 'imu9-gateway -c' read\n"
+	"  load FILE             load the configuration in FILE into the node; writes only values\n"
+	"                        that differ, PDOs by the mapping procedure\n"
+	"  dcf save FILE         save the configuration as a DCF (CiA 306), from the EDS\n"
+	"  dcf apply FILE        load a DCF, or a concise DCF from 'read snapshot -o FILE'\n"
+	"  dcf compare FILE      print the differences between node and FILE; status 1 if there are any\n"
+	"  store [GROUP]         store the configuration in the node, safe against power loss (1010h)\n"
+	"  restore [GROUP]       delete the stored configuration (1011h)\n"
 	"                        GROUP: all (default), communication, application, manufacturer\n"
 	"  nmt COMMAND           start, stop, preop, reset or reset-comm; with -n 0 to all nodes\n"
-	"  scan                  the nodes on the bus: state and identity. Asks every node-ID, which\n"
-	"                        ends SDO transfers of other tools\n"
-	"  lss scan              the nodes without a node-ID, by their identities (fastscan)\n"
-	"  lss assign ID         give ID to the first of them, or to the one of --serial N; --store\n"
-	"                        makes the node keep it\n"
+	"  scan                  list the nodes on the bus with state and identity. It sends a\n"
+	"                        request to every node-ID, which ends SDO transfers of other tools\n"
+	"  lss scan              list the nodes without a node-ID by their identity (fastscan)\n"
+	"  lss assign ID         assign ID to the first of them, or to the one with --serial N;\n"
+	"                        --store: the node stores it\n"
 	"  lss inquire           print node-ID and identity\n"
-	"  lss node-id ID        another node-ID, from the next 'nmt reset-comm' on (255: none)\n"
-	"  lss bit-rate KBIT     another bit rate; --activate MS switches the bus to it after MS\n"
-	"  lss store             keep node-ID and bit rate over a power cut\n"
-	"                        For one of several nodes: --serial N, and --vendor N, --product N,\n"
-	"                        --revision N where they are not those of the EDS\n"
+	"  lss node-id ID        set another node-ID, valid from the next 'nmt reset-comm' (255: none)\n"
+	"  lss bit-rate KBIT     set another bit rate; --activate MS switches the bus to it after MS\n"
+	"  lss store             store node-ID and bit rate, safe against power loss\n"
+	"                        To select one of several nodes: --serial N, and --vendor N,\n"
+	"                        --product N, --revision N if they are not those of the EDS\n"
 	"\n"
 	"  -i, --bus BUS         interface name, gs_usb[:SERIAL], slcan:/dev/ttyX or udp[:GROUP[:PORT]]\n"
 	"                        (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
-	"  -e, --eds EDS         the node's EDS (default: the one of the IMU9 gateway, built in)\n"
-	"  -t, --timeout MS      wait so long for each answer (default: 500; lss: 50)\n"
+	"  -e, --eds EDS         EDS of the node (default: built-in EDS of the IMU9 gateway)\n"
+	"  -t, --timeout MS      timeout of each answer (default: 500; lss: 50)\n"
 	"  -q, --quiet           print bare values, without names and units\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
@@ -64,7 +64,7 @@ static const struct command {
 	int (*run)(struct session *s, int argc, char **argv);
 	int args_min, args_max;
 	const char *args;
-	bool for_all; /* -n 0, or no node at all */
+	bool for_all; /* may be used with -n 0 (all nodes), or needs no node */
 } commands[] = {
 	{"read", sdo_command_read, 1, SDO_TARGETS_MAX + 3, "OBJECT... [-o FILE] [--block|--no-block]", false},
 	{"write", sdo_command_write, 2, 3, "OBJECT VALUE [--block|--no-block]", false},
@@ -104,7 +104,7 @@ static void parse_options(struct session *s, int argc, char **argv)
 	int option;
 
 	opterr = 0;
-	/* '+': options end at the command, so that "write OBJECT -1" is a value */
+	/* '+': parsing of options ends at the command, so that -1 in "write OBJECT -1" is a value */
 	while ((option = getopt_long(argc, argv, "+:i:n:e:t:qhV", options, NULL)) != -1) {
 		switch (option) {
 		case 'i':
@@ -147,9 +147,8 @@ int main(int argc, char **argv)
 	argc -= optind;
 	argv += optind;
 	if (argc == 0)
-		cli_usage_error("what shall be done? Commands: read, write, watch, dump, log, save, load, dcf, store, "
-				"restore, nmt, "
-				"scan, lss");
+		cli_usage_error("no command given: read, write, watch, dump, log, save, load, dcf, store, restore, "
+				"nmt, scan or lss");
 	const struct command *command = find_command(argv[0]);
 	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
 		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);

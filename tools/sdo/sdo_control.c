@@ -5,7 +5,7 @@
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
 
-enum { STORE_TIMEOUT_MS = 5000 }; /* a disk may take its time */
+enum { STORE_TIMEOUT_MS = 5000 }; /* storing waits for the disk */
 
 static int write_signature(struct session *s, uint16_t index, const char *signature, const char *group)
 {
@@ -36,7 +36,7 @@ int sdo_command_restore(struct session *s, int argc, char **argv)
 	int exit_code = write_signature(s, OD_INDEX_RESTORE_DEFAULTS, "load", argc ? argv[0] : "all");
 
 	if (exit_code == CLI_OK && !s->quiet)
-		fprintf(stderr, "imu9-sdo: the defaults hold after the next reset: imu9-sdo nmt reset\n");
+		fprintf(stderr, "imu9-sdo: the defaults apply after the next reset: imu9-sdo nmt reset\n");
 	return exit_code;
 }
 
@@ -55,11 +55,7 @@ int sdo_command_nmt(struct session *s, int argc, char **argv)
 	if (msg.data[0] == 0)
 		cli_usage_error("nmt %s: use start, stop, preop, reset or reset-comm", argv[0]);
 	struct can_port *bus = cli_open_bus(s->bus);
-	int rc = can_send(bus, &msg, cli_now_us());
-	if (rc == 0)
-		rc = cli_flush(bus);
+	bool sent = sdo_send(s, bus, &msg);
 	can_close(bus);
-	if (rc < 0)
-		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", s->bus, strerror(-rc));
-	return rc < 0 ? CLI_FAILED : CLI_OK;
+	return sent ? CLI_OK : CLI_FAILED;
 }

@@ -10,11 +10,11 @@
 #include "tools/lib/cli_value.h"
 #include "tools/sdo/sdo_load.h"
 
-#define COB_ID_FOLLOWS (1u << 29) /* 2130h: the node-ID is to be added */
+#define COB_ID_FOLLOWS (1u << 29) /* 2130h: add the node-ID */
 
 /* ---- save -------------------------------------------------------------------------------------------------------- */
 
-/* What stands in an EDS: integers in decimal or, for identifiers and mappings, hexadecimal; REALs as their bits. */
+/* The notation of an EDS: integers in decimal, COB-IDs and mappings in hexadecimal, REALs as their IEEE 754 bits. */
 static bool value_text(const struct session *s, const struct od_entry *entry, const uint8_t *wire, size_t size,
 	char *text, size_t capacity)
 {
@@ -33,7 +33,7 @@ static bool value_text(const struct session *s, const struct od_entry *entry, co
 	return od_format(entry, wire, size, text, capacity) >= 0;
 }
 
-/* [1A00sub3]: its entry, or NULL. */
+/* The entry of a section such as [1A00sub3], or NULL. */
 static const struct od_entry *entry_of_section(const struct od_table *table, const char *section, size_t length)
 {
 	const struct od_entry *entry;
@@ -53,7 +53,7 @@ static const struct od_entry *entry_of_section(const struct od_table *table, con
 		sub = strtoul(end + 3, &end, 16);
 	}
 	entry = *end || sub > 0xFF ? NULL : od_find(table, (uint16_t)index, (uint8_t)sub, NULL);
-	/* a record has no value of its own */
+	/* a record itself has no value */
 	return entry && is_sub == (strchr(entry->name, '.') != NULL) ? entry : NULL;
 }
 
@@ -80,7 +80,7 @@ static void print_parameter(struct save *save, const struct od_entry *entry)
 		fprintf(save->out, "ParameterValue=%s\r\n", text);
 		save->saved++;
 	} else {
-		cli_error("%s: the value in the node is not of the type in the EDS", entry->name);
+		cli_error("%s: the value in the node does not have the type given in the EDS", entry->name);
 		save->failed++;
 	}
 }
@@ -91,12 +91,12 @@ static void print_commissioning(const struct save *save)
 		save->session->node_id, save->session->node_id);
 }
 
-/* The EDS line by line; each section of an object gets its value at its end. */
+/* Copies the EDS line by line and appends the value to each section of an object. */
 static void print_dcf(struct save *save, const char *text, size_t size)
 {
 	const struct od_entry *entry = NULL;
 	const char *end = text + size;
-	bool skip = false; /* the lever_arm_command of a DCF that serves as EDS, and its old values */
+	bool skip = false; /* [DeviceComissioning] of a DCF that is used as EDS */
 
 	while (text < end) {
 		const char *newline = memchr(text, '\n', (size_t)(end - text));
@@ -110,7 +110,7 @@ static void print_dcf(struct save *save, const char *text, size_t size)
 			const char *close = memchr(line, ']', length);
 			size_t name = (size_t)((close ? close : line + length) - (line + 1));
 
-			print_parameter(save, entry); /* no blank line stood before this section */
+			print_parameter(save, entry); /* there was no blank line before this section */
 			skip = name == 18 && strncasecmp(line + 1, "DeviceComissioning", name) == 0;
 			if (name == 16 && strncasecmp(line + 1, "MandatoryObjects", name) == 0)
 				print_commissioning(save);
@@ -141,18 +141,15 @@ static int save_dcf(struct session *s, const char *path)
 	print_dcf(&save, file ? (const char *)file : (const char *)imu9_eds, eds_size);
 	sdo_close(s);
 	fclose(save.out);
-	bool written = !save.lost && sdo_write_file(path, text, size);
+	int exit_code = save.lost ? CLI_FAILED : sdo_finish_save(s, path, text, size, save.saved, save.failed);
 	free(text);
 	free(file);
-	if (written && !s->quiet)
-		fprintf(stderr, "imu9-sdo: %d values of node %ld saved%s\n", save.saved, s->node_id,
-			save.failed ? ", some could not be read" : "");
-	return written && !save.failed ? CLI_OK : CLI_FAILED;
+	return exit_code;
 }
 
 /* ---- apply, compare: a DCF --------------------------------------------------------------------------------------- */
 
-static bool take_values(struct settings *settings, const struct eds *dcf, const char *path, uint8_t node_id)
+static bool parse_values(struct settings *settings, const struct eds *dcf, const char *path, uint8_t node_id)
 {
 	for (size_t i = 0; i < dcf->table.count; i++) {
 		const struct od_entry *entry = &dcf->table.entries[i];
@@ -175,7 +172,7 @@ static bool take_values(struct settings *settings, const struct eds *dcf, const 
 		settings->count++;
 	}
 	if (settings->count == 0)
-		cli_error("%s: no ParameterValue of a configuration object in it: is it a DCF?", path);
+		cli_error("%s: contains no ParameterValue of a configuration object: is it a DCF?", path);
 	return settings->count > 0;
 }
 
@@ -194,7 +191,7 @@ static int use_dcf(struct session *s, const char *path, const uint8_t *text, siz
 	s->table = &dcf.table;
 	settings.session = s;
 	settings.node_id = dcf.info.node_id >= 1 && dcf.info.node_id <= 127 ? (long)dcf.info.node_id : 0;
-	if (take_values(&settings, &dcf, path, (uint8_t)s->node_id))
+	if (parse_values(&settings, &dcf, path, (uint8_t)s->node_id))
 		exit_code = apply ? sdo_load(s, &settings) : sdo_compare(s, &settings);
 	s->table = table;
 	eds_free(&dcf);
@@ -203,7 +200,7 @@ static int use_dcf(struct session *s, const char *path, const uint8_t *text, siz
 
 /* ---- apply, compare: a concise DCF ------------------------------------------------------------------------------- */
 
-/* The value for this node; `wire` has room for a COB-ID. */
+/* The value for this node, in `wire` if it is a COB-ID that depends on the node-ID. */
 static const uint8_t *concise_value(const struct session *s, const struct od_dcf_item *item, uint8_t wire[4])
 {
 	const struct od_entry *entry = od_find(s->table, item->index, item->sub, NULL);
@@ -218,8 +215,8 @@ static const uint8_t *concise_value(const struct session *s, const struct od_dcf
 	return wire;
 }
 
-/* Whether a later entry is for the same object: then this one only prepares it. */
-static bool comes_again(const uint8_t *bytes, size_t size, size_t used, const struct od_dcf_item *item)
+/* Whether a later entry writes the same object, so that this one is an intermediate value. */
+static bool is_written_later(const uint8_t *bytes, size_t size, size_t used, const struct od_dcf_item *item)
 {
 	struct od_dcf_item next;
 
@@ -256,7 +253,7 @@ static bool write_item(struct session *s, const struct od_dcf_item *item, const 
 	return false;
 }
 
-/* In the order of the file, which is made to be written so. */
+/* A concise DCF is written in the order of the file. */
 static int use_concise(struct session *s, const uint8_t *bytes, size_t size, bool apply)
 {
 	struct od_dcf_item item;
@@ -268,7 +265,7 @@ static int use_concise(struct session *s, const uint8_t *bytes, size_t size, boo
 		uint8_t wire[4];
 		const uint8_t *value = concise_value(s, &item, wire);
 
-		if (!apply && comes_again(bytes, size, used, &item))
+		if (!apply && is_written_later(bytes, size, used, &item))
 			continue;
 		bool ok = apply ? write_item(s, &item, value) : !differs(s, &item, value);
 		good += ok;

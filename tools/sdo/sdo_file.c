@@ -11,7 +11,7 @@
 
 /* ---- save -------------------------------------------------------------------------------------------------------- */
 
-/* One line of the file; false when the value is not of the object's type. */
+/* One line of the file. False: the value does not have the type of the object. */
 static bool save_value(FILE *out, const struct od_entry *entry, const uint8_t *wire, size_t size)
 {
 	char text[CLI_VALUE_TEXT_MAX];
@@ -31,7 +31,7 @@ static bool save_value(FILE *out, const struct od_entry *entry, const uint8_t *w
 	return true;
 }
 
-/* All that the node would store itself. False when it stopped to answer. */
+/* All values that the node stores. False: the node stopped answering. */
 static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 {
 	uint8_t wire[OD_VALUE_MAX];
@@ -60,7 +60,7 @@ static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 		if (entry->sub == 0)
 			mapped = sdo_number(wire, s->node.sdo.size);
 		if (!save_value(out, entry, wire, s->node.sdo.size)) {
-			cli_error("%s: the value in the node is not of the type in the EDS", entry->name);
+			cli_error("%s: the value in the node does not have the type given in the EDS", entry->name);
 			++*failed;
 			continue;
 		}
@@ -75,7 +75,7 @@ int sdo_command_save(struct session *s, int argc, char **argv)
 	char *text = NULL;
 	size_t size = 0;
 	int saved = 0, failed = 0;
-	FILE *out = open_memstream(&text, &size); /* a file appears only when all was read */
+	FILE *out = open_memstream(&text, &size); /* the file is written only when all values were read */
 
 	if (!out) {
 		cli_error("out of memory");
@@ -90,14 +90,9 @@ int sdo_command_save(struct session *s, int argc, char **argv)
 	fprintf(out, "\n[gateway]\nnode_id = %ld\n", s->node_id);
 	fclose(out);
 	sdo_close(s);
-	bool written = complete && sdo_write_file(argv[0], text, size);
+	int exit_code = complete ? sdo_finish_save(s, argv[0], text, size, saved, failed) : CLI_FAILED;
 	free(text);
-	if (!written)
-		return CLI_FAILED;
-	if (!s->quiet)
-		fprintf(stderr, "imu9-sdo: %d values of node %ld saved%s\n", saved, s->node_id,
-			failed ? ", some could not be read" : "");
-	return failed ? CLI_FAILED : CLI_OK;
+	return exit_code;
 }
 
 /* ---- load -------------------------------------------------------------------------------------------------------- */
@@ -110,7 +105,7 @@ struct reader {
 	bool failed;
 };
 
-/* inih's reader, counting lines so that messages can name them. */
+/* Line reader for inih that counts lines for error messages. */
 static char *next_line(char *text, int size, void *stream)
 {
 	struct reader *reader = stream;
@@ -141,7 +136,7 @@ static int on_setting(void *user, const char *section, const char *key, const ch
 
 	if (reader->failed)
 		return false;
-	if (strcasecmp(section, "gateway") == 0) { /* of the process; only its node-ID matters here */
+	if (strcasecmp(section, "gateway") == 0) { /* keys of the process; only node_id is used here */
 		if (strcmp(key, "node_id") == 0 && !cli_integer(text, 1, 127, &settings->node_id))
 			return bad_line(reader, text, "not a node-ID from 1 to 127");
 		return true;

@@ -14,7 +14,7 @@ static bool is_pdo_parameter(uint16_t index)
 	return index >= 0x1400 && index < 0x1C00;
 }
 
-/* COB-IDs at their default for the node that the file is of become those of this node. */
+/* COB-IDs that have the default for the node of the file get the default for this node. */
 static void move_to_node(struct settings *settings, long node_id)
 {
 	const struct od_table *table = settings->session->table;
@@ -35,7 +35,7 @@ static void move_to_node(struct settings *settings, long node_id)
 
 static const struct setting *find_setting(const struct settings *settings, unsigned int index, unsigned int sub)
 {
-	for (size_t i = settings->count; i-- > 0;) /* the last one holds */
+	for (size_t i = settings->count; i-- > 0;) /* the last one is valid */
 		if (settings->list[i].entry->index == index && settings->list[i].entry->sub == sub)
 			return &settings->list[i];
 	return NULL;
@@ -55,7 +55,7 @@ struct load {
 	struct session *session;
 	const struct settings *settings;
 	int written, same, failed;
-	bool lost; /* the node does not answer any more */
+	bool lost; /* the node stopped answering */
 };
 
 static bool load_failed(struct load *load, const struct od_entry *entry)
@@ -85,7 +85,7 @@ static bool load_read_u32(struct load *load, const struct od_entry *entry, uint3
 	return true;
 }
 
-/* True when the node has this value already. */
+/* Whether the node already has this value. */
 static bool is_same(struct load *load, const struct setting *setting)
 {
 	uint8_t wire[OD_VALUE_MAX];
@@ -106,8 +106,8 @@ static bool write_cob_id(struct load *load, const struct od_entry *entry, uint32
 	return load_write(load, entry, wire, sizeof(wire));
 }
 
-/* CiA 301, 7.5.2.17: the CAN-ID of an EMCY that exists must not change, so it is switched off first; that of a second
- * SDO channel likewise. */
+/* The CAN-ID of a valid EMCY COB-ID must not be changed (CiA 301, 7.5.2.17), so it is made invalid first. The same
+ * applies to the second SDO server. */
 static bool write_switched_off(struct load *load, const struct setting *setting)
 {
 	uint32_t old;
@@ -120,7 +120,7 @@ static bool write_switched_off(struct load *load, const struct setting *setting)
 	return false;
 }
 
-/* The identifier of a SYNC that is produced must not change. */
+/* The CAN-ID of SYNC must not be changed while the node produces it (CiA 301, 7.5.2.5). */
 static bool write_sync(struct load *load, const struct setting *setting)
 {
 	uint32_t old;
@@ -132,7 +132,8 @@ static bool write_sync(struct load *load, const struct setting *setting)
 	return load_write(load, setting->entry, setting->wire, setting->size);
 }
 
-/* Nor the range of its counter while there is a period, which has its new value by now. */
+/* The counter overflow value must not be changed while there is a period (CiA 301, 7.5.2.22). The period already has
+ * its new value. */
 static bool write_sync_counter(struct load *load, const struct setting *setting)
 {
 	const struct od_entry *entry = od_find(load->session->table, OD_INDEX_COMMUNICATION_CYCLE_PERIOD, 0, NULL);
@@ -144,8 +145,8 @@ static bool write_sync_counter(struct load *load, const struct setting *setting)
 	return (!period_us || write_cob_id(load, entry, period_us)) && done;
 }
 
-/* Two entries must not name one node, not even for a moment. */
-static void forget_consumers(struct load *load)
+/* Two entries must not monitor the same node, not even temporarily: entries that change are cleared first. */
+static void clear_consumers(struct load *load)
 {
 	for (size_t i = 0; i < load->settings->count; i++) {
 		const struct setting *setting = &load->settings->list[i];
@@ -179,7 +180,7 @@ static void load_plain(struct load *load, const struct setting *setting)
 		load->written += write_plain(load, setting);
 }
 
-/* Any other write clears the date of the configuration. */
+/* Written last: any other write clears the date of the configuration. */
 static void load_date(struct load *load)
 {
 	for (unsigned int sub = 1; sub <= 2; sub++) {
@@ -230,8 +231,7 @@ static bool write_transmission(struct load *load, unsigned int index)
 	return true;
 }
 
-/* The mapping procedure (CiA 301, 7.5.2.36): switch the PDO off, map, and switch it on again.
- * `index`: 1800h.. */
+/* The mapping procedure (CiA 301, 7.5.2.36): make the PDO invalid, map, make it valid. `index`: 1400h.. or 1800h.. */
 static void load_pdo(struct load *load, uint16_t index)
 {
 	const struct od_entry *entry = od_find(load->session->table, index, 1, NULL);
@@ -256,7 +256,7 @@ static void load_pdo(struct load *load, uint16_t index)
 	if (!write_cob_id(load, entry, old | COB_ID_INVALID))
 		return;
 	if (!write_mapping(load, (uint16_t)(index | 0x200)) || !write_transmission(load, index)) {
-		cli_error("the PDO at %04Xh is left switched off", index);
+		cli_error("the PDO at %04Xh remains switched off", index);
 		return;
 	}
 	if (write_cob_id(load, entry, cob_id ? (uint32_t)sdo_number(cob_id->wire, 4) : old))
@@ -267,7 +267,7 @@ static void load_all(struct load *load)
 {
 	uint16_t index = 0;
 
-	forget_consumers(load);
+	clear_consumers(load);
 	for (size_t i = 0; i < load->session->table->count && !load->lost; i++) {
 		const struct od_entry *entry = &load->session->table->entries[i];
 		const struct setting *setting = find_setting(load->settings, entry->index, entry->sub);
@@ -292,8 +292,8 @@ int sdo_load(struct session *s, struct settings *settings)
 	load_all(&load);
 	sdo_close(s);
 	if (!s->quiet)
-		fprintf(stderr, "imu9-sdo: node %ld: %d values written, %d were so already, %d failed%s\n", s->node_id,
-			load.written, load.same, load.failed, load.written ? "; 'imu9-sdo store' keeps them" : "");
+		fprintf(stderr, "imu9-sdo: node %ld: %d values written, %d unchanged, %d failed%s\n", s->node_id,
+			load.written, load.same, load.failed, load.written ? "; 'imu9-sdo store' stores them" : "");
 	return load.failed ? CLI_FAILED : CLI_OK;
 }
 

@@ -1,5 +1,5 @@
 /* tools/sdo/sdo_load.h
- * A configuration in memory, and the way it gets into a node: only what differs, PDOs by the mapping procedure. */
+ * A configuration in memory, and its transfer to a node: only values that differ, PDOs by the mapping procedure. */
 #ifndef TOOLS_SDO_SDO_LOAD_H
 #define TOOLS_SDO_SDO_LOAD_H
 
@@ -17,12 +17,12 @@ struct settings {
 	const struct session *session;
 	struct setting list[SETTINGS_MAX];
 	size_t count;
-	long node_id; /* whose configuration it is; 0: the file does not say */
+	long node_id; /* node-ID of the configuration; 0: not in the file */
 };
 
-/** Writes what differs, says what failed and how many were written. The exit code. */
+/** Writes the values that differ, reports failures and counts. Returns the exit code. */
 int sdo_load(struct session *s, struct settings *settings);
-/** Prints what differs. CLI_FAILED when something does. */
+/** Prints the differences. CLI_FAILED if there are any. */
 int sdo_compare(struct session *s, struct settings *settings);
 
 #endif

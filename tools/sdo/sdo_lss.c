@@ -1,5 +1,4 @@
-/* imu9-sdo lss: the master's side of CiA 305. A node is meant by its identity, or it is the only one. */
-#include <errno.h>
+/* imu9-sdo lss: LSS master (CiA 305). A node is selected by its identity, or it must be the only one on the bus. */
 #include <stdio.h>
 #include <string.h>
 
@@ -9,8 +8,8 @@
 enum {
 	REQUEST_ID = 0x7E5,
 	ANSWER_ID = 0x7E4,
-	ANSWER_MS = 50,	 /* silence for so long means no, unless -t says otherwise */
-	STORE_MS = 5000, /* a disk may take its time */
+	ANSWER_MS = 50,	 /* no answer within this time means no; changed by -t */
+	STORE_MS = 5000, /* storing waits for the disk */
 	BOOT_UP_MS = 1000,
 	NODES_MAX = 127,
 	UNCONFIGURED = 255,
@@ -38,8 +37,8 @@ struct lss {
 	struct session *session;
 	struct can_port *bus;
 	unsigned int answer_ms;
-	bool unsent;	/* a request did not get onto the bus, and that was told */
-	bool selective; /* `wanted` is the node that is meant */
+	bool unsent;	/* a request could not be sent, and that was reported: no more are sent */
+	bool selective; /* the node is selected by `wanted` */
 	uint32_t wanted[NUMBERS];
 };
 
@@ -52,16 +51,11 @@ static void send_command(struct lss *lss, uint8_t command, uint32_t value, const
 	sdo_put_u32(&msg.data[1], value);
 	if (tail)
 		memcpy(&msg.data[5], tail, 3);
-	int rc = can_send(lss->bus, &msg, cli_now_us());
-	if (rc == 0)
-		rc = cli_flush(lss->bus);
-	if (rc < 0 && !lss->unsent)
-		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", lss->session->bus,
-			strerror(-rc));
-	lss->unsent |= rc < 0;
+	if (!lss->unsent)
+		lss->unsent = !sdo_send(lss->session, lss->bus, &msg);
 }
 
-/* True when a frame with that identifier and, for an answer, that command came in time. */
+/* Waits for a frame with this CAN-ID and, for an answer, this command. False: timeout. */
 static bool await(struct lss *lss, uint32_t id, uint8_t command, unsigned int ms, struct can_msg *msg)
 {
 	uint64_t until_us = cli_now_us() + ms * 1000ull;
@@ -76,7 +70,7 @@ static bool await(struct lss *lss, uint32_t id, uint8_t command, unsigned int ms
 	return false;
 }
 
-static bool ask(struct lss *lss, uint8_t command, uint32_t value, unsigned int ms, uint32_t *answer)
+static bool request(struct lss *lss, uint8_t command, uint32_t value, unsigned int ms, uint32_t *answer)
 {
 	struct can_msg msg;
 
@@ -97,8 +91,8 @@ static bool fastscan_step(struct lss *lss, uint32_t value, uint8_t bit, uint8_t 
 	return await(lss, ANSWER_ID, IDENTIFIED, lss->answer_ms, &msg);
 }
 
-/* Finds one node without a node-ID, bit by bit, and leaves it in configuration state. False: there is none, or it
- * stopped to answer. */
+/* Finds one node without a node-ID bit by bit (CiA 305, fastscan); it is then in LSS configuration state. False: there
+ * is none, or it stopped answering. */
 static bool fastscan(struct lss *lss, uint32_t identity[NUMBERS])
 {
 	if (!fastscan_step(lss, 0, 0x80, 0, 0))
@@ -137,7 +131,7 @@ static void switch_all(struct lss *lss, bool configuring)
 	send_command(lss, SWITCH_GLOBAL, configuring, NULL);
 }
 
-/* The node that the options name; without them every node on the bus, so there should be one. */
+/* Selects the node given by the options; without them all nodes on the bus, so there should be only one. */
 static bool select_node(struct lss *lss)
 {
 	switch_all(lss, false);
@@ -151,8 +145,8 @@ static int no_answer(const struct lss *lss)
 {
 	if (lss->unsent)
 		return CLI_FAILED;
-	cli_error(
-		"no answer to LSS on %s: is there a node that supports it, and the bit rate right?", lss->session->bus);
+	cli_error("no answer to LSS on %s: is there a node that supports it, and is the bit rate right?",
+		lss->session->bus);
 	return CLI_FAILED;
 }
 
@@ -186,7 +180,7 @@ static bool configured(struct lss *lss, uint8_t command, uint32_t value, unsigne
 {
 	uint32_t answer;
 
-	if (!ask(lss, command, value, ms, &answer)) {
+	if (!request(lss, command, value, ms, &answer)) {
 		no_answer(lss);
 		return false;
 	}
@@ -211,8 +205,8 @@ static uint32_t node_id_of(const char *text)
 	return (uint32_t)cli_integer_option("node-ID", text, 1, UNCONFIGURED);
 }
 
-/* A node without a node-ID comes up as soon as it has one. */
-static int assign(struct lss *lss, const char *text, bool keep)
+/* A node without a node-ID boots up as soon as it gets one. */
+static int assign(struct lss *lss, const char *text, bool with_store)
 {
 	uint32_t id = node_id_of(text), identity[NUMBERS] = {0};
 	struct can_msg msg;
@@ -226,21 +220,20 @@ static int assign(struct lss *lss, const char *text, bool keep)
 				lss->session->bus);
 		return CLI_FAILED;
 	}
-	bool done = set_node_id(lss, id) && (!keep || store(lss));
+	bool done = set_node_id(lss, id) && (!with_store || store(lss));
 	switch_all(lss, false);
 	if (!done)
 		return CLI_FAILED;
 	print_identity(lss->selective ? lss->wanted : identity);
 	if (!await(lss, 0x700u + id, 0, BOOT_UP_MS, &msg)) {
-		cli_error("the node took node-ID %u, but did not come up with it: 'imu9-sdo -n OLD nmt reset-comm' "
-			  "makes a "
-			  "node that had another one take it",
+		cli_error("the node accepted node-ID %u, but did not boot up with it: if it had another one, use "
+			  "'imu9-sdo -n OLD nmt reset-comm'",
 			id);
 		return CLI_FAILED;
 	}
 	if (!lss->session->quiet)
-		fprintf(stderr, "imu9-sdo: it is node %u now%s\n", id,
-			keep ? "" : "; 'imu9-sdo lss store' keeps that over a power cut");
+		fprintf(stderr, "imu9-sdo: the node has node-ID %u now%s\n", id,
+			with_store ? "" : "; 'imu9-sdo lss store' stores it");
 	return CLI_OK;
 }
 
@@ -252,7 +245,7 @@ static int change_node_id(struct lss *lss, const char *text)
 	switch_all(lss, false);
 	if (done && !lss->session->quiet)
 		fprintf(stderr,
-			"imu9-sdo: takes effect with 'imu9-sdo nmt reset-comm'; 'imu9-sdo lss store' keeps it\n");
+			"imu9-sdo: takes effect with 'imu9-sdo nmt reset-comm'; 'imu9-sdo lss store' stores it\n");
 	return done ? CLI_OK : CLI_FAILED;
 }
 
@@ -278,7 +271,7 @@ static int change_bit_rate(struct lss *lss, const char *text, const char *delay)
 	return done ? CLI_OK : CLI_FAILED;
 }
 
-static int keep(struct lss *lss)
+static int store_selected(struct lss *lss)
 {
 	bool done = select_node(lss) && store(lss);
 
@@ -294,8 +287,8 @@ static int inquire(struct lss *lss)
 	if (!done)
 		return CLI_FAILED;
 	for (uint8_t i = 0; done && i < NUMBERS; i++)
-		done = ask(lss, (uint8_t)(INQUIRE_IDENTITY + i), 0, lss->answer_ms, &identity[i]);
-	done = done && ask(lss, INQUIRE_NODE_ID, 0, lss->answer_ms, &id);
+		done = request(lss, (uint8_t)(INQUIRE_IDENTITY + i), 0, lss->answer_ms, &identity[i]);
+	done = done && request(lss, INQUIRE_NODE_ID, 0, lss->answer_ms, &id);
 	switch_all(lss, false);
 	if (!done)
 		return no_answer(lss);
@@ -304,8 +297,8 @@ static int inquire(struct lss *lss)
 	return CLI_OK;
 }
 
-/* --serial and the others; those that are not given are of the EDS. */
-static void take_identity(struct lss *lss, int *argc, char **argv)
+/* --serial and the others; defaults are those of the EDS. */
+static void extract_identity(struct lss *lss, int *argc, char **argv)
 {
 	const struct od_table *table = lss->session->table;
 
@@ -314,7 +307,7 @@ static void take_identity(struct lss *lss, int *argc, char **argv)
 		char option[16];
 
 		snprintf(option, sizeof(option), "--%s", number_names[i]);
-		const char *text = sdo_take_value(argc, argv, option);
+		const char *text = sdo_extract_value(argc, argv, option);
 		if (text)
 			lss->wanted[i] = (uint32_t)cli_integer_option(option, text, 0, 0xFFFFFFFF);
 		else if (entry && entry->size == 4)
@@ -325,22 +318,23 @@ static void take_identity(struct lss *lss, int *argc, char **argv)
 
 static _Noreturn void usage(void)
 {
-	cli_usage_error("usage: imu9-sdo lss scan | assign ID [--store] | node-id ID | bit-rate KBIT [--activate MS] | "
-			"store | inquire, for one of several nodes with --serial N (--vendor, --product, --revision)");
+	cli_usage_error(
+		"usage: imu9-sdo lss scan | assign ID [--store] | node-id ID | bit-rate KBIT [--activate MS] | "
+		"store | inquire; to select one of several nodes: --serial N (--vendor, --product, --revision)");
 }
 
-static int run(struct lss *lss, const char *what, int argc, char **argv, bool keep_it, const char *delay)
+static int run(struct lss *lss, const char *what, int argc, char **argv, bool with_store, const char *delay)
 {
 	if (strcmp(what, "scan") == 0 && argc == 0)
 		return scan(lss);
 	if (strcmp(what, "assign") == 0 && argc == 1)
-		return assign(lss, argv[0], keep_it);
+		return assign(lss, argv[0], with_store);
 	if (strcmp(what, "node-id") == 0 && argc == 1)
 		return change_node_id(lss, argv[0]);
 	if (strcmp(what, "bit-rate") == 0 && argc == 1)
 		return change_bit_rate(lss, argv[0], delay);
 	if (strcmp(what, "store") == 0 && argc == 0)
-		return keep(lss);
+		return store_selected(lss);
 	if (strcmp(what, "inquire") == 0 && argc == 0)
 		return inquire(lss);
 	usage();
@@ -349,14 +343,14 @@ static int run(struct lss *lss, const char *what, int argc, char **argv, bool ke
 int sdo_command_lss(struct session *s, int argc, char **argv)
 {
 	struct lss lss = {.session = s, .answer_ms = s->timeout_given ? s->timeout_ms : ANSWER_MS};
-	bool keep_it = sdo_take_flag(&argc, argv, "--store");
-	const char *delay = sdo_take_value(&argc, argv, "--activate");
+	bool with_store = sdo_extract_flag(&argc, argv, "--store");
+	const char *delay = sdo_extract_value(&argc, argv, "--activate");
 
-	take_identity(&lss, &argc, argv);
+	extract_identity(&lss, &argc, argv);
 	if (argc == 0)
 		usage();
 	lss.bus = cli_open_bus(s->bus);
-	int exit_code = run(&lss, argv[0], argc - 1, argv + 1, keep_it, delay);
+	int exit_code = run(&lss, argv[0], argc - 1, argv + 1, with_store, delay);
 	can_close(lss.bus);
 	return lss.unsent ? CLI_FAILED : exit_code;
 }

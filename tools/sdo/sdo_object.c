@@ -6,7 +6,7 @@
 #include "tools/lib/cli_value.h"
 #include "tools/sdo/sdo_session.h"
 
-enum { STRING_MAX = 1024 }; /* of other people's devices */
+enum { STRING_MAX = 1024 }; /* longest string of other devices */
 
 #define ABORT_NO_DATA 0x08000024
 
@@ -30,10 +30,10 @@ static bool is_domain(const struct target *target)
 	return target->entry && target->entry->type == OD_DOMAIN;
 }
 
-/* --block, --no-block: for transfers that this program would make otherwise. */
-static void take_block_options(struct session *s, int *argc, char **argv)
+/* --block, --no-block: override the choice of block transfer. */
+static void extract_block_options(struct session *s, int *argc, char **argv)
 {
-	bool always = sdo_take_flag(argc, argv, "--block"), never = sdo_take_flag(argc, argv, "--no-block");
+	bool always = sdo_extract_flag(argc, argv, "--block"), never = sdo_extract_flag(argc, argv, "--no-block");
 
 	if (always && never)
 		cli_usage_error("--block and --no-block exclude each other");
@@ -69,11 +69,11 @@ static bool print_object(struct session *s, const struct target *t, const char *
 int sdo_command_read(struct session *s, int argc, char **argv)
 {
 	static struct target targets[SDO_TARGETS_MAX];
-	const char *file = sdo_take_value(&argc, argv, "-o");
+	const char *file = sdo_extract_value(&argc, argv, "-o");
 	size_t n = 0;
 	int exit_code = CLI_OK;
 
-	take_block_options(s, &argc, argv);
+	extract_block_options(s, &argc, argv);
 	for (int i = 0; i < argc; i++)
 		n += sdo_targets(s, argv[i], &targets[n], SDO_TARGETS_MAX - n);
 	if (n == 0 || (file && n > 1))
@@ -110,14 +110,13 @@ static void parse_value(const struct target *target, const char *text, uint8_t *
 	enum od_status status = OD_BAD_VALUE;
 	char limits[128] = "";
 
-	/* a value with its type is for objects that the EDS does not know, and to try a wrong type
-	 * on purpose */
+	/* an explicit type is for objects that are not in the EDS, and to test a wrong type */
 	if (!entry || entry->type != OD_VISIBLE_STRING)
 		status = cli_typed_value(text, wire, capacity, size);
 	if (status == OD_OK)
 		return;
 	if (!entry)
-		cli_usage_error("%s: the EDS does not have this object; give the value with its type, "
+		cli_usage_error("%s: this object is not in the EDS: give the value with its type, "
 				"for example u16:5, r32:0.5 or hex:0102",
 			text);
 	status = od_parse(entry, text, wire, capacity, size);
@@ -150,7 +149,7 @@ int sdo_command_write(struct session *s, int argc, char **argv)
 	uint8_t wire[OD_VALUE_MAX];
 	size_t size;
 
-	take_block_options(s, &argc, argv);
+	extract_block_options(s, &argc, argv);
 	if (argc != 2 || sdo_targets(s, argv[0], &target, 1) != 1)
 		cli_usage_error("usage: imu9-sdo write OBJECT VALUE (a DOMAIN: FILE)");
 	bool named = strncmp(argv[1], "file:", 5) == 0 && (!target.entry || target.entry->type != OD_VISIBLE_STRING);
@@ -205,7 +204,7 @@ int sdo_command_dump(struct session *s, int argc, char **argv)
 	}
 	sdo_close(s);
 	if (failed)
-		cli_error("%d objects of the EDS could not be read: is it the EDS of this node?", failed);
+		cli_error("%d objects of the EDS could not be read: is this the EDS of this node?", failed);
 	return failed ? CLI_FAILED : CLI_OK;
 }
 
@@ -234,7 +233,7 @@ static bool print_line(struct session *s, const struct target *targets, size_t n
 	return fflush(stdout) == 0;
 }
 
-/* True when a signal came before that time. */
+/* True: a signal arrived before that time. */
 static bool wait_until(struct session *s, int signals, uint64_t until_us)
 {
 	struct can_msg msg;
@@ -251,8 +250,8 @@ static bool wait_until(struct session *s, int signals, uint64_t until_us)
 int sdo_command_watch(struct session *s, int argc, char **argv)
 {
 	static struct target targets[SDO_TARGETS_MAX];
-	const char *rate_text = sdo_take_value(&argc, argv, "--rate");
-	const char *count_text = sdo_take_value(&argc, argv, "--count");
+	const char *rate_text = sdo_extract_value(&argc, argv, "--rate");
+	const char *count_text = sdo_extract_value(&argc, argv, "--count");
 	double rate_hz = rate_text ? cli_real_option("--rate", rate_text, 0.01, 1000) : 2;
 	long left = count_text ? cli_integer_option("--count", count_text, 1, 1000000000) : -1;
 	size_t n = 0;

@@ -1,6 +1,5 @@
-/* imu9-sdo scan: who is on the bus. Asks each node-ID for its device type and listens to heartbeats meanwhile. */
+/* imu9-sdo scan: the nodes on the bus. Requests the device type from each node-ID and listens for heartbeats. */
 #include <stdio.h>
-#include <string.h>
 
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
@@ -9,10 +8,10 @@ enum { NODES = 128, LISTEN_MS = 1100, STATE_UNKNOWN = 0xFF };
 
 struct seen {
 	bool answers;
-	uint8_t state; /* of its heartbeat */
+	uint8_t state; /* in its heartbeat */
 };
 
-static void take_frame(struct seen nodes[NODES], const struct can_msg *msg)
+static void on_frame(struct seen nodes[NODES], const struct can_msg *msg)
 {
 	uint32_t function = msg->id & 0x780, id = msg->id & 0x7F;
 
@@ -31,21 +30,17 @@ static void listen(struct can_port *bus, struct seen nodes[NODES], uint64_t unti
 	do {
 		cli_wait(bus, -1, until_us);
 		while (can_receive(bus, &msg, cli_now_us()) > 0)
-			take_frame(nodes, &msg);
+			on_frame(nodes, &msg);
 	} while (cli_now_us() < until_us);
 }
 
-static bool ask_all(struct session *s, struct can_port *bus, struct seen nodes[NODES])
+static bool request_all(struct session *s, struct can_port *bus, struct seen nodes[NODES])
 {
 	for (uint32_t id = 1; id < NODES; id++) {
 		const struct can_msg msg = {.id = 0x600 + id, .len = 8, .data = {0x40, 0x00, 0x10}};
-		int rc = can_send(bus, &msg, cli_now_us());
 
-		if (rc < 0 || (rc = cli_flush(bus)) < 0) {
-			cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", s->bus,
-				strerror(-rc));
+		if (!sdo_send(s, bus, &msg))
 			return false;
-		}
 		listen(bus, nodes, cli_now_us() + 1000);
 	}
 	return true;
@@ -107,18 +102,18 @@ int sdo_command_scan(struct session *s, int argc, char **argv)
 	for (int id = 0; id < NODES; id++)
 		nodes[id] = (struct seen){.state = STATE_UNKNOWN};
 	uint64_t until_us = cli_now_us() + (s->timeout_given ? s->timeout_ms : LISTEN_MS) * 1000ull;
-	bool asked = ask_all(s, bus, nodes);
-	if (asked)
+	bool sent = request_all(s, bus, nodes);
+	if (sent)
 		listen(bus, nodes, until_us);
-	for (uint8_t id = 1; asked && id < NODES; id++) {
+	for (uint8_t id = 1; sent && id < NODES; id++) {
 		if (!nodes[id].answers && nodes[id].state == STATE_UNKNOWN)
 			continue;
 		print_node(s, bus, id, &nodes[id]);
 		found++;
 	}
 	can_close(bus);
-	if (asked && !s->quiet)
+	if (sent && !s->quiet)
 		fprintf(stderr, "imu9-sdo: %d node%s on %s%s\n", found, found == 1 ? "" : "s", s->bus,
-			found ? "" : "; those without a node-ID: 'imu9-sdo lss scan'");
-	return asked && found ? CLI_OK : CLI_FAILED;
+			found ? "" : "; nodes without a node-ID: 'imu9-sdo lss scan'");
+	return sent && found ? CLI_OK : CLI_FAILED;
 }

@@ -32,7 +32,7 @@ static bool find_target(const struct session *s, const char *text, struct target
 	return cli_address(text, &target->index, &target->sub);
 }
 
-/* All sub-indices of a record but the highest one supported. */
+/* All sub-indices of a record except 0. */
 static size_t find_record(const struct session *s, const char *name, struct target *targets, size_t capacity)
 {
 	size_t length = strlen(name), n = 0;
@@ -49,9 +49,9 @@ static size_t find_record(const struct session *s, const char *name, struct targ
 static _Noreturn void unknown_object(const struct session *s, const char *text)
 {
 	if (text[0] == '-')
-		cli_usage_error("%s: options stand before the command", text);
-	cli_usage_error("no object '%s' in %s: give its name as 'imu9-sdo dump' prints it, or its "
-			"index as 0x2000:1",
+		cli_usage_error("%s: options must be before the command", text);
+	cli_usage_error("no object '%s' in %s: use a name from 'imu9-sdo dump', or an index such as "
+			"0x2000:1",
 		text, s->eds_path ? s->eds_path : "the EDS of the IMU9 gateway");
 }
 
@@ -74,7 +74,7 @@ void sdo_target_name(const struct target *target, char *name, size_t capacity)
 		cli_address_text(target->index, target->sub, NULL, name, capacity);
 }
 
-static const char *take(int *argc, char **argv, const char *option, bool with_value)
+static const char *extract_option(int *argc, char **argv, const char *option, bool with_value)
 {
 	for (int i = 0; i < *argc; i++) {
 		int words = with_value ? 2 : 1;
@@ -91,14 +91,14 @@ static const char *take(int *argc, char **argv, const char *option, bool with_va
 	return NULL;
 }
 
-bool sdo_take_flag(int *argc, char **argv, const char *option)
+bool sdo_extract_flag(int *argc, char **argv, const char *option)
 {
-	return take(argc, argv, option, false) != NULL;
+	return extract_option(argc, argv, option, false) != NULL;
 }
 
-const char *sdo_take_value(int *argc, char **argv, const char *option)
+const char *sdo_extract_value(int *argc, char **argv, const char *option)
 {
-	return take(argc, argv, option, true);
+	return extract_option(argc, argv, option, true);
 }
 
 /* ---- values ------------------------------------------------------------------------------------------------------ */
@@ -118,7 +118,7 @@ void sdo_put_u32(uint8_t *wire, uint32_t value)
 		wire[i] = (uint8_t)(value >> 8 * i);
 }
 
-/* The physical value of 1, as the node's resolution objects say now. */
+/* The physical value of one step by the resolution objects of the node. */
 static double step_of(struct session *s, const struct od_entry *entry)
 {
 	const struct od_entry *resolution = cli_resolution(s->table, entry);
@@ -167,6 +167,17 @@ void sdo_close(struct session *s)
 	cli_node_close(&s->node);
 }
 
+bool sdo_send(const struct session *s, struct can_port *bus, const struct can_msg *msg)
+{
+	int rc = can_send(bus, msg, cli_now_us());
+
+	if (rc == 0)
+		rc = cli_flush(bus);
+	if (rc < 0)
+		cli_error("cannot send on %s: %s: is the bus up, and is another node on it?", s->bus, strerror(-rc));
+	return rc == 0;
+}
+
 bool sdo_is_configuration(const struct od_entry *entry)
 {
 	return (entry->access & OD_STORED) && (entry->access & OD_WRITE);
@@ -179,8 +190,8 @@ bool sdo_is_mapping(uint16_t index)
 
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
-/* Another device's control codes are not for a terminal. */
-static bool show(const uint8_t *data, size_t size)
+/* Control codes from another device must not reach a terminal. */
+static bool print_printable(const uint8_t *data, size_t size)
 {
 	for (size_t i = 0; i < size; i++)
 		putchar((data[i] >= 0x20 && data[i] <= 0x7E) || memchr("\t\r\n", data[i], 3) ? data[i] : '?');
@@ -192,7 +203,7 @@ bool sdo_write_file(const char *path, const void *data, size_t size)
 	bool to_stdout = strcmp(path, "-") == 0;
 
 	if (to_stdout && isatty(STDOUT_FILENO))
-		return show(data, size);
+		return print_printable(data, size);
 
 	FILE *file = to_stdout ? stdout : fopen(path, "we");
 	bool ok = file && fwrite(data, 1, size, file) == size && fflush(file) == 0;
@@ -202,6 +213,16 @@ bool sdo_write_file(const char *path, const void *data, size_t size)
 	if (file && !to_stdout)
 		fclose(file);
 	return ok;
+}
+
+int sdo_finish_save(const struct session *s, const char *path, const char *text, size_t size, int saved, int failed)
+{
+	if (!sdo_write_file(path, text, size))
+		return CLI_FAILED;
+	if (!s->quiet)
+		fprintf(stderr, "imu9-sdo: %d values of node %ld saved%s\n", saved, s->node_id,
+			failed ? ", some could not be read" : "");
+	return failed ? CLI_FAILED : CLI_OK;
 }
 
 uint8_t *sdo_read_file(const char *path, size_t *size)

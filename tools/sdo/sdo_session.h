@@ -1,5 +1,5 @@
 /* tools/sdo/sdo_session.h
- * What the commands of imu9-sdo share. Each command is one function; it returns the exit code, or ends the program with
+ * Shared by the commands of imu9-sdo. Each command is one function: it returns the exit code, or ends the program with
  * a usage error. */
 #ifndef TOOLS_SDO_SDO_SESSION_H
 #define TOOLS_SDO_SDO_SESSION_H
@@ -13,14 +13,14 @@ enum { SDO_TARGETS_MAX = 512, SDO_DOMAIN_MAX = 4 << 20 };
 struct session {
 	const char *bus;
 	long node_id;
-	const char *eds_path; /* NULL: the EDS of the IMU9 gateway, built in */
+	const char *eds_path; /* NULL: the built-in EDS of the IMU9 gateway */
 	unsigned int timeout_ms;
 	bool timeout_given;
 	bool quiet;
 
 	const struct od_table *table;
 	struct cli_node node;
-	const struct od_entry *resolution; /* read last, and the step that it gives */
+	const struct od_entry *resolution; /* the last one read, and its step */
 	double step;
 };
 
@@ -31,31 +31,34 @@ struct target {
 	const struct od_entry *entry; /* NULL: not in the EDS */
 };
 
-/** An object, or all of a record. Returns how many; one that is not there is a usage error. */
+/** An object, or all members of a record. Returns the count; an unknown object is a usage error. */
 size_t sdo_targets(const struct session *s, const char *text, struct target *targets, size_t capacity);
-/** "0.05 m", or the bare value with -q. */
+/** "0.05 m", or the value without unit with -q. */
 void sdo_value_text(
 	struct session *s, const struct target *target, const uint8_t *wire, size_t size, char *text, size_t capacity);
 void sdo_target_name(const struct target *target, char *name, size_t capacity);
 
 void sdo_open(struct session *s);
 void sdo_close(struct session *s);
+/** Sends a frame and waits until it has left. False after a message. */
+bool sdo_send(const struct session *s, struct can_port *bus, const struct can_msg *msg);
+/** Writes the result of a save command to `path` ('-': standard output) and reports the counts. The exit code. */
+int sdo_finish_save(const struct session *s, const char *path, const char *text, size_t size, int saved, int failed);
 
-/** Whether an option of a command stands among its arguments; it is taken out of them. With a value: the value, or
- * NULL. */
-bool sdo_take_flag(int *argc, char **argv, const char *option);
-const char *sdo_take_value(int *argc, char **argv, const char *option);
+/** Removes an option of a command from its arguments. Returns whether it was given, or its value or NULL. */
+bool sdo_extract_flag(int *argc, char **argv, const char *option);
+const char *sdo_extract_value(int *argc, char **argv, const char *option);
 
-/** What a client may bring to another node: stored, and writable. */
+/** Whether an entry can be copied to another node: stored and writable. */
 bool sdo_is_configuration(const struct od_entry *entry);
 bool sdo_is_mapping(uint16_t index);
 
 uint64_t sdo_number(const uint8_t *wire, size_t size);
 void sdo_put_u32(uint8_t *wire, uint32_t value);
 
-/** All at once; '-' is standard output, where a terminal gets '?' for what is not text. */
+/** Writes a complete file; '-': standard output, with '?' for unprintable bytes if it is a terminal. */
 bool sdo_write_file(const char *path, const void *data, size_t size);
-/** The bytes, or NULL after a message; '-' is standard input. */
+/** Allocated content of a file, or NULL after a message; '-': standard input. */
 uint8_t *sdo_read_file(const char *path, size_t *size);
 
 /* sdo_object.c */
