@@ -1,7 +1,7 @@
 """A minimal CANopen master over python-can: NMT, SYNC producer, SDO client, heartbeat and PDO decoding.
 
-Written from CiA 301 V4.2 and sharing nothing with the gateway's code, so that the tests have a second opinion.
-Needs Debian's python3-can, nothing else.
+Written from CiA 301 V4.2 without code of the gateway, so that the tests are independent of it. Needs Debian's
+python3-can.
 """
 import struct
 import time
@@ -19,7 +19,7 @@ SAVE, LOAD = b"save", b"load"
 
 
 class Timeout(Exception):
-    """The frame that was waited for did not come."""
+    """The expected frame did not arrive in time."""
 
 
 class Abort(Exception):
@@ -31,15 +31,15 @@ class Abort(Exception):
 
 
 class ProtocolError(Exception):
-    """The server said what CiA 301 does not allow."""
+    """The answer of the server violates CiA 301."""
 
 
 class Master:
-    """One bus, and everything heard on it in `frames`, in the order of the bus."""
+    """One bus, with all received frames in `frames` in bus order."""
 
     def __init__(self, bus, patience=5.0):
         self.bus = bus
-        self.patience = patience  # s to wait for an answer
+        self.patience = patience  # timeout of an answer, s
         self.frames = []
 
     def close(self):
@@ -63,13 +63,13 @@ class Master:
         return self.frames[first:]
 
     def drain(self):
-        """Forgets what has come so far."""
+        """Discards the frames received so far."""
         while self.receive(0) is not None:
             pass
         self.frames.clear()
 
     def wait(self, wanted, timeout=None):
-        """The next frame for which wanted(frame) is true. An integer stands for that CAN-ID."""
+        """The next frame for which wanted(frame) is true; an integer is a CAN-ID."""
         if isinstance(wanted, int):
             can_id, wanted = wanted, lambda frame: frame.arbitration_id == can_id
         end = time.monotonic() + (self.patience if timeout is None else timeout)
@@ -89,13 +89,13 @@ class Master:
         self.send(SYNC, b"" if counter is None else bytes([counter]))
 
     def wait_state(self, node, state, timeout=None):
-        """Waits for a heartbeat (or boot-up) that tells this state."""
+        """Waits for a heartbeat (or boot-up) with this state."""
         return self.wait(lambda f: f.arbitration_id == HEARTBEAT + node and f.data == bytes([state]), timeout)
 
     # ---- SDO client (7.2.4.3): expedited and segmented
 
     def sdo_request(self, node, request):
-        """Eight bytes out, the server's next eight bytes back, whatever they mean."""
+        """Sends eight bytes and returns the next eight bytes of the server without checking them."""
         self.send(SDO_RX + node, request)
         answer = self.wait(SDO_TX + node)
         if answer.dlc != 8:
@@ -130,11 +130,11 @@ class Master:
             toggle ^= 0x10
             last = answer[0] & 0x01
         if size is not None and len(data) != size:
-            raise ProtocolError("%d bytes announced, %d came" % (size, len(data)))
+            raise ProtocolError("%d bytes announced, %d received" % (size, len(data)))
         return data
 
     def download(self, node, index, sub, data, segmented=False):
-        """Writes an object. Up to four bytes go expedited, unless `segmented`."""
+        """Writes an object: up to four bytes expedited, unless `segmented`."""
         multiplexer = struct.pack("<HB", index, sub)
         if 1 <= len(data) <= 4 and not segmented:
             request = bytes([0x23 | (4 - len(data)) << 2]) + multiplexer + data.ljust(4, b"\0")
@@ -159,14 +159,14 @@ class Master:
     # ---- PDO
 
     def mapping(self, node, number):
-        """What TPDO `number` (1..) carries: [(index, sub, bits)], as the device says."""
+        """The mapping of TPDO `number` (1..) in the device: [(index, sub, bits)]."""
         entries = self.upload(node, 0x1A00 + number - 1, 0)[0]
         words = [struct.unpack("<I", self.upload(node, 0x1A00 + number - 1, 1 + i))[0] for i in range(entries)]
         return [(word >> 16, word >> 8 & 0xFF, word & 0xFF) for word in words]
 
     def remap(self, node, number, entries, **communication):
         """The mapping procedure of 7.5.2.36: entries [(index, sub, bits)]; transmission=, inhibit= [100 us], event=
-        [ms], start= are written meanwhile."""
+        [ms], start= are written while the PDO is invalid."""
         pdo, mapping = 0x1800 + number - 1, 0x1A00 + number - 1
         cob_id = struct.unpack("<I", self.upload(node, pdo, 1))[0]
         self.download(node, pdo, 1, struct.pack("<I", cob_id | 1 << 31))

@@ -1,11 +1,11 @@
 #!/usr/bin/python3
-"""check_eds.py: the EDS and the DBC made of it, read by rules other than our own.
+"""check_eds.py: checks the EDS and the generated DBC by rules of other readers.
 
-The EDS with Python's configparser, key by key as python-canopen does it (case-sensitive keys, int(x, 0), float(), no
-key it would stumble over), against the lists, counts and types of CiA 306, and by what lely's dcfchk accepts: there a
-key that CiA 306 does not have, or a number in another form, makes the whole file invalid, so that our own keys stand in
-comments. The DBC by its grammar, signal by signal against the mapping objects. Needs no bus. Status 1 and one line for
-each fault; uses python-canopen and dcfchk too if they are there. With --fix it first puts the ';' before our own keys.
+The EDS is read with Python's configparser, key by key like python-canopen (case-sensitive keys, int(x, 0), float()), and
+compared with the lists, counts and types of CiA 306 and with what lely's dcfchk accepts: a key that is not in CiA 306, or
+a number in another notation, makes the file invalid, so additional keys are in comments. The DBC is checked by its grammar
+and signal by signal against the mapping objects. Needs no bus. Status 1 and one line for each error; also uses
+python-canopen and dcfchk if they are installed. With --fix it first puts ';' before additional keys.
 """
 import configparser
 import os
@@ -38,14 +38,15 @@ FILE_KEYS = {"FileName", "FileVersion", "FileRevision", "EDSVersion", "Descripti
 DEVICE_KEYS = {"VendorName", "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode",
                "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging",
                "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"} | {"BaudRate_%d" % b for b in (10, 20, 50, 125, 250, 500, 800, 1000)}
+TIME, DATE = r"(0\d|1[0-2]):[0-5]\d[AP]M", r"\d\d-\d\d-\d{4}"
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 
-faults = []
+errors = []
 
 
 def expect(condition, where, what):
     if not condition:
-        faults.append("%s: %s" % (where, what))
+        errors.append("%s: %s" % (where, what))
 
 
 def number(text, data_type, where):
@@ -55,7 +56,7 @@ def number(text, data_type, where):
             return float(text)
         value = int(re.sub(r"\+?\$NODEID\+?", "", text), 0)
     except ValueError:
-        faults.append("%s: %r is no value of type %#x" % (where, text, data_type))
+        errors.append("%s: %r is not a value of type %#x" % (where, text, data_type))
         return None
     bits = BITS[data_type]
     low, high = (-1 << bits - 1, (1 << bits - 1) - 1) if data_type in SIGNED else (0, (1 << bits) - 1)
@@ -69,7 +70,7 @@ def check_variable(eds, section):
     expect(set(keys) <= VAR_KEYS | OUR_KEYS, where, "unexpected keys %s" % sorted(set(keys) - VAR_KEYS - OUR_KEYS))
     for key in ("ParameterName", "ObjectType", "DataType", "AccessType"):
         if key not in keys:
-            faults.append("%s: no %s" % (where, key))
+            errors.append("%s: no %s" % (where, key))
             return
     data_type = int(keys["DataType"], 0)
     expect(data_type in BITS or data_type in OTHER, where, "DataType %#x" % data_type)
@@ -95,10 +96,10 @@ NUMBER = re.compile(r"(\$NODEID\+)?(-?0x[0-9A-Fa-f]+|-?[0-9]+)")
 
 
 def strict_number(text, data_type, where):
-    """An integer, decimal or 0x, within its type whatever the node-ID; a REAL as the bits of it."""
+    """An integer, decimal or 0x, within its type for every node-ID; a REAL as its IEEE 754 bits."""
     match = NUMBER.fullmatch(text)
     if not match:
-        faults.append("%s: %r is no number to every reader" % (where, text))
+        errors.append("%s: %r is not a number for every reader" % (where, text))
         return None
     value = int(match[2], 0)
     bits = BITS[data_type]
@@ -108,7 +109,7 @@ def strict_number(text, data_type, where):
 
 
 def check_strictly(text):
-    """What a reader that knows CiA 306 and nothing else accepts."""
+    """What a reader of plain CiA 306 accepts."""
     eds = configparser.ConfigParser(inline_comment_prefixes=("#", ";"), interpolation=None, strict=True)
     eds.optionxform = str
     eds.read_string(text)
@@ -123,7 +124,7 @@ def check_strictly(text):
                 expect(re.fullmatch("Dummy[0-9A-F]{4}", key) and value in "01", where, key)
         elif match:
             strange = set(section) - VAR_KEYS - {"SubNumber", "CompactSubObj"}
-            expect(not strange, where, "%s: put ';' before a key of our own" % ", ".join(sorted(strange)))
+            expect(not strange, where, "%s: put ';' before a key that is not in CiA 306" % ", ".join(sorted(strange)))
             if "SubNumber" not in section and int(section["DataType"], 0) in BITS:
                 data_type = int(section["DataType"], 0)
                 low, value, high = (strict_number(section[key], data_type, where) if key in section else None
@@ -131,7 +132,7 @@ def check_strictly(text):
                 for a, b in ((low, value), (value, high)):
                     expect(a is None or b is None or a <= b, where, "the default is beyond a limit")
             elif "SubNumber" in section:
-                expect(name + "sub0" in eds and int(eds[name + "sub0"]["DataType"], 0) == 5, where, "sub-index 0 is no UNSIGNED8")
+                expect(name + "sub0" in eds and int(eds[name + "sub0"]["DataType"], 0) == 5, where, "sub-index 0 is not an UNSIGNED8")
             else:
                 expect("LowLimit" not in section and "HighLimit" not in section, where, "limits of a string")
         else:
@@ -153,11 +154,14 @@ def check_eds():
     expect(set(eds["FileInfo"]) == FILE_KEYS, "[FileInfo]", "keys differ: %s" % sorted(set(eds["FileInfo"]) ^ FILE_KEYS))
     expect(set(eds["DeviceInfo"]) == DEVICE_KEYS, "[DeviceInfo]", "keys differ: %s" % sorted(set(eds["DeviceInfo"]) ^ DEVICE_KEYS))
     expect(eds["FileInfo"]["FileName"] == EDS.name, "[FileInfo]", "FileName")
-    for key, pattern in (("CreationTime", r"\d\d:\d\d[AP]M"), ("CreationDate", r"\d\d-\d\d-\d{4}"), ("EDSVersion", r"4\.0")):
+    for key, pattern in (("CreationTime", TIME), ("CreationDate", DATE), ("ModificationTime", TIME), ("ModificationDate", DATE),
+                         ("EDSVersion", r"4\.0")):
         expect(re.fullmatch(pattern, eds["FileInfo"][key]), "[FileInfo]", key)
     for sub, key in enumerate(("VendorNumber", "ProductNumber", "RevisionNumber"), 1):
         same = int(eds["DeviceInfo"][key], 0) == int(eds["1018sub%d" % sub]["DefaultValue"], 0)
         expect(same, "[DeviceInfo]", key + " differs from 1018h")
+    major, minor = (int(eds["FileInfo"][key]) for key in ("FileVersion", "FileRevision"))
+    expect(int(eds["DeviceInfo"]["RevisionNumber"], 0) == major << 16 | minor, "[FileInfo]", "version and revision differ from 1018h:3")
     lines = int(eds["Comments"]["Lines"])
     expect(set(eds["Comments"]) == {"Lines"} | {"Line%d" % (i + 1) for i in range(lines)}, "[Comments]", "lines do not agree")
 
@@ -196,7 +200,7 @@ def check_eds():
     for key, first in (("NrOfRXPDO", 0x1400), ("NrOfTXPDO", 0x1800)):
         expect(int(eds["DeviceInfo"][key]) == sum(first <= i < first + 0x200 for i in indices), "[DeviceInfo]", key)
     dummies = {"Dummy%04X" % i: "1" if 2 <= i <= 7 else "0" for i in range(1, 8)}
-    expect(dict(eds["DummyUsage"]) == dummies, "[DummyUsage]", "differs from what the device takes")
+    expect(dict(eds["DummyUsage"]) == dummies, "[DummyUsage]", "differs from the types that the device supports")
     return entries
 
 
@@ -208,11 +212,11 @@ def mapped(entries, index):
         key = value >> 16, value >> 8 & 0xFF
         where = "[%04Xsub%X]" % (index, sub)
         if key not in entries:
-            faults.append("%s: maps %04X:%02X, which is not there" % (where, *key))
+            errors.append("%s: maps %04X:%02X, which does not exist" % (where, *key))
             continue
-        expect(entries[key].get("PDOMapping") == "1", where, "maps what is not mappable")
+        expect(entries[key].get("PDOMapping") == "1", where, "maps an object that is not mappable")
         access = ("wo", "rw", "rww") if index < 0x1800 else ("ro", "const", "rw", "rwr")
-        expect(entries[key]["AccessType"] in access, where, "maps what is for the other direction")
+        expect(entries[key]["AccessType"] in access, where, "maps an object for the other direction")
         expect(value & 0xFF == BITS[int(entries[key]["DataType"], 0)], where, "wrong length")
         result.append((key, value & 0xFF))
     return result
@@ -231,7 +235,7 @@ def check_dbc(entries):
     expect(re.fullmatch(whole, text), DBC.name, "does not follow the grammar")
     messages = {int(m[1]): m for m in re.finditer(message, text)}
     if set(messages) != {0x181, 0x281, 0x381, 0x481, 0x201, 0x301, 0x401, 0x501, 0x81, 0x701}:
-        faults.append("%s: CAN-IDs %s" % (DBC.name, sorted(map(hex, messages))))
+        errors.append("%s: CAN-IDs %s" % (DBC.name, sorted(map(hex, messages))))
         return
     pdos = [("TPDO", 0x181, 0x1A00, n) for n in range(4)] + [("RPDO", 0x201, 0x1600, n) for n in range(4)]
     for kind, first_id, mapping, pdo in pdos:
@@ -246,7 +250,7 @@ def check_dbc(entries):
             scale = float(entry.get("Factor", "1"))
             real, signed = int(entry["DataType"], 0) in REAL, int(entry["DataType"], 0) in SIGNED
             raw = (0, 0) if real else (-1 << length - 1, (1 << length - 1) - 1) if signed else (0, (1 << length) - 1)
-            expect((int(at), int(bits)) == (start, length), where, name + " stands at the wrong bits")
+            expect((int(at), int(bits)) == (start, length), where, name + " has the wrong position")
             expect(sign == ("-" if signed or real else "+"), where, name + " has the wrong sign")
             expect(float(factor) == scale and unit == entry.get("Unit", ""), where, name + " has the wrong unit or factor")
             for limit, bound in zip((low, high), raw):
@@ -256,11 +260,11 @@ def check_dbc(entries):
 
 
 def check_with_python_canopen():
-    """Returns what was done about it, for the log."""
+    """Returns a note for the log."""
     try:
         import canopen
     except ImportError:
-        return "python-canopen is not here: not asked"
+        return "python-canopen is not installed"
     import logging
     import warnings
 
@@ -271,7 +275,7 @@ def check_with_python_canopen():
     logging.getLogger().addHandler(handler)
     dictionary = canopen.import_od(str(EDS), node_id=1)
     for line in log:
-        faults.append("python-canopen: " + line)
+        errors.append("python-canopen: " + line)
     plain = configparser.RawConfigParser(inline_comment_prefixes=(";",))
     plain.optionxform = str
     plain.read_string(EDS.read_text("ascii"))
@@ -286,16 +290,16 @@ def check_with_python_canopen():
 
 def check_with_dcfchk():
     if not shutil.which("dcfchk"):
-        return "dcfchk is not here: not asked"
+        return "dcfchk is not installed"
     done = subprocess.run(["dcfchk", "-n", "1", str(EDS)], capture_output=True, text=True)
     for line in done.stderr.splitlines():
-        faults.append("dcfchk: " + line)
+        errors.append("dcfchk: " + line)
     expect(done.returncode == 0, "dcfchk", "status %d" % done.returncode)
     return "dcfchk agrees"
 
 
 def fix():
-    """Plain keys of our own become comments."""
+    """Turns additional keys into comments."""
     text = EDS.read_bytes().decode("ascii")
     start, end = text.index("[DummyUsage]"), text.index("[Comments]")
     objects = re.sub(r"(?m)^(?=(?:%s)=)" % "|".join(OWN_KEYS), ";", text[start:end])
@@ -309,12 +313,12 @@ def main():
     if DBC.exists():
         check_dbc(entries)
     else:
-        faults.append("%s is missing: run make first" % DBC)
+        errors.append("%s is missing: run make first" % DBC)
     note = check_with_python_canopen() + "; " + check_with_dcfchk()
-    for fault in faults:
+    for fault in errors:
         print(fault)
-    print("%d entries checked, %d faults; %s" % (len(entries), len(faults), note))
-    return 1 if faults else 0
+    print("%d entries checked, %d errors; %s" % (len(entries), len(errors), note))
+    return 1 if errors else 0
 
 
 sys.exit(main())

@@ -1,4 +1,4 @@
-"""Reads an EDS (CiA 306) with configparser: the tests' own view of the object dictionary."""
+"""Reads an EDS (CiA 306) with configparser: an object dictionary independent of the gateway's code."""
 import configparser
 import re
 import struct
@@ -8,7 +8,7 @@ OWN_KEYS = ("Unit", "Factor", "Description", "RealDefault", "RealLowLimit", "Rea
 
 
 def with_own_keys(text):
-    """The keys that our EDS keeps in comments (";Unit=m"), as keys."""
+    """Turns the additional keys in comments (";Unit=m") into keys."""
     return re.sub(r"(?m)^;(?=(?:%s)=)" % "|".join(OWN_KEYS), "", text)
 
 
@@ -56,7 +56,7 @@ def _number(text, kind, node_id):
     if text is None or text == "":
         return None
     if kind == REAL32:
-        if text.lower().startswith("0x"):  # CiA 306: the bits
+        if text.lower().startswith("0x"):  # CiA 306: IEEE 754 bits
             return struct.unpack("<f", struct.pack("<I", int(text, 16)))[0]
         return float(text)
     total = 0
@@ -79,7 +79,7 @@ def _entry(section, index, sub, node_id):
 
 
 def read(path, node_id):
-    """Every entry that can be accessed: {(index, sub): Entry}."""
+    """All entries: {(index, sub): Entry}."""
     parser = configparser.ConfigParser(interpolation=None, delimiters=("=",), comment_prefixes=(";",), strict=True)
     parser.optionxform = str
     with open(path, newline=None, encoding="latin-1") as file:

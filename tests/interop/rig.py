@@ -1,4 +1,4 @@
-"""What the interop tests share: the gateway as a process, the bus, and where things are."""
+"""Shared by the interop tests: the gateway as a process, the bus, and paths."""
 import os
 import pathlib
 import signal
@@ -20,7 +20,7 @@ BROAD = pathlib.Path(os.environ.get("IMU9_BROAD", ROOT / "../shared/data/broad")
 EDS = ROOT / "eds/imu9-gateway.eds"
 WORK = pathlib.Path(tempfile.mkdtemp(prefix="imu9-interop."))  # removed by `run`
 
-BUS, ROUGH_BUS = "vcan0", "vcan1"  # vcan0 is captured and must stay well-formed; rough things happen on vcan1
+BUS, ROUGH_BUS = "vcan0", "vcan1"  # vcan0 is captured, so its frames must be valid; invalid frames go to vcan1
 NODE = 16
 
 
@@ -41,15 +41,15 @@ def program(name):
 
 
 def run(name, *args, **options):
-    """Runs one of our programs to its end."""
+    """Runs a program of this project to its end."""
     return subprocess.run([program(name), *map(str, args)], capture_output=True, text=True, timeout=20, **options)
 
 
 def recorded(start):
-    """The recorded trial whose name starts so; skips the test where the data is missing."""
+    """The recorded trial whose name starts with `start`; skips the test if the data are missing."""
     found = sorted(BROAD.glob(start + "*.imu.csv"))
     if not found:
-        raise unittest.SkipTest("the recorded trials are missing: none in %s (IMU9_BROAD=FOLDER says where)" % BROAD)
+        raise unittest.SkipTest("no recorded trials in %s: set IMU9_BROAD to their folder" % BROAD)
     return found[0]
 
 
@@ -65,17 +65,17 @@ def written(text, suffix=""):
 
 
 def open_master(channel=BUS, own_frames=True):
-    """With own_frames, `frames` has SYNCs and PDOs in the order of the bus."""
+    """With own_frames, `frames` contains the SYNCs sent here and the PDOs in bus order."""
     bus = can.Bus(interface="socketcan", channel=channel, receive_own_messages=own_frames)
-    # a busy machine must not cost this client any frames
+    # large enough that no frames are lost on a busy machine
     bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
     return canopen.Master(bus)
 
 
 class Gateway:
-    """imu9-gateway running. `log` has its stderr."""
+    """A running imu9-gateway. `log` is its stderr."""
 
-    last = None  # the one started last, whose log the runner shows when a test fails
+    last = None  # the one started last: its log is printed if a test fails
 
     def __init__(self, *args, bus=BUS, imu="sim"):
         self.log_path = scratch(".log")
@@ -105,8 +105,8 @@ class Gateway:
 
 
 class OnTheBus(unittest.TestCase):
-    """A gateway for the whole class (class attributes `bus` and `imu`) and a master for each test. Every test starts in
-    pre-operational with the communication objects at their defaults."""
+    """A gateway for the class (class attributes `bus` and `imu`) and a master for each test. Each test starts in
+    pre-operational with default communication objects."""
 
     bus = BUS
     imu = "sim"
@@ -150,12 +150,12 @@ class OnTheBus(unittest.TestCase):
             self.fail("not refused: %s%r" % (action.__name__, args))
 
     def emcy(self, code):
-        """Waits for this one and gives its frame: on a busy machine the sensor has errors of its own."""
-        told = bytes((code & 0xFF, code >> 8))
-        return self.master.wait(lambda f: f.arbitration_id == canopen.EMCY + NODE and f.data[:2] == told)
+        """Waits for the EMCY with this code and returns its frame; others may occur on a busy machine."""
+        expected = bytes((code & 0xFF, code >> 8))
+        return self.master.wait(lambda f: f.arbitration_id == canopen.EMCY + NODE and f.data[:2] == expected)
 
     def assert_no_sooner_than(self, seconds, frames):
-        """Frames of which each waits for the one before: a busy machine makes that longer, never shorter."""
+        """Minimum interval of frames: a busy machine makes intervals longer, never shorter."""
         median = statistics.median(b.timestamp - a.timestamp for a, b in zip(frames, frames[1:]))
         self.assertGreater(median, seconds - 0.001)
         self.assertLess(median, 1.3 * seconds)
@@ -168,5 +168,5 @@ def wait_until(condition, seconds=5):
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:
-            raise AssertionError("did not happen within %.1f s" % seconds)
+            raise AssertionError("the condition was not met within %.1f s" % seconds)
         time.sleep(0.05)

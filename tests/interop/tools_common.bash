@@ -1,9 +1,10 @@
-# Sourced by tools_*.sh: a gateway to work on, and what a test says. BUS is the first argument, or vcan0 where it exists,
-# or the udp bus on a port of its own, so that these tests also run by hand without any CAN.
+# Sourced by tools_*.sh: starts a gateway and checks the results of commands. BUS is the first argument, or vcan0 if it
+# exists, or the udp bus with a separate port, so that these tests also run by hand without CAN.
 set -u
 cd "$(dirname "$0")/../.." || exit 1
-PATH=$PWD/${BUILD:-build}:$PATH
-[ "${BUILD:-build}" = "${BUILD#/}" ] || PATH=$BUILD:$PATH
+build=${BUILD:-build}
+[ "$build" != "${build#/}" ] || build=$PWD/$build
+PATH=$build:$PATH
 export LC_ALL=C IMU9_NODE=16
 if [ $# -gt 0 ]; then
 	IMU9_CAN=$1

@@ -1,8 +1,8 @@
 #!/bin/bash
-# tools_monitor.sh [BUS]: imu9-monitor against the gateway, as a person uses it.
+# tools_monitor.sh [BUS]: imu9-monitor with a gateway.
 . "$(dirname "$0")/tools_common.bash"
 
-# column NAME: its value in the last line of key=value columns
+# column NAME: the value in the last line of key=value columns
 column() { grep '^t=' <<<"$out" | tail -1 | tr ' ' '\n' | sed -n "s/^$1=//p"; }
 between() { awk "BEGIN { exit !($1 >= $2 && $1 <= $3) }"; }
 
@@ -21,18 +21,18 @@ run imu9-monitor -t 1.2
 check "without a SYNC" fails 1 "no PDO yet: synchronous PDOs need a SYNC"
 run imu9-monitor --once -t 1.3
 check "--once without a SYNC" ends 1
-check "tells why where the values would be" says "no PDO yet: synchronous PDOs need a SYNC"
+check "prints the reason in place of the values" says "no PDO yet: synchronous PDOs need a SYNC"
 imu9-sdo nmt preop
 
 # ---- lines
 run imu9-monitor --start --sync 100 --rate 5 -t 2
-check "--start --sync brings values" ends 0
-check "units are told first" says "# units: acceleration.l[m/s^2]"
-check "lines come at the rate asked for" between "$(grep -c '^t=' <<<"$out")" 8 10
-# against the SYNCs that really went out: a busy machine sends fewer than 100 a second
+check "--start --sync gives values" ends 0
+check "units are printed first" says "# units: acceleration.l[m/s^2]"
+check "lines have the requested rate" between "$(grep -c '^t=' <<<"$out")" 8 10
+# compared with the SYNCs actually sent: a busy machine sends fewer than 100 a second
 sync=$(column sync_hz)
 for pdo in 1 2 3 4; do
-	check "TPDO$pdo comes with the SYNC" between "$(column tpdo${pdo}_hz)" "0.95 * ${sync:-0}" "1.05 * ${sync:-0}"
+	check "TPDO$pdo has the rate of SYNC" between "$(column tpdo${pdo}_hz)" "0.95 * ${sync:-0}" "1.05 * ${sync:-0}"
 done
 check "NMT state" test "$(column nmt)" = operational
 check "values with their decimals" grep -qE '^-?[0-9]+\.[0-9]{3}$' <<<"$(column acceleration.l)"
@@ -40,7 +40,7 @@ check "the status in words" grep -qE '^[a-z,-]+$' <<<"$(column sample.status)"
 check "no emergency" test "$(column emcy)" = 0000
 check "each line has the same columns" \
 	test "$(grep '^t=' <<<"$out" | sed 's/=[^ ]*//g' | sort -u | wc -l)" = 1
-check "and a table ends it" says "TPDO4     490h"
+check "ends with a table" says "TPDO4     490h"
 read -r received rate < <(sed -nE 's/^TPDO1 +190h +([0-9]+) +([0-9.]+) .*/\1 \2/p' <<<"$out")
 check "with the number of PDOs" between "${received:-0}" 100 205
 # over the time since the first of them, a little less than 2 s
@@ -51,40 +51,40 @@ check "--once" ends 0
 check "has all PDOs" says "TPDO4  490h"
 check "and the angles" grep -qE '^  angles +roll +-?[0-9]+\.[0-9]{2}  pitch .* deg$' <<<"$out"
 run imu9-monitor --passive --sync 50 --once
-check "--passive takes the mapping of the EDS" says "the default of the EDS"
+check "--passive uses the mapping of the EDS" says "default of the EDS"
 
-# ---- the mapping and the steps of the node, not those of the EDS
+# ---- mapping and resolution of the node instead of the EDS
 printf 'resolution.acceleration = 100\ntpdo2_mapping.number_of_mapped_objects = 1\ntpdo2_mapping.object_1 = 0x21030120\n' >"$work/m.ini"
 imu9-sdo -q load "$work/m.ini"
 run imu9-monitor --sync 50 --once
 check "a remapped PDO" grep -qE '^  quaternion +w +-?[0-9.]+' <<<"$out"
 check "a coarser step has fewer decimals" grep -qE '^  acceleration +l +-?[0-9]+\.[0-9]  s' <<<"$out"
 
-# ---- ends
+# ---- end
 for signal in INT TERM; do
 	(timeout --preserve-status -s $signal 1 imu9-monitor --line --sync 50; echo "status $?") >"$work/lines" 2>&1
 	run cat "$work/lines"
-	check "SIG$signal ends it cleanly, with the table" grep -q "^status 0$" "$work/lines"
+	check "SIG$signal ends it with status 0" grep -q "^status 0$" "$work/lines"
 	check "SIG$signal: the table" says "received"
 done
 if command -v script >/dev/null; then
 	run timeout 20 script -qec "imu9-monitor --sync 50 -t 1" /dev/null </dev/null
-	check "in a terminal it takes another page" says $'\033[?1049h'
+	check "in a terminal it uses the alternate screen" says $'\033[?1049h'
 	check "shows values in place" says $'\033[H'
-	check "and leaves the terminal as it was" says $'\033[?7h\033[?25h\033[?1049l'
+	check "and restores the terminal" says $'\033[?7h\033[?25h\033[?1049l'
 fi
 run bash -c "imu9-monitor --line --sync 50 -t 5 | head -2 | wc -l"
 check "a closed pipe ends it" prints 2
 
-# ---- it follows a node that restarts
+# ---- a node that restarts
 imu9-monitor --start --sync 50 -t 4 >"$work/lines" 2>&1 &
 monitor=$!
 sleep 1
 imu9-sdo nmt reset
 wait $monitor
 run cat "$work/lines"
-check "PDOs come again after a reset" between "$(column tpdo1_hz)" 45 55
-check "with the mapping of then" test -n "$(column angles.roll)"
+check "PDOs are received again after a reset" between "$(column tpdo1_hz)" 45 55
+check "with the default mapping" test -n "$(column angles.roll)"
 
 # ---- wrong usage
 for arguments in "-n 0" "-n 128" "-n" "--sync 0" "--sync x" "-t -1" "--rate 1e9" "--foo" "something" "--once --line"; do

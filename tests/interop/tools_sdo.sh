@@ -1,9 +1,9 @@
 #!/bin/bash
-# tools_sdo.sh [BUS]: imu9-sdo against the gateway, as a person uses it.
+# tools_sdo.sh [BUS]: imu9-sdo with a gateway: values, files, storing.
 . "$(dirname "$0")/tools_common.bash"
 
 run imu9-sdo -t 100 read 0x1000
-check "without a gateway it says so, and what to do" fails 1 "no answer from node 16 on $IMU9_CAN within 100 ms: is the gateway running with --node-id 16"
+check "without a gateway: an error that says what to check" fails 1 "no answer from node 16 on $IMU9_CAN within 100 ms: is the gateway running with --node-id 16"
 
 start_gateway
 
@@ -22,28 +22,28 @@ run imu9-sdo -q read 0x1017 1008h
 check "bare values with -q" prints $'1000\nIMU9 CANopen gateway'
 run imu9-sdo read 0x1021
 printf '%s\n' "$out" | cmp -s - eds/imu9-gateway.eds
-check "the EDS comes out of the device byte by byte" test $? = 0
+check "the EDS in the device is the file" test $? = 0
 
 for value in 0.05 -0.05 5e-2 1; do
 	run imu9-sdo write lever_arm.l $value
-	check "writes $value without a word" prints ""
+	check "writes $value without output" prints ""
 done
 run imu9-sdo -q read lever_arm.l
-check "the last written value stands" prints 1
+check "the last written value is kept" prints 1
 run imu9-sdo write 0x1017 0x1F4
 run imu9-sdo -q read 0x1017
 check "writes hexadecimal" prints 500
 run imu9-sdo write resolution.acceleration 10
 run imu9-sdo read resolution.acceleration
-check "a step is shown as what it is" prints "resolution.acceleration = 10 (0.01 m/s^2)"
+check "a step is printed with its physical value" prints "resolution.acceleration = 10 (0.01 m/s^2)"
 run imu9-sdo read acceleration.l
-check "a scaled value follows its resolution object" says "m/s^2)"
+check "a scaled value uses its resolution object" says "m/s^2)"
 raw=${out#*= } raw=${raw%% *} scaled=${out#*(} scaled=${scaled%% *}
-check "and by the right factor" awk "BEGIN { d = $raw * 0.01 - $scaled; exit !(d < 1e-9 && d > -1e-9) }"
+check "and the right factor" awk "BEGIN { d = $raw * 0.01 - $scaled; exit !(d < 1e-9 && d > -1e-9) }"
 
 # ---- refused
 run imu9-sdo write lever_arm.l 11
-check "above the limit: the reason, the code and the range" fails 1 "above the high limit (abort 06090031h); allowed: -10 to 10 m"
+check "above the limit: reason, abort code and range" fails 1 "above the high limit (abort 06090031h); allowed: -10 to 10 m"
 run imu9-sdo write sample.counter 1
 check "read-only" fails 1 "can only be read (abort 06010002h)"
 run imu9-sdo read position.reset
@@ -51,12 +51,12 @@ check "write-only" fails 1 "can only be written (abort 06010001h)"
 run imu9-sdo read 0x4000:1
 check "an object that the node does not have" fails 1 "4000h:01: the node refused: no such object in the node (abort 06020000h)"
 run imu9-sdo read lever_arm.l 0x2000:9 lever_arm.t
-check "one failure of several is told" fails 1 "no such sub-index (abort 06090011h)"
-check "and the others are read all the same" says "lever_arm.t = "
+check "one failure of several is reported" fails 1 "no such sub-index (abort 06090011h)"
+check "and the others are read" says "lever_arm.t = "
 run imu9-sdo write 0x1017 u8:5
 check "a value of the wrong size" fails 1 "abort 060700"
 run imu9-sdo -q read lever_arm.l
-check "the old value stands" prints 1
+check "the old value is kept" prints 1
 
 # ---- wrong usage
 for arguments in "" "frobnicate" "read" "write lever_arm.l" "dump x" "-n 0 read 0x1000" "-n 128 dump" "-n 5x dump" "-n" "-x" "--foo" "--help=1" \
@@ -93,7 +93,7 @@ check "save" ends 0
 run grep -x "lever_arm.s = 0.25 ; m" "$work/a.ini"
 check "the file is readable" ends 0
 run imu9-sdo load "$work/a.ini"
-check "loading what is there writes nothing" test "${err/ 0 values written/}" != "$err"
+check "loading an unchanged configuration writes nothing" test "${err/ 0 values written/}" != "$err"
 sed -e 's/^lever_arm.s = .*/lever_arm.s = 0.5/' \
 	-e 's/^tpdo1_mapping.number_of_mapped_objects = .*/tpdo1_mapping.number_of_mapped_objects = 2/' \
 	-e 's/^tpdo1_mapping.object_2 = .*/tpdo1_mapping.object_2 = 0x21030120/' \
@@ -105,20 +105,20 @@ for state in start preop; do
 	run imu9-sdo load "$work/b.ini"
 	check "load remaps a PDO by the mapping procedure ($state)" ends 0
 	run imu9-sdo -q read 0x1A00:0 0x1A00:2 0x1800:1 0x1014 lever_arm.s
-	check "and all of it is in the node ($state)" prints $'2\n553845024\n1073742224\n153\n0.5'
+	check "and all values are in the node ($state)" prints $'2\n553845024\n1073742224\n153\n0.5'
 done
 run imu9-sdo load "$work/a.ini"
-check "load brings the node back" ends 0
+check "load restores the previous configuration" ends 0
 run imu9-sdo save "$work/c.ini"
-check "to the same configuration" cmp -s "$work/a.ini" "$work/c.ini"
+check "which is the same" cmp -s "$work/a.ini" "$work/c.ini"
 
 printf 'lever_arm.s = 99\nlever_arm.t = 0.125\ntpdo3_mapping.object_1 = 0x10000020\n' >"$work/d.ini"
 run imu9-sdo load "$work/d.ini"
 check "load reports each failure" fails 1 "lever_arm.s (2000h:02): the node refused"
 check "every one of them" fails 1 "tpdo3_mapping.object_1 (1A02h:01): the node refused"
-check "and what became of the PDO" fails 1 "1802h is left switched off"
+check "and the state of the PDO" fails 1 "1802h remains switched off"
 run imu9-sdo -q read lever_arm.t
-check "and writes the rest" prints 0.125
+check "and writes the other values" prints 0.125
 for line in "no_such = 1" "sample.counter = 1" "lever_arm.l = x" "rubbish"; do
 	printf '# a comment\n%s\nlever_arm.t = 3\n' "$line" >"$work/e.ini"
 	run imu9-sdo load "$work/e.ini"
@@ -134,22 +134,22 @@ imu9-sdo write lever_arm.s 0.75
 imu9-sdo nmt reset
 sleep 0.5
 run imu9-sdo -q read lever_arm.s
-check "what was stored is there after a reset" prints 0.25
+check "a stored value is restored after a reset" prints 0.25
 run imu9-sdo restore manufacturer
 check "restore" ends 0
 imu9-sdo nmt reset
 sleep 0.5
 run imu9-sdo -q read lever_arm.s tpdo2_communication.transmission_type
-check "the defaults of that group are there after a reset, the others as stored" prints $'0\n5'
+check "after a reset that group has its defaults, the others their stored values" prints $'0\n5'
 
-# ---- another node takes the configuration over, and so does a gateway with -c
+# ---- the configuration in another node, and in a gateway with -c
 stop_gateway
 IMU9_NODE=17
 start_gateway -c "$work/b.ini"
 run imu9-sdo -q read lever_arm.s 0x1A00:0
-check "imu9-gateway -c takes a saved file" prints $'0.5\n2'
+check "imu9-gateway -c reads a saved file" prints $'0.5\n2'
 run imu9-sdo load "$work/a.ini"
 check "load to another node" ends 0
 run imu9-sdo -q read 0x1800:1 0x1014
-check "moves the COB-IDs that follow the node-ID" prints $'1073742225\n145'
+check "adapts the COB-IDs that depend on the node-ID" prints $'1073742225\n145'
 finish

@@ -1,32 +1,32 @@
 #!/bin/bash
-# tools_sdo_files.sh [BUS]: imu9-sdo and large objects: block transfers, the event log, snapshots and DCFs.
+# tools_sdo_files.sh [BUS]: imu9-sdo with large objects: block transfers, event log, snapshots and DCFs.
 . "$(dirname "$0")/tools_common.bash"
 
 start_gateway
 
-# ---- DOMAINs: in blocks, in segments, to and from files
+# ---- DOMAINs: by block and by segment, to and from files
 imu9-sdo read eds -o "$work/eds"
-check "a DOMAIN goes into a file, in blocks" cmp -s "$work/eds" eds/imu9-gateway.eds
+check "a DOMAIN is read into a file by block transfer" cmp -s "$work/eds" eds/imu9-gateway.eds
 run imu9-sdo -q read --block 1008h
-check "a small value in a block" prints "IMU9 CANopen gateway"
+check "a small value by block transfer" prints "IMU9 CANopen gateway"
 run imu9-sdo write --block gravity 9.81
-check "written in a block" ends 0
+check "written by block transfer" ends 0
 run imu9-sdo -q read gravity
-check "and it stands" prints 9.81
+check "and it is in the node" prints 9.81
 run imu9-sdo read snapshot -o "$work/snapshot"
 check "the snapshot of the configuration" ends 0
 imu9-sdo read snapshot --no-block -o "$work/segmented"
-check "the same in segments" cmp -s "$work/snapshot" "$work/segmented"
+check "the same by segments" cmp -s "$work/snapshot" "$work/segmented"
 imu9-sdo write gravity 9.79
 run imu9-sdo dcf compare "$work/snapshot"
-check "compared with the node: what differs" fails 1 "1 differ"
+check "compared with the node: a difference" fails 1 "1 differ"
 check "is named" says "gravity (2003h:00)  node: D7 A3 1C 41  file: C3 F5 1C 41"
 run imu9-sdo write snapshot "$work/snapshot"
 check "written back" ends 0
 run imu9-sdo -q read gravity
-check "brings the value back" prints 9.81
+check "restores the value" prints 9.81
 run imu9-sdo dcf compare "$work/snapshot"
-check "all is as in the snapshot" ends 0
+check "no difference from the snapshot" ends 0
 imu9-sdo write gravity 9.79
 run imu9-sdo dcf apply "$work/snapshot"
 check "a concise DCF is applied entry by entry" ends 0
@@ -41,10 +41,10 @@ head -c 20000 /dev/zero >"$work/long"
 run imu9-sdo write snapshot "$work/long"
 check "a snapshot that is too long" fails 1 "too long"
 run imu9-sdo write snapshot "$work/none"
-check "a file that is not there" fails 1 "$work/none: No such file"
+check "a missing file" fails 1 "$work/none: No such file"
 run imu9-sdo log
 check "the event log begins with the start" says "0.000000 started with node-ID 16 on $IMU9_CAN"
-check "and tells what was refused" says "configuration snapshot refused: 2003h:00: "
+check "and contains the refused write" says "configuration snapshot refused: 2003h:00: "
 run imu9-sdo watch gravity lever_arm_model --rate 50 --count 3
 check "watch" says "gravity = 9.81 m/s^2  lever_arm_model = 2"
 check "as many lines as asked for" test "$(wc -l <<<"$out")" = 3
@@ -55,26 +55,26 @@ check "watch with bare values" prints $'2\n2'
 run imu9-sdo dcf save "$work/a.dcf"
 check "dcf save" ends 0
 run grep -c '^\[DeviceComissioning\]' "$work/a.dcf"
-check "a DCF says which node it is of" prints 1
+check "a DCF contains the node-ID" prints 1
 run imu9-sdo dcf compare "$work/a.dcf"
-check "nothing differs from it" ends 0
+check "the node has no difference from it" ends 0
 imu9-sdo write gravity 9.5
 imu9-sdo write tpdo2_communication.transmission_type 7
 run imu9-sdo dcf compare "$work/a.dcf"
-check "what differs is told" fails 1 "2 differ"
+check "differences are reported" fails 1 "2 differ"
 check "with both values" says "node: 9.5 m/s^2  file: 9.81"
 run imu9-sdo dcf apply "$work/a.dcf"
-check "dcf apply writes what differs" ends 0
+check "dcf apply writes the values that differ" ends 0
 run imu9-sdo -q dcf compare "$work/a.dcf"
-check "and then nothing differs" prints ""
+check "and then there is no difference" prints ""
 run imu9-sdo -e "$work/a.dcf" read gravity
-check "a DCF serves as EDS" prints "gravity = 9.81 m/s^2"
+check "a DCF can be used as EDS" prints "gravity = 9.81 m/s^2"
 tr -d '\r' <"$work/eds" | grep -v '^$' >"$work/dense.eds"
 imu9-sdo -q -e "$work/dense.eds" dcf save "$work/dense.dcf"
 run grep -c '^ParameterValue=' "$work/dense.dcf"
-check "an EDS without blank lines makes a DCF with as many values" prints "$(grep -c '^ParameterValue=' "$work/a.dcf")"
+check "an EDS without blank lines gives a DCF with the same number of values" prints "$(grep -c '^ParameterValue=' "$work/a.dcf")"
 run imu9-sdo dcf apply "$work/eds"
-check "an EDS has no values to apply" fails 1 "is it a DCF?"
+check "an EDS without values is refused" fails 1 "is it a DCF?"
 sed 's/^ParameterValue=0x411CF5C3/ParameterValue=x/' "$work/a.dcf" >"$work/b.dcf"
 run imu9-sdo dcf apply "$work/b.dcf"
 check "a bad value is named" fails 1 "gravity: ParameterValue=x"

@@ -1,11 +1,11 @@
 #!/bin/bash
-# tools_sdo_lss.sh [BUS]: imu9-sdo finds the nodes of a bus and gives them node-IDs.
+# tools_sdo_lss.sh [BUS]: imu9-sdo lists the nodes of a bus and assigns node-IDs by LSS.
 . "$(dirname "$0")/tools_common.bash"
 
 revision=$(sed -n 's/^RevisionNumber=0x\([0-9A-F]*\).*/\1/p' eds/imu9-gateway.eds)
 start_gateway
 
-# ---- who is there
+# ---- the nodes on the bus
 run imu9-sdo scan
 check "scan finds the node, its state and identity" says " 16  pre-operational  type 0004019Ah  vendor 00494D55h"
 for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255" "lss bit-rate 333" "lss --serial" "dcf apply" "dcf frob x" \
@@ -17,27 +17,27 @@ run imu9-sdo lss inquire
 check "lss inquire" says "node-ID 16  vendor 00494D55h  product 00000009h  revision ${revision}h  serial "
 serial=${out##*serial } serial=0x${serial%h}
 run imu9-sdo lss inquire --serial 1
-check "a node that is not there is not answered for" fails 1 "no node with vendor 00494D55h"
+check "a missing node gives an error" fails 1 "no node with vendor 00494D55h"
 run imu9-sdo lss node-id 18 --serial "$serial"
-check "lss node-id, of the one with that serial number" ends 0
+check "lss node-id, for the node with that serial number" ends 0
 imu9-sdo nmt reset-comm
 sleep 0.3
 run imu9-sdo -q -n 18 read gravity
-check "from reset communication on" prints 9.81
+check "valid after reset communication" prints 9.81
 run imu9-sdo lss node-id 16
 imu9-sdo -n 18 nmt reset-comm
 sleep 0.3
 run imu9-sdo lss assign 19
-check "nobody to be assigned to" fails 1 "no node without a node-ID"
-on_a_listening_adapter() { # a terminal that nobody reads is an adapter for slcan
+check "no node to assign a node-ID to" fails 1 "no node without a node-ID"
+on_a_listening_adapter() { # for slcan a terminal that is not read is an adapter
 	python3 -c 'import os, pty, subprocess, sys
 line = os.ttyname(pty.openpty()[1])
 sys.exit(subprocess.call(["imu9-sdo", "-i", "slcan:%s,listen-only" % line] + sys.argv[1:]))' "$@"
 }
 run on_a_listening_adapter lss scan
-check "a bus that cannot be sent on is not one without nodes" fails 1 "cannot send on slcan:"
-check "which is said once" test "$(wc -l <<<"$err")" = 1
-on_an_adapter_that_goes() {
+check "a bus that cannot be sent on is an error" fails 1 "cannot send on slcan:"
+check "which is reported once" test "$(wc -l <<<"$err")" = 1
+on_an_adapter_that_is_removed() {
 	python3 -c 'import os, pty, subprocess, sys, time
 adapter, line = pty.openpty()
 sdo = subprocess.Popen(["imu9-sdo", "-i", "slcan:" + os.ttyname(line)] + sys.argv[1:])
@@ -46,10 +46,10 @@ time.sleep(0.4)
 os.close(adapter)
 sys.exit(sdo.wait())' "$@"
 }
-run on_an_adapter_that_goes read gravity
-check "an adapter that was pulled out is asked for" fails 1 "is the adapter plugged in?"
-# beside_a_rude_node ARGUMENT...: imu9-sdo on a terminal and on a bus where node 5 clears the screen with each value
-beside_a_rude_node() {
+run on_an_adapter_that_is_removed read gravity
+check "a removed adapter is reported" fails 1 "is the adapter plugged in?"
+# with_a_malicious_node ARGUMENT...: imu9-sdo in a terminal, on a bus where node 5 sends control codes in each value
+with_a_malicious_node() {
 	python3 -c 'import os, pty, select, subprocess, sys
 adapter, line = pty.openpty()
 screen, terminal = pty.openpty()
@@ -75,9 +75,9 @@ while select.select([screen], [], [], 0)[0]:
 sys.exit(sdo.returncode)' "$@"
 }
 for request in scan "-n 5 read 1008h" "-n 5 read 0x2131" "-n 5 log"; do
-	run beside_a_rude_node $request
-	check "$request lets no control code through" says "?[2J"
-	check "$request lets no escape through" test "${out/$'\e'/}" = "$out"
+	run with_a_malicious_node $request
+	check "$request replaces control codes" says "?[2J"
+	check "$request prints no escape" test "${out/$'\e'/}" = "$out"
 done
 
 # ---- a node without a node-ID
@@ -91,19 +91,19 @@ start_unconfigured() {
 }
 start_unconfigured
 run imu9-sdo lss scan
-check "lss scan finds it by its identity, bit by bit" prints "vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
+check "lss scan finds its identity bit by bit" prints "vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
 run imu9-sdo scan
-check "scan does not see it, and says where to look" fails 1 "imu9-sdo lss scan"
+check "scan does not find it and names lss scan" fails 1 "imu9-sdo lss scan"
 run imu9-sdo lss assign 42 --store
-check "lss assign gives it a node-ID" fails 0 "it is node 42 now"
+check "lss assign gives it a node-ID" fails 0 "the node has node-ID 42 now"
 run imu9-sdo -q -n 42 read 0x1018:4
-check "which it has at once" ends 0
+check "valid immediately" ends 0
 run imu9-sdo lss scan
-check "and nobody is left without one" prints ""
+check "and no node is without one" prints ""
 stop_gateway
 start_unconfigured
 run imu9-sdo -t 1000 -n 42 read 0x1000
-check "it keeps its node-ID over a restart" ends 0
+check "the stored node-ID is used after a restart" ends 0
 run imu9-sdo lss node-id 255
-check "and can lose it again" ends 0
+check "and can be removed" ends 0
 finish
