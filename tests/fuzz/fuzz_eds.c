@@ -1,4 +1,4 @@
-/* Any bytes as an EDS, by both rules: an error text with the file name, or a table that od can use. */
+/* Any bytes as an EDS, by both rules: an error text with a name in it, or a table on which od works. */
 #include <stdlib.h>
 #include <string.h>
 

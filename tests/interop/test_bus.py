@@ -1,4 +1,4 @@
-"""The device on a real SocketCAN bus, seen by clients that are not ours: python3-can, can-utils, the kernel."""
+"""The device on a SocketCAN bus with independent clients: python3-can, can-utils, the kernel."""
 import random
 import re
 import signal
@@ -27,7 +27,7 @@ def f32(value):
 
 
 def next_f32(value, direction):
-    """The REAL32 next to value, away from zero when direction has value's sign."""
+    """The adjacent REAL32, away from zero if direction has the sign of value."""
     bits = struct.unpack("<i", f32(value))[0]
     return struct.unpack("<f", struct.pack("<i", bits + (direction if value > 0 else -direction)))[0]
 
@@ -41,7 +41,7 @@ class NetworkManagement(rig.OnTheBus):
     def heartbeats(self, ms):
         self.write(0x1017, 0, u16(ms))
 
-    def test_reset_node_gives_one_boot_up_and_then_pre_operational(self):
+    def test_reset_node_sends_one_boot_up_and_enters_pre_operational(self):
         self.master.nmt(canopen.RESET_NODE, NODE)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
         self.heartbeats(50)
@@ -56,7 +56,7 @@ class NetworkManagement(rig.OnTheBus):
             self.master.nmt(command, NODE)
             self.master.wait_state(NODE, state)
 
-    def test_a_command_to_all_nodes_is_obeyed_and_one_to_another_node_is_not(self):
+    def test_a_command_to_all_nodes_is_executed_and_one_to_another_node_is_not(self):
         self.heartbeats(20)
         self.master.nmt(canopen.START, 0)
         self.master.wait_state(NODE, canopen.STATE_OPERATIONAL)
@@ -77,7 +77,7 @@ class NetworkManagement(rig.OnTheBus):
         with self.assertRaises(canopen.Timeout):
             self.read(0x1000)
 
-    def test_reset_communication_restores_communication_objects_and_keeps_the_others(self):
+    def test_reset_communication_resets_communication_objects_only(self):
         self.heartbeats(50)
         self.write(*LEVER_ARM_L, f32(0.25))
         self.reset(canopen.RESET_COMMUNICATION)
@@ -88,7 +88,7 @@ class NetworkManagement(rig.OnTheBus):
 
 
 class AStoppedProcess(rig.OnTheBus):
-    def test_once_it_runs_again_it_has_not_lost_its_sensor(self):
+    def test_the_sensor_is_not_lost_after_the_process_was_suspended(self):
         for _ in range(4):
             self.gateway.process.send_signal(signal.SIGSTOP)
             time.sleep(0.5)
@@ -106,7 +106,7 @@ class SdoServer(rig.OnTheBus):
             try:
                 yield entry, self.read(index, sub)
             except canopen.Abort as abort:
-                if index != 0x1003 or abort.code != NO_DATA:  # an empty place of the error history
+                if index != 0x1003 or abort.code != NO_DATA:  # an unused entry of the error history
                     self.fail("%s: %s" % (entry.where, abort))
 
     def test_every_object_of_the_eds_has_its_type_and_its_default(self):
@@ -123,7 +123,7 @@ class SdoServer(rig.OnTheBus):
             compared += 1
         self.assertGreater(compared, 150)
 
-    def test_the_identity_is_the_one_of_the_eds_and_the_version_that_of_the_program(self):
+    def test_identity_and_software_version_are_those_of_eds_and_program(self):
         for sub in (1, 2, 3):
             self.assertEqual(self.read(0x1018, sub), u32(OBJECTS[0x1018, sub].default))
         version = rig.run("imu9-gateway", "--version").stdout.split()[1]
@@ -131,29 +131,29 @@ class SdoServer(rig.OnTheBus):
 
     def test_the_eds_can_be_read_from_the_device_itself(self):
         self.assertEqual(self.read(0x1022), u8(0))
-        reader = rig.open_master(own_frames=False)  # 15000 frames: five times as fast
+        reader = rig.open_master(own_frames=False)  # without its own of 15000 frames it is five times as fast
         self.addCleanup(reader.close)
         self.assertEqual(reader.upload(NODE, 0x1021), rig.EDS.read_bytes())
 
-    def test_a_write_of_what_is_read_only_or_constant_is_refused(self):
+    def test_a_write_to_a_read_only_or_constant_object_is_refused(self):
         for (index, sub), entry in OBJECTS.items():
             if entry.access in ("ro", "const") and entry.numeric:
                 self.assert_aborts(READ_ONLY, self.write, index, sub, bytes(entry.size))
 
-    def test_a_read_of_what_is_write_only_is_refused(self):
+    def test_a_read_of_a_write_only_object_is_refused(self):
         write_only = [key for key, entry in OBJECTS.items() if entry.access == "wo"]
         self.assertTrue(write_only)
         for index, sub in write_only:
             self.assert_aborts(WRITE_ONLY, self.read, index, sub)
 
-    def test_what_is_not_there_is_refused(self):
+    def test_an_access_to_a_missing_object_is_refused(self):
         self.assert_aborts(NO_OBJECT, self.read, 0x3000, 0)
         self.assert_aborts(NO_OBJECT, self.write, 0x1FFF, 1, u8(0))
         self.assert_aborts(NO_SUBINDEX, self.read, 0x1018, 5)
         self.assert_aborts(NO_SUBINDEX, self.write, 0x2000, 4, f32(0))
         self.assert_aborts(NO_SUBINDEX, self.read, 0x1000, 1)
 
-    def test_values_outside_the_limits_are_refused_and_the_old_one_stands(self):
+    def test_values_outside_the_limits_are_refused_and_the_old_value_remains(self):
         tried = 0
         for (index, sub), entry in OBJECTS.items():
             if entry.access not in ("rw", "wo"):
@@ -170,7 +170,7 @@ class SdoServer(rig.OnTheBus):
                 try:
                     data = entry.encode(beyond)
                 except struct.error:
-                    continue  # the type itself ends there
+                    continue  # the limit is that of the type
                 before = None if entry.access == "wo" else self.read(index, sub)
                 self.assert_aborts(code, self.write, index, sub, data)
                 if before is not None:
@@ -185,14 +185,14 @@ class SdoServer(rig.OnTheBus):
                 if entry.size > 1:
                     self.assert_aborts(TOO_SHORT, self.write, index, sub, bytes(entry.size - 1))
 
-    def test_not_a_number_and_infinity_are_refused(self):
+    def test_nan_and_infinity_are_refused(self):
         for value in (float("nan"), float("inf"), float("-inf")):
             with self.assertRaises(canopen.Abort) as caught:
                 self.write(*LEVER_ARM_L, f32(value))
             self.assertIn(caught.exception.code, (BAD_VALUE, TOO_HIGH, TOO_LOW))
         self.assertEqual(self.read(*LEVER_ARM_L), f32(0))
 
-    def test_a_number_may_be_written_in_segments_too(self):
+    def test_a_number_can_be_written_by_segmented_transfer(self):
         self.master.download(NODE, *LEVER_ARM_L, f32(0.5), segmented=True)
         self.assertEqual(self.read(*LEVER_ARM_L), f32(0.5))
         self.write(*LEVER_ARM_L, f32(0))
@@ -208,7 +208,7 @@ class SdoServer(rig.OnTheBus):
         answer = self.master.sdo_request(NODE, bytes.fromhex("e000200100000000"))
         self.assertEqual((answer[0], answer[4:]), (0x80, u32(BAD_COMMAND)))
 
-    def test_a_transfer_that_the_client_aborts_is_over_and_gets_no_answer(self):
+    def test_an_abort_by_the_client_ends_the_transfer_without_an_answer(self):
         self.master.sdo_request(NODE, bytes.fromhex("4008100000000000"))
         self.master.drain()
         self.master.send(canopen.SDO_RX + NODE, bytes.fromhex("8008100000000008"))
@@ -218,7 +218,7 @@ class SdoServer(rig.OnTheBus):
 
 class ProcessData(rig.OnTheBus):
     def sync(self, times, counter_of=None, answered=True):
-        """Sends SYNCs 20 ms apart, or when TPDO4, the last of a SYNC, has come; what was heard meanwhile."""
+        """Sends SYNCs every 20 ms, or after TPDO4, the last one of a SYNC; returns the frames received meanwhile."""
         first = len(self.master.frames)
         for i in range(times):
             self.master.sync(counter_of(i) if counter_of else None)
@@ -227,11 +227,11 @@ class ProcessData(rig.OnTheBus):
             self.master.listen(0.02)
         return self.master.frames[first:]
 
-    def test_no_pdo_leaves_before_the_node_is_started(self):
+    def test_no_pdo_is_sent_before_nmt_start(self):
         frames = self.sync(5, answered=False)
         self.assertEqual([self.pdos(frames, n) for n in (1, 2, 3, 4)], [[], [], [], []])
 
-    def test_each_sync_gives_four_pdos_of_one_sample(self):
+    def test_each_sync_triggers_four_pdos_of_one_sample(self):
         self.start()
         frames = self.sync(20)
         numbers = [canopen.decode(f.data, "HHI")[1] for f in self.pdos(frames, 4)]
@@ -241,14 +241,14 @@ class ProcessData(rig.OnTheBus):
         self.assertEqual(numbers, sorted(numbers))
         self.assertGreater(len(set(numbers)), 2)  # a busy machine may have no new sample between two SYNCs
 
-    def test_type_n_gives_a_pdo_every_nth_sync(self):
+    def test_type_n_sends_a_pdo_at_every_nth_sync(self):
         self.master.remap(NODE, 1, None, transmission=5)
         self.master.remap(NODE, 2, None, transmission=240)
         self.start()
         frames = self.sync(20)
         self.assertEqual([len(self.pdos(frames, n)) for n in (1, 2, 3)], [4, 0, 20])
 
-    def test_event_driven_pdos_come_with_each_sample_and_without_sync(self):
+    def test_event_driven_pdos_are_sent_with_each_sample_without_sync(self):
         self.master.remap(NODE, 1, None, transmission=254)
         self.start()
         self.master.listen(0.1)
@@ -256,14 +256,14 @@ class ProcessData(rig.OnTheBus):
         self.assertGreater(len(numbers), 20)
         self.assertEqual(numbers, [(numbers[0] + i) % 65536 for i in range(len(numbers))])
 
-    def test_the_inhibit_time_keeps_event_driven_pdos_apart(self):
+    def test_the_inhibit_time_is_the_minimum_interval_of_event_driven_pdos(self):
         self.master.remap(NODE, 1, None, transmission=255, inhibit=500)
         self.start()
         frames = self.pdos(self.master.listen(1.0))
         self.assertGreater(len(frames), 12)
         self.assert_no_sooner_than(0.050, frames)
 
-    def test_the_sync_counter_and_the_start_value_place_the_pdos(self):
+    def test_sync_counter_and_start_value_select_the_syncs_with_pdos(self):
         self.write(0x1019, 0, u8(10))
         self.master.remap(NODE, 1, None, transmission=2, start=3)
         self.start()
@@ -271,16 +271,16 @@ class ProcessData(rig.OnTheBus):
         for i, frame in enumerate(heard):
             if frame.arbitration_id == canopen.TPDO[0] + NODE:
                 after.append([f for f in heard[:i] if f.arbitration_id == canopen.SYNC][-1].data[0])
-        # the SYNC with the start value is the first one counted; then every second
+        # the SYNC with the start value is the first one that counts; then every second one
         self.assertEqual(after, [4, 6, 8, 10, 2, 4])
 
-    def test_a_sync_of_the_wrong_length_is_told_and_its_end_too(self):
+    def test_a_sync_of_wrong_length_raises_an_emcy_that_is_cleared(self):
         self.write(0x1019, 0, u8(10))
         for counter, wanted in ((None, (0x8240, 0x11)), (1, (0x0000, 0x00))):
             self.master.sync(counter)
             self.assertEqual(canopen.emergency(self.emcy(wanted[0]))[1] & 0x11, wanted[1])
 
-    def test_a_new_mapping_takes_effect_live(self):
+    def test_a_new_mapping_takes_effect_at_once(self):
         default = [(0x2100, 1, 16), (0x2100, 2, 16), (0x2100, 3, 16), (0x210F, 1, 16)]
         self.assertEqual(self.master.mapping(NODE, 1), default)
         self.start()
@@ -292,7 +292,7 @@ class ProcessData(rig.OnTheBus):
         self.assertLessEqual(abs(w), 1.0)
         self.assertEqual(counter, canopen.decode(self.pdos(frames, 2)[0].data, "hhhH")[3])
 
-    def test_another_cob_id_takes_effect_live(self):
+    def test_another_cob_id_takes_effect_at_once(self):
         self.write(0x1800, 1, u32(1 << 31 | 0x1F5))
         self.write(0x1800, 1, u32(0x1F5))
         self.start()
@@ -303,7 +303,7 @@ class ProcessData(rig.OnTheBus):
         for sub, data in ((0, u8(0)), (1, u32(0x21010110))):
             self.assert_aborts(UNSUPPORTED_ACCESS, self.write, 0x1A00, sub, data)
 
-    def test_a_mapping_that_cannot_be_is_refused(self):
+    def test_an_invalid_mapping_is_refused(self):
         self.write(0x1800, 1, u32(1 << 31 | canopen.TPDO[0] + NODE))
         self.write(0x1A00, 0, u8(0))
         self.assert_aborts(NOT_MAPPABLE, self.write, 0x1A00, 1, u32(0x20000120))  # the lever arm
@@ -326,7 +326,7 @@ class ProcessData(rig.OnTheBus):
 
 
 class Emergencies(rig.OnTheBus):
-    """A sensor that falls silent: a log that ends after 0.3 s."""
+    """A sensor that stops: a log that ends after 0.3 s."""
 
     @classmethod
     def setUpClass(cls):
@@ -335,7 +335,7 @@ class Emergencies(rig.OnTheBus):
         super().setUpClass()
         rig.wait_until(lambda: "has ended" in cls.gateway.log)
 
-    def test_a_fault_is_told_at_the_next_reset_and_stands_in_the_error_register(self):
+    def test_a_lasting_fault_is_sent_again_after_a_reset_and_sets_the_error_register(self):
         self.reset(canopen.RESET_NODE)
         code, register, _ = canopen.emergency(self.master.wait(canopen.EMCY + NODE))
         self.assertEqual(code, 0x5030)
@@ -343,17 +343,17 @@ class Emergencies(rig.OnTheBus):
         self.assertEqual(self.read(0x1001), u8(0x81))
         self.assertEqual(self.read(0x1003, 1)[:2], u16(0x5030))
 
-    def test_the_error_history_is_cleared_by_a_zero_and_takes_nothing_else(self):
+    def test_the_error_history_is_cleared_by_0_and_refuses_other_values(self):
         self.assert_aborts(BAD_VALUE, self.write, 0x1003, 0, u8(1))
         self.write(0x1003, 0, u8(0))
         self.assertEqual(self.read(0x1003, 0), u8(0))
         self.assert_aborts(NO_DATA, self.read, 0x1003, 1)
 
-    def test_the_status_word_says_that_the_sensor_is_lost(self):
+    def test_the_status_word_has_the_bit_sensor_lost(self):
         status = struct.unpack("<H", self.read(0x210F, 3))[0]
         self.assertEqual((status & 1, status >> 9 & 1), (0, 1))
 
-    def test_the_event_timer_sends_without_any_event(self):
+    def test_the_event_timer_sends_without_an_event(self):
         self.master.remap(NODE, 1, None, transmission=255, event=60)
         self.start()
         self.master.listen(0.2)
@@ -361,7 +361,7 @@ class Emergencies(rig.OnTheBus):
         self.assertGreater(len(frames), 10)
         self.assert_no_sooner_than(0.060, frames)
 
-    def test_an_acyclic_synchronous_pdo_is_sent_only_after_something_new(self):
+    def test_an_acyclic_synchronous_pdo_is_sent_only_after_an_event(self):
         self.master.remap(NODE, 1, None, transmission=0)
         self.start()
         for _ in range(4):
@@ -387,7 +387,7 @@ class Storage(unittest.TestCase):
         self.gateway.start()
         self.boot_up()
 
-    def test_what_was_stored_is_there_after_kill_9_and_what_was_not_is_gone(self):
+    def test_after_kill_9_stored_values_are_restored_and_others_are_not(self):
         self.master.download(NODE, 0x2000, 1, f32(0.125))
         self.master.download(NODE, 0x1017, 0, u16(200))
         self.master.download(NODE, 0x1010, 1, canopen.SAVE)
@@ -405,7 +405,7 @@ class Storage(unittest.TestCase):
         self.assertEqual(self.master.upload(NODE, 0x2000, 1), f32(0.125))
         self.assertEqual(self.master.upload(NODE, 0x1017), DEFAULT_HEARTBEAT)
 
-    def test_load_brings_the_defaults_back_with_the_next_reset(self):
+    def test_load_restores_the_defaults_with_the_next_reset(self):
         self.master.download(NODE, 0x2000, 1, f32(0.125))
         self.master.download(NODE, 0x1010, 1, canopen.SAVE)
         self.master.download(NODE, 0x1011, 1, canopen.LOAD)
@@ -427,7 +427,7 @@ class Storage(unittest.TestCase):
 
 
 class RoughBus(rig.OnTheBus):
-    """On vcan1, so that the capture of vcan0 holds only what ought to be on a bus."""
+    """On vcan1, so that the capture of vcan0 has only valid traffic."""
 
     bus = rig.ROUGH_BUS
 
@@ -439,13 +439,13 @@ class RoughBus(rig.OnTheBus):
         self.master.sync()
         self.master.wait(canopen.TPDO[3] + NODE)
 
-    def test_after_seconds_of_random_traffic_it_still_answers(self):
+    def test_it_answers_after_seconds_of_random_traffic(self):
         self.start()
         for flags in (["-e"], []):
             subprocess.run(["cangen", self.bus, "-g", "0.4", "-n", "2000", "-i", *flags], check=True, timeout=10)
         self.still_answers()
 
-    def test_after_random_frames_on_its_own_identifiers_it_still_answers(self):
+    def test_it_answers_after_random_frames_with_its_own_identifiers(self):
         dice = random.Random(9)
         self.start()
         for _ in range(2000):
@@ -453,12 +453,12 @@ class RoughBus(rig.OnTheBus):
             self.master.send(can_id, dice.randbytes(dice.randrange(9)))
         self.still_answers()
 
-    def test_short_sdo_requests_are_not_taken_for_requests(self):
+    def test_sdo_requests_shorter_than_8_bytes_are_ignored(self):
         for length in range(8):
             self.master.send(canopen.SDO_RX + NODE, bytes.fromhex("40001000000000")[:length])
         self.assertEqual([f for f in self.master.listen(0.1) if f.arbitration_id == canopen.SDO_TX + NODE], [])
 
-    def test_an_interface_that_goes_down_and_up_is_survived(self):
+    def test_it_continues_after_the_interface_went_down_and_up(self):
         self.write(0x1017, 0, u16(50))
         self.master.wait_state(NODE, canopen.STATE_PRE_OPERATIONAL)
         subprocess.run(["ip", "link", "set", self.bus, "down"], check=True)
@@ -470,7 +470,7 @@ class RoughBus(rig.OnTheBus):
         self.master.wait_state(NODE, canopen.STATE_PRE_OPERATIONAL, 5)
         self.still_answers()
 
-    def test_an_error_passive_controller_is_told_and_its_recovery_too(self):
+    def test_error_passive_raises_an_emcy_that_is_cleared_after_recovery(self):
         before = struct.unpack("<I", self.read(0x2120, 6))[0]
         subprocess.run(["cansend", self.bus, "20000004#0020000000000000"], check=True)
         self.emcy(0x8120)

@@ -1,5 +1,4 @@
-"""Wireshark's CANopen dissector over everything that went over vcan0 in the run. `run` takes the capture and calls this
-last."""
+"""Wireshark's CANopen dissector on all frames of vcan0. `run` records the capture and runs this module last."""
 import collections
 import os
 import re
@@ -19,12 +18,12 @@ class TheWholeRun(unittest.TestCase):
             [word for field in fields for word in ("-e", field)], capture_output=True, text=True, timeout=60)
         assert result.returncode == 0, result.stderr
         frames = [dict(zip(fields, line.split("\t"))) for line in result.stdout.splitlines()]
-        # remote frames have nothing to take apart: they stay with the dissector of CAN
+        # remote frames have no data, so only the CAN dissector handles them
         cls.frames = [f for f in frames if "Remote Transmission Request" not in f["_ws.col.Info"]]
 
     def test_every_frame_is_dissected_as_canopen(self):
         self.assertGreater(len(self.frames), 5000)
-        # for a SYNC without a counter the dissector writes the Info column only: there is nothing to take apart
+        # a SYNC without counter has no data: the dissector fills the Info column only
         wanted = {("can:canopen", True), ("can", False)}
         odd = [f for f in self.frames if (f["frame.protocols"], f["_ws.col.Info"] != "SYNC") not in wanted]
         self.assertEqual(odd, [])
@@ -36,7 +35,7 @@ class TheWholeRun(unittest.TestCase):
     def test_every_service_is_recognised(self):
         kinds = collections.Counter(re.match(r"\w+", f["_ws.col.Info"])[0] for f in self.frames)
         self.note = ", ".join("%s %d" % pair for pair in kinds.most_common())
-        # "Default" are the SDOs of the first channel; "NMT" is error control, too
+        # "Default" are the SDOs of the first server; "NMT" includes error control
         self.assertEqual(set(kinds), {"NMT", "SYNC", "TIME", "EMCY", "PDO1", "PDO2", "PDO3", "PDO4", "Default", "LSS"})
 
 

@@ -1,4 +1,4 @@
-"""Where the configuration comes from, and what is said when it, or the input, is bad."""
+"""Sources of the configuration and their precedence; messages for errors in it or in the input."""
 import re
 import struct
 import unittest
@@ -34,7 +34,7 @@ class ARunningGateway(unittest.TestCase):
 
 
 class Precedence(ARunningGateway):
-    def test_defaults_file_command_line_and_stored_values_in_this_order(self):
+    def test_precedence_is_default_file_command_line_stored_value(self):
         file = rig.written("[lever_arm]\nl = 0.1\ns = 0.1\nt = 0.1\n[gateway]\nnode_id = 99\n")
         self.start("-c", file, "--set", "lever_arm.s=0.2", "--set", "lever_arm.t=0.2")
         self.assertAlmostEqual(self.real(0x2003), 9.81, places=6)  # default
@@ -48,7 +48,7 @@ class Precedence(ARunningGateway):
         for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):  # stored
             self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
 
-    def test_objects_are_named_in_the_file_with_and_without_section(self):
+    def test_objects_can_be_named_with_and_without_section(self):
         self.start("-c", rig.written("lever_arm.l = 0.1\nrates_from = 1\nLever Arm.s = 0.2\n[lever_arm]\nt = 0.3\n"))
         for sub, metres in ((1, 0.1), (2, 0.2), (3, 0.3)):
             self.assertAlmostEqual(self.real(0x2000, sub), metres, places=6)
@@ -56,7 +56,7 @@ class Precedence(ARunningGateway):
 
 
 class BadInput(unittest.TestCase):
-    """Status 2 for what was written wrong, 1 for what is not there; one line that names it and says what to do."""
+    """Status 2 for wrong usage, 1 for missing files and devices; one line that names the cause and says what to do."""
 
     def refused(self, status, pattern, *args):
         result = rig.run("imu9-gateway", *args)
@@ -72,7 +72,7 @@ class BadInput(unittest.TestCase):
     def test_an_unknown_option(self):
         self.refused(2, "frobnicate", "--frobnicate")
 
-    def test_an_argument_that_is_no_option(self):
+    def test_an_argument_that_is_not_an_option(self):
         self.refused(2, "'stray'.*--help", "stray")
 
     def test_an_option_without_its_value(self):
@@ -87,17 +87,17 @@ class BadInput(unittest.TestCase):
     def test_a_value_beyond_the_limits_names_its_line_and_the_limits(self):
         self.file_refused(1, "-10 to 10 m", "lever_arm.l = 11\n")
 
-    def test_a_value_that_is_no_number_names_its_line(self):
+    def test_a_value_that_is_not_a_number_names_its_line(self):
         self.file_refused(1, "lever_arm.l = abc", "lever_arm.l = abc\n")
         self.file_refused(1, "lever_arm.l", "lever_arm.l = nan\n")
 
     def test_a_line_that_is_neither_section_nor_key_names_its_line(self):
         self.file_refused(2, ".", "lever_arm.l = 0\nwhat is this\n")
 
-    def test_what_cannot_be_configured_is_refused(self):
+    def test_an_object_that_is_not_configuration_is_refused(self):
         self.file_refused(1, "not a configuration object", "acceleration.l = 1\n")
 
-    def test_a_configuration_file_that_is_not_there(self):
+    def test_a_missing_configuration_file(self):
         self.refused(2, "/no/such/file.*No such file", "-c", "/no/such/file")
 
     def test_an_unknown_object_on_the_command_line(self):
@@ -110,16 +110,16 @@ class BadInput(unittest.TestCase):
         for node_id in ("0", "128", "-1", "12x", ""):
             self.refused(2, "node_id", "--node-id", node_id)
 
-    def test_a_bus_that_is_not_there(self):
+    def test_a_missing_bus(self):
         self.refused(1, "nocan7.*ip link", "--can", "nocan7")
 
-    def test_an_interface_that_is_no_can_bus(self):
+    def test_an_interface_that_is_not_a_can_bus(self):
         self.refused(1, "lo\\b", "--can", "lo")
 
     def test_an_unknown_kind_of_sensor(self):
         self.refused(1, "crystal.*replay:", "--imu", "crystal:ball")
 
-    def test_a_log_that_is_not_there(self):
+    def test_a_missing_log(self):
         self.refused(1, "/no/such.imu.csv.*No such file", "--imu", "replay:/no/such.imu.csv")
 
     def test_a_log_whose_header_lacks_a_column_names_the_line(self):
@@ -142,7 +142,7 @@ class BadLogs(ARunningGateway):
     GOOD = [row(k) for k in range(60)]
 
     def skips(self, line, bad):
-        """Rows 0..29, the bad one, rows 31..: it alone is skipped, by the gateway and by imu9-replay."""
+        """Rows 0..29, the invalid one, rows 31..: gateway and imu9-replay skip only the invalid one."""
         path = log_of(*self.GOOD[:30], bad, *self.GOOD[31:])
         where = re.escape("%s:%d: " % (path.name, line))
         replay = rig.run("imu9-replay", path)
@@ -160,7 +160,7 @@ class BadLogs(ARunningGateway):
     def test_a_row_with_a_missing_field_is_skipped(self):
         self.skips(32, "0.30,0,0,0,0,0")
 
-    def test_a_row_that_is_no_number_is_skipped(self):
+    def test_a_row_that_is_not_a_number_is_skipped(self):
         self.skips(32, "0.30,0,zero,0,0,0,9.81,0,20,-40")
 
     def test_a_row_with_nan_is_skipped(self):
@@ -172,7 +172,7 @@ class BadLogs(ARunningGateway):
     def test_a_row_back_in_time_is_skipped(self):
         self.skips(32, row(10))
 
-    def test_a_log_without_magnetometer_runs_and_says_so_in_the_status(self):
+    def test_a_log_without_magnetometer_clears_its_status_bit(self):
         for text in (log_of(*[row(k, ",,,") for k in range(60)]),
                      rig.written("t,gx,gy,gz,ax,ay,az\n" + "".join(row(k, "") + "\n" for k in range(60)), ".imu.csv")):
             self.start(imu="replay:%s" % text)

@@ -1,5 +1,5 @@
-"""LSS (CiA 305), what it keeps, and the bit rate of a controller of the kernel: its slcan driver, at the other end of whose
-pseudo-terminal this test sits."""
+"""LSS (CiA 305), its storage, and the bit rate of a CAN controller: the kernel's slcan driver, with this test at the other
+end of its pseudo-terminal."""
 import fcntl
 import os
 import pathlib
@@ -40,7 +40,7 @@ class Lss(unittest.TestCase):
         self.order(*data)
         return self.master.wait(lambda f: f.arbitration_id == 0x7E4).data[:2]
 
-    def test_a_node_id_that_was_stored_is_there_after_kill_9(self):
+    def test_a_stored_node_id_is_used_after_kill_9(self):
         self.begin()
         self.boot_up(NODE)
         self.order(0x04, 1)
@@ -65,13 +65,13 @@ class Lss(unittest.TestCase):
         self.order(0x4C)
         return any(f.arbitration_id == 0x7E4 and f.data[0] == 0x50 for f in self.master.listen(0.1))
 
-    def test_vcan_has_no_bit_rate_and_says_so(self):
+    def test_a_bit_rate_for_vcan_is_refused(self):
         self.begin()
         self.boot_up(NODE)
         self.order(0x04, 1)
         self.assertEqual(self.ask(0x13, 0, 2), b"\x13\x01")
 
-    def test_a_second_gateway_of_the_same_store_leaves_it_alone(self):
+    def test_a_second_gateway_does_not_use_the_same_store(self):
         self.begin()
         self.boot_up(NODE)
         store = self.gateway.command[self.gateway.command.index("--store") + 1]
@@ -80,7 +80,7 @@ class Lss(unittest.TestCase):
         rig.wait_until(lambda: "belongs to another gateway" in other.log)
         self.boot_up(35)
 
-    def test_another_node_with_this_node_id_is_told(self):
+    def test_another_node_with_the_same_node_id_raises_an_emcy(self):
         self.begin()
         self.boot_up(NODE)
         self.master.send(0x700 + NODE, b"\0")
@@ -89,8 +89,8 @@ class Lss(unittest.TestCase):
 
 
 class Slcan:
-    """An slcan adapter whose other end is here: what the kernel's driver sends to it, as bytes. Somebody has to read all
-    the time: the driver waits for that."""
+    """A simulated slcan adapter: the bytes that the kernel's driver sends. They must be read continuously, as the driver
+    waits for it."""
 
     def __init__(self):
         self.end, self.tty = os.openpty()
@@ -107,11 +107,11 @@ class Slcan:
             while True:
                 text = os.read(self.end, 4096)
                 self.text += text
-        except OSError:  # the other end is closed
+        except OSError:  # the other end was closed
             pass
 
     def said(self, seconds):
-        """Since the last call, and in the next `seconds`."""
+        """The bytes received since the last call and in the next `seconds`."""
         time.sleep(seconds)
         text, self.text = self.text, b""
         return text
@@ -123,7 +123,7 @@ class Slcan:
 
 
 def load_slcan():
-    """Where it is a module that modprobe does not find; elsewhere the kernel has it, or loads it."""
+    """Loads the module if modprobe does not find it; otherwise the kernel has the driver or loads it."""
     module = pathlib.Path("/usr/lib/uml/modules", platform.release(), "kernel/drivers/net/can/slcan/slcan.ko")
     if module.exists():
         subprocess.run(["insmod", module], capture_output=True)
@@ -155,18 +155,18 @@ class BitRate(unittest.TestCase):
         self.assertIn(b"t710100", said)  # boot-up
         self.assertIn("125000 bit/s set", gateway.log)
 
-    def test_the_bit_rate_that_the_interface_has_is_left_alone(self):
+    def test_an_equal_bit_rate_is_not_set_again(self):
         self.start("--bitrate", "500000")
         said = self.adapter.said(1)
         self.assertNotIn(b"S", said)
         self.assertIn(b"t710100", said)
 
-    def test_a_bit_rate_that_the_controller_has_not_is_told(self):
+    def test_a_bit_rate_that_the_controller_does_not_support_is_reported(self):
         gateway = self.start("--bitrate", "333000")
         self.adapter.said(0.5)
         self.assertIn("the controller has no such bit rate", gateway.log)
 
-    def test_lss_switches_it_after_a_silence_at_the_old_rate_and_before_one_at_the_new(self):
+    def test_lss_switches_the_bit_rate_between_two_switch_delays(self):
         self.start()
         self.adapter.said(1)
         self.send(0x04, 1)
@@ -181,7 +181,7 @@ class BitRate(unittest.TestCase):
         self.assertNotIn(b"t", switch)
         self.assertIn(b"t71017F", self.adapter.said(1.5))  # the heartbeat
 
-    def test_the_bit_rate_that_lss_stored_is_set_at_the_next_start(self):
+    def test_a_bit_rate_stored_by_lss_is_set_at_the_next_start(self):
         gateway = self.start()
         self.adapter.said(1)
         self.send(0x04, 1)

@@ -8,7 +8,7 @@ import canopen_master as canopen
 
 
 class Script(threading.Thread):
-    """A server that knows its lines: expects each request, gives each answer."""
+    """A scripted server: expects each request and sends its answer."""
 
     def __init__(self, lines):
         super().__init__()
@@ -44,13 +44,13 @@ class TheMaster(unittest.TestCase):
             script.join()
             self.assertEqual(script.mistakes, [])
 
-    def test_an_expedited_upload_gives_as_many_bytes_as_the_answer_says(self):
+    def test_an_expedited_upload_returns_the_indicated_number_of_bytes(self):
         lines = [("605#4000100000000000", "585#430010009a010400"), ("605#4001100000000000", "585#4f01100081000000")]
         self.assertEqual(
             self.play(lines, lambda: (self.master.upload(5, 0x1000), self.master.upload(5, 0x1001))),
             (bytes.fromhex("9a010400"), b"\x81"))
 
-    def test_a_segmented_upload_is_put_together_with_alternating_toggle(self):
+    def test_a_segmented_upload_is_assembled_with_alternating_toggle(self):
         lines = [
             ("605#4008100000000000", "585#410810000a000000"),
             ("605#6000000000000000", "585#0041424344454647"),
@@ -68,12 +68,12 @@ class TheMaster(unittest.TestCase):
         with self.assertRaises(canopen.ProtocolError):
             self.play(lines, lambda: self.master.upload(5, 0x1008))
 
-    def test_an_expedited_download_names_its_size(self):
+    def test_an_expedited_download_indicates_its_size(self):
         lines = [("605#2b171000e8030000", "585#6017100000000000"), ("605#2300200100004842", "585#6000200100000000")]
         self.play(lines, lambda: (
             self.master.download(5, 0x1017, 0, b"\xe8\x03"), self.master.download(5, 0x2000, 1, b"\x00\x00\x48\x42")))
 
-    def test_a_segmented_download_ends_with_the_last_segment_marked(self):
+    def test_a_segmented_download_marks_its_last_segment(self):
         lines = [
             ("605#2110200009000000", "585#6010200000000000"),
             ("605#0031323334353637", "585#2000000000000000"),
@@ -81,12 +81,12 @@ class TheMaster(unittest.TestCase):
         ]
         self.play(lines, lambda: self.master.download(5, 0x2010, 0, b"123456789"))
 
-    def test_an_abort_comes_with_its_code(self):
+    def test_an_abort_has_its_code(self):
         with self.assertRaises(canopen.Abort) as caught:
             self.play([("605#4000300000000000", "585#8000300000000206")], lambda: self.master.upload(5, 0x3000))
         self.assertEqual(caught.exception.code, 0x06020000)
 
-    def test_nmt_and_sync_are_as_the_standard_has_them(self):
+    def test_nmt_and_sync_follow_cia_301(self):
         self.play([("000#0105", None), ("080#", None), ("080#07", None)], lambda: (
             self.master.nmt(canopen.START, 5), self.master.sync(), self.master.sync(7)))
 
@@ -97,7 +97,7 @@ class TheMaster(unittest.TestCase):
         with self.assertRaises(canopen.ProtocolError):
             canopen.decode(bytes(7), "hhhH")
 
-    def test_an_emergency_is_taken_apart(self):
+    def test_an_emergency_is_decoded(self):
         frame = can.Message(arbitration_id=0x85, data=bytes.fromhex("1081110102030405"), is_extended_id=False)
         self.assertEqual(canopen.emergency(frame), (0x8110, 0x11, bytes([1, 2, 3, 4, 5])))
 

@@ -1,4 +1,4 @@
-"""Recorded IMU data through the gateway and over a real bus, against the same log through imu9-replay."""
+"""Recorded IMU data through the gateway and a CAN bus, compared with imu9-replay of the same log."""
 import csv
 import math
 import struct
@@ -10,11 +10,11 @@ import rig
 from rig import NODE
 
 ACCELERATION_LSB, ANGLE_LSB, POSITION_LSB = 0.005, 0.01, 0.001  # m/s^2, deg, m: the defaults of 2110h and 6000h
-PRINTED = 1e-5  # imu9-replay's last digit, and that of REAL32
+PRINTED = 1e-5  # resolution of imu9-replay's output and of REAL32
 
 
 def replayed(log, *args, rows=None):
-    """imu9-replay's rows, [{column: number}]; the place in the list is the sample counter."""
+    """The rows of imu9-replay, [{column: number}]; the index in the list is the sample counter."""
     result = rig.run("imu9-replay", *args, log)
     assert result.returncode == 0, result.stderr
     table = []
@@ -34,7 +34,7 @@ def angles(row):
 
 
 def expected(row):
-    """What TPDO1, 2 and 3 carry of this row: [(values, resolution)]."""
+    """The values of TPDO1, 2 and 3 for this row: [(values, resolution)]."""
     return [
         ([row[name] for name in ("al", "as", "at")], ACCELERATION_LSB),
         (angles(row), ANGLE_LSB),
@@ -43,7 +43,7 @@ def expected(row):
 
 
 def off_by(number, value, lsb):
-    """How far the integer on the bus is from the value, in LSB. 0 where it rightly saturates."""
+    """Difference between the integer on the bus and the value, in LSB; 0 if the integer is saturated as it must be."""
     if abs(value) > 32767.5 * lsb:
         return 0 if number == (32767 if value > 0 else -32768) else math.inf
     return abs(number - value / lsb)
@@ -52,7 +52,7 @@ def off_by(number, value, lsb):
 class ARecordedTrial(unittest.TestCase):
     SECONDS, SYNC_HZ = 30, 100
 
-    def test_every_pdo_value_is_the_replays_row_for_30_s_of_sync_at_100_hz(self):
+    def test_every_pdo_value_equals_the_replay_for_30_s_of_sync_at_100_hz(self):
         log = rig.recorded("09_")
         rows = replayed(log, rows=60 * 290)
         master = rig.open_master()
@@ -103,7 +103,7 @@ class ARecordedTrial(unittest.TestCase):
 
 
 class TheLeverArm(unittest.TestCase):
-    """Written by SDO, it changes the acceleration of the very next sample by the rigid-body terms, and only that."""
+    """A lever arm written by SDO changes the acceleration of the next sample by the rigid-body terms, and nothing else."""
 
     ARM = (0.8, -0.5, 0.3)
 
@@ -111,14 +111,14 @@ class TheLeverArm(unittest.TestCase):
         self.log = self.moving_part(rig.recorded("09_"))
         self.master = rig.open_master()
         self.addCleanup(self.master.close)
-        # an attitude that does not use the lever arm itself, so that every sample can be compared, not the next one alone
-        self.gateway = rig.Gateway("--set", "fusion.algorithm=0", imu="replay:%s,speed=0.5" % self.log)  # four PDOs a sample: 572 a second
+        # with a fusion that does not use the lever arm all later samples can be compared, not only the next one
+        self.gateway = rig.Gateway("--set", "fusion.algorithm=0", imu="replay:%s,speed=0.5" % self.log)  # four PDOs for each sample: 572 a second
         self.addCleanup(self.gateway.close)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
 
     @staticmethod
     def moving_part(log):
-        """Four seconds of the trial from where it turns fast."""
+        """Four seconds of the trial with fast rotation."""
         lines = log.read_text().splitlines()
         samples = [[float(x) for x in line.split(",")[1:4]] for line in lines[1:20000]]
         start = next(i for i, gyro in enumerate(samples) if math.hypot(*gyro) > 3) - 200
@@ -132,7 +132,7 @@ class TheLeverArm(unittest.TestCase):
         return [a + b for a, b in zip(cross(alpha, r), cross(omega, cross(omega, r)))]
 
     def test_the_next_sample_has_alpha_x_r_plus_omega_x_omega_x_r(self):
-        # one event-driven set of PDOs a sample: acceleration and counter; angular rate and acceleration in three
+        # event-driven PDOs for each sample: acceleration and counter; angular rate and acceleration in three PDOs
         self.master.remap(NODE, 1, None, transmission=254)
         for number, entries in ((2, [(0x2105, 1, 32), (0x2105, 2, 32)]), (3, [(0x2105, 3, 32), (0x2106, 1, 32)]),
                                 (4, [(0x2106, 2, 32), (0x2106, 3, 32)])):
@@ -147,7 +147,7 @@ class TheLeverArm(unittest.TestCase):
 
     @staticmethod
     def samples(frames):
-        """Of each sample: the SDO answers heard before it, the values of TPDO1, and those of the other three."""
+        """For each sample: the number of SDO answers before it, the values of TPDO1, and those of the other three."""
         answers, pdos = 0, []
         for frame in frames:
             if frame.arbitration_id == canopen.SDO_TX + NODE:
@@ -180,9 +180,9 @@ class TheLeverArm(unittest.TestCase):
 
 
 class TheLastMovement(unittest.TestCase):
-    """Its path, read over the bus while the robot goes on, is the one that imu9-replay writes."""
+    """The path read over the bus while the robot moves on is the one that imu9-replay writes."""
 
-    def test_its_trajectory_is_that_of_the_replay(self):
+    def test_its_trajectory_equals_that_of_the_replay(self):
         lines = rig.recorded("09_").read_text().splitlines()
         log = rig.written("\n".join(lines[:1 + 68 * 286]) + "\n", ".imu.csv")  # the first movement ends after 61 s
         path = rig.scratch(".csv")

@@ -1,4 +1,4 @@
-"""Receive PDOs and PDOs on change, over a real bus: CiA 301, 7.2.2."""
+"""RPDOs, and TPDOs on change (CiA 301, 7.2.2)."""
 import math
 import struct
 
@@ -20,14 +20,14 @@ class ReceivePdos(rig.OnTheBus):
         return struct.unpack("<H", self.read(0x2073))[0]
 
     def assert_emcy(self, code, info):
-        _, register, told = canopen.emergency(self.emcy(code))
-        self.assertEqual((register & 0x11, told.hex()), (0x11, info))
+        _, register, received = canopen.emergency(self.emcy(code))
+        self.assertEqual((register & 0x11, received.hex()), (0x11, info))
 
-    def test_the_four_exist_with_the_predefined_identifiers(self):
+    def test_four_rpdos_have_the_predefined_identifiers(self):
         for number in range(4):
             self.assertEqual(self.read(0x1400 + number, 1), u32(RPDO[number] + NODE))
 
-    def test_a_pdo_is_in_the_dictionary_at_once_and_in_operational_only(self):
+    def test_a_pdo_is_applied_on_reception_in_operational_only(self):
         self.send(1, struct.pack("<hhhH", 1, 1, 1, 0))
         self.assertEqual(self.read(0x2070, 5), struct.pack("<h", 0))
         self.start()
@@ -36,7 +36,7 @@ class ReceivePdos(rig.OnTheBus):
         self.assertAlmostEqual(struct.unpack("<f", self.read(0x2070, 1))[0], 1.5, places=5)
         self.send(1, bytes(8))
 
-    def test_a_synchronous_pdo_waits_for_the_sync(self):
+    def test_a_synchronous_pdo_is_applied_at_the_sync(self):
         self.write(0x1403, 2, u8(1))
         self.start()
         self.send(4, u16(1))
@@ -47,7 +47,7 @@ class ReceivePdos(rig.OnTheBus):
         self.master.sync()
         self.assertEqual(self.commands(), 0)
 
-    def test_a_wrong_length_is_told_by_8210h_or_8220h_and_its_end_too(self):
+    def test_a_wrong_length_raises_8210h_or_8220h_and_is_cleared(self):
         self.start()
         self.send(4, b"\1")
         self.assert_emcy(0x8210, "0314010200")
@@ -59,7 +59,7 @@ class ReceivePdos(rig.OnTheBus):
         self.send(4, u16(0))
         self.emcy(0x0000)
 
-    def test_a_pdo_that_stays_away_is_told_by_8250h_in_time_and_its_return_too(self):
+    def test_a_missing_pdo_raises_8250h_in_time_and_is_cleared(self):
         self.write(0x1403, 5, u16(100))
         self.start()
         self.send(4, u16(0))
@@ -70,7 +70,7 @@ class ReceivePdos(rig.OnTheBus):
         self.send(4, u16(0))
         self.emcy(0x0000)
 
-    def test_a_value_beyond_its_limits_is_told_by_8200h_and_nothing_of_the_pdo_is_used(self):
+    def test_a_value_outside_its_limits_raises_8200h_and_the_pdo_is_not_applied(self):
         self.start()
         self.send(3, struct.pack("<hhhB", 1, 2, 3, 2))
         self.assert_emcy(0x8200, "0214722007")
@@ -78,7 +78,7 @@ class ReceivePdos(rig.OnTheBus):
         self.send(3, bytes(7))
         self.emcy(0x0000)
 
-    def test_the_mapping_procedure_with_a_dummy_takes_effect_live(self):
+    def test_a_mapping_with_a_dummy_entry_takes_effect_at_once(self):
         self.start()
         self.write(0x1400, 1, u32(EXISTS_NOT | RPDO[0] + NODE))
         self.write(0x1600, 0, u8(0))
@@ -90,7 +90,7 @@ class ReceivePdos(rig.OnTheBus):
         self.assertEqual(self.commands(), 1)
         self.send(1, bytes(4))
 
-    def test_what_may_not_be_is_refused(self):
+    def test_an_invalid_mapping_is_refused(self):
         self.assert_aborts(UNSUPPORTED_ACCESS, self.write, 0x1600, 0, u8(0))
         self.assert_aborts(BAD_VALUE, self.write, 0x1400, 2, u8(252))
         self.assert_aborts(BAD_VALUE, self.write, 0x1400, 1, u32(0x211))
@@ -99,19 +99,19 @@ class ReceivePdos(rig.OnTheBus):
         self.assert_aborts(NOT_MAPPABLE, self.write, 0x1600, 1, u32(0x21000110))  # for TPDOs
         self.assert_aborts(PDO_LENGTH, self.write, 0x1600, 0, u8(9))
 
-    def test_a_velocity_told_is_the_one_reported_and_the_status_says_so(self):
+    def test_a_velocity_aid_sets_the_velocity_and_the_status_bit(self):
         self.master.remap(NODE, 1, [(0x2104, 1, 32), (0x2104, 2, 32)], transmission=254)
         self.start()
         self.master.listen(0.3)
         self.send(1, struct.pack("<hhhH", 3000, -2000, 0, 1))
-        told = self.master.wait(RPDO[0] + NODE)
+        received = self.master.wait(RPDO[0] + NODE)
         self.master.listen(0.1)
-        after = [f for f in self.pdos(self.master.frames) if f.timestamp > told.timestamp]
+        after = [f for f in self.pdos(self.master.frames) if f.timestamp > received.timestamp]
         x, y = canopen.decode(after[1].data, "ff")
         self.assertLess(math.hypot(x - 3, y + 2), 0.5)
         self.assertTrue(struct.unpack("<H", self.read(0x210F, 3))[0] & EXTERNAL_AID)
 
-    def test_with_a_threshold_an_event_driven_pdo_is_rare(self):
+    def test_a_change_threshold_reduces_event_driven_pdos(self):
         self.master.remap(NODE, 1, [(0x2101, 1, 16), (0x210F, 1, 16)], transmission=254)
         self.start()
         self.master.listen(0.2)

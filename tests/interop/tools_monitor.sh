@@ -13,7 +13,7 @@ check "and says it once" test "$(wc -l <"$work/err")" = 1
 
 start_gateway
 
-# ---- what is missing
+# ---- hints
 run imu9-monitor -t 1.3 # a heartbeat comes each second
 check "before NMT start" fails 1 "no PDO yet: the node is pre-operational: imu9-sdo -n 16 nmt start"
 imu9-sdo nmt start

@@ -43,7 +43,7 @@ check "a snapshot that is too long" fails 1 "too long"
 run imu9-sdo write snapshot "$work/none"
 check "a missing file" fails 1 "$work/none: No such file"
 run imu9-sdo log
-check "the event log begins with the start" says "0.000000 started with node-ID 16 on $IMU9_CAN"
+check "the event log starts with the start-up" says "0.000000 started with node-ID 16 on $IMU9_CAN"
 check "and contains the refused write" says "configuration snapshot refused: 2003h:00: "
 run imu9-sdo watch gravity lever_arm_model --rate 50 --count 3
 check "watch" says "gravity = 9.81 m/s^2  lever_arm_model = 2"

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The udp bus between imu9-gateway and the real python-can, both ways, over IPv4 and IPv6. Run from anywhere; needs no CAN.
+"""The udp bus between imu9-gateway and python-can, both ways, over IPv4 and IPv6. Needs no CAN.
 
 Where no route leads to the multicast groups (a container, the guest of vcan-run), python-can cannot join them; the routes
 are added to the loopback interface then, which needs root.
@@ -29,7 +29,7 @@ ROOT = HERE.parents[1]
 BUILD = (ROOT / os.environ.get("BUILD", "build")).resolve()
 GROUP4, GROUP6 = "239.74.163.2", "ff15:7079:7468:6f6e:6465:6d6f:6d63:6173"
 DEFAULT_PORT = 43113
-PORT = 20000 + os.getpid() % 20000  # away from whoever else uses the default
+PORT = 20000 + os.getpid() % 20000  # not the default, which others may use
 NODE = 97
 RX_FRAMES, RX_DROPPED = 2, 5  # of 2120h
 
@@ -84,7 +84,7 @@ class OnABus(unittest.TestCase):
         return int.from_bytes(self.master.upload(NODE, 0x2120, sub), "little")
 
     def heard_of_ten_requests(self):
-        """What the gateway says it received of them; each is answered by one frame of its own."""
+        """The number of these frames that the gateway received; each is answered by one frame."""
         counts = []
         for _ in range(2):
             time.sleep(0.1)  # the counters are published with each sample
@@ -94,7 +94,7 @@ class OnABus(unittest.TestCase):
         return counts[1] - counts[0]
 
     def forget_what_is_malformed(self):
-        """python-can hears its own host's datagrams, too, and raises at such."""
+        """python-can also receives datagrams of this host, and raises at malformed ones."""
         end = time.monotonic() + 0.3
         while time.monotonic() < end:
             try:
@@ -104,7 +104,7 @@ class OnABus(unittest.TestCase):
 
 
 class Ipv4(OnABus):
-    def test_a_whole_file_goes_over_in_thousands_of_frames(self):
+    def test_a_file_is_transferred_in_thousands_of_frames(self):
         self.assertEqual(self.master.upload(NODE, 0x1021), (ROOT / "eds/imu9-gateway.eds").read_bytes())
 
     def test_every_sync_is_answered_with_four_pdos(self):
@@ -116,10 +116,10 @@ class Ipv4(OnABus):
             for base in canopen.TPDO:
                 self.assertEqual(self.master.wait(base + NODE).dlc, 8)
 
-    def test_the_gateway_does_not_hear_itself(self):
+    def test_the_gateway_does_not_receive_its_own_frames(self):
         self.assertEqual(self.heard_of_ten_requests(), 10)
 
-    def test_what_is_no_classical_frame_is_counted_and_does_no_harm(self):
+    def test_datagrams_that_are_not_classical_frames_are_counted_and_ignored(self):
         before = self.counter(RX_DROPPED)
         self.bus.send(can.Message(arbitration_id=0x600 + NODE, is_extended_id=False, is_fd=True, data=bytes(12)))
         self.bus.send(can.Message(arbitration_id=0x40, is_extended_id=False, is_error_frame=True, data=bytes(8)))
@@ -127,17 +127,17 @@ class Ipv4(OnABus):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as raw:
             for datagram in (b"rubbish", valid[:-1], valid + b"\0", bytes(5000)):
                 raw.sendto(datagram, (self.group, self.port))
-        self.forget_what_is_malformed()  # takes long enough for the counter to be published
+        self.forget_what_is_malformed()  # meanwhile the counter is published
         self.assertEqual(self.counter(RX_DROPPED) - before, 6)
         self.assertEqual(self.gateway.process.poll(), None)
 
-    def test_frames_of_others_and_remote_frames_do_no_harm(self):
+    def test_frames_of_other_nodes_and_remote_frames_are_ignored(self):
         self.bus.send(can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(8)))
         self.bus.send(can.Message(arbitration_id=0x600 + NODE, is_extended_id=True, data=bytes(8)))
         self.bus.send(can.Message(arbitration_id=0x700 + NODE, is_extended_id=False, is_remote_frame=True, dlc=1))
         self.assertEqual(self.master.upload(NODE, 0x1000), bytes.fromhex("9a010400"))
 
-    def test_it_ends_well(self):
+    def test_it_ends_with_status_0(self):
         self.gateway.process.terminate()
         self.assertEqual(self.gateway.process.wait(5), 0)
 
@@ -157,14 +157,14 @@ class Ipv6(OnABus):
     def test_an_object_is_read(self):
         self.assertEqual(self.master.upload(NODE, 0x1000), bytes.fromhex("9a010400"))
 
-    def test_the_gateway_does_not_hear_itself(self):
+    def test_the_gateway_does_not_receive_its_own_frames(self):
         self.assertEqual(self.heard_of_ten_requests(), 10)
 
 
 class Isolated(unittest.TestCase):
-    """In a network namespace that has nothing but a loopback interface, without any route."""
+    """In a network namespace with only a loopback interface and no route."""
 
-    def test_our_own_programs_share_the_bus(self):
+    def test_programs_of_this_project_share_the_bus(self):
         alone = ["unshare", "-n"] if os.geteuid() == 0 else ["unshare", "-rn"]
         if subprocess.run([*alone, "ip", "link", "set", "lo", "up"], stderr=subprocess.DEVNULL).returncode != 0:
             self.skipTest("no network namespaces here")
