@@ -1,8 +1,5 @@
 #include "gateway/device.h"
 
-#include <errno.h>
-#include <string.h>
-
 #include "gateway/publish.h"
 #include "gateway/settings.h"
 #include "gateway/slope_range.h"
@@ -11,8 +8,6 @@
 
 /* ERROR REGISTER bits (1001h); the core adds the generic bit */
 enum { REGISTER_MANUFACTURER = 1 << 7 };
-
-static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
 
 /* ---- configuration: objects to pipeline -------------------------------------------------------------------------- */
 
@@ -94,102 +89,25 @@ static void on_preset(void *ctx, const struct od_entry *entry)
 
 /* ---- storage ----------------------------------------------------------------------------------------------------- */
 
-static enum od_status storage_result(struct device *d, int rc)
-{
-	d->save_under_way = rc == -EINPROGRESS;
-	if (rc == 0)
-		d->stored = d->saving;
-	return rc == 0 ? OD_OK : rc == -EINPROGRESS ? OD_PENDING : OD_CANNOT_STORE;
-}
-
-static enum od_status save(struct device *d)
-{
-	uint8_t bytes[STORE_FILE_MAX];
-
-	if (!d->storage.save)
-		return OD_CANNOT_STORE;
-	return storage_result(d, d->storage.save(d->storage.ctx, bytes, store_encode(&d->saving, bytes)));
-}
-
 static enum od_status on_store(void *ctx, enum od_group group)
 {
-	struct device *d = ctx;
-
-	if (d->save_under_way)
-		return OD_DEVICE_STATE;
-	d->saving = d->stored;
-	for (int i = 0; i < STORE_GROUPS; i++) {
-		if (group != OD_GROUP_ALL && group != groups[i])
-			continue;
-		struct store_group *g = store_group(&d->saving, groups[i]);
-		long size = od_encode(&d->od, groups[i], &d->base, g->dcf, sizeof(g->dcf));
-		if (size < 0)
-			return OD_CANNOT_STORE;
-		g->size = (size_t)size;
-	}
-	return save(d);
+	return storing_store(&((struct device *)ctx)->storing, group);
 }
 
 static enum od_status on_restore(void *ctx, enum od_group group)
 {
-	struct device *d = ctx;
-
-	if (d->save_under_way)
-		return OD_DEVICE_STATE;
-	d->saving = d->stored;
-	for (int i = 0; i < STORE_GROUPS; i++)
-		if (group == OD_GROUP_ALL || group == groups[i])
-			store_group(&d->saving, groups[i])->size = 0;
-	return save(d);
+	return storing_restore(&((struct device *)ctx)->storing, group);
 }
 
 static enum od_status on_store_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
 {
-	struct device *d = ctx;
-
-	if (d->save_under_way)
-		return OD_DEVICE_STATE;
-	d->saving = d->stored;
-	d->saving.lss.node_id = node_id;
-	if (bit_s)
-		d->saving.lss.bit_s = bit_s;
-	enum od_status status = save(d);
-	d->lss_save = status == OD_PENDING;
-	return status;
+	return storing_store_lss(&((struct device *)ctx)->storing, node_id, bit_s);
 }
 
 void device_saved(struct device *d, int result, uint64_t now_us)
 {
-	enum od_status status = storage_result(d, result);
-
 	d->now_us = now_us;
-	if (result < 0)
-		event_log_line(&d->log, now_us, "the values could not be stored: %s", strerror(-result));
-	else
-		event_log_add(&d->log, now_us, "the storage has the values of 1010h, 1011h or LSS");
-	if (d->lss_save)
-		canopen_lss_stored(&d->canopen, status, now_us);
-	else
-		canopen_store_done(&d->canopen, status, now_us);
-	d->lss_save = false;
-}
-
-static void apply_stored(struct device *d, enum od_group group)
-{
-	size_t skipped = 0;
-
-	for (int i = 0; i < STORE_GROUPS; i++) {
-		if (group != OD_GROUP_ALL && group != groups[i])
-			continue;
-		struct store_group *g = store_group(&d->stored, groups[i]);
-		size_t refused = 0;
-		if (g->size > 0)
-			od_decode(&d->od, g->dcf, g->size, &refused);
-		skipped += refused;
-	}
-	if (skipped > 0)
-		event_log_line(
-			&d->log, d->now_us, "%zu stored values do not fit this version and were left out", skipped);
+	storing_saved(&d->storing, result, now_us);
 }
 
 /* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
@@ -201,7 +119,7 @@ static int start_pipeline(struct device *d)
 
 	if (rc < 0) {
 		d->configuration_changed = true;
-		config = settings_pipeline(&d->base);
+		config = settings_pipeline(&d->storing.base);
 		rc = pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
 	}
 	if (rc == 0)
@@ -212,12 +130,8 @@ static int start_pipeline(struct device *d)
 /* LSS may have given another node-ID with a reset: what the next one begins with, and storing compares to, follows. */
 static void follow_node_id(struct device *d)
 {
-	if (d->canopen.id == d->node_id)
-		return;
-	od_follow_node_id(d->od.table, &d->base, d->node_id, d->canopen.id);
-	d->node_id = d->canopen.id;
-	if (d->node_id != CANOPEN_UNCONFIGURED)
-		event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->node_id);
+	if (storing_follow_node_id(&d->storing, d->canopen.id) && d->canopen.id != CANOPEN_UNCONFIGURED)
+		event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->canopen.id);
 }
 
 /* NMT reset: power-on values, and for reset node a new beginning of the application. */
@@ -229,8 +143,7 @@ static void on_reset(void *ctx, enum od_group group)
 	lever_arm_command_reset(&d->lever_arm_command);
 	calibration_command_reset(&d->calibration_command);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
-	od_reset(&d->od, group, &d->base);
-	apply_stored(d, group);
+	storing_reset(&d->storing, group, d->now_us);
 	if (group != OD_GROUP_ALL)
 		return;
 	sensor_watch_apply(&d->sensor_watch);
@@ -328,7 +241,7 @@ static void attach_hooks(struct device *d)
 	snapshot_attach(&d->snapshot);
 }
 
-int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct storing_port *storage,
 	const struct store_image *stored, uint8_t node_id)
 {
 	const struct canopen_device callbacks = {.ctx = d,
@@ -346,12 +259,9 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 
 	d->bus = bus;
 	d->imu = imu;
-	d->storage = storage ? *storage : (struct device_storage){0};
-	d->stored = stored ? *stored : (struct store_image){0};
-	d->base = d->values;
-	d->node_id = node_id;
-	const struct imu_settings opened = sensor_settings(&d->base);
-	apply_stored(d, OD_GROUP_ALL);
+	const struct imu_settings opened = sensor_settings(&d->values);
+	storing_init(&d->storing, &d->od, &d->canopen, &d->log, storage, stored, node_id);
+	storing_apply(&d->storing, OD_GROUP_ALL, d->now_us);
 	sensor_watch_init(&d->sensor_watch, imu, &opened, &d->od, &d->values, &d->canopen, &d->log);
 	sensor_watch_apply(&d->sensor_watch);
 
@@ -369,7 +279,8 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 {
 	d->now_us = d->last_sample_us = now_us;
 	event_log_start(&d->log, now_us);
-	event_log_add(&d->log, now_us, "started with node-ID %u on %s, IMU %s", d->node_id, d->bus->name, d->imu->name);
+	event_log_add(&d->log, now_us, "started with node-ID %u on %s, IMU %s", d->storing.node_id, d->bus->name,
+		d->imu->name);
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
 		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);

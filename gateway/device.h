@@ -24,26 +24,16 @@
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
-#include "gateway/store.h"
+#include "gateway/storing.h"
 #include "model/pipeline.h"
 #include "od_values.h"
-
-/** Where the stored values go. save() returns 0: kept; -EINPROGRESS: device_saved() will tell;
- * other -errno: failed. NULL: this device cannot store (1010h answers 08000020h). */
-struct device_storage {
-	void *ctx;
-	int (*save)(void *ctx, const uint8_t *bytes, size_t size);
-};
 
 struct device {
 	struct od od;
 	struct od_values values;
 
 	/* PRIVATE */
-	struct od_values base;	   /* defaults < file < command line: where a reset begins */
-	struct store_image stored; /* what the storage holds */
-	struct store_image saving; /* what it will hold when the save under way has ended */
-	struct device_storage storage;
+	struct storing storing;
 	struct pipeline pipeline;
 	struct lever_arm_command lever_arm_command;
 	struct calibration_command calibration_command;
@@ -62,16 +52,14 @@ struct device {
 	struct last_movement last_movement;
 	uint64_t last_sample_us; /* arrival of the last sample, or of the start */
 	uint32_t samples;	 /* taken since the start */
-	bool lss_save;		 /* the save under way is one of LSS */
-	bool configuration_changed, sensor_lost, sensor_testing, position_unsure, save_under_way;
-	uint8_t node_id; /* that `base` is for */
+	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;
 	uint64_t now_us; /* the time of the call that is running */
 };
 
 /** `values` hold the configuration of file and command line. `stored`: what store_read() gave, or
  * NULL. 0; -EINVAL: file and command line contradict themselves (a singular calibration matrix, say) or
  * node_id is not 1..127; else canopen_init()'s. */
-int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct device_storage *storage,
+int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct storing_port *storage,
 	const struct store_image *stored, uint8_t node_id);
 /** `stored_damaged`: store_read() found a broken file. */
 void device_start(struct device *d, bool stored_damaged, uint64_t now_us);

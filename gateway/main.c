@@ -324,7 +324,7 @@ static void open_leds(const struct config *config)
 
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
 {
-	struct device_storage storage = {.ctx = &writer, .save = save_through_writer};
+	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
 	bool damaged;
 
 	struct store_writer *store = open_store(config, &damaged);

@@ -91,7 +91,7 @@ static void power_on(void)
 {
 	static const struct can_ops ops = {
 		.send = port_send, .filter = port_filter, .bit_rate = port_bit_rate, .restart = port_restart};
-	static const struct device_storage storage = {.save = save};
+	static const struct storing_port storage = {.save = save};
 	uint8_t node_id = disk.lss.node_id ? disk.lss.node_id : NODE_ID;
 
 	bus = (struct can_port){.ops = &ops, .bit_s = 500000};

@@ -161,7 +161,7 @@ static void test_settings_go_to_the_sensor_with_reset_node(void **state)
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(write_sensor(w, 3, &range, 4), 0);
 	assert_int_equal(chip->configurations, 0);
-	w->device.base.sensor.rate = 200; /* as if stored */
+	w->device.storing.base.sensor.rate = 200; /* as if stored */
 	world_nmt(w, 0x81);
 	assert_int_equal(chip->configurations, 1);
 	assert_true(chip->configured.rate_hz == 200);

@@ -44,7 +44,7 @@ void world_init(struct world *w, const struct sensor_config *sensor, uint64_t se
 
 void world_power_on(struct world *w, const char *const *settings)
 {
-	const struct device_storage storage = {.ctx = w, .save = save_to_disk};
+	const struct storing_port storage = {.ctx = w, .save = save_to_disk};
 	uint8_t node_id = w->disk.lss.node_id ? w->disk.lss.node_id : w->node_id;
 	static struct config config;
 	char why[CONFIG_ERROR_MAX];

@@ -1,0 +1,128 @@
+#include "gateway/storing.h"
+
+#include <errno.h>
+#include <string.h>
+
+static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
+
+/* ---- saving ------------------------------------------------------------------------------------------------------ */
+
+static enum od_status storage_result(struct storing *s, int rc)
+{
+	s->in_progress = rc == -EINPROGRESS;
+	if (rc == 0)
+		s->stored = s->saving;
+	return rc == 0 ? OD_OK : rc == -EINPROGRESS ? OD_PENDING : OD_CANNOT_STORE;
+}
+
+static enum od_status save(struct storing *s)
+{
+	uint8_t bytes[STORE_FILE_MAX];
+
+	if (!s->port.save)
+		return OD_CANNOT_STORE;
+	return storage_result(s, s->port.save(s->port.ctx, bytes, store_encode(&s->saving, bytes)));
+}
+
+enum od_status storing_store(struct storing *s, enum od_group group)
+{
+	if (s->in_progress)
+		return OD_DEVICE_STATE;
+	s->saving = s->stored;
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		if (group != OD_GROUP_ALL && group != groups[i])
+			continue;
+		struct store_group *g = store_group(&s->saving, groups[i]);
+		long size = od_encode(s->od, groups[i], &s->base, g->dcf, sizeof(g->dcf));
+		if (size < 0)
+			return OD_CANNOT_STORE;
+		g->size = (size_t)size;
+	}
+	return save(s);
+}
+
+enum od_status storing_restore(struct storing *s, enum od_group group)
+{
+	if (s->in_progress)
+		return OD_DEVICE_STATE;
+	s->saving = s->stored;
+	for (int i = 0; i < STORE_GROUPS; i++)
+		if (group == OD_GROUP_ALL || group == groups[i])
+			store_group(&s->saving, groups[i])->size = 0;
+	return save(s);
+}
+
+enum od_status storing_store_lss(struct storing *s, uint8_t node_id, uint32_t bit_s)
+{
+	if (s->in_progress)
+		return OD_DEVICE_STATE;
+	s->saving = s->stored;
+	s->saving.lss.node_id = node_id;
+	if (bit_s)
+		s->saving.lss.bit_s = bit_s;
+	enum od_status status = save(s);
+	s->lss = status == OD_PENDING;
+	return status;
+}
+
+void storing_saved(struct storing *s, int result, uint64_t now_us)
+{
+	enum od_status status = storage_result(s, result);
+
+	if (result < 0)
+		event_log_line(s->log, now_us, "the values could not be stored: %s", strerror(-result));
+	else
+		event_log_add(s->log, now_us, "the storage has the values of 1010h, 1011h or LSS");
+	if (s->lss)
+		canopen_lss_stored(s->canopen, status, now_us);
+	else
+		canopen_store_done(s->canopen, status, now_us);
+	s->lss = false;
+}
+
+/* ---- applying ---------------------------------------------------------------------------------------------------- */
+
+void storing_apply(struct storing *s, enum od_group group, uint64_t now_us)
+{
+	size_t skipped = 0;
+
+	for (int i = 0; i < STORE_GROUPS; i++) {
+		if (group != OD_GROUP_ALL && group != groups[i])
+			continue;
+		struct store_group *g = store_group(&s->stored, groups[i]);
+		size_t refused = 0;
+		if (g->size > 0)
+			od_decode(s->od, g->dcf, g->size, &refused);
+		skipped += refused;
+	}
+	if (skipped > 0)
+		event_log_line(s->log, now_us, "%zu stored values do not fit this version and were left out", skipped);
+}
+
+void storing_reset(struct storing *s, enum od_group group, uint64_t now_us)
+{
+	od_reset(s->od, group, &s->base);
+	storing_apply(s, group, now_us);
+}
+
+bool storing_follow_node_id(struct storing *s, uint8_t node_id)
+{
+	if (node_id == s->node_id)
+		return false;
+	od_follow_node_id(s->od->table, &s->base, s->node_id, node_id);
+	s->node_id = node_id;
+	return true;
+}
+
+void storing_init(struct storing *s, struct od *od, struct canopen_node *canopen, struct event_log *log,
+	const struct storing_port *port, const struct store_image *stored, uint8_t node_id)
+{
+	s->od = od;
+	s->canopen = canopen;
+	s->log = log;
+	s->port = port ? *port : (struct storing_port){0};
+	s->base = *(const struct od_values *)od->values;
+	s->stored = stored ? *stored : (struct store_image){0};
+	s->in_progress = s->lss = false;
+	s->node_id = node_id;
+}
