@@ -1,23 +1,11 @@
 #include "gateway/calibration_command.h"
 
-#include "gateway/lever_arm_command.h"
 #include "gateway/settings.h"
-#include "gateway/status.h"
 #include "od_index.h"
 
 enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 and 2061h:14 to 25 */
 enum { FOUND_FIRST = 14 };
 static const double ACCELEROMETER_PATIENCE_S = 900, MAGNETOMETER_PATIENCE_S = 180;
-
-static enum calibration_command_state state_of(const struct calibration_command *c)
-{
-	return (enum calibration_command_state)c->values->calibration.state;
-}
-
-static void enter(struct calibration_command *c, enum calibration_command_state state)
-{
-	c->values->calibration.state = (uint8_t)state;
-}
 
 static uint8_t percent(double share)
 {
@@ -46,11 +34,11 @@ static void publish_temperature(struct calibration_command *c, double temperatur
 		isnan(temperature_degC) ? (float)CALIBRATION_NO_TEMPERATURE : (float)temperature_degC;
 }
 
-static void forget(struct calibration_command *c)
+static void clear(void *ctx)
 {
 	const struct triad_calibration none = {.bias = {0, 0, 0}};
+	struct calibration_command *c = ctx;
 
-	enter(c, CALIBRATION_IDLE);
 	c->values->calibration.kind = 0;
 	c->values->calibration.verdict = CALIBRATE_COLLECTING;
 	c->values->calibration.progress = 0;
@@ -61,12 +49,6 @@ static void forget(struct calibration_command *c)
 	c->values->calibration.field = 0;
 	publish_temperature(c, (double)NAN);
 	publish_triad(c, &none);
-}
-
-static void refuse(struct calibration_command *c, enum calibrate_verdict why)
-{
-	c->values->calibration.verdict = (uint8_t)why;
-	enter(c, CALIBRATION_REFUSED);
 }
 
 /* ---- one function a kind, each a sample -------------------------------------------------------------------------- */
@@ -130,8 +112,7 @@ void calibration_command_sample(struct calibration_command *c, const struct imu_
 {
 	enum calibrate_verdict verdict = CALIBRATE_COLLECTING;
 
-	c->sensor_lost = false;
-	if (state_of(c) != CALIBRATION_RUNNING)
+	if (!command_object_running(&c->command))
 		return;
 	switch (c->values->calibration.kind) {
 	case CALIBRATION_GYRO:
@@ -145,9 +126,8 @@ void calibration_command_sample(struct calibration_command *c, const struct imu_
 		verdict = magnetometer_sample(c, raw);
 		break;
 	}
-	c->values->calibration.verdict = (uint8_t)verdict;
 	if (verdict != CALIBRATE_COLLECTING)
-		enter(c, verdict == CALIBRATE_GOOD ? CALIBRATION_DONE : CALIBRATION_REFUSED);
+		command_object_end(&c->command, verdict == CALIBRATE_GOOD, (uint8_t)verdict);
 }
 
 /* ---- commands ---------------------------------------------------------------------------------------------------- */
@@ -159,8 +139,9 @@ static void start_accelerometer(struct calibration_command *c, const struct cali
 	c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(&c->accelerometer);
 }
 
-static enum od_status start(struct calibration_command *c, uint8_t kind)
+static enum od_status start(void *ctx, uint8_t kind)
 {
+	struct calibration_command *c = ctx;
 	const struct pipeline_config config = settings_pipeline(c->values);
 	struct calibrate_gyro_config gyro = CALIBRATE_GYRO_DEFAULTS;
 	const struct calibrate_accelerometer_config accelerometer = {
@@ -174,11 +155,8 @@ static enum od_status start(struct calibration_command *c, uint8_t kind)
 		.patience_s = MAGNETOMETER_PATIENCE_S,
 	};
 
-	if (c->sensor_lost || state_of(c) == CALIBRATION_RUNNING ||
-		c->values->lever_arm_identification.state == LEVER_RUNNING)
-		return OD_DEVICE_STATE;
 	gyro.bias_instability_rad_s = config.noise.gyro_bias_instability_rad_s;
-	forget(c);
+	clear(c);
 	c->values->calibration.kind = kind;
 	if (kind == CALIBRATION_GYRO)
 		calibrate_gyro_init(&c->gyro, &gyro);
@@ -186,8 +164,7 @@ static enum od_status start(struct calibration_command *c, uint8_t kind)
 		calibrate_magnetometer_init(&c->magnetometer, &magnetometer);
 	else
 		start_accelerometer(c, &accelerometer);
-	enter(c, CALIBRATION_RUNNING);
-	return OD_CONSUMED;
+	return OD_OK;
 }
 
 /* With 2054h the biases of the objects are those at its reference temperature, not at that of the measurement. */
@@ -206,83 +183,48 @@ static void to_reference_temperature(const struct calibration_command *c, float 
 	v[2] -= (float)shift.z;
 }
 
-static enum od_status accept(struct calibration_command *c)
+static enum od_status accept(void *ctx)
 {
+	const struct calibration_command *c = ctx;
 	const uint8_t kind = c->values->calibration.kind;
 	const uint16_t index = kind == CALIBRATION_GYRO		  ? OD_INDEX_GYRO_CALIBRATION
 			       : kind == CALIBRATION_MAGNETOMETER ? OD_INDEX_MAGNETOMETER_CALIBRATION
 								  : OD_INDEX_ACCELEROMETER_CALIBRATION;
-	enum od_status status;
 	float v[TRIAD_VALUES];
 
-	if (state_of(c) != CALIBRATION_DONE)
-		return OD_DEVICE_STATE;
 	for (int i = 0; i < TRIAD_VALUES; i++)
 		v[i] = *found(c, i);
 	to_reference_temperature(c, v);
-	status = settings_write(c->od, index, v, TRIAD_VALUES);
-	if (status != OD_OK)
-		return status;
-	enter(c, CALIBRATION_IDLE);
-	return OD_CONSUMED;
-}
-
-static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
-{
-	struct calibration_command *c = ctx;
-	uint8_t command;
-
-	if (entry->sub != 1 || size != 1)
-		return OD_OK;
-	command = *(const uint8_t *)wire;
-	switch (command) {
-	case CALIBRATION_ABORT:
-		if (state_of(c) != CALIBRATION_RUNNING)
-			return OD_CONSUMED;
-		forget(c);
-		c->values->calibration.verdict = CALIBRATE_ABORTED;
-		return OD_CONSUMED;
-	case CALIBRATION_GYRO:
-	case CALIBRATION_SIX_FACES:
-	case CALIBRATION_FREE:
-	case CALIBRATION_MAGNETOMETER:
-		return start(c, command);
-	case CALIBRATION_ACCEPT:
-		return accept(c);
-	case CALIBRATION_DISCARD:
-		if (state_of(c) != CALIBRATION_DONE && state_of(c) != CALIBRATION_REFUSED)
-			return OD_DEVICE_STATE;
-		forget(c);
-		return OD_CONSUMED;
-	}
-	return OD_BAD_VALUE;
-}
-
-void calibration_command_sensor_lost(struct calibration_command *c)
-{
-	c->sensor_lost = true;
-	if (state_of(c) == CALIBRATION_RUNNING)
-		refuse(c, CALIBRATE_SENSOR_LOST);
-}
-
-unsigned calibration_command_status(const struct calibration_command *c)
-{
-	return state_of(c) == CALIBRATION_RUNNING ? STATUS_COMMISSIONING : 0;
+	return settings_write(c->od, index, v, TRIAD_VALUES);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
 void calibration_command_reset(struct calibration_command *c)
 {
-	forget(c);
+	command_object_reset(&c->command);
 }
 
-void calibration_command_init(struct calibration_command *c, struct od *od, struct od_values *values)
+void calibration_command_init(
+	struct calibration_command *c, struct command_group *group, struct od *od, struct od_values *values)
 {
 	c->od = od;
 	c->values = values;
-	c->hook = (struct od_hook){
-		.first = OD_INDEX_CALIBRATION, .last = OD_INDEX_CALIBRATION, .before = on_command, .ctx = c};
-	od_attach(od, &c->hook);
-	forget(c);
+	c->command = (struct command_object){
+		.group = group,
+		.index = OD_INDEX_CALIBRATION,
+		.starts = CALIBRATION_MAGNETOMETER,
+		.accept = CALIBRATION_ACCEPT,
+		.discard = CALIBRATION_DISCARD,
+		.aborted = CALIBRATE_ABORTED,
+		.sensor_lost = CALIBRATE_SENSOR_LOST,
+		.state = &values->calibration.state,
+		.verdict = &values->calibration.verdict,
+		.on_start = start,
+		.on_accept = accept,
+		.on_clear = clear,
+		.ctx = c,
+	};
+	command_object_attach(&c->command, od);
+	calibration_command_reset(c);
 }

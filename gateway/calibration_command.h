@@ -5,22 +5,15 @@
 #ifndef GATEWAY_CALIBRATION_COMMAND_H
 #define GATEWAY_CALIBRATION_COMMAND_H
 
+#include "gateway/command_object.h"
 #include "model/identify/calibrate_accelerometer.h"
 #include "model/identify/calibrate_gyro.h"
 #include "model/identify/calibrate_magnetometer.h"
 #include "od/od.h"
 #include "od_values.h"
 
-enum calibration_command_state {
-	CALIBRATION_IDLE,
-	CALIBRATION_RUNNING,
-	CALIBRATION_DONE,
-	CALIBRATION_REFUSED
-}; /* 2061h:2 */
-
 /** 2061h:1 */
 enum {
-	CALIBRATION_ABORT = 0,
 	CALIBRATION_GYRO = 1,
 	CALIBRATION_SIX_FACES = 2,
 	CALIBRATION_FREE = 3,
@@ -35,8 +28,7 @@ enum {
 struct calibration_command { /* PRIVATE */
 	struct od *od;
 	struct od_values *values;
-	struct od_hook hook;
-	bool sensor_lost;
+	struct command_object command;
 	union {
 		struct calibrate_gyro gyro;
 		struct calibrate_accelerometer accelerometer;
@@ -45,14 +37,11 @@ struct calibration_command { /* PRIVATE */
 };
 
 /** Attaches to the dictionary. */
-void calibration_command_init(struct calibration_command *c, struct od *od, struct od_values *values);
-/** NMT reset: what runs ends, and nothing was found. */
+void calibration_command_init(
+	struct calibration_command *c, struct command_group *group, struct od *od, struct od_values *values);
+/** NMT reset: what runs is aborted, and there is no result. */
 void calibration_command_reset(struct calibration_command *c);
 /** A raw sample, as the driver delivered it. */
 void calibration_command_sample(struct calibration_command *c, const struct imu_sample *raw);
-/** The sensor has failed: what runs is refused, and so is a start until the next sample. */
-void calibration_command_sensor_lost(struct calibration_command *c);
-/** STATUS_COMMISSIONING, or 0. */
-unsigned calibration_command_status(const struct calibration_command *c);
 
 #endif

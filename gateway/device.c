@@ -227,8 +227,8 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->configuration_hook);
 	od_attach(&d->od, &d->resolution_hook);
 	od_attach(&d->od, &d->preset_hook);
-	lever_arm_command_init(&d->lever_arm_command, &d->od, &d->values, &d->pipeline);
-	calibration_command_init(&d->calibration_command, &d->od, &d->values);
+	lever_arm_command_init(&d->lever_arm_command, &d->commands, &d->od, &d->values, &d->pipeline);
+	calibration_command_init(&d->calibration_command, &d->commands, &d->od, &d->values);
 	d->eds = (struct od_domain){.index = OD_INDEX_STORE_EDS, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
@@ -292,8 +292,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 static void invalidate_outputs(struct device *d)
 {
 	publish_sensor_lost(&d->values);
-	lever_arm_command_sensor_lost(&d->lever_arm_command);
-	calibration_command_sensor_lost(&d->calibration_command);
+	command_group_sensor_lost(&d->commands);
 	d->values.sample.status &= (uint16_t)~STATUS_COMMISSIONING;
 }
 
@@ -374,6 +373,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 		return;
 	d->last_sample_us = now_us;
 	sensor_back(d);
+	command_group_sample(&d->commands);
 	lever_arm_command_sample(&d->lever_arm_command, sample, now_us);
 	calibration_command_sample(&d->calibration_command, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
@@ -382,8 +382,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	slope_range_check(&d->canopen, &d->values, clipped, now_us);
 	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)
 		d->values.sample.status |= STATUS_UTC;
-	d->values.sample.status |= (uint16_t)lever_arm_command_status(&d->lever_arm_command);
-	d->values.sample.status |= (uint16_t)calibration_command_status(&d->calibration_command);
+	d->values.sample.status |= (uint16_t)command_group_status(&d->commands);
 	d->values.sample.status |= (uint16_t)aids_status(&d->aids, now_us);
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
 	publish_sensor_counters(d);

@@ -35,6 +35,7 @@ struct device {
 	/* PRIVATE */
 	struct storing storing;
 	struct pipeline pipeline;
+	struct command_group commands;
 	struct lever_arm_command lever_arm_command;
 	struct calibration_command calibration_command;
 	struct aids aids;

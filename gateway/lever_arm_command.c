@@ -1,34 +1,16 @@
 #include "gateway/lever_arm_command.h"
 
-#include "gateway/calibration_command.h"
 #include "gateway/settings.h"
-#include "gateway/status.h"
 #include "od_index.h"
 
 /* 2060h:1 */
-enum {
-	COMMAND_ABORT = 0,
-	COMMAND_START_HELD = 1,
-	COMMAND_START_REFERENCE = 2,
-	COMMAND_ACCEPT = 3,
-	COMMAND_DISCARD = 4,
-};
+enum { COMMAND_START_HELD = 1, COMMAND_START_REFERENCE = 2, COMMAND_ACCEPT = 3, COMMAND_DISCARD = 4 };
 
 enum { REFERENCE_HOLDS_US = 50000 };
 /* Motion that stops and starts, or a reference that does not come, ends it after so many times its duration. */
 enum { PATIENCE = 3 };
 
 #define REFERENCE16_M_S2 0.005 /* one step of 2075h:4 to 6, as in the EDS */
-
-static enum lever_state state_of(const struct lever_arm_command *c)
-{
-	return (enum lever_state)c->values->lever_arm_identification.state;
-}
-
-static void enter(struct lever_arm_command *c, enum lever_state state)
-{
-	c->values->lever_arm_identification.state = (uint8_t)state;
-}
 
 /* ---- what it found ----------------------------------------------------------------------------------------------- */
 
@@ -47,71 +29,37 @@ static void publish(struct lever_arm_command *c, const struct lever_estimate *e)
 	c->values->lever_arm_identification.delay = (float)e->delay_s;
 }
 
-static void forget(struct lever_arm_command *c)
+static void clear(void *ctx)
 {
 	const struct lever_estimate nothing = {0};
 
-	publish(c, &nothing);
-	enter(c, LEVER_IDLE);
+	publish(ctx, &nothing);
 }
 
 /* ---- commands ---------------------------------------------------------------------------------------------------- */
 
-static enum od_status start(struct lever_arm_command *c, bool reference)
+static enum od_status start(void *ctx, uint8_t command)
 {
+	struct lever_arm_command *c = ctx;
 	const struct lever_identification_config config = {
 		.rate_hz = c->pipeline->rate_hz,
 		.duration_s = (double)c->values->lever_arm_identification.duration,
-		.reference = reference,
+		.reference = command == COMMAND_START_REFERENCE,
 	};
 
-	if (c->sensor_lost || state_of(c) == LEVER_RUNNING || c->values->calibration.state == CALIBRATION_RUNNING ||
-		lever_identification_init(&c->lever, &config) < 0)
+	if (lever_identification_init(&c->lever, &config) < 0)
 		return OD_DEVICE_STATE;
-	forget(c);
+	clear(c);
 	c->started = true;
-	enter(c, LEVER_RUNNING);
-	return OD_CONSUMED;
+	return OD_OK;
 }
 
-static enum od_status accept(struct lever_arm_command *c)
-{
-	const float arm[] = {(float)c->arm_b_m.x, (float)c->arm_b_m.y, (float)c->arm_b_m.z};
-	enum od_status status;
-
-	if (state_of(c) != LEVER_DONE)
-		return OD_DEVICE_STATE;
-	status = settings_write(c->od, OD_INDEX_LEVER_ARM, arm, 3);
-	if (status != OD_OK)
-		return status;
-	enter(c, LEVER_IDLE);
-	return OD_CONSUMED;
-}
-
-static enum od_status on_lever_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
+static enum od_status accept(void *ctx)
 {
 	struct lever_arm_command *c = ctx;
+	const float arm[] = {(float)c->arm_b_m.x, (float)c->arm_b_m.y, (float)c->arm_b_m.z};
 
-	if (entry->sub != 1 || size != 1)
-		return OD_OK;
-	switch (*(const uint8_t *)wire) {
-	case COMMAND_START_HELD:
-		return start(c, false);
-	case COMMAND_START_REFERENCE:
-		return start(c, true);
-	case COMMAND_ACCEPT:
-		return accept(c);
-	case COMMAND_DISCARD:
-		if (state_of(c) != LEVER_DONE && state_of(c) != LEVER_REFUSED)
-			return OD_DEVICE_STATE;
-		forget(c);
-		return OD_CONSUMED;
-	case COMMAND_ABORT:
-		if (state_of(c) == LEVER_RUNNING)
-			forget(c);
-		return OD_CONSUMED;
-	}
-	return OD_BAD_VALUE;
+	return settings_write(c->od, OD_INDEX_LEVER_ARM, arm, 3);
 }
 
 /* ---- acceleration of the reference point from outside ------------------------------------------------------------ */
@@ -155,7 +103,7 @@ static void look(struct lever_arm_command *c, bool late)
 
 	publish(c, &e);
 	if (e.progress_percent == 100 || late)
-		enter(c, e.verdict == LEVER_FOUND ? LEVER_DONE : LEVER_REFUSED);
+		command_object_end(&c->command, e.verdict == LEVER_FOUND, (uint8_t)e.verdict);
 }
 
 void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_sample *sample, uint64_t now_us)
@@ -163,8 +111,7 @@ void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_samp
 	const struct vec3 *ref_b_m_s2 = reference_of(c, sample, now_us);
 	struct imu_sample s;
 
-	c->sensor_lost = false;
-	if (state_of(c) != LEVER_RUNNING)
+	if (!command_object_running(&c->command))
 		return;
 	if (c->started)
 		c->started_us = now_us;
@@ -181,44 +128,40 @@ void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_samp
 		look(c, late);
 }
 
-void lever_arm_command_sensor_lost(struct lever_arm_command *c)
-{
-	c->sensor_lost = true;
-	if (state_of(c) != LEVER_RUNNING)
-		return;
-	c->values->lever_arm_identification.verdict = LEVER_SENSOR_LOST;
-	enter(c, LEVER_REFUSED);
-}
-
-unsigned lever_arm_command_status(const struct lever_arm_command *c)
-{
-	return state_of(c) == LEVER_RUNNING ? STATUS_COMMISSIONING : 0;
-}
-
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
 void lever_arm_command_reset(struct lever_arm_command *c)
 {
-	forget(c);
+	command_object_reset(&c->command);
 	c->ref_written = false;
 	c->ref_until_us = 0;
 }
 
-void lever_arm_command_init(
-	struct lever_arm_command *c, struct od *od, struct od_values *values, const struct pipeline *pipeline)
+void lever_arm_command_init(struct lever_arm_command *c, struct command_group *group, struct od *od,
+	struct od_values *values, const struct pipeline *pipeline)
 {
 	c->od = od;
 	c->values = values;
 	c->pipeline = pipeline;
-	c->lever_hook = (struct od_hook){.first = OD_INDEX_LEVER_ARM_IDENTIFICATION,
-		.last = OD_INDEX_LEVER_ARM_IDENTIFICATION,
-		.before = on_lever_command,
-		.ctx = c};
+	c->command = (struct command_object){
+		.group = group,
+		.index = OD_INDEX_LEVER_ARM_IDENTIFICATION,
+		.starts = COMMAND_START_REFERENCE,
+		.accept = COMMAND_ACCEPT,
+		.discard = COMMAND_DISCARD,
+		.sensor_lost = LEVER_SENSOR_LOST,
+		.state = &values->lever_arm_identification.state,
+		.verdict = &values->lever_arm_identification.verdict,
+		.on_start = start,
+		.on_accept = accept,
+		.on_clear = clear,
+		.ctx = c,
+	};
 	c->reference_hook = (struct od_hook){.first = OD_INDEX_REFERENCE_ACCELERATION,
 		.last = OD_INDEX_REFERENCE_ACCELERATION,
 		.after = on_reference,
 		.ctx = c};
-	od_attach(od, &c->lever_hook);
+	command_object_attach(&c->command, od);
 	od_attach(od, &c->reference_hook);
 	lever_arm_command_reset(c);
 }

@@ -9,22 +9,21 @@
 #ifndef GATEWAY_LEVER_ARM_COMMAND_H
 #define GATEWAY_LEVER_ARM_COMMAND_H
 
+#include "gateway/command_object.h"
 #include "model/identify/lever_identification.h"
 #include "model/pipeline.h"
 #include "od/od.h"
 #include "od_values.h"
 
-enum lever_state { LEVER_IDLE = 0, LEVER_RUNNING = 1, LEVER_DONE = 2, LEVER_REFUSED = 3 }; /* 2060h:2 */
-
 struct lever_arm_command { /* PRIVATE */
 	struct od *od;
 	struct od_values *values;
 	const struct pipeline *pipeline;
-	struct od_hook lever_hook, reference_hook;
+	struct command_object command;
+	struct od_hook reference_hook;
 	struct lever_identification lever;
 	struct vec3 arm_b_m; /* found: 2060h:6 to 8 before they are rounded */
-	bool sensor_lost;
-	bool started; /* the next sample is the first */
+	bool started;	     /* the next sample is the first */
 	uint64_t started_us;
 	struct vec3 ref_b_m_s2; /* 2075h as it was when complete */
 	bool ref_written;	/* since the last sample */
@@ -32,15 +31,11 @@ struct lever_arm_command { /* PRIVATE */
 };
 
 /** Attaches to the dictionary. */
-void lever_arm_command_init(
-	struct lever_arm_command *c, struct od *od, struct od_values *values, const struct pipeline *pipeline);
-/** NMT reset: what runs ends, and nothing was found. */
+void lever_arm_command_init(struct lever_arm_command *c, struct command_group *group, struct od *od,
+	struct od_values *values, const struct pipeline *pipeline);
+/** NMT reset: what runs is aborted, and there is no result. */
 void lever_arm_command_reset(struct lever_arm_command *c);
-/** A sample that the pipeline has just taken. */
+/** A sample that the pipeline has just processed. */
 void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_sample *sample, uint64_t now_us);
-/** The sensor has failed: what runs is refused, and so is a start until the next sample. */
-void lever_arm_command_sensor_lost(struct lever_arm_command *c);
-/** STATUS_COMMISSIONING, or 0. */
-unsigned lever_arm_command_status(const struct lever_arm_command *c);
 
 #endif

@@ -36,7 +36,7 @@ static void seconds(struct world *w, const char *signal, double s)
 	world_seconds(w, s);
 }
 
-static void assert_state(const struct world *w, enum calibration_command_state state, enum calibrate_verdict verdict)
+static void assert_state(const struct world *w, enum command_state state, enum calibrate_verdict verdict)
 {
 	assert_int_equal(w->device.values.calibration.state, state);
 	assert_int_equal(w->device.values.calibration.verdict, verdict);
@@ -51,14 +51,14 @@ static void test_a_gyro_bias_is_found_accepted_and_used(void **state)
 
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
-	assert_state(w, CALIBRATION_DONE, CALIBRATE_GOOD);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_near(v->gyro_calibration.bias_x, 0, 0);
 	assert_int_equal(command(w, 10), 0);
 	assert_near(v->gyro_calibration.bias_x, w->sensor.gyro.bias.x, 2e-3); /* flicker noise */
 	assert_near(v->gyro_calibration.bias_y, w->sensor.gyro.bias.y, 2e-3);
 	assert_near(v->gyro_calibration.bias_z, w->sensor.gyro.bias.z, 2e-3);
 	assert_near(v->gyro_calibration.xx, 1, 0);
-	assert_int_equal(v->calibration.state, CALIBRATION_IDLE);
+	assert_int_equal(v->calibration.state, COMMAND_IDLE);
 	seconds(w, "rest", 1);
 	assert_near(v->angular_rate.l, 0, 0.02);
 }
@@ -75,7 +75,7 @@ static void test_free_positions_calibrate_the_accelerometer(void **state)
 	assert_int_equal(v->calibration.progress, 33);
 	assert_true(v->calibration.next_side > 0);
 	seconds(w, "multiposition", 44);
-	assert_state(w, CALIBRATION_DONE, CALIBRATE_GOOD);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_true(v->calibration.quality > 0 && (double)v->calibration.quality < 0.02);
 	assert_int_equal(command(w, 10), 0);
 	/* gravity 2003h is not that of the simulation */
@@ -89,7 +89,7 @@ static void test_six_faces_calibrate_the_accelerometer(void **state)
 
 	assert_int_equal(command(w, 2), 0);
 	seconds(w, "multiposition", 63);
-	assert_state(w, CALIBRATION_DONE, CALIBRATE_GOOD);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_int_equal(w->device.values.calibration.positions, 6);
 	assert_int_equal(command(w, 10), 0);
 	assert_near(w->device.values.accelerometer_calibration.bias_z, w->sensor.accel.bias.z, 0.02);
@@ -104,7 +104,7 @@ static void test_turning_calibrates_the_magnetometer_to_the_given_field(void **s
 	assert_int_equal(world_sdo_write(w, 0x2061, 13, &field_uT, 4), 0);
 	assert_int_equal(command(w, 4), 0);
 	seconds(w, "figure", 45);
-	assert_state(w, CALIBRATION_DONE, CALIBRATE_GOOD);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_near(v->calibration.field, 60, 0);
 	assert_true((double)v->calibration.quality < 1 && v->calibration.coverage >= 60);
 	assert_int_equal(command(w, 10), 0);
@@ -129,7 +129,7 @@ static void test_what_was_accepted_and_stored_is_there_after_power_on(void **sta
 	world_power_on(w, NULL);
 	assert_true(bias != 0);
 	assert_near(w->device.values.gyro_calibration.bias_y, bias, 0);
-	assert_int_equal(w->device.values.calibration.state, CALIBRATION_IDLE);
+	assert_int_equal(w->device.values.calibration.state, COMMAND_IDLE);
 }
 
 /* The bias of 2050h is that at the reference temperature: at the present one the rate reads 0. */
@@ -142,7 +142,7 @@ static void test_with_temperature_compensation_the_bias_is_brought_to_the_refere
 	seconds(w, "rest", 120);
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
-	assert_state(w, CALIBRATION_DONE, CALIBRATE_GOOD);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_true((double)w->device.values.calibration.temperature > 35);
 	assert_int_equal(command(w, 10), 0);
 	assert_near(w->device.values.gyro_calibration.bias_x, w->sensor.gyro.bias.x, 2e-3);
@@ -156,7 +156,7 @@ static void test_motion_ends_in_a_refusal_and_nothing_to_accept(void **state)
 
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "tumble", 65);
-	assert_state(w, CALIBRATION_REFUSED, CALIBRATE_MOVED);
+	assert_state(w, COMMAND_REFUSED, CALIBRATE_MOVED);
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 	assert_near(w->device.values.gyro_calibration.bias_x, 0, 0);
 }
@@ -178,7 +178,7 @@ static void test_a_discarded_result_changes_nothing(void **state)
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
 	assert_int_equal(command(w, 11), 0);
-	assert_state(w, CALIBRATION_IDLE, CALIBRATE_COLLECTING);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_COLLECTING);
 	assert_near(w->device.values.gyro_calibration.bias_x, 0, 0);
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 }
@@ -221,7 +221,7 @@ static void test_an_abort_ends_it(void **state)
 	seconds(w, "rest", 3);
 	assert_true(w->device.values.sample.status & STATUS_BIT);
 	assert_int_equal(command(w, 0), 0);
-	assert_state(w, CALIBRATION_IDLE, CALIBRATE_ABORTED);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_ABORTED);
 	seconds(w, "rest", 0.02);
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
@@ -233,7 +233,7 @@ static void test_a_reset_ends_it(void **state)
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 3);
 	world_nmt(w, 0x81);
-	assert_state(w, CALIBRATION_IDLE, CALIBRATE_COLLECTING);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_COLLECTING);
 }
 
 static void test_a_lost_sensor_ends_it(void **state)
@@ -244,7 +244,7 @@ static void test_a_lost_sensor_ends_it(void **state)
 	seconds(w, "rest", 3);
 	w->now_us += 1000000;
 	device_tick(&w->device, w->now_us);
-	assert_state(w, CALIBRATION_REFUSED, CALIBRATE_SENSOR_LOST);
+	assert_state(w, COMMAND_REFUSED, CALIBRATE_SENSOR_LOST);
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
 
@@ -256,7 +256,7 @@ static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_
 	w->now_us += 1000000;
 	device_tick(&w->device, w->now_us);
 	assert_int_equal(command(w, 1), DEVICE_STATE);
-	assert_state(w, CALIBRATION_IDLE, CALIBRATE_COLLECTING);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_COLLECTING);
 	seconds(w, "rest", 0.1);
 	assert_int_equal(command(w, 1), 0);
 }

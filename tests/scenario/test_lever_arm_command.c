@@ -111,7 +111,7 @@ static void assert_lever_arm_is_found(const struct world *w)
 {
 	const struct od_values *v = &w->device.values;
 
-	if (v->lever_arm_identification.state != LEVER_DONE)
+	if (v->lever_arm_identification.state != COMMAND_DONE)
 		fail_msg(
 			"state %u, verdict %u", v->lever_arm_identification.state, v->lever_arm_identification.verdict);
 	assert_int_equal(v->lever_arm_identification.verdict, LEVER_FOUND);
@@ -238,13 +238,13 @@ static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **sta
 	tell_reference(w, (struct vec3){0, 0, 0});
 	assert_int_equal(command(w, START_REFERENCE), 0);
 	seconds(robot, 89);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_RUNNING);
 	seconds(robot, 2); /* three times the duration */
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_REFUSED);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NO_REFERENCE);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
 	assert_int_equal(command(w, DISCARD), 0);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, 0);
 }
 
@@ -256,7 +256,7 @@ static void test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands(
 	robot->travels = true;
 	assert_int_equal(command(w, START_HELD), 0);
 	seconds(robot, 32);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_REFUSED);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_NOT_HELD);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
 	assert_near(w->device.values.lever_arm.l, 0, 0);
@@ -276,7 +276,7 @@ static void test_commands_in_a_wrong_state_are_refused_with_08000022h(void **sta
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
 	assert_int_equal(command(w, DISCARD), DEVICE_STATE);
 	assert_int_equal(world_sdo_write(w, 0x2060, 1, &five, 1), 0x06090031);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_RUNNING);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_RUNNING);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
@@ -294,7 +294,7 @@ static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void 
 	assert_int_equal(command(w, ABORT_HELD), 0);
 	sample(robot);
 	assert_int_equal(w->device.values.sample.status & STATUS_COMMISSIONING, 0);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
 }
 
 static void test_nmt_reset_ends_it(void **state)
@@ -308,7 +308,7 @@ static void test_nmt_reset_ends_it(void **state)
 		seconds(robot, 5);
 		assert_int_not_equal(w->device.values.lever_arm_identification.progress, 0);
 		world_nmt(w, resets[i]);
-		assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+		assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
 		assert_int_equal(w->device.values.lever_arm_identification.progress, 0);
 	}
 }
@@ -322,12 +322,12 @@ static void test_a_lost_sensor_ends_in_a_refusal_that_says_so(void **state)
 	seconds(robot, 3);
 	w->now_us += 1000000;
 	device_tick(&w->device, w->now_us);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_REFUSED);
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, LEVER_SENSOR_LOST);
 	assert_false(w->device.values.sample.status & STATUS_COMMISSIONING);
 	assert_int_equal(command(w, ACCEPT), DEVICE_STATE);
 	seconds(robot, 1);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_REFUSED);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_REFUSED);
 }
 
 static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is(void **state)
@@ -339,7 +339,7 @@ static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_
 	w->now_us += 1000000;
 	device_tick(&w->device, w->now_us);
 	assert_int_equal(command(w, START_HELD), DEVICE_STATE);
-	assert_int_equal(w->device.values.lever_arm_identification.state, LEVER_IDLE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
 	seconds(robot, 0.1);
 	assert_int_equal(command(w, START_HELD), 0);
 }
