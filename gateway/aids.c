@@ -97,15 +97,16 @@ static void reset_attitude(struct aids *a)
 	pipeline_reset_attitude(a->pipeline, quat_from_aerospace(vec3_scale(RAD_PER_DEG, angles_deg)));
 }
 
-static void zero_slopes(struct od_values *v)
+static void zero_slopes(struct aids *a)
 {
+	struct od_values *v = a->values;
 	static const uint16_t presets[] = {OD_INDEX_SLOPE_LONG16_PRESET_VALUE, OD_INDEX_SLOPE_LATERAL16_PRESET_VALUE,
 		OD_INDEX_SLOPE_LONG32_PRESET_VALUE, OD_INDEX_SLOPE_LATERAL32_PRESET_VALUE};
 
 	v->slope_long16_preset_value = v->slope_lateral16_preset_value = 0;
 	v->slope_long32_preset_value = v->slope_lateral32_preset_value = 0;
 	for (size_t i = 0; i < sizeof(presets) / sizeof(presets[0]); i++)
-		publish_preset(v, presets[i]);
+		publish_preset(a->od, presets[i]);
 }
 
 static void command(struct aids *a)
@@ -116,7 +117,7 @@ static void command(struct aids *a)
 	if (rising & COMMAND_RESET_POSITION)
 		pipeline_reset_position(a->pipeline);
 	if (rising & COMMAND_ZERO_SLOPES)
-		zero_slopes(a->values);
+		zero_slopes(a);
 	a->stands = a->commands & COMMAND_STANDS_STILL;
 	if (!a->stands)
 		a->standstill_until_us = 0;
@@ -152,7 +153,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 
 void aids_init(struct aids *a, struct od *od, struct od_values *values, struct pipeline *pipeline)
 {
-	*a = (struct aids){.values = values, .pipeline = pipeline};
+	*a = (struct aids){.od = od, .values = values, .pipeline = pipeline};
 	a->hook = (struct od_hook){
 		.first = OD_INDEX_VELOCITY_AID, .last = OD_INDEX_COMMANDS, .after = after_write, .ctx = a};
 	od_attach(od, &a->hook);

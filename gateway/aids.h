@@ -14,6 +14,7 @@
 
 struct aids { /* PRIVATE */
 	struct od_hook hook;
+	struct od *od;
 	struct od_values *values;
 	struct pipeline *pipeline;
 	uint16_t commands;	      /* as they were last: 2073h */

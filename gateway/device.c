@@ -84,7 +84,7 @@ static void on_preset(void *ctx, const struct od_entry *entry)
 {
 	struct device *d = ctx;
 
-	publish_preset(&d->values, entry->index);
+	publish_preset(&d->od, entry->index);
 }
 
 /* ---- storage ----------------------------------------------------------------------------------------------------- */
@@ -180,7 +180,7 @@ static void on_collision(void *ctx, uint32_t id)
 
 static double change_threshold(void *ctx, const struct od_entry *entry)
 {
-	return threshold_of(&((struct device *)ctx)->values, entry);
+	return threshold_of(&((struct device *)ctx)->od, entry);
 }
 
 static void on_nmt_changed(void *ctx, enum nmt_state state)
@@ -377,7 +377,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	lever_arm_command_sample(&d->lever_arm_command, sample, now_us);
 	calibration_command_sample(&d->calibration_command, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
-	unsigned clipped = publish_sample(&d->values, &out, counter);
+	unsigned clipped = publish_sample(&d->od, &out, counter);
 	last_movement_publish(&d->last_movement);
 	slope_range_check(&d->canopen, &d->values, clipped, now_us);
 	if (utc_sample(&d->utc, sample->t_us, now_us) != UTC_NONE)

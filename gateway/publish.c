@@ -5,6 +5,12 @@
 #include <limits.h>
 #include <math.h>
 
+/* One step of a scaled output, in its unit. */
+static double step_of(const struct od *od, uint16_t index, uint8_t sub)
+{
+	return od_step(od, od_find(od->table, index, sub, NULL));
+}
+
 /* The value in units of `lsb`, rounded to the nearest; saturated, and then said so in *saturated.
  */
 static int32_t scaled(double value, double lsb, int32_t limit, bool *saturated)
@@ -44,24 +50,25 @@ static int64_t slope(int32_t physical, uint8_t operating, int32_t offset, int32_
 	return operating & SLOPE_SCALING ? value + offset + differential : value;
 }
 
-static double slope_lsb_rad(const struct od_values *v)
+static double angle_lsb_rad(const struct od *od)
 {
-	return v->angle_resolution * 0.001 / DEG_PER_RAD;
+	return step_of(od, OD_INDEX_ANGLES, OD_SUB_ANGLES_ROLL) / DEG_PER_RAD;
 }
 
 /* The longitudinal slope is the rotation about the side axis (pitch), the lateral one that about
  * the longitudinal. */
-static int32_t physical_slope(const struct od_values *v, double angle_deg, bool *saturated)
+static int32_t physical_slope(const struct od *od, double angle_deg, bool *saturated)
 {
-	return scaled(angle_deg / DEG_PER_RAD, slope_lsb_rad(v), INT32_MAX, saturated);
+	return scaled(angle_deg / DEG_PER_RAD, angle_lsb_rad(od), INT32_MAX, saturated);
 }
 
 /* PUBLISH_CLIPPED_... of the slopes that their objects cannot hold. */
-static unsigned publish_slopes(struct od_values *v)
+static unsigned publish_slopes(struct od *od)
 {
+	struct od_values *v = od->values;
 	bool long_clipped = false, lateral_clipped = false;
-	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, &long_clipped);
-	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, &lateral_clipped);
+	int32_t lon = physical_slope(od, (double)v->angles_deg.pitch, &long_clipped);
+	int32_t lat = physical_slope(od, (double)v->angles_deg.roll, &lateral_clipped);
 
 	v->slope_long16 = (int16_t)clamp(slope(lon, v->slope_long16_operating_parameter, v->slope_long16_offset,
 						 v->slope_long16_differential_offset),
@@ -84,11 +91,12 @@ static int64_t preset_offset(int32_t preset, int32_t physical, uint8_t operating
 	return (int64_t)preset - slope(physical, operating & SLOPE_INVERSION, 0, 0) - differential;
 }
 
-void publish_preset(struct od_values *v, uint16_t index)
+void publish_preset(struct od *od, uint16_t index)
 {
+	struct od_values *v = od->values;
 	bool saturated = false;
-	int32_t lon = physical_slope(v, (double)v->angles_deg.pitch, &saturated);
-	int32_t lat = physical_slope(v, (double)v->angles_deg.roll, &saturated);
+	int32_t lon = physical_slope(od, (double)v->angles_deg.pitch, &saturated);
+	int32_t lat = physical_slope(od, (double)v->angles_deg.roll, &saturated);
 	int64_t offset;
 
 	switch (index) {
@@ -124,11 +132,12 @@ void publish_preset(struct od_values *v, uint16_t index)
 	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
 		(record).c = scaled16((vector).z, lsb, &saturated))
 
-unsigned publish_sample(struct od_values *v, const struct pipeline_output *out, uint16_t counter)
+unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16_t counter)
 {
-	const double acceleration_lsb_m_s2 = v->resolution.acceleration * 0.001;
-	const double position_lsb_m = v->resolution.position * 0.001;
+	const double acceleration_lsb_m_s2 = step_of(od, OD_INDEX_ACCELERATION, OD_SUB_ACCELERATION_L);
+	const double position_lsb_m = step_of(od, OD_INDEX_POSITION_OUTPUT, OD_SUB_POSITION_OUTPUT_X);
 	const struct vec3 angles_deg = vec3_scale(DEG_PER_RAD, out->angles_rad);
+	struct od_values *v = od->values;
 	bool saturated = false;
 
 	v->quaternion.w = (float)out->q_nb.w;
@@ -155,12 +164,12 @@ unsigned publish_sample(struct od_values *v, const struct pipeline_output *out, 
 	v->latency.acceleration_filter = (float)out->accel_delay_s;
 
 	PUBLISH_SCALED(v->acceleration, out->accel_b_m_s2, acceleration_lsb_m_s2, l, s, t);
-	PUBLISH_SCALED(v->angles, out->angles_rad, slope_lsb_rad(v), roll, pitch, yaw);
+	PUBLISH_SCALED(v->angles, out->angles_rad, angle_lsb_rad(od), roll, pitch, yaw);
 	PUBLISH_SCALED(v->position_output, out->position_n_m, position_lsb_m, x, y, z);
 	v->position_output.x32 = scaled(out->position_n_m.x, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.y32 = scaled(out->position_n_m.y, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.z32 = scaled(out->position_n_m.z, position_lsb_m, INT32_MAX, &saturated);
-	unsigned clipped = publish_slopes(v);
+	unsigned clipped = publish_slopes(od);
 
 	v->sample.counter = counter;
 	v->sample.time = (uint32_t)out->t_us;

@@ -4,10 +4,9 @@
 #define GATEWAY_THRESHOLD_H
 
 #include "od/od.h"
-#include "od_values.h"
 
 /** As canopen_device.change_threshold() wants it: in steps of an integer, in the unit of a real. Which threshold is that
  * of an object its unit says. */
-double threshold_of(const struct od_values *values, const struct od_entry *entry);
+double threshold_of(const struct od *od, const struct od_entry *entry);
 
 #endif

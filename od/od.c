@@ -178,6 +178,21 @@ enum od_status od_read(const struct od *od, uint16_t index, uint8_t sub, void *w
 	return OD_OK;
 }
 
+const struct od_entry *od_resolution(const struct od_table *table, const struct od_entry *entry)
+{
+	return entry->resolution ? od_find(table, entry->resolution, entry->resolution_sub, NULL) : NULL;
+}
+
+double od_step(const struct od *od, const struct od_entry *entry)
+{
+	const struct od_entry *resolution = od_resolution(od->table, entry);
+	uint8_t wire[sizeof(uint32_t)];
+
+	if (!resolution)
+		return entry->factor;
+	return (double)wire_get(wire, od_get(od, resolution, wire, sizeof(wire))) * resolution->factor;
+}
+
 const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub)
 {
 	for (const struct od_domain *domain = od->domains; domain; domain = domain->next)

@@ -89,6 +89,8 @@ struct od_entry {
 	uint16_t index;
 	uint8_t sub;
 	uint8_t type;		   /* enum od_type */
+	uint8_t resolution_sub;	   /* with `resolution` */
+	uint16_t resolution;	   /* index of the entry that holds the step, see od_step(); 0: none */
 	uint16_t access;	   /* OD_READ | ... */
 	uint16_t size;		   /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
 	uint32_t offset;	   /* into the values struct */
@@ -161,6 +163,13 @@ void od_set_domain(struct od *od, struct od_domain *domain);
 
 /** The entry, or NULL. `status` (may be NULL) is then OD_NO_OBJECT or OD_NO_SUBINDEX. */
 const struct od_entry *od_find(const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status);
+
+/** The entry whose value, times its own factor, is one step of this one (an unsigned integer, such as 6000h for the angles
+ * of CiA 410), or NULL: entry->factor is the step. */
+const struct od_entry *od_resolution(const struct od_table *table, const struct od_entry *entry);
+
+/** The physical value of 1, in entry->unit, as the resolution objects say now. */
+double od_step(const struct od *od, const struct od_entry *entry);
 
 /** By name ("lever_arm.l", any case, spaces as '_'), by index ("0x2000:1", "2000h:1", "0x2000" for sub-index 0). */
 const struct od_entry *od_find_name(const struct od_table *table, const char *name);

@@ -578,7 +578,7 @@ static void test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change(vo
 
 static double threshold(const struct world *w, uint16_t index, uint8_t sub)
 {
-	return threshold_of(&w->device.values, od_find(&imu9_od_table, index, sub, NULL));
+	return threshold_of(&w->device.od, od_find(&imu9_od_table, index, sub, NULL));
 }
 
 static void test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps(void **state)

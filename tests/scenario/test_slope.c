@@ -18,7 +18,7 @@ static void tilt(struct bus *bus, double longitudinal_deg, double lateral_deg)
 		.angles_rad = {RAD(lateral_deg), RAD(longitudinal_deg), 0},
 		.status = PIPELINE_VALID};
 
-	slope_range_check(&bus->node, &bus->values, publish_sample(&bus->values, &out, 0), bus->now_us);
+	slope_range_check(&bus->node, &bus->values, publish_sample(&bus->od, &out, 0), bus->now_us);
 	bus_tick(bus);
 }
 

@@ -265,11 +265,24 @@ static void test_an_entry_has_name_unit_factor_limits_and_default(void **state)
 	assert_true(l->low.f == -10 && l->high.f == 10);
 	assert_int_equal(default_of(0x2000, 1), 0x3F000000);
 	assert_true(s->factor == 0.25);
+	assert_int_equal(s->resolution, 0);
 	assert_true(s->low.i == -100 && s->high.i == 100);
 	assert_int_equal(default_of(0x2000, 2), 0xFFF9);
 	assert_string_equal(entry_of(0x1000, 0)->name, "device_type");
 	assert_string_equal(eds.objects[5].label, "Lever arm");
 	assert_string_equal(eds.objects[5].description, "To the sensor");
+}
+
+static void test_a_resolution_names_the_entry_that_holds_the_step(void **state)
+{
+	(void)state;
+	assert_int_equal(load(changed("Factor=0.25", "Factor=0.25\nResolution=Mode"), EDS_STRICT), 0);
+	assert_ptr_equal(od_resolution(&eds.table, entry_of(0x2000, 2)), entry_of(0x2001, 0));
+	assert_null(od_resolution(&eds.table, entry_of(0x2000, 1)));
+	assert_only_strict_refuses("Factor=0.25", "Factor=0.25\nResolution=nothing", "Resolution=nothing", "UNSIGNED");
+	assert_null(od_resolution(&eds.table, entry_of(0x2000, 2)));
+	assert_only_strict_refuses(
+		"Factor=0.25", "Factor=0.25\nResolution=lever_arm.l", "Resolution=lever_arm.l", "UNSIGNED");
 }
 
 static void test_access_and_mapping_become_bits(void **state)
@@ -804,6 +817,8 @@ static void test_the_generated_table_equals_the_loaded_one(void **state)
 		assert_memory_equal(&a->low, &b->low, sizeof(a->low));
 		assert_memory_equal(&a->high, &b->high, sizeof(a->high));
 		assert_true(a->factor == b->factor);
+		assert_int_equal(a->resolution, b->resolution);
+		assert_int_equal(a->resolution_sub, b->resolution_sub);
 		assert_string_equal(a->name, b->name);
 		assert_string_equal(a->unit, b->unit);
 		assert_string_equal(a->description, b->description);
@@ -823,24 +838,23 @@ static void test_the_device_file_has_crlf_line_ends_and_no_empty_key(void **stat
 
 static void test_the_factor_of_a_measurement_is_its_default_resolution(void **state)
 {
-	static const struct {
-		uint16_t index;
-		const char *resolution;
-	} CASES[] = {{0x2100, "resolution.acceleration"}, {0x2101, "angle_resolution"}, {0x2102, "resolution.position"},
-		{0x6010, "angle_resolution"}, {0x6110, "angle_resolution"}};
 	static struct od_values values;
 	struct od od;
+	size_t scaled = 0;
 
 	(void)state;
 	od_init(&od, &imu9_od_table, &values, 1);
-	for (size_t i = 0; i < sizeof(CASES) / sizeof(*CASES); i++) {
-		const struct od_entry *resolution = od_find_name(&imu9_od_table, CASES[i].resolution);
-		const struct od_entry *entry = od_find(&imu9_od_table, CASES[i].index, CASES[i].index < 0x3000, NULL);
-		const uint16_t *steps = od_value(&od, resolution->index, resolution->sub, sizeof(*steps));
+	for (size_t i = 0; i < imu9_od_table.count; i++) {
+		const struct od_entry *entry = &imu9_od_table.entries[i];
+		const struct od_entry *resolution = od_resolution(&imu9_od_table, entry);
 
-		assert_true(fabs(entry->factor - *steps * resolution->factor) < 1e-12);
+		if (!resolution)
+			continue;
+		scaled++;
+		assert_true(fabs(entry->factor - od_step(&od, entry)) < 1e-12);
 		assert_string_equal(entry->unit, resolution->unit);
 	}
+	assert_int_equal(scaled, 28); /* 2100h, 2101h, 2102h; slopes, presets and offsets of CiA 410 */
 }
 
 /* ---- the programs gen-od and eds-revision ---- */
@@ -958,6 +972,7 @@ int main(int argc, char **argv)
 	const struct CMUnitTest tests[] = {
 		CASE(test_a_valid_file_is_loaded),
 		CASE(test_an_entry_has_name_unit_factor_limits_and_default),
+		CASE(test_a_resolution_names_the_entry_that_holds_the_step),
 		CASE(test_access_and_mapping_become_bits),
 		CASE(test_access_rwr_and_rww_give_the_direction_of_the_pdo),
 		CASE(test_entries_excluded_from_download_are_not_stored),

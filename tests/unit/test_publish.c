@@ -29,7 +29,7 @@ static void test_acceleration_is_rounded_to_the_nearest_unit_of_2110h_1(void **s
 	(void)state;
 	values.resolution.acceleration = 5; /* 0.005 m/s^2 */
 	out.accel_b_m_s2 = (struct vec3){1.0024, -1.0026, 0.0024};
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.acceleration.l, 200);
 	assert_int_equal(values.acceleration.s, -201);
 	assert_int_equal(values.acceleration.t, 0);
@@ -40,7 +40,7 @@ static void test_angles_are_in_units_of_6000h(void **state)
 	(void)state;
 	values.angle_resolution = 10; /* 0.01 deg */
 	out.angles_rad = (struct vec3){RAD(12.344), RAD(-45.006), RAD(180)};
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.angles.roll, 1234);
 	assert_int_equal(values.angles.pitch, -4501);
 	assert_int_equal(values.angles.yaw, 18000);
@@ -51,7 +51,7 @@ static void test_position_comes_in_16_and_32_bits_of_the_same_unit(void **state)
 	(void)state;
 	values.resolution.position = 10; /* 1 cm */
 	out.position_n_m = (struct vec3){1.234, -400, 0};
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.position_output.x, 123);
 	assert_int_equal(values.position_output.x32, 123);
 	assert_int_equal(values.position_output.y, -32768); /* 40000 units do not fit */
@@ -63,13 +63,13 @@ static void test_a_value_that_does_not_fit_saturates_and_the_status_says_so(void
 	(void)state;
 	values.resolution.acceleration = 1;
 	out.accel_b_m_s2 = (struct vec3){32.7674, 32.768, -40};
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.acceleration.l, 32767);
 	assert_int_equal(values.acceleration.s, 32767);
 	assert_int_equal(values.acceleration.t, -32768);
 	assert_int_equal(values.sample.status, PIPELINE_VALID | STATUS_SATURATED);
 	out.accel_b_m_s2 = (struct vec3){0};
-	publish_sample(&values, &out, 1);
+	publish_sample(&od, &out, 1);
 	assert_int_equal(values.sample.status, PIPELINE_VALID);
 }
 
@@ -77,7 +77,7 @@ static void test_counter_and_time_wrap(void **state)
 {
 	(void)state;
 	out.t_us = (1ull << 32) + 5;
-	publish_sample(&values, &out, 65535);
+	publish_sample(&od, &out, 65535);
 	assert_int_equal(values.sample.counter, 65535);
 	assert_int_equal(values.sample.time, 5);
 }
@@ -86,7 +86,7 @@ static void test_a_lost_sensor_takes_the_valid_bit_and_leaves_the_values(void **
 {
 	(void)state;
 	out.accel_b_m_s2.x = 1;
-	publish_sample(&values, &out, 7);
+	publish_sample(&od, &out, 7);
 	int16_t before = values.acceleration.l;
 	publish_sensor_lost(&values);
 	assert_int_equal(values.sample.status, STATUS_SENSOR_LOST);
@@ -98,7 +98,7 @@ static void test_the_long_slope_is_pitch_and_the_lateral_slope_is_roll(void **st
 {
 	(void)state;
 	out.angles_rad = (struct vec3){RAD(1.5), RAD(-2.25), 0};
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.slope_long16, -225);
 	assert_int_equal(values.slope_lateral16, 150);
 	assert_int_equal(values.slope_long32, -225);
@@ -111,13 +111,13 @@ static void test_the_operating_parameter_inverts_and_scales(void **state)
 	out.angles_rad.y = RAD(10);
 	values.slope_long16_offset = 30;
 	values.slope_long16_differential_offset = 4;
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.slope_long16, 1000); /* scaling off: no offsets */
 	values.slope_long16_operating_parameter = 2;
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.slope_long16, 1034);
 	values.slope_long16_operating_parameter = 3;
-	publish_sample(&values, &out, 0);
+	publish_sample(&od, &out, 0);
 	assert_int_equal(values.slope_long16, -966);
 }
 
@@ -131,9 +131,9 @@ static void test_a_preset_makes_the_slope_read_it_now(void **state)
 		values.slope_lateral32_differential_offset = 17;
 		values.slope_lateral32_preset_value = -500;
 		out.angles_rad.x = RAD(33.33);
-		publish_sample(&values, &out, 0);
-		publish_preset(&values, 0x6122);
-		publish_sample(&values, &out, 1);
+		publish_sample(&od, &out, 0);
+		publish_preset(&od, 0x6122);
+		publish_sample(&od, &out, 1);
 		assert_int_equal(values.slope_lateral32, -500);
 	}
 }

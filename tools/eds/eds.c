@@ -30,6 +30,7 @@ struct draft {
 	union od_number number; /* the default of a number */
 	const char *text;	/* the default of a string */
 	const char *value;	/* ParameterValue */
+	const struct eds_item *resolution;
 };
 
 struct loader {
@@ -314,6 +315,7 @@ static int read_entry(struct loader *l, const struct eds_object *object, uint8_t
 		draft.value = read_text(l, source->section, "ParameterValue");
 	entry->unit = read_text(l, source->section, "Unit");
 	entry->description = read_text(l, source->section, "Description");
+	draft.resolution = eds_find(&l->file, source->section, "Resolution");
 	if (read_access(l, source, entry) || read_factor(l, source->section, &entry->factor))
 		return l->file.result;
 	if (type->bits || eds_is_real(type))
@@ -677,6 +679,29 @@ static void set_default(const struct draft *draft, uint8_t *values)
 	}
 }
 
+static bool is_resolution(const struct od_entry *entry)
+{
+	return entry->type == OD_UNSIGNED8 || entry->type == OD_UNSIGNED16 || entry->type == OD_UNSIGNED32;
+}
+
+/* Resolution: the entry may come later in the file than the one that refers to it. */
+static int link_resolutions(struct loader *l, struct od_entry *entries)
+{
+	for (size_t i = 0; i < l->draft_count; i++) {
+		const struct eds_item *item = l->drafts[i].resolution;
+		const struct od_entry *resolution = item ? od_find_name(&l->eds->table, item->value) : NULL;
+
+		if (resolution && is_resolution(resolution)) {
+			entries[i].resolution = resolution->index;
+			entries[i].resolution_sub = resolution->sub;
+		} else if (item && strict(l)) {
+			return eds_fail(&l->file, item->line, "[%s] Resolution=%s is not the name of an UNSIGNED entry",
+				item->section, item->value);
+		}
+	}
+	return 0;
+}
+
 static int build_table(struct loader *l)
 {
 	struct eds *eds = l->eds;
@@ -693,7 +718,7 @@ static int build_table(struct loader *l)
 		set_default(&l->drafts[i], defaults);
 	}
 	eds->table = (struct od_table){entries, l->draft_count, defaults, values_size};
-	return 0;
+	return link_resolutions(l, entries);
 }
 
 static int read_info(struct loader *l)

@@ -3,8 +3,10 @@
  * file at build time (EDS_STRICT), and imu9-sdo at run time with files of other devices (EDS_LENIENT).
  *
  * Keys in addition to CiA 306, as keys or in comments (";Unit=m"): Unit, Factor, Description (as python-canopen reads
- * them), StringSize (bytes of a VISIBLE_STRING or OCTET_STRING), Stored, and for REALs RealDefault, RealLowLimit and
- * RealHighLimit as decimal text: tools differ in how DefaultValue writes a REAL. Here 0x... means its IEEE 754 bits. */
+ * them), Resolution (name of the entry whose value, times its own Factor, is one step of this one; Factor is then the
+ * step by default), StringSize (bytes of a VISIBLE_STRING or OCTET_STRING), Stored, and for REALs RealDefault,
+ * RealLowLimit and RealHighLimit as decimal text: tools differ in how DefaultValue writes a REAL. Here 0x... means its
+ * IEEE 754 bits. */
 #ifndef TOOLS_EDS_EDS_H
 #define TOOLS_EDS_EDS_H
 

@@ -312,6 +312,8 @@ static void print_entry(FILE *out, const struct od_entry *entry)
 		fputs(", .high = ", out);
 		print_c_number(out, entry, entry->high);
 	}
+	if (entry->resolution)
+		fprintf(out, ", .resolution = 0x%04X, .resolution_sub = %u", entry->resolution, entry->resolution_sub);
 	fprintf(out, ",\n\t .factor = %.17g, .name = ", entry->factor);
 	print_c_string(out, entry->name);
 	fputs(", .unit = ", out);

@@ -7,7 +7,6 @@
 #include <strings.h>
 
 #include "tools/lib/cli.h"
-#include "od_index.h"
 
 /* 0x1A or 1Ah; plain decimal only where `decimal` says so. */
 static bool object_number(const char *text, size_t length, bool decimal, long high, long *value)
@@ -55,26 +54,6 @@ static bool is_signed(const struct od_entry *entry)
 static bool is_number(const struct od_entry *entry)
 {
 	return entry->type != OD_VISIBLE_STRING && entry->type != OD_OCTET_STRING && entry->type != OD_DOMAIN;
-}
-
-const struct od_entry *cli_resolution(const struct od_table *table, const struct od_entry *entry)
-{
-	static const struct {
-		uint16_t first, last;
-		const char *name;
-	} rules[] = {
-		{OD_INDEX_ACCELERATION, OD_INDEX_ACCELERATION, "resolution.acceleration"},
-		{OD_INDEX_POSITION_OUTPUT, OD_INDEX_POSITION_OUTPUT, "resolution.position"},
-		{OD_INDEX_ANGLES, OD_INDEX_ANGLES, "0x6000"},
-		{OD_INDEX_SLOPE_LONG16, 0x6FFF, "0x6000"}, /* CiA 410: slopes, presets and offsets */
-	};
-
-	if (entry->unit[0] == '\0' || entry->factor == 1)
-		return NULL;
-	for (size_t i = 0; i < sizeof(rules) / sizeof(rules[0]); i++)
-		if (entry->index >= rules[i].first && entry->index <= rules[i].last)
-			return od_find_name(table, rules[i].name);
-	return NULL;
 }
 
 double cli_number(const struct od_entry *entry, const void *wire)

@@ -16,10 +16,6 @@ bool cli_address(const char *text, uint16_t *index, uint8_t *sub);
 /** "lever_arm.l (2000h:01)", or "2000h:01" when there is no entry. */
 void cli_address_text(uint16_t index, uint8_t sub, const struct od_entry *entry, char *text, size_t capacity);
 
-/** The object that holds the step of this one (2110h, 6000h), or NULL: the entry's factor is the
- * step. */
-const struct od_entry *cli_resolution(const struct od_table *table, const struct od_entry *entry);
-
 /** A value in wire form as a number; 0 for strings. */
 double cli_number(const struct od_entry *entry, const void *wire);
 

@@ -49,13 +49,6 @@ uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub)
 	return entry ? (uint32_t)mirrored(watch, entry) : 0;
 }
 
-static double step_of(const struct watch *watch, const struct od_entry *entry)
-{
-	const struct od_entry *resolution = cli_resolution(watch->mirror.table, entry);
-
-	return resolution ? mirrored(watch, resolution) * resolution->factor : entry->factor;
-}
-
 static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int number)
 {
 	uint16_t parameter = (uint16_t)(0x1800 + number), mapping = (uint16_t)(0x1A00 + number);
@@ -84,7 +77,7 @@ static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int 
 		if (field->entry && 8u * field->entry->size != bits)
 			field->entry = NULL;
 		if (field->entry)
-			field->step = step_of(watch, field->entry);
+			field->step = od_step(&watch->mirror, field->entry);
 		bit += bits;
 		pdo->field_count++;
 	}

@@ -121,7 +121,7 @@ void sdo_put_u32(uint8_t *wire, uint32_t value)
 /* The physical value of one step by the resolution objects of the node. */
 static double step_of(struct session *s, const struct od_entry *entry)
 {
-	const struct od_entry *resolution = cli_resolution(s->table, entry);
+	const struct od_entry *resolution = od_resolution(s->table, entry);
 	uint8_t wire[OD_VALUE_MAX];
 
 	if (!resolution)
