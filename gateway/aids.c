@@ -16,8 +16,6 @@ enum { USED_FOR_US = 1000000, STANDS_FOR_US = 500000 };
 #define VELOCITY_SIGMA_MIN_M_S 0.001
 #define YAW_SIGMA_MIN_DEG      0.01
 #define STANDSTILL_SIGMA_M_S   0.005
-#define VELOCITY16_M_S	       0.001 /* one step of 2070h:5 to 8, as in the EDS */
-#define ANGLE16_DEG	       0.01  /* and of 2072h:4 to 6 */
 
 /* ---- the same value as REAL32 and in 16 bits --------------------------------------------------------------------- */
 
@@ -26,32 +24,40 @@ static int16_t to_16(float value, double lsb)
 	return (int16_t)fmax(INT16_MIN, fmin(INT16_MAX, round((double)value / lsb)));
 }
 
-/* The one that was written gives its value to the other. Velocities: 1 to 4 REAL32, 5 to 8 their twins. */
-static void follow_velocity(struct od_values *v, uint8_t sub)
+static double step_of(const struct aids *a, uint16_t index, uint8_t sub)
 {
+	return od_step(a->od, od_find(a->od->table, index, sub, NULL));
+}
+
+/* The value that was written is copied to its twin. Velocities: sub-indices 1 to 4 REAL32, 5 to 8 their twins. */
+static void follow_velocity(struct aids *a, uint8_t sub)
+{
+	const double step_m_s = step_of(a, OD_INDEX_VELOCITY_AID, OD_SUB_VELOCITY_AID_X16);
+	struct od_values *v = a->values;
 	float *real[] = {&v->velocity_aid.x, &v->velocity_aid.y, &v->velocity_aid.z};
 	int16_t *twin[] = {&v->velocity_aid.x16, &v->velocity_aid.y16, &v->velocity_aid.z16};
 
 	if (sub >= 1 && sub <= 3)
-		*twin[sub - 1] = to_16(*real[sub - 1], VELOCITY16_M_S);
+		*twin[sub - 1] = to_16(*real[sub - 1], step_m_s);
 	else if (sub >= 5 && sub <= 7)
-		*real[sub - 5] = (float)(*twin[sub - 5] * VELOCITY16_M_S);
+		*real[sub - 5] = (float)(*twin[sub - 5] * step_m_s);
 	else if (sub == 4)
-		v->velocity_aid.sigma16 =
-			(uint16_t)fmin(UINT16_MAX, round((double)v->velocity_aid.sigma / VELOCITY16_M_S));
+		v->velocity_aid.sigma16 = (uint16_t)fmin(UINT16_MAX, round((double)v->velocity_aid.sigma / step_m_s));
 	else if (sub == 8)
-		v->velocity_aid.sigma = (float)(v->velocity_aid.sigma16 * VELOCITY16_M_S);
+		v->velocity_aid.sigma = (float)(v->velocity_aid.sigma16 * step_m_s);
 }
 
-static void follow_attitude(struct od_values *v, uint8_t sub)
+static void follow_attitude(struct aids *a, uint8_t sub)
 {
+	const double step_deg = step_of(a, OD_INDEX_ATTITUDE_RESET, OD_SUB_ATTITUDE_RESET_ROLL16);
+	struct od_values *v = a->values;
 	float *real[] = {&v->attitude_reset.roll, &v->attitude_reset.pitch, &v->attitude_reset.yaw};
 	int16_t *twin[] = {&v->attitude_reset.roll16, &v->attitude_reset.pitch16, &v->attitude_reset.yaw16};
 
 	if (sub >= 1 && sub <= 3)
-		*twin[sub - 1] = to_16(*real[sub - 1], ANGLE16_DEG);
+		*twin[sub - 1] = to_16(*real[sub - 1], step_deg);
 	else if (sub >= 4 && sub <= 6)
-		*real[sub - 4] = (float)(*twin[sub - 4] * ANGLE16_DEG);
+		*real[sub - 4] = (float)(*twin[sub - 4] * step_deg);
 }
 
 /* ---- to the pipeline --------------------------------------------------------------------------------------------- */
@@ -129,7 +135,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 
 	switch (entry->index) {
 	case OD_INDEX_VELOCITY_AID:
-		follow_velocity(a->values, entry->sub);
+		follow_velocity(a, entry->sub);
 		if (entry->sub == 4 || entry->sub == 8)
 			aid_velocity(a);
 		break;
@@ -138,7 +144,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 			aid_yaw(a);
 		break;
 	case OD_INDEX_ATTITUDE_RESET:
-		follow_attitude(a->values, entry->sub);
+		follow_attitude(a, entry->sub);
 		if (entry->sub != 7)
 			break;
 		if (a->values->attitude_reset.command && !a->reset_command)

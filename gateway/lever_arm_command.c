@@ -10,8 +10,6 @@ enum { REFERENCE_HOLDS_US = 50000 };
 /* Motion that stops and starts, or a reference that does not come, ends it after so many times its duration. */
 enum { PATIENCE = 3 };
 
-#define REFERENCE16_M_S2 0.005 /* one step of 2075h:4 to 6, as in the EDS */
-
 /* ---- what it found ----------------------------------------------------------------------------------------------- */
 
 static void publish(struct lever_arm_command *c, const struct lever_estimate *e)
@@ -75,8 +73,8 @@ static void on_reference(void *ctx, const struct od_entry *entry)
 			(double)v->reference_acceleration.t};
 	else if (entry->sub == 6)
 		c->ref_b_m_s2 = vec3_scale(
-			REFERENCE16_M_S2, (struct vec3){v->reference_acceleration.l16, v->reference_acceleration.s16,
-						  v->reference_acceleration.t16});
+			entry->factor, (struct vec3){v->reference_acceleration.l16, v->reference_acceleration.s16,
+					       v->reference_acceleration.t16});
 	else
 		return;
 	c->ref_written = true;
