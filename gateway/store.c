@@ -13,7 +13,8 @@
 #include "gateway/canopen/little_endian.h"
 
 static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
-enum { VERSION = 2, VERSION_WITHOUT_LSS = 1, HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, CRC_SIZE = 4 };
+enum { VERSION = 3, VERSION_WITHOUT_REVISION = 2, VERSION_WITHOUT_LSS = 1 };
+enum { HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, REVISION_SIZE = 4, CRC_SIZE = 4 };
 
 struct store_group *store_group(struct store_image *image, enum od_group group)
 {
@@ -35,6 +36,8 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	put_u32(out + n, image->lss.node_id);
 	put_u32(out + n + 4, image->lss.bit_s);
 	n += LSS_SIZE;
+	put_u32(out + n, image->revision);
+	n += REVISION_SIZE;
 	memcpy(out, magic, sizeof(magic));
 	put_u32(out + 8, VERSION);
 	put_u32(out + 12, (uint32_t)(n - HEADER_SIZE));
@@ -69,13 +72,18 @@ static bool decode_lss(struct store_lss *lss, const uint8_t *in)
 	return true;
 }
 
-/* What stands between header and CRC. */
+/* Between header and CRC: the groups, and what was appended since. */
 static bool decode_body(struct store_image *image, const uint8_t *in, size_t size, uint32_t version)
 {
-	if (version == VERSION_WITHOUT_LSS)
-		return decode_groups(image, in, size);
-	return size >= LSS_SIZE && decode_groups(image, in, size - LSS_SIZE) &&
-	       decode_lss(&image->lss, in + size - LSS_SIZE);
+	const size_t lss = version > VERSION_WITHOUT_LSS ? LSS_SIZE : 0;
+	const size_t revision = version > VERSION_WITHOUT_REVISION ? REVISION_SIZE : 0;
+
+	if (size < lss + revision)
+		return false;
+	const uint8_t *tail = in + size - lss - revision;
+	if (revision)
+		image->revision = get_u32(tail + lss);
+	return decode_groups(image, in, size - lss - revision) && (!lss || decode_lss(&image->lss, tail));
 }
 
 int store_decode(struct store_image *image, const uint8_t *in, size_t size)
@@ -86,7 +94,7 @@ int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 	if (get_u32(in + size - CRC_SIZE) != od_crc32(0, in, size - CRC_SIZE))
 		return -EBADMSG;
 	uint32_t version = get_u32(in + 8);
-	if (version != VERSION && version != VERSION_WITHOUT_LSS)
+	if (version < VERSION_WITHOUT_LSS || version > VERSION)
 		return -ENOTSUP;
 	if (get_u32(in + 12) != size - HEADER_SIZE - CRC_SIZE ||
 		!decode_body(image, in + HEADER_SIZE, size - HEADER_SIZE - CRC_SIZE, version)) {

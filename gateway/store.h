@@ -1,11 +1,10 @@
 /* gateway/store.h
- * What 1010h and LSS keep, through power cuts. The codec is pure; the file is written whole beside the old
- * one, synced, and renamed over it, so that at any moment either the old or the new values are
- * there in full.
+ * The file that 1010h and LSS keep, safe against power cuts. The codec is pure. The file is written whole beside the old one,
+ * synced, and renamed over it: at any moment either the old or the new values are complete.
  *
- * File: "IMU9STOR", u32 version, u32 size of what follows up to the CRC, then for each group 2..4 a
- * u32 size and a concise DCF (od_encode()), u32 node-ID and u32 bit rate of LSS (since version 2; 0: none), u32 CRC-32 of
- * all before. Little-endian. */
+ * File, little-endian: "IMU9STOR"; u32 version of the format; u32 size of what follows up to the CRC; for each group 2 to 4 a
+ * u32 size and a concise DCF (od_encode()); u32 node-ID and u32 bit rate of LSS, 0: none (since version 2); u32 revision of
+ * the objects (since version 3); u32 CRC-32 of all before. */
 #ifndef GATEWAY_STORE_H
 #define GATEWAY_STORE_H
 
@@ -32,6 +31,8 @@ struct store_image {
 		uint8_t node_id; /* 1..127; 255: to wait for one; 0: nothing stored */
 		uint32_t bit_s;	 /* 0: nothing stored */
 	} lss;
+	/* 1018h:3 of the gateway that stored: which meaning the values have. 0: not known, stored before 0.3.0 */
+	uint32_t revision;
 };
 
 /** The group's place in the image; group is OD_GROUP_COMMUNICATION, _APPLICATION or _MANUFACTURER.
@@ -40,8 +41,8 @@ struct store_group *store_group(struct store_image *image, enum od_group group);
 
 /** Bytes written into out[STORE_FILE_MAX]. */
 size_t store_encode(const struct store_image *image, uint8_t *out);
-/** 0; -EBADMSG: truncated, CRC or lay-out wrong; -ENOTSUP: another version. *image is then empty.
- */
+/** All versions of the format. 0; -EBADMSG: truncated, CRC or layout wrong; -ENOTSUP: a later version of the format. *image
+ * is then empty. */
 int store_decode(struct store_image *image, const uint8_t *in, size_t size);
 
 /** 0 and the image (empty when there is no file yet); -EBADMSG or -ENOTSUP: the file is damaged,

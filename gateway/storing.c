@@ -3,6 +3,8 @@
 #include <errno.h>
 #include <string.h>
 
+#include "od_index.h"
+
 static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GROUP_APPLICATION, OD_GROUP_MANUFACTURER};
 
 /* ---- saving ------------------------------------------------------------------------------------------------------ */
@@ -21,6 +23,7 @@ static enum od_status save(struct storing *s)
 
 	if (!s->port.save)
 		return OD_CANNOT_STORE;
+	s->saving.revision = ((const struct od_values *)s->od->values)->identity.revision_number;
 	return storage_result(s, s->port.save(s->port.ctx, bytes, store_encode(&s->saving, bytes)));
 }
 
@@ -80,6 +83,47 @@ void storing_saved(struct storing *s, int result, uint64_t now_us)
 	s->lss = false;
 }
 
+/* ---- values of an earlier meaning -------------------------------------------------------------------------------- */
+
+/* Objects that mean something else since a revision (1018h:3). What an earlier one stored is not applied. */
+static const struct {
+	uint16_t index;
+	uint8_t sub;
+	uint32_t since; /* the first revision that files carry is 1.0; older files have 0 */
+	const char *what;
+} CHANGED[] = {
+	{OD_INDEX_FUSION, OD_SUB_FUSION_GYRO_SCALE_SIGMA, 0x00010000, "was a delay, which is 2031h now"},
+};
+
+static bool has_changed(struct storing *s, const struct od_dcf_item *item)
+{
+	for (size_t i = 0; i < sizeof(CHANGED) / sizeof(CHANGED[0]); i++) {
+		if (item->index != CHANGED[i].index || item->sub != CHANGED[i].sub ||
+			s->stored.revision >= CHANGED[i].since)
+			continue;
+		event_log_line(s->log, 0, "stored %s (%04Xh:%u) not applied: it %s; set both, then store again (1010h)",
+			od_find(s->od->table, item->index, item->sub, NULL)->name, item->index, item->sub,
+			CHANGED[i].what);
+		return true;
+	}
+	return false;
+}
+
+/* They leave the image, too: the next save writes the present revision. */
+static void leave_out_changed(struct storing *s, struct store_group *g)
+{
+	struct store_group kept = {.size = 0};
+	struct od_dcf_item item;
+	size_t from = 0;
+
+	if (!od_dcf_valid(g->dcf, g->size))
+		return;
+	while (od_dcf_next(g->dcf, g->size, &from, &item))
+		if (!has_changed(s, &item))
+			od_dcf_add(kept.dcf, sizeof(kept.dcf), &kept.size, &item);
+	*g = kept;
+}
+
 /* ---- applying ---------------------------------------------------------------------------------------------------- */
 
 void storing_apply(struct storing *s, enum od_group group, uint64_t now_us)
@@ -125,4 +169,6 @@ void storing_init(struct storing *s, struct od *od, struct canopen_node *canopen
 	s->stored = stored ? *stored : (struct store_image){0};
 	s->in_progress = s->lss = false;
 	s->node_id = node_id;
+	for (int i = 0; i < STORE_GROUPS; i++)
+		leave_out_changed(s, &s->stored.groups[i]);
 }

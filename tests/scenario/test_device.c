@@ -1,6 +1,7 @@
 /* The whole device in simulated time: samples of a simulated robot in, CAN frames out. */
 #include <errno.h>
 #include <stdlib.h>
+#include <string.h>
 
 #include "gateway/publish.h"
 #include "gateway/settings.h"
@@ -484,6 +485,76 @@ static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
 	assert_int_equal(store_all(w), 0);
 }
 
+/* ---- values stored by an earlier version ------------------------------------------------------------------------- */
+
+/* Files as 0.1 and 0.2 wrote them: lever_arm.l = 0.25 and 2030h:12 = 0.0018, which was a delay in s. The CRC by python's
+ * zlib. */
+static const uint8_t stored_by_0_1[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x01, 0x00, 0x00, 0x00, 0x26,
+	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
+	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
+	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x76, 0xD2, 0x91, 0x40};
+static const uint8_t stored_by_0_2[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x02, 0x00, 0x00, 0x00, 0x2E,
+	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
+	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
+	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x69, 0xE8, 0xC8, 0x45};
+
+static const char gyro_scale_left_out[] = "stored fusion.gyro_scale_sigma (2030h:12) not applied: it was a delay, "
+					  "which is 2031h now; set both, then store again (1010h)\n";
+
+static bool event_log_has(const struct world *w, const char *line)
+{
+	return memmem(w->device.log.text, w->device.log.used, line, strlen(line)) != NULL;
+}
+
+static void power_on_with(struct world *w, const uint8_t *file, size_t size)
+{
+	assert_int_equal(store_decode(&w->disk, file, size), 0);
+	world_power_on(w, NULL);
+}
+
+static void test_a_stored_value_whose_meaning_has_changed_is_not_applied_and_the_log_says_so(void **state)
+{
+	static const struct {
+		const uint8_t *file;
+		size_t size;
+	} FILES[] = {{stored_by_0_1, sizeof(stored_by_0_1)}, {stored_by_0_2, sizeof(stored_by_0_2)}};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < 2; i++) {
+		power_on_with(w, FILES[i].file, FILES[i].size);
+		assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
+		assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7); /* the default */
+		assert_true(event_log_has(w, gyro_scale_left_out));
+	}
+}
+
+static void test_storing_another_group_does_not_bring_the_value_of_the_old_meaning_back(void **state)
+{
+	struct world *w = *state;
+	const uint32_t save = 0x65766173;
+
+	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
+	assert_int_equal(world_sdo_write(w, 0x1010, 2, &save, 4), 0);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
+	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7);
+	assert_false(event_log_has(w, gyro_scale_left_out));
+}
+
+static void test_a_value_stored_with_the_present_meaning_is_applied(void **state)
+{
+	struct world *w = *state;
+	const float sigma = 0.01f;
+
+	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
+	assert_int_equal(world_sdo_write(w, 0x2030, 12, &sigma, 4), 0);
+	assert_int_equal(store_all(w), 0);
+	assert_int_equal(w->disk.revision, w->device.values.identity.revision_number);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.01, 1e-7);
+	assert_false(event_log_has(w, gyro_scale_left_out));
+}
+
 static void test_reset_communication_leaves_the_application_alone(void **state)
 {
 	struct world *w = *state;
@@ -670,6 +741,9 @@ int main(void)
 		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
 		TEST(test_a_second_store_while_one_is_under_way_is_refused),
+		TEST(test_a_stored_value_whose_meaning_has_changed_is_not_applied_and_the_log_says_so),
+		TEST(test_storing_another_group_does_not_bring_the_value_of_the_old_meaning_back),
+		TEST(test_a_value_stored_with_the_present_meaning_is_applied),
 		TEST(test_reset_communication_leaves_the_application_alone),
 		TEST(test_reset_communication_brings_back_what_was_stored_and_not_the_defaults),
 		TEST(test_reset_node_starts_the_application_anew),

@@ -245,6 +245,51 @@ static void test_a_file_of_version_1_is_read(void **state)
 	assert_int_equal(back.groups[0].size, 3);
 	assert_int_equal(back.groups[0].dcf[2], 0xCC);
 	assert_int_equal(back.lss.node_id, 0);
+	assert_int_equal(back.revision, 0);
+}
+
+/* Version 2 has no revision: 0, not known. LSS: node-ID 5, 125 kbit/s. */
+static void test_a_file_of_version_2_is_read(void **state)
+{
+	static const uint8_t old[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x02, 0x00, 0x00, 0x00, 0x17,
+		0x00, 0x00, 0x00, 0x03, 0x00, 0x00, 0x00, 0xAA, 0xBB, 0xCC, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+		0x00, 0x05, 0x00, 0x00, 0x00, 0x48, 0xE8, 0x01, 0x00, 0x67, 0xB3, 0xF5, 0xB1};
+	struct store_image back;
+
+	(void)state;
+	assert_int_equal(store_decode(&back, old, sizeof(old)), 0);
+	assert_int_equal(back.groups[0].size, 3);
+	assert_int_equal(back.lss.node_id, 5);
+	assert_int_equal(back.lss.bit_s, 125000);
+	assert_int_equal(back.revision, 0);
+}
+
+static void test_a_file_of_version_3_has_the_revision_of_its_values(void **state)
+{
+	static const uint8_t file[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x03, 0x00, 0x00, 0x00, 0x1B,
+		0x00, 0x00, 0x00, 0x03, 0x00, 0x00, 0x00, 0xAA, 0xBB, 0xCC, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+		0x00, 0x05, 0x00, 0x00, 0x00, 0x48, 0xE8, 0x01, 0x00, 0x02, 0x00, 0x01, 0x00, 0xC3, 0xCD, 0x2C, 0xA5};
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_decode(&back, file, sizeof(file)), 0);
+	assert_int_equal(back.groups[0].size, 3);
+	assert_int_equal(back.lss.bit_s, 125000);
+	assert_int_equal(back.revision, 0x00010002);
+	assert_int_equal(store_encode(&back, bytes), sizeof(file));
+	assert_memory_equal(bytes, file, sizeof(file));
+}
+
+static void test_a_file_of_a_later_version_is_not_read(void **state)
+{
+	static const uint8_t later[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x04, 0x00, 0x00, 0x00, 0x18,
+		0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00,
+		0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0xDE, 0x4F, 0xA8, 0x02};
+	struct store_image back;
+
+	(void)state;
+	assert_int_equal(store_decode(&back, later, sizeof(later)), -ENOTSUP);
 }
 
 static void test_closing_waits_for_a_write_under_way(void **state)
@@ -279,6 +324,9 @@ int main(void)
 		cmocka_unit_test(test_what_lss_stored_is_read_back_and_begins_as_nothing),
 		cmocka_unit_test(test_a_node_id_that_cannot_be_is_damage),
 		cmocka_unit_test(test_a_file_of_version_1_is_read),
+		cmocka_unit_test(test_a_file_of_version_2_is_read),
+		cmocka_unit_test(test_a_file_of_version_3_has_the_revision_of_its_values),
+		cmocka_unit_test(test_a_file_of_a_later_version_is_not_read),
 		TEST(test_closing_waits_for_a_write_under_way),
 	};
 
