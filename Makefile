@@ -5,7 +5,7 @@
 #   WERROR=yes      a warning is an error (for developers and CI)
 #   PREFIX, DESTDIR where `make install` puts things
 
-VERSION := 0.2.0
+VERSION := 0.3.0
 BUILD ?= build
 PREFIX ?= /usr/local
 DEPS ?= yes
@@ -108,7 +108,7 @@ demo: ## install what is missing, build, and show the gateway at work (no hardwa
 
 test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
 	@DEPS=$(DEPS) tools/deps build test
-	@$(MAKE) --no-print-directory -j2 all tests check-layers
+	@$(MAKE) --no-print-directory -j2 all tests check-layers check-objects
 	@BUILD=$(BUILD) tests/run unit scenario interop
 
 .PHONY: rig test-rig
@@ -127,11 +127,11 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers readme check-readme \
-	eds-revision check-eds
+.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers check-objects readme \
+	check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
-check: all tests ## unit and scenario tests only (seconds, no rig)
+check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
 	@BUILD=$(BUILD) tests/run unit scenario
 
 asan: ## unit and scenario tests with AddressSanitizer and UBSan
@@ -206,6 +206,9 @@ check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must n
 
 check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
 	@tests/check-docs
+
+check-objects: $(BUILD)/gen/od_table.c ## fail when nothing in the gateway uses an object of the EDS
+	@tests/check-objects $(BUILD) "$(CC)"
 
 # ---- installing ----------------------------------------------------------------------------------------------------
 .PHONY: install uninstall clean help check-docs

@@ -13,7 +13,6 @@ enum {
 	OVERRUN_OVER_US = 1000000,
 	RESTART_DELAY_MAX_MS = 60000,
 	DOUBLINGS_MAX = 16,
-	RESTART = 11, /* 2122h:11 */
 };
 
 /* ---- load -------------------------------------------------------------------------------------------------------- */
@@ -126,7 +125,7 @@ static enum od_status on_write(void *ctx, const struct od_entry *entry, const vo
 	struct bus_health *h = ctx;
 
 	(void)size;
-	if (entry->sub != RESTART)
+	if (entry->sub != OD_SUB_BUS_HEALTH_RESTART)
 		return OD_OK;
 	if (*(const uint8_t *)wire != 1)
 		return OD_BAD_VALUE;

@@ -4,7 +4,6 @@
 #include "od_index.h"
 
 enum { TRIAD_VALUES = 12 }; /* bias and matrix, in the order of 2050h:1 to 12 and 2061h:14 to 25 */
-enum { FOUND_FIRST = 14 };
 static const double ACCELEROMETER_PATIENCE_S = 900, MAGNETOMETER_PATIENCE_S = 180;
 
 static uint8_t percent(double share)
@@ -17,7 +16,7 @@ static uint8_t percent(double share)
 /* Value i of the triad, 2061h:14 to 25. */
 static float *found(const struct calibration_command *c, int i)
 {
-	return od_value(c->od, OD_INDEX_CALIBRATION, (uint8_t)(FOUND_FIRST + i), sizeof(float));
+	return od_value(c->od, OD_INDEX_CALIBRATION, (uint8_t)(OD_SUB_CALIBRATION_BIAS_X + i), sizeof(float));
 }
 
 static void publish_triad(struct calibration_command *c, const struct triad_calibration *t)

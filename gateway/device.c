@@ -59,9 +59,8 @@ static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries,
 static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct device *d = ctx;
-	const struct od_entry *reset = od_find(d->od.table, OD_INDEX_POSITION, 6, NULL);
 
-	if (entry != reset)
+	if (entry->sub != OD_SUB_POSITION_RESET)
 		return OD_OK;
 	if (size != 1 || *(const uint8_t *)wire != 1)
 		return OD_BAD_VALUE;

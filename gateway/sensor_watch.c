@@ -6,7 +6,7 @@
 #include "gateway/status.h"
 #include "od_index.h"
 
-enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_SUB = 7, SELF_TEST_US = 5000000 /* at most */ };
+enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_US = 5000000 /* at most */ };
 
 struct imu_settings sensor_settings(const struct od_values *v)
 {
@@ -93,7 +93,7 @@ static enum od_status before(void *ctx, const struct od_entry *entry, const void
 {
 	struct sensor_watch *w = ctx;
 
-	if (entry->sub != SELF_TEST_SUB)
+	if (entry->sub != OD_SUB_SENSOR_SELF_TEST)
 		return OD_OK;
 	if (size != 1 || *(const uint8_t *)wire != 1)
 		return OD_BAD_VALUE;
