@@ -9,9 +9,9 @@
 #include "model/math/units.h"
 
 /* bits of 2073h */
-enum { COMMAND_RESET_POSITION = 1 << 0, COMMAND_STANDS_STILL = 1 << 1, COMMAND_ZERO_SLOPES = 1 << 2 };
+enum { COMMAND_RESET_POSITION = 1 << 0, COMMAND_STANDSTILL = 1 << 1, COMMAND_ZERO_SLOPES = 1 << 2 };
 
-enum { USED_FOR_US = 1000000, STANDS_FOR_US = 500000 };
+enum { USED_FOR_US = 1000000, STANDSTILL_FOR_US = 500000 };
 
 #define VELOCITY_SIGMA_MIN_M_S 0.001
 #define YAW_SIGMA_MIN_DEG      0.01
@@ -80,7 +80,7 @@ static void aid_velocity(struct aids *a)
 		velocity_m_s = quat_rotate(q_nb, velocity_m_s);
 	if (pipeline_aid_velocity(
 		    a->pipeline, velocity_m_s, fmax((double)v->velocity_aid.sigma, VELOCITY_SIGMA_MIN_M_S)) == 0)
-		a->told = true;
+		a->aided = true;
 }
 
 static void aid_yaw(struct aids *a)
@@ -91,7 +91,7 @@ static void aid_yaw(struct aids *a)
 	if (v->yaw_aid.sigma <= 0 || !has_attitude(a))
 		return;
 	if (pipeline_aid_yaw(a->pipeline, (double)v->yaw_aid.yaw * RAD_PER_DEG, sigma_deg * RAD_PER_DEG) == 0)
-		a->told = true;
+		a->aided = true;
 }
 
 static void reset_attitude(struct aids *a)
@@ -124,8 +124,8 @@ static void command(struct aids *a)
 		pipeline_reset_position(a->pipeline);
 	if (rising & COMMAND_ZERO_SLOPES)
 		zero_slopes(a);
-	a->stands = a->commands & COMMAND_STANDS_STILL;
-	if (!a->stands)
+	a->standstill = a->commands & COMMAND_STANDSTILL;
+	if (!a->standstill)
 		a->standstill_until_us = 0;
 }
 
@@ -177,21 +177,21 @@ void aids_reset(struct aids *a)
 	v->attitude_reset.roll16 = v->attitude_reset.pitch16 = v->attitude_reset.yaw16 = 0;
 	v->attitude_reset.command = a->reset_command = 0;
 	v->commands = a->commands = 0;
-	a->told = a->stands = false;
+	a->aided = a->standstill = false;
 	a->used_until_us = a->standstill_until_us = 0;
 }
 
 void aids_step(struct aids *a, uint64_t now_us)
 {
-	if (a->stands)
-		a->standstill_until_us = now_us + STANDS_FOR_US;
-	a->stands = false;
+	if (a->standstill)
+		a->standstill_until_us = now_us + STANDSTILL_FOR_US;
+	a->standstill = false;
 	if (now_us < a->standstill_until_us && has_attitude(a) &&
 		pipeline_aid_velocity(a->pipeline, (struct vec3){0}, STANDSTILL_SIGMA_M_S) == 0)
-		a->told = true;
-	if (a->told)
+		a->aided = true;
+	if (a->aided)
 		a->used_until_us = now_us + USED_FOR_US;
-	a->told = false;
+	a->aided = false;
 }
 
 unsigned aids_status(const struct aids *a, uint64_t now_us)

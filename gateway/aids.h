@@ -1,10 +1,9 @@
 /* gateway/aids.h
- * What other devices on the bus know better than this one: velocity (2070h), heading (2071h), attitude (2072h), and what
- * they command (2073h). From the objects to the pipeline, whoever wrote them: an RPDO, an SDO client, Modbus.
+ * External aids: velocity (2070h), heading (2071h) and attitude (2072h) that other devices on the bus measure, and commands
+ * (2073h). From the objects to the pipeline, whether an RPDO or an SDO client wrote them.
  *
- * A measurement takes effect with its sigma, which is written last; sigma 0 says that there is none just now, so that a
- * master may send its PDO all the time. An aid that stays away is just not used any more. Commands act when their bit
- * goes from 0 to 1. */
+ * The write of its sigma, the last one of a measurement, makes it take effect. Sigma 0 means no measurement, so that a master
+ * can send its PDO cyclically. A missing aid is no fault. A command acts on the rising edge of its bit. One thread. */
 #ifndef GATEWAY_AIDS_H
 #define GATEWAY_AIDS_H
 
@@ -17,18 +16,18 @@ struct aids { /* PRIVATE */
 	struct od *od;
 	struct od_values *values;
 	struct pipeline *pipeline;
-	uint16_t commands;	      /* as they were last: 2073h */
-	uint8_t reset_command;	      /* and 2072h:7 */
-	bool told, stands;	      /* since the last sample */
-	uint64_t used_until_us;	      /* the status says so */
-	uint64_t standstill_until_us; /* 2073h bit 1 */
+	uint16_t commands;	      /* 2073h at the last write, for the edges */
+	uint8_t reset_command;	      /* 2072h:7, the same */
+	bool aided, standstill;	      /* written since the last sample */
+	uint64_t used_until_us;	      /* STATUS_EXTERNAL_AID is set until then */
+	uint64_t standstill_until_us; /* 2073h bit 1 applies until then */
 };
 
 /** Attaches to the dictionary. */
 void aids_init(struct aids *aids, struct od *od, struct od_values *values, struct pipeline *pipeline);
-/** NMT reset node: nothing was told yet. */
+/** NMT reset node: no aid was written yet. */
 void aids_reset(struct aids *aids);
-/** Before the pipeline takes a sample. */
+/** Before each pipeline_step(). */
 void aids_step(struct aids *aids, uint64_t now_us);
 /** STATUS_EXTERNAL_AID, or 0. */
 unsigned aids_status(const struct aids *aids, uint64_t now_us);

@@ -9,16 +9,16 @@
 enum { REGISTER_COMMUNICATION = 1 << 4 };
 
 enum {
-	LOOK_US = 1000000,
-	OVERRUN_OVER_US = 1000000,
+	POLL_US = 1000000,
+	OVERRUN_CLEAR_US = 1000000,
 	RESTART_DELAY_MAX_MS = 60000,
 	DOUBLINGS_MAX = 16,
 };
 
 /* ---- load -------------------------------------------------------------------------------------------------------- */
 
-/* Start of frame to interframe space: 47 bits without data (ISO 11898-1); 34 and the data are stuffed, after four bits
- * one at the most. */
+/* From start of frame to interframe space a frame without data has 47 bits (ISO 11898-1). Bit stuffing applies to 34 of them
+ * and to the data, with at most one stuff bit for each four bits. */
 uint64_t bus_health_bits(uint64_t frames, uint64_t bytes)
 {
 	return 47 * frames + 8 * bytes + (34 * frames + 8 * bytes) / 8;
@@ -31,22 +31,22 @@ static void publish_load(struct bus_health *h, uint64_t elapsed_us)
 	uint64_t room = h->bus->bit_s * elapsed_us / 1000000;
 	uint64_t permille = room > 0 ? bits * 1000 / room : 0;
 
-	if (now->frames < then->frames) /* another interface of that name */
+	if (now->frames < then->frames) /* the interface was replaced by another one of this name */
 		permille = 0;
 	h->values->bus_health.load = (uint16_t)(permille < UINT16_MAX ? permille : UINT16_MAX);
 	if (h->values->bus_health.load > h->values->bus_health.highest_load)
 		h->values->bus_health.highest_load = h->values->bus_health.load;
 }
 
-static void look(struct bus_health *h)
+static void poll_bus(struct bus_health *h)
 {
-	if (h->look_us > 0 && h->now_us - h->look_us < LOOK_US)
+	if (h->poll_us > 0 && h->now_us - h->poll_us < POLL_US)
 		return;
 	can_look(h->bus);
-	if (h->look_us > 0)
-		publish_load(h, h->now_us - h->look_us);
+	if (h->poll_us > 0)
+		publish_load(h, h->now_us - h->poll_us);
 	h->traffic = h->bus->traffic;
-	h->look_us = h->now_us;
+	h->poll_us = h->now_us;
 }
 
 static void publish(struct bus_health *h)
@@ -70,7 +70,7 @@ static void publish(struct bus_health *h)
 
 /* ---- bus-off ----------------------------------------------------------------------------------------------------- */
 
-/* Each restart that did not help for long doubles the delay. */
+/* Exponential back-off: each restart that is soon followed by another bus-off doubles the delay. */
 static void plan_restart(struct bus_health *h)
 {
 	uint64_t delay_ms = h->values->bus_health.restart_delay;
@@ -81,8 +81,8 @@ static void plan_restart(struct bus_health *h)
 		return;
 	if (limit > 0 && h->tries >= limit) {
 		event_log_line(h->log, h->now_us,
-			"%s: stays bus-off after %u restarts (2122h:8); 2122h:11 = 1 restarts it", h->bus->name,
-			h->tries);
+			"%s: remains bus-off after %u restarts (limit: 2122h:8); write 1 to 2122h:11 to restart it",
+			h->bus->name, h->tries);
 		return;
 	}
 	delay_ms <<= h->tries < DOUBLINGS_MAX ? h->tries : DOUBLINGS_MAX;
@@ -100,8 +100,8 @@ static void restart(struct bus_health *h)
 		h->values->bus_health.restarts++;
 	} else if (rc == -EPERM) {
 		event_log_line(h->log, h->now_us,
-			"%s: restarting it is not permitted (CAP_NET_ADMIN): `ip link set %s type can restart-ms 100` "
-			"lets the kernel do it",
+			"%s: restart needs CAP_NET_ADMIN; or let the kernel do it: `ip link set %s type can restart-ms "
+			"100`",
 			h->bus->name, h->bus->name);
 	} else if (rc != -EOPNOTSUPP) {
 		h->tries++;
@@ -119,7 +119,7 @@ static void tick_restart(struct bus_health *h)
 		h->tries = 0;
 }
 
-/* 2122h:11 is written with 1. */
+/* 2122h:11 = 1 restarts the controller now. */
 static enum od_status on_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct bus_health *h = ctx;
@@ -146,13 +146,13 @@ static const char *state_text(enum can_state state)
 	case CAN_STATE_WARNING:
 		return "error warning";
 	case CAN_STATE_PASSIVE:
-		return "error passive (is another node on the bus? cable, termination, bit rate)";
+		return "error passive (check cable, termination, bit rate, and that another node is on the bus)";
 	case CAN_STATE_BUS_OFF:
 		return "bus-off";
 	case CAN_STATE_DOWN:
 		break;
 	}
-	return "down (ip link set up?)";
+	return "down (ip link set ... up)";
 }
 
 static void went_off(struct bus_health *h)
@@ -188,7 +188,7 @@ static void watch_state(struct bus_health *h)
 		came_back(h);
 }
 
-/* Lost frames are one error as long as more are lost within a second of the last. */
+/* One error for all frames lost with less than a second between them. */
 static void watch_lost_frames(struct bus_health *h)
 {
 	uint32_t dropped = h->bus->counters.tx_dropped;
@@ -197,7 +197,7 @@ static void watch_lost_frames(struct bus_health *h)
 		h->overrun = true;
 		h->overrun_us = h->now_us;
 		canopen_error_set(h->node, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, h->now_us);
-	} else if (h->overrun && h->now_us - h->overrun_us > OVERRUN_OVER_US) {
+	} else if (h->overrun && h->now_us - h->overrun_us > OVERRUN_CLEAR_US) {
 		h->overrun = false;
 		canopen_error_clear(h->node, EMCY_CAN_OVERRUN, h->now_us);
 	}
@@ -209,7 +209,7 @@ static void watch_lost_frames(struct bus_health *h)
 static const char *why_not(int rc)
 {
 	return rc == -EPERM	   ? "not permitted (CAP_NET_ADMIN)"
-	       : rc == -EOPNOTSUPP ? "this bus has none to be set, or not that one"
+	       : rc == -EOPNOTSUPP ? "not supported by this bus"
 				   : strerror(-rc);
 }
 
@@ -218,7 +218,7 @@ bool bus_health_bit_rate_possible(struct bus_health *h, uint32_t bit_s)
 	int rc = can_bit_rate(h->bus, bit_s, true);
 
 	if (rc < 0)
-		event_log_line(h->log, h->now_us, "%s: LSS asks for %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
+		event_log_line(h->log, h->now_us, "%s: LSS requested %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
 	return rc == 0;
 }
 
@@ -250,15 +250,15 @@ void bus_health_reset(struct bus_health *h)
 
 uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 {
-	uint64_t next_look_us;
+	uint64_t next_poll_us;
 
 	h->now_us = now_us;
-	look(h);
+	poll_bus(h);
 	watch_state(h);
 	tick_restart(h);
 	watch_lost_frames(h);
 	publish(h);
-	next_look_us = h->look_us + LOOK_US;
-	/* a restart that is due while the interface is down waits for it to be up */
-	return h->restart_us > now_us && h->restart_us < next_look_us ? h->restart_us : next_look_us;
+	next_poll_us = h->poll_us + POLL_US;
+	/* a restart that is due while the interface is down waits until it is up */
+	return h->restart_us > now_us && h->restart_us < next_poll_us ? h->restart_us : next_poll_us;
 }

@@ -11,10 +11,10 @@ static uint8_t percent(double share)
 	return (uint8_t)(100 * fmax(0, fmin(1, share)));
 }
 
-/* ---- what it found ----------------------------------------------------------------------------------------------- */
+/* ---- result ------------------------------------------------------------------------------------------------------ */
 
-/* Value i of the triad, 2061h:14 to 25. */
-static float *found(const struct calibration_command *c, int i)
+/* Value i of the result, 2061h:14 to 25. */
+static float *result(const struct calibration_command *c, int i)
 {
 	return od_value(c->od, OD_INDEX_CALIBRATION, (uint8_t)(OD_SUB_CALIBRATION_BIAS_X + i), sizeof(float));
 }
@@ -24,7 +24,7 @@ static void publish_triad(struct calibration_command *c, const struct triad_cali
 	const double bias[3] = {t->bias.x, t->bias.y, t->bias.z};
 
 	for (int i = 0; i < TRIAD_VALUES; i++)
-		*found(c, i) = (float)(i < 3 ? bias[i] : t->matrix[(i - 3) / 3][i % 3]);
+		*result(c, i) = (float)(i < 3 ? bias[i] : t->matrix[(i - 3) / 3][i % 3]);
 }
 
 static void publish_temperature(struct calibration_command *c, double temperature_degC)
@@ -50,7 +50,7 @@ static void clear(void *ctx)
 	publish_triad(c, &none);
 }
 
-/* ---- one function a kind, each a sample -------------------------------------------------------------------------- */
+/* ---- one function for each kind of calibration ------------------------------------------------------------------- */
 
 static enum calibrate_verdict gyro_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
@@ -62,7 +62,7 @@ static enum calibrate_verdict gyro_sample(struct calibration_command *c, const s
 	c->values->calibration.progress = percent(calibrate_gyro_progress(g));
 	if (verdict == CALIBRATE_COLLECTING)
 		return verdict;
-	triad = settings_pipeline(c->values).calibration.gyro; /* the matrix stays */
+	triad = settings_pipeline(c->values).calibration.gyro; /* its matrix is kept */
 	triad.bias = r->bias_rad_s;
 	publish_triad(c, &triad);
 	publish_temperature(c, r->temperature_degC);
@@ -166,7 +166,7 @@ static enum od_status start(void *ctx, uint8_t kind)
 	return OD_OK;
 }
 
-/* With 2054h the biases of the objects are those at its reference temperature, not at that of the measurement. */
+/* The objects hold the biases at the reference temperature of 2054h, not at the temperature of the measurement. */
 static void to_reference_temperature(const struct calibration_command *c, float v[TRIAD_VALUES])
 {
 	const struct temperature_compensation t = settings_pipeline(c->values).calibration.temperature;
@@ -192,7 +192,7 @@ static enum od_status accept(void *ctx)
 	float v[TRIAD_VALUES];
 
 	for (int i = 0; i < TRIAD_VALUES; i++)
-		v[i] = *found(c, i);
+		v[i] = *result(c, i);
 	to_reference_temperature(c, v);
 	return settings_write(c->od, index, v, TRIAD_VALUES);
 }

@@ -1,7 +1,7 @@
 /* gateway/calibration_command.h
  * Calibration by command (2061h): raw samples go into one of model/identify/calibrate_*.h, progress and result appear in the
- * object, and "accept" writes the result to 2050h, 2051h or 2052h, from where it takes effect with the next sample and
- * 1010h keeps it. One runs at a time, and not beside the identification of the lever arm (2060h). */
+ * object. "Accept" writes the result to 2050h, 2051h or 2052h: it takes effect with the next sample, and 1010h stores it.
+ * Units of bias and matrix as in these objects (rad/s, m/s^2, uT), sensor frame. One thread. */
 #ifndef GATEWAY_CALIBRATION_COMMAND_H
 #define GATEWAY_CALIBRATION_COMMAND_H
 
@@ -22,7 +22,7 @@ enum {
 	CALIBRATION_DISCARD = 11,
 };
 
-/** 2061h:12 where no sample had a temperature. */
+/** 2061h:12 when no sample had a temperature, degC. */
 #define CALIBRATION_NO_TEMPERATURE (-300)
 
 struct calibration_command { /* PRIVATE */

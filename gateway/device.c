@@ -19,8 +19,8 @@ static void on_configuration_changed(void *ctx, const struct od_entry *entry)
 	d->configuration_changed = true;
 }
 
-/* Between two samples: the new configuration whole, or the old one still. */
-static bool use_configuration(struct device *d)
+/* Between two samples, all or nothing: an inconsistent configuration leaves the previous one in use. */
+static bool apply_configuration(struct device *d)
 {
 	struct pipeline_config config = settings_pipeline(&d->values);
 
@@ -31,15 +31,15 @@ static bool use_configuration(struct device *d)
 	return true;
 }
 
-static void take_configuration(struct device *d)
+static void apply_or_report(struct device *d)
 {
-	if (!use_configuration(d))
+	if (!apply_configuration(d))
 		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
 }
 
 static bool on_snapshot_take(void *ctx)
 {
-	return use_configuration(ctx);
+	return apply_configuration(ctx);
 }
 
 static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries, uint16_t index, uint8_t sub)
@@ -47,7 +47,7 @@ static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries,
 	struct device *d = ctx;
 
 	if (status == OD_OK)
-		event_log_line(&d->log, d->now_us, "configuration snapshot of %u entries taken over", entries);
+		event_log_line(&d->log, d->now_us, "configuration snapshot of %u entries applied", entries);
 	else if (index)
 		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %04Xh:%02X: %s", index, sub,
 			od_status_text(status));
@@ -55,7 +55,7 @@ static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries,
 		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %s", od_status_text(status));
 }
 
-/* 2040h:6 is written with 1: velocity and position begin anew at zero. */
+/* 2040h:6 = 1 resets velocity and position to zero. */
 static enum od_status on_command(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	struct device *d = ctx;
@@ -109,8 +109,8 @@ void device_saved(struct device *d, int result, uint64_t now_us)
 	storing_saved(&d->storing, result, now_us);
 }
 
-/* Stored values that contradict each other must not keep the device from starting: it goes by those of file and command
- * line until they are mended, and says so with the first sample. */
+/* Inconsistent stored values must not keep the device from starting: it uses those of file and command line until they are
+ * corrected; EMCY 6320h reports it with the first sample. */
 static int start_pipeline(struct device *d)
 {
 	struct pipeline_config config = settings_pipeline(&d->values);
@@ -126,19 +126,19 @@ static int start_pipeline(struct device *d)
 	return rc;
 }
 
-/* LSS may have given another node-ID with a reset: what the next one begins with, and storing compares to, follows. */
+/* LSS can change the node-ID with a reset. The defaults that contain it follow. */
 static void follow_node_id(struct device *d)
 {
 	if (storing_follow_node_id(&d->storing, d->canopen.id) && d->canopen.id != CANOPEN_UNCONFIGURED)
-		event_log_line(&d->log, d->now_us, "node-ID %u from now on, by LSS", d->canopen.id);
+		event_log_line(&d->log, d->now_us, "node-ID is %u, assigned by LSS", d->canopen.id);
 }
 
-/* NMT reset: power-on values, and for reset node a new beginning of the application. */
+/* NMT reset: power-on values; reset node also restarts the application. */
 static void on_reset(void *ctx, enum od_group group)
 {
 	struct device *d = ctx;
 
-	follow_node_id(d); /* the NMT state of a node that lost its node-ID did not change */
+	follow_node_id(d); /* on_nmt_changed() is not called when the node loses its node-ID */
 	lever_arm_command_reset(&d->lever_arm_command);
 	calibration_command_reset(&d->calibration_command);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
@@ -147,9 +147,9 @@ static void on_reset(void *ctx, enum od_group group)
 		return;
 	sensor_watch_apply(&d->sensor_watch);
 	sensor_watch_reset(&d->sensor_watch);
-	(void)start_pipeline(d); /* the values of file and command line were good at the start */
+	(void)start_pipeline(d); /* cannot fail: the values of file and command line were valid at the start */
 	aids_reset(&d->aids);
-	/* faults that last are found and told anew */
+	/* persistent faults are detected and reported again */
 	d->sensor_lost = d->position_unsure = false;
 	bus_health_reset(&d->bus_health);
 }
@@ -173,8 +173,8 @@ static void on_collision(void *ctx, uint32_t id)
 {
 	struct device *d = ctx;
 
-	event_log_line(&d->log, d->now_us, "another node sends with %03Xh, which is ours: is node-ID %u given twice?",
-		id, d->canopen.id);
+	event_log_line(&d->log, d->now_us,
+		"another node sends with COB-ID %03Xh of this node: is node-ID %u assigned twice?", id, d->canopen.id);
 }
 
 static double change_threshold(void *ctx, const struct od_entry *entry)
@@ -287,7 +287,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
 
-/* Until the next sample; a calibration or an identification is refused. */
+/* Until the next sample. A calibration or identification in progress ends as refused. */
 static void invalidate_outputs(struct device *d)
 {
 	publish_sensor_lost(&d->values);
@@ -313,13 +313,14 @@ static void sensor_lost(struct device *d)
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
 }
 
-/* The next sample makes the outputs valid again. */
+/* No samples arrive during a self-test. The next one makes the outputs valid again. */
 static void watch_self_test(struct device *d)
 {
 	bool testing = sensor_watch_testing(&d->sensor_watch);
 
 	if (testing && !d->sensor_testing) {
-		event_log_line(&d->log, d->now_us, "self-test of %s: outputs marked invalid meanwhile", d->imu->name);
+		event_log_line(
+			&d->log, d->now_us, "self-test of %s: outputs marked invalid until it has ended", d->imu->name);
 		invalidate_outputs(d);
 		canopen_sample(&d->canopen, d->now_us);
 	}
@@ -331,7 +332,7 @@ static void sensor_back(struct device *d)
 	if (!d->sensor_lost)
 		return;
 	d->sensor_lost = false;
-	event_log_line(&d->log, d->now_us, "samples from %s again", d->imu->name);
+	event_log_line(&d->log, d->now_us, "samples from %s resumed", d->imu->name);
 	canopen_error_clear(&d->canopen, EMCY_SENSOR_LOST, d->now_us);
 }
 
@@ -343,7 +344,7 @@ static void publish_sensor_counters(struct device *d)
 	d->values.sensor_counters.gaps = d->pipeline.gaps;
 }
 
-/* 2040h:9. The sensor may be well: it is the movement that lasts too long. */
+/* 2040h:9. Not a fault of the sensor: the movement has lasted too long without a zero-velocity update. */
 static void watch_uncertainty(struct device *d, unsigned status)
 {
 	bool unsure = status & PIPELINE_UNSURE;
@@ -365,7 +366,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 		return;
 	}
 	if (d->configuration_changed)
-		take_configuration(d);
+		apply_or_report(d);
 	aids_step(&d->aids, now_us);
 	uint16_t counter = (uint16_t)d->samples++;
 	if (pipeline_step(&d->pipeline, sample, &out) < 0)

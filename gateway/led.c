@@ -8,7 +8,7 @@
 #include "gateway/canopen/node.h"
 #include "gateway/status.h"
 
-/* ---- what ---------------------------------------------------------------------------------------------------------- */
+/* ---- what -------------------------------------------------------------------------------------------------------- */
 
 /* The wire knows these by their EMCY codes. */
 enum { DATA_SET = 0x6300, ERROR_CONTROL = 0x8130, SYNC_LATE = 0x8100, SYNC_LENGTH = 0x8240, EVENT_TIMER = 0x8250 };
@@ -50,7 +50,7 @@ static enum led_state led_error(const struct canopen_node *node, enum can_state 
 	return canopen_lss_active(node) ? LED_FLICKERING : LED_OFF;
 }
 
-/* ---- how ----------------------------------------------------------------------------------------------------------- */
+/* ---- how --------------------------------------------------------------------------------------------------------- */
 
 enum { FLICKER_US = 50000, FLASH_US = 200000, PAUSE_US = 1000000 };
 
@@ -85,7 +85,7 @@ bool led_lit(enum led_state state, bool second, uint64_t t_us, uint64_t *change_
 	return within < 2 * flashes(state) && within % 2 == 0;
 }
 
-/* ---- LEDs of Linux ------------------------------------------------------------------------------------------------- */
+/* ---- LEDs of Linux ----------------------------------------------------------------------------------------------- */
 
 void leds_init(struct leds *leds, struct od_values *values, const struct canopen_node *node, const struct can_port *bus)
 {

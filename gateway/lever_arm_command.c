@@ -7,10 +7,10 @@
 enum { COMMAND_START_HELD = 1, COMMAND_START_REFERENCE = 2, COMMAND_ACCEPT = 3, COMMAND_DISCARD = 4 };
 
 enum { REFERENCE_HOLDS_US = 50000 };
-/* Motion that stops and starts, or a reference that does not come, ends it after so many times its duration. */
-enum { PATIENCE = 3 };
+/* Timeout, in multiples of the duration: the motion has pauses, or the reference is missing. */
+enum { TIMEOUT = 3 };
 
-/* ---- what it found ----------------------------------------------------------------------------------------------- */
+/* ---- result ------------------------------------------------------------------------------------------------------ */
 
 static void publish(struct lever_arm_command *c, const struct lever_estimate *e)
 {
@@ -60,9 +60,9 @@ static enum od_status accept(void *ctx)
 	return settings_write(c->od, OD_INDEX_LEVER_ARM, arm, 3);
 }
 
-/* ---- acceleration of the reference point from outside ------------------------------------------------------------ */
+/* ---- acceleration of the reference point ------------------------------------------------------------------------- */
 
-/* It is complete when its last component is written: the transversal one, REAL32 or 16 bits. */
+/* The write of the last component, the transversal one (REAL32 or 16 bits), completes it. */
 static void on_reference(void *ctx, const struct od_entry *entry)
 {
 	struct lever_arm_command *c = ctx;
@@ -95,7 +95,7 @@ static const struct vec3 *reference_of(struct lever_arm_command *c, const struct
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
 
-static void look(struct lever_arm_command *c, bool late)
+static void publish_estimate(struct lever_arm_command *c, bool late)
 {
 	const struct lever_estimate e = lever_identification_estimate(&c->lever);
 
@@ -121,9 +121,9 @@ void lever_arm_command_sample(struct lever_arm_command *c, const struct imu_samp
 		lever_identification_step(
 			&c->lever, s.t_us, fusion_rate_b(&c->pipeline->fusion, s.gyro_rad_s), s.accel_m_s2, ref_b_m_s2);
 
-	const bool late = (double)(now_us - c->started_us) > PATIENCE * 1e6 * c->lever.config.duration_s;
+	const bool late = (double)(now_us - c->started_us) > TIMEOUT * 1e6 * c->lever.config.duration_s;
 	if (late || lever_identification_news(&c->lever))
-		look(c, late);
+		publish_estimate(c, late);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */

@@ -1,11 +1,11 @@
 /* gateway/lever_arm_command.h
- * The lever arm finds itself (2060h): a command starts it, the result appears with its sigma and a verdict, and is taken
- * over into 2000h or left. The acceleration of the reference point from outside comes with the sample (a log's columns) or
- * by 2075h, from an RPDO or an SDO client.
+ * Identification of the lever arm by command (2060h): the result appears with 1 sigma and a verdict; "accept" writes it to
+ * 2000h. The acceleration of the reference point (object frame, m/s^2) from an external sensor comes with the sample (columns
+ * of a log) or by 2075h, from an RPDO or an SDO client. One thread.
  *
- * What was written to 2075h holds until the next write, 50 ms at most, as of the sample after the write: at 100 writes a
- * second that is 5 ms late in the mean, beside what the bus takes. The identification estimates this delay, so nobody
- * needs to know it; the steps are above its low-pass. What comes with the sample is believed to be of its instant. */
+ * A value of 2075h is used from the next sample on, until the next write but for 50 ms at most. At 100 writes a second it is
+ * 5 ms late on average, besides the delay of the bus; the identification estimates this delay. The steps between writes are
+ * above its low-pass. The acceleration that comes with a sample is taken to be of the same instant. */
 #ifndef GATEWAY_LEVER_ARM_COMMAND_H
 #define GATEWAY_LEVER_ARM_COMMAND_H
 
@@ -22,10 +22,10 @@ struct lever_arm_command { /* PRIVATE */
 	struct command_object command;
 	struct od_hook reference_hook;
 	struct lever_identification lever;
-	struct vec3 arm_b_m; /* found: 2060h:6 to 8 before they are rounded */
+	struct vec3 arm_b_m; /* 2060h:6 to 8, not rounded */
 	bool started;	     /* the next sample is the first */
 	uint64_t started_us;
-	struct vec3 ref_b_m_s2; /* 2075h as it was when complete */
+	struct vec3 ref_b_m_s2; /* 2075h when its last component was written */
 	bool ref_written;	/* since the last sample */
 	uint64_t ref_until_us;
 };

@@ -38,7 +38,7 @@ static int16_t i16(const uint8_t *p)
 	return (int16_t)(p[0] | p[1] << 8);
 }
 
-/* ---- samples to PDOs ------------------------------------------------------------------------------------------------ */
+/* ---- samples to PDOs --------------------------------------------------------------------------------------------- */
 
 static void test_a_pdo_carries_what_the_pipeline_computes(void **state)
 {
@@ -90,7 +90,7 @@ static void test_the_counter_of_the_first_sample_is_zero(void **state)
 	assert_int_equal(i16(world_last(w, 0x180 + WORLD_NODE_ID)->data + 6), 0);
 }
 
-/* ---- configuration, live -------------------------------------------------------------------------------------------- */
+/* ---- configuration, live ----------------------------------------------------------------------------------------- */
 
 static struct vec3 real32(float x, float y, float z)
 {
@@ -213,7 +213,7 @@ static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(v
 	assert_int_equal(w->device.values.sample.status & PIPELINE_VALID, PIPELINE_VALID);
 }
 
-/* ---- storage -------------------------------------------------------------------------------------------------------- */
+/* ---- storage ----------------------------------------------------------------------------------------------------- */
 
 static uint32_t store_all(struct world *w)
 {
@@ -599,7 +599,7 @@ static void test_reset_node_starts_the_application_anew(void **state)
 	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
 }
 
-/* ---- faults --------------------------------------------------------------------------------------------------------- */
+/* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it(void **state)
 {

@@ -605,7 +605,7 @@ static void test_the_log_tells_that_the_sensor_is_lost_and_back(void **state)
 	device_sample(&p->world.device, -5, NULL, p->world.now_us);
 	device_sample(&p->world.device, 1, &sample, p->world.now_us);
 	assert_logged(p, "no samples from none");
-	assert_logged(p, "samples from none again\n");
+	assert_logged(p, "samples from none resumed\n");
 }
 
 static void test_the_log_tells_resets_and_configurations(void **state)
@@ -617,7 +617,7 @@ static void test_the_log_tells_resets_and_configurations(void **state)
 	write_object(p, 0x2130, 0, bad, sizeof(bad));
 	world_nmt(&p->world, 0x82);
 	world_nmt(&p->world, 0x81);
-	assert_logged(p, "configuration snapshot of 1 entries taken over\n");
+	assert_logged(p, "configuration snapshot of 1 entries applied\n");
 	assert_logged(p, "configuration snapshot refused: 2001h:00: ");
 	assert_logged(p, "reset communication\n");
 	assert_logged(p, "reset node\n");
