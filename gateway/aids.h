@@ -1,9 +1,10 @@
 /* gateway/aids.h
- * External aids: velocity (2070h), heading (2071h) and attitude (2072h) that other devices on the bus measure, and commands
- * (2073h). From the objects to the pipeline, whether an RPDO or an SDO client wrote them.
+ * External aids: velocity (2070h), heading (2071h) and attitude (2072h) that other devices on the bus measure, and
+ * commands (2073h). From the objects to the pipeline, whether an RPDO or an SDO client wrote them.
  *
- * The write of its sigma, the last one of a measurement, makes it take effect. Sigma 0 means no measurement, so that a master
- * can send its PDO cyclically. A missing aid is no fault. A command acts on the rising edge of its bit. One thread. */
+ * The write of its sigma, the last one of a measurement, makes it take effect. Sigma 0 means no measurement, so that a
+ * master can send its PDO cyclically. A missing aid is no fault. A command acts on the rising edge of its bit. One
+ * thread. */
 #ifndef GATEWAY_AIDS_H
 #define GATEWAY_AIDS_H
 

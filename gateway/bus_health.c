@@ -17,8 +17,8 @@ enum {
 
 /* ---- load -------------------------------------------------------------------------------------------------------- */
 
-/* From start of frame to interframe space a frame without data has 47 bits (ISO 11898-1). Bit stuffing applies to 34 of them
- * and to the data, with at most one stuff bit for each four bits. */
+/* From start of frame to interframe space a frame without data has 47 bits (ISO 11898-1). Bit stuffing applies to 34 of
+ * them and to the data, with at most one stuff bit for each four bits. */
 uint64_t bus_health_bits(uint64_t frames, uint64_t bytes)
 {
 	return 47 * frames + 8 * bytes + (34 * frames + 8 * bytes) / 8;

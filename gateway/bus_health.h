@@ -1,6 +1,7 @@
 /* gateway/bus_health.h
- * Diagnosis of the CAN bus: load, state and error counters of the controller, lost frames; and the restarts after bus-off.
- * Publishes 2120h and 2122h, raises EMCY 8110h, 8120h and 8140h. Passive like the core: time goes in, deadlines come out. */
+ * Diagnosis of the CAN bus: load, state and error counters of the controller, lost frames; and the restarts after
+ * bus-off. Publishes 2120h and 2122h, raises EMCY 8110h, 8120h and 8140h. Passive like the core: time goes in,
+ * deadlines come out. */
 #ifndef GATEWAY_BUS_HEALTH_H
 #define GATEWAY_BUS_HEALTH_H
 
@@ -39,8 +40,8 @@ void bus_health_reset(struct bus_health *h);
 /** Returns the next deadline. */
 uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us);
 
-/** Bits on the wire of `frames` data frames with 11-bit identifiers and `bytes` data bytes in total. Half of the largest
- * possible number of stuff bits is counted. */
+/** Bits on the wire of `frames` data frames with 11-bit identifiers and `bytes` data bytes in total. Half of the
+ * largest possible number of stuff bits is counted. */
 uint64_t bus_health_bits(uint64_t frames, uint64_t bytes);
 
 /** For LSS: whether this bit rate can be set, and setting it. The log says why not. */

@@ -1,7 +1,7 @@
 /* gateway/calibration_command.h
- * Calibration by command (2061h): raw samples go into one of model/identify/calibrate_*.h, progress and result appear in the
- * object. "Accept" writes the result to 2050h, 2051h or 2052h: it takes effect with the next sample, and 1010h stores it.
- * Units of bias and matrix as in these objects (rad/s, m/s^2, uT), sensor frame. One thread. */
+ * Calibration by command (2061h): raw samples go into one of model/identify/calibrate_*.h, progress and result appear
+ * in the object. "Accept" writes the result to 2050h, 2051h or 2052h: it takes effect with the next sample, and 1010h
+ * stores it. Units of bias and matrix as in these objects (rad/s, m/s^2, uT), sensor frame. One thread. */
 #ifndef GATEWAY_CALIBRATION_COMMAND_H
 #define GATEWAY_CALIBRATION_COMMAND_H
 

@@ -1,7 +1,7 @@
 /* gateway/command_object.h
- * What the objects that run a procedure on command have in common (2060h, 2061h). A write to sub-index 1 starts it, accepts
- * or discards its result, or aborts it (0); another sub-index shows the state. One procedure runs at a time, and none without
- * samples. Passive, one thread. */
+ * What the objects that run a procedure on command have in common (2060h, 2061h). A write to sub-index 1 starts it,
+ * accepts or discards its result, or aborts it (0); another sub-index shows the state. One procedure runs at a time,
+ * and none without samples. Passive, one thread. */
 #ifndef GATEWAY_COMMAND_OBJECT_H
 #define GATEWAY_COMMAND_OBJECT_H
 

@@ -12,7 +12,7 @@ void config_init(struct config *config, const struct od_table *table)
 	*config = (struct config){.imu = "sim", .can = "vcan0", .node_id = 1, .table = table};
 }
 
-/* ---- the process's own keys -------------------------------------------------------------------------------------- */
+/* ---- keys of the process ----------------------------------------------------------------------------------------- */
 
 static int set_text(char *out, const char *key, const char *value, char *error)
 {
@@ -38,7 +38,7 @@ static int set_number(unsigned *out, const char *key, const char *value, unsigne
 	return 0;
 }
 
-/* 255: wait for one by LSS. */
+/* 255: unconfigured, LSS assigns one. */
 static int set_node_id(unsigned *out, const char *key, const char *value, char *error)
 {
 	unsigned node_id;
@@ -48,7 +48,7 @@ static int set_node_id(unsigned *out, const char *key, const char *value, char *
 		rc = -EINVAL;
 	if (rc < 0)
 		snprintf(error, CONFIG_ERROR_MAX,
-			"%s: '%.100s' is not a number from 1 to 127, or 255 (waits for one by LSS)", key, value);
+			"%s: '%.100s' is neither a number from 1 to 127 nor 255 (LSS assigns one)", key, value);
 	else
 		*out = node_id;
 	return rc;
@@ -75,8 +75,8 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 	if (strcmp(key, "serial") == 0)
 		return set_number(&c->serial, key, value, 0, UINT32_MAX, error);
 	snprintf(error, CONFIG_ERROR_MAX,
-		"unknown key '%s' in [gateway]: imu, can, node_id, bitrate, store, realtime, serial, run_led and "
-		"error_led are known",
+		"unknown key '%s' in [gateway]; the keys are imu, can, node_id, bitrate, store, realtime, serial, "
+		"run_led and error_led",
 		key);
 	return -ENOENT;
 }
@@ -100,13 +100,11 @@ static int set_object(struct config *c, const char *name, const char *value, cha
 
 	if (!e) {
 		snprintf(error, CONFIG_ERROR_MAX,
-			"no object is called '%s': the names stand in eds/imu9-gateway.eds "
-			"(imu9-sdo dump lists them)",
-			name);
+			"no object has the name '%s'; `imu9-sdo dump` and objects.md list the names", name);
 		return -ENOENT;
 	}
 	if (!(e->access & OD_STORED)) {
-		snprintf(error, CONFIG_ERROR_MAX, "%s is not a configuration object: it cannot be set here", e->name);
+		snprintf(error, CONFIG_ERROR_MAX, "%s is not a configuration object and cannot be set here", e->name);
 		return -EACCES;
 	}
 	if (c->object_count == CONFIG_OBJECTS_MAX) {
@@ -145,7 +143,7 @@ void config_apply(const struct config *config, struct od *od)
 	for (size_t i = 0; i < config->object_count; i++) {
 		const struct config_object *o = &config->objects[i];
 
-		/* od_check() has passed it for this entry */
+		/* cannot fail: od_check() has accepted it */
 		od_put(od, od_find(config->table, o->index, o->sub, NULL), o->wire, o->size);
 	}
 }
@@ -161,7 +159,7 @@ struct reading {
 	int rc;
 };
 
-/* inih's reader, counting lines so that an error can name its own. */
+/* Reads for inih and counts the lines for error messages. */
 static char *next_line(char *text, int size, void *stream)
 {
 	struct reading *r = stream;

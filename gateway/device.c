@@ -37,7 +37,7 @@ static void apply_or_report(struct device *d)
 		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
 }
 
-static bool on_snapshot_take(void *ctx)
+static bool on_snapshot_apply(void *ctx)
 {
 	return apply_configuration(ctx);
 }
@@ -109,8 +109,8 @@ void device_saved(struct device *d, int result, uint64_t now_us)
 	storing_saved(&d->storing, result, now_us);
 }
 
-/* Inconsistent stored values must not keep the device from starting: it uses those of file and command line until they are
- * corrected; EMCY 6320h reports it with the first sample. */
+/* Inconsistent stored values must not keep the device from starting: it uses those of file and command line until they
+ * are corrected; EMCY 6320h reports it with the first sample. */
 static int start_pipeline(struct device *d)
 {
 	struct pipeline_config config = settings_pipeline(&d->values);
@@ -235,7 +235,7 @@ static void attach_hooks(struct device *d)
 	d->snapshot.od = &d->od;
 	d->snapshot.node_id = &d->canopen.id;
 	d->snapshot.ctx = d;
-	d->snapshot.take = on_snapshot_take;
+	d->snapshot.apply = on_snapshot_apply;
 	d->snapshot.done = on_snapshot_done;
 	snapshot_attach(&d->snapshot);
 }

@@ -1,6 +1,6 @@
 /* gateway/device.h
- * The whole device, passive: samples, CAN frames and time go in; CAN frames and files to be stored go out through ports. The
- * process (loop.c) and the scenario tests in simulated time run this same code.
+ * The whole device, passive: samples, CAN frames and time go in; CAN frames and files to be stored go out through
+ * ports. The process (loop.c) and the scenario tests in simulated time run this same code.
  *
  * Use: od_init() and config_apply() on device.od, then device_init(), device_start(). One thread calls it. Times are
  * CLOCK_MONOTONIC or a simulated clock, in us, and never go back. */
@@ -57,9 +57,9 @@ struct device {
 	uint64_t now_us; /* of the present call */
 };
 
-/** device.values are the configuration of file and command line. `storage`: NULL when nothing can be stored. `stored`: what
- * store_read() gave, or NULL. 0; -EINVAL: the configuration of file and command line is inconsistent (for example a singular
- * calibration matrix), or node_id is neither 1..127 nor 255; else the result of canopen_init(). */
+/** device.values are the configuration of file and command line. `storage`: NULL when nothing can be stored. `stored`:
+ * what store_read() gave, or NULL. 0; -EINVAL: the configuration of file and command line is inconsistent (for example
+ * a singular calibration matrix), or node_id is neither 1..127 nor 255; else the result of canopen_init(). */
 int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, const struct storing_port *storage,
 	const struct store_image *stored, uint8_t node_id);
 /** Sends the boot-up message. `stored_damaged`: store_read() found a damaged file; EMCY 5530h reports it. */
@@ -68,12 +68,13 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
 /** The result of imu_read(): 1 and the sample, or a negative errno (the sensor has failed or the log has ended). */
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us);
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us);
-/** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second. */
+/** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second.
+ * */
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);
 /** The save in progress has ended: 0 or -errno. */
 void device_saved(struct device *d, int result, uint64_t now_us);
-/** The process was not scheduled for up to `us` (stopped, or the machine overloaded): the sensor's timeout does not count
- * this time. */
+/** The process was not scheduled for up to `us` (stopped, or the machine overloaded): the sensor's timeout does not
+ * count this time. */
 void device_away(struct device *d, uint64_t us, uint64_t now_us);
 /** Time-driven work. Returns the next deadline: when to call again at the latest. */
 uint64_t device_tick(struct device *d, uint64_t now_us);

@@ -9,7 +9,7 @@
 
 enum { LINE_MAX_BYTES = 180, TEXT_MAX_BYTES = 151 };
 
-/* What a transfer shows is what was there when it began. */
+/* A transfer reads the state at its beginning. */
 static size_t read_log(void *ctx, uint8_t *out)
 {
 	const struct event_log *log = ctx;
@@ -39,7 +39,7 @@ static void make_room(struct event_log *log, size_t size)
 	memmove(log->text, log->text + gone, log->used);
 }
 
-/* Makes text[TEXT_MAX_BYTES] of it, too. */
+/* Formats into text[TEXT_MAX_BYTES], which log_line() needs. */
 __attribute__((format(printf, 3, 0))) static void add(
 	struct event_log *log, uint64_t now_us, const char *format, va_list args, char *text)
 {

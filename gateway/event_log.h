@@ -1,6 +1,6 @@
 /* gateway/event_log.h
- * What happened to the device, kept in memory and readable over the bus (2131h): a line of text for each event, with
- * the time since the start, the oldest first. When it is full the oldest lines go. */
+ * The events of the device in memory, readable over the bus (2131h): one line of text each, with the time since the
+ * start in s, the oldest first. When it is full the oldest lines are dropped. One thread. */
 #ifndef GATEWAY_EVENT_LOG_H
 #define GATEWAY_EVENT_LOG_H
 
@@ -8,7 +8,7 @@
 
 #include "od/od.h"
 
-/** Caller-owned; zeroed, it is empty. */
+/** Caller-owned. Zeroed: empty. */
 struct event_log {
 	uint64_t start_us;
 	struct od_domain domain;
@@ -16,15 +16,15 @@ struct event_log {
 	char text[OD_DOMAIN_MAX];
 };
 
-/** The log is what 2131h reads. */
+/** Attaches 2131h to the dictionary. */
 void event_log_attach(struct event_log *log, struct od *od);
-/** Times count from here. */
+/** The start, from which times count. */
 void event_log_start(struct event_log *log, uint64_t now_us);
 
-/** Notes an event, without a line break; text beyond 150 bytes is cut. */
+/** Adds a line; `format` has no line break. Text beyond 150 bytes is cut. */
 void event_log_add(struct event_log *log, uint64_t now_us, const char *format, ...)
 	__attribute__((format(printf, 3, 4)));
-/** The same, and on standard error: what a person should know now. */
+/** The same, and the line goes to standard error, too. */
 void event_log_line(struct event_log *log, uint64_t now_us, const char *format, ...)
 	__attribute__((format(printf, 3, 4)));
 

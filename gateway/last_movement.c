@@ -7,14 +7,14 @@
 
 static const char HEADER[] = "t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m\n";
 
-/* What a number is limited to, so that all lines are sure to fit. */
+/* Limits of the printed numbers, so that all lines fit. */
 static const double TIME_MAX_S = 99999999, VALUE_MAX = 99999;
 enum { LINE_MAX_BYTES = sizeof("99999999.999") + 9 * sizeof("-99999.0000") };
 static_assert(sizeof(HEADER) + SMOOTHER_POINTS * LINE_MAX_BYTES <= OD_DOMAIN_MAX, "all points fit into the object");
 
-static double limited(double value, double most)
+static double limited(double value, double limit)
 {
-	return fmin(fmax(value, -most), most);
+	return fmin(fmax(value, -limit), limit);
 }
 
 static int print_vec3(char *line, size_t size, struct vec3 v)
@@ -35,7 +35,7 @@ static size_t print_point(char line[LINE_MAX_BYTES + 1], const struct smoother_p
 	return (size_t)used + 1;
 }
 
-/* What a transfer shows is the movement that was the last when it began. */
+/* A transfer reads the movement that was the last one at its beginning. */
 static size_t read_trajectory(void *ctx, uint8_t *out)
 {
 	const struct smoother_movement *m = &((const struct last_movement *)ctx)->smoother.last;

@@ -1,6 +1,7 @@
 /* gateway/last_movement.h
- * The movement last ended as objects: 211Ah is its summary, 2132h its smoothed path as CSV text, which a spreadsheet opens:
- * t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m, a line for each point; no line before the first movement. */
+ * The last complete movement as objects: 211Ah is its summary, 2132h its smoothed path (global frame, 1 sigma) as CSV
+ * text: t_s,x_m,y_m,z_m,vx_m_s,vy_m_s,vz_m_s,sx_m,sy_m,sz_m, and one line for each point; only this header before the
+ * first movement. One thread. */
 #ifndef GATEWAY_LAST_MOVEMENT_H
 #define GATEWAY_LAST_MOVEMENT_H
 
@@ -16,11 +17,11 @@ struct last_movement {
 	struct od_values *values;
 };
 
-/** The objects are there from now on. */
+/** Attaches 2132h to the dictionary. */
 void last_movement_attach(struct last_movement *m, struct od *od, struct od_values *values);
-/** There was no movement yet; those of the pipeline will be followed. */
+/** After pipeline_init(): no movement yet; the smoother records those of the pipeline. */
 void last_movement_start(struct last_movement *m, struct pipeline *pipeline);
-/** After each sample. */
+/** After each pipeline_step(): updates 211Ah. */
 void last_movement_publish(struct last_movement *m);
 
 #endif

@@ -8,12 +8,12 @@
 #include "gateway/canopen/node.h"
 #include "gateway/status.h"
 
-/* ---- what -------------------------------------------------------------------------------------------------------- */
+/* ---- states ------------------------------------------------------------------------------------------------------ */
 
 /* The wire knows these by their EMCY codes. */
 enum { DATA_SET = 0x6300, ERROR_CONTROL = 0x8130, SYNC_LATE = 0x8100, SYNC_LENGTH = 0x8240, EVENT_TIMER = 0x8250 };
 
-/* The green one. */
+/* The green LED. */
 static enum led_state led_run(const struct canopen_node *node)
 {
 	if (canopen_lss_active(node))
@@ -31,7 +31,7 @@ static enum led_state led_run(const struct canopen_node *node)
 	return LED_OFF;
 }
 
-/* The red one: of several errors that which comes last in the table of CiA 303-3. */
+/* The red LED. Of several errors it shows the one of highest priority, the last in the table of CiA 303-3. */
 static enum led_state led_error(const struct canopen_node *node, enum can_state bus)
 {
 	if (bus == CAN_STATE_BUS_OFF)
@@ -50,7 +50,7 @@ static enum led_state led_error(const struct canopen_node *node, enum can_state 
 	return canopen_lss_active(node) ? LED_FLICKERING : LED_OFF;
 }
 
-/* ---- how --------------------------------------------------------------------------------------------------------- */
+/* ---- flash patterns ---------------------------------------------------------------------------------------------- */
 
 enum { FLICKER_US = 50000, FLASH_US = 200000, PAUSE_US = 1000000 };
 
@@ -80,12 +80,12 @@ bool led_lit(enum led_state state, bool second, uint64_t t_us, uint64_t *change_
 	case LED_QUADRUPLE_FLASH:
 		break;
 	}
-	/* flashes with as long a pause between them, then the long pause */
+	/* flashes and pauses of equal length, then the long pause */
 	uint64_t within = halves % (2 * flashes(state) - 1 + PAUSE_US / FLASH_US);
 	return within < 2 * flashes(state) && within % 2 == 0;
 }
 
-/* ---- LEDs of Linux ----------------------------------------------------------------------------------------------- */
+/* ---- Linux LEDs -------------------------------------------------------------------------------------------------- */
 
 void leds_init(struct leds *leds, struct od_values *values, const struct canopen_node *node, const struct can_port *bus)
 {
@@ -108,7 +108,7 @@ static int open_file(const char *folder, const char *name, const char *file)
 static void put(int fd, const char *text, size_t size)
 {
 	if (pwrite(fd, text, size, 0) < 0)
-		return; /* a LED that is gone: not worth a fault */
+		return; /* the LED was removed: no fault of the device */
 }
 
 static int open_led(struct led *led, const char *folder, const char *name)
@@ -116,7 +116,7 @@ static int open_led(struct led *led, const char *folder, const char *name)
 	if (name[0] == '\0')
 		return 0;
 	int trigger = open_file(folder, name, "trigger");
-	if (trigger >= 0) { /* some LEDs have none */
+	if (trigger >= 0) { /* not every LED has one */
 		put(trigger, "none", 4);
 		close(trigger);
 	}

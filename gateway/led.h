@@ -1,5 +1,5 @@
 /* gateway/led.h
- * The two status LEDs of CiA 303-3: what they show (2123h), and how, on LEDs of Linux (/sys/class/leds). */
+ * The two status LEDs of CiA 303-3: their states (2123h), shown on LEDs of Linux (/sys/class/leds). One thread. */
 #ifndef GATEWAY_LED_H
 #define GATEWAY_LED_H
 
@@ -14,7 +14,7 @@
 enum led_state {
 	LED_OFF,
 	LED_ON,
-	LED_FLICKERING, /* 10 Hz, the two LEDs in turn */
+	LED_FLICKERING, /* 10 Hz, the two LEDs alternate */
 	LED_BLINKING,	/* 2.5 Hz */
 	LED_SINGLE_FLASH,
 	LED_DOUBLE_FLASH,
@@ -22,8 +22,8 @@ enum led_state {
 	LED_QUADRUPLE_FLASH,
 };
 
-/** Whether a LED in that state is lit `t_us` after some beginning common to both, and when this changes next (UINT64_MAX:
- * never). `second`: the one that flickers in turn with the first. */
+/** Whether a LED in this state is lit at the time `t_us` (a time base common to both LEDs), and when this changes next
+ * (UINT64_MAX: never). `second`: flickers in antiphase to the first. */
 bool led_lit(enum led_state state, bool second, uint64_t t_us, uint64_t *change_us);
 
 struct led {
@@ -41,12 +41,12 @@ struct leds {
 
 void leds_init(
 	struct leds *leds, struct od_values *values, const struct canopen_node *node, const struct can_port *bus);
-/** Shows them on the LEDs of that name in `folder` (/sys/class/leds), "" for none: takes them from their trigger. 0, or
- * -errno and the first name that failed in *which; the other LED is used all the same. */
+/** Uses the LEDs of these names in `folder` (/sys/class/leds; "": none) and sets their triggers to none. 0, or -errno
+ * and the first name that failed in *which; the other LED is used anyway. */
 int leds_open(struct leds *leds, const char *folder, const char *run, const char *error, const char **which);
 void leds_close(struct leds *leds);
-/** Publishes, and switches what has to be switched: one write() of sysfs each. Returns when to call again at the latest;
- * UINT64_MAX where no LED is open. */
+/** Publishes 2123h and switches the LEDs, with one write() to sysfs for each change. Returns the next deadline;
+ * UINT64_MAX when no LED is open. */
 uint64_t leds_tick(struct leds *leds, uint64_t now_us);
 
 #endif

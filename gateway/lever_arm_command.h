@@ -1,11 +1,11 @@
 /* gateway/lever_arm_command.h
- * Identification of the lever arm by command (2060h): the result appears with 1 sigma and a verdict; "accept" writes it to
- * 2000h. The acceleration of the reference point (object frame, m/s^2) from an external sensor comes with the sample (columns
- * of a log) or by 2075h, from an RPDO or an SDO client. One thread.
+ * Identification of the lever arm by command (2060h): the result appears with 1 sigma and a verdict; "accept" writes it
+ * to 2000h. The acceleration of the reference point (object frame, m/s^2) from an external sensor comes with the sample
+ * (columns of a log) or by 2075h, from an RPDO or an SDO client. One thread.
  *
- * A value of 2075h is used from the next sample on, until the next write but for 50 ms at most. At 100 writes a second it is
- * 5 ms late on average, besides the delay of the bus; the identification estimates this delay. The steps between writes are
- * above its low-pass. The acceleration that comes with a sample is taken to be of the same instant. */
+ * A value of 2075h is used from the next sample on, until the next write but for 50 ms at most. At 100 writes a second
+ * it is 5 ms late on average, besides the delay of the bus; the identification estimates this delay. The steps between
+ * writes are above its low-pass. The acceleration that comes with a sample is taken to be of the same instant. */
 #ifndef GATEWAY_LEVER_ARM_COMMAND_H
 #define GATEWAY_LEVER_ARM_COMMAND_H
 

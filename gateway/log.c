@@ -21,13 +21,13 @@ void log_line(const char *format, ...)
 	if (size > sizeof(text) - 2)
 		size = sizeof(text) - 2;
 	for (size_t i = prefix; i < size; i++)
-		if (iscntrl((unsigned char)text[i])) /* of a log, a device or a file name */
+		if (iscntrl((unsigned char)text[i])) /* can come from a file or device name */
 			text[i] = '?';
 	text[size++] = '\n';
 	struct pollfd room = {.fd = STDERR_FILENO, .events = POLLOUT};
 
 	if (poll(&room, 1, 0) != 1 || !(room.revents & POLLOUT))
-		return; /* a reader that stands still must not stop the loop */
+		return; /* a reader that does not read must not block the loop */
 	if (write(STDERR_FILENO, text, size) < 0)
-		return; /* nobody listens: not worth a fault */
+		return; /* no reader: no fault of the device */
 }

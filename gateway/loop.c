@@ -11,14 +11,13 @@
 
 #include "gateway/log.h"
 
-/* No source may keep the others waiting: so many of its events are taken per wake, the rest in the
- * next. */
+/* Limits for each wake-up, so that no source starves the others; what is left is read at the next one. */
 enum { SAMPLES_PER_WAKE = 16, FRAMES_PER_WAKE = 64 };
 
-/* The stamp of a frame tells the time when the clock was read this shortly before it. */
+/* The time stamp of a frame replaces a reading of the clock that is at most this much older. */
 enum { STAMP_TRUSTED_US = 20000 };
 
-/* Woken so much after the time that was asked for, the process was not run. */
+/* A wake-up this late means that the process was not scheduled. */
 enum { AWAY_US = 20000 };
 
 enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_COUNT };
@@ -29,12 +28,12 @@ struct loop {
 	struct imu_port *imu;
 	struct store_writer *writer;
 	int epoll, timer, signals;
-	uint64_t now_us;   /* as known last */
+	uint64_t now_us;   /* the last reading */
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
-	uint64_t clock_us; /* when the host's clock was looked at last */
-	bool frames_left;  /* by the last wake */
+	uint64_t clock_us; /* when the host's clock was last read */
+	bool frames_left;  /* by the last wake-up */
 	bool quit;
 };
 
@@ -54,16 +53,16 @@ static int watch(struct loop *l, int fd, enum source source)
 	return epoll_ctl(l->epoll, EPOLL_CTL_ADD, fd, &event) < 0 ? -errno : 0;
 }
 
-/* ---- what the sources bring -------------------------------------------------------------------------------------- */
+/* ---- sources ----------------------------------------------------------------------------------------------------- */
 
-/* A log with bad rows says so, once a second at most. */
+/* Bad rows of a log are reported once a second at most. */
 static void log_skips(struct loop *l, uint64_t now_us)
 {
 	uint32_t skipped = l->imu->counters.skipped;
 
 	if (skipped == l->last_skipped || (l->skip_logged_us && now_us - l->skip_logged_us < 1000000))
 		return;
-	log_line("%u samples skipped, the last one: %s", skipped - l->last_skipped, l->imu->last_skip);
+	log_line("%u samples skipped; reason for the last one: %s", skipped - l->last_skipped, l->imu->last_skip);
 	l->last_skipped = skipped;
 	l->skip_logged_us = now_us;
 }
@@ -88,7 +87,7 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	log_skips(l, now_us);
 }
 
-/* The stamp of a frame may lie a little ahead of the clock when somebody sets the host's time: time does not go back. */
+/* Never back: the time stamp of a frame can be slightly ahead of the clock when the host's time is set. */
 static void read_clock(struct loop *l)
 {
 	uint64_t now_us = now();
@@ -97,9 +96,9 @@ static void read_clock(struct loop *l)
 		l->now_us = now_us;
 }
 
-/* A frame brings the time it came at: where the kernel has no vDSO, not to read the clock before each answer is a tenth of
- * the way from SYNC to PDO. But with a synchronous window (1007h) it counts how long the frame waited for us. */
-static void take_time(struct loop *l, const struct can_msg *msg)
+/* The time stamp of the frame saves a reading of the clock, a tenth of the time from SYNC to PDO where the kernel has
+ * no vDSO. With a synchronous window (1007h) the clock is read: the time the frame has waited in the socket counts. */
+static void update_time(struct loop *l, const struct can_msg *msg)
 {
 	bool trusted = msg->t_us > l->now_us && msg->t_us - l->now_us < STAMP_TRUSTED_US;
 
@@ -117,7 +116,7 @@ static void on_bus(struct loop *l)
 	for (int i = 0; i < FRAMES_PER_WAKE; i++) {
 		if (can_receive(l->bus, &msg, l->now_us) <= 0)
 			return;
-		take_time(l, &msg);
+		update_time(l, &msg);
 		device_receive(l->device, &msg, l->now_us);
 	}
 	l->frames_left = true;
@@ -182,8 +181,8 @@ static void arm(struct loop *l, uint64_t deadline_us)
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
-/* Once a second at most. Whether something (an NTP or PTP daemon) keeps the host's clock, the kernel knows. */
-static void look_at_clock(struct loop *l, uint64_t now_us)
+/* Once a second at most. The kernel knows whether an NTP or PTP daemon synchronises the host's clock. */
+static void read_host_clock(struct loop *l, uint64_t now_us)
 {
 	struct timex timex = {0};
 	struct timespec t;
@@ -208,7 +207,7 @@ static void wake(struct loop *l)
 		on_event(l, (enum source)events[i].data.u32);
 	if (l->now_us > due_us && l->now_us - due_us > AWAY_US)
 		device_away(l->device, l->now_us - slept_us, l->now_us);
-	look_at_clock(l, l->now_us);
+	read_host_clock(l, l->now_us);
 	uint64_t next_us = device_tick(l->device, l->now_us);
 	uint64_t bus_us = can_service(l->bus, l->now_us);
 	arm(l, bus_us < next_us ? bus_us : next_us);

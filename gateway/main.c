@@ -1,5 +1,5 @@
 /* gateway/main.c
- * imu9-gateway: reads its configuration, opens the ports, composes the device and runs the loop. */
+ * imu9-gateway: reads the configuration, opens the ports, initialises the device and runs the loop. */
 #include <errno.h>
 #include <getopt.h>
 #include <sched.h>
@@ -32,12 +32,12 @@ static const char usage[] =
 	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD] or\n"
 	"                        udp[:GROUP[:PORT]]                   (default: $IMU9_CAN or vcan0)\n"
 	"      --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
-	"      --bitrate B       bit/s, set where that is permitted: CAP_NET_ADMIN  (default: as it is)\n"
+	"      --bitrate B       bit/s, set where that is permitted: CAP_NET_ADMIN  (default: unchanged)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
-	"      --serial N        1018h:4, unique among all units   (default: of machine, SRC and BUS)\n"
+	"      --serial N        1018h:4, unique among all units   (default: from machine, SRC, BUS)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
@@ -76,7 +76,7 @@ static int bad_configuration(const char *why)
 	return EXIT_USAGE;
 }
 
-/* What getopt_long() did not take. */
+/* An option that getopt_long() refused. */
 static int bad_option(int option, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];
@@ -90,8 +90,8 @@ static int bad_option(int option, char *const argv[])
 	return usage_error(why);
 }
 
-/* --node-id is the key node_id of the file. */
-static int take_key(struct config *config, const char *option, const char *value, char *why)
+/* Option --node-id is the key node_id of the file. */
+static int set_key(struct config *config, const char *option, const char *value, char *why)
 {
 	char key[32];
 
@@ -101,8 +101,8 @@ static int take_key(struct config *config, const char *option, const char *value
 	return config_option(config, key, value, why);
 }
 
-/* One option of the command line, but for --config, which was read before them all. -1: go on. */
-static int take_option(struct config *config, int option, int index, char *const argv[])
+/* One option of the command line; --config was handled before all others. -1: continue, else the exit status. */
+static int apply_option(struct config *config, int option, int index, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];
 	int rc = 0;
@@ -111,7 +111,7 @@ static int take_option(struct config *config, int option, int index, char *const
 	case 'c':
 		break;
 	case OPT_KEY:
-		rc = take_key(config, options[index].name, optarg, why);
+		rc = set_key(config, options[index].name, optarg, why);
 		break;
 	case OPT_SET:
 		rc = config_set(config, optarg, why);
@@ -128,8 +128,8 @@ static int take_option(struct config *config, int option, int index, char *const
 	return rc < 0 ? bad_configuration(why) : -1;
 }
 
-/* The tools meet the gateway where the same variables say. */
-static int take_environment(struct config *config, const char *variable, const char *key)
+/* The tools read the same variables. -1: continue, else the exit status. */
+static int apply_environment(struct config *config, const char *variable, const char *key)
 {
 	char why[CONFIG_ERROR_MAX];
 	const char *value = getenv(variable);
@@ -140,23 +140,23 @@ static int take_environment(struct config *config, const char *variable, const c
 	return EXIT_USAGE;
 }
 
-/* -1: run; else the exit status. The file first, whatever the order on the command line. */
+/* The file before the other options, in any order on the command line. -1: run, else the exit status. */
 static int read_configuration(struct config *config, int argc, char **argv)
 {
 	char why[CONFIG_ERROR_MAX];
-	int option, index = 0, status = take_environment(config, "IMU9_CAN", "can");
+	int option, index = 0, status = apply_environment(config, "IMU9_CAN", "can");
 
 	if (status < 0)
-		status = take_environment(config, "IMU9_NODE", "node_id");
+		status = apply_environment(config, "IMU9_NODE", "node_id");
 	if (status >= 0)
 		return status;
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			return bad_configuration(why);
-	optind = 0; /* glibc: scan anew */
+	optind = 0; /* glibc: start again */
 	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
-		status = take_option(config, option, index, argv);
+		status = apply_option(config, option, index, argv);
 	if (status < 0 && optind < argc) {
 		snprintf(why, sizeof(why), "'%.100s' is not an option", argv[optind]);
 		return usage_error(why);
@@ -178,7 +178,7 @@ static void store_folder(char *folder, size_t size, const struct config *config)
 		snprintf(folder, size, "%.400s/.local/state/imu9-gateway", home);
 }
 
-/* One file a bus: node-IDs change. */
+/* One file for each bus, since the node-ID can change. */
 static void store_path(char *path, size_t size, const char *folder, const char *bus)
 {
 	int n = snprintf(path, size, "%s/", folder);
@@ -189,14 +189,14 @@ static void store_path(char *path, size_t size, const char *folder, const char *
 			*p = '_';
 }
 
-/* Files of version 0.1 are named by the node-ID. */
-static void take_over_old_store(const char *path, const char *folder, unsigned node_id)
+/* Version 0.1 named the file after the node-ID. */
+static void rename_old_store(const char *path, const char *folder, unsigned node_id)
 {
 	char old[STORE_PATH_MAX];
 
 	snprintf(old, sizeof(old), "%.500s/node-%u.store", folder, node_id);
 	if (access(path, F_OK) < 0 && errno == ENOENT && rename(old, path) == 0)
-		log_line("%s is %s from now on", old, path);
+		log_line("%s renamed to %s", old, path);
 }
 
 static void go_realtime(unsigned priority)
@@ -206,9 +206,10 @@ static void go_realtime(unsigned priority)
 	if (priority == 0)
 		return;
 	if (mlockall(MCL_CURRENT | MCL_FUTURE) < 0)
-		log_line("memory cannot be locked: %s (ulimit -l, or CAP_IPC_LOCK)", strerror(errno));
+		log_line("cannot lock the memory: %s (raise ulimit -l, or grant CAP_IPC_LOCK)", strerror(errno));
 	if (sched_setscheduler(0, SCHED_FIFO, &param) < 0)
-		log_line("no real-time priority %u: %s (ulimit -r, or CAP_SYS_NICE)", priority, strerror(errno));
+		log_line("cannot set real-time priority %u: %s (raise ulimit -r, or grant CAP_SYS_NICE)", priority,
+			strerror(errno));
 }
 
 static int save_through_writer(void *ctx, const uint8_t *bytes, size_t size)
@@ -222,8 +223,8 @@ static struct device device;
 static struct store_image stored;
 static struct store_writer writer;
 
-/* Reads what was stored and starts the thread that stores. Without a place to store, the gateway
- * runs all the same. */
+/* Reads the stored values and starts the thread that stores. NULL: nothing can be stored, which does not keep the
+ * gateway from running. */
 static struct store_writer *open_store(const struct config *config, bool *damaged)
 {
 	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX];
@@ -233,27 +234,28 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	store_path(path, sizeof(path), folder, config->can);
 	int opened = store_writer_open(&writer, path);
 	if (opened == -EADDRINUSE) {
-		log_line(
-			"%s belongs to another gateway that runs: nothing is stored; give a folder with --store", path);
+		log_line("%s belongs to another gateway that is running: 1010h cannot store; use another folder with "
+			 "--store",
+			path);
 		return NULL;
 	}
-	take_over_old_store(path, folder, config->node_id);
+	rename_old_store(path, folder, config->node_id);
 	int rc = store_read(&stored, path);
 	*damaged = rc < 0;
 	if (rc < 0)
 		log_line("%s: stored values not used: %s", path,
 			rc == -EBADMSG	 ? "damaged; kept as .bad"
-			: rc == -ENOTSUP ? "of another version; kept as .bad"
+			: rc == -ENOTSUP ? "of a later version; kept as .bad"
 					 : strerror(-rc));
 	if (opened < 0) {
-		log_line("%s: %s: 1010h cannot store; give a folder with --store", path, strerror(-opened));
+		log_line("%s: %s: 1010h cannot store; use another folder with --store", path, strerror(-opened));
 		return NULL;
 	}
 	log_line("1010h and LSS store in %s", path);
 	return &writer;
 }
 
-/* Another one for each gateway on each machine, and the same after each start. */
+/* Different for each gateway on each machine, and the same after each start. */
 static uint32_t serial_number(const struct config *config)
 {
 	char machine[64] = "", unit[2 * CONFIG_TEXT_MAX + 64];
@@ -272,7 +274,7 @@ static uint32_t serial_number(const struct config *config)
 	return od_crc32(0, unit, (size_t)size);
 }
 
-/* What tells this unit from others: its sensor, its version, its serial number. */
+/* 1009h, 100Ah and 1018h:4. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
 	values->identity.serial_number = serial_number(config);
@@ -282,17 +284,17 @@ static void identify(struct od_values *values, const struct config *config, cons
 		IMU9_VERSION);
 }
 
-/* The node-ID that LSS stored wins over the configured one, as every stored value does. */
+/* The node-ID that LSS stored has precedence over the configured one, as every stored value has. */
 static uint8_t start_node_id(const struct config *config)
 {
 	unsigned node_id = stored.lss.node_id ? stored.lss.node_id : config->node_id;
 
 	if (node_id != config->node_id)
-		log_line("node-ID %u, stored by LSS, wins over the configured %u", node_id, config->node_id);
+		log_line("node-ID %u, stored by LSS, replaces the configured %u", node_id, config->node_id);
 	return (uint8_t)node_id;
 }
 
-/* So does the bit rate. */
+/* The stored bit rate, too. */
 static void start_bit_rate(const struct config *config, struct can_port *bus)
 {
 	uint32_t bit_s = stored.lss.bit_s ? stored.lss.bit_s : config->bitrate;
@@ -303,14 +305,14 @@ static void start_bit_rate(const struct config *config, struct can_port *bus)
 	if (rc == 0)
 		log_line("%s: %u bit/s set%s", bus->name, bit_s, stored.lss.bit_s ? ", as stored by LSS" : "");
 	else if (rc == -EPERM)
-		log_line("%s runs at %u bit/s; %u is not permitted to be set (CAP_NET_ADMIN): `ip link set %s down; "
+		log_line("%s runs at %u bit/s; setting %u needs CAP_NET_ADMIN; as root: `ip link set %s down; "
 			 "ip link set %s up type can bitrate %u`",
 			bus->name, bus->bit_s, bit_s, bus->name, bus->name, bit_s);
 	else if (rc == -EOPNOTSUPP && bus->bit_s == 0)
-		log_line("%s has no bit rate; its load is reckoned at %u bit/s", bus->name, bus->bit_s = bit_s);
+		log_line("%s has no bit rate; its load is calculated for %u bit/s", bus->name, bus->bit_s = bit_s);
 	else
 		log_line("%s: %u bit/s cannot be set: %s", bus->name, bit_s,
-			rc == -EOPNOTSUPP ? "the controller has no such bit rate" : strerror(-rc));
+			rc == -EOPNOTSUPP ? "the controller does not support this bit rate" : strerror(-rc));
 }
 
 static void open_leds(const struct config *config)
@@ -335,13 +337,14 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	identify(&device.values, config, imu);
 	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, node_id);
 	if (rc == -EINVAL)
-		log_line("the configuration contradicts itself: is a calibration matrix singular, "
-			 "or a filter order 0?");
+		log_line("the configuration is inconsistent: check for a singular calibration matrix "
+			 "or a filter order 0");
 	else if (rc < 0)
 		log_line("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
 		if (node_id == CANOPEN_UNCONFIGURED)
-			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waits for one by LSS (imu9-sdo lss assign)",
+			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waiting for LSS to assign one (imu9-sdo lss "
+				 "assign)",
 				bus->name, imu->name, imu->rate_hz);
 		else
 			log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
@@ -357,7 +360,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	return rc < 0 ? EXIT_FAILURE : EXIT_SUCCESS;
 }
 
-/* The sensor is opened before there is a device. What 1010h stored of it follows when the device starts. */
+/* The sensor is opened before the device is initialised; its stored settings (1010h) are applied at device_init(). */
 static struct imu_settings settings_of(const struct config *config)
 {
 	static struct od_values values;

@@ -11,8 +11,7 @@ static double step_of(const struct od *od, uint16_t index, uint8_t sub)
 	return od_step(od, od_find(od->table, index, sub, NULL));
 }
 
-/* The value in units of `lsb`, rounded to the nearest; saturated, and then said so in *saturated.
- */
+/* The value in units of `lsb`, rounded to the nearest; *saturated is set when it exceeds the limits. */
 static int32_t scaled(double value, double lsb, int32_t limit, bool *saturated)
 {
 	double n = round(value / lsb);
@@ -42,7 +41,7 @@ static int32_t clamp(int64_t value, int64_t limit, bool *saturated)
 	return (int32_t)value;
 }
 
-/* Slope as 6011h (operating parameter) asks: +-physical, and with scaling on the two offsets. */
+/* The operating parameter (6011h) selects the sign; with scaling enabled the two offsets are added. */
 static int64_t slope(int32_t physical, uint8_t operating, int32_t offset, int32_t differential)
 {
 	int64_t value = operating & SLOPE_INVERSION ? -(int64_t)physical : physical;
@@ -55,14 +54,14 @@ static double angle_lsb_rad(const struct od *od)
 	return step_of(od, OD_INDEX_ANGLES, OD_SUB_ANGLES_ROLL) / DEG_PER_RAD;
 }
 
-/* The longitudinal slope is the rotation about the side axis (pitch), the lateral one that about
- * the longitudinal. */
+/* The longitudinal slope is the rotation about the side axis (pitch), the lateral slope the one about the longitudinal
+ * axis (roll). */
 static int32_t physical_slope(const struct od *od, double angle_deg, bool *saturated)
 {
 	return scaled(angle_deg / DEG_PER_RAD, angle_lsb_rad(od), INT32_MAX, saturated);
 }
 
-/* PUBLISH_CLIPPED_... of the slopes that their objects cannot hold. */
+/* Returns PUBLISH_CLIPPED_... of the slopes that exceed the range of their objects. */
 static unsigned publish_slopes(struct od *od)
 {
 	struct od_values *v = od->values;

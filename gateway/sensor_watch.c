@@ -39,15 +39,15 @@ static const char *fault_text(uint8_t fault)
 	case IMU_FAULT_FROZEN:
 		return "repeats the same values";
 	case IMU_FAULT_SATURATED:
-		return "stands at the end of its range";
+		return "is at the limit of its range";
 	case IMU_FAULT_CONFIGURATION:
 		return "has lost its configuration";
 	case IMU_FAULT_WRONG_CHIP:
-		return "is another chip";
+		return "is a different chip than before";
 	case IMU_FAULT_SELF_TEST:
 		return "failed its self-test";
 	}
-	return "is well";
+	return "has no fault";
 }
 
 static const char *chip_text(uint8_t chip)
@@ -64,7 +64,7 @@ void sensor_fault_text(const uint8_t info[5], char *text, size_t size)
 
 /* ---- settings ---------------------------------------------------------------------------------------------------- */
 
-static bool possible(struct sensor_watch *w, const struct imu_settings *settings, int dry)
+static bool configure(struct sensor_watch *w, const struct imu_settings *settings, int dry)
 {
 	char why[160] = "";
 	int result = w->imu->ops && w->imu->ops->configure
@@ -73,7 +73,7 @@ static bool possible(struct sensor_watch *w, const struct imu_settings *settings
 
 	if (result < 0)
 		event_log_line(w->log, w->canopen->now_us,
-			"2058h is impossible with this sensor, which goes on as it is: %s", why);
+			"the sensor does not support 2058h, its settings are unchanged: %s", why);
 	return result == 0;
 }
 
@@ -84,7 +84,7 @@ void sensor_watch_apply(struct sensor_watch *w)
 	w->refused = false;
 	if (same(&wanted, &w->in_use))
 		return;
-	w->refused = !possible(w, &wanted, 0);
+	w->refused = !configure(w, &wanted, 0);
 	if (!w->refused)
 		w->in_use = wanted;
 }
@@ -103,14 +103,14 @@ static enum od_status before(void *ctx, const struct od_entry *entry, const void
 	return OD_CONSUMED;
 }
 
-/* They take effect later, but what cannot be is told now. */
+/* The settings take effect at the next reset node; unsupported ones are reported now. */
 static void after(void *ctx, const struct od_entry *entry)
 {
 	struct sensor_watch *w = ctx;
 	struct imu_settings wanted = sensor_settings(w->values);
 
 	(void)entry;
-	w->refused = !possible(w, &wanted, 1);
+	w->refused = !configure(w, &wanted, 1);
 }
 
 void sensor_watch_init(struct sensor_watch *w, struct imu_port *imu, const struct imu_settings *opened, struct od *od,
@@ -125,15 +125,15 @@ void sensor_watch_init(struct sensor_watch *w, struct imu_port *imu, const struc
 void sensor_watch_reset(struct sensor_watch *w)
 {
 	w->degraded = w->degraded_chip = 0;
-	w->refusal_told = false;
+	w->refusal_reported = false;
 }
 
-/* ---- how it is --------------------------------------------------------------------------------------------------- */
+/* ---- state ------------------------------------------------------------------------------------------------------- */
 
 void sensor_watch_sample(struct sensor_watch *w, const struct imu_sample *sample)
 {
 	w->saturated = sample->flags & SAMPLE_SATURATED;
-	if (!(sample->flags & SAMPLE_TEMPERATURE) || !(fabs(sample->temperature_degC) <= INT16_MAX)) /* nor NaN */
+	if (!(sample->flags & SAMPLE_TEMPERATURE) || !(fabs(sample->temperature_degC) <= INT16_MAX)) /* NaN, too */
 		return;
 	w->values->sensor_state.temperature = (float)sample->temperature_degC;
 	w->values->device_temperature = (int16_t)floor(sample->temperature_degC + 0.5);
@@ -154,21 +154,21 @@ static void publish(struct sensor_watch *w)
 	w->values->sensor_state.rate = h->rate_hz;
 }
 
-static void tell_degraded(struct sensor_watch *w, uint64_t now_us)
+static void report_degraded(struct sensor_watch *w, uint64_t now_us)
 {
 	const struct imu_health *h = &w->imu->health;
 
 	if (h->degraded == w->degraded && h->degraded_chip == w->degraded_chip)
 		return;
 	if (w->degraded) {
-		event_log_line(w->log, now_us, "%s is well again", chip_text(w->degraded_chip));
+		event_log_line(w->log, now_us, "%s has recovered", chip_text(w->degraded_chip));
 		canopen_error_clear(w->canopen, EMCY_SENSOR_DEGRADED, now_us);
 	}
 	w->degraded = h->degraded;
 	w->degraded_chip = h->degraded_chip;
 	if (!w->degraded)
 		return;
-	event_log_line(w->log, now_us, "%s %s: EMCY %04Xh, samples go on", chip_text(w->degraded_chip),
+	event_log_line(w->log, now_us, "%s %s: EMCY %04Xh, samples continue", chip_text(w->degraded_chip),
 		fault_text(w->degraded), EMCY_SENSOR_DEGRADED);
 	canopen_error_set(w->canopen, EMCY_SENSOR_DEGRADED, REGISTER_MANUFACTURER,
 		(const uint8_t[5]){w->degraded, w->degraded_chip}, now_us);
@@ -177,12 +177,12 @@ static void tell_degraded(struct sensor_watch *w, uint64_t now_us)
 void sensor_watch_tick(struct sensor_watch *w, uint64_t now_us)
 {
 	publish(w);
-	tell_degraded(w, now_us);
-	if (w->refused && !w->refusal_told)
+	report_degraded(w, now_us);
+	if (w->refused && !w->refusal_reported)
 		canopen_error_set(w->canopen, EMCY_SENSOR_SETTINGS, REGISTER_MANUFACTURER, NULL, now_us);
-	if (!w->refused && w->refusal_told)
+	if (!w->refused && w->refusal_reported)
 		canopen_error_clear(w->canopen, EMCY_SENSOR_SETTINGS, now_us);
-	w->refusal_told = w->refused;
+	w->refusal_reported = w->refused;
 }
 
 bool sensor_watch_testing(const struct sensor_watch *w)

@@ -1,5 +1,6 @@
 /* gateway/sensor_watch.h
- * The settings of the sensor (2058h), how its chips are (2124h, EMCY 5031h, status bit 10) and how warm (6511h). */
+ * The settings of the sensor (2058h), the state of its chips (2124h, EMCY 5031h and 6321h, status bit 10) and its
+ * temperature (6511h, degC). One thread. */
 #ifndef GATEWAY_SENSOR_WATCH_H
 #define GATEWAY_SENSOR_WATCH_H
 
@@ -18,37 +19,39 @@ struct sensor_watch {
 	struct event_log *log;
 	struct od_hook hook;
 	struct imu_settings in_use;
-	bool refused, refusal_told;
-	bool saturated;			 /* the last sample was */
-	uint8_t degraded, degraded_chip; /* as told by EMCY */
+	bool refused, refusal_reported;
+	bool saturated;			 /* the last sample */
+	uint8_t degraded, degraded_chip; /* as reported by EMCY */
 };
 
-/** What 2058h says, without the priority of the driver's thread. */
+/** 2058h as settings of the driver, without the priority of its thread. */
 struct imu_settings sensor_settings(const struct od_values *values);
 
-/** `opened` is what the sensor was opened with. */
+/** `opened`: the settings that the sensor was opened with. */
 void sensor_watch_init(struct sensor_watch *watch, struct imu_port *imu, const struct imu_settings *opened,
 	struct od *od, struct od_values *values, struct canopen_node *canopen, struct event_log *log);
 
-/** At the start and with reset node: what 2058h says goes to the sensor where it differs. May change imu->rate_hz. */
+/** At the start and with reset node: configures the sensor when 2058h differs from its settings. May change
+ * imu->rate_hz. */
 void sensor_watch_apply(struct sensor_watch *watch);
-void sensor_watch_reset(struct sensor_watch *watch); /* errors are told anew */
+/** Reset node: persistent faults are reported again. */
+void sensor_watch_reset(struct sensor_watch *watch);
 
 void sensor_watch_sample(struct sensor_watch *watch, const struct imu_sample *sample);
 void sensor_watch_tick(struct sensor_watch *watch, uint64_t now_us);
 
-/** A self-test runs: no samples come, which is no fault. */
+/** A self-test runs: no samples arrive, which is no fault. */
 bool sensor_watch_testing(const struct sensor_watch *watch);
-/** No sample for that long: the sensor is lost. */
+/** Timeout: without a sample for so long the sensor is lost. */
 uint64_t sensor_watch_silence_us(const struct sensor_watch *watch);
 
 /** Bits of the status word. */
 unsigned sensor_watch_status(const struct sensor_watch *watch);
 
-/** The manufacturer's bytes of EMCY 5030h: enum imu_fault, enum imu_chip; 0 when the driver cannot tell. */
+/** The manufacturer-specific bytes of EMCY 5030h: enum imu_fault, enum imu_chip; 0: unknown. */
 void sensor_watch_info(const struct sensor_watch *watch, uint8_t info[5]);
 
-/** The same in words, for the log: ": the gyro does not answer", or "". */
+/** The same as text for the log: ": the gyro does not answer", or "". */
 void sensor_fault_text(const uint8_t info[5], char *text, size_t size);
 
 #endif

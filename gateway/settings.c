@@ -5,7 +5,7 @@
 #include "gateway/canopen/little_endian.h"
 #include "model/math/units.h"
 
-/* the three calibration records have the same members, but generated structs of their own */
+/* the three calibration records have the same members, but different generated types */
 #define TRIAD(record)                                                                                \
 	((struct triad_calibration){                                                                 \
 		.bias = {(double)(record).bias_x, (double)(record).bias_y, (double)(record).bias_z}, \

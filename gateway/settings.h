@@ -1,6 +1,6 @@
 /* gateway/settings.h
- * What the configuration objects (2000h-2053h) mean to the pipeline: from their units to SI. Used
- * by the gateway and by imu9-replay, so that both compute the same. */
+ * The configuration objects (2000h to 2054h) as configuration of the pipeline, converted from their units to SI. The
+ * gateway and the tools share it, so that they compute the same. Pure. */
 #ifndef GATEWAY_SETTINGS_H
 #define GATEWAY_SETTINGS_H
 
@@ -10,7 +10,7 @@
 
 struct pipeline_config settings_pipeline(const struct od_values *values);
 
-/** Writes REAL32 values to the sub-indices 1 to `count` of an object: all of them, or none and why. */
+/** Writes REAL32 values to the sub-indices 1 to `count` of an object: all of them and OD_OK, or none and the reason. */
 enum od_status settings_write(struct od *od, uint16_t index, const float *values, uint8_t count);
 
 #endif

@@ -6,13 +6,13 @@
 
 enum { REGISTER_PROFILE = 1 << 5 }; /* 1001h: specific to the device profile */
 
-#define BACK_WITHIN 0.98 /* of the range: a slope at its end must not tell and end the error with each sample */
+#define CLEAR_BELOW 0.98 /* of the range: hysteresis, so that a slope at the limit does not set and clear the error */
 
 static void check(
 	struct canopen_node *node, uint16_t code, double slope_deg, double range_deg, bool clipped, uint64_t now_us)
 {
 	bool beyond = range_deg > 0 && fabs(slope_deg) > range_deg;
-	bool within = range_deg == 0 || fabs(slope_deg) <= BACK_WITHIN * range_deg;
+	bool within = range_deg == 0 || fabs(slope_deg) <= CLEAR_BELOW * range_deg;
 
 	if (clipped || beyond)
 		canopen_error_set(node, code, REGISTER_PROFILE, NULL, now_us);

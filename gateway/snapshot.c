@@ -12,7 +12,7 @@
 #define COB_ID_NUMBER  0x7FFu
 #define COB_ID_FLAGS   (COB_ID_INVALID | 1u << 30)
 
-/* When an entry is written, and as what first. */
+/* The order of the writes. */
 enum phase { SWITCH_OFF, SET, SET_COUNT, SWITCH_ON, SET_DATE, PHASES };
 
 static bool is_configuration(const struct od_entry *entry)
@@ -68,7 +68,7 @@ static uint32_t value_u32(const struct od *od, const struct od_entry *entry)
 	return od_get(od, entry, wire, sizeof(wire)) == sizeof(wire) ? get_u32(wire) : 0;
 }
 
-/* The value that switches it off: a COB-ID that is invalid, SYNC not produced, no period, consumer or mapping. */
+/* The value that disables it: a COB-ID marked invalid, SYNC not produced, no period, consumer or mapping. */
 static void off_value(const struct od *od, const struct od_entry *entry, uint8_t wire[sizeof(uint32_t)])
 {
 	if (entry->index == OD_INDEX_COB_ID_SYNC)
@@ -96,7 +96,7 @@ static size_t value_of(const struct od *od, uint8_t node_id, const struct od_ent
 	return size;
 }
 
-/* Places of a mapping beyond its count are not in use. */
+/* Entries of a mapping beyond its count are not in use. */
 static bool is_in_use(const struct od *od, const struct od_entry *entry)
 {
 	const uint8_t *count;
@@ -129,7 +129,7 @@ size_t snapshot_encode(const struct od *od, uint8_t node_id, uint8_t *out)
 			fits = fits && od_dcf_add(out, OD_DOMAIN_MAX, &used, &item);
 		}
 	}
-	assert(fits); /* the EDS outgrew OD_DOMAIN_MAX */
+	assert(fits); /* else the EDS has outgrown OD_DOMAIN_MAX */
 	return used;
 }
 
@@ -145,7 +145,7 @@ static size_t read_snapshot(void *ctx, uint8_t *out)
 struct item {
 	struct od_dcf_item dcf;
 	const struct od_entry *entry;
-	uint8_t wire[sizeof(uint32_t)]; /* instead of dcf.data for a COB-ID that follows the node-ID */
+	uint8_t wire[sizeof(uint32_t)]; /* replaces dcf.data for a COB-ID that contains the node-ID */
 };
 
 static bool next(const struct snapshot *s, const uint8_t *in, size_t size, size_t *used, struct item *item)
@@ -175,7 +175,7 @@ static enum od_status check_item(const struct snapshot *s, const struct item *it
 					     : OD_UNSUPPORTED_ACCESS;
 }
 
-/* The identifier of a SYNC that is produced cannot be changed, and its old one is not known to who writes. */
+/* CiA 301 allows no new identifier while SYNC is produced, and the old identifier is not known to the client. */
 static void stop_sync(const struct snapshot *s, const struct item *item)
 {
 	uint8_t wire[sizeof(uint32_t)];
@@ -197,7 +197,7 @@ static enum od_status apply(struct snapshot *s, const uint8_t *in, size_t size, 
 			return status;
 	}
 	item->dcf = (struct od_dcf_item){0};
-	return s->take(s->ctx) ? OD_OK : OD_INCOMPATIBLE;
+	return s->apply(s->ctx) ? OD_OK : OD_INCOMPATIBLE;
 }
 
 static enum od_status check(const struct snapshot *s, const uint8_t *in, size_t size, struct item *item)
@@ -214,8 +214,8 @@ static enum od_status check(const struct snapshot *s, const uint8_t *in, size_t 
 	return OD_OK;
 }
 
-/* As it was, even where no client could have written it. */
-static void go_back(struct snapshot *s, size_t size)
+/* Restores the previous configuration, also values that no client could have written. */
+static void roll_back(struct snapshot *s, size_t size)
 {
 	struct item item;
 	size_t used = 0;
@@ -225,7 +225,7 @@ static void go_back(struct snapshot *s, size_t size)
 		if (od_write(s->od, item.dcf.index, item.dcf.sub, item.dcf.data, item.dcf.size) != OD_OK)
 			od_put(s->od, item.entry, item.dcf.data, item.dcf.size);
 	}
-	s->take(s->ctx);
+	s->apply(s->ctx);
 }
 
 /* All or nothing. */
@@ -240,7 +240,7 @@ static enum od_status write_snapshot(void *ctx, const uint8_t *in, size_t size)
 
 		status = apply(s, in, size, &item);
 		if (status != OD_OK)
-			go_back(s, before);
+			roll_back(s, before);
 	}
 	s->done(s->ctx, status, status == OD_OK ? get_u32(in) : 0, item.dcf.index, item.dcf.sub);
 	return status;

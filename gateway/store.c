@@ -45,7 +45,7 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	return n + CRC_SIZE;
 }
 
-/* False when the groups do not fill `size` exactly. */
+/* False unless the groups fill `size` exactly. */
 static bool decode_groups(struct store_image *image, const uint8_t *in, size_t size)
 {
 	for (int i = 0; i < STORE_GROUPS; i++) {
@@ -72,7 +72,7 @@ static bool decode_lss(struct store_lss *lss, const uint8_t *in)
 	return true;
 }
 
-/* Between header and CRC: the groups, and what was appended since. */
+/* Between header and CRC: the groups, and what later versions append. */
 static bool decode_body(struct store_image *image, const uint8_t *in, size_t size, uint32_t version)
 {
 	const size_t lss = version > VERSION_WITHOUT_LSS ? LSS_SIZE : 0;
@@ -142,7 +142,7 @@ static int write_all(int fd, const uint8_t *bytes, size_t size)
 	return fsync(fd) < 0 ? -errno : 0;
 }
 
-/* A rename is kept for good only when its folder is, too. */
+/* A rename is durable only when its folder is synced, too. */
 static int sync_folder_of(const char *path)
 {
 	char folder[STORE_PATH_MAX];
@@ -189,7 +189,7 @@ static void *writer_main(void *arg)
 		if (!w->busy)
 			break;
 		pthread_mutex_unlock(&w->lock);
-		int rc = store_write(w->path, w->bytes, w->size); /* submit() leaves both alone while busy */
+		int rc = store_write(w->path, w->bytes, w->size); /* store_writer_submit() changes neither while busy */
 		pthread_mutex_lock(&w->lock);
 		w->result = rc;
 		w->busy = false;
@@ -212,7 +212,7 @@ static int make_folders(const char *path)
 	return 0;
 }
 
-/* The kernel lets go of it however the process ends. */
+/* The kernel releases the lock however the process ends. */
 static int lock_path(const char *path)
 {
 	char name[STORE_PATH_MAX + 8];
@@ -230,20 +230,20 @@ static int lock_path(const char *path)
 
 int store_writer_open(struct store_writer *w, const char *path)
 {
-	*w = (struct store_writer){.fd = -1, .claim = -1};
+	*w = (struct store_writer){.fd = -1, .lock_fd = -1};
 	if (strlen(path) >= sizeof(w->path))
 		return -ENAMETOOLONG;
 	strcpy(w->path, path);
 	int rc = make_folders(path);
 	if (rc < 0)
 		return rc;
-	w->claim = lock_path(path);
-	if (w->claim < 0)
-		return w->claim;
+	w->lock_fd = lock_path(path);
+	if (w->lock_fd < 0)
+		return w->lock_fd;
 	w->fd = eventfd(0, EFD_NONBLOCK | EFD_CLOEXEC);
 	if (w->fd < 0) {
 		rc = -errno;
-		close(w->claim);
+		close(w->lock_fd);
 		return rc;
 	}
 	pthread_mutex_init(&w->lock, NULL);
@@ -251,7 +251,7 @@ int store_writer_open(struct store_writer *w, const char *path)
 	rc = pthread_create(&w->thread, NULL, writer_main, w);
 	if (rc != 0) {
 		close(w->fd);
-		close(w->claim);
+		close(w->lock_fd);
 		w->fd = -1;
 	}
 	return -rc;
@@ -297,7 +297,7 @@ void store_writer_close(struct store_writer *w)
 	pthread_join(w->thread, NULL);
 	pthread_mutex_destroy(&w->lock);
 	pthread_cond_destroy(&w->wake);
-	close(w->claim);
+	close(w->lock_fd);
 	close(w->fd);
 	w->fd = -1;
 }

@@ -73,9 +73,9 @@ void storing_saved(struct storing *s, int result, uint64_t now_us)
 	enum od_status status = storage_result(s, result);
 
 	if (result < 0)
-		event_log_line(s->log, now_us, "the values could not be stored: %s", strerror(-result));
+		event_log_line(s->log, now_us, "values could not be stored: %s", strerror(-result));
 	else
-		event_log_add(s->log, now_us, "the storage has the values of 1010h, 1011h or LSS");
+		event_log_add(s->log, now_us, "values of 1010h, 1011h or LSS stored");
 	if (s->lss)
 		canopen_lss_stored(s->canopen, status, now_us);
 	else
@@ -85,31 +85,27 @@ void storing_saved(struct storing *s, int result, uint64_t now_us)
 
 /* ---- values of an earlier meaning -------------------------------------------------------------------------------- */
 
-/* Objects that mean something else since a revision (1018h:3). What an earlier one stored is not applied. */
+/* Objects whose meaning changed with a revision (1018h:3). A value that an earlier revision stored is not applied. */
 static const struct {
 	uint16_t index;
 	uint8_t sub;
-	uint32_t since; /* the first revision that files carry is 1.0; older files have 0 */
+	uint32_t since; /* files that were stored before 0.3.0 have revision 0 */
 	const char *what;
 } CHANGED[] = {
 	{OD_INDEX_FUSION, OD_SUB_FUSION_GYRO_SCALE_SIGMA, 0x00010000, "was a delay, which is 2031h now"},
 };
 
-static bool has_changed(struct storing *s, const struct od_dcf_item *item)
+/* What the stored value meant then, or NULL: the same as now. */
+static const char *other_meaning(const struct storing *s, const struct od_dcf_item *item)
 {
-	for (size_t i = 0; i < sizeof(CHANGED) / sizeof(CHANGED[0]); i++) {
-		if (item->index != CHANGED[i].index || item->sub != CHANGED[i].sub ||
-			s->stored.revision >= CHANGED[i].since)
-			continue;
-		event_log_line(s->log, 0, "stored %s (%04Xh:%u) not applied: it %s; set both, then store again (1010h)",
-			od_find(s->od->table, item->index, item->sub, NULL)->name, item->index, item->sub,
-			CHANGED[i].what);
-		return true;
-	}
-	return false;
+	for (size_t i = 0; i < sizeof(CHANGED) / sizeof(CHANGED[0]); i++)
+		if (item->index == CHANGED[i].index && item->sub == CHANGED[i].sub &&
+			s->stored.revision < CHANGED[i].since)
+			return CHANGED[i].what;
+	return NULL;
 }
 
-/* They leave the image, too: the next save writes the present revision. */
+/* Removes them from the image, too: the next save writes the present revision. */
 static void leave_out_changed(struct storing *s, struct store_group *g)
 {
 	struct store_group kept = {.size = 0};
@@ -118,9 +114,16 @@ static void leave_out_changed(struct storing *s, struct store_group *g)
 
 	if (!od_dcf_valid(g->dcf, g->size))
 		return;
-	while (od_dcf_next(g->dcf, g->size, &from, &item))
-		if (!has_changed(s, &item))
+	while (od_dcf_next(g->dcf, g->size, &from, &item)) {
+		const char *what = other_meaning(s, &item);
+
+		if (!what)
 			od_dcf_add(kept.dcf, sizeof(kept.dcf), &kept.size, &item);
+		else
+			event_log_line(s->log, 0,
+				"stored %s (%04Xh:%u) not applied: it %s; set both, then store again (1010h)",
+				od_find(s->od->table, item.index, item.sub, NULL)->name, item.index, item.sub, what);
+	}
 	*g = kept;
 }
 
@@ -140,7 +143,9 @@ void storing_apply(struct storing *s, enum od_group group, uint64_t now_us)
 		skipped += refused;
 	}
 	if (skipped > 0)
-		event_log_line(s->log, now_us, "%zu stored values do not fit this version and were left out", skipped);
+		event_log_line(s->log, now_us,
+			"%zu stored values not applied: unknown or out of range in this version; store again (1010h)",
+			skipped);
 }
 
 void storing_reset(struct storing *s, enum od_group group, uint64_t now_us)

@@ -1,6 +1,6 @@
 /* gateway/storing.h
- * The configuration in the storage: 1010h and LSS save it, 1011h clears it, and it is applied at the start and with each NMT
- * reset, on top of the values of file and command line. The format of the file is store.h's.
+ * The configuration in the storage: 1010h and LSS save it, 1011h clears it, and it is applied at the start and with
+ * each NMT reset, on top of the values of file and command line. The format of the file is store.h's.
  *
  * Passive, one thread: the port saves, storing_saved() is called when a save that takes longer has ended. */
 #ifndef GATEWAY_STORING_H
@@ -14,8 +14,8 @@
 #include "gateway/store.h"
 #include "od_values.h"
 
-/** Where the file goes. save() returns 0: saved; -EINPROGRESS: storing_saved() will be called; other -errno: failed. NULL:
- * this device cannot store (1010h answers 08000020h). */
+/** Where the file goes. save() returns 0: saved; -EINPROGRESS: storing_saved() will be called; other -errno: failed.
+ * NULL: this device cannot store (1010h answers 08000020h). */
 struct storing_port {
 	void *ctx;
 	int (*save)(void *ctx, const uint8_t *bytes, size_t size);
@@ -40,8 +40,8 @@ struct storing {
 void storing_init(struct storing *s, struct od *od, struct canopen_node *canopen, struct event_log *log,
 	const struct storing_port *port, const struct store_image *stored, uint8_t node_id);
 
-/** For canopen_device.store, .restore and .store_lss. OD_PENDING: storing_saved() answers the request. OD_DEVICE_STATE: a
- * save is in progress. OD_CANNOT_STORE. */
+/** For canopen_device.store, .restore and .store_lss. OD_PENDING: storing_saved() answers the request. OD_DEVICE_STATE:
+ * a save is in progress. OD_CANNOT_STORE. */
 enum od_status storing_store(struct storing *s, enum od_group group);
 enum od_status storing_restore(struct storing *s, enum od_group group);
 enum od_status storing_store_lss(struct storing *s, uint8_t node_id, uint32_t bit_s);

@@ -1,12 +1,12 @@
 /* gateway/threshold.h
- * What counts as a change of a value (2118h), for TPDOs by event. */
+ * The change of a value that triggers an event-driven TPDO (2118h). */
 #ifndef GATEWAY_THRESHOLD_H
 #define GATEWAY_THRESHOLD_H
 
 #include "od/od.h"
 
-/** As canopen_device.change_threshold() wants it: in steps of an integer, in the unit of a real. Which threshold is that
- * of an object its unit says. */
+/** For canopen_device.change_threshold(): in steps for an integer, in its unit for a REAL. The unit of an object
+ * selects its threshold; 0: every change, INFINITY: no change triggers. */
 double threshold_of(const struct od *od, const struct od_entry *entry);
 
 #endif

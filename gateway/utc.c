@@ -3,13 +3,13 @@
 #define US_PER_DAY ((int64_t)86400000000)
 
 enum {
-	DAYS_TO_1984 = 5113,	    /* since 1970-01-01 */
-	HOLD_US = 300000000,	    /* TIME holds so long: 15 ms at 50 ppm */
-	STEP_US = 10000,	    /* TIME is off by more: it was set */
-	SMOOTHING = 8,		    /* TIME has steps of 1 ms and the bus's jitter */
-	LAG_LEAK = 20000,	    /* 50 ppm: two clocks drift apart */
-	LAG_STEP_US = 1000000,	    /* a replay began anew */
-	SAME_CLOCK_LAG_US = 100000, /* a driver that tells CLOCK_MONOTONIC is not later than that */
+	DAYS_TO_1984 = 5113,	    /* from 1970-01-01 */
+	HOLD_US = 300000000,	    /* TIME is used for so long: an error of 15 ms at 50 ppm */
+	STEP_US = 10000,	    /* a larger deviation means that the clock of TIME was set */
+	SMOOTHING = 8,		    /* low-pass constant, in messages: TIME has a resolution of 1 ms and jitter */
+	LAG_LEAK = 20000,	    /* 50 ppm: drift between the two clocks */
+	LAG_STEP_US = 1000000,	    /* a larger lag means that a replay has started again */
+	SAME_CLOCK_LAG_US = 100000, /* up to this lag the time stamps are CLOCK_MONOTONIC itself */
 };
 
 void utc_init(struct utc *utc, struct od_values *values, struct canopen_node *node)
@@ -35,7 +35,7 @@ void utc_host_clock(struct utc *utc, bool synchronised, int64_t offset_us)
 	utc->host_offset_us = offset_us;
 }
 
-/* The bus's time wins: all that is on it shall agree. */
+/* TIME has precedence: all nodes on the bus shall have the same time. */
 static enum utc_source source_of(const struct utc *utc, uint64_t now_us)
 {
 	if (utc->heard_us > 0 && now_us <= utc->heard_us + HOLD_US)
@@ -43,7 +43,7 @@ static enum utc_source source_of(const struct utc *utc, uint64_t now_us)
 	return utc->host_synchronised ? UTC_HOST : UTC_NONE;
 }
 
-/* When the sample was taken, in CLOCK_MONOTONIC. */
+/* When the sample was measured, in CLOCK_MONOTONIC. */
 static int64_t taken_us(struct utc *utc, uint64_t t_us, uint64_t now_us)
 {
 	int64_t lag_us = (int64_t)(now_us - t_us);
@@ -81,7 +81,7 @@ enum utc_source utc_sample(struct utc *utc, uint64_t t_us, uint64_t now_us)
 	return known ? source : UTC_NONE;
 }
 
-/* Only what the host knows by itself: nobody gets his own TIME back. */
+/* Only from the host's own clock: a time that was received as TIME is not sent back. */
 uint64_t utc_tick(struct utc *utc, uint64_t now_us)
 {
 	uint64_t period_us = utc->values->utc.producer_period * (uint64_t)1000000;

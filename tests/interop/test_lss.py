@@ -50,11 +50,11 @@ class Lss(unittest.TestCase):
         self.gateway.start()
         self.boot_up(33)
         self.assertEqual(self.master.upload(33, 0x1014), struct.pack("<I", 0x80 + 33))
-        self.assertIn("node-ID 33, stored by LSS, wins over the configured 16", self.gateway.log)
+        self.assertIn("node-ID 33, stored by LSS, replaces the configured 16", self.gateway.log)
 
     def test_a_node_without_a_node_id_is_silent_until_it_gets_one(self):
         self.begin("--node-id", "255")
-        rig.wait_until(lambda: "waits for one by LSS" in self.gateway.log)
+        rig.wait_until(lambda: "waiting for LSS to assign one" in self.gateway.log)
         rig.wait_until(lambda: self.answers_unconfigured())
         self.order(0x04, 1)
         self.assertEqual(self.ask(0x11, 34), b"\x11\0")
