@@ -38,7 +38,7 @@ struct config {
 
 void config_init(struct config *config, const struct od_table *table);
 /** The functions that follow return 0, or -errno and one line in error[CONFIG_ERROR_MAX]. -ENOENT: unknown name;
- * -EACCES: not a configuration object; -E2BIG: too many; -EINVAL: bad value or syntax. */
+ * -EACCES: not a configuration object; -E2BIG: too many; -EINVAL: bad value or syntax; others: FILE cannot be read. */
 int config_file(struct config *config, const char *path, char *error);
 /** A key of [gateway], e.g. ("node_id", "5"). */
 int config_option(struct config *config, const char *key, const char *value, char *error);

@@ -164,7 +164,7 @@ class BitRate(unittest.TestCase):
     def test_a_bit_rate_that_the_controller_does_not_support_is_reported(self):
         gateway = self.start("--bitrate", "333000")
         self.adapter.said(0.5)
-        self.assertIn("the controller has no such bit rate", gateway.log)
+        self.assertIn("the controller does not support this bit rate", gateway.log)
 
     def test_lss_switches_the_bit_rate_between_two_switch_delays(self):
         self.start()

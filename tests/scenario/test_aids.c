@@ -1,5 +1,5 @@
-/* What other devices tell this one (2070h to 2073h) and TPDOs on change (2118h), through the whole device in simulated
- * time; in the end with recorded trials and their optical reference. */
+/* External aids and commands (2070h to 2073h) and TPDOs triggered by a change (2118h), through the whole device in
+ * simulated time; at the end with recorded trials and their optical reference. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -51,7 +51,7 @@ static void put_16(uint8_t *wire, double value, double lsb)
 }
 
 /* RPDO1 */
-static void tell_velocity(struct world *w, double x, double y, double z, double sigma)
+static void send_velocity(struct world *w, double x, double y, double z, double sigma)
 {
 	uint8_t data[8];
 
@@ -63,7 +63,7 @@ static void tell_velocity(struct world *w, double x, double y, double z, double 
 }
 
 /* RPDO2 */
-static void tell_yaw(struct world *w, double yaw_deg, double sigma_deg)
+static void send_yaw(struct world *w, double yaw_deg, double sigma_deg)
 {
 	float values[2] = {(float)yaw_deg, (float)sigma_deg};
 
@@ -71,7 +71,7 @@ static void tell_yaw(struct world *w, double yaw_deg, double sigma_deg)
 }
 
 /* RPDO3 */
-static void tell_attitude(struct world *w, double roll, double pitch, double yaw, uint8_t command)
+static void send_attitude(struct world *w, double roll, double pitch, double yaw, uint8_t command)
 {
 	uint8_t data[7];
 
@@ -83,7 +83,7 @@ static void tell_attitude(struct world *w, double roll, double pitch, double yaw
 }
 
 /* RPDO4 */
-static void tell_commands(struct world *w, uint8_t commands)
+static void send_commands(struct world *w, uint8_t commands)
 {
 	world_receive(w, 0x500 + WORLD_NODE_ID, 2, (const uint8_t[]){commands, 0});
 }
@@ -112,11 +112,11 @@ static double turn_deg(double to, double from)
 
 /* ---- velocity ---------------------------------------------------------------------------------------------------- */
 
-static void test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample(void **state)
+static void test_a_velocity_by_rpdo_is_the_velocity_of_the_next_sample(void **state)
 {
 	struct world *w = *state;
 
-	tell_velocity(w, 3, -2, 1, 0.001);
+	send_velocity(w, 3, -2, 1, 0.001);
 	world_sample(w);
 	assert_velocity(w, 3, -2, 1);
 }
@@ -137,7 +137,7 @@ static void test_a_velocity_by_sdo_is_used_when_its_sigma_is_written(void **stat
 	assert_true(in_use(w));
 }
 
-static void test_a_component_alone_is_not_used(void **state)
+static void test_a_single_component_is_not_used(void **state)
 {
 	struct world *w = *state;
 
@@ -152,12 +152,12 @@ static void test_a_component_alone_is_not_used(void **state)
 	assert_false(in_use(w));
 }
 
-static void test_a_sigma_of_zero_says_that_nothing_was_measured(void **state)
+static void test_a_velocity_with_a_sigma_of_zero_is_not_used(void **state)
 {
 	struct world *w = *state, *twin = new_world("tumble");
 
 	world_samples(twin, 100);
-	tell_velocity(w, 3, -2, 1, 0);
+	send_velocity(w, 3, -2, 1, 0);
 	world_sample(w);
 	world_sample(twin);
 	assert_memory_equal(
@@ -166,7 +166,7 @@ static void test_a_sigma_of_zero_says_that_nothing_was_measured(void **state)
 	free(twin);
 }
 
-static void test_a_velocity_in_the_object_frame_is_turned_into_the_global_one(void **state)
+static void test_a_velocity_in_the_object_frame_is_rotated_into_the_global_frame(void **state)
 {
 	struct world *w = *state;
 	const struct od_values *v = &w->device.values;
@@ -175,17 +175,17 @@ static void test_a_velocity_in_the_object_frame_is_turned_into_the_global_one(vo
 	struct vec3 global = quat_rotate(q, (struct vec3){3, 0, 0});
 
 	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
-	tell_velocity(w, 3, 0, 0, 0.001);
+	send_velocity(w, 3, 0, 0, 0.001);
 	world_sample(w);
-	assert_true(fabs(global.x - 3) > 0.1); /* it makes a difference here */
+	assert_true(fabs(global.x - 3) > 0.1); /* the frames differ here */
 	assert_velocity(w, global.x, global.y, global.z);
 }
 
-static void test_before_there_is_an_attitude_an_aid_is_not_used(void **state)
+static void test_an_aid_is_not_used_before_the_attitude_is_valid(void **state)
 {
 	struct world *w = new_world("tumble");
 
-	tell_velocity(w, 3, -2, 1, 0.001);
+	send_velocity(w, 3, -2, 1, 0.001);
 	world_sample(w);
 	assert_false(in_use(w));
 	assert_true(vec3_norm(velocity(w)) < 1);
@@ -198,7 +198,7 @@ static void test_the_real_values_and_the_integers_are_two_views_of_one_value(voi
 	struct world *w = *state;
 	const struct od_values *v = &w->device.values;
 
-	tell_velocity(w, 1.5, -0.25, 32.767, 0.04);
+	send_velocity(w, 1.5, -0.25, 32.767, 0.04);
 	assert_near(v->velocity_aid.x, 1.5, 1e-6);
 	assert_near(v->velocity_aid.y, -0.25, 1e-6);
 	assert_near(v->velocity_aid.z, 32.767, 1e-5);
@@ -206,10 +206,10 @@ static void test_the_real_values_and_the_integers_are_two_views_of_one_value(voi
 	assert_int_equal(write_real(w, 0x2070, 1, -0.0016f), 0);
 	assert_int_equal(v->velocity_aid.x16, -2);
 	assert_int_equal(write_real(w, 0x2070, 2, -500), 0);
-	assert_int_equal(v->velocity_aid.y16, -32768); /* as near as it gets */
+	assert_int_equal(v->velocity_aid.y16, -32768); /* saturated */
 	assert_int_equal(write_real(w, 0x2070, 4, 500), 0);
 	assert_int_equal(v->velocity_aid.sigma16, 65535);
-	tell_attitude(w, 1.25, -2.5, 180, 0);
+	send_attitude(w, 1.25, -2.5, 180, 0);
 	assert_near(v->attitude_reset.roll, 1.25, 1e-6);
 	assert_near(v->attitude_reset.pitch, -2.5, 1e-6);
 	assert_near(v->attitude_reset.yaw, 180, 1e-5);
@@ -219,7 +219,7 @@ static void test_the_real_values_and_the_integers_are_two_views_of_one_value(voi
 
 /* ---- yaw --------------------------------------------------------------------------------------------------------- */
 
-static void test_a_yaw_by_rpdo_pulls_the_heading_there(void **state)
+static void test_a_yaw_by_rpdo_corrects_the_heading(void **state)
 {
 	struct world *w = *state, *free_run = new_world("tumble");
 	const float *yaw = &w->device.values.angles_deg.yaw;
@@ -229,7 +229,7 @@ static void test_a_yaw_by_rpdo_pulls_the_heading_there(void **state)
 	for (int i = 0; i < 200; i++) {
 		world_sample(free_run);
 		goal = (double)free_run->device.values.angles_deg.yaw + 40;
-		tell_yaw(w, turn_deg(goal, 0), 0.01);
+		send_yaw(w, turn_deg(goal, 0), 0.01);
 		world_sample(w);
 	}
 	assert_near(turn_deg((double)*yaw, goal), 0, 2);
@@ -242,7 +242,7 @@ static void test_a_yaw_with_a_sigma_of_zero_changes_nothing(void **state)
 	struct world *w = *state, *twin = new_world("tumble");
 
 	world_samples(twin, 100);
-	tell_yaw(w, 90, 0);
+	send_yaw(w, 90, 0);
 	world_sample(w);
 	world_sample(twin);
 	assert_memory_equal(
@@ -253,7 +253,7 @@ static void test_a_yaw_with_a_sigma_of_zero_changes_nothing(void **state)
 
 /* ---- refused ----------------------------------------------------------------------------------------------------- */
 
-static void test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old_value_stands(void **state)
+static void test_nan_or_a_value_out_of_range_is_refused_by_sdo_and_the_old_value_stays(void **state)
 {
 	struct world *w = *state;
 
@@ -269,20 +269,20 @@ static void test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old
 	assert_true(w->device.values.velocity_aid.sigma == 0);
 }
 
-static void test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that_is_ends_it(void **state)
+static void test_nan_in_an_rpdo_raises_8200h_and_the_next_valid_rpdo_clears_it(void **state)
 {
 	struct world *w = *state;
 
-	tell_yaw(w, NAN, 1);
+	send_yaw(w, NAN, 1);
 	assert_memory_equal(world_last(w, 0x080 + WORLD_NODE_ID)->data,
 		((const uint8_t[]){0x00, 0x82, 0x11, 0x01, 0x14, 0x71, 0x20, 0x01}), 8);
 	world_sample(w);
 	assert_false(in_use(w));
-	tell_yaw(w, 0, 0);
+	send_yaw(w, 0, 0);
 	assert_memory_equal(world_last(w, 0x080 + WORLD_NODE_ID)->data, ((const uint8_t[8]){0}), 8);
 }
 
-static void test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree(void **state)
+static void test_the_smallest_sigma_is_1_mm_s_and_a_hundredth_of_a_degree(void **state)
 {
 	struct world *w = *state;
 
@@ -305,43 +305,43 @@ static void assert_attitude(const struct world *w, double roll, double pitch, do
 	assert_near(turn_deg((double)w->device.values.angles_deg.yaw, yaw), 0, tolerance_deg);
 }
 
-static void test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands(void **state)
+static void test_the_attitude_is_reset_at_the_rising_edge_of_the_command_only(void **state)
 {
 	struct world *w = *state;
 
-	tell_attitude(w, 20, -30, 135, 0);
+	send_attitude(w, 20, -30, 135, 0);
 	world_sample(w);
 	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, 135)) > 10);
-	tell_attitude(w, 20, -30, 135, 1);
+	send_attitude(w, 20, -30, 135, 1);
 	world_sample(w);
-	assert_attitude(w, 20, -30, 135, 6); /* and one sample of a tumble at up to 6 degrees each */
-	tell_attitude(w, -20, 30, -45, 1);
+	assert_attitude(w, 20, -30, 135, 6); /* the tumble turns by up to 6 degrees within one sample */
+	send_attitude(w, -20, 30, -45, 1);
 	world_sample(w);
 	assert_true(fabs(turn_deg((double)w->device.values.angles_deg.yaw, -45)) > 90);
-	tell_attitude(w, -20, 30, -45, 0);
-	tell_attitude(w, -20, 30, -45, 1);
+	send_attitude(w, -20, 30, -45, 0);
+	send_attitude(w, -20, 30, -45, 1);
 	world_sample(w);
 	assert_attitude(w, -20, 30, -45, 6);
 }
 
-static void test_commands_bit_0_zeroes_velocity_and_position_when_it_rises(void **state)
+static void test_the_rising_edge_of_commands_bit_0_resets_velocity_and_position(void **state)
 {
 	struct world *w = *state;
 	const struct od_values *v = &w->device.values;
 
-	tell_velocity(w, 10, 0, 0, 0.001);
+	send_velocity(w, 10, 0, 0, 0.001);
 	world_samples(w, 100);
 	assert_true(fabs((double)v->position_m.x) > 1);
-	tell_commands(w, 1);
+	send_commands(w, 1);
 	world_sample(w);
 	assert_near(v->position_m.x, 0, 0.1);
-	tell_velocity(w, 10, 0, 0, 0.001);
+	send_velocity(w, 10, 0, 0, 0.001);
 	world_samples(w, 100);
-	tell_commands(w, 1);
+	send_commands(w, 1);
 	world_sample(w);
 	assert_true(fabs((double)v->position_m.x) > 1);
-	tell_commands(w, 0);
-	tell_commands(w, 1);
+	send_commands(w, 0);
+	send_commands(w, 1);
 	world_sample(w);
 	assert_near(v->position_m.x, 0, 0.1);
 }
@@ -350,58 +350,58 @@ static void test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_fro
 {
 	struct world *w = *state;
 
-	tell_velocity(w, 10, 0, 0, 0.001);
+	send_velocity(w, 10, 0, 0, 0.001);
 	world_sample(w);
-	tell_commands(w, 2);
+	send_commands(w, 2);
 	world_samples(w, 50);
 	assert_true(vec3_norm(velocity(w)) < 0.2);
 	assert_true(w->device.aids.standstill_until_us <= w->now_us + w->interval_us);
 	world_samples(w, 101);
-	assert_false(in_use(w)); /* the master has gone: nothing is held for ever */
-	tell_commands(w, 2);
+	assert_false(in_use(w)); /* the master has stopped sending */
+	send_commands(w, 2);
 	world_sample(w);
 	assert_true(in_use(w));
-	tell_commands(w, 0);
+	send_commands(w, 0);
 	world_sample(w);
 	world_samples(w, 100);
 	assert_false(in_use(w));
 }
 
-static void test_commands_bit_2_makes_both_slopes_read_zero(void **state)
+static void test_commands_bit_2_presets_both_slopes_to_zero(void **state)
 {
 	struct world *w = *state;
 	struct od_values *v = &w->device.values;
 
-	assert_int_equal(write_u8(w, 0x6011, 0, 2), 0); /* with offsets */
+	assert_int_equal(write_u8(w, 0x6011, 0, 2), 0); /* scaling: offsets are added */
 	assert_int_equal(write_u8(w, 0x6121, 0, 2), 0);
-	tell_attitude(w, 20, -30, 0, 1);
+	send_attitude(w, 20, -30, 0, 1);
 	world_sample(w);
 	assert_true(abs(v->slope_long16) > 1000);
 	int long_before = v->slope_long16, lateral_before = v->slope_lateral32;
-	tell_commands(w, 4);
+	send_commands(w, 4);
 	assert_int_equal(v->slope_long16_offset, -long_before);
 	assert_int_equal(v->slope_lateral32_offset, -lateral_before);
 }
 
-static void test_the_status_tells_an_aid_for_a_second(void **state)
+static void test_the_status_shows_an_aid_for_one_second(void **state)
 {
 	struct world *w = *state;
 
-	tell_velocity(w, 0, 0, 0, 0.1);
+	send_velocity(w, 0, 0, 0, 0.1);
 	world_samples(w, 100);
 	assert_true(in_use(w));
 	world_sample(w);
 	assert_false(in_use(w));
 }
 
-static void test_reset_node_forgets_what_was_told(void **state)
+static void test_reset_node_clears_the_aids(void **state)
 {
 	struct world *w = *state;
 	const struct od_values *v = &w->device.values;
 
 	assert_int_equal(write_u8(w, 0x2070, 9, 1), 0);
-	tell_velocity(w, 1, 2, 3, 0.1);
-	tell_commands(w, 3);
+	send_velocity(w, 1, 2, 3, 0.1);
+	send_commands(w, 3);
 	world_sample(w);
 	world_nmt(w, 129);
 	assert_true(v->velocity_aid.x == 0 && v->velocity_aid.x16 == 0 && v->velocity_aid.sigma16 == 0);
@@ -412,21 +412,21 @@ static void test_reset_node_forgets_what_was_told(void **state)
 	assert_false(in_use(w));
 }
 
-static void test_what_is_told_is_no_configuration(void **state)
+static void test_aids_are_not_stored(void **state)
 {
 	struct world *w = *state;
-	static const uint16_t told[] = {0x2070, 0x2071, 0x2072, 0x2073};
+	static const uint16_t aids[] = {0x2070, 0x2071, 0x2072, 0x2073};
 
 	assert_int_equal(world_sdo_write(w, 0x1020, 1, &(uint32_t){7}, 4), 0);
-	tell_velocity(w, 1, 2, 3, 0.1);
-	tell_yaw(w, 1, 1);
-	tell_attitude(w, 1, 1, 1, 1);
-	tell_commands(w, 7);
+	send_velocity(w, 1, 2, 3, 0.1);
+	send_yaw(w, 1, 1);
+	send_attitude(w, 1, 1, 1, 1);
+	send_commands(w, 7);
 	assert_false(w->device.configuration_changed);
 	assert_int_equal(w->device.values.verify_configuration.configuration_date, 7);
-	for (size_t i = 0; i < sizeof(told) / sizeof(told[0]); i++)
+	for (size_t i = 0; i < sizeof(aids) / sizeof(aids[0]); i++)
 		for (uint8_t sub = 0; sub < 9; sub++) {
-			const struct od_entry *entry = od_find(&imu9_od_table, told[i], sub, NULL);
+			const struct od_entry *entry = od_find(&imu9_od_table, aids[i], sub, NULL);
 
 			assert_false(entry && entry->access & OD_STORED);
 		}
@@ -434,7 +434,8 @@ static void test_what_is_told_is_no_configuration(void **state)
 
 /* ---- TPDOs on change --------------------------------------------------------------------------------------------- */
 
-/* TPDO1 has the yaw (two bytes, 0.01 degrees) and two more of these, by event. The heading stays where it is put. */
+/* TPDO1 is event-driven and carries the yaw (two bytes, 0.01 deg) and two more values. Without magnetometer the heading
+ * stays as it was reset. */
 static void yaw_by_event(struct world *w, uint32_t second, uint32_t third)
 {
 	const uint32_t mapping[] = {0x21010310, second, third};
@@ -451,7 +452,7 @@ static void yaw_by_event(struct world *w, uint32_t second, uint32_t third)
 
 enum { COUNTER = 0x210F0110, STATUS = 0x210F0310, TIME = 0x210F0220 };
 
-/* How many were sent since this was asked the last time. */
+/* Number of TPDOs sent since the last call. */
 static unsigned sent(struct world *w)
 {
 	unsigned count = world_count(w, 0x180 + WORLD_NODE_ID);
@@ -460,13 +461,13 @@ static unsigned sent(struct world *w)
 	return count;
 }
 
-/* The attitude turns about z by `deg`, at rest otherwise. */
+/* Turns about z by `deg`; at rest otherwise. */
 static void turn(struct world *w, double deg)
 {
 	double yaw = turn_deg((double)w->device.values.angles_deg.yaw + deg, 0);
 
-	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 0);
-	tell_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 1);
+	send_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 0);
+	send_attitude(w, (double)w->device.values.angles_deg.roll, (double)w->device.values.angles_deg.pitch, yaw, 1);
 	world_sample(w);
 }
 
@@ -480,7 +481,7 @@ static void test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample
 	assert_int_equal(sent(w), 100);
 }
 
-/* One degree from here on. */
+/* A threshold of one degree. */
 static void one_degree(struct world *w)
 {
 	world_samples(w, 300);
@@ -491,7 +492,7 @@ static void one_degree(struct world *w)
 	assert_int_equal(sent(w), 0);
 }
 
-static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then(void **state)
+static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_changed_by_more_and_only_then(void **state)
 {
 	struct world *w = *state;
 
@@ -499,7 +500,7 @@ static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_a
 	one_degree(w);
 	turn(w, 0.6);
 	assert_int_equal(sent(w), 0);
-	turn(w, 0.6); /* 1.2 since it was last sent */
+	turn(w, 0.6); /* 1.2 deg since the last TPDO */
 	assert_int_equal(sent(w), 1);
 	turn(w, -0.6);
 	assert_int_equal(sent(w), 0);
@@ -507,22 +508,22 @@ static void test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_a
 	assert_int_equal(sent(w), 1);
 }
 
-static void test_a_status_that_changes_is_sent_whatever_the_threshold(void **state)
+static void test_a_change_of_the_status_is_sent_whatever_the_threshold(void **state)
 {
 	struct world *w = *state;
 
 	yaw_by_event(w, COUNTER, STATUS);
 	one_degree(w);
-	tell_velocity(w, 0, 0, 0, 0.1);
+	send_velocity(w, 0, 0, 0, 0.1);
 	world_sample(w);
-	assert_int_equal(sent(w), 1); /* an aid in use */
+	assert_int_equal(sent(w), 1); /* STATUS_EXTERNAL_AID is set */
 	world_samples(w, 90);
 	assert_int_equal(sent(w), 0);
 	world_samples(w, 20);
-	assert_int_equal(sent(w), 1); /* and no more */
+	assert_int_equal(sent(w), 1); /* and cleared */
 }
 
-static void test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_undone_meanwhile(void **state)
+static void test_a_change_delayed_by_the_inhibit_time_is_sent_even_if_the_value_has_returned(void **state)
 {
 	struct world *w = *state;
 
@@ -540,7 +541,7 @@ static void test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_und
 	assert_int_equal(sent(w), 1);
 }
 
-static void test_with_a_threshold_the_first_sample_of_operational_is_sent_and_the_event_timer_goes_on(void **state)
+static void test_with_a_threshold_the_first_sample_in_operational_is_sent_and_the_event_timer_runs(void **state)
 {
 	struct world *w = *state;
 
@@ -565,7 +566,7 @@ static void test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change(vo
 	world_sample(w);
 	world_receive(w, 0x080, 0, "");
 	one_degree(w);
-	world_receive(w, 0x080, 0, ""); /* what was news while there was no threshold */
+	world_receive(w, 0x080, 0, ""); /* the changes before there was a threshold */
 	sent(w);
 	world_sample(w);
 	world_receive(w, 0x080, 0, "");
@@ -581,7 +582,7 @@ static double threshold(const struct world *w, uint16_t index, uint8_t sub)
 	return threshold_of(&w->device.od, od_find(&imu9_od_table, index, sub, NULL));
 }
 
-static void test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps(void **state)
+static void test_the_unit_of_an_object_selects_its_threshold_which_is_in_steps_of_the_object(void **state)
 {
 	struct world *w = *state;
 	const float thresholds[] = {0.5f, 2, 0.25f, 0.125f, 4};
@@ -604,9 +605,9 @@ static void test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps
 
 /* ---- recorded trials --------------------------------------------------------------------------------------------- */
 
-enum { TRIAL_HZ = 286, AID_EVERY = 28 }; /* an aid ten times a second */
+enum { TRIAL_HZ = 286, AID_EVERY = 28 }; /* ten aids a second */
 
-struct reference { /* what the cameras saw, at the time of a sample */
+struct reference { /* the optical reference at the time of a sample */
 	bool seen, moving;
 	struct quat q_nb;
 	struct vec3 position_m;
@@ -621,7 +622,7 @@ static FILE *open_trial(const char *name, const char *kind)
 	return fopen(path, "r");
 }
 
-/* The next sample and what the cameras saw then; false at the end. */
+/* The next sample and its reference; false at the end of the recording. */
 static bool next_row(FILE *imu, FILE *ref, struct imu_sample *s, struct reference *r)
 {
 	char a[512], b[512];
@@ -676,13 +677,13 @@ static void step(struct world *w, const struct imu_sample *s)
 	device_tick(&w->device, w->now_us);
 }
 
-/* RMS of the way from the first sight on [m]. With `aided`, the master tells the velocity that the cameras saw over the
- * last tenth of a second. */
+/* RMS error of the position relative to the first reference [m]. `aided`: the master sends the velocity of the
+ * reference, averaged over the last tenth of a second. */
 static double position_error_m(const char *name, bool aided)
 {
 	struct trial trial = open_both(name);
 	const struct od_values *v = &trial.w->device.values;
-	struct reference r, told = {0}, first = {0};
+	struct reference r, sent_last = {0}, first = {0};
 	struct vec3 origin_m = {0};
 	uint64_t told_us = 0;
 	struct imu_sample s;
@@ -704,11 +705,11 @@ static double position_error_m(const char *name, bool aided)
 		if (row % AID_EVERY)
 			continue;
 		double dt_s = (double)(s.t_us - told_us) * 1e-6;
-		if (aided && told.seen && dt_s < 0.2) {
-			struct vec3 velocity_m_s = vec3_scale(1 / dt_s, vec3_sub(r.position_m, told.position_m));
-			tell_velocity(trial.w, velocity_m_s.x, velocity_m_s.y, velocity_m_s.z, 0.1);
+		if (aided && sent_last.seen && dt_s < 0.2) {
+			struct vec3 velocity_m_s = vec3_scale(1 / dt_s, vec3_sub(r.position_m, sent_last.position_m));
+			send_velocity(trial.w, velocity_m_s.x, velocity_m_s.y, velocity_m_s.z, 0.1);
 		}
-		told = r;
+		sent_last = r;
 		told_us = s.t_us;
 	}
 	close_both(&trial);
@@ -721,8 +722,8 @@ static double yaw_deg(struct quat q)
 	return aerospace_from_quat(q).z / RAD_PER_DEG;
 }
 
-/* RMS while it moves [degrees]: the turn about the vertical that is left between the attitude and that of the cameras.
- * With `aided`, the master tells the yaw that the cameras saw. */
+/* RMS error of the heading during motion [deg]: rotation about the vertical between the attitude and that of the
+ * reference. `aided`: the master sends the yaw of the reference. */
 static double heading_error_deg(const char *name, bool aided)
 {
 	struct trial trial = open_both(name);
@@ -745,14 +746,14 @@ static double heading_error_deg(const char *name, bool aided)
 			n++;
 		}
 		if (aided && row % AID_EVERY == 0)
-			tell_yaw(trial.w, yaw_deg(r.q_nb), 0.5);
+			send_yaw(trial.w, yaw_deg(r.q_nb), 0.5);
 	}
 	close_both(&trial);
 	assert_true(n > 10000);
 	return sqrt(sum / n);
 }
 
-static void test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true(void **state)
+static void test_with_ten_velocities_a_second_by_rpdo_the_position_of_a_recorded_trial_does_not_drift(void **state)
 {
 	double alone_m = position_error_m("09_undisturbed_fast_rotation_with_breaks_B", false);
 	double aided_m = position_error_m("09_undisturbed_fast_rotation_with_breaks_B", true);
@@ -762,7 +763,7 @@ static void test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_positio
 	(void)state;
 }
 
-static void test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet(void **state)
+static void test_with_the_yaw_by_rpdo_an_attached_magnet_does_not_disturb_the_heading(void **state)
 {
 	double alone_deg = heading_error_deg("34_disturbed_attached_magnet_3cm", false);
 	double aided_deg = heading_error_deg("34_disturbed_attached_magnet_3cm", true);
@@ -776,61 +777,60 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(
-			test_a_velocity_by_rpdo_becomes_the_velocity_of_the_next_sample, set_up, world_tear_down),
+			test_a_velocity_by_rpdo_is_the_velocity_of_the_next_sample, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_velocity_by_sdo_is_used_when_its_sigma_is_written, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_a_component_alone_is_not_used, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_a_single_component_is_not_used, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_sigma_of_zero_says_that_nothing_was_measured, set_up, world_tear_down),
+			test_a_velocity_with_a_sigma_of_zero_is_not_used, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_velocity_in_the_object_frame_is_turned_into_the_global_one, set_up, world_tear_down),
-		cmocka_unit_test(test_before_there_is_an_attitude_an_aid_is_not_used),
+			test_a_velocity_in_the_object_frame_is_rotated_into_the_global_frame, set_up, world_tear_down),
+		cmocka_unit_test(test_an_aid_is_not_used_before_the_attitude_is_valid),
 		cmocka_unit_test_setup_teardown(
 			test_the_real_values_and_the_integers_are_two_views_of_one_value, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_a_yaw_by_rpdo_pulls_the_heading_there, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_a_yaw_by_rpdo_corrects_the_heading, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_yaw_with_a_sigma_of_zero_changes_nothing, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_what_is_no_number_or_out_of_range_is_refused_by_sdo_and_the_old_value_stands, set_up,
+			test_nan_or_a_value_out_of_range_is_refused_by_sdo_and_the_old_value_stays, set_up,
 			world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_what_is_no_number_in_an_rpdo_is_told_by_8200h_and_the_next_that_is_ends_it, set_up,
-			world_tear_down),
+			test_nan_in_an_rpdo_raises_8200h_and_the_next_valid_rpdo_clears_it, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_the_smallest_sigma_is_a_millimetre_a_second_and_a_hundredth_of_a_degree, set_up,
-			world_tear_down),
+			test_the_smallest_sigma_is_1_mm_s_and_a_hundredth_of_a_degree, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_the_attitude_is_reset_when_the_command_rises_and_not_while_it_stands, set_up,
-			world_tear_down),
+			test_the_attitude_is_reset_at_the_rising_edge_of_the_command_only, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_commands_bit_0_zeroes_velocity_and_position_when_it_rises, set_up, world_tear_down),
+			test_the_rising_edge_of_commands_bit_0_resets_velocity_and_position, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_commands_bit_1_holds_the_velocity_at_zero_for_half_a_second_from_each_write, set_up,
 			world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_commands_bit_2_makes_both_slopes_read_zero, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_the_status_tells_an_aid_for_a_second, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_reset_node_forgets_what_was_told, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_what_is_told_is_no_configuration, set_up, world_tear_down),
+			test_commands_bit_2_presets_both_slopes_to_zero, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_the_status_shows_an_aid_for_one_second, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_reset_node_clears_the_aids, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_aids_are_not_stored, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_without_thresholds_an_event_driven_pdo_is_sent_with_each_sample,
 			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_with_a_threshold_a_pdo_is_sent_when_a_value_has_moved_by_more_and_only_then,
+			test_with_a_threshold_a_pdo_is_sent_when_a_value_has_changed_by_more_and_only_then,
 			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_status_that_changes_is_sent_whatever_the_threshold, set_up_at_rest, world_tear_down),
+			test_a_change_of_the_status_is_sent_whatever_the_threshold, set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_change_that_the_inhibit_time_delays_is_sent_though_it_was_undone_meanwhile,
+			test_a_change_delayed_by_the_inhibit_time_is_sent_even_if_the_value_has_returned,
 			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_with_a_threshold_the_first_sample_of_operational_is_sent_and_the_event_timer_goes_on,
+			test_with_a_threshold_the_first_sample_in_operational_is_sent_and_the_event_timer_runs,
 			set_up_at_rest, world_tear_down),
 		cmocka_unit_test_setup_teardown(test_with_a_threshold_type_0_is_sent_with_the_sync_after_a_change,
 			set_up_at_rest, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_the_threshold_of_an_object_is_that_of_its_unit_in_its_own_steps,
+		cmocka_unit_test_setup_teardown(
+			test_the_unit_of_an_object_selects_its_threshold_which_is_in_steps_of_the_object,
 			set_up_at_rest, world_tear_down),
-		cmocka_unit_test(test_with_the_velocity_by_rpdo_ten_times_a_second_a_recorded_position_stays_true),
-		cmocka_unit_test(test_with_the_yaw_by_rpdo_the_heading_holds_beside_an_attached_magnet),
+		cmocka_unit_test(
+			test_with_ten_velocities_a_second_by_rpdo_the_position_of_a_recorded_trial_does_not_drift),
+		cmocka_unit_test(test_with_the_yaw_by_rpdo_an_attached_magnet_does_not_disturb_the_heading),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,5 @@
-/* The bus as the whole device sees it: load, bus-off and what is done about it, in simulated time. The port is a fake. */
+/* Diagnosis of the bus by the whole device in simulated time: load, faults, restarts after bus-off. The port is a fake.
+ * */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -22,7 +23,7 @@ struct world {
 	struct event_log log;
 	struct bus_health health;
 	uint64_t now_us, deadline_us;
-	struct can_traffic traffic; /* what the interface counts */
+	struct can_traffic traffic; /* the counters of the interface */
 	int restart_answer, bit_rate_answer;
 	unsigned restarts;
 	uint64_t restarted_us[32];
@@ -56,7 +57,7 @@ static void look(struct can_port *port)
 	port->traffic = of(port)->traffic;
 }
 
-/* Comes back at once when it may. */
+/* Error active at once when a restart is permitted. */
 static int restart(struct can_port *port)
 {
 	struct world *w = of(port);
@@ -125,7 +126,7 @@ static void set_state(struct world *w, enum can_state bus_state)
 	tick(w);
 }
 
-static unsigned told(const struct world *w, uint16_t code)
+static unsigned emcy_count(const struct world *w, uint16_t code)
 {
 	unsigned n = 0;
 
@@ -136,8 +137,8 @@ static unsigned told(const struct world *w, uint16_t code)
 
 /* ---- load -------------------------------------------------------------------------------------------------------- */
 
-/* 8 bytes: 111 bits, and at the most 24 stuff bits (34 + 64 bits that are stuffed): half of that, rounded down. */
-static void test_a_frame_of_8_bytes_is_reckoned_with_half_its_stuff_bits(void **state)
+/* 8 bytes: 111 bits, and at most 24 stuff bits (for 34 + 64 bits): half of these, rounded down. */
+static void test_a_frame_of_8_bytes_is_counted_with_half_its_stuff_bits(void **state)
 {
 	(void)state;
 	assert_int_equal(bus_health_bits(1, 8), 111 + 12);
@@ -167,7 +168,7 @@ static void test_without_a_bit_rate_there_is_no_load(void **state)
 	assert_int_equal(w->values.bus_health.load, 0);
 }
 
-static void test_counters_that_begin_anew_are_no_load(void **state)
+static void test_counters_that_restart_at_zero_are_no_load(void **state)
 {
 	struct world *w = *state;
 
@@ -193,17 +194,17 @@ static void test_state_error_counters_and_bit_rate_are_objects(void **state)
 
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
-static void test_a_controller_that_is_passive_at_the_start_is_told(void **state)
+static void test_a_controller_that_is_error_passive_at_the_start_raises_8120h(void **state)
 {
 	struct world *w = *state;
 
 	set_state(w, CAN_STATE_PASSIVE);
-	assert_int_equal(told(w, 0x8120), 1);
+	assert_int_equal(emcy_count(w, 0x8120), 1);
 	set_state(w, CAN_STATE_WARNING);
-	assert_int_equal(told(w, 0x0000), 1);
+	assert_int_equal(emcy_count(w, 0x0000), 1);
 }
 
-static void test_bus_off_is_restarted_after_the_delay_and_told_by_8140h(void **state)
+static void test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent(void **state)
 {
 	struct world *w = *state;
 
@@ -213,7 +214,7 @@ static void test_bus_off_is_restarted_after_the_delay_and_told_by_8140h(void **s
 	run(w, 1);
 	assert_int_equal(w->restarts, 1);
 	run(w, SECOND);
-	assert_int_equal(told(w, 0x8140), 1);
+	assert_int_equal(emcy_count(w, 0x8140), 1);
 	assert_int_equal(w->values.bus_health.restarts, 1);
 	assert_int_equal(w->values.bus_health.state, 0);
 }
@@ -240,12 +241,12 @@ static void test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute(void **s
 		run(w, 60 * SECOND);
 		assert_int_equal(w->restarts, i + 1);
 		assert_int_equal(w->restarted_us[i] - off_us, (expected_ms < 60000 ? expected_ms : 60000) * 1000);
-		w->now_us = w->restarted_us[i] + 1; /* off again at once: no calm */
+		w->now_us = w->restarted_us[i] + 1; /* bus-off again at once */
 		w->deadline_us = w->now_us + 1;
 	}
 }
 
-static void test_a_calm_minute_begins_the_delay_anew(void **state)
+static void test_a_minute_without_bus_off_resets_the_delay(void **state)
 {
 	struct world *w = *state;
 
@@ -256,7 +257,7 @@ static void test_a_calm_minute_begins_the_delay_anew(void **state)
 	assert_int_equal(w->restarted_us[3] - off_us, 100000);
 }
 
-static void test_beyond_the_limit_the_controller_stays_off_until_the_command(void **state)
+static void test_beyond_the_limit_the_controller_stays_bus_off_until_the_command(void **state)
 {
 	struct world *w = *state;
 
@@ -279,10 +280,10 @@ static void test_a_delay_of_0_leaves_bus_off_to_the_kernel(void **state)
 	run(w, 3600ul * SECOND);
 	assert_int_equal(w->restarts, 0);
 	set_state(w, CAN_STATE_ACTIVE); /* by the kernel */
-	assert_int_equal(told(w, 0x8140), 1);
+	assert_int_equal(emcy_count(w, 0x8140), 1);
 }
 
-static void test_where_it_is_not_permitted_it_is_tried_once(void **state)
+static void test_without_permission_one_restart_is_attempted(void **state)
 {
 	struct world *w = *state;
 
@@ -293,7 +294,7 @@ static void test_where_it_is_not_permitted_it_is_tried_once(void **state)
 	assert_int_equal(w->values.bus_health.restarts, 0);
 }
 
-static void test_a_restart_that_fails_is_tried_again_later(void **state)
+static void test_a_failed_restart_is_repeated_later(void **state)
 {
 	struct world *w = *state;
 	uint64_t off_us = w->now_us;
@@ -306,7 +307,7 @@ static void test_a_restart_that_fails_is_tried_again_later(void **state)
 	assert_int_equal(w->restarted_us[2] - off_us, 700000);
 }
 
-static void test_the_command_is_refused_while_the_bus_is_on(void **state)
+static void test_the_command_is_refused_unless_the_controller_is_bus_off(void **state)
 {
 	struct world *w = *state;
 
@@ -314,25 +315,25 @@ static void test_the_command_is_refused_while_the_bus_is_on(void **state)
 	assert_int_equal(od_write(&w->od, 0x2122, 11, "\x02", 1), OD_BAD_VALUE);
 }
 
-static void test_an_interface_that_goes_down_after_bus_off_is_not_back_yet(void **state)
+static void test_an_interface_that_goes_down_after_bus_off_has_not_recovered(void **state)
 {
 	struct world *w = *state;
 
 	w->values.bus_health.restart_delay = 0;
 	set_state(w, CAN_STATE_BUS_OFF);
 	set_state(w, CAN_STATE_DOWN);
-	assert_int_equal(told(w, 0x8140), 0);
+	assert_int_equal(emcy_count(w, 0x8140), 0);
 	set_state(w, CAN_STATE_ACTIVE);
-	assert_int_equal(told(w, 0x8140), 1);
+	assert_int_equal(emcy_count(w, 0x8140), 1);
 }
 
-static void test_a_restart_that_falls_due_while_the_interface_is_down_waits_without_haste(void **state)
+static void test_a_restart_due_while_the_interface_is_down_waits_without_busy_polling(void **state)
 {
 	struct world *w = *state;
 
 	set_state(w, CAN_STATE_BUS_OFF);
 	set_state(w, CAN_STATE_DOWN);
-	run(w, SECOND); /* where each deadline is in the future */
+	run(w, SECOND); /* asserts that each deadline is in the future */
 	assert_int_equal(w->restarts, 0);
 	set_state(w, CAN_STATE_BUS_OFF);
 	run(w, SECOND);
@@ -341,7 +342,7 @@ static void test_a_restart_that_falls_due_while_the_interface_is_down_waits_with
 
 /* ---- bit rate ---------------------------------------------------------------------------------------------------- */
 
-static void test_a_bit_rate_that_the_bus_has_not_or_that_is_not_permitted_is_not_possible(void **state)
+static void test_a_bit_rate_that_is_unsupported_or_not_permitted_is_not_possible(void **state)
 {
 	struct world *w = *state;
 
@@ -361,23 +362,23 @@ static void test_a_bit_rate_that_the_bus_has_not_or_that_is_not_permitted_is_not
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_frame_of_8_bytes_is_reckoned_with_half_its_stuff_bits),
+		cmocka_unit_test(test_a_frame_of_8_bytes_is_counted_with_half_its_stuff_bits),
 		TEST(test_the_load_is_that_of_the_last_second_in_permille),
 		TEST(test_without_a_bit_rate_there_is_no_load),
-		TEST(test_counters_that_begin_anew_are_no_load),
+		TEST(test_counters_that_restart_at_zero_are_no_load),
 		TEST(test_state_error_counters_and_bit_rate_are_objects),
-		TEST(test_a_controller_that_is_passive_at_the_start_is_told),
-		TEST(test_bus_off_is_restarted_after_the_delay_and_told_by_8140h),
+		TEST(test_a_controller_that_is_error_passive_at_the_start_raises_8120h),
+		TEST(test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent),
 		TEST(test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute),
-		TEST(test_a_calm_minute_begins_the_delay_anew),
-		TEST(test_beyond_the_limit_the_controller_stays_off_until_the_command),
+		TEST(test_a_minute_without_bus_off_resets_the_delay),
+		TEST(test_beyond_the_limit_the_controller_stays_bus_off_until_the_command),
 		TEST(test_a_delay_of_0_leaves_bus_off_to_the_kernel),
-		TEST(test_where_it_is_not_permitted_it_is_tried_once),
-		TEST(test_a_restart_that_fails_is_tried_again_later),
-		TEST(test_the_command_is_refused_while_the_bus_is_on),
-		TEST(test_an_interface_that_goes_down_after_bus_off_is_not_back_yet),
-		TEST(test_a_restart_that_falls_due_while_the_interface_is_down_waits_without_haste),
-		TEST(test_a_bit_rate_that_the_bus_has_not_or_that_is_not_permitted_is_not_possible),
+		TEST(test_without_permission_one_restart_is_attempted),
+		TEST(test_a_failed_restart_is_repeated_later),
+		TEST(test_the_command_is_refused_unless_the_controller_is_bus_off),
+		TEST(test_an_interface_that_goes_down_after_bus_off_has_not_recovered),
+		TEST(test_a_restart_due_while_the_interface_is_down_waits_without_busy_polling),
+		TEST(test_a_bit_rate_that_is_unsupported_or_not_permitted_is_not_possible),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,5 @@
-/* Calibration by SDO (2061h), from the command to what is stored: a chip with its factory errors in simulated time. */
+/* Calibration by SDO (2061h), from the command to the stored result: a chip with its factory errors in simulated time.
+ * */
 #include <math.h>
 
 #include "tests/scenario/world.h"
@@ -42,9 +43,9 @@ static void assert_state(const struct world *w, enum command_state state, enum c
 	assert_int_equal(w->device.values.calibration.verdict, verdict);
 }
 
-/* ---- what it does ------------------------------------------------------------------------------------------------ */
+/* ---- results ----------------------------------------------------------------------------------------------------- */
 
-static void test_a_gyro_bias_is_found_accepted_and_used(void **state)
+static void test_a_gyro_bias_is_estimated_accepted_and_used(void **state)
 {
 	struct world *w = *state;
 	const struct od_values *v = &w->device.values;
@@ -78,7 +79,7 @@ static void test_free_positions_calibrate_the_accelerometer(void **state)
 	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_true(v->calibration.quality > 0 && (double)v->calibration.quality < 0.02);
 	assert_int_equal(command(w, 10), 0);
-	/* gravity 2003h is not that of the simulation */
+	/* 2003h (gravity) differs from that of the simulation */
 	assert_near(v->accelerometer_calibration.bias_x, w->sensor.accel.bias.x, 0.02);
 	assert_near(v->accelerometer_calibration.xy, v->accelerometer_calibration.yx, 0);
 }
@@ -116,7 +117,7 @@ static void test_turning_calibrates_the_magnetometer_to_the_given_field(void **s
 		60, 1.5);
 }
 
-static void test_what_was_accepted_and_stored_is_there_after_power_on(void **state)
+static void test_an_accepted_and_stored_result_is_used_after_power_on(void **state)
 {
 	struct world *w = *state;
 	float bias;
@@ -132,8 +133,8 @@ static void test_what_was_accepted_and_stored_is_there_after_power_on(void **sta
 	assert_int_equal(w->device.values.calibration.state, COMMAND_IDLE);
 }
 
-/* The bias of 2050h is that at the reference temperature: at the present one the rate reads 0. */
-static void test_with_temperature_compensation_the_bias_is_brought_to_the_reference(void **state)
+/* 2050h has the bias at the reference temperature; the rate at the present temperature is 0. */
+static void test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature(void **state)
 {
 	struct world *w = *state;
 	const float slope = (float)w->sensor.gyro.slope.x;
@@ -148,9 +149,9 @@ static void test_with_temperature_compensation_the_bias_is_brought_to_the_refere
 	assert_near(w->device.values.gyro_calibration.bias_x, w->sensor.gyro.bias.x, 2e-3);
 }
 
-/* ---- what it refuses --------------------------------------------------------------------------------------------- */
+/* ---- refusals ---------------------------------------------------------------------------------------------------- */
 
-static void test_motion_ends_in_a_refusal_and_nothing_to_accept(void **state)
+static void test_motion_ends_in_a_refusal_without_a_result(void **state)
 {
 	struct world *w = *state;
 
@@ -161,7 +162,7 @@ static void test_motion_ends_in_a_refusal_and_nothing_to_accept(void **state)
 	assert_near(w->device.values.gyro_calibration.bias_x, 0, 0);
 }
 
-static void test_accept_and_discard_want_a_result(void **state)
+static void test_accept_and_discard_need_a_result(void **state)
 {
 	struct world *w = *state;
 
@@ -213,7 +214,7 @@ static void test_a_command_that_does_not_exist_is_refused(void **state)
 	assert_int_equal(command(w, 5), BAD_VALUE);
 }
 
-static void test_an_abort_ends_it(void **state)
+static void test_abort_ends_a_calibration(void **state)
 {
 	struct world *w = *state;
 
@@ -226,7 +227,7 @@ static void test_an_abort_ends_it(void **state)
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
 
-static void test_a_reset_ends_it(void **state)
+static void test_a_reset_ends_a_calibration(void **state)
 {
 	struct world *w = *state;
 
@@ -236,7 +237,7 @@ static void test_a_reset_ends_it(void **state)
 	assert_state(w, COMMAND_IDLE, CALIBRATE_COLLECTING);
 }
 
-static void test_a_lost_sensor_ends_it(void **state)
+static void test_a_lost_sensor_ends_a_calibration(void **state)
 {
 	struct world *w = *state;
 
@@ -248,7 +249,7 @@ static void test_a_lost_sensor_ends_it(void **state)
 	assert_false(w->device.values.sample.status & STATUS_BIT);
 }
 
-static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is(void **state)
+static void test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample(void **state)
 {
 	struct world *w = *state;
 
@@ -267,22 +268,22 @@ static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		TEST(test_a_gyro_bias_is_found_accepted_and_used),
+		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
 		TEST(test_free_positions_calibrate_the_accelerometer),
 		TEST(test_six_faces_calibrate_the_accelerometer),
 		TEST(test_turning_calibrates_the_magnetometer_to_the_given_field),
-		TEST(test_what_was_accepted_and_stored_is_there_after_power_on),
-		WARM(test_with_temperature_compensation_the_bias_is_brought_to_the_reference),
-		TEST(test_motion_ends_in_a_refusal_and_nothing_to_accept),
-		TEST(test_accept_and_discard_want_a_result),
+		TEST(test_an_accepted_and_stored_result_is_used_after_power_on),
+		WARM(test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature),
+		TEST(test_motion_ends_in_a_refusal_without_a_result),
+		TEST(test_accept_and_discard_need_a_result),
 		TEST(test_a_discarded_result_changes_nothing),
 		TEST(test_only_one_runs_at_a_time),
 		TEST(test_the_lever_arm_and_a_calibration_exclude_each_other),
 		TEST(test_a_command_that_does_not_exist_is_refused),
-		TEST(test_an_abort_ends_it),
-		TEST(test_a_reset_ends_it),
-		TEST(test_a_lost_sensor_ends_it),
-		TEST(test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is),
+		TEST(test_abort_ends_a_calibration),
+		TEST(test_a_reset_ends_a_calibration),
+		TEST(test_a_lost_sensor_ends_a_calibration),
+		TEST(test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

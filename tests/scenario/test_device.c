@@ -66,7 +66,7 @@ static void test_a_pdo_carries_what_the_pipeline_computes(void **state)
 	}
 }
 
-static void test_the_pdos_of_one_sync_carry_one_sample(void **state)
+static void test_the_pdos_of_one_sync_carry_the_same_sample(void **state)
 {
 	struct world *w = *state;
 
@@ -97,7 +97,7 @@ static struct vec3 real32(float x, float y, float z)
 	return (struct vec3){(double)x, (double)y, (double)z};
 }
 
-static void test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_rigid_body_physics(void **state)
+static void test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample(void **state)
 {
 	struct world *w = *state, *untouched = new_world();
 	const struct vec3 r = {0.05, -0.1, 0.2};
@@ -113,14 +113,14 @@ static void test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_r
 	struct vec3 alpha = real32(
 		without->angular_acceleration.l, without->angular_acceleration.s, without->angular_acceleration.t);
 	struct vec3 term = vec3_add(vec3_cross(alpha, r), vec3_cross(omega, vec3_cross(omega, r)));
-	assert_true(vec3_norm(term) > 0.5); /* it is worth correcting */
+	assert_true(vec3_norm(term) > 0.5); /* large enough to matter */
 	assert_near((without->acceleration.l - with->acceleration.l) * 0.005, term.x, 0.00501);
 	assert_near((without->acceleration.s - with->acceleration.s) * 0.005, term.y, 0.00501);
 	assert_near((without->acceleration.t - with->acceleration.t) * 0.005, term.z, 0.00501);
 	free(untouched);
 }
 
-static void test_a_write_does_not_touch_the_sample_that_stands(void **state)
+static void test_a_write_does_not_change_the_present_sample(void **state)
 {
 	struct world *w = *state;
 
@@ -132,7 +132,7 @@ static void test_a_write_does_not_touch_the_sample_that_stands(void **state)
 	assert_int_not_equal(w->device.values.acceleration.l, before);
 }
 
-static void test_the_reset_command_zeroes_the_position(void **state)
+static void test_the_reset_command_sets_the_position_to_zero(void **state)
 {
 	struct world *w = *state;
 
@@ -144,7 +144,7 @@ static void test_the_reset_command_zeroes_the_position(void **state)
 	assert_int_equal(world_sdo_write(w, 0x2040, 6, (const uint8_t[]){2}, 1), 0x06090031);
 }
 
-static void test_the_angle_resolution_takes_only_the_steps_of_cia_410(void **state)
+static void test_the_angle_resolution_accepts_only_the_steps_of_cia_410(void **state)
 {
 	struct world *w = *state;
 
@@ -153,7 +153,7 @@ static void test_the_angle_resolution_takes_only_the_steps_of_cia_410(void **sta
 	assert_int_equal(w->device.values.angle_resolution, 100);
 }
 
-static void test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended(void **state)
+static void test_a_singular_calibration_is_not_used_and_raises_6320h_until_it_is_corrected(void **state)
 {
 	struct world *w = *state;
 	const float zero = 0, one = 1;
@@ -170,7 +170,7 @@ static void test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until
 	assert_int_equal(world_emcy_code(w), 0);
 }
 
-static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not(void **state)
+static void test_a_position_sigma_above_2040h_9_raises_ff10h_until_it_is_below(void **state)
 {
 	struct world *w = *state;
 	const float limit = 1e-6f, none = 0;
@@ -186,7 +186,7 @@ static void test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_n
 	assert_false(w->device.values.sample.status & PIPELINE_UNSURE);
 }
 
-static void test_a_slope_beyond_2119h_raises_5010h_until_it_is_not(void **state)
+static void test_a_slope_beyond_2119h_raises_5010h_until_it_is_within(void **state)
 {
 	struct world *w = *state;
 	const float range = 0.01f, none = 0;
@@ -200,7 +200,7 @@ static void test_a_slope_beyond_2119h_raises_5010h_until_it_is_not(void **state)
 	assert_int_equal(world_emcy_code(w), 0);
 }
 
-static void test_a_stored_contradiction_does_not_keep_the_device_from_starting(void **state)
+static void test_inconsistent_stored_values_do_not_keep_the_device_from_starting(void **state)
 {
 	struct world *w = *state;
 	const float zero = 0;
@@ -234,7 +234,7 @@ static void test_stored_values_survive_a_power_cycle(void **state)
 	assert_int_equal(w->device.values.producer_heartbeat_time, 250);
 }
 
-static void test_stored_values_win_over_the_file_and_the_file_over_the_defaults(void **state)
+static void test_stored_values_override_the_file_and_the_file_the_defaults(void **state)
 {
 	static const char *const file[] = {"lever_arm.l=1", "lever_arm.s=2", NULL};
 	struct world *w = *state;
@@ -248,7 +248,7 @@ static void test_stored_values_win_over_the_file_and_the_file_over_the_defaults(
 	assert_near(w->device.values.lever_arm.t, 0, 1e-7);
 }
 
-static void test_a_stored_default_wins_over_the_file_too(void **state)
+static void test_a_stored_default_overrides_the_file_too(void **state)
 {
 	static const char *const file[] = {"lever_arm.l=1", NULL};
 	struct world *w = *state;
@@ -260,7 +260,7 @@ static void test_a_stored_default_wins_over_the_file_too(void **state)
 	assert_near(w->device.values.lever_arm.l, 0, 1e-7);
 }
 
-static void test_restore_brings_back_what_was_there_before_storing_at_the_next_reset(void **state)
+static void test_restore_brings_back_the_values_of_the_file_at_the_next_reset(void **state)
 {
 	struct world *w = *state;
 
@@ -309,7 +309,7 @@ static void lss_give_node_id(struct world *w, uint8_t node_id)
 	world_receive(w, 0x7E5, 8, (const uint8_t[8]){0x04, 0}); /* waiting */
 }
 
-static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones(void **state)
+static void test_cob_ids_of_a_node_id_assigned_by_lss_are_not_stored_as_configured(void **state)
 {
 	struct world *w = *state;
 
@@ -318,11 +318,11 @@ static void test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x185);
 	world_receive(w, 0x605, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
 	assert_int_equal(world_last(w, 0x585)->data[0], 0x60);
-	world_power_on(w, NULL); /* with node-ID 16: LSS has not stored the other */
+	world_power_on(w, NULL); /* with node-ID 16: LSS has not stored node-ID 5 */
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x190);
 }
 
-static void test_cob_ids_follow_a_node_id_that_lss_took_away_and_gave_anew(void **state)
+static void test_cob_ids_follow_a_node_id_that_lss_removed_and_assigned_again(void **state)
 {
 	struct world *w = *state;
 
@@ -351,7 +351,7 @@ static void assert_lss_stored(const struct world *w, uint8_t error)
 	assert_int_equal(answer->data[1], error);
 }
 
-static void test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_identifiers(void **state)
+static void test_a_node_id_stored_by_lss_is_used_after_a_power_cycle_with_its_cob_ids(void **state)
 {
 	struct world *w = *state;
 
@@ -384,7 +384,7 @@ static void test_restoring_the_defaults_keeps_what_lss_stored(void **state)
 	assert_int_equal(w->disk.lss.node_id, 5);
 }
 
-static void test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round(void **state)
+static void test_storing_by_lss_keeps_what_1010h_stored_and_vice_versa(void **state)
 {
 	struct world *w = *state;
 
@@ -397,7 +397,7 @@ static void test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round(
 	assert_non_null(world_last(w, 0x705));
 }
 
-static void test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before(void **state)
+static void test_lss_answers_a_store_only_when_a_slow_disk_has_finished(void **state)
 {
 	struct world *w = *state;
 
@@ -409,7 +409,7 @@ static void test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before(void
 	assert_lss_stored(w, 0);
 }
 
-static void test_lss_is_told_that_the_disk_failed(void **state)
+static void test_a_failed_disk_is_answered_to_lss(void **state)
 {
 	struct world *w = *state;
 
@@ -432,7 +432,7 @@ static void test_lss_does_not_store_while_1010h_does(void **state)
 	assert_int_equal(world_last(w, 0x580 + WORLD_NODE_ID)->data[0], 0x60);
 }
 
-static void test_the_status_says_that_the_time_of_a_sample_is_utc(void **state)
+static void test_the_status_shows_that_2117h_is_utc(void **state)
 {
 	struct world *w = *state;
 
@@ -444,7 +444,7 @@ static void test_the_status_says_that_the_time_of_a_sample_is_utc(void **state)
 	assert_int_equal(w->device.values.utc.day, 15673);
 }
 
-static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored(void **state)
+static void test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored(void **state)
 {
 	struct world *w = *state;
 
@@ -457,7 +457,7 @@ static void test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_s
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
 }
 
-static void test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on(void **state)
+static void test_a_slow_disk_delays_the_answer_and_not_the_samples(void **state)
 {
 	struct world *w = *state;
 	const uint8_t request[8] = {0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'};
@@ -472,7 +472,7 @@ static void test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on(void *
 	assert_int_equal(world_last(w, 0x580 + WORLD_NODE_ID)->data[0], 0x60);
 }
 
-static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
+static void test_a_second_store_during_a_store_is_refused(void **state)
 {
 	struct world *w = *state;
 	const uint8_t request[8] = {0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'};
@@ -485,77 +485,7 @@ static void test_a_second_store_while_one_is_under_way_is_refused(void **state)
 	assert_int_equal(store_all(w), 0);
 }
 
-/* ---- values stored by an earlier version ------------------------------------------------------------------------- */
-
-/* Files as 0.1 and 0.2 wrote them: lever_arm.l = 0.25 and 2030h:12 = 0.0018, which was a delay in s. The CRC by python's
- * zlib. */
-static const uint8_t stored_by_0_1[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x01, 0x00, 0x00, 0x00, 0x26,
-	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
-	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
-	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x76, 0xD2, 0x91, 0x40};
-static const uint8_t stored_by_0_2[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x02, 0x00, 0x00, 0x00, 0x2E,
-	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
-	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
-	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x69, 0xE8, 0xC8, 0x45};
-
-static const char gyro_scale_left_out[] = "stored fusion.gyro_scale_sigma (2030h:12) not applied: it was a delay, "
-					  "which is 2031h now; set both, then store again (1010h)\n";
-
-static bool event_log_has(const struct world *w, const char *line)
-{
-	return memmem(w->device.log.text, w->device.log.used, line, strlen(line)) != NULL;
-}
-
-static void power_on_with(struct world *w, const uint8_t *file, size_t size)
-{
-	assert_int_equal(store_decode(&w->disk, file, size), 0);
-	world_power_on(w, NULL);
-}
-
-static void test_a_stored_value_whose_meaning_has_changed_is_not_applied_and_the_log_says_so(void **state)
-{
-	static const struct {
-		const uint8_t *file;
-		size_t size;
-	} FILES[] = {{stored_by_0_1, sizeof(stored_by_0_1)}, {stored_by_0_2, sizeof(stored_by_0_2)}};
-	struct world *w = *state;
-
-	for (size_t i = 0; i < 2; i++) {
-		power_on_with(w, FILES[i].file, FILES[i].size);
-		assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
-		assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7); /* the default */
-		assert_true(event_log_has(w, gyro_scale_left_out));
-	}
-}
-
-static void test_storing_another_group_does_not_bring_the_value_of_the_old_meaning_back(void **state)
-{
-	struct world *w = *state;
-	const uint32_t save = 0x65766173;
-
-	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
-	assert_int_equal(world_sdo_write(w, 0x1010, 2, &save, 4), 0);
-	world_power_on(w, NULL);
-	assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
-	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7);
-	assert_false(event_log_has(w, gyro_scale_left_out));
-}
-
-static void test_a_value_stored_with_the_present_meaning_is_applied(void **state)
-{
-	struct world *w = *state;
-	const float sigma = 0.01f;
-
-	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
-	assert_int_equal(world_sdo_write(w, 0x2030, 12, &sigma, 4), 0);
-	assert_int_equal(store_all(w), 0);
-	assert_int_equal(w->disk.revision, w->device.values.identity.revision_number);
-	world_power_on(w, NULL);
-	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.01, 1e-7);
-	assert_false(event_log_has(w, gyro_scale_left_out));
-}
-
-static void test_reset_communication_leaves_the_application_alone(void **state)
+static void test_reset_communication_does_not_change_the_application(void **state)
 {
 	struct world *w = *state;
 	const uint16_t heartbeat = 250;
@@ -588,7 +518,7 @@ static void test_reset_communication_brings_back_what_was_stored_and_not_the_def
 	assert_null(world_last(w, 0x180 + WORLD_NODE_ID));
 }
 
-static void test_reset_node_starts_the_application_anew(void **state)
+static void test_reset_node_restarts_the_application(void **state)
 {
 	struct world *w = *state;
 
@@ -599,9 +529,79 @@ static void test_reset_node_starts_the_application_anew(void **state)
 	assert_true(fabs((double)w->device.values.position_m.x) < 1e-3);
 }
 
+/* ---- values stored by an earlier version ------------------------------------------------------------------------- */
+
+/* Files as 0.1 and 0.2 wrote them: lever_arm.l = 0.25 and 2030h:12 = 0.0018, which was a delay in s. The CRC by
+ * python's zlib. */
+static const uint8_t stored_by_0_1[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x01, 0x00, 0x00, 0x00, 0x26,
+	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
+	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
+	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x76, 0xD2, 0x91, 0x40};
+static const uint8_t stored_by_0_2[] = {0x49, 0x4D, 0x55, 0x39, 0x53, 0x54, 0x4F, 0x52, 0x02, 0x00, 0x00, 0x00, 0x2E,
+	0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x1A, 0x00, 0x00, 0x00, 0x02, 0x00, 0x00,
+	0x00, 0x00, 0x20, 0x01, 0x04, 0x00, 0x00, 0x00, 0x00, 0x00, 0x80, 0x3E, 0x30, 0x20, 0x0C, 0x04, 0x00, 0x00,
+	0x00, 0xFA, 0xED, 0xEB, 0x3A, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x00, 0x69, 0xE8, 0xC8, 0x45};
+
+static const char gyro_scale_left_out[] = "stored fusion.gyro_scale_sigma (2030h:12) not applied: it was a delay, "
+					  "which is 2031h now; set both, then store again (1010h)\n";
+
+static bool event_log_has(const struct world *w, const char *line)
+{
+	return memmem(w->device.log.text, w->device.log.used, line, strlen(line)) != NULL;
+}
+
+static void power_on_with(struct world *w, const uint8_t *file, size_t size)
+{
+	assert_int_equal(store_decode(&w->disk, file, size), 0);
+	world_power_on(w, NULL);
+}
+
+static void test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it(void **state)
+{
+	static const struct {
+		const uint8_t *file;
+		size_t size;
+	} FILES[] = {{stored_by_0_1, sizeof(stored_by_0_1)}, {stored_by_0_2, sizeof(stored_by_0_2)}};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < 2; i++) {
+		power_on_with(w, FILES[i].file, FILES[i].size);
+		assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
+		assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7); /* the default */
+		assert_true(event_log_has(w, gyro_scale_left_out));
+	}
+}
+
+static void test_storing_another_group_does_not_restore_the_value_of_the_old_meaning(void **state)
+{
+	struct world *w = *state;
+	const uint32_t save = 0x65766173;
+
+	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
+	assert_int_equal(world_sdo_write(w, 0x1010, 2, &save, 4), 0);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 0.25, 1e-7);
+	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7);
+	assert_false(event_log_has(w, gyro_scale_left_out));
+}
+
+static void test_a_value_stored_with_the_present_meaning_is_applied(void **state)
+{
+	struct world *w = *state;
+	const float sigma = 0.01f;
+
+	power_on_with(w, stored_by_0_2, sizeof(stored_by_0_2));
+	assert_int_equal(world_sdo_write(w, 0x2030, 12, &sigma, 4), 0);
+	assert_int_equal(store_all(w), 0);
+	assert_int_equal(w->disk.revision, w->device.values.identity.revision_number);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.fusion.gyro_scale_sigma, 0.01, 1e-7);
+	assert_false(event_log_has(w, gyro_scale_left_out));
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
-static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it(void **state)
+static void test_missing_samples_raise_5030h_within_100_ms_and_the_next_sample_clears_it(void **state)
 {
 	struct world *w = *state;
 
@@ -619,7 +619,7 @@ static void test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_
 	assert_int_equal(w->device.values.sample.status & (PIPELINE_VALID | STATUS_SENSOR_LOST), PIPELINE_VALID);
 }
 
-static void test_while_the_process_is_not_run_no_sensor_is_silent(void **state)
+static void test_while_the_process_is_not_scheduled_the_sensor_does_not_time_out(void **state)
 {
 	struct world *w = *state;
 
@@ -638,7 +638,7 @@ static void test_while_the_process_is_not_run_no_sensor_is_silent(void **state)
 	assert_int_equal(world_emcy_code(w), EMCY_SENSOR_LOST);
 }
 
-static void test_a_source_that_ends_raises_5030h_at_once(void **state)
+static void test_the_end_of_a_log_raises_5030h_at_once(void **state)
 {
 	struct world *w = *state;
 
@@ -661,11 +661,11 @@ static void test_error_passive_raises_8120h_and_lost_frames_8110h(void **state)
 	world_sample(w);
 	assert_int_equal(world_emcy_code(w), EMCY_CAN_OVERRUN);
 	assert_int_equal(w->device.values.bus_counters.tx_dropped, 3);
-	world_samples(w, 102); /* a second without another loss */
+	world_samples(w, 102); /* one second without another loss */
 	assert_int_equal(world_emcy_code(w), 0);
 }
 
-static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
+static void test_the_recovery_from_bus_off_sends_8140h(void **state)
 {
 	struct world *w = *state;
 	bool reported = false;
@@ -681,7 +681,7 @@ static void test_bus_off_that_is_over_is_reported_by_8140h(void **state)
 	assert_true(reported);
 }
 
-static void test_bus_off_ends_operational(void **state)
+static void test_bus_off_leaves_operational(void **state)
 {
 	struct world *w = *state;
 
@@ -701,7 +701,7 @@ static void test_an_hour_of_syncs_gets_every_pdo(void **state)
 		world_sample(w);
 		sync(w);
 	}
-	/* four PDOs a SYNC, and a heartbeat a second */
+	/* four PDOs for each SYNC, one heartbeat a second */
 	assert_int_equal(w->frame_count - before, 4 * 360000 + 3600);
 	assert_int_equal((uint16_t)i16(world_last(w, 0x180 + WORLD_NODE_ID)->data + 6), (360000 - 1) % 65536);
 }
@@ -712,47 +712,47 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_pdo_carries_what_the_pipeline_computes),
-		TEST(test_the_pdos_of_one_sync_carry_one_sample),
+		TEST(test_the_pdos_of_one_sync_carry_the_same_sample),
 		TEST(test_the_counter_of_the_first_sample_is_zero),
-		TEST(test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample_by_rigid_body_physics),
-		TEST(test_a_write_does_not_touch_the_sample_that_stands),
-		TEST(test_the_reset_command_zeroes_the_position),
-		TEST(test_the_angle_resolution_takes_only_the_steps_of_cia_410),
-		TEST(test_a_singular_calibration_keeps_the_old_one_and_raises_6320h_until_mended),
-		TEST(test_a_position_less_certain_than_2040h_9_raises_ff10h_until_it_is_not),
-		TEST(test_a_slope_beyond_2119h_raises_5010h_until_it_is_not),
-		TEST(test_a_stored_contradiction_does_not_keep_the_device_from_starting),
+		TEST(test_a_lever_arm_written_by_sdo_takes_effect_in_the_next_sample),
+		TEST(test_a_write_does_not_change_the_present_sample),
+		TEST(test_the_reset_command_sets_the_position_to_zero),
+		TEST(test_the_angle_resolution_accepts_only_the_steps_of_cia_410),
+		TEST(test_a_singular_calibration_is_not_used_and_raises_6320h_until_it_is_corrected),
+		TEST(test_a_position_sigma_above_2040h_9_raises_ff10h_until_it_is_below),
+		TEST(test_a_slope_beyond_2119h_raises_5010h_until_it_is_within),
+		TEST(test_inconsistent_stored_values_do_not_keep_the_device_from_starting),
 		TEST(test_stored_values_survive_a_power_cycle),
-		TEST(test_stored_values_win_over_the_file_and_the_file_over_the_defaults),
-		TEST(test_a_stored_default_wins_over_the_file_too),
-		TEST(test_restore_brings_back_what_was_there_before_storing_at_the_next_reset),
+		TEST(test_stored_values_override_the_file_and_the_file_the_defaults),
+		TEST(test_a_stored_default_overrides_the_file_too),
+		TEST(test_restore_brings_back_the_values_of_the_file_at_the_next_reset),
 		TEST(test_a_group_is_stored_alone),
 		TEST(test_a_preset_of_the_inclinometer_survives_a_power_cycle),
-		TEST(test_cob_ids_of_a_node_id_given_by_lss_are_not_taken_for_configured_ones),
-		TEST(test_cob_ids_follow_a_node_id_that_lss_took_away_and_gave_anew),
-		TEST(test_a_node_id_stored_by_lss_wins_after_a_power_cycle_with_its_identifiers),
+		TEST(test_cob_ids_of_a_node_id_assigned_by_lss_are_not_stored_as_configured),
+		TEST(test_cob_ids_follow_a_node_id_that_lss_removed_and_assigned_again),
+		TEST(test_a_node_id_stored_by_lss_is_used_after_a_power_cycle_with_its_cob_ids),
 		TEST(test_a_node_that_lss_stored_as_unconfigured_is_silent_after_a_power_cycle),
 		TEST(test_restoring_the_defaults_keeps_what_lss_stored),
-		TEST(test_storing_by_lss_keeps_what_1010h_stored_and_the_other_way_round),
-		TEST(test_lss_answers_a_store_when_a_slow_disk_has_it_and_not_before),
-		TEST(test_lss_is_told_that_the_disk_failed),
+		TEST(test_storing_by_lss_keeps_what_1010h_stored_and_vice_versa),
+		TEST(test_lss_answers_a_store_only_when_a_slow_disk_has_finished),
+		TEST(test_a_failed_disk_is_answered_to_lss),
 		TEST(test_lss_does_not_store_while_1010h_does),
-		TEST(test_the_status_says_that_the_time_of_a_sample_is_utc),
-		TEST(test_a_disk_that_fails_is_told_by_an_abort_and_the_old_values_stay_stored),
-		TEST(test_a_slow_disk_keeps_the_answer_waiting_while_samples_go_on),
-		TEST(test_a_second_store_while_one_is_under_way_is_refused),
-		TEST(test_a_stored_value_whose_meaning_has_changed_is_not_applied_and_the_log_says_so),
-		TEST(test_storing_another_group_does_not_bring_the_value_of_the_old_meaning_back),
+		TEST(test_the_status_shows_that_2117h_is_utc),
+		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
+		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
+		TEST(test_a_second_store_during_a_store_is_refused),
+		TEST(test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it),
+		TEST(test_storing_another_group_does_not_restore_the_value_of_the_old_meaning),
 		TEST(test_a_value_stored_with_the_present_meaning_is_applied),
-		TEST(test_reset_communication_leaves_the_application_alone),
+		TEST(test_reset_communication_does_not_change_the_application),
 		TEST(test_reset_communication_brings_back_what_was_stored_and_not_the_defaults),
-		TEST(test_reset_node_starts_the_application_anew),
-		TEST(test_a_silent_sensor_raises_5030h_within_100_ms_and_its_return_ends_it),
-		TEST(test_while_the_process_is_not_run_no_sensor_is_silent),
-		TEST(test_a_source_that_ends_raises_5030h_at_once),
+		TEST(test_reset_node_restarts_the_application),
+		TEST(test_missing_samples_raise_5030h_within_100_ms_and_the_next_sample_clears_it),
+		TEST(test_while_the_process_is_not_scheduled_the_sensor_does_not_time_out),
+		TEST(test_the_end_of_a_log_raises_5030h_at_once),
 		TEST(test_error_passive_raises_8120h_and_lost_frames_8110h),
-		TEST(test_bus_off_that_is_over_is_reported_by_8140h),
-		TEST(test_bus_off_ends_operational),
+		TEST(test_the_recovery_from_bus_off_sends_8140h),
+		TEST(test_bus_off_leaves_operational),
 		TEST(test_an_hour_of_syncs_gets_every_pdo),
 	};
 

@@ -1,5 +1,5 @@
-/* The movement last ended and its path as objects (211Ah, 2132h), of a whole device on a simulated robot that drives and
- * stands still in turn. */
+/* The last complete movement and its path as objects (211Ah, 2132h): the whole device on a simulated robot that
+ * alternates between motion and rest. */
 #include "tests/scenario/world.h"
 
 #include <stdio.h>
@@ -37,7 +37,7 @@ static void drive_to_the_end_of(struct world *w, uint32_t number)
 	}
 }
 
-static void test_before_the_first_movement_there_is_no_line(void **state)
+static void test_before_the_first_movement_the_trajectory_has_only_its_header(void **state)
 {
 	struct world *w = *state;
 
@@ -47,12 +47,12 @@ static void test_before_the_first_movement_there_is_no_line(void **state)
 	assert_string_equal(text, HEADER);
 }
 
-static void test_the_summary_is_that_of_the_drive(void **state)
+static void test_the_summary_describes_the_drive(void **state)
 {
 	struct world *w = *state;
 
 	drive_to_the_end_of(w, 1);
-	assert_near(w->device.values.last_movement.duration, 8.3, 0.5); /* drives, stops, turns */
+	assert_near(w->device.values.last_movement.duration, 8.3, 0.5); /* straight drive, stop, turn */
 	assert_near(w->device.values.last_movement.path, 2, 0.3);
 	assert_near(w->device.values.last_movement.farthest, 2, 0.1);
 	assert_true(w->device.values.last_movement.farthest_time > 4);
@@ -64,7 +64,7 @@ static void test_the_summary_is_that_of_the_drive(void **state)
 	assert_int_equal(w->device.values.last_movement.whole, 1);
 }
 
-static void test_its_displacement_is_that_of_2115h(void **state)
+static void test_the_displacement_equals_2115h(void **state)
 {
 	struct world *w = *state;
 
@@ -75,7 +75,7 @@ static void test_its_displacement_is_that_of_2115h(void **state)
 	assert_near(w->device.values.last_movement.sigma_z, w->device.values.displacement_sigma.z, 1e-6);
 }
 
-static void test_the_trajectory_is_a_table_from_zero_to_the_displacement(void **state)
+static void test_the_trajectory_goes_from_zero_to_the_displacement(void **state)
 {
 	struct world *w = *state;
 	double row[10];
@@ -101,7 +101,7 @@ static void test_the_trajectory_is_a_table_from_zero_to_the_displacement(void **
 	assert_near(row[9], w->device.values.last_movement.sigma_z, 0.0001);
 }
 
-static void test_both_stand_until_the_next_movement_ends(void **state)
+static void test_both_stay_until_the_next_movement_ends(void **state)
 {
 	struct world *w = *state;
 	static char before[sizeof(text)];
@@ -121,8 +121,8 @@ static void test_both_stand_until_the_next_movement_ends(void **state)
 	assert_near(w->device.values.last_movement.y, 2, 0.1);
 }
 
-/* The robot drives for 5 s, stands for one, and turns. */
-static void test_a_reset_of_the_position_while_it_stands_ends_the_movement_and_leaves_the_displacement(void **state)
+/* The robot drives for 5 s, rests for 1 s, and turns. */
+static void test_a_reset_of_the_position_at_rest_ends_the_movement_and_keeps_the_displacement(void **state)
 {
 	struct world *w = *state;
 	const uint8_t one = 1;
@@ -139,7 +139,7 @@ static void test_a_reset_of_the_position_while_it_stands_ends_the_movement_and_l
 	assert_near(w->device.values.displacement.x, 0, 0.1);
 }
 
-static void test_reset_node_forgets_it(void **state)
+static void test_reset_node_clears_both(void **state)
 {
 	struct world *w = *state;
 
@@ -151,7 +151,7 @@ static void test_reset_node_forgets_it(void **state)
 	drive_to_the_end_of(w, 1);
 }
 
-static void test_however_far_it_went_the_trajectory_fits_its_object(void **state)
+static void test_the_trajectory_fits_its_object_for_any_distance(void **state)
 {
 	struct world *w = *state;
 	const struct vec3 nowhere = {-1e300, NAN, INFINITY};
@@ -169,18 +169,18 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(
-			test_before_the_first_movement_there_is_no_line, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_the_summary_is_that_of_the_drive, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_its_displacement_is_that_of_2115h, set_up, world_tear_down),
+			test_before_the_first_movement_the_trajectory_has_only_its_header, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_the_summary_describes_the_drive, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_the_displacement_equals_2115h, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_the_trajectory_is_a_table_from_zero_to_the_displacement, set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_both_stand_until_the_next_movement_ends, set_up, world_tear_down),
+			test_the_trajectory_goes_from_zero_to_the_displacement, set_up, world_tear_down),
+		cmocka_unit_test_setup_teardown(test_both_stay_until_the_next_movement_ends, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_reset_of_the_position_while_it_stands_ends_the_movement_and_leaves_the_displacement,
-			set_up, world_tear_down),
-		cmocka_unit_test_setup_teardown(test_reset_node_forgets_it, set_up, world_tear_down),
+			test_a_reset_of_the_position_at_rest_ends_the_movement_and_keeps_the_displacement, set_up,
+			world_tear_down),
+		cmocka_unit_test_setup_teardown(test_reset_node_clears_both, set_up, world_tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_however_far_it_went_the_trajectory_fits_its_object, set_up, world_tear_down),
+			test_the_trajectory_fits_its_object_for_any_distance, set_up, world_tear_down),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

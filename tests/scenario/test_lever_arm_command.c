@@ -1,4 +1,4 @@
-/* The lever arm that finds itself: a robot in simulated time, SDO from start to accept. */
+/* Identification of the lever arm by SDO (2060h), from start to accept: a robot in simulated time. */
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
@@ -12,9 +12,9 @@ static const struct vec3 ARM = {0.06, -0.05, 0.0624}; /* 100 mm */
 
 struct robot {
 	struct world world;
-	bool travels;		   /* the reference point, which stands still in the signal */
-	bool with_sample;	   /* the sample brings the acceleration of the reference point */
-	bool told, by_rpdo;	   /* 2075h is written, every second sample; not by SDO */
+	bool travels;		   /* the reference point moves; in the signal it is at rest */
+	bool with_sample;	   /* the samples carry the acceleration of the reference point */
+	bool written, by_rpdo;	   /* 2075h is written every second sample, by RPDO or SDO */
 	struct signal_truth truth; /* of the last sample */
 	unsigned count;
 };
@@ -80,7 +80,7 @@ static void sample(struct robot *robot)
 		s.flags |= SAMPLE_REFERENCE;
 	}
 	world_deliver(w, &s);
-	if (robot->told && robot->count++ % 2 == 0)
+	if (robot->written && robot->count++ % 2 == 0)
 		(robot->by_rpdo ? tell_reference_by_rpdo : tell_reference)(w, reference_b_m_s2(robot));
 }
 
@@ -124,7 +124,7 @@ static void assert_lever_arm_is_found(const struct world *w)
 
 /* ---- from start to accept ---------------------------------------------------------------------------------------- */
 
-static void test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it(void **state)
+static void test_the_identified_lever_arm_improves_the_acceleration(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -135,7 +135,7 @@ static void test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_afte
 	assert_int_equal(command(w, START_HELD), 0);
 	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
-	assert_near(w->device.values.lever_arm.l, 0, 0); /* not before it is accepted */
+	assert_near(w->device.values.lever_arm.l, 0, 0); /* not accepted yet */
 	assert_int_equal(command(w, ACCEPT), 0);
 	assert_near(w->device.values.lever_arm.l, ARM.x, 0.001);
 	assert_near(w->device.values.lever_arm.s, ARM.y, 0.001);
@@ -159,13 +159,13 @@ static void test_an_accepted_lever_arm_is_used_by_the_next_sample(void **state)
 	assert_true(w->device.pipeline.config.estimator.lever_arm_b_m.x > 0.05);
 }
 
-static void test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well(void **state)
+static void test_a_moving_reference_point_can_be_used_with_its_acceleration_by_2075h_at_100_hz(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
 
 	robot->travels = true;
-	robot->told = true;
+	robot->written = true;
 	assert_int_equal(command(w, START_REFERENCE), 0);
 	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
@@ -186,7 +186,7 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	assert_near(w->device.lever_arm_command.ref_b_m_s2.z, 0.005, 1e-12);
 }
 
-static void test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time(void **state)
+static void test_a_reference_that_comes_with_the_samples_is_used_without_a_delay(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -222,7 +222,7 @@ static void test_one_rpdo_can_carry_the_reference(void **state)
 
 	map_reference_into_rpdo1(w);
 	robot->travels = true;
-	robot->told = robot->by_rpdo = true;
+	robot->written = robot->by_rpdo = true;
 	assert_int_equal(command(w, START_REFERENCE), 0);
 	seconds(robot, 32);
 	assert_lever_arm_is_found(w);
@@ -230,7 +230,7 @@ static void test_one_rpdo_can_carry_the_reference(void **state)
 
 /* ---- refusals ---------------------------------------------------------------------------------------------------- */
 
-static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **state)
+static void test_a_reference_that_stops_is_used_for_50_ms_and_the_identification_refused(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -248,7 +248,7 @@ static void test_a_reference_that_stops_after_50_ms_ends_in_a_refusal(void **sta
 	assert_int_equal(w->device.values.lever_arm_identification.verdict, 0);
 }
 
-static void test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands(void **state)
+static void test_a_reference_point_that_moves_is_refused_and_2000h_stays(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -281,7 +281,7 @@ static void test_commands_in_a_wrong_state_are_refused_with_08000022h(void **sta
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
-static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void **state)
+static void test_bit_12_of_the_status_is_set_until_abort(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -297,7 +297,7 @@ static void test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it(void 
 	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
 }
 
-static void test_nmt_reset_ends_it(void **state)
+static void test_nmt_reset_ends_an_identification(void **state)
 {
 	const uint8_t resets[] = {129, 130};
 	struct robot *robot = *state;
@@ -313,7 +313,7 @@ static void test_nmt_reset_ends_it(void **state)
 	}
 }
 
-static void test_a_lost_sensor_ends_in_a_refusal_that_says_so(void **state)
+static void test_a_lost_sensor_ends_in_a_refusal_with_its_verdict(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -330,7 +330,7 @@ static void test_a_lost_sensor_ends_in_a_refusal_that_says_so(void **state)
 	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_REFUSED);
 }
 
-static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is(void **state)
+static void test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -344,7 +344,7 @@ static void test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_
 	assert_int_equal(command(w, START_HELD), 0);
 }
 
-static void test_progress_follows_the_duration_that_was_asked_for(void **state)
+static void test_progress_is_relative_to_the_requested_duration(void **state)
 {
 	struct robot *robot = *state;
 	struct world *w = &robot->world;
@@ -360,20 +360,20 @@ int main(void)
 {
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, world_tear_down)
 	const struct CMUnitTest tests[] = {
-		TEST(test_from_start_to_accept_by_sdo_and_the_acceleration_is_better_after_it),
+		TEST(test_the_identified_lever_arm_improves_the_acceleration),
 		TEST(test_an_accepted_lever_arm_is_used_by_the_next_sample),
-		TEST(test_a_moving_reference_point_told_by_2075h_at_100_hz_serves_as_well),
-		TEST(test_a_reference_that_comes_with_the_samples_of_a_log_serves_and_is_believed_to_be_in_time),
+		TEST(test_a_moving_reference_point_can_be_used_with_its_acceleration_by_2075h_at_100_hz),
+		TEST(test_a_reference_that_comes_with_the_samples_is_used_without_a_delay),
 		TEST(test_one_rpdo_can_carry_the_reference),
 		TEST(test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2),
-		TEST(test_a_reference_that_stops_after_50_ms_ends_in_a_refusal),
-		TEST(test_a_reference_point_that_is_not_held_is_refused_and_2000h_stands),
+		TEST(test_a_reference_that_stops_is_used_for_50_ms_and_the_identification_refused),
+		TEST(test_a_reference_point_that_moves_is_refused_and_2000h_stays),
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
-		TEST(test_bit_12_of_the_status_shows_that_it_runs_and_abort_ends_it),
-		TEST(test_nmt_reset_ends_it),
-		TEST(test_a_lost_sensor_ends_in_a_refusal_that_says_so),
-		TEST(test_without_a_sensor_no_start_is_taken_and_with_its_next_sample_it_is),
-		TEST(test_progress_follows_the_duration_that_was_asked_for),
+		TEST(test_bit_12_of_the_status_is_set_until_abort),
+		TEST(test_nmt_reset_ends_an_identification),
+		TEST(test_a_lost_sensor_ends_in_a_refusal_with_its_verdict),
+		TEST(test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample),
+		TEST(test_progress_is_relative_to_the_requested_duration),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

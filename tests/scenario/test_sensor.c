@@ -1,4 +1,4 @@
-/* What the device makes of a sensor with settings and faults: 2058h, 2124h, 6511h, EMCY 5030h, 5031h and 6321h. */
+/* Settings and faults of the sensor in the whole device: 2058h, 2124h, 6511h, EMCY 5030h, 5031h and 6321h. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -70,9 +70,9 @@ static const uint8_t *emcy(const struct world *w)
 	return world_last(w, 0x080 + WORLD_NODE_ID)->data;
 }
 
-/* ---- faults ------------------------------------------------------------------------------------------------------- */
+/* ---- faults ------------------------------------------------------------------------------------------------------ */
 
-static void test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalidates_the_outputs(void **state)
+static void test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs(void **state)
 {
 	struct world *w = *state;
 
@@ -97,7 +97,7 @@ static void test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalida
 	assert_int_equal(w->device.values.sensor_state.fault, 0);
 }
 
-static void test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on(void **state)
+static void test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid(void **state)
 {
 	struct world *w = *state;
 
@@ -117,7 +117,7 @@ static void test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on(void 
 	assert_int_equal(world_emcy_code(w), 0);
 }
 
-static void test_a_saturated_sample_says_so_in_the_status(void **state)
+static void test_a_saturated_sample_sets_its_status_bit(void **state)
 {
 	struct world *w = *state;
 
@@ -138,7 +138,7 @@ static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **
 	assert_true(fabs((double)w->device.values.sensor_state.temperature + 7.6) < 1e-5);
 }
 
-static void test_a_temperature_that_no_object_can_hold_is_left_out(void **state)
+static void test_a_temperature_beyond_the_range_of_its_object_is_ignored(void **state)
 {
 	struct world *w = *state;
 
@@ -149,15 +149,15 @@ static void test_a_temperature_that_no_object_can_hold_is_left_out(void **state)
 	assert_true(w->device.values.sensor_state.temperature == 20);
 }
 
-/* ---- settings ----------------------------------------------------------------------------------------------------- */
+/* ---- settings ---------------------------------------------------------------------------------------------------- */
 
-static void test_settings_go_to_the_sensor_with_reset_node(void **state)
+static void test_settings_are_applied_with_reset_node(void **state)
 {
 	struct chip *chip = *state;
 	struct world *w = &chip->world;
 	const float rate = 200, range = 4;
 
-	assert_int_equal(chip->configurations, 0); /* it was opened with what 2058h says */
+	assert_int_equal(chip->configurations, 0); /* it was opened with the settings of 2058h */
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(write_sensor(w, 3, &range, 4), 0);
 	assert_int_equal(chip->configurations, 0);
@@ -167,10 +167,10 @@ static void test_settings_go_to_the_sensor_with_reset_node(void **state)
 	assert_true(chip->configured.rate_hz == 200);
 	assert_true(w->device.pipeline.rate_hz == 200);
 	world_nmt(w, 0x81);
-	assert_int_equal(chip->configurations, 1); /* nothing new */
+	assert_int_equal(chip->configurations, 1); /* unchanged settings */
 }
 
-static void test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on(void **state)
+static void test_unsupported_settings_raise_6321h_at_once_and_the_sensor_is_unchanged(void **state)
 {
 	struct world *w = *state;
 	float rate = 1000;
@@ -183,7 +183,7 @@ static void test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goe
 	assert_int_equal(world_emcy_code(w), 0);
 }
 
-static void test_a_self_test_begins_with_a_1_and_nothing_else(void **state)
+static void test_only_1_starts_a_self_test(void **state)
 {
 	struct chip *chip = *state;
 	struct world *w = &chip->world;
@@ -209,7 +209,7 @@ static void test_during_a_self_test_the_outputs_are_invalid_but_the_sensor_is_no
 	assert_int_equal(w->device.values.sample.status & 0x201, 0x001);
 }
 
-static void test_a_self_test_that_does_not_end_is_a_lost_sensor(void **state)
+static void test_a_self_test_that_does_not_end_loses_the_sensor(void **state)
 {
 	struct world *w = *state;
 
@@ -232,16 +232,16 @@ static void test_a_sensor_without_self_test_refuses_the_command(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		WORLD(test_a_fault_of_the_gyro_is_told_with_its_kind_and_chip_and_invalidates_the_outputs),
-		WORLD(test_a_fault_of_the_magnetometer_is_told_and_the_outputs_go_on),
-		WORLD(test_a_saturated_sample_says_so_in_the_status),
+		WORLD(test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs),
+		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
+		WORLD(test_a_saturated_sample_sets_its_status_bit),
 		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
-		WORLD(test_a_temperature_that_no_object_can_hold_is_left_out),
-		WORLD(test_settings_go_to_the_sensor_with_reset_node),
-		WORLD(test_settings_that_the_sensor_has_not_raise_6321h_at_once_and_it_goes_on),
-		WORLD(test_a_self_test_begins_with_a_1_and_nothing_else),
+		WORLD(test_a_temperature_beyond_the_range_of_its_object_is_ignored),
+		WORLD(test_settings_are_applied_with_reset_node),
+		WORLD(test_unsupported_settings_raise_6321h_at_once_and_the_sensor_is_unchanged),
+		WORLD(test_only_1_starts_a_self_test),
 		WORLD(test_during_a_self_test_the_outputs_are_invalid_but_the_sensor_is_not_lost),
-		WORLD(test_a_self_test_that_does_not_end_is_a_lost_sensor),
+		WORLD(test_a_self_test_that_does_not_end_loses_the_sensor),
 		WORLD(test_a_sensor_without_self_test_refuses_the_command),
 	};
 

@@ -1,4 +1,4 @@
-/* The inclinometer of CiA 410 on the bus: EMCY 5010h and 5020h, and what its objects refuse. */
+/* The inclinometer of CiA 410 on the bus: EMCY 5010h and 5020h, and refused writes. */
 #include "tests/scenario/bus.h"
 
 #include "gateway/publish.h"
@@ -11,7 +11,7 @@
 #define LATERAL_EMCY "090 20 50 21 00 00 00 00 00"
 #define OVER	     "090 00 00 00 00 00 00 00 00"
 
-/* The device between a sample and the next. */
+/* A sample with these angles. */
 static void tilt(struct bus *bus, double longitudinal_deg, double lateral_deg)
 {
 	const struct pipeline_output out = {.q_nb = QUAT_IDENTITY,
@@ -33,7 +33,7 @@ static void test_the_device_type_is_that_of_a_two_axis_inclinometer(void **state
 	assert_int_equal(bus_read(*state, 0x1000, 0), 0x0004019A);
 }
 
-static void test_without_a_range_every_slope_that_fits_its_object_is_in_order(void **state)
+static void test_without_a_range_every_slope_that_fits_its_object_is_in_range(void **state)
 {
 	struct bus *bus = *state;
 
@@ -42,7 +42,7 @@ static void test_without_a_range_every_slope_that_fits_its_object_is_in_order(vo
 	bus_expect_nothing(bus);
 }
 
-static void test_a_longitudinal_slope_beyond_its_range_is_told_by_5010h_and_its_end_too(void **state)
+static void test_a_longitudinal_slope_beyond_its_range_sets_and_clears_5010h(void **state)
 {
 	struct bus *bus = *state;
 
@@ -57,7 +57,7 @@ static void test_a_longitudinal_slope_beyond_its_range_is_told_by_5010h_and_its_
 	bus_expect(bus, OVER);
 }
 
-static void test_a_lateral_slope_beyond_its_range_is_told_by_5020h_and_its_end_too(void **state)
+static void test_a_lateral_slope_beyond_its_range_sets_and_clears_5020h(void **state)
 {
 	struct bus *bus = *state;
 
@@ -68,7 +68,7 @@ static void test_a_lateral_slope_beyond_its_range_is_told_by_5020h_and_its_end_t
 	bus_expect(bus, OVER);
 }
 
-static void test_both_are_over_when_both_slopes_are_back(void **state)
+static void test_the_error_register_is_clear_when_both_slopes_are_within_their_ranges(void **state)
 {
 	struct bus *bus = *state;
 
@@ -84,7 +84,7 @@ static void test_both_are_over_when_both_slopes_are_back(void **state)
 	assert_int_equal(bus_read(bus, 0x1001, 0) & 0xFF, 0);
 }
 
-static void test_a_slope_that_trembles_at_the_end_of_its_range_is_told_once(void **state)
+static void test_a_slope_that_oscillates_about_its_limit_is_reported_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -95,7 +95,7 @@ static void test_a_slope_that_trembles_at_the_end_of_its_range_is_told_once(void
 	bus_expect_nothing(bus);
 }
 
-static void test_a_range_that_is_taken_away_ends_the_error(void **state)
+static void test_removing_the_range_clears_the_error(void **state)
 {
 	struct bus *bus = *state;
 
@@ -107,8 +107,8 @@ static void test_a_range_that_is_taken_away_ends_the_error(void **state)
 	bus_expect(bus, OVER);
 }
 
-/* 32767 steps of 0.001 deg are all that 16 bits hold. */
-static void test_a_slope_that_16_bits_cannot_hold_is_out_of_range(void **state)
+/* The largest 16-bit value is 32767 steps of 0.001 deg. */
+static void test_a_slope_that_exceeds_16_bits_is_out_of_range(void **state)
 {
 	struct bus *bus = *state;
 
@@ -130,7 +130,7 @@ static void test_a_slope_that_16_bits_cannot_hold_is_out_of_range(void **state)
 	bus_expect(bus, LATERAL_EMCY);
 }
 
-static void test_an_offset_can_push_a_slope_out_of_its_object(void **state)
+static void test_a_slope_with_an_offset_can_exceed_its_object(void **state)
 {
 	struct bus *bus = *state;
 
@@ -144,7 +144,7 @@ static void test_an_offset_can_push_a_slope_out_of_its_object(void **state)
 	assert_int_equal(bus->values.slope_lateral32, 1);
 }
 
-static void test_reset_node_tells_a_slope_that_is_still_out_of_range_anew(void **state)
+static void test_reset_node_reports_a_slope_that_is_still_out_of_range_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -181,15 +181,15 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		PRE_OPERATIONAL(test_the_device_type_is_that_of_a_two_axis_inclinometer),
-		PRE_OPERATIONAL(test_without_a_range_every_slope_that_fits_its_object_is_in_order),
-		PRE_OPERATIONAL(test_a_longitudinal_slope_beyond_its_range_is_told_by_5010h_and_its_end_too),
-		PRE_OPERATIONAL(test_a_lateral_slope_beyond_its_range_is_told_by_5020h_and_its_end_too),
-		PRE_OPERATIONAL(test_both_are_over_when_both_slopes_are_back),
-		PRE_OPERATIONAL(test_a_slope_that_trembles_at_the_end_of_its_range_is_told_once),
-		PRE_OPERATIONAL(test_a_range_that_is_taken_away_ends_the_error),
-		PRE_OPERATIONAL(test_a_slope_that_16_bits_cannot_hold_is_out_of_range),
-		PRE_OPERATIONAL(test_an_offset_can_push_a_slope_out_of_its_object),
-		PRE_OPERATIONAL(test_reset_node_tells_a_slope_that_is_still_out_of_range_anew),
+		PRE_OPERATIONAL(test_without_a_range_every_slope_that_fits_its_object_is_in_range),
+		PRE_OPERATIONAL(test_a_longitudinal_slope_beyond_its_range_sets_and_clears_5010h),
+		PRE_OPERATIONAL(test_a_lateral_slope_beyond_its_range_sets_and_clears_5020h),
+		PRE_OPERATIONAL(test_the_error_register_is_clear_when_both_slopes_are_within_their_ranges),
+		PRE_OPERATIONAL(test_a_slope_that_oscillates_about_its_limit_is_reported_once),
+		PRE_OPERATIONAL(test_removing_the_range_clears_the_error),
+		PRE_OPERATIONAL(test_a_slope_that_exceeds_16_bits_is_out_of_range),
+		PRE_OPERATIONAL(test_a_slope_with_an_offset_can_exceed_its_object),
+		PRE_OPERATIONAL(test_reset_node_reports_a_slope_that_is_still_out_of_range_again),
 		PRE_OPERATIONAL(test_the_reserved_bits_of_an_operating_parameter_are_refused),
 		PRE_OPERATIONAL(test_slopes_and_offsets_are_read_only),
 	};

@@ -75,7 +75,7 @@ static void test_a_wrong_signature_is_refused(void **state)
 	assert_int_equal(bus->restore_calls, 0);
 }
 
-static void test_a_store_that_fails_says_so(void **state)
+static void test_a_failed_store_is_aborted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -96,7 +96,7 @@ static void test_a_device_without_storage_refuses(void **state)
 	(void)state;
 }
 
-/* ---- a disk that takes its time ---------------------------------------------------------------------------------- */
+/* ---- a slow disk ------------------------------------------------------------------------------------------------- */
 
 static void test_the_answer_waits_until_the_store_is_done(void **state)
 {
@@ -113,7 +113,7 @@ static void test_the_answer_waits_until_the_store_is_done(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_store_that_fails_in_the_end_says_so(void **state)
+static void test_a_store_that_fails_later_is_aborted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -151,7 +151,7 @@ static void test_while_one_store_runs_the_next_is_refused(void **state)
 	assert_int_equal(bus->store_calls, 2);
 }
 
-static void test_another_request_meanwhile_is_served_and_the_answer_of_the_store_is_dropped(void **state)
+static void test_another_request_during_a_store_is_served_and_the_answer_of_the_store_is_dropped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -185,13 +185,13 @@ static void test_the_clients_abort_a_stop_and_a_reset_drop_the_answer(void **sta
 	assert_int_equal(bus->store_calls, 3);
 }
 
-static void test_a_store_that_no_sdo_client_waits_for_sends_nothing(void **state)
+static void test_a_store_without_an_sdo_client_sends_nothing(void **state)
 {
 	struct bus *bus = *state;
 	const uint8_t save[] = {'s', 'a', 'v', 'e'};
 
 	bus->storage_answer = OD_PENDING;
-	assert_int_equal(od_write(&bus->od, 0x1010, 1, save, 4), OD_PENDING); /* as Modbus does it */
+	assert_int_equal(od_write(&bus->od, 0x1010, 1, save, 4), OD_PENDING); /* not by SDO */
 	done(bus, OD_OK);
 	bus_expect_nothing(bus);
 }
@@ -232,7 +232,7 @@ static void test_a_change_of_a_communication_object_clears_the_date_too(void **s
 	assert_int_equal(bus_read(bus, 0x1020, 1), 0);
 }
 
-static void test_a_command_or_a_refused_write_leaves_the_date(void **state)
+static void test_a_command_or_a_refused_write_keeps_the_date(void **state)
 {
 	struct bus *bus = *state;
 
@@ -244,7 +244,7 @@ static void test_a_command_or_a_refused_write_leaves_the_date(void **state)
 	assert_int_equal(bus_read(bus, 0x1020, 2), 36000000);
 }
 
-static void test_the_date_is_among_what_is_stored(void **state)
+static void test_the_date_is_stored(void **state)
 {
 	struct bus *bus = *state;
 	const uint8_t kept[] = {1, 0, 0, 0, 0x20, 0x10, 1, 4, 0, 0, 0, 0x32, 0x3D, 0, 0};
@@ -263,20 +263,20 @@ int main(void)
 		PRE_OPERATIONAL(test_load_restores_the_group_of_its_sub_index),
 		PRE_OPERATIONAL(test_a_restore_takes_effect_at_the_next_reset),
 		PRE_OPERATIONAL(test_a_wrong_signature_is_refused),
-		PRE_OPERATIONAL(test_a_store_that_fails_says_so),
+		PRE_OPERATIONAL(test_a_failed_store_is_aborted),
 		cmocka_unit_test(test_a_device_without_storage_refuses),
 		PRE_OPERATIONAL(test_the_answer_waits_until_the_store_is_done),
-		PRE_OPERATIONAL(test_a_store_that_fails_in_the_end_says_so),
+		PRE_OPERATIONAL(test_a_store_that_fails_later_is_aborted),
 		PRE_OPERATIONAL(test_a_segmented_save_is_answered_with_its_segment),
 		PRE_OPERATIONAL(test_while_one_store_runs_the_next_is_refused),
-		PRE_OPERATIONAL(test_another_request_meanwhile_is_served_and_the_answer_of_the_store_is_dropped),
+		PRE_OPERATIONAL(test_another_request_during_a_store_is_served_and_the_answer_of_the_store_is_dropped),
 		PRE_OPERATIONAL(test_the_clients_abort_a_stop_and_a_reset_drop_the_answer),
-		PRE_OPERATIONAL(test_a_store_that_no_sdo_client_waits_for_sends_nothing),
+		PRE_OPERATIONAL(test_a_store_without_an_sdo_client_sends_nothing),
 		PRE_OPERATIONAL(test_the_date_of_the_configuration_stays_as_it_was_written),
 		PRE_OPERATIONAL(test_a_later_change_of_the_configuration_clears_its_date),
 		PRE_OPERATIONAL(test_a_change_of_a_communication_object_clears_the_date_too),
-		PRE_OPERATIONAL(test_a_command_or_a_refused_write_leaves_the_date),
-		PRE_OPERATIONAL(test_the_date_is_among_what_is_stored),
+		PRE_OPERATIONAL(test_a_command_or_a_refused_write_keeps_the_date),
+		PRE_OPERATIONAL(test_the_date_is_stored),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

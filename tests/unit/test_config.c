@@ -1,4 +1,4 @@
-/* Where the configuration comes from, and what a mistake in it is told. */
+/* The configuration of the process, and its error messages. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -41,7 +41,7 @@ static int read_file(const char *text)
 	return rc;
 }
 
-/* "FILE:LINE: " begins the error. */
+/* The error begins with "FILE:LINE: ". */
 static void assert_error_at(int line)
 {
 	char place[80];
@@ -72,7 +72,7 @@ static void test_the_gateway_section_holds_the_process_keys(void **state)
 	assert_int_equal(config.bitrate, 250000);
 }
 
-static void test_a_later_setting_wins(void **state)
+static void test_a_later_setting_replaces_an_earlier_one(void **state)
 {
 	(void)state;
 	assert_int_equal(read_file("lever_arm.l = 1\n"), 0);
@@ -81,7 +81,7 @@ static void test_a_later_setting_wins(void **state)
 	assert_float_equal(values.lever_arm.l, 2, 1e-9);
 }
 
-static void test_an_index_serves_as_a_name(void **state)
+static void test_an_index_can_be_used_as_a_name(void **state)
 {
 	(void)state;
 	assert_int_equal(config_set(&config, "0x2000:2=0.5", why), 0);
@@ -113,7 +113,7 @@ static void test_a_value_out_of_limits_names_line_and_limits(void **state)
 	assert_non_null(strstr(why, "-10 to 10 m"));
 }
 
-static void test_a_long_value_out_of_limits_is_refused_within_the_room_for_the_error(void **state)
+static void test_a_long_value_out_of_limits_does_not_overflow_the_error_text(void **state)
 {
 	char assignment[2 * CONFIG_ERROR_MAX + 40], error[4 * CONFIG_ERROR_MAX] = "";
 
@@ -124,7 +124,7 @@ static void test_a_long_value_out_of_limits_is_refused_within_the_room_for_the_e
 		assert_int_equal(error[i], 0);
 }
 
-static void test_a_value_that_is_no_number_is_refused(void **state)
+static void test_a_value_that_is_not_a_number_is_refused(void **state)
 {
 	static const char *const bad[] = {"lever_arm.l = five\n", "lever_arm.l = nan\n", "lever_arm.l = inf\n",
 		"lever_arm.l =\n", "lever_arm.l = 1 m\n", "lever_arm_model = 1.5\n", "lever_arm_model = -1\n"};
@@ -136,7 +136,7 @@ static void test_a_value_that_is_no_number_is_refused(void **state)
 	}
 }
 
-static void test_what_is_no_configuration_cannot_be_set(void **state)
+static void test_an_object_that_is_not_configuration_cannot_be_set(void **state)
 {
 	(void)state;
 	assert_int_equal(config_set(&config, "acceleration.l=1", why), -EACCES);
@@ -144,14 +144,14 @@ static void test_what_is_no_configuration_cannot_be_set(void **state)
 	assert_int_equal(config_set(&config, "device_type=1", why), -EACCES);
 }
 
-static void test_a_line_that_is_no_setting_names_itself(void **state)
+static void test_a_syntax_error_names_its_line(void **state)
 {
 	(void)state;
 	assert_int_equal(read_file("lever_arm.l = 1\nwhat is this\n"), -EINVAL);
 	assert_error_at(2);
 }
 
-static void test_an_overlong_line_names_itself(void **state)
+static void test_an_overlong_line_is_named(void **state)
 {
 	char text[600] = "lever_arm.l = 1\nlever_arm.s = ";
 
@@ -161,7 +161,7 @@ static void test_an_overlong_line_names_itself(void **state)
 	assert_error_at(2);
 }
 
-static void test_a_missing_file_says_so(void **state)
+static void test_a_missing_file_is_an_error(void **state)
 {
 	(void)state;
 	assert_int_equal(config_file(&config, "/no/such/file.ini", why), -ENOENT);
@@ -196,7 +196,7 @@ static void test_process_keys_are_checked(void **state)
 	assert_int_equal(config.node_id, 1);
 }
 
-static void test_a_set_without_a_value_says_how_to_write_it(void **state)
+static void test_a_set_without_a_value_shows_the_syntax(void **state)
 {
 	(void)state;
 	assert_int_equal(config_set(&config, "lever_arm.l", why), -EINVAL);
@@ -211,20 +211,20 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_objects_are_set_by_name_with_or_without_a_section),
 		TEST(test_the_gateway_section_holds_the_process_keys),
-		TEST(test_a_later_setting_wins),
-		TEST(test_an_index_serves_as_a_name),
+		TEST(test_a_later_setting_replaces_an_earlier_one),
+		TEST(test_an_index_can_be_used_as_a_name),
 		TEST(test_an_unknown_object_names_its_line),
 		TEST(test_an_unknown_gateway_key_names_its_line_and_the_known_ones),
 		TEST(test_a_value_out_of_limits_names_line_and_limits),
-		TEST(test_a_long_value_out_of_limits_is_refused_within_the_room_for_the_error),
-		TEST(test_a_value_that_is_no_number_is_refused),
-		TEST(test_what_is_no_configuration_cannot_be_set),
-		TEST(test_a_line_that_is_no_setting_names_itself),
-		TEST(test_an_overlong_line_names_itself),
-		TEST(test_a_missing_file_says_so),
+		TEST(test_a_long_value_out_of_limits_does_not_overflow_the_error_text),
+		TEST(test_a_value_that_is_not_a_number_is_refused),
+		TEST(test_an_object_that_is_not_configuration_cannot_be_set),
+		TEST(test_a_syntax_error_names_its_line),
+		TEST(test_an_overlong_line_is_named),
+		TEST(test_a_missing_file_is_an_error),
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
-		TEST(test_a_set_without_a_value_says_how_to_write_it),
+		TEST(test_a_set_without_a_value_shows_the_syntax),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -80,7 +80,7 @@ static enum led_state run(struct fixture *f)
 	return (enum led_state)f->values.status_leds.run;
 }
 
-static void test_the_run_led_tells_the_nmt_state(void **state)
+static void test_the_run_led_shows_the_nmt_state(void **state)
 {
 	assert_int_equal(run(*state), LED_BLINKING);
 	receive(*state, 0, 2, "\x01\x10");
@@ -106,7 +106,7 @@ static void test_both_leds_flicker_while_the_node_waits_for_a_node_id(void **sta
 	assert_int_equal(error(*state), LED_FLICKERING);
 }
 
-static void test_of_several_errors_the_one_that_is_worst_is_shown(void **state)
+static void test_of_several_errors_the_one_of_highest_priority_is_shown(void **state)
 {
 	struct fixture *f = *state;
 
@@ -126,7 +126,7 @@ static void test_of_several_errors_the_one_that_is_worst_is_shown(void **state)
 	assert_int_equal(error(f), LED_ON);
 }
 
-static void test_an_error_that_is_over_is_not_shown(void **state)
+static void test_a_cleared_error_is_not_shown(void **state)
 {
 	struct fixture *f = *state;
 
@@ -135,13 +135,13 @@ static void test_an_error_that_is_over_is_not_shown(void **state)
 	assert_int_equal(error(f), LED_OFF);
 }
 
-static void test_error_passive_is_beyond_the_warning_limit(void **state)
+static void test_error_passive_is_shown_like_the_warning_limit(void **state)
 {
 	((struct fixture *)*state)->bus.state = CAN_STATE_PASSIVE;
 	assert_int_equal(error(*state), LED_SINGLE_FLASH);
 }
 
-/* As one character for each 50 ms, 2.4 s long. */
+/* One character for each 50 ms, for 2.4 s. */
 static void assert_pattern(enum led_state state, bool second, const char *expected)
 {
 	char text[49] = "";
@@ -169,7 +169,7 @@ static void test_each_state_has_the_rhythm_of_the_standard(void **state)
 	assert_pattern(LED_QUADRUPLE_FLASH, false, "####....####....####....####....................");
 }
 
-/* ---- LEDs of Linux ------------------------------------------------------------------------------------------------- */
+/* ---- Linux LEDs -------------------------------------------------------------------------------------------------- */
 
 static void make_file(const char *folder, const char *led, const char *file)
 {
@@ -196,7 +196,7 @@ static char first_of(const char *folder, const char *led, const char *file)
 	return (char)c;
 }
 
-static void test_linux_leds_are_taken_from_their_trigger_and_blink(void **state)
+static void test_linux_leds_lose_their_trigger_and_blink(void **state)
 {
 	struct fixture *f = *state;
 	const char *which;
@@ -223,7 +223,7 @@ static void test_linux_leds_are_taken_from_their_trigger_and_blink(void **state)
 	assert_int_equal(system(command), 0);
 }
 
-static void test_a_led_that_is_not_there_is_told(void **state)
+static void test_a_missing_led_is_an_error(void **state)
 {
 	struct fixture *f = *state;
 	const char *which;
@@ -233,7 +233,7 @@ static void test_a_led_that_is_not_there_is_told(void **state)
 	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
 }
 
-static void test_a_run_led_that_is_not_there_does_not_keep_the_error_led_dark(void **state)
+static void test_the_error_led_works_without_the_run_led(void **state)
 {
 	struct fixture *f = *state;
 	const char *which;
@@ -257,16 +257,16 @@ static void test_a_run_led_that_is_not_there_does_not_keep_the_error_led_dark(vo
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		TEST(test_the_run_led_tells_the_nmt_state),
+		TEST(test_the_run_led_shows_the_nmt_state),
 		TEST(test_both_leds_flicker_while_lss_configures_the_node),
 		TEST(test_both_leds_flicker_while_the_node_waits_for_a_node_id),
-		TEST(test_of_several_errors_the_one_that_is_worst_is_shown),
-		TEST(test_an_error_that_is_over_is_not_shown),
-		TEST(test_error_passive_is_beyond_the_warning_limit),
+		TEST(test_of_several_errors_the_one_of_highest_priority_is_shown),
+		TEST(test_a_cleared_error_is_not_shown),
+		TEST(test_error_passive_is_shown_like_the_warning_limit),
 		cmocka_unit_test(test_each_state_has_the_rhythm_of_the_standard),
-		TEST(test_linux_leds_are_taken_from_their_trigger_and_blink),
-		TEST(test_a_led_that_is_not_there_is_told),
-		TEST(test_a_run_led_that_is_not_there_does_not_keep_the_error_led_dark),
+		TEST(test_linux_leds_lose_their_trigger_and_blink),
+		TEST(test_a_missing_led_is_an_error),
+		TEST(test_the_error_led_works_without_the_run_led),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* The lines of the gateway: where they go when nobody takes them. */
+/* The lines of the gateway on standard error. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>
@@ -25,7 +25,7 @@ static void stderr_back(int kept)
 	close(kept);
 }
 
-static void test_a_line_is_written_whole_and_ends_with_a_newline(void **state)
+static void test_a_line_is_written_in_one_piece_and_ends_with_a_newline(void **state)
 {
 	char text[100] = "";
 	int ends[2], kept;
@@ -41,7 +41,7 @@ static void test_a_line_is_written_whole_and_ends_with_a_newline(void **state)
 	close(ends[1]);
 }
 
-static void test_control_codes_in_what_is_quoted_do_not_reach_the_terminal(void **state)
+static void test_control_codes_are_replaced(void **state)
 {
 	char text[100] = "";
 	int ends[2], kept;
@@ -57,7 +57,7 @@ static void test_control_codes_in_what_is_quoted_do_not_reach_the_terminal(void 
 	close(ends[1]);
 }
 
-static void test_a_reader_that_stands_still_does_not_stop_the_gateway(void **state)
+static void test_a_reader_that_does_not_read_does_not_block_the_gateway(void **state)
 {
 	char block[4096] = "";
 	int ends[2], kept;
@@ -69,7 +69,7 @@ static void test_a_reader_that_stands_still_does_not_stop_the_gateway(void **sta
 	}
 	fcntl(ends[1], F_SETFL, 0);
 	kept = stderr_to(ends[1]);
-	alarm(5); /* the end of a test that blocks */
+	alarm(5); /* ends a test that blocks */
 	log_line("nobody reads this");
 	alarm(0);
 	stderr_back(kept);
@@ -80,9 +80,9 @@ static void test_a_reader_that_stands_still_does_not_stop_the_gateway(void **sta
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_line_is_written_whole_and_ends_with_a_newline),
-		cmocka_unit_test(test_control_codes_in_what_is_quoted_do_not_reach_the_terminal),
-		cmocka_unit_test(test_a_reader_that_stands_still_does_not_stop_the_gateway),
+		cmocka_unit_test(test_a_line_is_written_in_one_piece_and_ends_with_a_newline),
+		cmocka_unit_test(test_control_codes_are_replaced),
+		cmocka_unit_test(test_a_reader_that_does_not_read_does_not_block_the_gateway),
 	};
 
 	return cmocka_run_group_tests_name("log", tests, NULL, NULL);

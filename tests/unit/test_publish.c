@@ -1,4 +1,4 @@
-/* What a sample says on the bus: scaling, rounding, saturation, and the CiA 410 slopes. */
+/* The objects of a sample: scaling, rounding, saturation, and the slopes of CiA 410. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -46,7 +46,7 @@ static void test_angles_are_in_units_of_6000h(void **state)
 	assert_int_equal(values.angles.yaw, 18000);
 }
 
-static void test_position_comes_in_16_and_32_bits_of_the_same_unit(void **state)
+static void test_position_has_16_and_32_bit_objects_of_the_same_unit(void **state)
 {
 	(void)state;
 	values.resolution.position = 10; /* 1 cm */
@@ -58,7 +58,7 @@ static void test_position_comes_in_16_and_32_bits_of_the_same_unit(void **state)
 	assert_int_equal(values.position_output.y32, -40000);
 }
 
-static void test_a_value_that_does_not_fit_saturates_and_the_status_says_so(void **state)
+static void test_a_value_that_does_not_fit_saturates_and_sets_its_status_bit(void **state)
 {
 	(void)state;
 	values.resolution.acceleration = 1;
@@ -82,7 +82,7 @@ static void test_counter_and_time_wrap(void **state)
 	assert_int_equal(values.sample.time, 5);
 }
 
-static void test_a_lost_sensor_takes_the_valid_bit_and_leaves_the_values(void **state)
+static void test_a_lost_sensor_clears_the_valid_bit_and_keeps_the_values(void **state)
 {
 	(void)state;
 	out.accel_b_m_s2.x = 1;
@@ -93,7 +93,7 @@ static void test_a_lost_sensor_takes_the_valid_bit_and_leaves_the_values(void **
 	assert_int_equal(values.acceleration.l, before);
 }
 
-/* CiA 410: slope = +-physical, and with scaling on + offset (6013h) + differential offset (6014h). */
+/* CiA 410: slope = +-physical; with scaling enabled + offset (6013h) + differential offset (6014h). */
 static void test_the_long_slope_is_pitch_and_the_lateral_slope_is_roll(void **state)
 {
 	(void)state;
@@ -112,7 +112,7 @@ static void test_the_operating_parameter_inverts_and_scales(void **state)
 	values.slope_long16_offset = 30;
 	values.slope_long16_differential_offset = 4;
 	publish_sample(&od, &out, 0);
-	assert_int_equal(values.slope_long16, 1000); /* scaling off: no offsets */
+	assert_int_equal(values.slope_long16, 1000); /* scaling disabled: no offsets */
 	values.slope_long16_operating_parameter = 2;
 	publish_sample(&od, &out, 0);
 	assert_int_equal(values.slope_long16, 1034);
@@ -121,7 +121,7 @@ static void test_the_operating_parameter_inverts_and_scales(void **state)
 	assert_int_equal(values.slope_long16, -966);
 }
 
-static void test_a_preset_makes_the_slope_read_it_now(void **state)
+static void test_a_preset_makes_the_present_slope_equal_to_it(void **state)
 {
 	static const uint8_t operating[] = {2, 3};
 
@@ -145,13 +145,13 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_acceleration_is_rounded_to_the_nearest_unit_of_2110h_1),
 		TEST(test_angles_are_in_units_of_6000h),
-		TEST(test_position_comes_in_16_and_32_bits_of_the_same_unit),
-		TEST(test_a_value_that_does_not_fit_saturates_and_the_status_says_so),
+		TEST(test_position_has_16_and_32_bit_objects_of_the_same_unit),
+		TEST(test_a_value_that_does_not_fit_saturates_and_sets_its_status_bit),
 		TEST(test_counter_and_time_wrap),
-		TEST(test_a_lost_sensor_takes_the_valid_bit_and_leaves_the_values),
+		TEST(test_a_lost_sensor_clears_the_valid_bit_and_keeps_the_values),
 		TEST(test_the_long_slope_is_pitch_and_the_lateral_slope_is_roll),
 		TEST(test_the_operating_parameter_inverts_and_scales),
-		TEST(test_a_preset_makes_the_slope_read_it_now),
+		TEST(test_a_preset_makes_the_present_slope_equal_to_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* The file behind 1010h: whole after any power cut, never trusted when damaged. */
+/* The file of 1010h: complete after any power cut, not used when damaged. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -107,7 +107,7 @@ static void test_no_file_yet_means_nothing_stored(void **state)
 	assert_int_equal(image.groups[0].size, 0);
 }
 
-static void test_every_truncation_is_noticed_and_the_file_kept_aside(void **state)
+static void test_every_truncation_is_detected_and_the_file_is_kept_as_bad(void **state)
 {
 	const struct store_image image = example(0x11, 20);
 	struct store_image back;
@@ -124,7 +124,7 @@ static void test_every_truncation_is_noticed_and_the_file_kept_aside(void **stat
 	}
 }
 
-static void test_every_flipped_bit_is_noticed(void **state)
+static void test_every_flipped_bit_is_detected(void **state)
 {
 	const struct store_image image = example(0x77, 20);
 	struct store_image back;
@@ -140,8 +140,8 @@ static void test_every_flipped_bit_is_noticed(void **state)
 	assert_int_equal(store_decode(&back, bytes, size), 0);
 }
 
-/* A power cut leaves the temporary file in any state, and the real one as it was. */
-static void test_a_cut_while_writing_leaves_the_old_values(void **state)
+/* A power cut leaves the temporary file in any state and does not change the other one. */
+static void test_a_power_cut_during_a_write_keeps_the_old_values(void **state)
 {
 	const struct store_image old = example(1, 30), new = example(2, 60);
 	struct store_image back;
@@ -156,7 +156,7 @@ static void test_a_cut_while_writing_leaves_the_old_values(void **state)
 	fclose(f);
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&old, &back);
-	assert_int_equal(store_write(path, bytes, size), 0); /* the left-over does not hinder the next */
+	assert_int_equal(store_write(path, bytes, size), 0); /* a left-over temporary file is replaced */
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&new, &back);
 }
@@ -169,7 +169,7 @@ static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
 	assert_int_equal(store_write("/proc/no/such.store", bytes, 4), -ENOENT);
 }
 
-static void test_the_thread_makes_the_folder_writes_and_tells(void **state)
+static void test_the_thread_creates_the_folder_writes_and_signals_the_end(void **state)
 {
 	static struct store_writer writer;
 	const struct store_image image = example(9, 10);
@@ -207,7 +207,7 @@ static void test_one_file_has_one_writer(void **state)
 	store_writer_close(&second);
 }
 
-static void test_what_lss_stored_is_read_back_and_begins_as_nothing(void **state)
+static void test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none(void **state)
 {
 	struct store_image image = example(1, 10), back;
 	uint8_t bytes[STORE_FILE_MAX];
@@ -222,7 +222,7 @@ static void test_what_lss_stored_is_read_back_and_begins_as_nothing(void **state
 	assert_int_equal(back.lss.bit_s, 125000);
 }
 
-static void test_a_node_id_that_cannot_be_is_damage(void **state)
+static void test_an_invalid_node_id_is_damage(void **state)
 {
 	struct store_image image = {.lss.node_id = 200}, back;
 	uint8_t bytes[STORE_FILE_MAX];
@@ -292,7 +292,7 @@ static void test_a_file_of_a_later_version_is_not_read(void **state)
 	assert_int_equal(store_decode(&back, later, sizeof(later)), -ENOTSUP);
 }
 
-static void test_closing_waits_for_a_write_under_way(void **state)
+static void test_closing_waits_for_a_write_in_progress(void **state)
 {
 	static struct store_writer writer;
 	const struct store_image image = example(3, 10);
@@ -315,19 +315,19 @@ int main(void)
 		TEST(test_what_is_written_is_read_back),
 		cmocka_unit_test(test_the_largest_image_fits_the_file),
 		TEST(test_no_file_yet_means_nothing_stored),
-		TEST(test_every_truncation_is_noticed_and_the_file_kept_aside),
-		cmocka_unit_test(test_every_flipped_bit_is_noticed),
-		TEST(test_a_cut_while_writing_leaves_the_old_values),
+		TEST(test_every_truncation_is_detected_and_the_file_is_kept_as_bad),
+		cmocka_unit_test(test_every_flipped_bit_is_detected),
+		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
-		TEST(test_the_thread_makes_the_folder_writes_and_tells),
+		TEST(test_the_thread_creates_the_folder_writes_and_signals_the_end),
 		TEST(test_one_file_has_one_writer),
-		cmocka_unit_test(test_what_lss_stored_is_read_back_and_begins_as_nothing),
-		cmocka_unit_test(test_a_node_id_that_cannot_be_is_damage),
+		cmocka_unit_test(test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none),
+		cmocka_unit_test(test_an_invalid_node_id_is_damage),
 		cmocka_unit_test(test_a_file_of_version_1_is_read),
 		cmocka_unit_test(test_a_file_of_version_2_is_read),
 		cmocka_unit_test(test_a_file_of_version_3_has_the_revision_of_its_values),
 		cmocka_unit_test(test_a_file_of_a_later_version_is_not_read),
-		TEST(test_closing_waits_for_a_write_under_way),
+		TEST(test_closing_waits_for_a_write_in_progress),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

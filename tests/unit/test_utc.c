@@ -11,7 +11,7 @@
 /* 2026-11-29 12:00:00 UTC: day 15673 since 1984-01-01, 1795953600 s since 1970-01-01 */
 enum { DAY = 15673, NOON_MS = 43200000 };
 #define NOON_US	 UINT64_C(1795953600000000)
-#define START_US UINT64_C(1000000000) /* of CLOCK_MONOTONIC */
+#define START_US UINT64_C(1000000000) /* CLOCK_MONOTONIC */
 
 struct fixture {
 	struct od od;
@@ -62,7 +62,7 @@ static void test_without_any_source_there_is_no_utc(void **state)
 	assert_int_equal(f->values.utc.source, 0);
 }
 
-static void test_a_synchronised_host_tells_the_time_of_a_sample(void **state)
+static void test_a_synchronised_host_is_a_source_of_utc(void **state)
 {
 	struct fixture *f = *state;
 
@@ -74,7 +74,7 @@ static void test_a_synchronised_host_tells_the_time_of_a_sample(void **state)
 	assert_int_equal(f->values.utc.source, UTC_HOST);
 }
 
-static void test_a_host_that_is_not_synchronised_does_not(void **state)
+static void test_a_host_that_is_not_synchronised_is_none(void **state)
 {
 	struct fixture *f = *state;
 
@@ -82,7 +82,7 @@ static void test_a_host_that_is_not_synchronised_does_not(void **state)
 	assert_int_equal(utc_sample(&f->utc, START_US, START_US), UTC_NONE);
 }
 
-static void test_time_of_the_bus_wins_over_the_host(void **state)
+static void test_time_has_precedence_over_the_host(void **state)
 {
 	struct fixture *f = *state;
 
@@ -92,7 +92,7 @@ static void test_time_of_the_bus_wins_over_the_host(void **state)
 	assert_true(f->values.utc.time == NOON_US + 500);
 }
 
-static void test_midnight_begins_a_day(void **state)
+static void test_the_day_changes_at_midnight(void **state)
 {
 	struct fixture *f = *state;
 
@@ -102,7 +102,7 @@ static void test_midnight_begins_a_day(void **state)
 	assert_int_equal(f->values.utc.ms, 0);
 }
 
-static void test_the_jitter_of_time_is_smoothed(void **state)
+static void test_the_jitter_of_time_is_filtered(void **state)
 {
 	struct fixture *f = *state;
 	uint64_t t_us = START_US;
@@ -110,14 +110,14 @@ static void test_the_jitter_of_time_is_smoothed(void **state)
 	for (int i = 0; i < 100; i++) {
 		t_us = START_US + (uint64_t)i * 1000000;
 		utc_time(&f->utc, DAY, (uint32_t)(NOON_MS + i * 1000),
-			t_us + (i % 2 ? 0 : 800)); /* late by 0 or 0.8 ms */
+			t_us + (i % 2 ? 0 : 800)); /* delayed by 0 or 0.8 ms */
 	}
 	utc_sample(&f->utc, t_us, t_us);
 	int64_t error_us = (int64_t)(f->values.utc.time - (NOON_US + t_us - START_US));
 	assert_in_range(-error_us, 300, 500); /* the mean of the two is 400 */
 }
 
-static void test_a_clock_that_is_set_is_followed_at_once(void **state)
+static void test_a_step_of_time_is_followed_at_once(void **state)
 {
 	struct fixture *f = *state;
 
@@ -127,7 +127,7 @@ static void test_a_clock_that_is_set_is_followed_at_once(void **state)
 	assert_true(f->values.utc.time == NOON_US + 61000000);
 }
 
-static void test_five_minutes_without_time_end_it(void **state)
+static void test_time_is_used_for_five_minutes(void **state)
 {
 	struct fixture *f = *state;
 
@@ -137,7 +137,7 @@ static void test_five_minutes_without_time_end_it(void **state)
 	assert_int_equal(f->values.utc.time, 0);
 }
 
-static void test_samples_of_another_epoch_get_the_time_of_the_arrival_least_late(void **state)
+static void test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_smallest_delay(void **state)
 {
 	struct fixture *f = *state;
 
@@ -148,7 +148,7 @@ static void test_samples_of_another_epoch_get_the_time_of_the_arrival_least_late
 	assert_in_range(error_us, 0, 10);
 }
 
-static void test_a_driver_that_tells_the_monotonic_clock_is_believed(void **state)
+static void test_time_stamps_of_the_monotonic_clock_are_used_as_they_are(void **state)
 {
 	struct fixture *f = *state;
 
@@ -157,7 +157,7 @@ static void test_a_driver_that_tells_the_monotonic_clock_is_believed(void **stat
 	assert_true(f->values.utc.time == NOON_US);
 }
 
-static void test_time_is_produced_with_its_period_where_it_is_known(void **state)
+static void test_time_is_produced_periodically_by_a_synchronised_host(void **state)
 {
 	struct fixture *f = *state;
 
@@ -175,7 +175,7 @@ static void test_time_is_produced_with_its_period_where_it_is_known(void **state
 	assert_int_equal(f->sent_count, 2);
 }
 
-static void test_time_that_was_heard_is_not_produced(void **state)
+static void test_received_time_is_not_produced_again(void **state)
 {
 	struct fixture *f = *state;
 
@@ -191,17 +191,17 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		TEST(test_without_any_source_there_is_no_utc),
-		TEST(test_a_synchronised_host_tells_the_time_of_a_sample),
-		TEST(test_a_host_that_is_not_synchronised_does_not),
-		TEST(test_time_of_the_bus_wins_over_the_host),
-		TEST(test_midnight_begins_a_day),
-		TEST(test_the_jitter_of_time_is_smoothed),
-		TEST(test_a_clock_that_is_set_is_followed_at_once),
-		TEST(test_five_minutes_without_time_end_it),
-		TEST(test_samples_of_another_epoch_get_the_time_of_the_arrival_least_late),
-		TEST(test_a_driver_that_tells_the_monotonic_clock_is_believed),
-		TEST(test_time_is_produced_with_its_period_where_it_is_known),
-		TEST(test_time_that_was_heard_is_not_produced),
+		TEST(test_a_synchronised_host_is_a_source_of_utc),
+		TEST(test_a_host_that_is_not_synchronised_is_none),
+		TEST(test_time_has_precedence_over_the_host),
+		TEST(test_the_day_changes_at_midnight),
+		TEST(test_the_jitter_of_time_is_filtered),
+		TEST(test_a_step_of_time_is_followed_at_once),
+		TEST(test_time_is_used_for_five_minutes),
+		TEST(test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_smallest_delay),
+		TEST(test_time_stamps_of_the_monotonic_clock_are_used_as_they_are),
+		TEST(test_time_is_produced_periodically_by_a_synchronised_host),
+		TEST(test_received_time_is_not_produced_again),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
