@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <string.h>
 
+#include "model/math/kalman.h"
 #include "model/math/rotation.h"
 #include "model/math/units.h"
 
@@ -85,17 +86,9 @@ int fusion_kalman_check(const struct fusion_kalman_config *c)
 		       : -EINVAL;
 }
 
-static double squared(double x)
-{
-	return x * x;
-}
-
-/* Nothing known of the state but its variance. */
 static void renew(struct fusion_kalman *k, int i, double variance)
 {
-	for (int j = 0; j < STATES; j++)
-		k->covariance[i][j] = k->covariance[j][i] = 0;
-	k->covariance[i][i] = variance;
+	kalman_set_variance(STATES, k->covariance[0], i, variance);
 }
 
 static void forget_gathered(struct fusion_kalman *k)
@@ -178,35 +171,16 @@ void fusion_kalman_set(struct fusion_kalman *k, const struct fusion_kalman_confi
 	forget_gathered(k);
 }
 
-/* Rows to.. of c += sign m (rows from.. of c) */
-static void add_rows(double c[STATES][STATES], int to, int rows, double sign, double m[3][3], int from)
-{
-	for (int i = 0; i < rows; i++)
-		for (int j = 0; j < STATES; j++)
-			c[to + i][j] +=
-				sign * (m[i][0] * c[from][j] + m[i][1] * c[from + 1][j] + m[i][2] * c[from + 2][j]);
-}
-
 /* c = F c: attitude += rate_turn scale - turn bias; velocity += attitude x force. An error of the attitude falsifies the
  * accelerometer's velocity and the lever arm's share of it alike: force is what the reference point feels. */
 static void transit(struct fusion_kalman *k, struct vec3 f)
 {
-	double(*c)[STATES] = k->covariance, cross[3][3] = {{0, f.z, -f.y}, {-f.z, 0, f.x}};
+	const double cross[6] = {0, f.z, -f.y, -f.z, 0, f.x};
+	double *p = k->covariance[0];
 
-	add_rows(c, 0, 3, -1, k->turn_s, BIAS);
-	add_rows(c, 0, 3, 1, k->rate_turn_rad, SCALE);
-	add_rows(c, VELOCITY, 2, 1, cross, 0);
-}
-
-static void transpose(double c[STATES][STATES])
-{
-	for (int i = 0; i < STATES; i++)
-		for (int j = 0; j < i; j++) {
-			double t = c[i][j];
-
-			c[i][j] = c[j][i];
-			c[j][i] = t;
-		}
+	kalman_add_rows(STATES, p, 0, 3, -1, k->turn_s[0], BIAS);
+	kalman_add_rows(STATES, p, 0, 3, 1, k->rate_turn_rad[0], SCALE);
+	kalman_add_rows(STATES, p, VELOCITY, 2, 1, cross, 0);
 }
 
 /* The errors' covariance carried over what was gathered: F c F^T + noise, c being symmetric. */
@@ -218,7 +192,7 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 			    squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->turned_rad2_s + squared(k->lost_rad);
 
 	transit(k, force);
-	transpose(k->covariance);
+	kalman_transpose(STATES, k->covariance[0]);
 	transit(k, force);
 	for (int i = 0; i < 3; i++) {
 		k->covariance[i][i] += turn_noise;
@@ -233,17 +207,11 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
  * scale (the last states), which only adds to its uncertainty. */
 static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
 {
-	double gain = 1 / (k->covariance[i][i] + variance), innovation = measured - error[i], column[STATES];
-	const int taught = i == HEADING ? SCALE : STATES;
+	double ph[STATES], innovation = measured - error[i], innovation_variance = k->covariance[i][i] + variance;
 
-	memcpy(column, k->covariance[i], sizeof(column));
-	for (int j = 0; j < taught; j++) {
-		error[j] += gain * innovation * column[j];
-		for (int m = 0; m < taught; m++)
-			k->covariance[j][m] -= gain * column[j] * column[m];
-		for (int m = taught; m < STATES; m++)
-			k->covariance[m][j] = k->covariance[j][m] -= gain * column[j] * column[m];
-	}
+	memcpy(ph, k->covariance[i], sizeof(ph));
+	kalman_update(
+		STATES, i == HEADING ? SCALE : STATES, k->covariance[0], error, ph, innovation, innovation_variance);
 }
 
 static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,

@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <string.h>
 
+#include "model/math/kalman.h"
 #include "model/smoother.h"
 
 enum {
@@ -75,19 +76,11 @@ int navigation_check(const struct navigation_config *c)
 
 /* ---- the covariance ---- */
 
-static double square(double a)
-{
-	return a * a;
-}
-
 /* These errors are independent of all others from now on. */
 static void set_variance(struct navigation *n, int at, double variance)
 {
-	for (int i = at; i < at + 3; i++) {
-		for (int j = 0; j < N; j++)
-			n->p[i][j] = n->p[j][i] = 0;
-		n->p[i][i] = variance;
-	}
+	for (int i = at; i < at + 3; i++)
+		kalman_set_variance(N, n->p[0], i, variance);
 }
 
 /* .. of those in the past, too, so that what is learnt from now on says nothing of the path before. */
@@ -147,17 +140,6 @@ static void sum_up(struct navigation_sums *s, const struct mat3 *r_nb, struct ve
 	s->t_s += dt;
 }
 
-/* Rows to..to+2 of p += sign M (rows from..from+2). */
-static void add_rows(double p[N][N], int to, double sign, const struct mat3 *m, int from)
-{
-	for (int i = 0; i < 3; i++) {
-		double a = sign * m->m[i][0], b = sign * m->m[i][1], c = sign * m->m[i][2];
-
-		for (int j = 0; j < N; j++)
-			p[to + i][j] += a * p[from][j] + b * p[from + 1][j] + c * p[from + 2][j];
-	}
-}
-
 /* p = F p. Whoever stands still does not change its place. */
 static void transit(double p[N][N], const struct navigation_sums *s, bool still)
 {
@@ -167,73 +149,62 @@ static void transit(double p[N][N], const struct navigation_sums *s, bool still)
 		for (int i = 0; i < 3; i++)
 			for (int j = 0; j < N; j++)
 				p[P + i][j] += s->t_s * p[V + i][j];
-		add_rows(p, P, 1, &minus_ff, THETA);
-		add_rows(p, P, 1, &s->w, BG);
-		add_rows(p, P, -1, &s->u, BA);
+		kalman_add_rows(N, p[0], P, 3, 1, minus_ff.m[0], THETA);
+		kalman_add_rows(N, p[0], P, 3, 1, s->w.m[0], BG);
+		kalman_add_rows(N, p[0], P, 3, -1, s->u.m[0], BA);
 	}
-	add_rows(p, V, 1, &minus_f, THETA);
-	add_rows(p, V, 1, &s->v, BG);
-	add_rows(p, V, -1, &s->s, BA);
-	add_rows(p, THETA, -1, &s->s, BG);
-}
-
-static void transpose(double p[N][N])
-{
-	for (int i = 0; i < N; i++)
-		for (int j = 0; j < i; j++) {
-			double t = p[i][j];
-
-			p[i][j] = p[j][i];
-			p[j][i] = t;
-		}
+	kalman_add_rows(N, p[0], V, 3, 1, minus_f.m[0], THETA);
+	kalman_add_rows(N, p[0], V, 3, 1, s->v.m[0], BG);
+	kalman_add_rows(N, p[0], V, 3, -1, s->s.m[0], BA);
+	kalman_add_rows(N, p[0], THETA, 3, -1, s->s.m[0], BG);
 }
 
 static void propagate(struct navigation *n)
 {
 	const struct noise_config *c = &n->config.noise;
 	const struct navigation_sums *s = &n->sums;
-	double t = s->t_s, walk = square(c->accel_density_m_s2_sqrt_hz) / 2 * t, (*map)[N] = smoother_map(n->smoother);
+	double t = s->t_s, walk = squared(c->accel_density_m_s2_sqrt_hz) / 2 * t, (*map)[N] = smoother_map(n->smoother);
 
 	if (map)
 		transit(map, s, n->still);
 	/* F p F^T, p being symmetric */
 	transit(n->p, s, n->still);
-	transpose(n->p);
+	kalman_transpose(N, n->p[0]);
 	transit(n->p, s, n->still);
 
-	add_variance(n, THETA, square(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
-	add_variance(n, THETA, square(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
-	add_variance(n, V, walk + square(ACCEL_SCALE_SQRT_S) * s->shaken2_m2_s3 / 3);
+	add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
+	add_variance(n, THETA, squared(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
+	add_variance(n, V, walk + squared(ACCEL_SCALE_SQRT_S) * s->shaken2_m2_s3 / 3);
 	if (!n->still)
 		for (int i = 0; i < 3; i++) {
 			n->p[P + i][P + i] += walk * t * t / 3;
 			n->p[P + i][V + i] += walk * t / 2;
 			n->p[V + i][P + i] += walk * t / 2;
 		}
-	add_variance(n, BG, square(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
+	add_variance(n, BG, squared(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
 	for (int i = BA; i < BA + 3; i++)
-		n->p[i][i] += square(ACCEL_SCALE_SQRT_S * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
-			      fmax(0, 1 - n->p[i][i] / square(START_ACCEL_BIAS_M_S2));
-	add_variance(n, BA, square(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
+		n->p[i][i] += squared(ACCEL_SCALE_SQRT_S * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
+			      fmax(0, 1 - n->p[i][i] / squared(START_ACCEL_BIAS_M_S2));
+	add_variance(n, BA, squared(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
 }
 
 /* ---- measurements: x collects what they say of the errors ---- */
 
+/* ph = P row^T; innovation: less what x holds of it already. */
+static void update(struct navigation *n, double x[N], const double row[N], const double ph[N], double innovation,
+	double innovation_variance)
+{
+	smoother_measure(n->smoother, row, ph, innovation, innovation_variance);
+	kalman_update(N, N, n->p[0], x, ph, innovation, innovation_variance);
+}
+
 static void measure(struct navigation *n, double x[N], int at, double error, double noise)
 {
-	double total = n->p[at][at] + noise, h[N], row[N] = {0};
+	double ph[N], row[N] = {0};
 
 	row[at] = 1;
-	memcpy(h, n->p[at], sizeof(h));
-	error -= x[at];
-	smoother_measure(n->smoother, row, h, error, total);
-	for (int i = 0; i < N; i++) {
-		double gain = h[i] / total;
-
-		x[i] += gain * error;
-		for (int j = 0; j < N; j++)
-			n->p[i][j] -= gain * h[j];
-	}
+	memcpy(ph, n->p[at], sizeof(ph));
+	update(n, x, row, ph, error - x[at], n->p[at][at] + noise);
 }
 
 static void measure3(struct navigation *n, double x[N], int at, struct vec3 error, double noise)
@@ -264,8 +235,8 @@ static bool scatters_less(struct vec3 *mean, double *square_, struct vec3 value,
 	struct vec3 d = vec3_sub(value, *mean);
 
 	*mean = vec3_add(*mean, vec3_scale(share, d));
-	*square_ = fmin(*square_ + share * (vec3_dot(d, d) - *square_), 4 * square(limit));
-	return *square_ < square(limit);
+	*square_ = fmin(*square_ + share * (vec3_dot(d, d) - *square_), 4 * squared(limit));
+	return *square_ < squared(limit);
 }
 
 /* Moves the slow mean and returns whether the short one is near it: a gentle start does not scatter. */
@@ -274,7 +245,7 @@ static bool stays(struct vec3 *slow, struct vec3 mean, double share, double limi
 	struct vec3 d = vec3_sub(mean, *slow);
 
 	*slow = vec3_add(*slow, vec3_scale(share, d));
-	return vec3_dot(d, d) < square(limit);
+	return vec3_dot(d, d) < squared(limit);
 }
 
 static void watch_stillness(
@@ -293,7 +264,7 @@ static void watch_stillness(
 	s->force = vec3_add(s->force, vec3_scale(smooth, vec3_sub(in->force_b_m_s2, s->force)));
 	still = scatters_less(&s->gyro_mean, &s->gyro_square, s->gyro, share, c->still_gyro_rad_s / 2);
 	still &= scatters_less(&s->force_mean, &s->force_square, s->force, share, c->still_accel_m_s2 / 2);
-	still &= vec3_dot(s->gyro_mean, s->gyro_mean) < square(c->still_gyro_rad_s);
+	still &= vec3_dot(s->gyro_mean, s->gyro_mean) < squared(c->still_gyro_rad_s);
 	slow = still ? fmax(dt / (s->still_s + dt), dt / STILL_MEMORY_S) : 1;
 	still &= stays(&s->gyro_slow, s->gyro_mean, slow, c->still_gyro_rad_s / 5);
 	still &= stays(&s->force_slow, s->force_mean, slow, c->still_accel_m_s2 / 5);
@@ -302,7 +273,7 @@ static void watch_stillness(
 
 static bool may_be_zero(double value, double var, double sigma)
 {
-	return square(value) < square(STILL_GATE_SIGMAS) * (var + square(sigma));
+	return squared(value) < squared(STILL_GATE_SIGMAS) * (var + squared(sigma));
 }
 
 /* Of the acceleration's error theta x f - R ba along one axis; its rows of -[f]x and R. */
@@ -377,7 +348,7 @@ static void begin_movement(struct navigation *n, const struct navigation_input *
 	n->lever_known = false;
 	n->moving_s = 0;
 	n->movements++;
-	add_variance(n, BG, square(MOVING_GYRO_BIAS_RAD_S));
+	add_variance(n, BG, squared(MOVING_GYRO_BIAS_RAD_S));
 	smoother_begin(n->smoother, here(n, in), n->p);
 }
 
@@ -385,9 +356,9 @@ static void measure_standstill(struct navigation *n, double x[N])
 {
 	double t = n->sums.t_s;
 
-	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), square(STILL_VELOCITY_M_S));
+	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), squared(STILL_VELOCITY_M_S));
 	measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
-		square(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + 1e-10);
+		squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + 1e-10);
 }
 
 /* Variance of one component of the velocity, from the quick part of it; u: the lever arm's share. */
@@ -402,27 +373,22 @@ static double quick_variance(struct navigation *n, struct vec3 u_n_m_s, double g
 	n->lever_known = true;
 	n->quick_n_m_s = vec3_scale(NAVIGATION_QUICK_S / (NAVIGATION_QUICK_S + t), vec3_add(n->quick_n_m_s, change));
 	n->quick2_max = fmax(n->quick2_max, vec3_dot(n->quick_n_m_s, n->quick_n_m_s));
-	return n->quick2_max / 3 / QUICK_CREST2 + square(QUICK_MIN_M_S);
+	return n->quick2_max / 3 / QUICK_CREST2 + squared(QUICK_MIN_M_S);
 }
 
 /* row . errors was measured */
 static void measure_sum(struct navigation *n, double x[N], const double row[N], double error, double noise)
 {
-	double h[N] = {0}, total = noise;
+	double ph[N] = {0}, innovation = error, innovation_variance = noise;
 
 	for (int i = 0; i < N; i++)
 		for (int j = 0; j < N; j++)
-			h[i] += n->p[i][j] * row[j];
+			ph[i] += n->p[i][j] * row[j];
 	for (int i = 0; i < N; i++) {
-		total += row[i] * h[i];
-		error -= row[i] * x[i];
+		innovation_variance += row[i] * ph[i];
+		innovation -= row[i] * x[i];
 	}
-	smoother_measure(n->smoother, row, h, error, total);
-	for (int i = 0; i < N; i++) {
-		x[i] += h[i] / total * error;
-		for (int j = 0; j < N; j++)
-			n->p[i][j] -= h[i] / total * h[j];
-	}
+	update(n, x, row, ph, innovation, innovation_variance);
 }
 
 /* The velocity of the sensor beyond that of the reference point is u = R (omega x r); with the errors of attitude and
@@ -456,7 +422,7 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
-		spread2 = square(n->config.velocity_prior_m_s);
+		spread2 = squared(n->config.velocity_prior_m_s);
 	else if (!n->config.levelling || n->moving_s < LEVELLING_AFTER_S)
 		return;
 	measure_reference_velocity(
@@ -490,10 +456,10 @@ static bool find_again(struct navigation *n, const struct navigation_input *in)
 	n->q_nb = in->q_nb;
 	n->velocity_n_m_s = quat_rotate(n->q_nb, vec3_cross(in->gyro_b_rad_s, in->lever_b_m));
 	n->gyro_bias_b_rad_s = n->accel_bias_b_m_s2 = ZERO;
-	forget(n, THETA, square(START_ANGLE_RAD));
-	forget(n, V, square(LOST_VELOCITY_M_S));
-	forget(n, BG, square(START_GYRO_BIAS_RAD_S));
-	forget(n, BA, square(START_ACCEL_BIAS_M_S2));
+	forget(n, THETA, squared(START_ANGLE_RAD));
+	forget(n, V, squared(LOST_VELOCITY_M_S));
+	forget(n, BG, squared(START_GYRO_BIAS_RAD_S));
+	forget(n, BA, squared(START_ACCEL_BIAS_M_S2));
 	n->quick_n_m_s = ZERO;
 	n->quick2_max = 0;
 	n->lever_known = false;
@@ -510,7 +476,7 @@ static void measure_heading(struct navigation *n, double x[N], struct quat q_fus
 		turn_to_heading(n, apart.z);
 		apart.z = 0;
 	}
-	measure(n, x, THETA + 2, apart.z, square(HEADING_SIGMA_RAD) * HEADING_CORRELATION_S / t);
+	measure(n, x, THETA + 2, apart.z, squared(HEADING_SIGMA_RAD) * HEADING_CORRELATION_S / t);
 	mean->x += share * (apart.x * apart.x - mean->x);
 	mean->y += share * (apart.y * apart.y - mean->y);
 	mean->z += share * (apart.z * apart.z - mean->z);
@@ -541,10 +507,10 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	fresh.position_n_m = n->position_n_m;
 	fresh.gravity_m_s2 = 9.81;
 	fresh.earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
-	set_variance(&fresh, THETA, square(START_ANGLE_RAD));
-	set_variance(&fresh, V, square(START_VELOCITY_M_S));
-	set_variance(&fresh, BG, square(START_GYRO_BIAS_RAD_S));
-	set_variance(&fresh, BA, square(START_ACCEL_BIAS_M_S2));
+	set_variance(&fresh, THETA, squared(START_ANGLE_RAD));
+	set_variance(&fresh, V, squared(START_VELOCITY_M_S));
+	set_variance(&fresh, BG, squared(START_GYRO_BIAS_RAD_S));
+	set_variance(&fresh, BA, squared(START_ACCEL_BIAS_M_S2));
 	*n = fresh;
 }
 
@@ -552,10 +518,10 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 {
 	n->q_nb = q_nb;
 	smoother_elapse(n->smoother, dt_s);
-	forget(n, THETA, square(START_ANGLE_RAD));
-	add_variance(n, V, square(GAP_ACCEL_M_S2 * dt_s));
+	forget(n, THETA, squared(START_ANGLE_RAD));
+	add_variance(n, V, squared(GAP_ACCEL_M_S2 * dt_s));
 	add_variance(
-		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + square(GAP_ACCEL_M_S2 * dt_s)));
+		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
 	n->stillness.primed = n->still = n->parted = n->sampled = n->lever_known = false;
 }
@@ -623,11 +589,11 @@ void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, d
 	struct vec3 off = vec3_sub(vec3_add(velocity_n_m_s, u), n->velocity_n_m_s);
 	double x[N] = {0};
 
-	if (vec3_dot(off, off) > square(AIDED_GATE_SIGMAS) * (var.x + var.y + var.z + 3 * square(sigma_m_s))) {
+	if (vec3_dot(off, off) > squared(AIDED_GATE_SIGMAS) * (var.x + var.y + var.z + 3 * squared(sigma_m_s))) {
 		n->velocity_n_m_s = vec3_add(velocity_n_m_s, u);
-		forget(n, V, square(sigma_m_s));
+		forget(n, V, squared(sigma_m_s));
 	} else {
-		measure_reference_velocity(n, x, off, u, lever_b_m, square(sigma_m_s));
+		measure_reference_velocity(n, x, off, u, lever_b_m, squared(sigma_m_s));
 		take(n, x);
 	}
 	n->aided_s = AIDED_S;
@@ -639,7 +605,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
 	n->sampled = false;
-	forget(n, THETA, square(SET_ANGLE_RAD));
+	forget(n, THETA, squared(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
 }
 
@@ -665,19 +631,19 @@ static struct vec3 root(struct vec3 a)
 static struct vec3 attitude_variance(const struct navigation *n)
 {
 	struct vec3 var = n->fused_variance_rad2, bias = variance(n, BA);
-	double tilt = (bias.x + bias.y + bias.z) / 3 / square(n->gravity_m_s2);
+	double tilt = (bias.x + bias.y + bias.z) / 3 / squared(n->gravity_m_s2);
 
 	if (vec3_dot(var, var) == 0)
 		var = vec3_add(variance(n, THETA), n->fused_apart2_rad2);
-	return vec3_add(var, (struct vec3){tilt, tilt, square(NORTH_SIGMA_RAD)});
+	return vec3_add(var, (struct vec3){tilt, tilt, squared(NORTH_SIGMA_RAD)});
 }
 
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
 	double force =
-		square(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
-	double g2 = square(n->gravity_m_s2);
+		squared(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
+	double g2 = squared(n->gravity_m_s2);
 
 	return (struct navigation_sigma){
 		.attitude_rad = root(angle),
