@@ -31,7 +31,6 @@ static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
 static const double BIAS_TIME_S = 100;
 /* What is left of velocity and acceleration at a standstill: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
-static const double STILL_SMOOTH_S = 0.004, STILL_MEAN_S = 0.15, STILL_TIME_S = 0.3, STILL_MEMORY_S = 5;
 /* A shorter standstill does not part two movements. */
 static const double STOOD_S = 1;
 static const double STILL_GATE_SIGMAS = 5;
@@ -57,7 +56,6 @@ static const double APART_TIME_S = 1;
 
 int navigation_check(const struct navigation_config *c)
 {
-	const double positive[] = {c->still_gyro_rad_s, c->still_accel_m_s2};
 	const struct noise_config *noise = &c->noise;
 	const double not_negative[] = {c->velocity_prior_m_s, c->rest_s, noise->gyro_density_rad_s_sqrt_hz,
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
@@ -65,13 +63,10 @@ int navigation_check(const struct navigation_config *c)
 
 	if (c->levelling != 0 && c->levelling != 1)
 		return -EINVAL;
-	for (size_t i = 0; i < sizeof(positive) / sizeof(positive[0]); i++)
-		if (!(positive[i] > 0 && isfinite(positive[i])))
-			return -EINVAL;
 	for (size_t i = 0; i < sizeof(not_negative) / sizeof(not_negative[0]); i++)
 		if (!(not_negative[i] >= 0 && isfinite(not_negative[i])))
 			return -EINVAL;
-	return 0;
+	return rest_check(&c->standstill);
 }
 
 /* ---- the covariance ---- */
@@ -228,49 +223,6 @@ static void take(struct navigation *n, const double x[N])
 	n->accel_bias_b_m_s2 = vec3_add(n->accel_bias_b_m_s2, part(x, BA));
 }
 
-/* Moves the mean and the mean square of what is left; this at most 4 limits, so that what was large is soon forgotten.
- * Returns whether it is below the limit. */
-static bool scatters_less(struct vec3 *mean, double *square_, struct vec3 value, double share, double limit)
-{
-	struct vec3 d = vec3_sub(value, *mean);
-
-	*mean = vec3_add(*mean, vec3_scale(share, d));
-	*square_ = fmin(*square_ + share * (vec3_dot(d, d) - *square_), 4 * squared(limit));
-	return *square_ < squared(limit);
-}
-
-/* Moves the slow mean and returns whether the short one is near it: a gentle start does not scatter. */
-static bool stays(struct vec3 *slow, struct vec3 mean, double share, double limit)
-{
-	struct vec3 d = vec3_sub(mean, *slow);
-
-	*slow = vec3_add(*slow, vec3_scale(share, d));
-	return vec3_dot(d, d) < squared(limit);
-}
-
-static void watch_stillness(
-	struct stillness *s, const struct navigation_config *c, const struct navigation_input *in, double dt)
-{
-	double share = dt / (STILL_MEAN_S + dt), smooth = fmin(1, dt / STILL_SMOOTH_S), slow;
-	bool still;
-
-	if (!s->primed)
-		*s = (struct stillness){.gyro = in->gyro_b_rad_s,
-			.force = in->force_b_m_s2,
-			.gyro_mean = in->gyro_b_rad_s,
-			.force_mean = in->force_b_m_s2,
-			.primed = true};
-	s->gyro = vec3_add(s->gyro, vec3_scale(smooth, vec3_sub(in->gyro_b_rad_s, s->gyro)));
-	s->force = vec3_add(s->force, vec3_scale(smooth, vec3_sub(in->force_b_m_s2, s->force)));
-	still = scatters_less(&s->gyro_mean, &s->gyro_square, s->gyro, share, c->still_gyro_rad_s / 2);
-	still &= scatters_less(&s->force_mean, &s->force_square, s->force, share, c->still_accel_m_s2 / 2);
-	still &= vec3_dot(s->gyro_mean, s->gyro_mean) < squared(c->still_gyro_rad_s);
-	slow = still ? fmax(dt / (s->still_s + dt), dt / STILL_MEMORY_S) : 1;
-	still &= stays(&s->gyro_slow, s->gyro_mean, slow, c->still_gyro_rad_s / 5);
-	still &= stays(&s->force_slow, s->force_mean, slow, c->still_accel_m_s2 / 5);
-	s->still_s = still ? s->still_s + dt : 0;
-}
-
 static bool may_be_zero(double value, double var, double sigma)
 {
 	return squared(value) < squared(STILL_GATE_SIGMAS) * (var + squared(sigma));
@@ -300,7 +252,7 @@ static bool velocity_may_be_zero(const struct navigation *n)
 static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
 {
 	struct mat3 r = mat3_from_quat(n->q_nb);
-	struct vec3 f = mat3_apply(r, vec3_sub(n->stillness.force_mean, n->accel_bias_b_m_s2));
+	struct vec3 f = mat3_apply(r, vec3_sub(n->rest.accel_mean, n->accel_bias_b_m_s2));
 	const struct mat3 minus_f = minus_cross(f);
 	const double accel[3] = {f.x, f.y, f.z - gravity_m_s2};
 
@@ -313,13 +265,15 @@ static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
 
 /* A steady motion, or one that slows down steadily, scatters no more than a standstill does: velocity and acceleration must
  * agree, or it lasts. */
-static bool stands_still(struct navigation *n, double gravity_m_s2, double dt)
+static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
 {
-	if (n->stillness.still_s <= STILL_TIME_S || (n->aided_s > 0 && n->told_to_move)) {
+	bool rest = rest_step(&n->rest, &n->config.standstill, in->gyro_b_rad_s, in->force_b_m_s2, dt);
+
+	if (!rest || (n->aided_s > 0 && n->told_to_move)) {
 		n->contradicted_s = 0;
 		return false;
 	}
-	if (velocity_may_be_zero(n) && accel_may_be_zero(n, gravity_m_s2)) {
+	if (velocity_may_be_zero(n) && accel_may_be_zero(n, in->gravity_m_s2)) {
 		n->contradicted_s = fmax(0, n->contradicted_s - dt);
 		return true;
 	}
@@ -523,7 +477,8 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	add_variance(
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
-	n->stillness.primed = n->still = n->parted = n->sampled = n->lever_known = false;
+	rest_restart(&n->rest);
+	n->still = n->parted = n->sampled = n->lever_known = false;
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
@@ -555,10 +510,8 @@ static void record(struct navigation *n, const struct navigation_input *in)
 
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
-	bool still, ended;
+	bool still = stands_still(n, in, dt_s), ended;
 
-	watch_stillness(&n->stillness, &n->config, in, dt_s);
-	still = stands_still(n, in->gravity_m_s2, dt_s);
 	if (n->still && !still && (n->stood_s > STOOD_S || n->parted))
 		begin_movement(n, in);
 	n->parted &= still;

@@ -28,6 +28,7 @@
 #define MODEL_NAVIGATION_H
 
 #include "model/noise.h"
+#include "model/rest.h"
 #include "model/math/rotation.h"
 
 #define NAVIGATION_INTERVAL_S 0.04
@@ -47,8 +48,7 @@ struct navigation_config {
 	int levelling;		   /* 0 or 1; the prior, if there is one, is used instead */
 	double velocity_prior_m_s; /* >= 0: 1 sigma of each component while it moves; 0: none */
 	struct noise_config noise;
-	/* standing still: gyro and accelerometer scatter by less than half of that, and their mean does not move by a fifth */
-	double still_gyro_rad_s, still_accel_m_s2;
+	struct rest_config standstill;
 	double rest_s; /* >= 0: after so long it is believed, whatever velocity and acceleration seem to be */
 };
 
@@ -71,14 +71,6 @@ struct navigation_sums {
 	double shaken2_m2_s3;	  /* integral of the squared acceleration */
 };
 
-struct stillness {
-	struct vec3 gyro, force;				  /* their quick noise smoothed away */
-	struct vec3 gyro_mean, force_mean, gyro_slow, force_slow; /* over a short and a long time */
-	double gyro_square, force_square;			  /* mean square of the distance to the short mean */
-	double still_s;
-	bool primed;
-};
-
 struct navigation {
 	struct navigation_config config;
 	struct smoother *smoother; /* that records the movements; or NULL */
@@ -96,7 +88,7 @@ struct navigation {
 	unsigned movements; /* begun after a standstill of a second, or one with a reset of the position */
 	/* PRIVATE */
 	struct navigation_sums sums;
-	struct stillness stillness;
+	struct rest rest;
 	double stood_s;		 /* for how long it is still */
 	double contradicted_s;	 /* for how long it would be, but for velocity or acceleration */
 	struct vec3 quick_n_m_s; /* high-pass of the reference point's velocity */

@@ -39,17 +39,12 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.rates_from = RATES_FROM_GYRO,
 			.gravity_m_s2 = 9.81,
 		},
-	.rest =
-		{
-			.gyro_threshold_rad_s = 2 * RAD_PER_DEG,
-			.accel_threshold_m_s2 = 0.5,
-			.time_s = 1.5,
-		},
+	.rest = REST_DEFAULTS,
 	.position =
 		{
 			.mode = POSITION_NAVIGATION,
 			.longest_integration_s = 60,
-			.navigation = {.levelling = 1},
+			.navigation = {.levelling = 1, .standstill = STANDSTILL_DEFAULTS},
 		},
 };
 
@@ -109,8 +104,8 @@ static struct position_config position_config(const struct pipeline_config *conf
 	struct position_config position = config->position;
 
 	position.navigation.noise = config->noise;
-	position.navigation.still_gyro_rad_s = config->rest.gyro_threshold_rad_s;
-	position.navigation.still_accel_m_s2 = config->rest.accel_threshold_m_s2;
+	position.navigation.standstill.gyro_threshold_rad_s = config->rest.gyro_threshold_rad_s;
+	position.navigation.standstill.accel_threshold_m_s2 = config->rest.accel_threshold_m_s2;
 	position.navigation.rest_s = config->rest.time_s;
 	return position;
 }
@@ -129,7 +124,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
 		fusion_init(&fresh.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
-		rest_init(&fresh.rest, &config->rest) < 0 || position_init(&fresh.position, &position) < 0)
+		rest_check(&config->rest) < 0 || position_init(&fresh.position, &position) < 0)
 		return -EINVAL;
 	fresh.accel_delay_s = filter3_delay_s(&fresh.accel_filter, rate_hz);
 	differentiator3_tune(&fresh.accel_change, CHANGE_CUTOFF_HZ, rate_hz);
@@ -185,7 +180,7 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 
 	if (latency_check(&config->latency) < 0 || configure_calibration(&next, &config->calibration) < 0 ||
 		configure_filters(&next, config) < 0 || fusion_configure(&next.fusion, &fusion) < 0 ||
-		estimator_check(&config->estimator) < 0 || rest_configure(&next.rest, &config->rest) < 0 ||
+		estimator_check(&config->estimator) < 0 || rest_check(&config->rest) < 0 ||
 		position_configure(&next.position, &position) < 0)
 		return -EINVAL;
 	bool other_noise = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
@@ -277,7 +272,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 
 	if (!p->primed)
 		rest_restart(&p->rest);
-	rest = rest_step(&p->rest, s->gyro_rad_s, s->accel_m_s2, dt_s);
+	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s);
 	if (rest)
 		fusion_learn_bias(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)

@@ -2,68 +2,91 @@
 
 #include <errno.h>
 
-/* Time constant of the slow mean: long against vibration, short against the time after which rest
- * counts. */
-static const double MEAN_TIME_S = 0.5;
-/* A sensor sampled faster is noisier: the same sensor is to rest at any rate. */
+#include "model/math/kalman.h"
+
+/* Time constant of a low-pass before all else: a sensor sampled faster is noisier per sample, and the same thresholds
+ * have to hold for it. Chosen by judgement: short against any motion, and without effect up to 250 samples a second. */
 static const double SMOOTH_TIME_S = 0.004;
+/* The mean square is held below this times its limit, so that it is below the limit ln 4 = 1.4 time constants after the
+ * end of a motion, however violent that was. Chosen by judgement. */
+static const double SQUARE_MOST = 4;
 
-int rest_configure(struct rest *r, const struct rest_config *config)
+static bool positive(double a)
 {
-	const struct rest_config *c = config;
-
-	if (!(c->gyro_threshold_rad_s > 0 && isfinite(c->gyro_threshold_rad_s)) ||
-		!(c->accel_threshold_m_s2 > 0 && isfinite(c->accel_threshold_m_s2)) ||
-		!(c->time_s >= 0 && isfinite(c->time_s)))
-		return -EINVAL;
-	r->config = *config;
-	return 0;
+	return a > 0 && isfinite(a);
 }
 
-int rest_init(struct rest *r, const struct rest_config *config)
+static bool not_negative(double a)
 {
-	struct rest fresh = {.still_s = 0};
+	return a >= 0 && isfinite(a);
+}
 
-	if (rest_configure(&fresh, config) < 0)
-		return -EINVAL;
-	*r = fresh;
-	return 0;
+int rest_check(const struct rest_config *c)
+{
+	return positive(c->gyro_threshold_rad_s) && positive(c->accel_threshold_m_s2) && not_negative(c->time_s) &&
+			       positive(c->mean_time_s) && not_negative(c->deviation_time_s) &&
+			       positive(c->deviation_share) && positive(c->drift_time_s) && c->drift_share > 0
+		       ? 0
+		       : -EINVAL;
 }
 
 void rest_restart(struct rest *r)
 {
-	r->primed = false;
+	*r = (struct rest){.started = false};
 }
 
-/* Moves the mean and returns how far the value is from it. */
-static double deviation(struct vec3 *mean, struct vec3 value, double share)
+/* Moves the mean towards the value; returns how far the value was from it. */
+static struct vec3 follow(struct vec3 *mean, struct vec3 value, double share)
 {
 	struct vec3 d = vec3_sub(value, *mean);
 
 	*mean = vec3_add(*mean, vec3_scale(share, d));
-	return vec3_norm(d);
+	return d;
 }
 
-bool rest_step(struct rest *r, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2, double dt_s)
+static bool deviates_less(
+	struct vec3 *mean, double *mean_square, struct vec3 value, double share, double square_share, double limit)
 {
-	const struct rest_config *c = &r->config;
-	double share = dt_s / (MEAN_TIME_S + dt_s), smooth = fmin(1, dt_s / SMOOTH_TIME_S), gyro, accel;
+	struct vec3 d = follow(mean, value, share);
 
-	if (!r->primed) {
-		r->gyro = r->gyro_mean = gyro_b_rad_s;
-		r->accel = r->accel_mean = force_b_m_s2;
-		r->still_s = 0;
-		r->primed = true;
+	*mean_square =
+		fmin(*mean_square + square_share * (vec3_dot(d, d) - *mean_square), SQUARE_MOST * squared(limit));
+	return *mean_square < squared(limit);
+}
+
+static bool drifts_less(struct vec3 *slow, struct vec3 mean, double share, double limit)
+{
+	struct vec3 d = follow(slow, mean, share);
+
+	return vec3_dot(d, d) < squared(limit);
+}
+
+bool rest_step(
+	struct rest *r, const struct rest_config *c, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2, double dt_s)
+{
+	double smooth = fmin(1, dt_s / SMOOTH_TIME_S), share = dt_s / (c->mean_time_s + dt_s);
+	double square_share = dt_s / (c->deviation_time_s + dt_s), slow_share;
+	double gyro_limit = c->gyro_threshold_rad_s, accel_limit = c->accel_threshold_m_s2;
+	bool still;
+
+	if (!r->started) {
+		r->gyro = r->gyro_mean = r->gyro_slow = gyro_b_rad_s;
+		r->accel = r->accel_mean = r->accel_slow = force_b_m_s2;
+		r->gyro_square = r->accel_square = r->still_s = 0;
+		r->started = true;
 		return false;
 	}
-	deviation(&r->gyro, gyro_b_rad_s, smooth);
-	deviation(&r->accel, force_b_m_s2, smooth);
-	gyro = deviation(&r->gyro_mean, r->gyro, share);
-	accel = deviation(&r->accel_mean, r->accel, share);
-	if (gyro < c->gyro_threshold_rad_s && accel < c->accel_threshold_m_s2 &&
-		vec3_norm(r->gyro_mean) < c->gyro_threshold_rad_s)
-		r->still_s += dt_s;
-	else
-		r->still_s = 0;
+	follow(&r->gyro, gyro_b_rad_s, smooth);
+	follow(&r->accel, force_b_m_s2, smooth);
+	still = deviates_less(
+		&r->gyro_mean, &r->gyro_square, r->gyro, share, square_share, c->deviation_share * gyro_limit);
+	still &= deviates_less(
+		&r->accel_mean, &r->accel_square, r->accel, share, square_share, c->deviation_share * accel_limit);
+	still &= vec3_dot(r->gyro_mean, r->gyro_mean) < squared(gyro_limit);
+	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded memory */
+	slow_share = still ? fmax(dt_s / (r->still_s + dt_s), dt_s / c->drift_time_s) : 1;
+	still &= drifts_less(&r->gyro_slow, r->gyro_mean, slow_share, c->drift_share * gyro_limit);
+	still &= drifts_less(&r->accel_slow, r->accel_mean, slow_share, c->drift_share * accel_limit);
+	r->still_s = still ? r->still_s + dt_s : 0;
 	return r->still_s > c->time_s;
 }

@@ -1,36 +1,83 @@
 /* model/rest.h
- * Rest detection: gyro and accelerometer both stay close to their slow mean, and the gyro's mean
- * close to zero, for a while. Rest ends with the first sample that does not. After the rest
- * detection of VQF (D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with
- * bias estimation and magnetic disturbance rejection", 2023). */
+ * Standstill detector: gyro and accelerometer both stay close to their mean over a short window, the mean rate is close
+ * to zero, and both short means stay close to a slow one, for a dwell time. The first sample that breaks a condition
+ * ends the standstill.
+ *
+ * It looks at two sensors only, so a motion at constant velocity, without vibration, is a standstill to it. Which motions
+ * pass depends on the windows. Two sets of parameters are in use: REST_DEFAULTS, by which the fusion learns the gyro's
+ * bias, and STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation.
+ *
+ * Source of the conditions on mean and deviation: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation
+ * estimation with bias estimation and magnetic disturbance rejection", Information Fusion 91, 2023, section on rest
+ * detection. The mean square and the slow mean are this project's. */
 #ifndef MODEL_REST_H
 #define MODEL_REST_H
 
+#include "model/math/units.h"
 #include "model/math/vec3.h"
 
+/** Start from REST_DEFAULTS or STANDSTILL_DEFAULTS. */
 struct rest_config {
-	double gyro_threshold_rad_s; /* > 0: deviation from the slow mean, and the mean itself; so a
-					gyro with a larger bias has to be calibrated first */
-	double accel_threshold_m_s2; /* > 0: deviation from the slow mean */
-	double time_s;		     /* >= 0: all of them below for that long: at rest */
+	/** rad/s, > 0, default 2 deg/s: limit of the length of the mean rate, and unit of the other limits of the gyro. It
+	 * has to be above the gyro's bias plus its noise, or rest is never seen; a larger one takes slow turns for rest. */
+	double gyro_threshold_rad_s;
+	/** m/s^2, > 0, default 0.5: unit of the limits of the accelerometer. It has to be above the vibration of the
+	 * support; a larger one takes gentle motions for rest. */
+	double accel_threshold_m_s2;
+	/** s, >= 0: dwell time, for which all conditions have to hold. A smaller one sees rest earlier, and in the turning
+	 * points of a motion, too; a larger one misses short stops. */
+	double time_s;
+	/** s, > 0: time constant of the short mean. Longer than a period of the vibration, or the mean follows it; shorter
+	 * than the dwell time, or rest begins late. */
+	double mean_time_s;
+	/** s, >= 0: time constant of the mean square of the deviation from the short mean. 0: each sample counts by itself,
+	 * which ends rest at once but also by a single outlier. */
+	double deviation_time_s;
+	/** > 0: limit of that deviation's root mean square, as a share of the thresholds. A smaller one sees gentler
+	 * motions and needs a quieter sensor. */
+	double deviation_share;
+	/** s, > 0: time constant of the slow mean. A larger one sees slower changes. */
+	double drift_time_s;
+	/** > 0: limit of the distance between short and slow mean, as a share of the thresholds; INFINITY: no limit. A
+	 * smaller one sees a motion that begins so gently that it does not scatter. */
+	double drift_share;
 };
 
+/** For the gyro's bias. Thresholds, dwell and window as VQF's defaults, for the short mean an exponential one in place of
+ * its second-order low-pass. */
+#define REST_DEFAULTS                                                                                \
+	{                                                                                            \
+		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .accel_threshold_m_s2 = 0.5, .time_s = 1.5, \
+		.mean_time_s = 0.5, .deviation_time_s = 0, .deviation_share = 1, .drift_time_s = 5,  \
+		.drift_share = INFINITY,                                                             \
+	}
+
+/** For zero-velocity updates: a movement ends within half a second, and even a gentle one is seen. Window, dwell and
+ * shares were chosen on the recorded trials of BROAD with breaks and on simulated gentle drives. */
+#define STANDSTILL_DEFAULTS                                                                               \
+	{                                                                                                 \
+		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .accel_threshold_m_s2 = 0.5, .time_s = 0.3,      \
+		.mean_time_s = 0.15, .deviation_time_s = 0.15, .deviation_share = 0.5, .drift_time_s = 5, \
+		.drift_share = 0.2,                                                                       \
+	}
+
+/** Zeroed it is ready: the next sample begins the observation. */
 struct rest {
-	struct rest_config config;
+	struct vec3 gyro_mean, accel_mean; /* short means, rad/s and m/s^2 */
+	double still_s;			   /* for how long all conditions have held */
 	/* PRIVATE */
-	struct vec3 gyro, accel; /* the noise of quick sampling smoothed away */
-	struct vec3 gyro_mean, accel_mean;
-	double still_s; /* since the last motion */
-	bool primed;
+	struct vec3 gyro, accel; /* low-passed */
+	struct vec3 gyro_slow, accel_slow;
+	double gyro_square, accel_square; /* mean square of the deviation from the short mean */
+	bool started;
 };
 
-/** 0, or -EINVAL with *r untouched: a field out of its range. */
-int rest_init(struct rest *r, const struct rest_config *config);
-/** The same while it runs: the means and the time already still stay. */
-int rest_configure(struct rest *r, const struct rest_config *config);
-/** The next sample starts anew: not at rest. */
+/** 0, or -EINVAL: a field out of its range. */
+int rest_check(const struct rest_config *config);
+/** Forgets all: the next sample is not at rest. */
 void rest_restart(struct rest *r);
-/** One calibrated sample, dt_s > 0 after the one before. Returns true at rest. */
-bool rest_step(struct rest *r, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2, double dt_s);
+/** One calibrated sample, dt_s > 0 after the one before. The configuration may change between two. Returns true at rest. */
+bool rest_step(struct rest *r, const struct rest_config *config, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2,
+	double dt_s);
 
 #endif

@@ -13,8 +13,7 @@ enum { N = NAVIGATION_STATES };
 
 static const double DT_S = 0.005, G = 9.81;
 static const struct vec3 ZERO = {0, 0, 0};
-static const struct navigation_config BARE = {
-	.still_gyro_rad_s = 2 * RAD_PER_DEG, .still_accel_m_s2 = 0.5, .rest_s = 1.5};
+static const struct navigation_config BARE = {.standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
 
 static struct navigation_config levelling(void)
 {
@@ -145,7 +144,7 @@ static void test_the_covariance_is_that_of_dense_matrices(void **state)
 	double p[N][N], f[N][N];
 
 	(void)state;
-	never_still.still_gyro_rad_s = 1e-9;
+	never_still.standstill.gyro_threshold_rad_s = 1e-9;
 	navigation_start(&n, &never_still, any_attitude());
 	for (int round = 0; round < 20; round++) {
 		struct navigation_sums sums = n.sums;
@@ -257,9 +256,7 @@ static struct position travel(const struct way *way, const struct navigation_con
 
 static void test_the_displacement_at_rest_is_right_and_its_sigma_honest(void **state)
 {
-	const struct navigation_config bare = {.noise = levelling().noise,
-		.still_gyro_rad_s = BARE.still_gyro_rad_s,
-		.still_accel_m_s2 = BARE.still_accel_m_s2};
+	const struct navigation_config bare = {.noise = levelling().noise, .standstill = STANDSTILL_DEFAULTS};
 	const struct way way = {4, {3, -2, 0.5}, {0.2, -0.3, 1}};
 	double sum = 0, worst = 0;
 

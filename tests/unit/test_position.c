@@ -6,9 +6,9 @@
 static const double DT_S = 0.01;
 static const struct vec3 ZERO = {0, 0, 0};
 
-#define NAVIGATION                                                           \
-	{                                                                    \
-		.still_gyro_rad_s = 2 * RAD_PER_DEG, .still_accel_m_s2 = 0.5 \
+#define NAVIGATION                                 \
+	{                                          \
+		.standstill = STANDSTILL_DEFAULTS, \
 	}
 
 static struct position position(enum position_mode mode, double longest_s)

@@ -1,18 +1,15 @@
-/* Rest detection. */
+/* The standstill detector, with the parameters of the fusion and of the navigation. */
 #include "model_test.h"
 
 #include "model/rest.h"
 
 static const double DT_S = 0.01;
-static const struct rest_config CONFIG = {2 * RAD_PER_DEG, 0.5, 1.5};
+static const struct rest_config CONFIG = REST_DEFAULTS, STANDSTILL = STANDSTILL_DEFAULTS;
 static const struct vec3 STILL = {0, 0, 0}, UP = {0, 0, 9.81};
 
-static struct rest rest(void)
+static bool step(struct rest *r, struct vec3 gyro, struct vec3 force)
 {
-	struct rest r;
-
-	assert_int_equal(rest_init(&r, &CONFIG), 0);
-	return r;
+	return rest_step(r, &CONFIG, gyro, force, DT_S);
 }
 
 /* Steps for this time; true when the last sample was at rest. */
@@ -21,13 +18,13 @@ static bool after(struct rest *r, double time_s, struct vec3 gyro, struct vec3 f
 	bool at_rest = false;
 
 	for (int k = 0; k < (int)lround(time_s / DT_S); k++)
-		at_rest = rest_step(r, gyro, force, DT_S);
+		at_rest = step(r, gyro, force);
 	return at_rest;
 }
 
 static void test_rest_is_seen_after_the_rest_time_and_not_before(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 
 	(void)state;
 	assert_false(after(&r, 1.45, STILL, UP));
@@ -36,23 +33,23 @@ static void test_rest_is_seen_after_the_rest_time_and_not_before(void **state)
 
 static void test_noise_below_the_thresholds_is_rest(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 	bool at_rest = false;
 
 	(void)state;
 	for (int k = 0; k < 200; k++)
-		at_rest = rest_step(&r, any_vec(1 * RAD_PER_DEG), vec3_add(UP, any_vec(0.2)), DT_S);
+		at_rest = step(&r, any_vec(1 * RAD_PER_DEG), vec3_add(UP, any_vec(0.2)));
 	assert_true(at_rest);
 }
 
 static void test_one_sample_of_motion_ends_rest_at_once(void **state)
 {
-	struct rest turning = rest(), pushed = rest();
+	struct rest turning = {.still_s = 0}, pushed = {.still_s = 0};
 
 	(void)state;
 	assert_true(after(&turning, 3, STILL, UP) && after(&pushed, 3, STILL, UP));
-	assert_false(rest_step(&turning, (struct vec3){0, 0, 2.1 * RAD_PER_DEG}, UP, DT_S));
-	assert_false(rest_step(&pushed, STILL, (struct vec3){0.51, 0, 9.81}, DT_S));
+	assert_false(step(&turning, (struct vec3){0, 0, 2.1 * RAD_PER_DEG}, UP));
+	assert_false(step(&pushed, STILL, (struct vec3){0.51, 0, 9.81}));
 	assert_false(after(&turning, 1.4, STILL, UP));
 }
 
@@ -64,12 +61,12 @@ static void test_a_sensor_at_rest_is_so_at_any_rate_of_samples(void **state)
 	(void)state;
 	for (int i = 0; i < 4; i++) {
 		double size = sqrt(rates_hz[i] / 200), rest_s = 0;
-		struct rest r = rest();
+		struct rest r = {.still_s = 0};
 
 		for (int k = 0; k < (int)(10 * rates_hz[i]); k++) {
 			struct vec3 gyro = any_vec(0.5 * RAD_PER_DEG * size), force = vec3_add(UP, any_vec(0.1 * size));
 
-			rest_s += rest_step(&r, gyro, force, 1 / rates_hz[i]) / rates_hz[i];
+			rest_s += rest_step(&r, &CONFIG, gyro, force, 1 / rates_hz[i]) / rates_hz[i];
 		}
 		assert_true(rest_s > 8);
 	}
@@ -77,7 +74,7 @@ static void test_a_sensor_at_rest_is_so_at_any_rate_of_samples(void **state)
 
 static void test_a_steady_turn_is_not_rest(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 
 	(void)state;
 	assert_false(after(&r, 10, (struct vec3){0, 0, 5 * RAD_PER_DEG}, UP));
@@ -85,7 +82,7 @@ static void test_a_steady_turn_is_not_rest(void **state)
 
 static void test_a_small_gyro_bias_does_not_hide_rest(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 
 	(void)state;
 	assert_true(after(&r, 3, (struct vec3){0, 0, 1.5 * RAD_PER_DEG}, UP));
@@ -93,7 +90,7 @@ static void test_a_small_gyro_bias_does_not_hide_rest(void **state)
 
 static void test_a_restart_waits_the_rest_time_again(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 
 	(void)state;
 	assert_true(after(&r, 3, STILL, UP));
@@ -102,31 +99,90 @@ static void test_a_restart_waits_the_rest_time_again(void **state)
 	assert_true(after(&r, 0.2, STILL, UP));
 }
 
-static void test_new_thresholds_take_effect_at_once(void **state)
+static void test_a_new_dwell_time_takes_effect_at_once(void **state)
 {
-	struct rest r = rest();
+	struct rest r = {.still_s = 0};
 	struct rest_config patient = CONFIG;
 
 	(void)state;
 	assert_true(after(&r, 3, STILL, UP));
 	patient.time_s = 10;
-	assert_int_equal(rest_configure(&r, &patient), 0);
-	assert_false(after(&r, 1, STILL, UP));
-	assert_true(after(&r, 7, STILL, UP));
+	assert_false(rest_step(&r, &patient, STILL, UP, DT_S));
+	for (int k = 0; k < (int)lround(7 / DT_S); k++)
+		rest_step(&r, &patient, STILL, UP, DT_S);
+	assert_true(rest_step(&r, &patient, STILL, UP, DT_S));
 }
 
-static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(void **state)
+/* A push that grows by 0.1 m/s^2 a second: within the thresholds, its deviation from the short mean is that of rest. */
+static void test_only_the_slow_mean_sees_a_motion_that_begins_gently(void **state)
 {
-	static const struct rest_config bad[] = {{0, 0.5, 1.5}, {-1, 0.5, 1.5}, {NAN, 0.5, 1.5}, {1, 0, 1.5},
-		{1, INFINITY, 1.5}, {1, 0.5, -1}, {1, 0.5, NAN}};
-	struct rest r = rest();
+	struct rest rest = {.still_s = 0}, standstill = rest;
+	bool rest_ended = false, standstill_ended = false;
 
 	(void)state;
-	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
-		assert_int_equal(rest_configure(&r, &bad[i]), -EINVAL);
-		assert_int_equal(rest_init(&r, &bad[i]), -EINVAL);
+	for (int k = -300; k < 300; k++) {
+		const struct vec3 force = {k > 0 ? 0.1 * k * DT_S : 0, 0, 9.81};
+
+		rest_ended |= !rest_step(&rest, &CONFIG, STILL, force, DT_S) && k > 0;
+		standstill_ended |= !rest_step(&standstill, &STANDSTILL, STILL, force, DT_S) && k > 0;
 	}
-	assert_near(r.config.time_s, 1.5, 0);
+	assert_false(rest_ended);
+	assert_true(standstill_ended);
+}
+
+static void test_one_outlier_does_not_end_a_standstill_but_ends_rest(void **state)
+{
+	struct rest rest = {.still_s = 0}, standstill = rest;
+	const struct vec3 outlier = {0.6, 0, 9.81};
+
+	(void)state;
+	for (int k = 0; k < 300; k++) {
+		rest_step(&rest, &CONFIG, STILL, UP, DT_S);
+		rest_step(&standstill, &STANDSTILL, STILL, UP, DT_S);
+	}
+	assert_false(rest_step(&rest, &CONFIG, STILL, outlier, DT_S));
+	assert_true(rest_step(&standstill, &STANDSTILL, STILL, outlier, DT_S));
+}
+
+static void test_a_standstill_is_seen_within_a_second_and_a_half_of_a_violent_motion(void **state)
+{
+	struct rest r = {.still_s = 0};
+	int k = 0;
+
+	(void)state;
+	for (int i = 0; i < 300; i++)
+		rest_step(&r, &STANDSTILL, any_vec(10), vec3_add(UP, any_vec(50)), DT_S);
+	while (!rest_step(&r, &STANDSTILL, STILL, UP, DT_S))
+		assert_true(++k * DT_S < 1.5);
+	print_message("standstill seen %.2f s after the motion\n", k * DT_S);
+}
+
+static void test_a_configuration_out_of_range_is_refused(void **state)
+{
+	struct rest_config bad[15];
+
+	(void)state;
+	assert_int_equal(rest_check(&CONFIG), 0);
+	assert_int_equal(rest_check(&STANDSTILL), 0);
+	for (int i = 0; i < 15; i++)
+		bad[i] = STANDSTILL;
+	bad[0].gyro_threshold_rad_s = 0;
+	bad[1].gyro_threshold_rad_s = -1;
+	bad[2].gyro_threshold_rad_s = NAN;
+	bad[3].accel_threshold_m_s2 = 0;
+	bad[4].accel_threshold_m_s2 = INFINITY;
+	bad[5].time_s = -1;
+	bad[6].time_s = NAN;
+	bad[7].mean_time_s = 0;
+	bad[8].deviation_time_s = -1;
+	bad[9].deviation_time_s = INFINITY;
+	bad[10].deviation_share = 0;
+	bad[11].deviation_share = INFINITY;
+	bad[12].drift_time_s = 0;
+	bad[13].drift_share = 0;
+	bad[14].drift_share = NAN;
+	for (int i = 0; i < 15; i++)
+		assert_int_equal(rest_check(&bad[i]), -EINVAL);
 }
 
 int main(void)
@@ -139,8 +195,11 @@ int main(void)
 		cmocka_unit_test(test_a_steady_turn_is_not_rest),
 		cmocka_unit_test(test_a_small_gyro_bias_does_not_hide_rest),
 		cmocka_unit_test(test_a_restart_waits_the_rest_time_again),
-		cmocka_unit_test(test_new_thresholds_take_effect_at_once),
-		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
+		cmocka_unit_test(test_a_new_dwell_time_takes_effect_at_once),
+		cmocka_unit_test(test_only_the_slow_mean_sees_a_motion_that_begins_gently),
+		cmocka_unit_test(test_one_outlier_does_not_end_a_standstill_but_ends_rest),
+		cmocka_unit_test(test_a_standstill_is_seen_within_a_second_and_a_half_of_a_violent_motion),
+		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
