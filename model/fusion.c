@@ -4,13 +4,19 @@
 #include <stddef.h>
 
 #include "model/math/rotation.h"
+#include "model/math/units.h"
 
-/* The least horizontal part of the field, as a share of it, that shows a heading. */
+/* Least horizontal part of the field, as a share of its length, that has a direction. Numerical limit. */
 static const double LEAST_HORIZONTAL = 1e-3;
-/* Yaw is told from tilt only so far from looking straight up or down: cosine of the pitch. */
+/* Least cosine of the pitch at which a yaw is meaningful: 84 degrees. By judgement: an error of the tilt is ten times
+ * as large in the yaw there. */
 static const double LEAST_LEVEL = 0.1;
-/* For so long the filters without a sigma go by a yaw from outside; memory of where the field points to meanwhile. */
-static const double TOLD_S = 10, NORTH_TIME_S = 10, TWO_PI = 6.28318530717958647692;
+/* s, for which a yaw from outside holds for the filters without a covariance, and memory of where the field points to
+ * meanwhile. The same as those of the Kalman filter. */
+static const double AID_S = 10, NORTH_TIME_S = 10;
+/* s. Over a longer interval the rate was not just between those of its samples. By judgement, as the Kalman filter's
+ * gap. */
+static const double STEADY_S = 0.1;
 
 static bool within(double value, double high)
 {
@@ -41,8 +47,8 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 		fusion_kalman_start(&f->kalman, &config->kalman, 9.8);
 	if (config->algorithm != FUSION_KALMAN ||
 		config->kalman.gyro_scale_sigma != f->config.kalman.gyro_scale_sigma) {
-		f->learnt.scale_b = (struct vec3){0, 0, 0};
-		fusion_kalman_forget_scale(&f->kalman, &config->kalman);
+		f->gyro_errors.scale_b = (struct vec3){0, 0, 0};
+		fusion_kalman_reset_scale(&f->kalman, &config->kalman);
 	}
 	f->config = *config;
 	return 0;
@@ -58,12 +64,12 @@ void fusion_turn_object(struct fusion *f, struct quat turn)
 {
 	if (f->started)
 		f->q_nb = quat_multiply(f->q_nb, quat_conjugate(turn));
-	fusion_kalman_turn(&f->kalman, &f->config.kalman, turn, &f->learnt);
+	fusion_kalman_turn_object(&f->kalman, &f->config.kalman, turn, &f->gyro_errors);
 }
 
-void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
+void fusion_update_bias_at_rest(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 {
-	struct vec3 *bias = &f->learnt.bias_b_rad_s;
+	struct vec3 *bias = &f->gyro_errors.bias_b_rad_s;
 
 	f->resting = true;
 	if (f->config.algorithm == FUSION_KALMAN)
@@ -72,16 +78,16 @@ void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 	*bias = vec3_add(*bias, vec3_scale(dt_s / f->bias_time_s, vec3_sub(gyro_b_rad_s, *bias)));
 }
 
-void fusion_forget_errors(struct fusion *f)
+void fusion_reset_gyro_errors(struct fusion *f)
 {
-	f->learnt = (struct gyro_errors){0};
+	f->gyro_errors = (struct gyro_errors){0};
 	f->bias_time_s = 0;
-	fusion_kalman_forget_errors(&f->kalman, &f->config.kalman);
+	fusion_kalman_reset_gyro_errors(&f->kalman, &f->config.kalman);
 }
 
 struct vec3 fusion_rate_b(const struct fusion *f, struct vec3 gyro_b_rad_s)
 {
-	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->learnt.bias_b_rad_s), scale = f->learnt.scale_b;
+	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_errors.bias_b_rad_s), scale = f->gyro_errors.scale_b;
 
 	return (struct vec3){(1 + scale.x) * rate.x, (1 + scale.y) * rate.y, (1 + scale.z) * rate.z};
 }
@@ -97,7 +103,7 @@ static bool direction(struct vec3 v, struct vec3 *unit)
 	return true;
 }
 
-static void start(struct fusion *f, struct vec3 up_b, double force_m_s2)
+static void start_filter(struct fusion *f, struct vec3 up_b, double force_m_s2)
 {
 	double heading = aerospace_from_quat(f->q_nb).z;
 	double roll = atan2(up_b.y, up_b.z), pitch = atan2(-up_b.x, hypot(up_b.y, up_b.z));
@@ -107,34 +113,33 @@ static void start(struct fusion *f, struct vec3 up_b, double force_m_s2)
 	fusion_kalman_start(&f->kalman, &f->config.kalman, force_m_s2);
 }
 
-/* Turns the attitude about the vertical until the measured field, of direction h_n now, points
- * north. */
-static void set_heading(struct fusion *f, struct vec3 h_n)
+/* Turns the attitude about the vertical until the measured field, of direction h_n now, points to north. */
+static void set_heading_by_field(struct fusion *f, struct vec3 h_n)
 {
 	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y) - f->kalman.north_rad};
 
 	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
 	f->north_known = true;
-	fusion_kalman_north(&f->kalman, &f->config.kalman);
+	fusion_kalman_set_north(&f->kalman, &f->config.kalman);
 }
 
-/* As long as a yaw from outside holds, where the field points to is learnt, not used. */
-static bool learn_north(struct fusion_kalman *k, struct vec3 h_n, double dt_s)
+/* As long as a yaw from outside holds, the field does not correct the heading: its north is estimated. Returns whether
+ * one holds. */
+static bool estimate_north(struct fusion_kalman *k, struct vec3 h_n, double dt_s)
 {
 	double bearing = atan2(h_n.x, h_n.y);
 
-	if (k->north_open)
+	if (k->north_unknown)
 		k->north_rad = bearing;
-	k->north_open = false;
-	if (k->yaw_s == 0)
+	k->north_unknown = false;
+	if (k->aided_heading_s == 0)
 		return false;
-	k->north_rad += dt_s / (NORTH_TIME_S + dt_s) * remainder(bearing - k->north_rad, TWO_PI);
+	k->north_rad += dt_s / (NORTH_TIME_S + dt_s) * remainder(bearing - k->north_rad, 2 * PI);
 	return true;
 }
 
-/* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010,
- * section 3.4), so that the field bears on the heading more than on the tilt. 0 where there is no
- * measurement to use. */
+/* Minus the gradient of the magnetic part. The reference field has the measured dip (Madgwick 2010, section 3.4), so
+ * that the field corrects the heading rather than the tilt. 0 without a usable measurement. */
 static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
 	struct vec3 m, h_n, none = {0, 0, 0}, north;
@@ -147,19 +152,19 @@ static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample
 	horizontal = hypot(h_n.x, h_n.y);
 	if (horizontal < LEAST_HORIZONTAL)
 		return none;
-	if (f->north_known && learn_north(&f->kalman, h_n, dt_s))
+	if (f->north_known && estimate_north(&f->kalman, h_n, dt_s))
 		return none;
 	f->mag_used = true;
 	if (!f->north_known) {
-		set_heading(f, h_n);
+		set_heading_by_field(f, h_n);
 		return none;
 	}
 	north = (struct vec3){horizontal * sin(f->kalman.north_rad), horizontal * cos(f->kalman.north_rad), h_n.z};
 	return vec3_cross(m, quat_rotate_inverse(f->q_nb, north));
 }
 
-/* A step of fixed length against the gradient, but never beyond the minimum: half the error keeps
- * clear of it whether one or two directions were measured. */
+/* A step of fixed length against the gradient, limited to half the error, so that it stays short of the minimum whether
+ * one or two directions were measured. */
 static struct vec3 madgwick_turn(const struct fusion *f, struct vec3 error, double dt_s)
 {
 	double norm = vec3_norm(error);
@@ -171,7 +176,7 @@ static struct vec3 madgwick_turn(const struct fusion *f, struct vec3 error, doub
 
 static struct vec3 mahony_turn(struct fusion *f, struct vec3 error, double dt_s)
 {
-	struct vec3 *bias = &f->learnt.bias_b_rad_s;
+	struct vec3 *bias = &f->gyro_errors.bias_b_rad_s;
 
 	*bias = vec3_sub(*bias, vec3_scale(f->config.mahony_ki_rad_s2 * dt_s, error));
 	return vec3_scale(fmin(f->config.mahony_kp_rad_s, 1 / (2 * dt_s)), error);
@@ -184,7 +189,7 @@ static void correct_by_error(struct fusion *f, const struct imu_sample *sample, 
 	if (direction(sample->accel_m_s2, &up))
 		error = vec3_cross(up, quat_rotate_inverse(f->q_nb, (struct vec3){0, 0, 1}));
 	error = vec3_add(error, field_error(f, sample, dt_s));
-	f->kalman.yaw_s = fmax(0, f->kalman.yaw_s - dt_s);
+	f->kalman.aided_heading_s = fmax(0, f->kalman.aided_heading_s - dt_s);
 	half = vec3_scale(dt_s / 2,
 		f->config.algorithm == FUSION_MADGWICK ? madgwick_turn(f, error, dt_s) : mahony_turn(f, error, dt_s));
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
@@ -205,13 +210,10 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 
 	if (!f->north_known)
 		field_error(f, sample, dt_s);
-	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->learnt);
+	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_errors);
 }
 
-/* Over a longer time, the rate was not just between its samples. */
-static const double STEADY_S = 0.1;
-
-static struct vec3 turned(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
+static struct vec3 rotation_since_last(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
 {
 	struct vec3 now = fusion_rate_b(f, gyro_b_rad_s);
 
@@ -219,7 +221,7 @@ static struct vec3 turned(const struct fusion *f, struct vec3 gyro_b_rad_s, doub
 			       : rotation_between(fusion_rate_b(f, f->last_gyro_b_rad_s), now, dt_s);
 }
 
-/* The gyro first, so that prediction and measurement are of the same moment; the correction after it is small. */
+/* The gyro comes first, so that prediction and measurement are of the same moment. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
 	struct vec3 up, rate = fusion_rate_b(f, sample->gyro_rad_s);
@@ -228,11 +230,11 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 		f->last_gyro_b_rad_s = sample->gyro_rad_s;
 		if (!direction(sample->accel_m_s2, &up))
 			return;
-		start(f, up, vec3_norm(sample->accel_m_s2));
+		start_filter(f, up, vec3_norm(sample->accel_m_s2));
 		field_error(f, sample, dt_s);
 		return;
 	}
-	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(turned(f, sample->gyro_rad_s, dt_s)));
+	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(rotation_since_last(f, sample->gyro_rad_s, dt_s)));
 	f->last_gyro_b_rad_s = sample->gyro_rad_s;
 	if (f->config.algorithm == FUSION_KALMAN)
 		correct_by_kalman(f, sample, rate, dt_s);
@@ -254,7 +256,7 @@ void fusion_set_attitude(struct fusion *f, struct quat q_nb)
 {
 	f->q_nb = quat_normalize(q_nb);
 	f->started = f->north_known = true;
-	fusion_kalman_set(&f->kalman, &f->config.kalman);
+	fusion_kalman_set_attitude(&f->kalman, &f->config.kalman);
 }
 
 static void turn_heading(struct fusion *f, double angle_rad)
@@ -265,12 +267,12 @@ static void turn_heading(struct fusion *f, double angle_rad)
 bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct vec3 gyro_b_rad_s)
 {
 	const struct vec3 now = aerospace_from_quat(fusion_attitude_now(f, gyro_b_rad_s));
-	double off = remainder(yaw_rad - now.z, TWO_PI), variance = sigma_rad * sigma_rad, own, turn;
+	double off = remainder(yaw_rad - now.z, 2 * PI), variance = sigma_rad * sigma_rad, own, turn;
 	bool first = !f->north_known;
 
 	if (!f->started || cos(now.y) < LEAST_LEVEL)
 		return false;
-	/* a wrong tilt shows as a wrong yaw, the more, the steeper the object stands */
+	/* an error of the tilt is one of the yaw, by the tangent of the pitch */
 	variance += pow(tan(now.y), 2) * (f->kalman.covariance[0][0] + f->kalman.covariance[1][1]) / 2;
 	if (first) {
 		turn_heading(f, off);
@@ -279,12 +281,13 @@ bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct v
 		return true;
 	}
 	if (f->config.algorithm == FUSION_KALMAN)
-		return fusion_kalman_aid_heading(&f->kalman, &f->config.kalman, off, variance, &f->q_nb, &f->learnt);
+		return fusion_kalman_aid_heading(
+			&f->kalman, &f->config.kalman, off, variance, &f->q_nb, &f->gyro_errors);
 	own = f->config.kalman.heading_sigma_rad * f->config.kalman.heading_sigma_rad;
 	turn = own / (own + variance) * off;
 	turn_heading(f, turn);
 	f->kalman.north_rad -= turn;
-	f->kalman.yaw_s = TOLD_S;
+	f->kalman.aided_heading_s = AID_S;
 	return false;
 }
 
@@ -295,5 +298,5 @@ void fusion_aid_velocity(struct fusion *f, struct vec3 velocity_n_m_s, double si
 
 	if (f->started && f->config.algorithm == FUSION_KALMAN)
 		fusion_kalman_aid_velocity(&f->kalman, &f->config.kalman, velocity_n_m_s, lever_n,
-			sigma_m_s * sigma_m_s, &f->q_nb, &f->learnt);
+			sigma_m_s * sigma_m_s, &f->q_nb, &f->gyro_errors);
 }

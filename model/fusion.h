@@ -1,18 +1,16 @@
 /* model/fusion.h
- * Attitude from gyro, accelerometer and magnetometer: the two filters of the seed's time, and a Kalman filter of the first
- * rank (fusion_kalman.h).
+ * Attitude from gyro, accelerometer and magnetometer by one of three filters: Madgwick's and Mahony's, the two usual
+ * ones when the seed paper was written, and an error-state Kalman filter (fusion_kalman.h), the default.
  *
- * Madgwick's and Mahony's integrate the gyro and turn the attitude a little each sample so that gravity and magnetic
- * north, as predicted in the object frame, come closer to the measured directions. The error both
- * use is the small rotation e = a x v_up (+ m x v_field),   a, m unit measurements, v the
- * predictions, which is also minus the gradient of Madgwick's objective in the tangent space of the
- * unit quaternions. They differ in the step: Madgwick's has a fixed length, Mahony's is
- * proportional to e, with an integral part that learns gyro bias.
+ * Madgwick's and Mahony's integrate the gyro and turn the attitude a little with each sample, so that gravity and
+ * magnetic north, predicted in the object frame, come closer to the measured directions. Both use as error the small
+ * rotation e = a x v_up (+ m x v_field), with a, m the unit measurements and v the predictions. It is minus the
+ * gradient of Madgwick's objective in the tangent space of the unit quaternions. They differ in the step: Madgwick's
+ * has a fixed length, Mahony's is proportional to e, with an integral part that estimates the gyro bias.
  *
- * Sources: S. Madgwick, "An efficient orientation filter for inertial and inertial/magnetic sensor
- * arrays", 2010, and Madgwick et al., ICORR 2011 (the seed's [10]); R. Mahony et al., "Nonlinear
- * complementary filters on the special orthogonal group", IEEE TAC 53(5), 2008. Frames: q_nb turns
- * the object frame b into ENU n, y = magnetic north. */
+ * Sources: S. Madgwick, "An efficient orientation filter for inertial and inertial/magnetic sensor arrays", 2010, and
+ * Madgwick et al., ICORR 2011 (the seed's [10]); R. Mahony et al., "Nonlinear complementary filters on the special
+ * orthogonal group", IEEE TAC 53(5), 2008. Frames: q_nb turns the object frame b into ENU n, y = magnetic north. */
 #ifndef MODEL_FUSION_H
 #define MODEL_FUSION_H
 
@@ -23,66 +21,84 @@
 enum fusion_algorithm { FUSION_MADGWICK = 0, FUSION_MAHONY = 1, FUSION_KALMAN = 2 };
 
 struct fusion_config {
-	enum fusion_algorithm algorithm;
-	int use_magnetometer;	 /* 0: 6D, heading free, 0 at the start; 1: 9D */
-	double madgwick_beta;	 /* rad/s, 0..10: half the rate at which the attitude is turned */
-	double mahony_kp_rad_s;	 /* 0..100: turn per error; 1 / kp is the time constant */
-	double mahony_ki_rad_s2; /* 0..100: gyro bias learnt per error */
-	struct fusion_kalman_config kalman;
-	struct vec3 lever_arm_b_m; /* reference point -> accelerometer; the Kalman filter heeds it */
-	double delay_s;		   /* 0..0.1: age of the gyro's sample at its time stamp */
+	enum fusion_algorithm algorithm; /* default FUSION_KALMAN */
+	/** 0: heading from the gyro alone, 0 at the start; 1 (default): from the magnetometer as well. */
+	int use_magnetometer;
+	/** rad/s, 0..10, default 0.041 (Madgwick's report of 2010): half the rate at which Madgwick's filter turns the
+	 * attitude towards the measurements. A smaller one relies on the gyro: less noise, more drift. A larger one
+	 * follows accelerations and magnetic disturbances, too. */
+	double madgwick_beta;
+	/** rad/s per rad, 0..100, default 0.3: proportional gain of Mahony's filter; its inverse is the time constant.
+	 * Smaller and larger as for madgwick_beta. */
+	double mahony_kp_rad_s;
+	/** rad/s^2 per rad, 0..100, default 0.0012: integral gain of Mahony's filter. A smaller one averages the gyro
+	 * bias over a longer time. A larger one finds it sooner, and oscillates above kp^2 / 4. */
+	double mahony_ki_rad_s2;
+	struct fusion_kalman_config
+		kalman; /* its heading_sigma_rad also weighs fusion_aid_yaw() for the other filters */
+	/** m, default 0: reference point -> accelerometer. Only the Kalman filter uses it. The pipeline sets it. */
+	struct vec3 lever_arm_b_m;
+	/** s, 0..0.1, default 0: age of the gyro's sample at its time stamp, over which fusion_attitude_now()
+	 * extrapolates by the rate. Too small a value leaves the attitude late by the rest, too large a one makes it
+	 * early. The pipeline sets it. */
+	double delay_s;
 };
 
 struct fusion {
 	struct fusion_config config;
 	struct quat q_nb;
-	struct gyro_errors learnt; /* the bias at rest, by Mahony's integral; both by the Kalman filter */
+	struct gyro_errors
+		gyro_errors; /* estimates: the bias at rest and by Mahony's integral, or both by the Kalman filter */
 	/* PRIVATE */
 	struct fusion_kalman kalman;
-	double bias_time_s; /* of rest, learnt from */
+	double bias_time_s; /* of rest in the mean that is the bias; limited */
 	struct vec3 last_gyro_b_rad_s;
 	bool started, north_known, mag_used, resting;
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */
 int fusion_init(struct fusion *f, const struct fusion_config *config);
-/** The same for a filter that runs: attitude and gyro bias stay. With the magnetometer newly in use and
- * north never seen before, the heading is set by the next measurement of it. */
+/** The same while the filter runs: attitude and gyro errors stay, the scale only as long as algorithm and
+ * gyro_scale_sigma do. If the magnetometer is newly in use and north is unknown, its next measurement sets the
+ * heading. */
 int fusion_configure(struct fusion *f, const struct fusion_config *config);
 
-/** The next sample finds the attitude anew: tilt from the accelerometer, heading from the
- * magnetometer or, without it, the one held before. The gyro bias stays. */
+/** The next sample initialises the attitude: the tilt by the accelerometer, the heading by the magnetometer or, without
+ * one, as it was before. The gyro errors stay. */
 void fusion_restart(struct fusion *f);
 /** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
 void fusion_turn_object(struct fusion *f, struct quat turn);
 
-/** The gyro, calibrated, at rest for another dt_s: that is its bias. Tell it before the step of this sample. Learns the mean
- * over all rest, the last FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature (the Kalman filter by
- * its own weights). */
-void fusion_learn_bias(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
-/** The gyro was calibrated anew: no errors, nothing learnt. */
-void fusion_forget_errors(struct fusion *f);
-/** What the gyro would have shown without the errors learnt. */
+/** The object has been at rest for another dt_s, so the calibrated rate is the gyro's bias. To be called before
+ * fusion_step() of this sample. Madgwick's and Mahony's filters estimate the mean over all rest, the last
+ * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature; the Kalman filter weighs it itself. */
+void fusion_update_bias_at_rest(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
+/** The gyro has a new calibration: the estimates of its errors are 0 again. */
+void fusion_reset_gyro_errors(struct fusion *f);
+/** The calibrated rate less the estimated errors. */
 struct vec3 fusion_rate_b(const struct fusion *f, struct vec3 gyro_b_rad_s);
 
+/* s. By judgement: averages the gyro's noise to its bias instability, and is short against changes of temperature. */
 #define FUSION_BIAS_MEMORY_S 30.0
 
-/** One calibrated sample, dt_s > 0 after the one before (any value for the first). The first sample
- * with a usable accelerometer (length not 0) starts the filter. A measurement that shows no
- * direction (no magnetometer, length 0, field along the vertical) is left out of that step. */
+/** One calibrated sample, dt_s > 0 after the one before (any value for the first). The first sample with a usable
+ * accelerometer (length not 0) starts the filter. A measurement without a direction (no magnetometer, length 0, field
+ * along the vertical) is not used. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s);
 
-/** The attitude at the time stamp of a sample with this (calibrated) rate: ahead of q_nb by the delay. */
+/** The attitude at the time stamp of a sample with this calibrated rate: q_nb extrapolated over the delay. */
 struct quat fusion_attitude_now(const struct fusion *f, struct vec3 gyro_b_rad_s);
 
-/** The attitude from outside, taken as it is. Where the field points to from there is its north from now on. */
+/** Sets the attitude. From then on north is where the field points to in it. */
 void fusion_set_attitude(struct fusion *f, struct quat q_nb);
-/** The yaw at the time stamp of the last sample, of this (calibrated) rate, from outside. For FUSION_KALMAN a measurement;
- * the others, which know no sigma of their own, take it for as good as heading_sigma. While it comes (10 s) the
- * magnetometer does not count, but learns where its north lies. The first one, where north is not known, sets the heading.
- * No use looking straight up or down. Returns whether the attitude jumped. */
+/** A yaw from outside, at the time stamp of the last sample, whose calibrated rate is given. For FUSION_KALMAN it is a
+ * measurement; the other filters, which have no covariance, weigh it against heading_sigma_rad. For 10 s after the
+ * last one the magnetometer does not correct the heading, but its north in the frame of these yaws is estimated. The
+ * first one sets the heading when north is unknown. Within 6 degrees of looking straight up or down it is ignored.
+ * Returns whether the attitude jumped. */
 bool fusion_aid_yaw(struct fusion *f, double yaw_rad, double sigma_rad, struct vec3 gyro_b_rad_s);
-/** The velocity of the reference point from outside: FUSION_KALMAN then tells tilt from acceleration by it. */
+/** The velocity of the reference point from outside, by which FUSION_KALMAN tells tilt from acceleration. The other
+ * filters ignore it. */
 void fusion_aid_velocity(struct fusion *f, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 gyro_b_rad_s);
 
 /** q_nb is an attitude, not the identity it holds before the first usable sample. */

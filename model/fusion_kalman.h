@@ -1,49 +1,72 @@
 /* model/fusion_kalman.h
- * Attitude as a small Kalman filter of its errors. The gyro turns the attitude with every sample; some 30 times a second
- * what has gathered since then is weighed against what is known of tilt, heading and gyro bias.
+ * Attitude by an error-state Kalman filter. The gyro turns the attitude with every sample. Some 30 times a second the
+ * filter propagates the covariance of 11 errors (attitude, horizontal velocity, gyro bias, gyro scale) over the samples
+ * since the last correction, and applies these measurements:
  *
- * - Tilt: the specific force, turned into the global frame (which errs so slowly that it is almost inertial), is
- *   integrated. Gravity taken for acceleration grows there without end, a velocity does not: it is zero within its
- *   spread, and that follows the velocities seen. In balance this is a second-order low-pass of the accelerometer with
- *   Butterworth's damping, its time constant the longer, the faster the movement and the better the gyro. At rest the
- *   velocity is zero, and the tilt soon that of the accelerometer.
- * - Lever arm: the velocity is the reference point's. The lever arm's share of it, omega x r, needs no angular
- *   acceleration. Nor does an error of the attitude make an error of that share: it turns with the rest.
- * - Heading: that of the field, doubted by how far length and dip are off their reference: what is seen to be disturbed
- *   along two axes is so along the third. Beyond the limits it is left out, until another field stayed the same
- *   in attitudes far apart (that of a magnet nearby does not), or too long a time has passed; so is one from where north cannot
- *   be. An object that does not turn sees the same error again and again: little is learnt from that.
- * - A tilt so wrong that its error would not show as one (upside down) is found anew from the mean force.
- * - Gyro bias: learnt from tilt and heading in motion, from the gyro itself at rest.
- * - Gyro scale: learnt from the tilt of an object that turns to different sides: it turns the attitude by the same share
- *   of each turn. A few turns about the vertical with a scale wrong by 0.2 % turn the heading by degrees, so without a
- *   magnetometer this is what decides. A heading measured bears on the scale only as an error that is there (a
- *   Schmidt-Kalman filter): a magnet carried along would look just like one.
- * - From outside, a heading and a velocity: as measurements of their own. While they come, the magnetometer only learns
- *   where its north lies in their frame, and the velocity expected is the one last told.
+ * - Tilt. The specific force in the global frame is integrated to a horizontal velocity, which is measured to be zero
+ *   within its spread. An error of the tilt takes gravity for acceleration and lets that velocity grow without end, so
+ *   it shows. In steady state this is a second-order Butterworth low-pass of the accelerometer in an almost inertial
+ *   frame. Its time constant grows with the spread of the velocities seen and with the quality of the gyro. At rest the
+ *   velocity is zero within 1 cm/s, and the tilt is that of the accelerometer within seconds.
+ * - Lever arm. The velocity is that of the reference point: the lever arm's share omega x r is subtracted, which needs
+ *   no angular acceleration.
+ * - Heading, by the direction of the magnetic field. Its variance grows with the deviation of length and dip from their
+ *   reference. A field beyond the limits is rejected. It becomes the reference after it has stayed the same in
+ *   attitudes far apart for 20 s (the field of a magnet nearby does not), and it counts with a small weight after the
+ *   rejection time. A heading that is off by more than any gyro drifts is an outlier, and rejected for the same time.
+ *   An object that does not turn sees the same error of the field again and again, so such measurements are correlated
+ *   and weigh less.
+ * - Gyro bias, in motion through tilt and heading, at rest from the gyro itself.
+ * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
+ *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
+ *   filter): the field of a magnet in the object would look just like a scale error.
+ * - Heading and velocity from outside, with the sigma given. While headings come, the magnetometer only estimates where
+ *   its north lies in their frame. While velocities come, the last one is the expected velocity in place of zero.
  *
- * Sources of the ideas: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and
- * magnetic disturbance rejection", Information Fusion 91, 2023 (low-pass in the almost inertial frame, limits and times
- * of the field, bias at rest); S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in
- * Control Systems 3, 1966; J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017 (the errors). */
+ * A tilt that is off by more than 60 degrees cannot be corrected by a linear filter. It is re-initialised from the mean
+ * force.
+ *
+ * Sources: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic
+ * disturbance rejection", Information Fusion 91, 2023 (low-pass in the almost inertial frame, limits and times of the
+ * field, bias at rest); S. F. Schmidt, "Application of state-space methods to navigation problems", Advances in Control
+ * Systems 3, 1966; J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017 (the errors). */
 #ifndef MODEL_FUSION_KALMAN_H
 #define MODEL_FUSION_KALMAN_H
 
 #include "model/math/quat.h"
 #include "model/math/units.h"
 
+/** Start from FUSION_KALMAN_DEFAULTS. All of it can be changed while the filter runs. */
 struct fusion_kalman_config {
-	double velocity_sigma_m_s; /* 0.01..1000: of the reference point, at most; a smaller one trusts the
-				      accelerometer more */
-	double heading_sigma_rad;  /* 0.001..1: error of the undisturbed field's heading in one pose; a smaller one
-				      trusts the magnetometer more */
-	double field_limit;	   /* 0.01..1: disturbance left out: share of the length, and of a radian of the dip
-				      twice that */
-	double rejection_time_s;   /* 0..1e6: after so much of it, a disturbed field counts for a little, or the heading
-				      would drift for ever */
-	double gyro_error;	   /* 0..0.1: of the rate, by cross axes and timing */
-	double bias_walk_rad_s_sqrt_s; /* 0..0.1: how the gyro bias wanders */
-	double gyro_scale_sigma; /* 0..0.05: of the scale factors as calibrated; 0: they are right, none is learnt */
+	/** m/s, 0.01..1000, default 1: upper limit of the 1 sigma of the reference point's horizontal velocity in
+	 * motion. The sigma in use follows the velocities seen, down to a fifth of this. A smaller one lets the tilt
+	 * follow the accelerometer faster: less drift, but a long acceleration is taken for tilt. A larger one suits
+	 * vehicles that keep a speed for long, and needs a better gyro. */
+	double velocity_sigma_m_s;
+	/** rad, 0.001..1, default 2 degrees: 1 sigma of the heading of the undisturbed field in one attitude
+	 * (calibration of the magnetometer, iron in the building). A smaller one follows the magnetometer faster, and
+	 * its disturbances, too. A larger one relies on the gyro for longer. */
+	double heading_sigma_rad;
+	/** 0.01..1, default 0.1: innovation gate of the field. Rejected is a length that differs from the reference by
+	 * more than this share of it, or a dip that differs by more than twice this in radians. A smaller one rejects
+	 * weaker disturbances, but a badly calibrated magnetometer altogether. A larger one accepts more
+	 * disturbance. */
+	double field_limit;
+	/** s, 0..1e6, default 60: for so long in total a disturbed field, or a heading that is an outlier, is rejected.
+	 * Then the field counts with a small weight, and an outlier is taken for the truth. A smaller one returns
+	 * earlier from a wrong heading. A larger one withstands longer disturbances, on a gyro that holds the heading
+	 * meanwhile. */
+	double rejection_time_s;
+	/** 0..0.1, default 0.001: 1 sigma of the gyro's error in motion as a share of the rate (cross-axis sensitivity,
+	 * non-linearity, timing). A smaller one relies on the gyro in fast motion. A larger one corrects more there. */
+	double gyro_error;
+	/** rad/s/sqrt(s), 0..0.1, default 0.0025 deg/s/sqrt(s): random walk of the gyro bias. A smaller one averages
+	 * the bias over a longer time. A larger one follows quicker changes of temperature, with more noise. */
+	double bias_walk_rad_s_sqrt_s;
+	/** 0..0.05, default 0.002: 1 sigma of the gyro's scale factors as calibrated; 0: they are exact and not
+	 * estimated. A smaller one trusts the calibration. A larger one is for a gyro whose scale was never
+	 * calibrated. The estimate stays within five of it. */
+	double gyro_scale_sigma;
 };
 
 #define FUSION_KALMAN_DEFAULTS                                                                               \
@@ -53,14 +76,14 @@ struct fusion_kalman_config {
 		.gyro_scale_sigma = 0.002,                                                                   \
 	}
 
-/** What the gyro gets wrong, as learnt: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes,
- * which are the gyro's unless it is mounted askew. */
+/** Estimated errors of the gyro: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes, which
+ * are the gyro's unless the mounting is oblique. */
 struct gyro_errors {
 	struct vec3 bias_b_rad_s, scale_b;
 };
 
-/* errors of attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object), gyro scale x y z
- * (object) */
+/* Errors in the state: attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object), gyro
+ * scale x y z (object). */
 enum {
 	KALMAN_ATTITUDE = 0,
 	KALMAN_HEADING = 2,
@@ -70,73 +93,82 @@ enum {
 	KALMAN_STATES = 11
 };
 
+/** Integrals over the samples since the last correction. */
+struct fusion_kalman_sums {
+	double time_s, rest_s;		     /* and how much of it the object was at rest */
+	double turned_rad2_s;		     /* of the squared rate */
+	double unmeasured_turn_rad;	     /* 1 sigma of the turn that a saturated gyro did not measure */
+	double rotation_s[3][3];	     /* of the rotation matrix object -> global */
+	double rotation_rate_rad[3][3];	     /* of its columns times the rates about the object's axes */
+	struct vec3 force_n_m_s, gyro_b_rad; /* of specific force and uncorrected rate */
+	struct vec3 field_n_uT;		     /* sum of the fields, not an integral */
+	int fields;
+	struct vec3 lever_from_n_m_s; /* the lever arm's velocity omega x r when they began */
+};
+
 struct fusion_kalman {
 	double covariance[KALMAN_STATES][KALMAN_STATES];
 	/* PRIVATE */
 	double velocity_n_m_s[2];      /* of the accelerometer, horizontal */
-	struct vec3 lever_arm_b_m;     /* of the last sample */
-	double spread_m2_s2;	       /* of the velocity, an axis */
-	struct vec3 mean_force_n_m_s2; /* over a second */
-	/* gathered since the last correction */
-	double lost_rad;				    /* 1 sigma of the turn that a saturated gyro did not show */
-	double time_s, rest_s, turned_rad2_s, turn_s[3][3]; /* turn_s: integral of the rotation matrix, */
-	double rate_turn_rad[3][3];			    /* .. and of that, its columns times the rates */
-	struct vec3 force_n_m_s, gyro_b_rad, field_n_uT;
-	int fields;
-	struct vec3 lever_n_m_s, lever_from_n_m_s; /* omega x r now, and when gathering began */
+	double spread_m2_s2;	       /* variance of the reference point's velocity, one axis */
+	struct vec3 mean_force_n_m_s2; /* over the last second */
+	struct fusion_kalman_sums sums;
+	struct vec3 lever_arm_b_m, lever_n_m_s; /* of the last sample: lever arm, and omega x r */
 	bool lever_known;
-	/* the field, x its length, y its dip: the reference, and what may become it */
-	double norm_uT, dip_rad, other_norm_uT, other_dip_rad, other_s, other_turn_s[3][3];
-	struct vec3 still_field_n_uT; /* since the beginning of a rest */
-	double still_s;
-	double reference_s, undisturbed_s, rejected_s, astray_s;
-	double north_rad; /* where the field points to, clockwise from y; open: the next field tells */
-	bool north_open;
-	double yaw_s; /* for so long the heading last told still holds */
-	int yaw_refused;
-	double told_n_m_s[2], told_s; /* the velocity last told, and for how long it still holds */
+	/* the field's reference, and the candidate that may replace it */
+	double norm_uT, dip_rad, reference_s; /* norm 0: no reference; reference_s: time of fields behind it, limited */
+	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
+	struct vec3 rest_field_n_uT; /* mean of the first second at rest */
+	double rest_field_s;
+	double undisturbed_s, rejected_s, outlier_s; /* see fusion_kalman_config.rejection_time_s */
+	/* aids */
+	double north_rad;   /* where the field points to, clockwise from y; not 0 after a heading was set or aided */
+	bool north_unknown; /* the next field defines it */
+	double aided_heading_s;				  /* for so long the last heading from outside holds */
+	int heading_rejections;				  /* of headings from outside, in a row */
+	double aided_velocity_n_m_s[2], aided_velocity_s; /* the last from outside, and for how long it holds */
 };
 
 /** 0, or -EINVAL: a field out of its range. */
 int fusion_kalman_check(const struct fusion_kalman_config *config);
-/** A new attitude, its tilt that of a force of this length; the gyro's bias as known as before. The very first time,
- * zero the struct. */
+/** A new attitude whose tilt is that of a force of this length. The estimates of the gyro's errors stay. The very first
+ * time, zero the struct before. */
 void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config, double force_m_s2);
 /** The heading was set by the field. */
-void fusion_kalman_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
-/** Nothing is known of the gyro's errors, of its scale, but what the configuration says. */
-void fusion_kalman_forget_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
-void fusion_kalman_forget_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+void fusion_kalman_set_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The estimates of the gyro's errors, or of its scale alone, were reset: their variances are those of the start. */
+void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 
-/** The attitude was set from outside, heading included, true to a degree. */
-void fusion_kalman_set(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The attitude was set from outside, heading included, with a 1 sigma of one degree. */
+void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 /** The heading was set from outside. */
 void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2);
-/** A heading from outside: the attitude is to be turned by off_rad about the vertical. What the filter does not believe is
- * refused, the fifth time in a row it is taken as it is. Returns whether the attitude jumped. */
-bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config, double off_rad,
-	double variance_rad2, struct quat *q_nb, struct gyro_errors *learnt);
-/** The velocity of the reference point from outside; lever_n_m_s: that of the accelerometer beyond it. */
+/** A heading from outside: innovation_rad is the turn about the vertical that would bring the attitude to it. Beyond
+ * the innovation gate it is rejected, but the fifth in a row is applied as it is. Returns whether the attitude
+ * jumped. */
+bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	double innovation_rad, double variance_rad2, struct quat *q_nb, struct gyro_errors *gyro_errors);
+/** The velocity of the reference point from outside. lever_n_m_s: the accelerometer's velocity relative to it. */
 void fusion_kalman_aid_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s, double variance_m2_s2, struct quat *q_nb,
-	struct gyro_errors *learnt);
+	struct gyro_errors *gyro_errors);
 
-/** The object frame was turned: v_new = R(turn) v_old, the bias learnt, too; the scale is forgotten. */
-void fusion_kalman_turn(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat turn,
-	struct gyro_errors *learnt);
+/** The object frame was turned, v_new = R(turn) v_old. The bias turns with it, the scale is reset. */
+void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat turn,
+	struct gyro_errors *gyro_errors);
 
-/* What one sample shows. */
 struct fusion_kalman_sample {
-	struct vec3 gyro_b_rad_s, rate_b_rad_s; /* as measured, and corrected by what was learnt */
-	struct vec3 force_b_m_s2;		/* 0: none */
+	struct vec3 gyro_b_rad_s, rate_b_rad_s; /* calibrated, and less the estimated errors */
+	struct vec3 force_b_m_s2;		/* specific force; 0: none */
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
 	bool rest, saturated;
 };
 
-/** One sample, after the attitude was turned by it. Corrects attitude and errors now and then; returns true when the field
- * took part in that. */
+/** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true
+ * when a measured field took part in that. */
 bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_config *config,
-	const struct fusion_kalman_sample *sample, double dt_s, struct quat *q_nb, struct gyro_errors *learnt);
+	const struct fusion_kalman_sample *sample, double dt_s, struct quat *q_nb, struct gyro_errors *gyro_errors);
 
 #endif

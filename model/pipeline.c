@@ -167,7 +167,7 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 		return -EINVAL;
 	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
 	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
-		fusion_forget_errors(&p->fusion);
+		fusion_reset_gyro_errors(&p->fusion);
 	p->primed = p->position.navigation.started = false;
 	return 0;
 }
@@ -274,7 +274,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		rest_restart(&p->rest);
 	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s);
 	if (rest)
-		fusion_learn_bias(&p->fusion, s->gyro_rad_s, dt_s);
+		fusion_update_bias_at_rest(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
@@ -492,7 +492,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
 		.sigma = with_acceleration(p, rates->omega_b_rad_s, accel),
-		.learnt = p->fusion.learnt,
+		.gyro_errors = p->fusion.gyro_errors,
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};

@@ -74,7 +74,7 @@ struct pipeline_output {
 	/* by navigation only, else 0: from one standstill to the next, and how certain all is */
 	struct vec3 displacement_n_m, displacement_sigma_m;
 	struct navigation_sigma sigma;
-	struct gyro_errors learnt; /* by the fusion, and taken off the rates */
+	struct gyro_errors gyro_errors; /* by the fusion, and taken off the rates */
 	double accel_delay_s;	   /* by which the accelerations stay behind t_us: the acceleration filter's */
 	unsigned status;
 };

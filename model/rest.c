@@ -83,7 +83,8 @@ bool rest_step(
 	still &= deviates_less(
 		&r->accel_mean, &r->accel_square, r->accel, share, square_share, c->deviation_share * accel_limit);
 	still &= vec3_dot(r->gyro_mean, r->gyro_mean) < squared(gyro_limit);
-	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded memory */
+	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded
+	 * memory */
 	slow_share = still ? fmax(dt_s / (r->still_s + dt_s), dt_s / c->drift_time_s) : 1;
 	still &= drifts_less(&r->gyro_slow, r->gyro_mean, slow_share, c->drift_share * gyro_limit);
 	still &= drifts_less(&r->accel_slow, r->accel_mean, slow_share, c->drift_share * accel_limit);

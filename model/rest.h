@@ -3,9 +3,9 @@
  * to zero, and both short means stay close to a slow one, for a dwell time. The first sample that breaks a condition
  * ends the standstill.
  *
- * It looks at two sensors only, so a motion at constant velocity, without vibration, is a standstill to it. Which motions
- * pass depends on the windows. Two sets of parameters are in use: REST_DEFAULTS, by which the fusion learns the gyro's
- * bias, and STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation.
+ * It looks at two sensors only, so a motion at constant velocity, without vibration, is a standstill to it. Which
+ * motions pass depends on the windows. Two sets of parameters are in use: REST_DEFAULTS, by which the fusion learns the
+ * gyro's bias, and STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation.
  *
  * Source of the conditions on mean and deviation: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation
  * estimation with bias estimation and magnetic disturbance rejection", Information Fusion 91, 2023, section on rest
@@ -18,20 +18,21 @@
 
 /** Start from REST_DEFAULTS or STANDSTILL_DEFAULTS. */
 struct rest_config {
-	/** rad/s, > 0, default 2 deg/s: limit of the length of the mean rate, and unit of the other limits of the gyro. It
-	 * has to be above the gyro's bias plus its noise, or rest is never seen; a larger one takes slow turns for rest. */
+	/** rad/s, > 0, default 2 deg/s: limit of the length of the mean rate, and unit of the other limits of the gyro.
+	 * It has to be above the gyro's bias plus its noise, or rest is never seen; a larger one takes slow turns for
+	 * rest. */
 	double gyro_threshold_rad_s;
 	/** m/s^2, > 0, default 0.5: unit of the limits of the accelerometer. It has to be above the vibration of the
 	 * support; a larger one takes gentle motions for rest. */
 	double accel_threshold_m_s2;
-	/** s, >= 0: dwell time, for which all conditions have to hold. A smaller one sees rest earlier, and in the turning
-	 * points of a motion, too; a larger one misses short stops. */
+	/** s, >= 0: dwell time, for which all conditions have to hold. A smaller one sees rest earlier, and in the
+	 * turning points of a motion, too; a larger one misses short stops. */
 	double time_s;
-	/** s, > 0: time constant of the short mean. Longer than a period of the vibration, or the mean follows it; shorter
-	 * than the dwell time, or rest begins late. */
+	/** s, > 0: time constant of the short mean. Longer than a period of the vibration, or the mean follows it;
+	 * shorter than the dwell time, or rest begins late. */
 	double mean_time_s;
-	/** s, >= 0: time constant of the mean square of the deviation from the short mean. 0: each sample counts by itself,
-	 * which ends rest at once but also by a single outlier. */
+	/** s, >= 0: time constant of the mean square of the deviation from the short mean. 0: each sample counts by
+	 * itself, which ends rest at once but also by a single outlier. */
 	double deviation_time_s;
 	/** > 0: limit of that deviation's root mean square, as a share of the thresholds. A smaller one sees gentler
 	 * motions and needs a quieter sensor. */
@@ -43,8 +44,8 @@ struct rest_config {
 	double drift_share;
 };
 
-/** For the gyro's bias. Thresholds, dwell and window as VQF's defaults, for the short mean an exponential one in place of
- * its second-order low-pass. */
+/** For the gyro's bias. Thresholds, dwell and window as VQF's defaults, for the short mean an exponential one in place
+ * of its second-order low-pass. */
 #define REST_DEFAULTS                                                                                \
 	{                                                                                            \
 		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .accel_threshold_m_s2 = 0.5, .time_s = 1.5, \
@@ -76,7 +77,8 @@ struct rest {
 int rest_check(const struct rest_config *config);
 /** Forgets all: the next sample is not at rest. */
 void rest_restart(struct rest *r);
-/** One calibrated sample, dt_s > 0 after the one before. The configuration may change between two. Returns true at rest. */
+/** One calibrated sample, dt_s > 0 after the one before. The configuration may change between two. Returns true at
+ * rest. */
 bool rest_step(struct rest *r, const struct rest_config *config, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2,
 	double dt_s);
 

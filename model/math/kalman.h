@@ -1,7 +1,7 @@
 /* model/math/kalman.h
  * What the two Kalman filters (fusion_kalman.c, navigation.c) do with a covariance. p is n x n, row-major, symmetric; x
- * collects the estimated errors of the n states until the filter applies them. Functions are inline so that the compiler
- * knows n.
+ * collects the estimated errors of the n states until the filter applies them. Functions are inline so that the
+ * compiler knows n.
  *
  * A scalar measurement z = h x + v, v white with the variance R, updates them (A. Gelb (ed.), "Applied Optimal
  * Estimation", 1974, table 4.2-1):
@@ -39,8 +39,8 @@ static inline void kalman_set_variance(int n, double *p, int i, double variance)
 	p[i * n + i] = variance;
 }
 
-/** Rows to, to + 1, .. (`rows` of them) of p += sign M (rows from .. from + 2 of p); M is rows x 3, row-major. One block
- * of a state transition F that is the identity elsewhere: p = F p. */
+/** Rows to, to + 1, .. (`rows` of them) of p += sign M (rows from .. from + 2 of p); M is rows x 3, row-major. One
+ * block of a state transition F that is the identity elsewhere: p = F p. */
 static inline void kalman_add_rows(int n, double *p, int to, int rows, double sign, const double *m, int from)
 {
 	for (int i = 0; i < rows; i++) {

@@ -198,7 +198,7 @@ static void test_mahonys_integral_learns_the_gyro_bias(void **state)
 	s.gyro_rad_s = bias;
 	for (int k = 0; k < 20000; k++)
 		fusion_step(&f, &s, DT_S);
-	assert_vec_near(f.learnt.bias_b_rad_s, bias, 1e-4);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, bias, 1e-4);
 	assert_quat_near(f.q_nb, truth, 1e-3);
 }
 
@@ -220,13 +220,13 @@ static void test_the_bias_shown_at_rest_is_taken_off_the_gyro(void **state)
 	struct imu_sample s = seen_from(QUAT_IDENTITY);
 
 	(void)state;
-	fusion_learn_bias(&f, shown, DT_S);
-	assert_vec_near(f.learnt.bias_b_rad_s, shown, 1e-15);
+	fusion_update_bias_at_rest(&f, shown, DT_S);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, shown, 1e-15);
 	s.gyro_rad_s = shown;
 	fusion_step(&f, &s, 1);
 	assert_quat_near(f.q_nb, QUAT_IDENTITY, 1e-9);
-	fusion_forget_errors(&f);
-	assert_vec_near(f.learnt.bias_b_rad_s, ((struct vec3){0, 0, 0}), 0);
+	fusion_reset_gyro_errors(&f);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, ((struct vec3){0, 0, 0}), 0);
 }
 
 static void test_the_bias_is_the_mean_over_rest_and_follows_its_drift(void **state)
@@ -236,11 +236,11 @@ static void test_the_bias_is_the_mean_over_rest_and_follows_its_drift(void **sta
 
 	(void)state;
 	for (int k = 0; k < 500; k++)
-		fusion_learn_bias(&f, k % 2 ? vec3_add(old, more) : vec3_sub(old, more), DT_S);
-	assert_vec_near(f.learnt.bias_b_rad_s, old, 1e-9);
+		fusion_update_bias_at_rest(&f, k % 2 ? vec3_add(old, more) : vec3_sub(old, more), DT_S);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, old, 1e-9);
 	for (int k = 0; k < 30000; k++)
-		fusion_learn_bias(&f, new, DT_S);
-	assert_vec_near(f.learnt.bias_b_rad_s, new, 1e-4);
+		fusion_update_bias_at_rest(&f, new, DT_S);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, new, 1e-4);
 }
 
 static void test_magnetometer_samples_missing_now_and_then_still_hold_the_heading(void **state)

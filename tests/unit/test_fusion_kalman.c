@@ -103,7 +103,7 @@ static struct result follow(struct fusion *f, const struct errors *e, double siz
 		struct vec3 error_n;
 
 		if (rest)
-			fusion_learn_bias(f, vec3_add(m.sample.gyro_rad_s, e->gyro_bias), dt_s);
+			fusion_update_bias_at_rest(f, vec3_add(m.sample.gyro_rad_s, e->gyro_bias), dt_s);
 		m.sample.gyro_rad_s = vec3_add(m.sample.gyro_rad_s, e->gyro_bias);
 		if (t >= e->magnet_from_s && t < e->magnet_to_s)
 			m.sample.mag_uT = vec3_add(m.sample.mag_uT, e->magnet_b);
@@ -172,7 +172,7 @@ static void test_the_bias_is_learnt_at_rest_within_seconds(void **state)
 
 	(void)state;
 	follow(&f, &e, 0, 5);
-	assert_vec_near(f.learnt.bias_b_rad_s, e.gyro_bias, 1e-4);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, e.gyro_bias, 1e-4);
 }
 
 static void test_the_bias_is_learnt_in_motion(void **state)
@@ -182,9 +182,9 @@ static void test_the_bias_is_learnt_in_motion(void **state)
 
 	(void)state;
 	follow(&nine, &e, 1, 120);
-	assert_vec_near(nine.learnt.bias_b_rad_s, e.gyro_bias, 1e-3);
+	assert_vec_near(nine.gyro_errors.bias_b_rad_s, e.gyro_bias, 1e-3);
 	follow(&six, &e, 1, 120); /* the body tilts, so all of it shows without a magnetometer, too */
-	assert_vec_near(six.learnt.bias_b_rad_s, e.gyro_bias, 2e-3);
+	assert_vec_near(six.gyro_errors.bias_b_rad_s, e.gyro_bias, 2e-3);
 }
 
 static void test_the_bias_learnt_stays_below_what_any_gyro_has(void **state)
@@ -194,7 +194,7 @@ static void test_the_bias_learnt_stays_below_what_any_gyro_has(void **state)
 
 	(void)state;
 	follow(&f, &e, 0, 20);
-	assert_true(vec3_norm(f.learnt.bias_b_rad_s) < 2.01 * RAD_PER_DEG);
+	assert_true(vec3_norm(f.gyro_errors.bias_b_rad_s) < 2.01 * RAD_PER_DEG);
 }
 
 static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
@@ -347,7 +347,7 @@ static void test_switching_to_it_and_away_keeps_attitude_and_bias(void **state)
 	assert_int_equal(fusion_configure(&f, &madgwick), 0);
 	assert_int_equal(fusion_configure(&f, &NINE_AXES), 0);
 	assert_quat_near(f.q_nb, before.q_nb, 1e-7);
-	assert_vec_near(f.learnt.bias_b_rad_s, before.learnt.bias_b_rad_s, 0);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, before.gyro_errors.bias_b_rad_s, 0);
 	assert_true(follow(&f, &e, 0, 10).tilt_rad < 0.1 * RAD_PER_DEG);
 }
 
@@ -361,7 +361,7 @@ static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
 	follow(&f, &e, 1, 20);
 	fusion_step(&f, &m.sample, 0.7); /* whatever happened meanwhile */
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 0.5 * RAD_PER_DEG);
-	assert_true(vec3_norm(f.learnt.bias_b_rad_s) < 2e-3);
+	assert_true(vec3_norm(f.gyro_errors.bias_b_rad_s) < 2e-3);
 }
 
 static void test_measurements_without_sense_are_survived(void **state)
@@ -381,7 +381,7 @@ static void test_measurements_without_sense_are_survived(void **state)
 
 		fusion_step(&f, &s, 0.005);
 		assert_near(quat_apart_rad(f.q_nb, f.q_nb), 0, 1e-6);
-		assert_true(vec3_finite(f.learnt.bias_b_rad_s));
+		assert_true(vec3_finite(f.gyro_errors.bias_b_rad_s));
 	}
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * RAD_PER_DEG);
 }
@@ -547,7 +547,7 @@ static void test_the_delay_shows_the_attitude_ahead_by_the_rate(void **state)
 	config.delay_s = 0.01;
 	f = fusion(config);
 	follow(&f, &e, 0, 1);
-	assert_quat_near(fusion_attitude_now(&f, vec3_add(f.learnt.bias_b_rad_s, (struct vec3){1, 0, 0})),
+	assert_quat_near(fusion_attitude_now(&f, vec3_add(f.gyro_errors.bias_b_rad_s, (struct vec3){1, 0, 0})),
 		quat_multiply(f.q_nb, quat_from_rotation_vector((struct vec3){0.01, 0, 0})), 1e-9);
 }
 

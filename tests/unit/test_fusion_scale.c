@@ -70,9 +70,9 @@ static void test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetomete
 
 	(void)state;
 	turn(&f, scale, ZERO, 0, 120);
-	assert_vec_near(f.learnt.scale_b, scale, 0.0008);
-	f.learnt.bias_b_rad_s = ZERO;
-	assert_near(fusion_rate_b(&f, (struct vec3){0, 0, 3}).z, 3 * (1 + f.learnt.scale_b.z), 1e-12);
+	assert_vec_near(f.gyro_errors.scale_b, scale, 0.0008);
+	f.gyro_errors.bias_b_rad_s = ZERO;
+	assert_near(fusion_rate_b(&f, (struct vec3){0, 0, 3}).z, 3 * (1 + f.gyro_errors.scale_b.z), 1e-12);
 }
 
 static void test_the_heading_then_drifts_a_fifth_as_much(void **state)
@@ -98,7 +98,7 @@ static void test_a_scale_said_to_be_right_is_not_touched(void **state)
 
 	(void)state;
 	turn(&f, (struct vec3){0.01, 0.01, 0.01}, ZERO, 0, 30);
-	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 }
 
 static void test_a_magnet_in_the_object_teaches_no_scale(void **state)
@@ -107,7 +107,7 @@ static void test_a_magnet_in_the_object_teaches_no_scale(void **state)
 
 	(void)state;
 	turn(&f, ZERO, (struct vec3){12, -8, 5}, 0, 60);
-	assert_vec_near(f.learnt.scale_b, ZERO, 0.0002);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0.0002);
 }
 
 static void test_the_scale_learnt_stays_within_five_sigma(void **state)
@@ -116,7 +116,7 @@ static void test_the_scale_learnt_stays_within_five_sigma(void **state)
 
 	(void)state;
 	turn(&f, (struct vec3){0.05, 0.05, 0.05}, ZERO, 0, 60);
-	assert_true(vec3_norm(f.learnt.scale_b) < 0.005001);
+	assert_true(vec3_norm(f.gyro_errors.scale_b) < 0.005001);
 }
 
 static void test_another_sigma_another_gyro_or_another_algorithm_forget_the_scale(void **state)
@@ -127,29 +127,29 @@ static void test_another_sigma_another_gyro_or_another_algorithm_forget_the_scal
 
 	(void)state;
 	turn(&learnt, scale, ZERO, 0, 30);
-	assert_true(vec3_norm(learnt.learnt.scale_b) > 0.001);
+	assert_true(vec3_norm(learnt.gyro_errors.scale_b) > 0.001);
 
 	f = learnt;
 	config = f.config;
 	config.kalman.field_limit = 0.2;
 	assert_int_equal(fusion_configure(&f, &config), 0);
-	assert_vec_near(f.learnt.scale_b, learnt.learnt.scale_b, 0);
+	assert_vec_near(f.gyro_errors.scale_b, learnt.gyro_errors.scale_b, 0);
 	config.kalman.gyro_scale_sigma = 0.004;
 	assert_int_equal(fusion_configure(&f, &config), 0);
-	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
 	f = learnt;
 	config.algorithm = FUSION_MAHONY;
 	assert_int_equal(fusion_configure(&f, &config), 0);
-	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
 	f = learnt;
-	fusion_forget_errors(&f);
-	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+	fusion_reset_gyro_errors(&f);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
 	f = learnt;
 	fusion_turn_object(&f, quat_from_rotation_vector((struct vec3){1, 0, 0}));
-	assert_vec_near(f.learnt.scale_b, ZERO, 0);
+	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 }
 
 int main(void)

@@ -325,7 +325,7 @@ static void test_the_gyro_bias_is_learnt_at_rest(void **state)
 
 	(void)state;
 	stand_with_bias(&p, bias, 0, 5 * RATE_HZ);
-	assert_vec_near(p.fusion.learnt.bias_b_rad_s, bias, 1e-4);
+	assert_vec_near(p.fusion.gyro_errors.bias_b_rad_s, bias, 1e-4);
 	assert_vec_near(p.rates.out[RATES_FROM_GYRO].omega_b_rad_s, ZERO, 1e-3);
 }
 
@@ -338,7 +338,7 @@ static void test_a_turn_faster_than_the_rest_threshold_is_not_taken_for_bias(voi
 	config.fusion.algorithm = FUSION_MADGWICK; /* the Kalman filter learns in motion, too */
 	p = pipeline(&config);
 	stand_with_bias(&p, (struct vec3){0, 0, 3 * RAD_PER_DEG}, 0, 5 * RATE_HZ);
-	assert_vec_near(p.fusion.learnt.bias_b_rad_s, ZERO, 0);
+	assert_vec_near(p.fusion.gyro_errors.bias_b_rad_s, ZERO, 0);
 }
 
 static void test_a_gyro_calibrated_anew_loses_the_bias_learnt(void **state)
@@ -351,7 +351,7 @@ static void test_a_gyro_calibrated_anew_loses_the_bias_learnt(void **state)
 	stand_with_bias(&p, bias, 0, 5 * RATE_HZ);
 	config.calibration.gyro.bias = bias;
 	assert_int_equal(pipeline_configure(&p, &config), 0);
-	assert_vec_near(p.fusion.learnt.bias_b_rad_s, ZERO, 0);
+	assert_vec_near(p.fusion.gyro_errors.bias_b_rad_s, ZERO, 0);
 }
 
 static void test_a_push_from_rest_is_integrated_and_the_position_can_be_reset(void **state)
