@@ -132,7 +132,7 @@ void position_navigate(
 	if (n->movements != movements)
 		p->moved_from_n_m = p->position_n_m;
 	follow(p, in, lever_b_m);
-	if (n->still && !n->parted) {
+	if (n->still && !n->ended_by_reset) {
 		p->displacement_n_m = vec3_sub(p->position_n_m, p->moved_from_n_m);
 		p->displacement_sigma_m = p->sigma.displacement_m;
 	}

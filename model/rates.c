@@ -53,21 +53,12 @@ void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb)
 	r->q_nb = q_nb;
 }
 
-/* The rotation vector of q. */
-static struct vec3 rotation_vector(struct quat q)
-{
-	struct vec3 u = {q.x, q.y, q.z};
-	double s = vec3_norm(u), half = atan2(s, fabs(q.w));
-
-	return vec3_scale((q.w < 0 ? -2 : 2) * (s > 1e-9 ? half / s : 1), u);
-}
-
 void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s)
 {
 	struct quat turn = quat_multiply(quat_conjugate(r->q_nb), q_nb);
 	const struct vec3 in[RATE_SOURCES] = {
 		[RATES_FROM_GYRO] = gyro_b_rad_s,
-		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, rotation_vector(turn)),
+		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, quat_to_rotation_vector(turn)),
 	};
 
 	for (int i = 0; i < RATE_SOURCES; i++) {

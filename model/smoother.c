@@ -24,7 +24,7 @@ static void map_nothing(struct smoother_map *map)
 		map->a[i][i] = 1;
 }
 
-double (*smoother_map(struct smoother *s))[N]
+double (*smoother_transition(struct smoother *s))[N]
 {
 	return recording(s) ? s->recent.a : NULL;
 }
@@ -55,7 +55,7 @@ void smoother_measure(
 	}
 }
 
-void smoother_forget(struct smoother *s, int at)
+void smoother_reset_errors(struct smoother *s, int at)
 {
 	if (!recording(s))
 		return;

@@ -83,12 +83,12 @@ void smoother_restart(struct smoother *s, struct smoother_point here, double p[N
 /** Time passes. */
 void smoother_elapse(struct smoother *s, double dt_s);
 /** What is to be multiplied by the filter's transition from the left, as its covariance is; NULL: nothing. */
-double (*smoother_map(struct smoother *s))[NAVIGATION_STATES];
+double (*smoother_transition(struct smoother *s))[NAVIGATION_STATES];
 /** The filter takes a measurement: its row, p row, innovation and variance. */
 void smoother_measure(struct smoother *s, const double row[NAVIGATION_STATES], const double p_row[NAVIGATION_STATES],
 	double innovation, double variance);
 /** Three errors from `at` on are independent of all before. The movement is not whole. */
-void smoother_forget(struct smoother *s, int at);
+void smoother_reset_errors(struct smoother *s, int at);
 /** Something else broke the movement, which goes on. */
 void smoother_break(struct smoother *s);
 /** All transitions and measurements up to here were told: a point is kept when it is time. Often enough to follow the path

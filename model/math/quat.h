@@ -1,6 +1,6 @@
 /* model/math/quat.h
- * Unit quaternions of Hamilton, w first, by value. q_nb turns a vector of the object frame b into the global frame n
- * (ENU): v_n = quat_rotate(q_nb, v_b). Products compose from right to left, as matrices do. */
+ * Unit quaternions (Hamilton convention, w first) by value. q_nb turns a vector of the object frame b into the global
+ * frame n (ENU): v_n = quat_rotate(q_nb, v_b). Products compose from right to left, as matrices do. */
 #ifndef MODEL_MATH_QUAT_H
 #define MODEL_MATH_QUAT_H
 
@@ -54,6 +54,14 @@ static inline struct quat quat_from_rotation_vector(struct vec3 angle_rad)
 	double a = vec3_norm(angle_rad), k = a > 1e-9 ? sin(a / 2) / a : 0.5 - a * a / 48;
 
 	return (struct quat){cos(a / 2), k * angle_rad.x, k * angle_rad.y, k * angle_rad.z};
+}
+
+/** The rotation vector of q: its axis times the angle of the shorter way, 0..pi. */
+static inline struct vec3 quat_to_rotation_vector(struct quat q)
+{
+	double s = sqrt(q.x * q.x + q.y * q.y + q.z * q.z), k = s > 1e-9 ? 2 * atan2(s, fabs(q.w)) / s : 2;
+
+	return vec3_scale(q.w < 0 ? -k : k, (struct vec3){q.x, q.y, q.z});
 }
 
 /** The rotation vector from one sample of the angular rate to the next: exact to the third power of dt while the rate

@@ -105,7 +105,7 @@ static void measure(struct step *s, const double row[N], double value, double no
 
 static void transit(struct step *to)
 {
-	double(*map)[N] = smoother_map(&smoother), before[N][N];
+	double(*map)[N] = smoother_transition(&smoother), before[N][N];
 
 	memcpy(before, map, sizeof(before));
 	multiply(map, to->f, before, false);
@@ -161,7 +161,7 @@ static void forget(int k, int at)
 		noise[i] = i >= at && i < at + 3 ? 2 : 0;
 	}
 	predict(&chain[k], &chain[k - 1], noise);
-	smoother_forget(&smoother, at);
+	smoother_reset_errors(&smoother, at);
 }
 
 /* chain[].x and .p become the smoothed ones. */
@@ -394,7 +394,7 @@ static void test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_fro
 		from_there[points] = *p;
 		pipeline_smooth(&from_there[points], NULL);
 		pipeline_reset_position(&from_there[points]);
-		from_there[points].position.navigation.parted = false; /* it is the same movement */
+		from_there[points].position.navigation.ended_by_reset = false; /* it is the same movement */
 		lever_n_m[points++] = quat_rotate(p->position.navigation.q_nb, LEVER_B_M);
 		from = smoother.from_n_m;
 	}
