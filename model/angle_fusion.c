@@ -3,12 +3,13 @@
 #include <errno.h>
 #include <math.h>
 
-/* A bias that wanders by its instability in this time; it may start at ten times of it. */
-static const double BIAS_WANDERS_IN_S = 100, FIRST_BIAS_SIGMAS = 10;
+/* s, in which the bias walks by its instability, and its 1 sigma at the start in instabilities. By judgement: where the
+ * Allan deviation of MEMS gyros has its flat part; a calibrated gyro after switching on. */
+static const double BIAS_TIME_S = 100, START_BIAS_INSTABILITIES = 10;
 
 int angle_fusion_init(struct angle_fusion *f, const struct noise_config *noise)
 {
-	const double first_bias = FIRST_BIAS_SIGMAS * noise->gyro_bias_instability_rad_s;
+	const double start_bias = START_BIAS_INSTABILITIES * noise->gyro_bias_instability_rad_s;
 
 	if (!(noise->angle_sigma_rad > 0) || !(noise->gyro_density_rad_s_sqrt_hz > 0) ||
 		!(noise->gyro_bias_instability_rad_s >= 0))
@@ -17,7 +18,7 @@ int angle_fusion_init(struct angle_fusion *f, const struct noise_config *noise)
 		.noise = *noise,
 		.q_nb = QUAT_IDENTITY,
 		.p_angle = noise->angle_sigma_rad * noise->angle_sigma_rad,
-		.p_bias = first_bias * first_bias,
+		.p_bias = start_bias * start_bias,
 	};
 	return 0;
 }
@@ -30,16 +31,16 @@ static void predict(struct angle_fusion *f, struct vec3 gyro_b_rad_s, double dt_
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(dt_s, rate))));
 	f->p_angle += dt_s * (n * n / 2 - 2 * f->p_cross + dt_s * f->p_bias);
 	f->p_cross -= dt_s * f->p_bias;
-	f->p_bias += dt_s * b * b / BIAS_WANDERS_IN_S;
+	f->p_bias += dt_s * b * b / BIAS_TIME_S;
 }
 
 static void correct(struct angle_fusion *f, struct quat given_q_nb)
 {
 	struct quat error = quat_multiply(quat_conjugate(f->q_nb), given_q_nb);
-	/* the rotation vector, for errors that are small */
+	/* the rotation vector of a small error */
 	struct vec3 innovation = vec3_scale(error.w < 0 ? -2 : 2, (struct vec3){error.x, error.y, error.z});
-	double sigma = f->noise.angle_sigma_rad, total = f->p_angle + sigma * sigma;
-	double k_angle = f->p_angle / total, k_bias = f->p_cross / total;
+	double sigma = f->noise.angle_sigma_rad, innovation_variance = f->p_angle + sigma * sigma;
+	double k_angle = f->p_angle / innovation_variance, k_bias = f->p_cross / innovation_variance;
 
 	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(vec3_scale(k_angle, innovation)));
 	f->gyro_bias_b_rad_s = vec3_add(f->gyro_bias_b_rad_s, vec3_scale(k_bias, innovation));

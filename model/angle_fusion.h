@@ -1,8 +1,8 @@
 /* model/angle_fusion.h
- * Given angles (from a camera, another sensor's own fusion) made quiet by the gyro: an error-state Kalman filter with
- * two states an axis, angle error and gyro bias, the same variances for all axes. It begins with the first given
- * attitude and its full uncertainty, so its gain falls from 1 to the steady state by itself. q_nb turns object into
- * global axes. */
+ * Smooths given angles (from a camera, or another sensor's own fusion) by the gyro: an error-state Kalman filter of two
+ * states per axis, angle error and gyro bias, with the same variances for all axes. It starts at the first given
+ * attitude with its full uncertainty, so its gain falls from 1 to the steady state. q_nb turns object into global
+ * axes. */
 #ifndef MODEL_ANGLE_FUSION_H
 #define MODEL_ANGLE_FUSION_H
 
@@ -22,7 +22,7 @@ struct angle_fusion {
 
 /** 0, or -EINVAL: angle sigma or gyro density not above 0, or a negative instability. */
 int angle_fusion_init(struct angle_fusion *f, const struct noise_config *noise);
-/** One sample, dt_s > 0 after the one before: the rate since then and the attitude given now. */
+/** One sample, dt_s > 0 after the one before: the mean rate since then, and the attitude given for now. */
 void angle_fusion_step(struct angle_fusion *f, struct vec3 gyro_b_rad_s, struct quat given_q_nb, double dt_s);
 
 #endif

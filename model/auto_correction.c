@@ -2,14 +2,21 @@
 
 #include <math.h>
 
-/* In units of the noise: what counts at once, what one sample can add to the mean, how much the mean must exceed 1 (it
- * scatters by 0.3 or so), and its time constant. */
-static const double AT_ONCE = 36, LIMIT = 100, MARGIN = 1, MEMORY_S = 1;
+/* c^2 / v that counts at once: six sigma. Convention: that never happens by noise. */
+static const double AT_ONCE = 36;
+/* Limit of one sample's c^2 / v in the mean. By judgement: after a violent motion it falls below its threshold within
+ * ln 50 = 4 s. */
+static const double LIMIT = 100;
+/* By how much the mean has to exceed 1, which is that of noise alone. By judgement: it scatters by 0.3 or so. */
+static const double MARGIN = 1;
+/* s, time constant of the mean. By judgement: as long as a movement of a hand. */
+static const double MEMORY_S = 1;
 
+/* Samples of the impulse response. By judgement: that of the lowest usual cut-off has decayed. */
 enum { IMPULSE_SAMPLES = 4096 };
 
-/* White noise of a filter's output is that of its input times the sum of squares of its impulse response. Angles are
- * differentiated first: their impulse is a pair. */
+/* The variance of white noise behind a filter is that before it times the sum of squares of the impulse response.
+ * Angles are differentiated first: an impulse of them is a pair of impulses of the rate. */
 struct rates_variance rates_variance(const struct noise_config *noise, enum rate_source source,
 	const struct filter_config *rate_filter, double rate_hz)
 {

@@ -1,13 +1,24 @@
 /* model/noise.h
- * How noisy the sensors are (2020h): what the filters that weigh one measurement against another go by. */
+ * Noise of the sensors (2020h), by which the filters weigh one measurement against another. The defaults
+ * (PIPELINE_DEFAULTS) are the noise densities in the datasheets of the L3GD20 and the LSM303DLHC, and instabilities as
+ * MEMS sensors of that kind have them; the angles' sigma is by judgement. */
 #ifndef MODEL_NOISE_H
 #define MODEL_NOISE_H
 
 struct noise_config {
-	double angle_sigma_rad;		   /* of given or fused angles, white from sample to sample */
-	double gyro_density_rad_s_sqrt_hz; /* one-sided, as in datasheets */
+	/** rad, >= 0, default 0.05 degrees: 1 sigma of angles, given or fused, white from sample to sample. Used where
+	 * rates come from angles: a smaller one makes the automatic lever-arm correction rely on them. */
+	double angle_sigma_rad;
+	/** rad/s/sqrt(Hz), >= 0, default 0.03 deg/s/sqrt(Hz): one-sided noise density of the gyro. A smaller one relies
+	 * on its integration for longer, a larger one on the measurements. */
+	double gyro_density_rad_s_sqrt_hz;
+	/** rad/s, >= 0, default 0.01 deg/s: minimum of the Allan deviation of the gyro, by which its bias walks in 100
+	 * s. A smaller one averages the bias for longer, a larger one follows it. */
 	double gyro_bias_instability_rad_s;
+	/** m/s^2/sqrt(Hz), >= 0, default 220 ug/sqrt(Hz): one-sided noise density of the accelerometer. As for the
+	 * gyro. */
 	double accel_density_m_s2_sqrt_hz;
+	/** m/s^2, >= 0, default 0.1 mg: minimum of the Allan deviation of the accelerometer. As for the gyro. */
 	double accel_bias_instability_m_s2;
 };
 

@@ -48,18 +48,24 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		},
 };
 
+/* Limits of plausible samples, far beyond any sensor's range. */
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
-/* Bandwidth of the derivative that carries the acceleration over its latency: that of the quickest hand. */
+/* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
+ * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
 static const double CHANGE_CUTOFF_HZ = 60;
+/* Samples of the impulse response of that derivative. By judgement: at 60 Hz it has decayed at any rate below 10
+ * kHz. */
 enum { IMPULSE_SAMPLES = 1024 };
+/* Ranges of the aids, see pipeline.h. */
 static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_RAD = 1e-4, ATTITUDE_NORM_OFF = 0.1;
-/* A gap longer than this leaves nothing of the attitude but the heading. */
+/* s. After a longer gap only the heading of the attitude is kept. By judgement: within a second a robot may turn
+ * over. */
 static const double ATTITUDE_HOLD_S = 1;
-/* A magnetometer slower than the samples still counts as used between its measurements. */
+/* s. A magnetometer slower than the samples still counts as used between its measurements. By judgement. */
 static const double MAG_LATELY_S = 1;
 
-/* What the derivative makes of white noise. */
-static void weigh_change(struct pipeline *p)
+/* Variance of the derivative behind white noise of variance 1. */
+static void update_change_noise(struct pipeline *p)
 {
 	struct differentiator3 d = p->accel_change;
 	const struct vec3 none = {0, 0, 0};
@@ -70,7 +76,7 @@ static void weigh_change(struct pipeline *p)
 		p->change_of_white += pow(differentiator3_step(&d, (struct vec3){k == 0, 0, 0}, 1 / p->rate_hz).x, 2);
 }
 
-static void weigh_rates(struct pipeline *p)
+static void update_rates_noise(struct pipeline *p)
 {
 	p->rates_variance =
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
@@ -88,7 +94,7 @@ static int latency_check(const struct latency_config *latency)
 	return known && accel_age_s(latency) >= 0 ? 0 : -EINVAL;
 }
 
-/* The estimator's lever arm holds for the fusion, too. */
+/* The fusion uses the estimator's lever arm and the gyro's latency. */
 static struct fusion_config fusion_config(const struct pipeline_config *config)
 {
 	struct fusion_config fusion = config->fusion;
@@ -98,7 +104,7 @@ static struct fusion_config fusion_config(const struct pipeline_config *config)
 	return fusion;
 }
 
-/* What the sensors are like holds for the navigation, too. */
+/* The navigation uses the noise of the sensors and the user's limits of rest. */
 static struct position_config position_config(const struct pipeline_config *config)
 {
 	struct position_config position = config->position;
@@ -128,8 +134,8 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 		return -EINVAL;
 	fresh.accel_delay_s = filter3_delay_s(&fresh.accel_filter, rate_hz);
 	differentiator3_tune(&fresh.accel_change, CHANGE_CUTOFF_HZ, rate_hz);
-	weigh_change(&fresh);
-	weigh_rates(&fresh);
+	update_change_noise(&fresh);
+	update_rates_noise(&fresh);
 	*p = fresh;
 	return 0;
 }
@@ -154,8 +160,8 @@ static int configure_filters(struct pipeline *p, const struct pipeline_config *c
 	return 0;
 }
 
-/* A new mounting turns the object frame, not the sensor: the attitude goes with it. What the filters hold belongs to the
- * old calibration, and so do the errors learnt of a gyro calibrated anew. */
+/* A new mounting turns the object frame, not the sensor: the attitude turns with it. The state of the filters belongs
+ * to the old calibration, and so do the estimated errors of a gyro that has a new one. */
 static int configure_calibration(struct pipeline *p, const struct calibration_config *config)
 {
 	struct quat old = quat_from_aerospace(p->config.calibration.mounting_rad);
@@ -183,12 +189,12 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 		estimator_check(&config->estimator) < 0 || rest_check(&config->rest) < 0 ||
 		position_configure(&next.position, &position) < 0)
 		return -EINVAL;
-	bool other_noise = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
-			   p->config.estimator.rates_from != config->estimator.rates_from ||
-			   !same_filter(&p->config.rate_filter, &config->rate_filter);
+	bool noise_changed = memcmp(&p->config.noise, &config->noise, sizeof(config->noise)) != 0 ||
+			     p->config.estimator.rates_from != config->estimator.rates_from ||
+			     !same_filter(&p->config.rate_filter, &config->rate_filter);
 	next.config = *config;
-	if (other_noise)
-		weigh_rates(&next);
+	if (noise_changed)
+		update_rates_noise(&next);
 	*p = next;
 	return 0;
 }
@@ -219,7 +225,7 @@ int pipeline_aid_yaw(struct pipeline *p, double yaw_rad, double sigma_rad)
 	if (!(fabs(yaw_rad) <= 2 * PI) || !(sigma_rad >= AID_SIGMA_MIN_RAD && sigma_rad <= PI))
 		return -EINVAL;
 	if (p->started && fusion_aid_yaw(&p->fusion, yaw_rad, sigma_rad, p->last_gyro_b_rad_s))
-		p->primed = false; /* what is differentiated and filtered begins anew */
+		p->primed = false; /* no rate, no acceleration from the jump */
 	return 0;
 }
 
@@ -249,7 +255,7 @@ static void start_over(struct pipeline *p)
 	uint32_t gaps = p->gaps, refused = p->refused;
 
 	pipeline_init(p, &p->config, p->rate_hz);
-	p->calibration = calibration; /* and the temperature it knows */
+	p->calibration = calibration; /* with the last temperature */
 	p->gaps = gaps;
 	p->refused = refused;
 	pipeline_smooth(p, smoother);
@@ -264,8 +270,8 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
-/* Attitude, and at rest the gyro's bias. Returns rest. When north is first seen the attitude jumps to it, and what is
- * differentiated and filtered begins anew. */
+/* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and whatever
+ * is filtered or differentiated starts again. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
 	bool north_known = fusion_north_known(&p->fusion), rest;
@@ -286,8 +292,8 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	return rest;
 }
 
-/* What to take off for the lever arm: in auto mode as much of it as its noise allows. */
-static struct vec3 correct(struct pipeline *p, double dt_s)
+/* The lever arm's share of the specific force, in auto mode as far as it exceeds its noise. */
+static struct vec3 lever_arm_share(struct pipeline *p, double dt_s)
 {
 	const struct estimator_config *estimator = &p->config.estimator;
 	const struct body_rates *rates = &p->rates.out[estimator->rates_from];
@@ -307,7 +313,7 @@ static struct vec3 accel_n(const struct pipeline *p, const struct estimator_conf
 	return quat_rotate(q_nb, estimator_accel_b(estimator, force_b_m_s2, q_nb, lever_arm_b_m_s2));
 }
 
-/* What the estimator of the sample before makes of this one. */
+/* The acceleration of this sample by the estimator of the one before. */
 static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force_b_m_s2)
 {
 	const struct estimator_config *before = &p->last_estimator;
@@ -316,7 +322,7 @@ static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force
 	return accel_n(p, before, force_b_m_s2, all);
 }
 
-/* The accelerometer saw another instant than the gyro: what it saw, in the object's axes at the gyro's. */
+/* The accelerometer measured at another instant than the gyro: its force in the object's axes at the gyro's instant. */
 static struct vec3 at_the_gyros_instant(const struct pipeline *p, const struct imu_sample *s)
 {
 	struct vec3 rate = fusion_rate_b(&p->fusion, s->gyro_rad_s);
@@ -330,7 +336,7 @@ static double accel_variance(const struct pipeline *p)
 	return p->config.noise.accel_density_m_s2_sqrt_hz * p->config.noise.accel_density_m_s2_sqrt_hz * p->rate_hz / 2;
 }
 
-/* Of the lever arm's share, the mean of three axes. */
+/* Variance of the lever arm's share, mean of the axes. */
 static double lever_variance(const struct pipeline *p, struct vec3 omega_b_rad_s)
 {
 	const struct estimator_config *estimator = &p->config.estimator;
@@ -346,8 +352,8 @@ static double change_variance(const struct pipeline *p)
 	return age * age * accel_variance(p) * p->change_of_white;
 }
 
-/* How the sensor's acceleration changes over its latency. The lever arm's share is left as it was: what carries it on would
- * have to know the derivative of the angular acceleration. */
+/* The change of the sensor's specific force over its latency, by its derivative. The lever arm's share of it is not
+ * extrapolated: that would take the derivative of the angular acceleration. */
 static struct vec3 change_n(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
 {
 	struct vec3 force_n = quat_rotate(p->fusion.q_nb, force_b_m_s2), change;
@@ -359,12 +365,12 @@ static struct vec3 change_n(struct pipeline *p, struct vec3 force_b_m_s2, double
 	return auto_correction_step(&p->auto_change, change, (struct vec3){v, v, v}, dt_s);
 }
 
-/* The reference point's acceleration, carried to the time stamp, and low-passed in the global frame: there gravity is
- * removed before the delay of the filter could let the object turn away from it. After a change of the estimator the
- * filter goes on as if the new one had always been in use. */
+/* The reference point's acceleration, extrapolated to the time stamp and low-passed in the global frame: gravity is
+ * removed before the filter, or the object could turn away from it within the filter's delay. When the estimator has
+ * changed, the filter continues as if the new one had always been in use. */
 static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double dt_s)
 {
-	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, correct(p, dt_s));
+	struct vec3 accel = accel_n(p, &p->config.estimator, force_b_m_s2, lever_arm_share(p, dt_s));
 
 	if (!fusion_started(&p->fusion))
 		return (struct vec3){0, 0, 0};
@@ -386,7 +392,7 @@ static struct vec3 fusion_variance(const struct pipeline *p)
 	return (struct vec3){k->covariance[0][0], k->covariance[1][1], k->covariance[2][2]};
 }
 
-/* Without a gap, velocity and position of the reference point. */
+/* Velocity and position of the reference point, when there is no gap. */
 static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, double dt_s)
 {
 	const struct navigation_input in = {
@@ -416,8 +422,8 @@ static double root_of_sum(double sigma, double more)
 	return sqrt(fmax(0, sigma * sigma + more));
 }
 
-/* The acceleration is as uncertain as the lever arm's share of it and what carries it over the latency, too; and an error of
- * the attitude turns not only gravity (which is in the sigma already) but the acceleration itself. */
+/* Adds to the acceleration's sigma the noise of the lever arm's share and of the extrapolation. The error of the
+ * attitude turns not only gravity, which is in that sigma already, but the acceleration itself. */
 static struct navigation_sigma with_acceleration(
 	const struct pipeline *p, struct vec3 omega_b_rad_s, struct vec3 accel_n_m_s2)
 {

@@ -1,16 +1,16 @@
 /* model/pipeline.h
- * The straight line of one sample: calibrate -> low-pass -> fuse (attitude) -> estimate
- * (acceleration of the reference point) -> integrate (velocity, position). One function a step,
- * each in a file of its own; this one composes them. Pure: the same samples and configuration give
- * the same bits, in the gateway and in imu9-replay.
+ * The way of one sample: calibrate -> fuse (attitude) -> estimate (acceleration of the reference point) -> low-pass ->
+ * integrate (velocity, position). Each step has a file of its own; this one composes them. Pure: the same samples and
+ * configuration give the same bits, in the gateway and in imu9-replay.
  *
- * Time: attitude and acceleration are published as of the time stamp, carried over the sensor's latency by the rate and by
- * the derivative of the specific force, as far as that exceeds its noise (auto_correction.h); the lever arm's share, rates,
- * velocity and position as of the instant that was measured, so that share and rates agree. Gyro and accelerometer are
- * brought to one instant before anything else. What the acceleration filter delays stays delayed (2031h:3).
+ * Time: attitude and acceleration are published as of the time stamp. They are extrapolated over the sensor's latency
+ * by the rate and by the derivative of the specific force, as far as that exceeds its noise (auto_correction.h). The
+ * lever arm's share, rates, velocity and position are as of the instant of measurement, so that share and rates agree.
+ * Gyro and accelerometer are brought to one instant before anything else. The delay of the acceleration filter is not
+ * compensated (2031h:3).
  *
- * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n
- * = global (ENU: x east, y magnetic north, z up). q_nb turns b into n. */
+ * Frames: sensor = the axes of the chips; b = object (l, s, t: longitudinal, side, transversal); n = global (ENU: x
+ * east, y magnetic north, z up). q_nb turns b into n. */
 #ifndef MODEL_PIPELINE_H
 #define MODEL_PIPELINE_H
 
@@ -24,23 +24,30 @@
 #include "model/rest.h"
 #include "model/sample.h"
 
-/* Each sample is older than its time stamp by its sensor's low-pass and buffers. */
+/** The latency of a sensor: by how much its samples are older than their time stamps, because of its low-pass and its
+ * buffers. */
 struct latency_config {
-	double sensor_s;	/* 0..0.1: of the gyro's */
-	double accelerometer_s; /* -0.05..0.05: by how much longer of the accelerometer's; not so that it comes before
-				   it happens */
+	/** s, 0..0.1, default 0.0042 (fitted to the optical rate of the BROAD trials): latency of the gyro. Attitude
+	 * and acceleration are extrapolated over it. Too small a value publishes them late, too large a one early. */
+	double sensor_s;
+	/** s, -0.05..0.05, default -0.0016 (fitted likewise): additional latency of the accelerometer against the gyro;
+	 * negative when the accelerometer is faster. The sum of both is at least 0. Any error of it leaves a share of
+	 * gravity, rate times error, in the acceleration. */
+	double accelerometer_s;
 };
 
-struct pipeline_config { /* start from PIPELINE_DEFAULTS */
+/** Start from PIPELINE_DEFAULTS. The header of each step says meaning, unit, range and default of its fields. */
+struct pipeline_config {
 	struct calibration_config calibration;
-	struct filter_config accel_filter; /* on the acceleration of the reference point, global frame (2010h) */
-	struct filter_config rate_filter;  /* on the rates, or on the angles before they are
-					      differentiated (2011h) */
-	struct latency_config latency;	   /* (2031h) */
-	struct fusion_config fusion; /* the lever arm and the delay are taken from the estimator and the latency */
-	struct noise_config noise;   /* of the sensors (2020h) */
+	/** (2010h) Low-pass of the reference point's acceleration in the global frame. Off by default. */
+	struct filter_config accel_filter;
+	/** (2011h) Low-pass of the rates, or of the angles before they are differentiated. */
+	struct filter_config rate_filter;
+	struct latency_config latency; /* (2031h) */
+	struct fusion_config fusion;   /* its lever arm and delay are those of estimator and latency */
+	struct noise_config noise;     /* of the sensors (2020h) */
 	struct estimator_config estimator;
-	struct rest_config rest;
+	struct rest_config rest; /* (2040h) its thresholds and time also hold for the navigation */
 	struct position_config position;
 };
 
@@ -49,8 +56,8 @@ extern const struct pipeline_config PIPELINE_DEFAULTS;
 /** Bits of pipeline_output.status, as published in the status word (210Fh:3). */
 enum {
 	PIPELINE_VALID = 1 << 0,      /* attitude and acceleration are usable */
-	PIPELINE_REST = 1 << 1,	      /* the sensor stands still */
-	PIPELINE_MAG_USED = 1 << 2,   /* the magnetometer took part in this sample's heading, or lately */
+	PIPELINE_REST = 1 << 1,	      /* the sensor is at rest */
+	PIPELINE_MAG_USED = 1 << 2,   /* a magnetic field corrected the heading within the last second */
 	PIPELINE_TIME_LIMIT = 1 << 3, /* the longest integration time has passed: position is held */
 	PIPELINE_GAP = 1 << 4,	      /* samples were missing just before this one */
 	PIPELINE_UNSURE = 1 << 5,     /* 1 sigma of the position exceeds its limit */
@@ -58,30 +65,30 @@ enum {
 
 struct pipeline_output {
 	uint64_t t_us;
-	struct vec3 force_b_m_s2;   /* calibrated, unfiltered specific force */
-	struct vec3 mag_b_uT;	    /* calibrated field, the last one known */
-	struct vec3 rate_b_rad_s;   /* angular rate and acceleration as used for the lever arm:
-				       filtered, from */
-	struct vec3 alpha_b_rad_s2; /* the gyro (less the fusion's bias) or from the attitude, as
-				       configured */
+	struct vec3 force_b_m_s2; /* specific force, calibrated, not filtered */
+	struct vec3 mag_b_uT;	  /* calibrated field, the last one known */
+	/* angular rate and acceleration as used for the lever arm: filtered, from the gyro less its estimated errors,
+	 * or from the attitude, as configured */
+	struct vec3 rate_b_rad_s, alpha_b_rad_s2;
 	struct quat q_nb;
-	struct vec3 angles_rad;	  /* roll, pitch, yaw: aerospace z-y'-x'' of q_nb, yaw from east,
-				     counter-clockwise */
-	struct vec3 accel_b_m_s2; /* of the reference point, gravity removed, in the object's axes as the rates are */
+	/* roll, pitch, yaw: aerospace z-y'-x'' of q_nb, yaw from east, counter-clockwise */
+	struct vec3 angles_rad;
+	/* of the reference point, without gravity; the object's axes are those at the instant of the rates */
+	struct vec3 accel_b_m_s2;
 	struct vec3 accel_n_m_s2; /* the same, global frame */
 	struct vec3 velocity_n_m_s;
 	struct vec3 position_n_m;
-	/* by navigation only, else 0: from one standstill to the next, and how certain all is */
+	/* by navigation only, else 0: from one standstill to the next, and 1 sigma of all */
 	struct vec3 displacement_n_m, displacement_sigma_m;
 	struct navigation_sigma sigma;
-	struct gyro_errors gyro_errors; /* by the fusion, and taken off the rates */
-	double accel_delay_s;	   /* by which the accelerations stay behind t_us: the acceleration filter's */
+	struct gyro_errors gyro_errors; /* estimated by the fusion, and taken off the rates */
+	double accel_delay_s;		/* of the acceleration filter, by which the accelerations are older than t_us */
 	unsigned status;
 };
 
 struct pipeline {
 	struct pipeline_config config;
-	struct estimator_config last_estimator; /* of the last sample */
+	struct estimator_config last_estimator; /* of the sample before */
 	double rate_hz;
 	double accel_delay_s; /* of the acceleration filter */
 	/* PRIVATE: the state of each step */
@@ -98,7 +105,7 @@ struct pipeline {
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
 	bool started; /* there is a sample before this one */
-	bool primed;  /* .. and the filters may go on from it */
+	bool primed;  /* and the filters may continue from it */
 	struct vec3 mag_b_uT;
 	double since_mag_s;
 	uint32_t gaps;	  /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
@@ -111,38 +118,36 @@ enum { PIPELINE_GAP_INTERVALS = 10 };
  * step's header). */
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz);
 
-/** From now on the path of each movement that ends is in smoother->last (position mode 2); NULL: nowhere. It is the
- * caller's, and one pipeline's only. */
+/** From now on the path of each movement that ends is written to smoother->last (position mode 2); NULL: nowhere. The
+ * caller owns the smoother, which serves one pipeline only. */
 void pipeline_smooth(struct pipeline *p, struct smoother *smoother);
 
-/** Takes a new configuration between two samples. What physics allows to keep is kept: attitude,
- * velocity, position; a filter starts anew (primed with its last output, without a step) only when
- * its own parameters changed. */
+/** A new configuration between two samples. Attitude, velocity and position are kept as far as physics allows. A filter
+ * starts again (primed with its last output, without a step) only when its own parameters changed. 0, or -EINVAL as
+ * pipeline_init(). */
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config);
 
-/** One sample. 0, or -EINVAL when the sample was refused (counted; *out untouched): a value not
- * finite or beyond what any sensor measures (1000 rad/s, 100 km/s^2, 1 T), or a time that does not
- * increase.
+/** One sample. 0, or -EINVAL when the sample was refused (counted; *out untouched): a value that is not finite or
+ * beyond what any sensor measures (1000 rad/s, 100 km/s^2, 1 T), or a time that does not increase.
  *
- * After a gap, the filters start anew from this sample, velocity and position stay as they were
- * before it, and the attitude is carried over by the gyro, or, after more than a second, found anew
- * from this sample (without a magnetometer with the old heading). A sample marked
- * SAMPLE_DISCONTINUITY starts everything over. */
+ * After a gap the filters start again from this sample, and velocity and position stay as they were before it. The
+ * attitude is carried over by the gyro, or, after more than a second, initialised from this sample (without a
+ * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over. */
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out);
 
-/* What another device knows, told between two samples; it holds at the time stamp of the last one. 0, or -EINVAL with *p
- * untouched: a value not finite or out of the range given. Before there is an attitude the two aids do nothing. A
- * discontinuity forgets what was told. */
+/* Aids: what another device measures, given between two samples. It holds at the time stamp of the last one. 0, or
+ * -EINVAL with *p untouched: a value not finite or out of its range. Before there is an attitude the first two do
+ * nothing. A discontinuity drops all aids. */
 
-/** The velocity of the reference point, global frame, +-1000 m/s each, with 1 sigma of 0.001..1000 m/s. In position mode 2
- * a measurement of the navigation; in mode 1 it is taken as the velocity. FUSION_KALMAN also corrects its tilt by it. The
- * longest integration time starts anew. */
+/** The velocity of the reference point, global frame, +-1000 m/s each, with a 1 sigma of 0.001..1000 m/s. In position
+ * mode 2 it is a measurement of the navigation; in mode 1 it becomes the velocity. FUSION_KALMAN corrects its tilt by
+ * it, too. The longest integration time starts again. */
 int pipeline_aid_velocity(struct pipeline *p, struct vec3 v_n_m_s, double sigma_m_s);
-/** The heading as yaw of pipeline_output.angles_rad, +-2 pi, with 1 sigma of 0.0001..pi: a measurement of the fusion
- * (fusion_aid_yaw()). Its frame may have another north than the magnetic one. */
+/** The heading as yaw of pipeline_output.angles_rad, +-2 pi, with a 1 sigma of 0.0001..pi: a measurement of the fusion
+ * (fusion_aid_yaw()). The north of its frame may differ from the magnetic one. */
 int pipeline_aid_yaw(struct pipeline *p, double yaw_rad, double sigma_rad);
-/** The attitude, of length 1 within a tenth: taken as it is. The velocity turns with the object, the position stays; where
- * the magnetic field points to from there is its north from now on. */
+/** Sets the attitude, a quaternion of length 1 within a tenth. The velocity turns with the object, the position stays.
+ * From then on north is where the magnetic field points to in it. */
 int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb);
 
 /** Velocity and position to zero (2040h reset command). */

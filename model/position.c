@@ -2,7 +2,7 @@
 
 #include <errno.h>
 
-/* Time constant of the mean acceleration at rest. */
+/* s, time constant of the mean acceleration at rest. By judgement: averages vibration, shorter than the usual rest. */
 static const double RESIDUAL_TIME_S = 1;
 
 int position_configure(struct position *p, const struct position_config *config)
@@ -67,7 +67,7 @@ static void stand_still(struct position *p, struct vec3 accel_n_m_s2, double dt_
 	p->moving_s = 0;
 }
 
-/* By the trapezoidal rule. */
+/* Trapezoidal rule. */
 static void integrate(struct position *p, struct vec3 accel_n_m_s2, double dt_s)
 {
 	struct vec3 last = p->velocity_n_m_s;
@@ -91,7 +91,7 @@ void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, doub
 	p->accel_n_m_s2 = accel_n_m_s2;
 }
 
-/* What the navigation says of the sensor, said of the reference point. */
+/* Velocity and position of the reference point from the navigation's of the sensor. */
 static void follow(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m)
 {
 	const struct navigation *n = &p->navigation;
@@ -122,7 +122,7 @@ void position_navigate(
 	with_lever.lever_b_m = lever_b_m;
 	if (!n->started) {
 		navigation_start(n, &p->config.navigation, in->q_nb);
-		/* the reference point is taken to be at rest, not the sensor that turns about it */
+		/* the reference point is assumed to be at rest; the sensor may turn about it */
 		n->velocity_n_m_s = quat_rotate(in->q_nb, vec3_cross(in->gyro_b_rad_s, lever_b_m));
 		p->anchored = false;
 	}

@@ -1,12 +1,11 @@
 /* model/rates.h
- * Angular rate and angular acceleration of the object, from the gyro and, beside it, from the
- * change of attitude (the seed's way: its filtered angles differentiated). Both always run, so that
- * a switch between them (2002h) shows no transient. Filtering and differentiating commute, so the
- * attitude is differentiated before the low-pass: the rotation between two samples has no wrap and
- * no gimbal lock.
+ * Angular rate and angular acceleration of the object, from the gyro and from the change of attitude (the paper's way:
+ * its filtered angles differentiated). Both always run, so that a switch between them (2002h) has no transient.
+ * Filtering and differentiating commute, so the attitude is differentiated before the low-pass: the rotation between
+ * two samples has neither a wrap nor a gimbal lock.
  *
- * Both outputs are of the instant of the sample: the delay of the low-pass is made up for by the angular acceleration, whose
- * differentiator has none. */
+ * Both outputs are of the instant of the sample: the delay of the low-pass is compensated by the angular acceleration,
+ * whose differentiator has none. */
 #ifndef MODEL_RATES_H
 #define MODEL_RATES_H
 
@@ -32,9 +31,9 @@ struct rates {
 
 /** 0, or -EINVAL as filter3_init(). */
 int rates_init(struct rates *r, const struct filter_config *config, double rate_hz);
-/** A new filter goes on from the last output, the differentiator from its state. */
+/** The new filter continues from the last output, the differentiator from its state. */
 int rates_configure(struct rates *r, const struct filter_config *config, double rate_hz);
-/** As if the object had turned at this constant rate for ever. */
+/** The state after a long turn at this constant rate. */
 void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb);
 /** One sample, dt_s > 0 after the one before. */
 void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s);

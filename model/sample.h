@@ -10,10 +10,10 @@
 
 enum {
 	SAMPLE_MAG = 1 << 0,	       /* mag_uT holds a new measurement */
-	SAMPLE_DISCONTINUITY = 1 << 1, /* the motion jumped (a looped replay began anew): start over */
+	SAMPLE_DISCONTINUITY = 1 << 1, /* the motion jumped (a replay in a loop started again): start over */
 	SAMPLE_TEMPERATURE = 1 << 2,   /* temperature_degC holds a new measurement */
 	SAMPLE_REFERENCE = 1 << 3,     /* ref_accel_b_m_s2 is known */
-	SAMPLE_SATURATED = 1 << 4,     /* a value stands at the end of its sensor's range */
+	SAMPLE_SATURATED = 1 << 4,     /* a value is at the end of its sensor's range */
 };
 
 struct imu_sample {
@@ -22,8 +22,8 @@ struct imu_sample {
 	struct vec3 accel_m_s2;	 /* specific force: +g on the axis that points up at rest */
 	struct vec3 mag_uT;	 /* only with SAMPLE_MAG */
 	double temperature_degC; /* of the gyro's chip; only with SAMPLE_TEMPERATURE */
-	/* acceleration of the reference point without gravity, object frame, as another device (a robot's encoders)
-	 * knows it; only with SAMPLE_REFERENCE */
+	/* acceleration of the reference point without gravity, object frame, as measured by another device (a robot's
+	 * encoders); only with SAMPLE_REFERENCE */
 	struct vec3 ref_accel_b_m_s2;
 	unsigned flags;
 };

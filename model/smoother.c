@@ -17,7 +17,7 @@ static bool recording(const struct smoother *s)
 
 /* ---- the map from the last point to now ---- */
 
-static void map_nothing(struct smoother_map *map)
+static void set_identity(struct smoother_map *map)
 {
 	memset(map, 0, sizeof(*map));
 	for (int i = 0; i < N; i++)
@@ -70,8 +70,8 @@ static void add3(struct vec3 *a, const double d[3])
 	*a = vec3_add(*a, (struct vec3){d[0], d[1], d[2]});
 }
 
-/* a_transposed[j] is what column j of x goes to */
-static void move(struct smoother_kept *k, const struct smoother_map *map, double a_transposed[N][N])
+/* One point by the map; a_transposed is its A^T. */
+static void correct_point(struct smoother_kept *k, const struct smoother_map *map, double a_transposed[N][N])
 {
 	double by[ROWS] = {0}, x[ROWS][N] = {{0}};
 
@@ -95,7 +95,7 @@ static void move(struct smoother_kept *k, const struct smoother_map *map, double
 	memcpy(k->x, x, sizeof(x));
 }
 
-static void move_all(struct smoother_kept *from, const struct smoother_kept *end, const struct smoother_map *map)
+static void correct_points(struct smoother_kept *from, const struct smoother_kept *end, const struct smoother_map *map)
 {
 	double a_transposed[N][N];
 
@@ -103,11 +103,11 @@ static void move_all(struct smoother_kept *from, const struct smoother_kept *end
 		for (int j = 0; j < N; j++)
 			a_transposed[j][i] = map->a[i][j];
 	for (; from < end; from++)
-		move(from, map, a_transposed);
+		correct_point(from, map, a_transposed);
 }
 
-/* map, and after it next */
-static void chain(struct smoother_map *map, const struct smoother_map *next)
+/* The map `map` followed by `next`, into `map`. */
+static void append(struct smoother_map *map, const struct smoother_map *next)
 {
 	const struct smoother_map first = *map;
 	double ma[N][N] = {{0}};
@@ -127,17 +127,17 @@ static void chain(struct smoother_map *map, const struct smoother_map *next)
 		}
 }
 
-/* What was measured since the last point corrects the latest points; all others only when they have become many, which
- * costs a fifth of correcting them each time. */
+/* The measurements since the last point correct the latest points at once. Older points wait until there is a block of
+ * new ones, which costs a fifth of correcting them each time. */
 static void correct(struct smoother *s, bool all)
 {
-	move_all(s->kept + s->settled, s->kept + s->count, &s->recent);
-	chain(&s->earlier, &s->recent);
-	map_nothing(&s->recent);
+	correct_points(s->kept + s->settled, s->kept + s->count, &s->recent);
+	append(&s->earlier, &s->recent);
+	set_identity(&s->recent);
 	if (!all && s->count - s->settled < BLOCK)
 		return;
-	move_all(s->kept, s->kept + s->settled, &s->earlier);
-	map_nothing(&s->earlier);
+	correct_points(s->kept, s->kept + s->settled, &s->earlier);
+	set_identity(&s->earlier);
 	s->settled = s->count;
 }
 
@@ -169,28 +169,28 @@ static void keep(struct smoother *s, double t_s, struct smoother_point here, dou
 	memcpy(k->x, p[FIRST_ROW], sizeof(k->x));
 }
 
-/* The live path, without the steps of its corrections. */
-static void go_on(struct smoother *s, struct vec3 velocity)
+/* The live path has no steps where the filter's corrections have. */
+static void integrate_live(struct smoother *s, struct vec3 velocity)
 {
 	double dt = s->t_s - s->live.t_s;
-	struct vec3 way = vec3_scale(dt / 2, vec3_add(s->live.velocity_n_m_s, velocity));
+	struct vec3 step = vec3_scale(dt / 2, vec3_add(s->live.velocity_n_m_s, velocity));
 
-	s->live.position_n_m = vec3_add(s->live.position_n_m, way);
+	s->live.position_n_m = vec3_add(s->live.position_n_m, step);
 	s->live.velocity_n_m_s = velocity;
 	s->live.t_s = s->t_s;
-	s->live_m += vec3_norm(way);
+	s->live_m += vec3_norm(step);
 }
 
 void smoother_mark(struct smoother *s, struct smoother_point here, double p[N][N])
 {
 	if (!recording(s))
 		return;
-	go_on(s, here.velocity_n_m_s);
+	integrate_live(s, here.velocity_n_m_s);
 	s->here = here;
 	if (!due(s))
 		return;
 	correct(s, s->count == SMOOTHER_POINTS - 1);
-	if (s->count == SMOOTHER_POINTS - 1) /* an odd number keeps the first and the last */
+	if (s->count == SMOOTHER_POINTS - 1) /* dropping every second of an odd number keeps the first and the last */
 		thin_out(s);
 	if (due(s))
 		keep(s, s->t_s, here, p);
@@ -213,8 +213,8 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 	s->from_n_m = here.position_n_m;
 	s->live = (struct smoother_point){.velocity_n_m_s = here.velocity_n_m_s};
 	s->live_m = 0;
-	map_nothing(&s->recent);
-	map_nothing(&s->earlier);
+	set_identity(&s->recent);
+	set_identity(&s->earlier);
 	keep(s, 0, here, p);
 	memset(s->kept[0].variance, 0, sizeof(s->kept[0].variance));
 	memset(s->kept[0].x[POSITION], 0, 3 * sizeof(s->kept[0].x[POSITION]));
@@ -236,15 +236,16 @@ void smoother_restart(struct smoother *s, struct smoother_point here, double p[N
 	start(s, here, p);
 }
 
-/* Between two points, by Simpson's rule along the cubic that has their velocities. */
+/* Length of the path between two points, by Simpson's rule along the cubic through them that has their velocities. */
 static double length(const struct smoother_point *a, const struct smoother_point *b)
 {
 	double dt = b->t_s - a->t_s;
-	struct vec3 way = vec3_sub(b->position_n_m, a->position_n_m), middle;
+	struct vec3 chord = vec3_sub(b->position_n_m, a->position_n_m), middle;
 
 	if (dt <= 0)
 		return 0;
-	middle = vec3_sub(vec3_scale(1.5 / dt, way), vec3_scale(0.25, vec3_add(a->velocity_n_m_s, b->velocity_n_m_s)));
+	middle =
+		vec3_sub(vec3_scale(1.5 / dt, chord), vec3_scale(0.25, vec3_add(a->velocity_n_m_s, b->velocity_n_m_s)));
 
 	return dt / 6 * (vec3_norm(a->velocity_n_m_s) + 4 * vec3_norm(middle) + vec3_norm(b->velocity_n_m_s));
 }
@@ -280,7 +281,7 @@ static void publish(struct smoother *s, double stood_s)
 			m->farthest_s = point->t_s;
 		}
 	}
-	if (live_m > 0) /* what the points miss of it */
+	if (live_m > 0) /* the part of the path that lies between the points */
 		m->path_m *= s->live_m / live_m;
 }
 

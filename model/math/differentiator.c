@@ -1,9 +1,10 @@
 #include "model/math/differentiator.h"
 #include "model/math/units.h"
 
+/* Of the sampling rate. By judgement: beyond it the derivative is nearly that of a parabola through three samples. */
 static const double CUTOFF_MOST = 0.3;
 
-/* The characteristic polynomial z^3 + p1 z^2 + p2 z + p3 of the wanted poles, compared with that of the observer. */
+/* Compares the characteristic polynomial z^3 + p1 z^2 + p2 z + p3 of the wanted poles with that of the observer. */
 void differentiator3_tune(struct differentiator3 *d, double cutoff_hz, double rate_hz)
 {
 	double w = 2 * PI * fmin(cutoff_hz / rate_hz, CUTOFF_MOST);

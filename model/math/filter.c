@@ -4,9 +4,8 @@
 #include <errno.h>
 #include <string.h>
 
-/* One section by the bilinear transform of an analogue low-pass of unit cut-off, w = tan(pi fc /
- * fs) pre-warped: second order w^2 / (s^2 + d w s + w^2), or first order w / (s + w). Unit gain at
- * DC by construction. */
+/* One section by the bilinear transform of an analogue low-pass of unit cut-off, w = tan(pi fc / fs) pre-warped: second
+ * order w^2 / (s^2 + d w s + w^2), or first order w / (s + w). Unit gain at DC by construction. */
 static void second_order(struct filter3 *f, double w, double damping)
 {
 	double k = 1 + damping * w + w * w, *a = f->a[f->sections], *b = f->b[f->sections];
@@ -42,7 +41,7 @@ static void design_butterworth(struct filter3 *f, double rate_hz)
 		first_order(f, w);
 }
 
-/* Chebyshev polynomial of the FIR's order. */
+/* Chebyshev polynomial of the order of the FIR. */
 static double chebyshev(double x)
 {
 	double n = FILTER_SEED_FIR_ORDER;
@@ -50,9 +49,8 @@ static double chebyshev(double x)
 	return fabs(x) <= 1 ? cos(n * acos(x)) : cosh(n * acosh(fabs(x)));
 }
 
-/* Windowed sinc. The Dolph-Chebyshev window is the inverse transform of the Chebyshev polynomial
- * sampled on the unit circle; its scale does not matter, since the taps are scaled to unit gain at
- * DC. */
+/* Windowed sinc. The Dolph-Chebyshev window is the inverse transform of the Chebyshev polynomial sampled on the unit
+ * circle. Its scale does not matter, since the taps are scaled to unit gain at DC. */
 static void design_seed_fir(struct filter3 *f)
 {
 	const int taps = FILTER_SEED_FIR_ORDER + 1, middle = FILTER_SEED_FIR_ORDER / 2;

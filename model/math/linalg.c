@@ -3,8 +3,9 @@
 #include <errno.h>
 #include <math.h>
 
-static const double LEAST_PIVOT = 1e-13; /* of the diagonal element, before what the columns before it explain */
-enum { SWEEPS_MAX = 50 };		 /* quadratic convergence: six are usual */
+/* Least pivot as a share of its diagonal element. By judgement: some 500 times the rounding of a double. */
+static const double LEAST_PIVOT = 1e-13;
+enum { SWEEPS_MAX = 50 }; /* quadratic convergence: six are usual */
 
 /* a becomes its Cholesky factor L (lower triangle, zeros above): a = L L'. 0, or -EDOM. */
 static int cholesky(int n, double *a)
@@ -30,7 +31,7 @@ static int cholesky(int n, double *a)
 	return 0;
 }
 
-/* b becomes x of L L' x = b. */
+/* b becomes the solution x of L L' x = b. */
 static void solve(int n, const double *l, double *b)
 {
 	for (int i = 0; i < n; i++) {

@@ -6,13 +6,13 @@
 
 enum { LINALG_MAX = 12 };
 
-/** b becomes x of a x = b; a is used up. 0, or -EDOM: a is not positive definite, or so nearly singular that a pivot is
- * below 1e-13 of its diagonal element, or not finite; b is then untouched. */
+/** b becomes the solution x of a x = b; a is overwritten. 0, or -EDOM: a is not positive definite, or so nearly
+ * singular that a pivot is below 1e-13 of its diagonal element, or not finite; b is then untouched. */
 int linalg_solve(int n, double *a, double *b);
 /** a becomes its inverse. 0, or -EDOM as above. */
 int linalg_invert(int n, double *a);
-/** Eigenvalues in ascending order; row k of vectors is the unit vector of values[k]. a is destroyed. Cyclic Jacobi (Golub,
- * Van Loan, Matrix Computations, 8.5). 0, or -EDOM: not finite. */
+/** Eigenvalues in ascending order; row k of vectors is the unit vector of values[k]. a is overwritten. Cyclic Jacobi
+ * (Golub, Van Loan, Matrix Computations, 8.5). 0, or -EDOM: not finite. */
 int linalg_eigen(int n, double *a, double *values, double *vectors);
 
 #endif

@@ -64,9 +64,9 @@ static inline struct vec3 quat_to_rotation_vector(struct quat q)
 	return vec3_scale(q.w < 0 ? -k : k, (struct vec3){q.x, q.y, q.z});
 }
 
-/** The rotation vector from one sample of the angular rate to the next: exact to the third power of dt while the rate
- * changes steadily, its axis included (coning: J. Bortz, "A new mathematical formulation for strapdown inertial
- * navigation", IEEE AES 7(1), 1971). */
+/** The rotation vector between two samples of the angular rate. Exact to the third power of dt while the rate changes
+ * steadily, its axis included (coning: J. Bortz, "A new mathematical formulation for strapdown inertial navigation",
+ * IEEE AES 7(1), 1971). */
 static inline struct vec3 rotation_between(struct vec3 before_rad_s, struct vec3 after_rad_s, double dt_s)
 {
 	struct vec3 mean = vec3_scale(dt_s / 2, vec3_add(before_rad_s, after_rad_s));

@@ -98,9 +98,9 @@ static double wrap(double angle)
 	return angle > PI ? angle - 2 * PI : angle <= -PI ? angle + 2 * PI : angle;
 }
 
-/* Sum and difference of yaw and roll come straight from the quaternion and stay accurate near
- * gimbal lock, where the usual matrix elements all vanish together: w +- y = (c +- s) cos((yaw -+
- * roll) / 2), z -+ x = (c +- s) sin(..), with c, s = cos, sin of half the pitch. */
+/* Sum and difference of yaw and roll come straight from the quaternion and stay accurate near gimbal lock, where the
+ * usual matrix elements all vanish: w +- y = (c +- s) cos((yaw -+ roll) / 2), z -+ x = (c +- s) sin(..), with c, s =
+ * cos, sin of half the pitch. */
 struct vec3 aerospace_from_quat(struct quat q)
 {
 	double up = hypot(q.z - q.x, q.w + q.y);   /* c + s: 0 at pitch = -90 degrees */

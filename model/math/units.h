@@ -1,6 +1,6 @@
 /* model/math/units.h
- * Units and physical constants, once for all. The model computes in SI units and radians; what people, chips and objects
- * use is converted by these factors: value_rad = value_deg * RAD_PER_DEG. */
+ * Units and physical constants, once for all. The model computes in SI units and radians; what people, chips and
+ * objects use is converted by these factors: value_rad = value_deg * RAD_PER_DEG. */
 #ifndef MODEL_MATH_UNITS_H
 #define MODEL_MATH_UNITS_H
 
