@@ -1,7 +1,8 @@
 /* model/calibration.h
  * From the sensor's raw axes to the object frame: bias, scale factors and cross-axis terms of each triad, then the
- * mounting rotation, the same for all three. corrected = R_mount M (raw - bias(T)), with bias(T) = bias + slope (T -
- * T0) + quadratic (T - T0)^2 for gyro and accelerometer. */
+ * mounting rotation, the same for all three:
+ *   corrected = R_mount M (raw - bias(T)),
+ *   bias(T) = bias + slope (T - T0) + quadratic (T - T0)^2 for gyro and accelerometer. */
 #ifndef MODEL_CALIBRATION_H
 #define MODEL_CALIBRATION_H
 
@@ -20,7 +21,7 @@ struct triad_calibration {
 /** Change of the biases with temperature; all 0 (default): none. Per K and K^2, in units of the triad. */
 struct temperature_compensation {
 	struct vec3 gyro_slope, gyro_quadratic, accel_slope, accel_quadratic;
-	double reference_degC; /* T0, default 0: temperature at which the biases of the triads hold */
+	double reference_degC; /* T0, 25 in the object: temperature at which the biases of the triads hold */
 };
 
 struct calibration_config {

@@ -270,7 +270,7 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
-/* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and whatever
+/* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and all that
  * is filtered or differentiated starts again. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {

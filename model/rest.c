@@ -2,8 +2,6 @@
 
 #include <errno.h>
 
-#include "model/math/kalman.h"
-
 /* Time constant of a low-pass before all else: a sensor sampled faster is noisier per sample, and the same thresholds
  * have to hold for it. Chosen by judgement: short against any motion, and without effect up to 250 samples a second. */
 static const double SMOOTH_TIME_S = 0.004;
@@ -49,16 +47,15 @@ static bool deviates_less(
 {
 	struct vec3 d = follow(mean, value, share);
 
-	*mean_square =
-		fmin(*mean_square + square_share * (vec3_dot(d, d) - *mean_square), SQUARE_MOST * squared(limit));
-	return *mean_square < squared(limit);
+	*mean_square = fmin(*mean_square + square_share * (vec3_dot(d, d) - *mean_square), SQUARE_MOST * limit * limit);
+	return *mean_square < limit * limit;
 }
 
 static bool drifts_less(struct vec3 *slow, struct vec3 mean, double share, double limit)
 {
 	struct vec3 d = follow(slow, mean, share);
 
-	return vec3_dot(d, d) < squared(limit);
+	return vec3_dot(d, d) < limit * limit;
 }
 
 bool rest_step(
@@ -82,7 +79,7 @@ bool rest_step(
 		&r->gyro_mean, &r->gyro_square, r->gyro, share, square_share, c->deviation_share * gyro_limit);
 	still &= deviates_less(
 		&r->accel_mean, &r->accel_square, r->accel, share, square_share, c->deviation_share * accel_limit);
-	still &= vec3_dot(r->gyro_mean, r->gyro_mean) < squared(gyro_limit);
+	still &= vec3_dot(r->gyro_mean, r->gyro_mean) < gyro_limit * gyro_limit;
 	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded
 	 * memory */
 	slow_share = still ? fmax(dt_s / (r->still_s + dt_s), dt_s / c->drift_time_s) : 1;

@@ -4,8 +4,8 @@
  * ends the standstill.
  *
  * It looks at two sensors only, so a motion at constant velocity, without vibration, is a standstill to it. Which
- * motions pass depends on the windows. Two sets of parameters are in use: REST_DEFAULTS, by which the fusion learns the
- * gyro's bias, and STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation.
+ * motions pass depends on the windows. Two sets of parameters are in use: REST_DEFAULTS, by which the fusion estimates
+ * the gyro's bias, and STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation.
  *
  * Source of the conditions on mean and deviation: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation
  * estimation with bias estimation and magnetic disturbance rejection", Information Fusion 91, 2023, section on rest

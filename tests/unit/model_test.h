@@ -1,5 +1,5 @@
 /* tests/unit/model_test.h
- * What the tests of model/ share: cmocka, comparison of doubles and vectors, and repeatable random motions. */
+ * Shared by the tests of model/: cmocka, comparison of doubles and vectors, and repeatable random motions. */
 #ifndef TESTS_UNIT_MODEL_TEST_H
 #define TESTS_UNIT_MODEL_TEST_H
 
@@ -15,7 +15,7 @@
 
 #define assert_near(a, b, tolerance)	 assert_near_at(a, b, tolerance, #a, __FILE__, __LINE__)
 #define assert_vec_near(a, b, tolerance) assert_vec_near_at(a, b, tolerance, #a, __FILE__, __LINE__)
-/* The same rotation: q and -q are. */
+/* q and -q are the same rotation. */
 #define assert_quat_near(a, b, tolerance) assert_near_at(quat_apart_rad(a, b), 0, tolerance, #a, __FILE__, __LINE__)
 
 static inline void assert_near_at(double a, double b, double tolerance, const char *what, const char *file, int line)

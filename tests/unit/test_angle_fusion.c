@@ -61,15 +61,15 @@ static struct run run_on(
 	return run;
 }
 
-static void test_the_gyro_makes_given_angles_quiet(void **state)
+static void test_the_gyro_reduces_the_noise_of_given_angles(void **state)
 {
 	struct run run = run_on("rest", 60, (struct vec3){0, 0, 0}, &NOISE, 1);
 
 	(void)state;
-	assert_true(run.rms_rad < 0.2 * RAD_PER_DEG); /* given with 3.5 degrees: 2 an axis */
+	assert_true(run.rms_rad < 0.2 * RAD_PER_DEG); /* the given angles have 3.5 degrees: 2 per axis */
 }
 
-static void test_it_follows_fast_turns_without_lag(void **state)
+static void test_fast_turns_are_followed_without_lag(void **state)
 {
 	struct run run = run_on("tumble", 60, (struct vec3){0, 0, 0}, &NOISE, 1);
 
@@ -77,7 +77,7 @@ static void test_it_follows_fast_turns_without_lag(void **state)
 	assert_true(run.rms_rad < 0.5 * RAD_PER_DEG); /* one sample of lag would be up to 7 degrees */
 }
 
-static void test_a_bias_of_the_gyro_is_learnt(void **state)
+static void test_the_gyro_bias_is_estimated(void **state)
 {
 	const struct vec3 bias = {1e-3, -5e-4, 8e-4};
 	struct run run = run_on("square", 300, bias, &NOISE, 1);
@@ -86,8 +86,8 @@ static void test_a_bias_of_the_gyro_is_learnt(void **state)
 	assert_true(vec3_norm(vec3_sub(run.fusion.gyro_bias_b_rad_s, bias)) < 2e-4);
 }
 
-/* The variance it believes in is the one it has, over many runs. */
-static void test_its_uncertainty_is_true(void **state)
+/* Over many runs. */
+static void test_its_variance_is_that_of_its_errors(void **state)
 {
 	const struct noise_config noise = {0.01, 2e-3, 0, 0, 0};
 	double squares = 0;
@@ -113,7 +113,7 @@ static void test_the_sign_of_a_given_quaternion_does_not_matter(void **state)
 	assert_true(angle_between(f.q_nb, q) < 1e-12);
 }
 
-static void test_noise_that_cannot_be_is_refused(void **state)
+static void test_a_noise_out_of_range_is_refused(void **state)
 {
 	const struct noise_config bad[] = {
 		{0, 1, 0, 0, 0}, {-1, 1, 0, 0, 0}, {1, 0, 0, 0, 0}, {1, 1, -1, 0, 0}, {NAN, 1, 0, 0, 0}};
@@ -127,12 +127,12 @@ static void test_noise_that_cannot_be_is_refused(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_the_gyro_makes_given_angles_quiet),
-		cmocka_unit_test(test_it_follows_fast_turns_without_lag),
-		cmocka_unit_test(test_a_bias_of_the_gyro_is_learnt),
-		cmocka_unit_test(test_its_uncertainty_is_true),
+		cmocka_unit_test(test_the_gyro_reduces_the_noise_of_given_angles),
+		cmocka_unit_test(test_fast_turns_are_followed_without_lag),
+		cmocka_unit_test(test_the_gyro_bias_is_estimated),
+		cmocka_unit_test(test_its_variance_is_that_of_its_errors),
 		cmocka_unit_test(test_the_sign_of_a_given_quaternion_does_not_matter),
-		cmocka_unit_test(test_noise_that_cannot_be_is_refused),
+		cmocka_unit_test(test_a_noise_out_of_range_is_refused),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -26,7 +26,7 @@ static void assert_within(double value, double expected, double share)
 		fail_msg("%g, expected %g within %g %%", value, expected, 100 * share);
 }
 
-static void test_the_expected_noise_of_the_gyros_rates_is_the_one_they_have(void **state)
+static void test_the_calculated_noise_of_the_gyros_rates_is_that_of_a_simulation(void **state)
 {
 	struct rates_variance expected = rates_variance(&NOISE, RATES_FROM_GYRO, &FILTER, RATE_HZ);
 	double omega = 0, alpha = 0;
@@ -48,7 +48,7 @@ static void test_the_expected_noise_of_the_gyros_rates_is_the_one_they_have(void
 	assert_within(expected.alpha, alpha, 0.02);
 }
 
-static void test_the_expected_noise_of_rates_from_angles_is_the_one_they_have(void **state)
+static void test_the_calculated_noise_of_rates_from_angles_is_that_of_a_simulation(void **state)
 {
 	struct rates_variance expected = rates_variance(&NOISE, RATES_FROM_ANGLES, &FILTER, RATE_HZ);
 	double omega = 0, alpha = 0;
@@ -82,7 +82,7 @@ static void assert_within3(struct vec3 value, struct vec3 expected)
 	assert_within(value.z, expected.z, 0.03);
 }
 
-static void test_the_variance_of_the_rigid_bodys_correction_follows_from_that_of_the_rates(void **state)
+static void test_the_calculated_variance_of_the_rigid_bodys_correction_is_that_of_a_simulation(void **state)
 {
 	const struct vec3 w = {3, -2, 5}, alpha = {20, 10, -5}, r = {0.02, 0.05, -0.1};
 	const struct rates_variance variance = {0.01 * 0.01, 0.2 * 0.2};
@@ -99,7 +99,7 @@ static void test_the_variance_of_the_rigid_bodys_correction_follows_from_that_of
 	assert_within3(rigid_lever_arm_variance(w, r, variance), sum);
 }
 
-static void test_the_variance_of_the_seeds_correction_follows_from_that_of_the_rates(void **state)
+static void test_the_calculated_variance_of_the_seeds_correction_is_that_of_a_simulation(void **state)
 {
 	const struct seed_motion motion = {.rates_rad_s = {3, -2, 5}, .accels_rad_s2 = {20, 10, -5}};
 	const struct vec3 r = {0.02, 0.05, -0.1};
@@ -119,7 +119,7 @@ static void test_the_variance_of_the_seeds_correction_follows_from_that_of_the_r
 	assert_within3(seed_lever_arm_variance(&motion, r, variance), sum);
 }
 
-/* RMS error, in units of the noise, of corrections of that true size (1-sigma) behind noise of 1. */
+/* RMS error of the output for true corrections of this 1 sigma, measured with white noise of 1 sigma 1. */
 static double error_behind_noise(double size)
 {
 	struct auto_correction automatic = {{0}};
@@ -137,32 +137,32 @@ static double error_behind_noise(double size)
 	return sqrt(sum);
 }
 
-static void test_noise_alone_is_disregarded(void **state)
+static void test_noise_alone_gives_no_correction(void **state)
 {
 	(void)state;
 	assert_true(error_behind_noise(0) < 0.01);
 }
 
-static void test_a_correction_far_above_its_noise_counts_wholly(void **state)
+static void test_a_correction_far_above_its_noise_is_applied_in_full(void **state)
 {
 	(void)state;
 	assert_true(error_behind_noise(100) < 1.001);
 }
 
-static void test_it_is_nowhere_worse_than_the_better_of_all_and_nothing(void **state)
+static void test_the_error_never_exceeds_that_of_the_full_or_of_no_correction(void **state)
 {
 	(void)state;
 	for (double size = 0.1; size < 100; size *= 1.3)
 		assert_true(error_behind_noise(size) < 1.02 * fmin(size, 1));
 }
 
-static void test_where_benefit_and_noise_are_alike_it_is_better_than_both(void **state)
+static void test_the_error_is_below_both_where_correction_and_noise_are_alike(void **state)
 {
 	(void)state;
 	assert_true(error_behind_noise(1.3) < 0.85);
 }
 
-static void test_a_sudden_large_correction_counts_at_once(void **state)
+static void test_a_sudden_large_correction_is_applied_at_once(void **state)
 {
 	struct auto_correction automatic = {{0}};
 	const struct vec3 variance = {1, 1, 1};
@@ -175,7 +175,7 @@ static void test_a_sudden_large_correction_counts_at_once(void **state)
 	assert_true(out.x > 9.8 && out.y == 0 && out.z == 0);
 }
 
-static void test_without_noise_the_correction_is_whole(void **state)
+static void test_without_noise_the_correction_is_applied_in_full(void **state)
 {
 	struct auto_correction automatic = {{0}};
 	struct vec3 out = auto_correction_step(&automatic, (struct vec3){1e-9, -2, 0}, (struct vec3){0, 0, 0}, 0.01);
@@ -187,16 +187,16 @@ static void test_without_noise_the_correction_is_whole(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_the_expected_noise_of_the_gyros_rates_is_the_one_they_have),
-		cmocka_unit_test(test_the_expected_noise_of_rates_from_angles_is_the_one_they_have),
-		cmocka_unit_test(test_the_variance_of_the_rigid_bodys_correction_follows_from_that_of_the_rates),
-		cmocka_unit_test(test_the_variance_of_the_seeds_correction_follows_from_that_of_the_rates),
-		cmocka_unit_test(test_noise_alone_is_disregarded),
-		cmocka_unit_test(test_a_correction_far_above_its_noise_counts_wholly),
-		cmocka_unit_test(test_it_is_nowhere_worse_than_the_better_of_all_and_nothing),
-		cmocka_unit_test(test_where_benefit_and_noise_are_alike_it_is_better_than_both),
-		cmocka_unit_test(test_a_sudden_large_correction_counts_at_once),
-		cmocka_unit_test(test_without_noise_the_correction_is_whole),
+		cmocka_unit_test(test_the_calculated_noise_of_the_gyros_rates_is_that_of_a_simulation),
+		cmocka_unit_test(test_the_calculated_noise_of_rates_from_angles_is_that_of_a_simulation),
+		cmocka_unit_test(test_the_calculated_variance_of_the_rigid_bodys_correction_is_that_of_a_simulation),
+		cmocka_unit_test(test_the_calculated_variance_of_the_seeds_correction_is_that_of_a_simulation),
+		cmocka_unit_test(test_noise_alone_gives_no_correction),
+		cmocka_unit_test(test_a_correction_far_above_its_noise_is_applied_in_full),
+		cmocka_unit_test(test_the_error_never_exceeds_that_of_the_full_or_of_no_correction),
+		cmocka_unit_test(test_the_error_is_below_both_where_correction_and_noise_are_alike),
+		cmocka_unit_test(test_a_sudden_large_correction_is_applied_at_once),
+		cmocka_unit_test(test_without_noise_the_correction_is_applied_in_full),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

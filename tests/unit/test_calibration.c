@@ -26,7 +26,7 @@ static struct imu_sample apply(const struct calibration_config *config, struct i
 	return calibration_apply(&cal, &raw);
 }
 
-static void test_an_ideal_sensor_is_left_alone(void **state)
+static void test_the_identity_calibration_changes_nothing(void **state)
 {
 	struct imu_sample s = apply(&IDEAL, RAW);
 
@@ -37,7 +37,7 @@ static void test_an_ideal_sensor_is_left_alone(void **state)
 	assert_true(s.t_us == RAW.t_us && s.flags == RAW.flags);
 }
 
-static void test_bias_is_taken_off_before_the_matrix(void **state)
+static void test_the_bias_is_subtracted_before_the_matrix_is_applied(void **state)
 {
 	struct calibration_config config = IDEAL;
 
@@ -74,7 +74,7 @@ static void test_a_sensor_mounted_a_quarter_turn_about_z_has_its_x_axis_along_th
 	assert_vec_near(s.mag_uT, ((struct vec3){-20, 10, -40}), 1e-14);
 }
 
-static void test_the_mounting_comes_after_the_matrix(void **state)
+static void test_the_mounting_is_applied_after_the_matrix(void **state)
 {
 	struct calibration_config config = IDEAL;
 
@@ -84,7 +84,7 @@ static void test_the_mounting_comes_after_the_matrix(void **state)
 	assert_vec_near(apply(&config, RAW).accel_m_s2, ((struct vec3){-2, 3, 9}), 1e-14);
 }
 
-static void test_a_missing_magnetometer_stays_as_it_is(void **state)
+static void test_a_missing_magnetometer_sample_is_not_changed(void **state)
 {
 	struct calibration_config config = IDEAL;
 	struct imu_sample raw = RAW;
@@ -173,12 +173,12 @@ static void test_a_new_configuration_keeps_the_temperature(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_an_ideal_sensor_is_left_alone),
-		cmocka_unit_test(test_bias_is_taken_off_before_the_matrix),
+		cmocka_unit_test(test_the_identity_calibration_changes_nothing),
+		cmocka_unit_test(test_the_bias_is_subtracted_before_the_matrix_is_applied),
 		cmocka_unit_test(test_each_triad_has_its_own_calibration),
 		cmocka_unit_test(test_a_sensor_mounted_a_quarter_turn_about_z_has_its_x_axis_along_the_objects_y),
-		cmocka_unit_test(test_the_mounting_comes_after_the_matrix),
-		cmocka_unit_test(test_a_missing_magnetometer_stays_as_it_is),
+		cmocka_unit_test(test_the_mounting_is_applied_after_the_matrix),
+		cmocka_unit_test(test_a_missing_magnetometer_sample_is_not_changed),
 		cmocka_unit_test(test_a_singular_or_non_finite_calibration_is_refused),
 		cmocka_unit_test(test_biases_follow_the_temperature_by_slope_and_parabola),
 		cmocka_unit_test(test_without_a_temperature_or_with_an_impossible_one_nothing_is_compensated),

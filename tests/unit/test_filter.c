@@ -80,7 +80,7 @@ static void test_the_gain_at_the_cutoff_is_minus_3_db(void **state)
 	assert_near(power, 0.25, 1e-9); /* of the input's 0.5 */
 }
 
-static void test_the_first_sample_comes_out_unchanged(void **state)
+static void test_a_constant_from_the_first_sample_on_has_no_transient(void **state)
 {
 	static const enum filter_type types[] = {FILTER_OFF, FILTER_BUTTERWORTH, FILTER_SEED_FIR};
 
@@ -103,7 +103,7 @@ static void test_a_cutoff_near_nyquist_passes_all(void **state)
 	assert_near(filter3_delay_s(&f, 100), 0, 0);
 }
 
-static void test_a_constant_comes_out_exactly_even_at_the_lowest_cutoff(void **state)
+static void test_the_gain_at_dc_is_one_even_at_the_lowest_cutoff(void **state)
 {
 	struct filter3 f = filter(FILTER_BUTTERWORTH, 8, 0.01, 1000);
 	struct vec3 y = same(0);
@@ -127,7 +127,7 @@ static void test_the_delay_is_scipys_group_delay_at_dc(void **state)
 	assert_near(filter3_delay_s(&fir, 100), 0.05, 1e-15);
 }
 
-static void test_a_shifted_filter_goes_on_as_if_its_input_had_always_been_greater(void **state)
+static void test_a_shifted_filter_continues_as_if_its_input_had_always_been_greater(void **state)
 {
 	static const enum filter_type types[] = {FILTER_OFF, FILTER_BUTTERWORTH, FILTER_SEED_FIR};
 
@@ -176,11 +176,11 @@ int main(void)
 		cmocka_unit_test(test_butterworth_of_every_order_equals_scipy),
 		cmocka_unit_test(test_the_seeds_fir_has_the_taps_of_scipys_firwin),
 		cmocka_unit_test(test_the_gain_at_the_cutoff_is_minus_3_db),
-		cmocka_unit_test(test_the_first_sample_comes_out_unchanged),
+		cmocka_unit_test(test_a_constant_from_the_first_sample_on_has_no_transient),
 		cmocka_unit_test(test_a_cutoff_near_nyquist_passes_all),
-		cmocka_unit_test(test_a_constant_comes_out_exactly_even_at_the_lowest_cutoff),
+		cmocka_unit_test(test_the_gain_at_dc_is_one_even_at_the_lowest_cutoff),
 		cmocka_unit_test(test_the_delay_is_scipys_group_delay_at_dc),
-		cmocka_unit_test(test_a_shifted_filter_goes_on_as_if_its_input_had_always_been_greater),
+		cmocka_unit_test(test_a_shifted_filter_continues_as_if_its_input_had_always_been_greater),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 	};
 

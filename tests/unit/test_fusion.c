@@ -1,4 +1,4 @@
-/* Attitude: both filters against an independent gradient, known motions and bad input. */
+/* Attitude by Madgwick's and Mahony's filters: an independent gradient, known motions, bad input. */
 #include "model_test.h"
 
 #include "model/fusion.h"
@@ -36,7 +36,7 @@ static struct fusion fusion(struct fusion_config config)
 	return f;
 }
 
-/* What ideal sensors at rest in this attitude measure. */
+/* The sample of ideal sensors at rest in this attitude. */
 static struct imu_sample seen_from(struct quat q_nb)
 {
 	return (struct imu_sample){
@@ -46,7 +46,7 @@ static struct imu_sample seen_from(struct quat q_nb)
 	};
 }
 
-/* A filter that stands at `start` and knows north. */
+/* A filter whose attitude is `start`, north included. */
 static struct fusion standing(struct fusion_config config, struct quat start)
 {
 	struct fusion f = fusion(config);
@@ -157,7 +157,7 @@ static void test_madgwicks_step_goes_down_the_gradient_of_his_objective_with_len
 	}
 }
 
-static void test_madgwick_comes_to_rest_at_the_truth_without_chatter(void **state)
+static void test_madgwick_converges_to_the_truth_without_chatter(void **state)
 {
 	struct quat truth = any_attitude();
 	struct fusion f =
@@ -184,7 +184,7 @@ static void test_mahonys_tilt_error_decays_with_the_time_constant_1_over_kp(void
 	assert_near(quat_apart_rad(f.q_nb, truth), 0.01 * pow(1 - 0.74 * DT_S, steps), 1e-7);
 }
 
-static void test_mahonys_integral_learns_the_gyro_bias(void **state)
+static void test_mahonys_integral_estimates_the_gyro_bias(void **state)
 {
 	struct fusion_config config = MAHONY;
 	const struct vec3 bias = {0.02, -0.01, 0.03};
@@ -213,7 +213,7 @@ static void test_switching_the_algorithm_keeps_the_attitude(void **state)
 	assert_true(fusion_started(&f));
 }
 
-static void test_the_bias_shown_at_rest_is_taken_off_the_gyro(void **state)
+static void test_the_rate_at_rest_is_subtracted_as_the_gyro_bias(void **state)
 {
 	const struct vec3 shown = {0.02, 0, -0.04};
 	struct fusion f = standing(six_axes(MADGWICK), QUAT_IDENTITY);
@@ -261,7 +261,7 @@ static void test_magnetometer_samples_missing_now_and_then_still_hold_the_headin
 	assert_true(quat_apart_rad(f.q_nb, truth) < 0.4); /* the gyro alone drifts 1 rad */
 }
 
-static void test_measurements_without_a_direction_are_left_out(void **state)
+static void test_measurements_without_a_direction_are_not_used(void **state)
 {
 	struct quat truth = any_attitude();
 	const struct imu_sample useless[] = {
@@ -278,7 +278,7 @@ static void test_measurements_without_a_direction_are_left_out(void **state)
 	}
 }
 
-static void test_a_field_along_the_vertical_shows_no_heading(void **state)
+static void test_a_vertical_field_does_not_set_the_heading(void **state)
 {
 	struct quat truth = quat_from_aerospace((struct vec3){0.4, -0.6, 0});
 	struct imu_sample s = seen_from(truth);
@@ -374,15 +374,15 @@ int main(void)
 		cmocka_unit_test(test_the_first_magnetometer_sample_sets_the_heading_at_once),
 		cmocka_unit_test(test_a_constant_turn_is_followed_exactly),
 		cmocka_unit_test(test_madgwicks_step_goes_down_the_gradient_of_his_objective_with_length_2_beta),
-		cmocka_unit_test(test_madgwick_comes_to_rest_at_the_truth_without_chatter),
+		cmocka_unit_test(test_madgwick_converges_to_the_truth_without_chatter),
 		cmocka_unit_test(test_mahonys_tilt_error_decays_with_the_time_constant_1_over_kp),
-		cmocka_unit_test(test_mahonys_integral_learns_the_gyro_bias),
+		cmocka_unit_test(test_mahonys_integral_estimates_the_gyro_bias),
 		cmocka_unit_test(test_switching_the_algorithm_keeps_the_attitude),
-		cmocka_unit_test(test_the_bias_shown_at_rest_is_taken_off_the_gyro),
+		cmocka_unit_test(test_the_rate_at_rest_is_subtracted_as_the_gyro_bias),
 		cmocka_unit_test(test_the_bias_is_the_mean_over_rest_and_follows_its_drift),
 		cmocka_unit_test(test_magnetometer_samples_missing_now_and_then_still_hold_the_heading),
-		cmocka_unit_test(test_measurements_without_a_direction_are_left_out),
-		cmocka_unit_test(test_a_field_along_the_vertical_shows_no_heading),
+		cmocka_unit_test(test_measurements_without_a_direction_are_not_used),
+		cmocka_unit_test(test_a_vertical_field_does_not_set_the_heading),
 		cmocka_unit_test(test_free_fall_does_not_start_the_filter),
 		cmocka_unit_test(test_a_restart_without_a_magnetometer_keeps_the_heading),
 		cmocka_unit_test(test_a_turned_object_frame_turns_the_attitude_and_not_the_world),

@@ -1,4 +1,4 @@
-/* The Kalman filter of the attitude on simulated sensors, whose motion is known. */
+/* The Kalman filter of the attitude on simulated sensors whose motion is known. */
 #include "model_test.h"
 
 #include "model/fusion.h"
@@ -31,7 +31,7 @@ static struct fusion fusion(struct fusion_config config)
 	return f;
 }
 
-/* A motion that turns about all axes while its reference point swings: what sensors at `arm` measure of it. */
+/* One instant of a motion about all axes whose reference point swings, as measured by sensors at `arm` from it. */
 struct moment {
 	struct quat q_nb;
 	struct imu_sample sample;
@@ -72,7 +72,7 @@ static struct moment swinging_over(double t, double size, struct vec3 arm)
 	return m;
 }
 
-/* What is done to the samples. */
+/* Errors of the samples. */
 struct errors {
 	struct vec3 gyro_bias, magnet_b, arm;
 	double magnet_from_s, magnet_to_s, no_field_from_s, rate_hz, rest_from_s;
@@ -80,7 +80,7 @@ struct errors {
 
 struct result {
 	double tilt_rad, heading_rad; /* RMS since the second half began */
-	int fields;		      /* corrections in it that the field took part in */
+	int fields;		      /* corrections by the field in it */
 	struct quat truth;	      /* at the end */
 };
 
@@ -89,7 +89,7 @@ static struct vec3 up_of(struct quat q)
 	return quat_rotate_inverse(q, (struct vec3){0, 0, 1});
 }
 
-/* From t = 0 to `end_s` in steady time steps, at rest after rest_from_s. */
+/* From t = 0 to `end_s` in equal time steps, at rest after rest_from_s. */
 static struct result follow(struct fusion *f, const struct errors *e, double size, double end_s)
 {
 	double dt_s = 1 / (e->rate_hz > 0 ? e->rate_hz : 200), tilt = 0, heading = 0;
@@ -135,7 +135,7 @@ static void test_a_moving_body_is_followed_within_half_a_degree(void **state)
 	assert_true(r.heading_rad < 0.5 * RAD_PER_DEG);
 }
 
-static void test_it_does_so_at_any_rate_of_samples(void **state)
+static void test_the_error_is_below_a_degree_at_any_sampling_rate(void **state)
 {
 	const double rates_hz[] = {50, 100, 286, 1000};
 
@@ -150,7 +150,7 @@ static void test_it_does_so_at_any_rate_of_samples(void **state)
 	}
 }
 
-static void test_a_wrong_start_is_forgotten(void **state)
+static void test_the_attitude_recovers_from_a_wrong_start(void **state)
 {
 	struct errors e = {.rate_hz = 0};
 	struct fusion f = fusion(NINE_AXES);
@@ -165,7 +165,7 @@ static void test_a_wrong_start_is_forgotten(void **state)
 	assert_quat_near(f.q_nb, r.truth, 2 * RAD_PER_DEG);
 }
 
-static void test_the_bias_is_learnt_at_rest_within_seconds(void **state)
+static void test_the_bias_is_estimated_at_rest_within_seconds(void **state)
 {
 	struct errors e = {.gyro_bias = {0.01, -0.02, 0.015}, .rest_from_s = 1e-9};
 	struct fusion f = fusion(six_axes());
@@ -175,7 +175,7 @@ static void test_the_bias_is_learnt_at_rest_within_seconds(void **state)
 	assert_vec_near(f.gyro_errors.bias_b_rad_s, e.gyro_bias, 1e-4);
 }
 
-static void test_the_bias_is_learnt_in_motion(void **state)
+static void test_the_bias_is_estimated_in_motion(void **state)
 {
 	struct errors e = {.gyro_bias = {0.01, -0.01, 0.008}};
 	struct fusion nine = fusion(NINE_AXES), six = fusion(six_axes());
@@ -183,11 +183,11 @@ static void test_the_bias_is_learnt_in_motion(void **state)
 	(void)state;
 	follow(&nine, &e, 1, 120);
 	assert_vec_near(nine.gyro_errors.bias_b_rad_s, e.gyro_bias, 1e-3);
-	follow(&six, &e, 1, 120); /* the body tilts, so all of it shows without a magnetometer, too */
+	follow(&six, &e, 1, 120); /* the body tilts, so all three axes are observable without a magnetometer */
 	assert_vec_near(six.gyro_errors.bias_b_rad_s, e.gyro_bias, 2e-3);
 }
 
-static void test_the_bias_learnt_stays_below_what_any_gyro_has(void **state)
+static void test_the_bias_estimate_is_limited(void **state)
 {
 	struct errors e = {.gyro_bias = {0.3, 0.3, 0}};
 	struct fusion f = fusion(NINE_AXES);
@@ -224,8 +224,8 @@ static void test_a_magnet_beside_a_still_object_does_not_turn_its_heading(void *
 	assert_false(fusion_mag_used(&f));
 }
 
-/* Another hall, whose field is weaker and dips less, from t = 20 s on: the magnet turns with the world. */
-static void test_another_homogeneous_field_is_taken_up_after_a_while_of_turning(void **state)
+/* From t = 20 s on another hall, whose field is weaker and dips less. */
+static void test_another_homogeneous_field_becomes_the_reference_after_20_seconds_of_turning(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
 	int used = 0;
@@ -246,7 +246,7 @@ static void test_another_homogeneous_field_is_taken_up_after_a_while_of_turning(
 	assert_true(used > 500);
 }
 
-static void test_a_field_disturbed_for_longer_than_the_rejection_time_counts_for_a_little(void **state)
+static void test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight(void **state)
 {
 	struct errors e = {.magnet_b = {100, 100, 0}, .magnet_from_s = 1, .magnet_to_s = 1e9};
 	struct fusion_config config = NINE_AXES;
@@ -270,7 +270,7 @@ static void test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only
 	assert_true(r.heading_rad < 3 * RAD_PER_DEG);
 }
 
-static void test_a_field_lost_leaves_the_heading_to_the_gyro(void **state)
+static void test_without_further_fields_the_gyro_holds_the_heading(void **state)
 {
 	struct errors e = {.no_field_from_s = 30};
 	struct fusion f = fusion(NINE_AXES);
@@ -280,7 +280,7 @@ static void test_a_field_lost_leaves_the_heading_to_the_gyro(void **state)
 	assert_false(fusion_mag_used(&f));
 }
 
-static void test_a_start_in_motion_finds_the_attitude(void **state)
+static void test_the_attitude_converges_after_a_start_in_motion(void **state)
 {
 	(void)state;
 	for (double start_s = 0; start_s < 5; start_s += 0.3) {
@@ -296,24 +296,24 @@ static void test_a_start_in_motion_finds_the_attitude(void **state)
 	}
 }
 
-/* 20 cm from the reference point, the accelerometer sees the robot's turning as acceleration. */
-static void test_a_lever_arm_taken_into_account_saves_a_third_of_the_tilt_error(void **state)
+/* 20 cm from the reference point, every rotation is an acceleration to the accelerometer. */
+static void test_a_known_lever_arm_saves_a_third_of_the_tilt_error(void **state)
 {
 	struct errors e = {.arm = {0.2, -0.1, 0.1}};
 	struct fusion_config config = NINE_AXES;
 	struct fusion without = fusion(config), with;
-	double ignored = follow(&without, &e, 1.5, 60).tilt_rad, heeded;
+	double ignored = follow(&without, &e, 1.5, 60).tilt_rad, used;
 
 	(void)state;
 	config.lever_arm_b_m = e.arm;
 	with = fusion(config);
-	heeded = follow(&with, &e, 1.5, 60).tilt_rad;
-	print_message("tilt with a lever arm of 24 cm: %.2f degrees ignored, %.2f heeded\n", ignored / RAD_PER_DEG,
-		heeded / RAD_PER_DEG);
-	assert_true(heeded < 0.7 * ignored);
+	used = follow(&with, &e, 1.5, 60).tilt_rad;
+	print_message("tilt error with a lever arm of 24 cm: %.2f degrees when ignored, %.2f when used\n",
+		ignored / RAD_PER_DEG, used / RAD_PER_DEG);
+	assert_true(used < 0.7 * ignored);
 }
 
-static void test_a_new_lever_arm_makes_the_attitude_no_jump(void **state)
+static void test_the_attitude_does_not_jump_with_a_new_lever_arm(void **state)
 {
 	struct errors e = {.rate_hz = 0};
 	struct fusion_config config = NINE_AXES;
@@ -333,7 +333,7 @@ static void test_a_new_lever_arm_makes_the_attitude_no_jump(void **state)
 	}
 }
 
-static void test_switching_to_it_and_away_keeps_attitude_and_bias(void **state)
+static void test_switching_the_algorithm_keeps_attitude_and_bias(void **state)
 {
 	struct errors e = {.gyro_bias = {0.01, -0.02, 0.015}, .rest_from_s = 1e-9};
 	struct fusion_config madgwick = NINE_AXES;
@@ -351,7 +351,7 @@ static void test_switching_to_it_and_away_keeps_attitude_and_bias(void **state)
 	assert_true(follow(&f, &e, 0, 10).tilt_rad < 0.1 * RAD_PER_DEG);
 }
 
-static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
+static void test_after_a_gap_attitude_and_bias_converge_again(void **state)
 {
 	struct errors e = {.rate_hz = 0};
 	struct fusion f = fusion(NINE_AXES);
@@ -359,12 +359,12 @@ static void test_after_a_gap_attitude_and_bias_are_found_again(void **state)
 
 	(void)state;
 	follow(&f, &e, 1, 20);
-	fusion_step(&f, &m.sample, 0.7); /* whatever happened meanwhile */
+	fusion_step(&f, &m.sample, 0.7); /* 0.7 s without samples, during which anything may have happened */
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 0.5 * RAD_PER_DEG);
 	assert_true(vec3_norm(f.gyro_errors.bias_b_rad_s) < 2e-3);
 }
 
-static void test_measurements_without_sense_are_survived(void **state)
+static void test_the_filter_recovers_from_nonsense_measurements(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
 	struct errors e = {.rate_hz = 0};
@@ -386,8 +386,8 @@ static void test_measurements_without_sense_are_survived(void **state)
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 1 * RAD_PER_DEG);
 }
 
-/* On and on from one time to another, in this field; the truth at the end. */
-static struct quat go_on(struct fusion *f, double from_s, double to_s, struct vec3 field_n_uT)
+/* Continues the motion from one time to another, in this field; returns the true attitude at the end. */
+static struct quat continue_motion(struct fusion *f, double from_s, double to_s, struct vec3 field_n_uT)
 {
 	struct moment m = swinging(from_s, 1, (struct vec3){0, 0, 0});
 
@@ -404,7 +404,7 @@ static double tilt_off_rad(const struct fusion *f, struct quat truth)
 	return acos(fmin(1, vec3_dot(up_of(f->q_nb), up_of(truth))));
 }
 
-static void test_an_attitude_upside_down_is_found_again_within_half_a_minute(void **state)
+static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(void **state)
 {
 	const double turns_rad[] = {PI, 3, 2};
 
@@ -414,16 +414,16 @@ static void test_an_attitude_upside_down_is_found_again_within_half_a_minute(voi
 		struct quat truth;
 		struct vec3 turn = {0.6 * turns_rad[i], 0.8 * turns_rad[i], 0};
 
-		go_on(&f, 0, 10, FIELD_N);
+		continue_motion(&f, 0, 10, FIELD_N);
 		f.q_nb = quat_multiply(quat_from_rotation_vector(turn), f.q_nb);
-		truth = go_on(&f, 10, 40, FIELD_N);
+		truth = continue_motion(&f, 10, 40, FIELD_N);
 		assert_true(tilt_off_rad(&f, truth) < 1 * RAD_PER_DEG);
-		truth = go_on(&f, 40, 140, FIELD_N);
+		truth = continue_motion(&f, 40, 140, FIELD_N);
 		assert_quat_near(f.q_nb, truth, 3 * RAD_PER_DEG);
 	}
 }
 
-/* RMS of the tilt over the 5 s after the gyro stood at the end of its range, again and again. */
+/* RMS error of the tilt in the 5 s after the gyro was saturated, of several times. */
 static double tilt_after_clipping_rad(unsigned flag)
 {
 	const double most_rad_s = 1.2;
@@ -450,30 +450,30 @@ static double tilt_after_clipping_rad(unsigned flag)
 	return sqrt(sum / n);
 }
 
-static void test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_accelerometer(void **state)
+static void test_after_saturation_of_the_gyro_the_tilt_follows_the_accelerometer(void **state)
 {
-	double told = tilt_after_clipping_rad(SAMPLE_SATURATED), untold = tilt_after_clipping_rad(0);
+	double flagged = tilt_after_clipping_rad(SAMPLE_SATURATED), unflagged = tilt_after_clipping_rad(0);
 
 	(void)state;
-	print_message("tilt after clipping: %.2f degrees, %.2f if it is not told\n", told / RAD_PER_DEG,
-		untold / RAD_PER_DEG);
-	assert_true(told < 0.7 * untold);
+	print_message("tilt error after saturation: %.2f degrees, %.2f without the flag\n", flagged / RAD_PER_DEG,
+		unflagged / RAD_PER_DEG);
+	assert_true(flagged < 0.7 * unflagged);
 }
 
-/* As long as the Earth's field and with its dip, but from the south. */
-static void test_a_field_from_the_wrong_side_does_not_turn_the_heading(void **state)
+/* A field of the Earth's length and dip, but from the south. */
+static void test_a_field_from_the_opposite_direction_is_a_heading_outlier(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
 	struct quat truth;
 
 	(void)state;
-	go_on(&f, 0, 30, FIELD_N);
-	truth = go_on(&f, 30, 80, (struct vec3){5, -19.4, -45});
+	continue_motion(&f, 0, 30, FIELD_N);
+	truth = continue_motion(&f, 30, 80, (struct vec3){5, -19.4, -45});
 	assert_quat_near(f.q_nb, truth, 2 * RAD_PER_DEG);
 }
 
-/* Shaken by 10 m/s^2 to and fro, so that the first tilt may be wrong by 45 degrees. */
-static void test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_half_a_minute(void **state)
+/* Accelerated by 10 m/s^2 to and fro, so that the first tilt may be wrong by 45 degrees. */
+static void test_the_heading_converges_within_half_a_minute_of_a_start_in_violent_motion(void **state)
 {
 	double worst = 0;
 
@@ -496,19 +496,19 @@ static void test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_h
 	assert_true(worst < 10 * RAD_PER_DEG);
 }
 
-static void test_a_heading_lost_is_found_again_after_the_rejection_time(void **state)
+static void test_a_wrong_heading_is_corrected_after_the_rejection_time(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
 	struct quat truth;
 
 	(void)state;
-	go_on(&f, 0, 30, FIELD_N);
+	continue_motion(&f, 0, 30, FIELD_N);
 	f.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 2.5}), f.q_nb);
-	truth = go_on(&f, 30, 30 + NINE_AXES.kalman.rejection_time_s + 30, FIELD_N);
+	truth = continue_motion(&f, 30, 30 + NINE_AXES.kalman.rejection_time_s + 30, FIELD_N);
 	assert_quat_near(f.q_nb, truth, 3 * RAD_PER_DEG);
 }
 
-static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree(void **state)
+static void test_the_tilt_of_a_simulated_chip_is_within_half_a_degree_in_every_motion(void **state)
 {
 	(void)state;
 	for (const struct signal *signal = SIGNALS; signal->name; signal++) {
@@ -537,7 +537,7 @@ static void test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_d
 	}
 }
 
-static void test_the_delay_shows_the_attitude_ahead_by_the_rate(void **state)
+static void test_the_attitude_is_extrapolated_over_the_delay_by_the_rate(void **state)
 {
 	struct fusion_config config = NINE_AXES;
 	struct errors e = {.rate_hz = 0};
@@ -576,30 +576,30 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_moving_body_is_followed_within_half_a_degree),
-		cmocka_unit_test(test_it_does_so_at_any_rate_of_samples),
-		cmocka_unit_test(test_a_wrong_start_is_forgotten),
-		cmocka_unit_test(test_the_bias_is_learnt_at_rest_within_seconds),
-		cmocka_unit_test(test_the_bias_is_learnt_in_motion),
-		cmocka_unit_test(test_the_bias_learnt_stays_below_what_any_gyro_has),
+		cmocka_unit_test(test_the_error_is_below_a_degree_at_any_sampling_rate),
+		cmocka_unit_test(test_the_attitude_recovers_from_a_wrong_start),
+		cmocka_unit_test(test_the_bias_is_estimated_at_rest_within_seconds),
+		cmocka_unit_test(test_the_bias_is_estimated_in_motion),
+		cmocka_unit_test(test_the_bias_estimate_is_limited),
 		cmocka_unit_test(test_a_magnet_for_20_seconds_does_not_turn_the_heading),
 		cmocka_unit_test(test_a_magnet_beside_a_still_object_does_not_turn_its_heading),
-		cmocka_unit_test(test_another_homogeneous_field_is_taken_up_after_a_while_of_turning),
-		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_for_a_little),
+		cmocka_unit_test(test_another_homogeneous_field_becomes_the_reference_after_20_seconds_of_turning),
+		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight),
 		cmocka_unit_test(test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only_drifts),
-		cmocka_unit_test(test_a_field_lost_leaves_the_heading_to_the_gyro),
-		cmocka_unit_test(test_a_start_in_motion_finds_the_attitude),
-		cmocka_unit_test(test_a_lever_arm_taken_into_account_saves_a_third_of_the_tilt_error),
-		cmocka_unit_test(test_a_new_lever_arm_makes_the_attitude_no_jump),
-		cmocka_unit_test(test_switching_to_it_and_away_keeps_attitude_and_bias),
-		cmocka_unit_test(test_after_a_gap_attitude_and_bias_are_found_again),
-		cmocka_unit_test(test_measurements_without_sense_are_survived),
-		cmocka_unit_test(test_an_attitude_upside_down_is_found_again_within_half_a_minute),
-		cmocka_unit_test(test_a_gyro_known_to_be_saturated_leaves_the_tilt_to_the_accelerometer),
-		cmocka_unit_test(test_a_field_from_the_wrong_side_does_not_turn_the_heading),
-		cmocka_unit_test(test_a_start_at_any_instant_of_a_violent_motion_finds_north_within_half_a_minute),
-		cmocka_unit_test(test_a_heading_lost_is_found_again_after_the_rejection_time),
-		cmocka_unit_test(test_a_simulated_chip_on_every_motion_shows_its_tilt_within_half_a_degree),
-		cmocka_unit_test(test_the_delay_shows_the_attitude_ahead_by_the_rate),
+		cmocka_unit_test(test_without_further_fields_the_gyro_holds_the_heading),
+		cmocka_unit_test(test_the_attitude_converges_after_a_start_in_motion),
+		cmocka_unit_test(test_a_known_lever_arm_saves_a_third_of_the_tilt_error),
+		cmocka_unit_test(test_the_attitude_does_not_jump_with_a_new_lever_arm),
+		cmocka_unit_test(test_switching_the_algorithm_keeps_attitude_and_bias),
+		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
+		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
+		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
+		cmocka_unit_test(test_after_saturation_of_the_gyro_the_tilt_follows_the_accelerometer),
+		cmocka_unit_test(test_a_field_from_the_opposite_direction_is_a_heading_outlier),
+		cmocka_unit_test(test_the_heading_converges_within_half_a_minute_of_a_start_in_violent_motion),
+		cmocka_unit_test(test_a_wrong_heading_is_corrected_after_the_rejection_time),
+		cmocka_unit_test(test_the_tilt_of_a_simulated_chip_is_within_half_a_degree_in_every_motion),
+		cmocka_unit_test(test_the_attitude_is_extrapolated_over_the_delay_by_the_rate),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 	};
 

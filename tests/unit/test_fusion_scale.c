@@ -1,4 +1,4 @@
-/* The gyro's scale factors, as the fusion learns them from the tilt of an object that turns to different sides. */
+/* The gyro's scale factors, estimated by the fusion from the tilt of an object that turns to different sides. */
 #include "model_test.h"
 
 #include "model/fusion.h"
@@ -11,7 +11,7 @@ struct moment {
 	struct vec3 omega_b_rad_s;
 };
 
-/* Carried around the vertical, one way, while it nods and rolls to and fro about its own axes. */
+/* Turns about the vertical in one direction, while it pitches and rolls to and fro about its own axes. */
 static struct moment turning(double t)
 {
 	double around = 0.8 * t - 2 * cos(0.3 * t), nod = 1.2 * sin(0.9 * t), roll = 8 * sin(0.4 * t);
@@ -38,8 +38,8 @@ static struct fusion fusion(int use_magnetometer, double scale_sigma)
 	return f;
 }
 
-/* From from_s to to_s, a gyro that shows too little by `scale`, and a magnet in the object. Returns the heading gained by
- * the fusion beyond the truth. */
+/* From from_s to to_s, with a gyro whose output is too small by `scale`, and a magnet in the object. Returns the error
+ * of the heading gained in that time. */
 static double turn(struct fusion *f, struct vec3 scale, struct vec3 magnet_b_uT, double from_s, double to_s)
 {
 	const double dt_s = 0.005;
@@ -63,7 +63,7 @@ static double turn(struct fusion *f, struct vec3 scale, struct vec3 magnet_b_uT,
 	return remainder(atan2(east.y, east.x) - atan2(east_from.y, east_from.x), 2 * PI);
 }
 
-static void test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetometer(void **state)
+static void test_a_scale_error_of_three_permille_is_estimated_without_a_magnetometer(void **state)
 {
 	const struct vec3 scale = {0.003, 0.003, 0.003};
 	struct fusion f = fusion(0, 0.002);
@@ -75,24 +75,24 @@ static void test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetomete
 	assert_near(fusion_rate_b(&f, (struct vec3){0, 0, 3}).z, 3 * (1 + f.gyro_errors.scale_b.z), 1e-12);
 }
 
-static void test_the_heading_then_drifts_a_fifth_as_much(void **state)
+static void test_the_heading_drifts_a_fifth_as_much_with_the_scale_estimated(void **state)
 {
 	const struct vec3 scale = {0.003, 0.003, 0.003};
-	struct fusion knows = fusion(0, 0.002), presumes = fusion(0, 0);
-	double learning, fixed;
+	struct fusion adaptive = fusion(0, 0.002), constant = fusion(0, 0);
+	double estimated, fixed;
 
 	(void)state;
-	turn(&knows, scale, ZERO, 0, 60);
-	turn(&presumes, scale, ZERO, 0, 60);
-	learning = turn(&knows, scale, ZERO, 60, 120);
-	fixed = turn(&presumes, scale, ZERO, 60, 120);
-	print_message("heading after a minute of turning: %.2f degrees, scale learnt %.2f\n", fixed / RAD_PER_DEG,
-		learning / RAD_PER_DEG);
+	turn(&adaptive, scale, ZERO, 0, 60);
+	turn(&constant, scale, ZERO, 0, 60);
+	estimated = turn(&adaptive, scale, ZERO, 60, 120);
+	fixed = turn(&constant, scale, ZERO, 60, 120);
+	print_message("heading after a minute of turning: %.2f degrees, with the scale estimated %.2f\n",
+		fixed / RAD_PER_DEG, estimated / RAD_PER_DEG);
 	assert_true(fabs(fixed) > 5 * RAD_PER_DEG);
-	assert_true(fabs(learning) < fabs(fixed) / 5);
+	assert_true(fabs(estimated) < fabs(fixed) / 5);
 }
 
-static void test_a_scale_said_to_be_right_is_not_touched(void **state)
+static void test_a_scale_sigma_of_zero_switches_the_estimation_off(void **state)
 {
 	struct fusion f = fusion(1, 0);
 
@@ -101,7 +101,7 @@ static void test_a_scale_said_to_be_right_is_not_touched(void **state)
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 }
 
-static void test_a_magnet_in_the_object_teaches_no_scale(void **state)
+static void test_a_magnet_in_the_object_does_not_disturb_the_scale(void **state)
 {
 	struct fusion f = fusion(1, 0.002);
 
@@ -110,7 +110,7 @@ static void test_a_magnet_in_the_object_teaches_no_scale(void **state)
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0.0002);
 }
 
-static void test_the_scale_learnt_stays_within_five_sigma(void **state)
+static void test_the_scale_estimate_stays_within_five_sigma(void **state)
 {
 	struct fusion f = fusion(0, 0.001);
 
@@ -119,35 +119,35 @@ static void test_the_scale_learnt_stays_within_five_sigma(void **state)
 	assert_true(vec3_norm(f.gyro_errors.scale_b) < 0.005001);
 }
 
-static void test_another_sigma_another_gyro_or_another_algorithm_forget_the_scale(void **state)
+static void test_a_new_sigma_gyro_calibration_mounting_or_algorithm_resets_the_scale(void **state)
 {
 	const struct vec3 scale = {0.003, 0.003, 0.003};
-	struct fusion learnt = fusion(0, 0.002), f;
+	struct fusion estimated = fusion(0, 0.002), f;
 	struct fusion_config config;
 
 	(void)state;
-	turn(&learnt, scale, ZERO, 0, 30);
-	assert_true(vec3_norm(learnt.gyro_errors.scale_b) > 0.001);
+	turn(&estimated, scale, ZERO, 0, 30);
+	assert_true(vec3_norm(estimated.gyro_errors.scale_b) > 0.001);
 
-	f = learnt;
+	f = estimated;
 	config = f.config;
 	config.kalman.field_limit = 0.2;
 	assert_int_equal(fusion_configure(&f, &config), 0);
-	assert_vec_near(f.gyro_errors.scale_b, learnt.gyro_errors.scale_b, 0);
+	assert_vec_near(f.gyro_errors.scale_b, estimated.gyro_errors.scale_b, 0);
 	config.kalman.gyro_scale_sigma = 0.004;
 	assert_int_equal(fusion_configure(&f, &config), 0);
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
-	f = learnt;
+	f = estimated;
 	config.algorithm = FUSION_MAHONY;
 	assert_int_equal(fusion_configure(&f, &config), 0);
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
-	f = learnt;
+	f = estimated;
 	fusion_reset_gyro_errors(&f);
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 
-	f = learnt;
+	f = estimated;
 	fusion_turn_object(&f, quat_from_rotation_vector((struct vec3){1, 0, 0}));
 	assert_vec_near(f.gyro_errors.scale_b, ZERO, 0);
 }
@@ -155,12 +155,12 @@ static void test_another_sigma_another_gyro_or_another_algorithm_forget_the_scal
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_scale_wrong_by_three_permille_is_learnt_without_a_magnetometer),
-		cmocka_unit_test(test_the_heading_then_drifts_a_fifth_as_much),
-		cmocka_unit_test(test_a_scale_said_to_be_right_is_not_touched),
-		cmocka_unit_test(test_a_magnet_in_the_object_teaches_no_scale),
-		cmocka_unit_test(test_the_scale_learnt_stays_within_five_sigma),
-		cmocka_unit_test(test_another_sigma_another_gyro_or_another_algorithm_forget_the_scale),
+		cmocka_unit_test(test_a_scale_error_of_three_permille_is_estimated_without_a_magnetometer),
+		cmocka_unit_test(test_the_heading_drifts_a_fifth_as_much_with_the_scale_estimated),
+		cmocka_unit_test(test_a_scale_sigma_of_zero_switches_the_estimation_off),
+		cmocka_unit_test(test_a_magnet_in_the_object_does_not_disturb_the_scale),
+		cmocka_unit_test(test_the_scale_estimate_stays_within_five_sigma),
+		cmocka_unit_test(test_a_new_sigma_gyro_calibration_mounting_or_algorithm_resets_the_scale),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

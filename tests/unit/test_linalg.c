@@ -1,11 +1,11 @@
-/* Small symmetric systems, checked against what defines their answer. */
+/* Small symmetric systems, checked by substitution. */
 #include "model_test.h"
 
 #include <string.h>
 
 #include "model/math/linalg.h"
 
-/* B B' + a little on the diagonal: positive definite */
+/* B B' + 0.1 I, which is positive definite. */
 static void any_positive(int n, double *a)
 {
 	double b[LINALG_MAX * LINALG_MAX];
@@ -20,7 +20,7 @@ static void any_positive(int n, double *a)
 		}
 }
 
-static void test_a_solution_solves_its_system(void **state)
+static void test_a_solution_satisfies_its_system(void **state)
 {
 	(void)state;
 	for (int n = 1; n <= LINALG_MAX; n++) {
@@ -41,7 +41,7 @@ static void test_a_solution_solves_its_system(void **state)
 	}
 }
 
-static void test_a_matrix_times_its_inverse_is_one(void **state)
+static void test_a_matrix_times_its_inverse_is_the_identity(void **state)
 {
 	(void)state;
 	for (int n = 1; n <= LINALG_MAX; n++) {
@@ -61,7 +61,7 @@ static void test_a_matrix_times_its_inverse_is_one(void **state)
 	}
 }
 
-static void test_eigenvectors_are_only_stretched_by_their_ascending_eigenvalues(void **state)
+static void test_eigenvectors_are_scaled_by_their_eigenvalues_in_ascending_order(void **state)
 {
 	(void)state;
 	for (int n = 1; n <= LINALG_MAX; n++) {
@@ -90,27 +90,27 @@ static void test_eigenvectors_are_only_stretched_by_their_ascending_eigenvalues(
 	}
 }
 
-static void test_a_singular_an_indefinite_and_a_broken_matrix_are_refused(void **state)
+static void test_a_singular_an_indefinite_and_a_non_finite_matrix_are_refused(void **state)
 {
-	double singular[] = {1, 2, 2, 4}, indefinite[] = {1, 2, 2, 1}, broken[] = {1, 0, 0, NAN}, b[] = {3, 4};
+	double singular[] = {1, 2, 2, 4}, indefinite[] = {1, 2, 2, 1}, not_finite[] = {1, 0, 0, NAN}, b[] = {3, 4};
 	double values[2], vectors[4];
 
 	(void)state;
 	assert_int_equal(linalg_solve(2, singular, b), -EDOM);
 	assert_int_equal(linalg_invert(2, indefinite), -EDOM);
-	assert_int_equal(linalg_invert(2, broken), -EDOM);
+	assert_int_equal(linalg_invert(2, not_finite), -EDOM);
 	assert_true(b[0] == 3 && b[1] == 4);
-	broken[3] = NAN;
-	assert_int_equal(linalg_eigen(2, broken, values, vectors), -EDOM);
+	not_finite[3] = NAN;
+	assert_int_equal(linalg_eigen(2, not_finite, values, vectors), -EDOM);
 }
 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_solution_solves_its_system),
-		cmocka_unit_test(test_a_matrix_times_its_inverse_is_one),
-		cmocka_unit_test(test_eigenvectors_are_only_stretched_by_their_ascending_eigenvalues),
-		cmocka_unit_test(test_a_singular_an_indefinite_and_a_broken_matrix_are_refused),
+		cmocka_unit_test(test_a_solution_satisfies_its_system),
+		cmocka_unit_test(test_a_matrix_times_its_inverse_is_the_identity),
+		cmocka_unit_test(test_eigenvectors_are_scaled_by_their_eigenvalues_in_ascending_order),
+		cmocka_unit_test(test_a_singular_an_indefinite_and_a_non_finite_matrix_are_refused),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* Position by the error-state Kalman filter: its sums and covariance against plain oracles, its position against
+/* Position by the error-state Kalman filter: its sums and covariance against plain calculations, its position against
  * simulated truth. */
 #include "model_test.h"
 
@@ -32,7 +32,8 @@ static struct navigation_input any_input(struct quat q_nb)
 	return in;
 }
 
-/* ---- the sums are the derivatives --------------------------------------------------------------------------------- */
+/* ---- the sums are the derivatives
+ * --------------------------------------------------------------------------------- */
 
 enum { SAMPLES = 7 };
 
@@ -44,7 +45,7 @@ static struct navigation integrated(struct navigation n, const struct navigation
 }
 
 /* The state with an error of `size` in component i. */
-static struct navigation erring(struct navigation n, int i, double size)
+static struct navigation with_error(struct navigation n, int i, double size)
 {
 	struct vec3 turn = ZERO;
 	double *const at[N] = {&turn.x, &turn.y, &turn.z, &n.velocity_n_m_s.x, &n.velocity_n_m_s.y, &n.velocity_n_m_s.z,
@@ -79,7 +80,7 @@ static struct mat3 cross(struct vec3 a)
 	return (struct mat3){{{0, -a.z, a.y}, {a.z, 0, -a.x}, {-a.y, a.x, 0}}};
 }
 
-/* The transition that the header promises. */
+/* The state transition as the header writes it. */
 static void transition(const struct navigation_sums *s, double f[N][N])
 {
 	struct mat3 f_cross = cross(s->f), ff_cross = cross(s->ff);
@@ -112,15 +113,16 @@ static void test_the_sums_are_the_derivatives_of_the_integration(void **state)
 	assert_true(n.sums.t_s > 0);
 	transition(&n.sums, f);
 	for (int i = 0; i < N; i++) {
-		struct navigation moved = integrated(erring(start, i, size), in);
+		struct navigation moved = integrated(with_error(start, i, size), in);
 
 		error_of(&moved, &n, size, e);
-		for (int j = 0; j < 9; j++) /* terms of dt^2 are left out */
+		for (int j = 0; j < 9; j++) /* up to terms of dt^2 */
 			assert_near(e[j], f[j][i], 0.01 * SAMPLES * DT_S * (j < 3 ? 1 : 15));
 	}
 }
 
-/* ---- the covariance against dense matrices ------------------------------------------------------------------------ */
+/* ---- the covariance against dense matrices
+ * ------------------------------------------------------------------------ */
 
 static void dense_propagate(double p[N][N], double f[N][N])
 {
@@ -154,13 +156,14 @@ static void test_the_covariance_is_that_of_dense_matrices(void **state)
 		do {
 			sums = n.sums;
 			in = any_input(n.q_nb);
-			in.force_b_m_s2 = quat_rotate_inverse(n.q_nb, (struct vec3){0, 0, G}); /* slow: no walk */
+			in.force_b_m_s2 = quat_rotate_inverse(
+				n.q_nb, (struct vec3){0, 0, G}); /* slow: no process noise of the scale */
 			in.gyro_b_rad_s = vec3_scale(1e-4, in.gyro_b_rad_s);
 			navigation_step(&n, &in, DT_S);
 		} while (n.sums.t_s > 0);
 		struct mat3 r = mat3_from_quat(n.q_nb), f_cross = cross((struct vec3){0, 0, G * DT_S});
 
-		/* up to the sample before the last, which then is one more transition */
+		/* the sample after `sums` is one more transition */
 		transition(&sums, f);
 		dense_propagate(p, f);
 		for (int i = 0; i < 9; i++)
@@ -168,7 +171,7 @@ static void test_the_covariance_is_that_of_dense_matrices(void **state)
 		transition(&(struct navigation_sums){.t_s = DT_S, .s = r}, f);
 		block(f, NAVIGATION_V, NAVIGATION_THETA, -1, &f_cross);
 		dense_propagate(p, f);
-		/* everything but what the heading is correlated with, which was measured */
+		/* all but the states correlated with the heading, which was measured */
 		for (int i = NAVIGATION_V; i < NAVIGATION_BG; i++)
 			for (int j = NAVIGATION_V; j < NAVIGATION_BG; j++)
 				assert_near(n.p[i][j], p[i][j], 1e-3 * sqrt(p[i][i] * p[j][j]));
@@ -199,35 +202,36 @@ static void test_the_covariance_stays_symmetric_and_positive(void **state)
 	}
 }
 
-/* ---- position against truth --------------------------------------------------------------------------------------- */
+/* ---- position against truth
+ * --------------------------------------------------------------------------------------- */
 
 static const double REST_S = 5, END_S = 2;
 
-/* At rest, then along one way to another place, then at rest: s(t) from 0 to 1, smooth to its second derivative. */
-struct way {
+/* At rest, then on a path to another place, then at rest: s(t) from 0 to 1, smooth to its second derivative. */
+struct path {
 	double time_s;
 	struct vec3 to_n_m, turn_rad;
 };
 
-static void way_at(const struct way *way, double t, struct signal_truth *truth)
+static void path_at(const struct path *path, double t, struct signal_truth *truth)
 {
-	double x = fmin(fmax((t - REST_S) / way->time_s, 0), 1), w = 2 * PI / way->time_s;
-	double s = x - sin(2 * PI * x) / (2 * PI), v = (1 - cos(2 * PI * x)) / way->time_s;
-	double a = w / way->time_s * sin(2 * PI * x);
+	double x = fmin(fmax((t - REST_S) / path->time_s, 0), 1), w = 2 * PI / path->time_s;
+	double s = x - sin(2 * PI * x) / (2 * PI), v = (1 - cos(2 * PI * x)) / path->time_s;
+	double a = w / path->time_s * sin(2 * PI * x);
 
 	*truth = (struct signal_truth){
 		.t_s = t,
-		.q_nb = quat_from_rotation_vector(vec3_scale(s, way->turn_rad)),
-		.omega_b_rad_s = vec3_scale(v, way->turn_rad),
-		.alpha_b_rad_s2 = vec3_scale(a, way->turn_rad),
-		.position_n_m = vec3_scale(s, way->to_n_m),
-		.velocity_n_m_s = vec3_scale(v, way->to_n_m),
-		.accel_n_m_s2 = vec3_scale(a, way->to_n_m),
+		.q_nb = quat_from_rotation_vector(vec3_scale(s, path->turn_rad)),
+		.omega_b_rad_s = vec3_scale(v, path->turn_rad),
+		.alpha_b_rad_s2 = vec3_scale(a, path->turn_rad),
+		.position_n_m = vec3_scale(s, path->to_n_m),
+		.velocity_n_m_s = vec3_scale(v, path->to_n_m),
+		.accel_n_m_s2 = vec3_scale(a, path->to_n_m),
 	};
 }
 
-/* Position at the end, the attitude of the fusion being true to 0.5 degrees. */
-static struct position travel(const struct way *way, const struct navigation_config *navigation, uint64_t seed)
+/* The position at the end; the fusion's attitude has an error of 0.5 degrees in roll and pitch. */
+static struct position travel(const struct path *path, const struct navigation_config *navigation, uint64_t seed)
 {
 	struct position_config config = {.mode = POSITION_NAVIGATION, .navigation = *navigation};
 	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
@@ -238,12 +242,12 @@ static struct position travel(const struct way *way, const struct navigation_con
 	sensor_calibrate(&chip);
 	assert_int_equal(sensor_init(&sensor, &chip, seed), 0);
 	assert_int_equal(position_init(&p, &config), 0);
-	for (int k = 0; k < (int)lround((REST_S + way->time_s + END_S) / DT_S); k++) {
+	for (int k = 0; k < (int)lround((REST_S + path->time_s + END_S) / DT_S); k++) {
 		struct navigation_input in = {.gravity_m_s2 = chip.gravity_m_s2};
 		struct imu_sample sample;
 		struct signal_truth truth;
 
-		way_at(way, sensor_instant_s(&sensor), &truth);
+		path_at(path, sensor_instant_s(&sensor), &truth);
 		sensor_measure(&sensor, &truth, &sample);
 		in.gyro_b_rad_s = sample.gyro_rad_s;
 		in.force_b_m_s2 = sample.accel_m_s2;
@@ -257,50 +261,50 @@ static struct position travel(const struct way *way, const struct navigation_con
 static void test_the_displacement_at_rest_is_right_and_its_sigma_honest(void **state)
 {
 	const struct navigation_config bare = {.noise = levelling().noise, .standstill = STANDSTILL_DEFAULTS};
-	const struct way way = {4, {3, -2, 0.5}, {0.2, -0.3, 1}};
+	const struct path path = {4, {3, -2, 0.5}, {0.2, -0.3, 1}};
 	double sum = 0, worst = 0;
 
 	(void)state;
 	for (uint64_t seed = 1; seed <= 20; seed++) {
-		struct position p = travel(&way, &bare, seed);
-		struct vec3 e = vec3_sub(p.displacement_n_m, way.to_n_m), s = p.displacement_sigma_m;
+		struct position p = travel(&path, &bare, seed);
+		struct vec3 e = vec3_sub(p.displacement_n_m, path.to_n_m), s = p.displacement_sigma_m;
 
 		assert_true(p.navigation.still);
 		sum += (e.x * e.x / (s.x * s.x) + e.y * e.y / (s.y * s.y) + e.z * e.z / (s.z * s.z)) / 3 / 20;
 		worst = fmax(worst, vec3_norm(e));
 	}
-	print_message("displacement of %.1f m in %g s: worst error %.3f m, normalised %.2f\n", vec3_norm(way.to_n_m),
-		way.time_s, worst, sum);
+	print_message("displacement of %.1f m in %g s: worst error %.3f m, normalised %.2f\n", vec3_norm(path.to_n_m),
+		path.time_s, worst, sum);
 	assert_true(sum < 2);
 	assert_true(worst < 0.5);
 }
 
-/* Slowing down gently scatters as little as a standstill. */
-static void test_a_gentle_way_is_no_standstill(void **state)
+/* The samples of a robot that slows down gently deviate as little as those of a standstill. */
+static void test_a_gentle_drive_is_not_a_standstill(void **state)
 {
-	static const struct way WAYS[] = {{.time_s = 2, .to_n_m = {0.1, 0, 0}}, {.time_s = 3, .to_n_m = {0, 1, 0}},
+	static const struct path PATHS[] = {{.time_s = 2, .to_n_m = {0.1, 0, 0}}, {.time_s = 3, .to_n_m = {0, 1, 0}},
 		{.time_s = 4, .to_n_m = {1, 0, 0}}};
 	const struct navigation_config config = levelling();
 
 	(void)state;
 	for (int i = 0; i < 3; i++)
 		for (uint64_t seed = 1; seed <= 5; seed++) {
-			struct position p = travel(&WAYS[i], &config, seed);
-			struct vec3 error = vec3_sub(p.position_n_m, WAYS[i].to_n_m);
+			struct position p = travel(&PATHS[i], &config, seed);
+			struct vec3 error = vec3_sub(p.position_n_m, PATHS[i].to_n_m);
 
 			assert_true(p.navigation.still);
-			assert_true(vec3_norm(error) < 0.02 + 0.03 * vec3_norm(WAYS[i].to_n_m));
+			assert_true(vec3_norm(error) < 0.02 + 0.03 * vec3_norm(PATHS[i].to_n_m));
 		}
 }
 
-static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
+static void test_levelling_does_not_shorten_a_long_steady_drive(void **state)
 {
 	const struct navigation_config config = levelling();
-	const struct way way = {6, {10, 0, 0}, {0, 0, 0.5}};
+	const struct path path = {6, {10, 0, 0}, {0, 0, 0.5}};
 
 	(void)state;
 	for (uint64_t seed = 1; seed <= 5; seed++) {
-		struct position p = travel(&way, &config, seed);
+		struct position p = travel(&path, &config, seed);
 
 		print_message("10 m in 6 s: %.2f %.2f %.2f\n", p.displacement_n_m.x, p.displacement_n_m.y,
 			p.displacement_n_m.z);
@@ -308,8 +312,8 @@ static void test_levelling_does_not_shorten_a_long_steady_way(void **state)
 	}
 }
 
-/* What a simulated sensor as good as a calibration leaves it, 22 cm from the reference point or at it, comes to: means of
- * squares over the last part of a motion, of three devices. */
+/* Mean squares over the last part of a motion, of three simulated sensors with the errors that a calibration leaves, at
+ * the reference point or 22 cm from it. */
 struct honesty {
 	double tilt_rad, position_m;	  /* RMS */
 	double attitude, position, accel; /* normalised errors squared, mean of the axes */
@@ -371,7 +375,8 @@ static struct honesty simulate(const char *signal, double rate_hz, struct vec3 l
 
 static const double RATES_HZ[] = {100, 200, 952};
 
-/* The model's share of the errors (magnetic north, residual scale) makes sigma larger than a simulation needs. */
+/* Sigma accounts for errors that the simulation does not have (magnetic north, residual scale), so it may be too
+ * large. */
 static void test_sigma_is_honest_on_a_simulated_robot_at_any_rate(void **state)
 {
 	(void)state;
@@ -391,8 +396,8 @@ static void test_sigma_is_honest_on_a_simulated_robot_at_any_rate(void **state)
 	}
 }
 
-/* The sensor swings round the reference point at up to 1.5 m/s and 1 g, from its first sample on. */
-static void test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate(void **state)
+/* From its first sample on, the sensor moves around the reference point at up to 1.5 m/s and 1 g. */
+static void test_the_errors_stay_bounded_at_the_end_of_a_lever_arm_at_any_rate(void **state)
 {
 	const char *const motions[] = {"turntable", "tumble", "pendulum", "square"};
 	const struct vec3 lever = {0.2, -0.1, 0.1};
@@ -403,13 +408,13 @@ static void test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate(void **stat
 			struct honesty h = simulate(motions[j], RATES_HZ[i], lever);
 
 			assert_true(h.tilt_rad < 1.5 * RAD_PER_DEG);
-			assert_true(h.position_m < 3); /* over 100 m when the sensor's velocity was levelled */
+			assert_true(h.position_m < 3); /* over 100 m if the sensor's velocity is levelled instead */
 			assert_true(h.position < 3);
 			assert_true(h.accel < 2);
 		}
 }
 
-/* Drives of 5 s are no movement to and fro: levelling must not hold them back (they came 0.4 m short when it did). */
+/* A drive of 5 s is not a movement to and fro: with levelling from its beginning it came 0.4 m short. */
 static void test_a_robot_that_stops_at_the_corners_of_its_square_is_followed(void **state)
 {
 	const struct signal *square = signal_find("square");
@@ -440,8 +445,8 @@ static void test_a_robot_that_stops_at_the_corners_of_its_square_is_followed(voi
 	assert_true(worst < 0.4);
 }
 
-/* A constant error of acceleration shows as velocity at the standstill, and half of that velocity times the time is the
- * error of the place: a smoother over the movement takes it back as a whole, and so must the filter. */
+/* A constant error of acceleration is seen as velocity at the standstill, and half of that velocity times the time is
+ * the error of the position. A smoother over the movement removes it, and so must the filter. */
 static void test_a_standstill_corrects_the_whole_movement_before_it(void **state)
 {
 	const double error = 0.05, time_s = 10;
@@ -467,7 +472,7 @@ static void test_a_standstill_corrects_the_whole_movement_before_it(void **state
 	assert_near(n.position_n_m.x, 0, 0.1 * before);
 }
 
-static void test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time(void **state)
+static void test_a_steady_speed_passes_for_a_standstill_only_after_the_rest_time(void **state)
 {
 	struct navigation n = {.started = false};
 
@@ -484,11 +489,11 @@ static void test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_ti
 	assert_true(n.still);
 }
 
-static void test_after_the_longest_integration_time_the_place_is_held_until_it_is_corrected_at_rest(void **state)
+static void test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest(void **state)
 {
-	const struct way way = {6, {10, 0, 0}, {0, 0, 0}};
+	const struct path path = {6, {10, 0, 0}, {0, 0, 0}};
 	const struct navigation_config config = levelling();
-	struct position p = travel(&way, &config, 1), held;
+	struct position p = travel(&path, &config, 1), held;
 
 	(void)state;
 	p.config.longest_integration_s = 1;
@@ -511,7 +516,7 @@ static void test_after_the_longest_integration_time_the_place_is_held_until_it_i
 	assert_true(fabs(p.position_n_m.x - held.position_n_m.x) > 0.1);
 }
 
-static void test_a_prior_holds_the_velocity(void **state)
+static void test_a_prior_limits_the_velocity(void **state)
 {
 	struct navigation_config config = BARE;
 	double end[2];
@@ -534,9 +539,9 @@ static void test_a_prior_holds_the_velocity(void **state)
 	assert_true(end[1] < 0.3);
 }
 
-static void test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour(void **state)
+static void test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour(void **state)
 {
-	const struct way stay = {1, {0, 0, 0}, {0, 0, 0}};
+	const struct path stay = {1, {0, 0, 0}, {0, 0, 0}};
 	const struct navigation_config config = levelling();
 	struct position p = travel(&stay, &config, 3), before;
 
@@ -557,23 +562,23 @@ static void test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour(void *
 
 static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
 {
-	const struct way way = {4, {1, 0, 0}, {0, 0, 0}};
+	const struct path path = {4, {1, 0, 0}, {0, 0, 0}};
 	const struct navigation_config config = levelling();
-	struct position p = travel(&way, &config, 1);
-	struct vec3 place = p.position_n_m, sigma = navigation_sigma(&p.navigation, 1 / DT_S).position_m;
+	struct position p = travel(&path, &config, 1);
+	struct vec3 position_n_m = p.position_n_m, sigma = navigation_sigma(&p.navigation, 1 / DT_S).position_m;
 
 	(void)state;
 	position_skip(&p, ZERO, QUAT_IDENTITY, 2);
-	assert_vec_near(p.position_n_m, place, 0);
+	assert_vec_near(p.position_n_m, position_n_m, 0);
 	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).position_m.x > sigma.x + 2);
 	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).velocity_m_s.x > 2);
 }
 
-static void test_a_position_less_certain_than_its_limit_is_told(void **state)
+static void test_a_position_whose_sigma_exceeds_the_limit_is_reported(void **state)
 {
-	const struct way way = {4, {1, 0, 0}, {0, 0, 0}};
+	const struct path path = {4, {1, 0, 0}, {0, 0, 0}};
 	const struct navigation_config config = levelling();
-	struct position p = travel(&way, &config, 1);
+	struct position p = travel(&path, &config, 1);
 
 	(void)state;
 	assert_false(position_unsure(&p));
@@ -607,19 +612,19 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
-		cmocka_unit_test(test_a_gentle_way_is_no_standstill),
-		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_way),
+		cmocka_unit_test(test_a_gentle_drive_is_not_a_standstill),
+		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_drive),
 		cmocka_unit_test(test_sigma_is_honest_on_a_simulated_robot_at_any_rate),
-		cmocka_unit_test(test_nothing_runs_away_at_the_end_of_a_lever_at_any_rate),
+		cmocka_unit_test(test_the_errors_stay_bounded_at_the_end_of_a_lever_arm_at_any_rate),
 		cmocka_unit_test(test_a_robot_that_stops_at_the_corners_of_its_square_is_followed),
 		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
-		cmocka_unit_test(test_a_steady_speed_is_taken_for_a_standstill_only_after_the_rest_time),
+		cmocka_unit_test(test_a_steady_speed_passes_for_a_standstill_only_after_the_rest_time),
 		cmocka_unit_test(
-			test_after_the_longest_integration_time_the_place_is_held_until_it_is_corrected_at_rest),
-		cmocka_unit_test(test_a_prior_holds_the_velocity),
-		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_place_stays_for_an_hour),
+			test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest),
+		cmocka_unit_test(test_a_prior_limits_the_velocity),
+		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour),
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
-		cmocka_unit_test(test_a_position_less_certain_than_its_limit_is_told),
+		cmocka_unit_test(test_a_position_whose_sigma_exceeds_the_limit_is_reported),
 		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),
 	};
 

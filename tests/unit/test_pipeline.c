@@ -1,4 +1,4 @@
-/* The whole line from sample to position. */
+/* The whole pipeline from sample to position. */
 #include "model_test.h"
 
 #include <stdio.h>
@@ -69,7 +69,7 @@ static struct truth moving(int k)
 	return moving_at((double)k / RATE_HZ);
 }
 
-/* A robot at rest in a skew attitude. */
+/* A robot at rest in an oblique attitude. */
 static struct truth standing(int k)
 {
 	const struct seed_motion motion = {.angles_rad = {0.2, -0.1, 1}};
@@ -112,7 +112,7 @@ static void test_the_defaults_are_valid_at_any_rate(void **state)
 		assert_int_equal(pipeline_init(&p, &PIPELINE_DEFAULTS, rate_hz), 0);
 }
 
-/* RMS distance of the estimated from the true acceleration; the attitude is given, so that only the lever arm counts. */
+/* RMS error of the acceleration. The attitude is the true one, so that only the lever arm matters. */
 static double accel_error_with(enum lever_arm_model model, enum rate_source source, double gyro_density_rad_s_sqrt_hz)
 {
 	struct pipeline_config config = with_lever();
@@ -145,7 +145,7 @@ static double accel_error(enum lever_arm_model model, enum rate_source source)
 	return accel_error_with(model, source, PIPELINE_DEFAULTS.noise.gyro_density_rad_s_sqrt_hz);
 }
 
-static void test_the_auto_mode_corrects_with_a_good_gyro_and_leaves_it_with_a_hopeless_one(void **state)
+static void test_the_auto_mode_corrects_with_a_good_gyro_and_not_with_a_very_noisy_one(void **state)
 {
 	const double off = accel_error(LEVER_ARM_OFF, RATES_FROM_GYRO);
 	const double rigid = accel_error(LEVER_ARM_RIGID_BODY, RATES_FROM_GYRO);
@@ -155,7 +155,7 @@ static void test_the_auto_mode_corrects_with_a_good_gyro_and_leaves_it_with_a_ho
 	assert_true(fabs(accel_error_with(LEVER_ARM_AUTO, RATES_FROM_GYRO, 10) - off) < 0.01 * off);
 }
 
-static void test_the_rigid_body_model_finds_the_reference_points_acceleration(void **state)
+static void test_the_rigid_body_model_gives_the_reference_points_acceleration(void **state)
 {
 	double off = accel_error(LEVER_ARM_OFF, RATES_FROM_GYRO);
 
@@ -165,14 +165,15 @@ static void test_the_rigid_body_model_finds_the_reference_points_acceleration(vo
 	assert_true(accel_error(LEVER_ARM_RIGID_BODY, RATES_FROM_ANGLES) < 0.05 * off);
 }
 
-/* RMS errors of acceleration and attitude as of the time stamp, of sensors whose samples are late. */
-static void late(double gyro_s, double accel_s, struct latency_config told, double *accel_error, double *angle_error)
+/* RMS errors of acceleration and attitude at the time stamp, with sensors of this latency and a configured one. */
+static void late(
+	double gyro_s, double accel_s, struct latency_config configured, double *accel_error, double *angle_error)
 {
 	struct pipeline_config config = with_lever();
 	double interval_s = 1.0 / RATE_HZ, accel2 = 0, angle2 = 0;
 	struct pipeline p;
 
-	config.latency = told;
+	config.latency = configured;
 	config.noise.gyro_density_rad_s_sqrt_hz = config.noise.accel_density_m_s2_sqrt_hz = 1e-6;
 	config.fusion.algorithm = FUSION_MADGWICK;
 	config.fusion.madgwick_beta = 0;
@@ -195,7 +196,7 @@ static void late(double gyro_s, double accel_s, struct latency_config told, doub
 	*angle_error = sqrt(angle2);
 }
 
-static void test_attitude_and_acceleration_are_of_the_time_stamp_though_the_samples_are_late(void **state)
+static void test_attitude_and_acceleration_are_extrapolated_over_the_latency_to_the_time_stamp(void **state)
 {
 	const struct latency_config none = {0, 0}, one = {0.008, 0}, both = {0.008, -0.004};
 	double accel[3], angle[3];
@@ -210,7 +211,7 @@ static void test_attitude_and_acceleration_are_of_the_time_stamp_though_the_samp
 	assert_true(accel[2] < 0.5 * accel[0]);
 }
 
-static void test_the_delay_of_the_acceleration_filter_is_told(void **state)
+static void test_the_delay_of_the_acceleration_filter_is_reported(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -224,7 +225,7 @@ static void test_the_delay_of_the_acceleration_filter_is_told(void **state)
 	assert_near(run(&p, moving, 0, 10).accel_delay_s, 5.0 / RATE_HZ, 1e-12);
 }
 
-static void test_a_new_lever_arm_counts_in_the_next_sample(void **state)
+static void test_a_new_lever_arm_is_in_full_effect_with_the_next_sample(void **state)
 {
 	struct filter_config filters[] = {{FILTER_OFF, 2, 40}, {FILTER_BUTTERWORTH, 4, 2}, {FILTER_SEED_FIR, 2, 40}};
 
@@ -249,7 +250,7 @@ static void test_a_new_lever_arm_counts_in_the_next_sample(void **state)
 	}
 }
 
-static void test_a_new_model_or_source_of_rates_shows_no_transient(void **state)
+static void test_a_new_model_or_source_of_rates_has_no_transient(void **state)
 {
 	(void)state;
 	for (int model = LEVER_ARM_OFF; model <= LEVER_ARM_RIGID_BODY; model++)
@@ -318,7 +319,7 @@ static void stand_with_bias(struct pipeline *p, struct vec3 bias, int from, int 
 	}
 }
 
-static void test_the_gyro_bias_is_learnt_at_rest(void **state)
+static void test_the_gyro_bias_is_estimated_at_rest(void **state)
 {
 	const struct vec3 bias = {0.01, -0.02, 0.015};
 	struct pipeline p = pipeline(&PIPELINE_DEFAULTS);
@@ -329,19 +330,19 @@ static void test_the_gyro_bias_is_learnt_at_rest(void **state)
 	assert_vec_near(p.rates.out[RATES_FROM_GYRO].omega_b_rad_s, ZERO, 1e-3);
 }
 
-static void test_a_turn_faster_than_the_rest_threshold_is_not_taken_for_bias(void **state)
+static void test_a_turn_faster_than_the_rest_threshold_is_not_estimated_as_bias(void **state)
 {
 	struct pipeline_config config = PIPELINE_DEFAULTS;
 	struct pipeline p;
 
 	(void)state;
-	config.fusion.algorithm = FUSION_MADGWICK; /* the Kalman filter learns in motion, too */
+	config.fusion.algorithm = FUSION_MADGWICK; /* the Kalman filter estimates the bias in motion, too */
 	p = pipeline(&config);
 	stand_with_bias(&p, (struct vec3){0, 0, 3 * RAD_PER_DEG}, 0, 5 * RATE_HZ);
 	assert_vec_near(p.fusion.gyro_errors.bias_b_rad_s, ZERO, 0);
 }
 
-static void test_a_gyro_calibrated_anew_loses_the_bias_learnt(void **state)
+static void test_a_new_gyro_calibration_resets_the_bias_estimate(void **state)
 {
 	const struct vec3 bias = {0.01, -0.02, 0.015};
 	struct pipeline_config config = PIPELINE_DEFAULTS;
@@ -362,7 +363,7 @@ static void test_a_push_from_rest_is_integrated_and_the_position_can_be_reset(vo
 
 	(void)state;
 	config.fusion.algorithm = FUSION_MADGWICK;
-	config.fusion.madgwick_beta = 0; /* or it would lean towards what it takes for gravity */
+	config.fusion.madgwick_beta = 0; /* or the attitude would follow the acceleration */
 	config.position.mode = POSITION_ZERO_VELOCITY_AT_REST;
 	p = pipeline(&config);
 	run(&p, standing, 0, 400);
@@ -449,7 +450,7 @@ static void test_a_short_gap_is_reported_once_and_not_integrated(void **state)
 	assert_int_equal(run(&p, moving, 321, 322).status & PIPELINE_GAP, 0);
 }
 
-static void test_ten_intervals_are_no_gap_yet(void **state)
+static void test_ten_intervals_are_not_a_gap(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -460,7 +461,7 @@ static void test_ten_intervals_are_no_gap_yet(void **state)
 	assert_true(run(&p, moving, 320, 321).status & PIPELINE_GAP);
 }
 
-static void test_after_a_long_gap_the_attitude_is_found_anew(void **state)
+static void test_after_a_long_gap_the_attitude_is_initialised_again(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -513,7 +514,7 @@ static void test_a_magnetometer_lost_shows_in_the_status_after_a_second(void **s
 	}
 }
 
-static void test_the_jump_to_north_when_first_seen_shows_no_angular_rate(void **state)
+static void test_the_jump_of_the_heading_to_the_first_north_is_not_an_angular_rate(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p;
@@ -618,7 +619,7 @@ static void test_a_live_change_of_anything_but_the_calibration_keeps_attitude_an
 	assert_int_equal(run(&p, moving, 300, 301).status & PIPELINE_GAP, 0);
 }
 
-static void test_a_bad_configuration_is_refused_and_nothing_of_it_taken(void **state)
+static void test_a_configuration_out_of_range_is_refused_as_a_whole(void **state)
 {
 	struct pipeline_config config = with_lever(), bad[9];
 	struct pipeline p = pipeline(&config), before;
@@ -663,7 +664,7 @@ static void test_the_same_samples_give_the_same_bits(void **state)
 	}
 }
 
-/* ---- what another device knows ---- */
+/* ---- aids ---- */
 
 static struct pipeline_config by_algorithm(enum fusion_algorithm algorithm)
 {
@@ -673,8 +674,8 @@ static struct pipeline_config by_algorithm(enum fusion_algorithm algorithm)
 	return config;
 }
 
-/* Samples from..to-1 of a body at rest, with the yaw told every tenth. */
-static struct pipeline_output stand_told(struct pipeline *p, double yaw_rad, double sigma_rad, int from, int to)
+/* Samples from..to-1 of a body at rest, with an aided yaw before every tenth. */
+static struct pipeline_output stand_aided(struct pipeline *p, double yaw_rad, double sigma_rad, int from, int to)
 {
 	struct pipeline_output out = {.t_us = 0};
 
@@ -686,7 +687,7 @@ static struct pipeline_output stand_told(struct pipeline *p, double yaw_rad, dou
 	return out;
 }
 
-static void test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did(void **state)
+static void test_the_first_aided_yaw_sets_the_heading_when_north_is_unknown(void **state)
 {
 	(void)state;
 	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
@@ -701,26 +702,26 @@ static void test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did(void
 	}
 }
 
-static void test_a_yaw_told_is_followed_and_the_magnetometer_does_not_fight_it(void **state)
+static void test_an_aided_yaw_takes_precedence_over_the_magnetometer(void **state)
 {
 	(void)state;
 	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
 		struct pipeline_config config = by_algorithm((enum fusion_algorithm)algorithm);
 		struct pipeline p = pipeline(&config);
 		double yaw = run(&p, standing, 0, 2000).angles_rad.z + 20 * RAD_PER_DEG;
-		struct pipeline_output out = stand_told(&p, yaw, 1 * RAD_PER_DEG, 2000, 6000);
+		struct pipeline_output out = stand_aided(&p, yaw, 1 * RAD_PER_DEG, 2000, 6000);
 
 		assert_near(out.angles_rad.z, yaw, 0.5 * RAD_PER_DEG);
 		assert_near(out.angles_rad.y, aerospace_from_quat(standing(0).q_nb).y, 0.1 * RAD_PER_DEG);
 		assert_int_equal(out.status & PIPELINE_MAG_USED, 0);
-		/* 40 s after the last one the magnetometer counts again, and holds the heading that was told */
+		/* 40 s after the last aid the magnetometer corrects the heading again, in the frame of the aids */
 		out = run(&p, standing, 6000, 14000);
 		assert_near(out.angles_rad.z, yaw, 1 * RAD_PER_DEG);
 		assert_true(out.status & PIPELINE_MAG_USED);
 	}
 }
 
-static void test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed(void **state)
+static void test_a_yaw_beyond_the_innovation_gate_is_rejected_and_the_fifth_in_a_row_applied(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -735,7 +736,7 @@ static void test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed(void
 	assert_near(run(&p, standing, 2004, 2005).angles_rad.z, yaw + 1.5, 0.5 * RAD_PER_DEG);
 }
 
-static void test_a_yaw_told_weighs_by_its_sigma(void **state)
+static void test_an_aided_yaw_is_weighed_by_its_sigma(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline sharp = pipeline(&config), vague;
@@ -749,7 +750,7 @@ static void test_a_yaw_told_weighs_by_its_sigma(void **state)
 	assert_near(run(&vague, standing, 2000, 2001).angles_rad.z, yaw, 0.2 * RAD_PER_DEG);
 }
 
-static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **state)
+static void test_a_set_attitude_is_exact_and_the_position_stays(void **state)
 {
 	const struct vec3 up_b = {0, 0, 1};
 
@@ -774,7 +775,7 @@ static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **s
 		assert_vec_near(quat_rotate_inverse(after.q_nb, after.velocity_n_m_s),
 			quat_rotate_inverse(own, before.velocity_n_m_s), 0.1);
 		assert_vec_near(after.position_n_m, before.position_n_m, 0.02);
-		/* and stays: the magnetometer has another north now */
+		/* and it stays so: the magnetometer has another north now */
 		after = run(&p, moving, 601, 6000);
 		assert_near(quat_rotate(after.q_nb, up_b).z, quat_rotate(moving(5999).q_nb, up_b).z, 0.02);
 		assert_near(remainder(after.angles_rad.z - aerospace_from_quat(moving(5999).q_nb).z, 2 * PI), 1,
@@ -782,7 +783,7 @@ static void test_an_attitude_told_is_taken_as_it_is_and_the_place_stays(void **s
 	}
 }
 
-static void test_an_attitude_told_before_the_first_sample_holds(void **state)
+static void test_an_attitude_set_before_the_first_sample_holds(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -793,8 +794,8 @@ static void test_an_attitude_told_before_the_first_sample_holds(void **state)
 	assert_quat_near(run(&p, standing, 0, 400).q_nb, north_up, 0.5 * RAD_PER_DEG);
 }
 
-/* A vehicle on its way at 3 m/s that nothing shakes: nobody can tell by its sensors that it moves. */
-static void test_a_velocity_told_is_integrated_where_no_sensor_shows_it(void **state)
+/* A vehicle at 3 m/s without vibration: its sensors measure the same as at rest. */
+static void test_an_aided_velocity_is_integrated_where_the_sensors_measure_rest(void **state)
 {
 	const struct vec3 v = {3, -1, 0};
 
@@ -823,13 +824,13 @@ static void test_a_velocity_told_is_integrated_where_no_sensor_shows_it(void **s
 	}
 }
 
-/* 2 m/s^2 to the east for 10 s: without the velocity every filter leans towards what it takes for gravity. */
-static void test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_attitude(void **state)
+/* 2 m/s^2 to the east for 10 s: without the velocity every filter takes a part of it for tilt. */
+static void test_an_aided_velocity_keeps_a_long_acceleration_from_tilting_the_attitude(void **state)
 {
 	double tilt[2];
 
 	(void)state;
-	for (int told = 0; told < 2; told++) {
+	for (int aided = 0; aided < 2; aided++) {
 		struct pipeline_config config = PIPELINE_DEFAULTS;
 		struct pipeline p;
 		struct pipeline_output out = {.t_us = 0};
@@ -842,19 +843,19 @@ static void test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_atti
 				.mag_uT = FIELD_N,
 				.flags = SAMPLE_MAG};
 
-			if (told && k % 20 == 0)
+			if (aided && k % 20 == 0)
 				pipeline_aid_velocity(&p, (struct vec3){t > 0 ? 2 * t : 0, 0, 0}, 0.05);
 			out = step(&p, &s);
 		}
-		tilt[told] = fabs(out.angles_rad.y);
-		if (told)
+		tilt[aided] = fabs(out.angles_rad.y);
+		if (aided)
 			assert_near(out.velocity_n_m_s.x, 20, 0.3);
 	}
 	assert_true(tilt[1] < 0.3 * RAD_PER_DEG);
 	assert_true(tilt[0] > 3 * tilt[1]);
 }
 
-static void test_the_velocity_told_is_that_of_the_reference_point(void **state)
+static void test_an_aided_velocity_is_that_of_the_reference_point(void **state)
 {
 	struct pipeline_config config = PIPELINE_DEFAULTS;
 	struct pipeline_output out = {.t_us = 0};
@@ -880,7 +881,7 @@ static void test_the_velocity_told_is_that_of_the_reference_point(void **state)
 	assert_vec_near(out.position_n_m, ZERO, 0.05);
 }
 
-static void test_what_no_device_can_mean_is_refused_and_nothing_of_it_taken(void **state)
+static void test_an_aid_out_of_range_is_refused_as_a_whole(void **state)
 {
 	const double bad[] = {NAN, INFINITY, -INFINITY, 1001, -1001};
 	const double sigmas[] = {0, -1, NAN, INFINITY, 1001};
@@ -901,15 +902,15 @@ static void test_what_no_device_can_mean_is_refused_and_nothing_of_it_taken(void
 	assert_memory_equal(&p, &before, sizeof(p));
 }
 
-static void test_told_before_there_is_an_attitude_it_does_nothing(void **state)
+static void test_an_aid_before_there_is_an_attitude_does_nothing(void **state)
 {
 	struct pipeline_config config = with_lever();
-	struct pipeline told = pipeline(&config), untold = told;
+	struct pipeline aided = pipeline(&config), untouched = aided;
 
 	(void)state;
-	assert_int_equal(pipeline_aid_velocity(&told, (struct vec3){1, 2, 3}, 1), 0);
-	assert_int_equal(pipeline_aid_yaw(&told, 1, 1), 0);
-	assert_memory_equal(&told, &untold, sizeof(told));
+	assert_int_equal(pipeline_aid_velocity(&aided, (struct vec3){1, 2, 3}, 1), 0);
+	assert_int_equal(pipeline_aid_yaw(&aided, 1, 1), 0);
+	assert_memory_equal(&aided, &untouched, sizeof(aided));
 }
 
 static double wild(void)
@@ -929,7 +930,7 @@ static struct vec3 wild_vec(void)
 	return v;
 }
 
-static void test_no_input_makes_an_output_that_is_not_finite(void **state)
+static void test_the_output_is_finite_for_any_input(void **state)
 {
 	struct pipeline_config config = with_lever();
 	uint64_t t_us = 0;
@@ -1020,8 +1021,8 @@ static void test_a_recorded_hand_movement_is_followed_within_five_degrees(void *
 	assert_true(sqrt(sum / n) < 5 * RAD_PER_DEG);
 }
 
-/* What is taken for the acceleration points as wrongly as the attitude. */
-static void test_the_acceleration_is_as_uncertain_as_its_direction(void **state)
+/* An error of the attitude is one of the acceleration's direction. */
+static void test_the_acceleration_sigma_includes_that_of_its_direction(void **state)
 {
 	struct pipeline_config config = with_lever();
 	struct pipeline p = pipeline(&config);
@@ -1039,9 +1040,9 @@ static void test_the_acceleration_is_as_uncertain_as_its_direction(void **state)
 	assert_true(most > 1); /* or the test would say nothing */
 }
 
-/* Of one recorded trial while it moves, the mean over samples and axes of the squared error in units of sigma: of the
- * attitude, and of the way since the movement began. */
-static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, double *way)
+/* Mean of the squared error in units of sigma over the samples of a recorded trial while it moves, and over the axes:
+ * of the attitude, and of the displacement since the movement began. */
+static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, double *displacement)
 {
 	FILE *imu = open_trial(name, "imu"), *ref = open_trial(name, "ref");
 	struct pipeline_config config = PIPELINE_DEFAULTS;
@@ -1051,7 +1052,7 @@ static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, d
 	char a[512], b[512];
 	int n = 0, m = 0;
 
-	*attitude = *way = 0;
+	*attitude = *displacement = 0;
 	config.estimator.lever_arm_b_m = lever_b_m;
 	assert_int_equal(pipeline_init(&p, &config, 286), 0);
 	while (imu && ref && fgets(a, sizeof(a), imu) && fgets(b, sizeof(b), ref)) {
@@ -1085,11 +1086,11 @@ static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, d
 		sigma = out.sigma.displacement_m;
 		if (!known || out.status & PIPELINE_TIME_LIMIT)
 			continue;
-		*way += pow(off.x / sigma.x, 2) + pow(off.y / sigma.y, 2) + pow(off.z / sigma.z, 2);
+		*displacement += pow(off.x / sigma.x, 2) + pow(off.y / sigma.y, 2) + pow(off.z / sigma.z, 2);
 		m += 3;
 	}
 	*attitude /= n;
-	*way /= m;
+	*displacement /= m;
 	if (imu)
 		fclose(imu);
 	if (ref)
@@ -1108,7 +1109,7 @@ static void test_sigma_is_honest_on_recorded_hand_movements(void **state)
 		{"09_undisturbed_fast_rotation_with_breaks_B", {2.3, -1.9, 7.8}},
 		{"14_undisturbed_slow_translation_with_breaks_B", {2.3, -1.9, 7.8}},
 	};
-	double attitude = 0, way = 0;
+	double attitude = 0, displacement = 0;
 
 	(void)state;
 	for (int i = 0; i < 4; i++) {
@@ -1118,60 +1119,60 @@ static void test_sigma_is_honest_on_recorded_hand_movements(void **state)
 			print_message("no recorded trials here (IMU9_BROAD)\n");
 			skip();
 		}
-		print_message("%s: NEES of the attitude %.2f, of the way %.2f\n", trials[i].name, a, w);
+		print_message("%s: NEES of the attitude %.2f, of the displacement %.2f\n", trials[i].name, a, w);
 		attitude += a / 4;
-		way += w / 4;
+		displacement += w / 4;
 	}
 	assert_true(attitude > 0.5 && attitude < 2);
-	assert_true(way > 0.5 && way < 2);
+	assert_true(displacement > 0.5 && displacement < 2);
 }
 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_defaults_are_valid_at_any_rate),
-		cmocka_unit_test(test_the_rigid_body_model_finds_the_reference_points_acceleration),
-		cmocka_unit_test(test_the_auto_mode_corrects_with_a_good_gyro_and_leaves_it_with_a_hopeless_one),
-		cmocka_unit_test(test_attitude_and_acceleration_are_of_the_time_stamp_though_the_samples_are_late),
-		cmocka_unit_test(test_the_delay_of_the_acceleration_filter_is_told),
-		cmocka_unit_test(test_a_new_lever_arm_counts_in_the_next_sample),
-		cmocka_unit_test(test_a_new_model_or_source_of_rates_shows_no_transient),
+		cmocka_unit_test(test_the_rigid_body_model_gives_the_reference_points_acceleration),
+		cmocka_unit_test(test_the_auto_mode_corrects_with_a_good_gyro_and_not_with_a_very_noisy_one),
+		cmocka_unit_test(test_attitude_and_acceleration_are_extrapolated_over_the_latency_to_the_time_stamp),
+		cmocka_unit_test(test_the_delay_of_the_acceleration_filter_is_reported),
+		cmocka_unit_test(test_a_new_lever_arm_is_in_full_effect_with_the_next_sample),
+		cmocka_unit_test(test_a_new_model_or_source_of_rates_has_no_transient),
 		cmocka_unit_test(test_the_seeds_model_stays_bounded_through_gimbal_lock),
 		cmocka_unit_test(test_at_rest_the_velocity_is_zero_and_the_position_stays),
-		cmocka_unit_test(test_the_gyro_bias_is_learnt_at_rest),
-		cmocka_unit_test(test_a_turn_faster_than_the_rest_threshold_is_not_taken_for_bias),
-		cmocka_unit_test(test_a_gyro_calibrated_anew_loses_the_bias_learnt),
+		cmocka_unit_test(test_the_gyro_bias_is_estimated_at_rest),
+		cmocka_unit_test(test_a_turn_faster_than_the_rest_threshold_is_not_estimated_as_bias),
+		cmocka_unit_test(test_a_new_gyro_calibration_resets_the_bias_estimate),
 		cmocka_unit_test(test_a_push_from_rest_is_integrated_and_the_position_can_be_reset),
 		cmocka_unit_test(test_the_longest_integration_time_shows_in_the_status),
 		cmocka_unit_test(test_values_that_no_sensor_measures_are_refused_and_counted),
 		cmocka_unit_test(test_time_that_does_not_increase_is_refused_and_counted),
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
-		cmocka_unit_test(test_ten_intervals_are_no_gap_yet),
-		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_found_anew),
+		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
+		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
 		cmocka_unit_test(test_a_discontinuity_starts_everything_over),
 		cmocka_unit_test(test_a_magnetometer_lost_shows_in_the_status_after_a_second),
-		cmocka_unit_test(test_the_jump_to_north_when_first_seen_shows_no_angular_rate),
+		cmocka_unit_test(test_the_jump_of_the_heading_to_the_first_north_is_not_an_angular_rate),
 		cmocka_unit_test(test_a_mounting_set_before_the_first_sample_leaves_the_heading_at_zero),
 		cmocka_unit_test(test_a_slow_sensor_keeps_its_attitude_between_samples),
 		cmocka_unit_test(test_until_the_accelerometer_shows_gravity_nothing_is_valid),
 		cmocka_unit_test(test_a_new_mounting_turns_the_object_and_not_the_world),
 		cmocka_unit_test(test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position),
-		cmocka_unit_test(test_a_bad_configuration_is_refused_and_nothing_of_it_taken),
+		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_as_a_whole),
 		cmocka_unit_test(test_the_same_samples_give_the_same_bits),
-		cmocka_unit_test(test_the_first_yaw_told_sets_a_heading_that_no_magnetometer_did),
-		cmocka_unit_test(test_a_yaw_told_is_followed_and_the_magnetometer_does_not_fight_it),
-		cmocka_unit_test(test_one_yaw_far_off_is_refused_and_the_fifth_in_a_row_believed),
-		cmocka_unit_test(test_a_yaw_told_weighs_by_its_sigma),
-		cmocka_unit_test(test_an_attitude_told_is_taken_as_it_is_and_the_place_stays),
-		cmocka_unit_test(test_an_attitude_told_before_the_first_sample_holds),
-		cmocka_unit_test(test_a_velocity_told_is_integrated_where_no_sensor_shows_it),
-		cmocka_unit_test(test_a_velocity_told_keeps_a_long_acceleration_from_tilting_the_attitude),
-		cmocka_unit_test(test_the_velocity_told_is_that_of_the_reference_point),
-		cmocka_unit_test(test_what_no_device_can_mean_is_refused_and_nothing_of_it_taken),
-		cmocka_unit_test(test_told_before_there_is_an_attitude_it_does_nothing),
-		cmocka_unit_test(test_no_input_makes_an_output_that_is_not_finite),
+		cmocka_unit_test(test_the_first_aided_yaw_sets_the_heading_when_north_is_unknown),
+		cmocka_unit_test(test_an_aided_yaw_takes_precedence_over_the_magnetometer),
+		cmocka_unit_test(test_a_yaw_beyond_the_innovation_gate_is_rejected_and_the_fifth_in_a_row_applied),
+		cmocka_unit_test(test_an_aided_yaw_is_weighed_by_its_sigma),
+		cmocka_unit_test(test_a_set_attitude_is_exact_and_the_position_stays),
+		cmocka_unit_test(test_an_attitude_set_before_the_first_sample_holds),
+		cmocka_unit_test(test_an_aided_velocity_is_integrated_where_the_sensors_measure_rest),
+		cmocka_unit_test(test_an_aided_velocity_keeps_a_long_acceleration_from_tilting_the_attitude),
+		cmocka_unit_test(test_an_aided_velocity_is_that_of_the_reference_point),
+		cmocka_unit_test(test_an_aid_out_of_range_is_refused_as_a_whole),
+		cmocka_unit_test(test_an_aid_before_there_is_an_attitude_does_nothing),
+		cmocka_unit_test(test_the_output_is_finite_for_any_input),
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
-		cmocka_unit_test(test_the_acceleration_is_as_uncertain_as_its_direction),
+		cmocka_unit_test(test_the_acceleration_sigma_includes_that_of_its_direction),
 		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
 	};
 

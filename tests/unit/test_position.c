@@ -31,7 +31,7 @@ static void go(struct position *p, double time_s, struct vec3 accel, bool rest)
 		position_step(p, accel, rest, DT_S);
 }
 
-static void test_there_and_stop_arrives_where_the_acceleration_leads(void **state)
+static void test_the_position_is_the_double_integral_of_the_acceleration(void **state)
 {
 	struct position p = no_limit();
 	double t = 0;
@@ -73,7 +73,7 @@ static void test_rest_zeroes_the_velocity_and_holds_the_position(void **state)
 	assert_vec_near(p.position_n_m, there, 0);
 }
 
-static void test_acceleration_left_at_rest_is_taken_off_the_movement_after_it(void **state)
+static void test_the_mean_acceleration_at_rest_is_subtracted_in_the_movement_after_it(void **state)
 {
 	const struct vec3 error = {0.05, -0.02, 0.1};
 	struct position p = no_limit();
@@ -100,7 +100,7 @@ static void test_after_the_longest_integration_time_the_position_is_held(void **
 	assert_vec_near(p.position_n_m, held, 0);
 }
 
-static void test_a_rest_starts_the_integration_time_anew(void **state)
+static void test_a_rest_restarts_the_integration_time(void **state)
 {
 	struct position p = position(POSITION_ZERO_VELOCITY_AT_REST, 2);
 
@@ -128,7 +128,7 @@ static void test_a_gap_is_not_integrated_but_its_time_counts(void **state)
 	assert_true(position_limited(&p));
 }
 
-static void test_switched_off_it_stays_at_the_origin(void **state)
+static void test_with_the_position_off_it_stays_at_the_origin(void **state)
 {
 	struct position p = no_limit();
 	const struct position_config off = {.mode = POSITION_OFF, .navigation = NAVIGATION};
@@ -142,7 +142,7 @@ static void test_switched_off_it_stays_at_the_origin(void **state)
 	assert_false(position_limited(&p));
 }
 
-static void test_reset_goes_back_to_the_origin_and_the_integration_time_starts_anew(void **state)
+static void test_a_reset_returns_to_the_origin_and_restarts_the_integration_time(void **state)
 {
 	struct position p = position(POSITION_ZERO_VELOCITY_AT_REST, 2);
 
@@ -177,15 +177,15 @@ static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(v
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_there_and_stop_arrives_where_the_acceleration_leads),
+		cmocka_unit_test(test_the_position_is_the_double_integral_of_the_acceleration),
 		cmocka_unit_test(test_the_trapezoidal_rule_is_used_with_the_actual_time),
 		cmocka_unit_test(test_rest_zeroes_the_velocity_and_holds_the_position),
-		cmocka_unit_test(test_acceleration_left_at_rest_is_taken_off_the_movement_after_it),
+		cmocka_unit_test(test_the_mean_acceleration_at_rest_is_subtracted_in_the_movement_after_it),
 		cmocka_unit_test(test_after_the_longest_integration_time_the_position_is_held),
-		cmocka_unit_test(test_a_rest_starts_the_integration_time_anew),
+		cmocka_unit_test(test_a_rest_restarts_the_integration_time),
 		cmocka_unit_test(test_a_gap_is_not_integrated_but_its_time_counts),
-		cmocka_unit_test(test_switched_off_it_stays_at_the_origin),
-		cmocka_unit_test(test_reset_goes_back_to_the_origin_and_the_integration_time_starts_anew),
+		cmocka_unit_test(test_with_the_position_off_it_stays_at_the_origin),
+		cmocka_unit_test(test_a_reset_returns_to_the_origin_and_restarts_the_integration_time),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
 	};
 

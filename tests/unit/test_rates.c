@@ -19,7 +19,7 @@ static struct vec3 along(double v)
 	return (struct vec3){v, -v, 2 * v};
 }
 
-static void test_a_primed_differentiator_sees_no_change(void **state)
+static void test_a_primed_differentiator_has_a_derivative_of_zero(void **state)
 {
 	struct differentiator3 d = differentiator(20);
 
@@ -84,10 +84,10 @@ static void test_the_fastest_cutoff_is_stable(void **state)
 		assert_true(vec3_norm(differentiator3_step(&d, any_vec(1), DT_S)) < 10 * RATE_HZ);
 }
 
-/* A body that nods about a skew axis: closed-form rate and acceleration. */
+/* A body that swings about an oblique axis: rate and acceleration in closed form. */
 static const struct vec3 AXIS = {0.6, 0, 0.8};
 
-static double nod_angle(double t)
+static double swing_angle(double t)
 {
 	return 1.2 * sin(2 * t);
 }
@@ -100,11 +100,11 @@ static struct rates rates(const struct filter_config *config)
 	return r;
 }
 
-static void step_nodding(struct rates *r, int k)
+static void step_swinging(struct rates *r, int k)
 {
 	double t = k * DT_S;
 	struct vec3 gyro = vec3_scale(2.4 * cos(2 * t), AXIS);
-	struct quat q = quat_from_rotation_vector(vec3_scale(nod_angle(t), AXIS));
+	struct quat q = quat_from_rotation_vector(vec3_scale(swing_angle(t), AXIS));
 
 	if (k == 0)
 		rates_prime(r, gyro, q);
@@ -112,13 +112,13 @@ static void step_nodding(struct rates *r, int k)
 		rates_step(r, gyro, q, DT_S);
 }
 
-static void test_both_sources_find_rate_and_acceleration_of_a_nodding_body(void **state)
+static void test_both_sources_give_rate_and_acceleration_of_a_swinging_body(void **state)
 {
 	struct rates r = rates(&OFF);
 
 	(void)state;
 	for (int k = 0; k <= 600; k++)
-		step_nodding(&r, k);
+		step_swinging(&r, k);
 	for (int i = 0; i < RATE_SOURCES; i++) {
 		/* the attitude shows the mean rate since the sample before: half an interval late */
 		double t = 600 * DT_S - (i == RATES_FROM_ANGLES ? DT_S / 2 : 0);
@@ -128,7 +128,7 @@ static void test_both_sources_find_rate_and_acceleration_of_a_nodding_body(void 
 	}
 }
 
-static void test_rates_from_the_attitude_do_not_care_about_the_sign_of_the_quaternion(void **state)
+static void test_rates_from_the_attitude_are_independent_of_the_sign_of_the_quaternion(void **state)
 {
 	struct rates r = rates(&OFF);
 	struct quat q = quat_from_rotation_vector((struct vec3){0, 0, 0.01});
@@ -157,17 +157,17 @@ static void test_rates_from_the_attitude_pass_gimbal_lock_without_a_spike(void *
 	}
 }
 
-static void test_a_new_filter_goes_on_without_a_step(void **state)
+static void test_a_new_filter_continues_without_a_step(void **state)
 {
 	struct rates r = rates(&SMOOTH);
 	struct body_rates before;
 
 	(void)state;
 	for (int k = 0; k <= 300; k++)
-		step_nodding(&r, k);
+		step_swinging(&r, k);
 	before = r.out[RATES_FROM_GYRO];
 	assert_int_equal(rates_configure(&r, &(struct filter_config){FILTER_BUTTERWORTH, 4, 5}, RATE_HZ), 0);
-	step_nodding(&r, 301);
+	step_swinging(&r, 301);
 	assert_vec_near(r.out[RATES_FROM_GYRO].omega_b_rad_s, before.omega_b_rad_s, 0.03);
 	assert_vec_near(r.out[RATES_FROM_GYRO].alpha_b_rad_s2, before.alpha_b_rad_s2, 0.2);
 }
@@ -186,15 +186,15 @@ static void test_a_filter_out_of_range_is_refused_and_the_old_one_stays(void **s
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_primed_differentiator_sees_no_change),
+		cmocka_unit_test(test_a_primed_differentiator_has_a_derivative_of_zero),
 		cmocka_unit_test(test_the_derivative_of_a_parabola_is_followed_without_lag),
 		cmocka_unit_test(test_uneven_sampling_times_do_not_disturb_the_derivative_of_a_ramp),
 		cmocka_unit_test(test_a_lower_cutoff_lets_less_noise_through),
 		cmocka_unit_test(test_the_fastest_cutoff_is_stable),
-		cmocka_unit_test(test_both_sources_find_rate_and_acceleration_of_a_nodding_body),
-		cmocka_unit_test(test_rates_from_the_attitude_do_not_care_about_the_sign_of_the_quaternion),
+		cmocka_unit_test(test_both_sources_give_rate_and_acceleration_of_a_swinging_body),
+		cmocka_unit_test(test_rates_from_the_attitude_are_independent_of_the_sign_of_the_quaternion),
 		cmocka_unit_test(test_rates_from_the_attitude_pass_gimbal_lock_without_a_spike),
-		cmocka_unit_test(test_a_new_filter_goes_on_without_a_step),
+		cmocka_unit_test(test_a_new_filter_continues_without_a_step),
 		cmocka_unit_test(test_a_filter_out_of_range_is_refused_and_the_old_one_stays),
 	};
 

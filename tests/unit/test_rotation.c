@@ -1,4 +1,4 @@
-/* The seed's equations (1)-(6) and the conversions between its angles, quaternions and aerospace angles. */
+/* The paper's equations (1)-(6) and the conversions between its angles, quaternions and aerospace angles. */
 #include "model_test.h"
 
 #include "model/math/rotation.h"
@@ -10,7 +10,7 @@ static void assert_mat_near(struct mat3 a, struct mat3 b, double tolerance)
 			assert_near(a.m[i][j], b.m[i][j], tolerance);
 }
 
-/* Roll and yaw over the whole circle, pitch short of its poles. */
+/* Roll and yaw of the whole circle, pitch within 88 degrees. */
 static struct vec3 any_angles(void)
 {
 	struct vec3 angles = any_vec(PI);
@@ -48,7 +48,7 @@ static void test_eq5_is_the_product_of_eq2_to_4(void **state)
 	}
 }
 
-static void test_eq5_element_21_as_printed_is_no_rotation(void **state)
+static void test_eq5_with_element_21_as_printed_is_not_a_rotation(void **state)
 {
 	struct vec3 a = {0.4, -0.7, 1.1};
 	struct mat3 r = seed_rxyz(a), printed = r;
@@ -80,7 +80,7 @@ static void test_the_seeds_matrix_and_the_quaternion_of_its_angles_agree(void **
 	}
 }
 
-static void test_seed_angles_survive_the_way_through_the_quaternion(void **state)
+static void test_seed_angles_convert_to_a_quaternion_and_back(void **state)
 {
 	(void)state;
 	for (int i = 0; i < 1000; i++) {
@@ -100,7 +100,7 @@ static void test_aerospace_angles_are_yaw_then_pitch_then_roll(void **state)
 	assert_vec_near(aerospace_from_quat(q), ((struct vec3){2.5, -0.4, 0.9}), 1e-15);
 }
 
-static void test_aerospace_angles_survive_the_way_through_the_quaternion(void **state)
+static void test_aerospace_angles_convert_to_a_quaternion_and_back(void **state)
 {
 	(void)state;
 	for (int i = 0; i < 1000; i++) {
@@ -113,7 +113,7 @@ static void test_aerospace_angles_survive_the_way_through_the_quaternion(void **
 	}
 }
 
-static void test_angles_near_gimbal_lock_still_give_the_attitude(void **state)
+static void test_angles_near_gimbal_lock_still_define_the_attitude(void **state)
 {
 	(void)state;
 	for (double off = 1e-1; off > 1e-12; off /= 3)
@@ -152,13 +152,13 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_eq2_to_4_are_passive_rotations_about_one_axis),
 		cmocka_unit_test(test_eq5_is_the_product_of_eq2_to_4),
-		cmocka_unit_test(test_eq5_element_21_as_printed_is_no_rotation),
+		cmocka_unit_test(test_eq5_with_element_21_as_printed_is_not_a_rotation),
 		cmocka_unit_test(test_eq6_is_the_inverse_and_the_transpose_of_eq5),
 		cmocka_unit_test(test_the_seeds_matrix_and_the_quaternion_of_its_angles_agree),
-		cmocka_unit_test(test_seed_angles_survive_the_way_through_the_quaternion),
+		cmocka_unit_test(test_seed_angles_convert_to_a_quaternion_and_back),
 		cmocka_unit_test(test_aerospace_angles_are_yaw_then_pitch_then_roll),
-		cmocka_unit_test(test_aerospace_angles_survive_the_way_through_the_quaternion),
-		cmocka_unit_test(test_angles_near_gimbal_lock_still_give_the_attitude),
+		cmocka_unit_test(test_aerospace_angles_convert_to_a_quaternion_and_back),
+		cmocka_unit_test(test_angles_near_gimbal_lock_still_define_the_attitude),
 		cmocka_unit_test(test_in_gimbal_lock_roll_is_zero_and_yaw_turns_with_the_object),
 		cmocka_unit_test(test_pitch_stays_within_a_quarter_turn),
 	};

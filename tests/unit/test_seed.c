@@ -1,4 +1,4 @@
-/* The seed's equations (7)-(12) and their rigid-body twins. */
+/* The paper's equations (7)-(12) and their rigid-body counterparts. */
 #include "model_test.h"
 
 #include "model/seed.h"
@@ -115,7 +115,7 @@ static void test_the_rigid_body_in_the_global_frame_is_the_same_measurement_turn
 	}
 }
 
-/* A tumbling body whose reference point moves, in closed form; its seed angles and their derivatives. */
+/* A tumbling body whose reference point moves, in closed form: its angles as in the paper, and their derivatives. */
 static struct vec3 angles_at(double t)
 {
 	return (struct vec3){0.7 * sin(2 * t), 0.9 * cos(1.5 * t), 0.4 * t + 0.5 * sin(3 * t)};
@@ -158,7 +158,7 @@ static struct vec3 place_of(double t, struct vec3 unused)
 	return place_at(t);
 }
 
-static void test_a_tumbling_body_measured_at_the_lever_arms_end_agrees_with_its_path(void **state)
+static void test_the_acceleration_of_a_tumbling_body_agrees_with_its_path(void **state)
 {
 	const struct vec3 r = {0.12, -0.07, 0.2}, none = {0, 0, 0};
 
@@ -175,7 +175,7 @@ static void test_a_tumbling_body_measured_at_the_lever_arms_end_agrees_with_its_
 	}
 }
 
-static void test_rates_of_the_seeds_angles_survive_the_way_through_the_rigid_body(void **state)
+static void test_rates_of_the_seeds_angles_convert_to_a_rigid_body_and_back(void **state)
 {
 	(void)state;
 	for (double t = 0; t < 6; t += 0.1) {
@@ -228,8 +228,8 @@ int main(void)
 		cmocka_unit_test(test_eq12_inverts_eq9),
 		cmocka_unit_test(test_the_exact_estimator_inverts_the_rigid_body),
 		cmocka_unit_test(test_the_rigid_body_in_the_global_frame_is_the_same_measurement_turned),
-		cmocka_unit_test(test_a_tumbling_body_measured_at_the_lever_arms_end_agrees_with_its_path),
-		cmocka_unit_test(test_rates_of_the_seeds_angles_survive_the_way_through_the_rigid_body),
+		cmocka_unit_test(test_the_acceleration_of_a_tumbling_body_agrees_with_its_path),
+		cmocka_unit_test(test_rates_of_the_seeds_angles_convert_to_a_rigid_body_and_back),
 		cmocka_unit_test(test_near_gimbal_lock_the_seeds_rates_are_bounded),
 		cmocka_unit_test(test_a_roll_shows_where_the_seed_and_the_rigid_body_differ),
 	};

@@ -1,5 +1,5 @@
-/* The path of the movement just ended: its points against a Rauch-Tung-Striebel smoother with dense matrices, and against
- * simulated truth. */
+/* The path of the movement that has just ended: its points against a Rauch-Tung-Striebel smoother with dense matrices,
+ * and against simulated truth. */
 #include "model_test.h"
 
 #include <stdio.h>
@@ -21,9 +21,10 @@ static int fresh(void **state)
 	return 0;
 }
 
-/* ---- a linear problem, solved another way -------------------------------------------------------------------------- */
+/* ---- a linear problem with a second solution
+ * -------------------------------------------------------------------------- */
 
-/* x after each step and before its measurements, and the covariances; f leads to it. */
+/* x and its covariance after the measurements of a step, and before them; f is the transition to it. */
 struct step {
 	double f[N][N], x[N], p[N][N], x_before[N], p_before[N][N];
 };
@@ -103,7 +104,7 @@ static void measure(struct step *s, const double row[N], double value, double no
 	}
 }
 
-static void transit(struct step *to)
+static void apply_transition(struct step *to)
 {
 	double(*map)[N] = smoother_transition(&smoother), before[N][N];
 
@@ -117,7 +118,7 @@ static struct smoother_point here(const struct step *s)
 		.velocity_n_m_s = {s->x[V], s->x[V + 1], s->x[V + 2]}};
 }
 
-/* Like a movement's: the place is certain at its beginning. */
+/* The position is certain at the beginning, as that of a movement. */
 static void begin_chain(void)
 {
 	memset(chain, 0, sizeof(chain));
@@ -139,7 +140,7 @@ static void next_step(int k)
 			chain[k].f[i][j] = (i == j ? 0.95 : 0) + 0.05 * any();
 	}
 	smoother_elapse(&smoother, SMOOTHER_SPACING_S);
-	transit(&chain[k]);
+	apply_transition(&chain[k]);
 	predict(&chain[k], &chain[k - 1], noise);
 	for (int m = 0; m < 3; m++) {
 		double row[N] = {0};
@@ -151,8 +152,8 @@ static void next_step(int k)
 	smoother_mark(&smoother, here(&chain[k]), chain[k].p);
 }
 
-/* Three errors begin anew: a transition that loses them, and noise in their place. */
-static void forget(int k, int at)
+/* Three errors are reset: a transition that drops them, and noise in their place. */
+static void reset_errors(int k, int at)
 {
 	double noise[N] = {0};
 
@@ -164,7 +165,7 @@ static void forget(int k, int at)
 	smoother_reset_errors(&smoother, at);
 }
 
-/* chain[].x and .p become the smoothed ones. */
+/* Replaces chain[].x and .p by the smoothed ones. */
 static void smooth(int last)
 {
 	static double before[N][N], g[N][N], fp[N][N], dp[N][N], gd[N][N], gdg[N][N];
@@ -230,7 +231,7 @@ static void test_each_point_is_that_of_a_rauch_tung_striebel_smoother(void **sta
 	assert_true(smoother.last.whole);
 }
 
-static void test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_points(void **state)
+static void test_a_movement_longer_than_the_memory_has_fewer_points_smoothed_as_well(void **state)
 {
 	const int last = STEPS - 1;
 
@@ -246,7 +247,7 @@ static void test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_
 	assert_smoothed(NULL);
 }
 
-static void test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before_as_is_left(void **state)
+static void test_measurements_after_a_reset_of_errors_correct_the_path_before_by_the_other_errors(void **state)
 {
 	const int last = 40, lost = 20;
 	int step_of_time[STEPS];
@@ -256,12 +257,12 @@ static void test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before
 	for (int k = 1; k <= last; k++) {
 		step_of_time[k < lost ? k : k - 1] = k;
 		if (k == lost)
-			forget(k, V);
+			reset_errors(k, V);
 		else
 			next_step(k);
 	}
 	step_of_time[0] = 0;
-	step_of_time[lost - 1] = lost - 1; /* the point is of before the loss */
+	step_of_time[lost - 1] = lost - 1; /* the point is from before the reset */
 	end_chain(last);
 	smooth(last);
 	assert_smoothed(step_of_time);
@@ -287,7 +288,8 @@ static void test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_
 	assert_near(smoother.last.path_m / (4 * 0.8 * last_s), 1, 0.01);
 }
 
-/* ---- the path of a simulated robot --------------------------------------------------------------------------------- */
+/* ---- the path of a simulated robot
+ * --------------------------------------------------------------------------------- */
 
 enum { RATE_HZ = 100, SAMPLES = 60 * RATE_HZ };
 
@@ -332,14 +334,14 @@ static void drive_one_sample(void)
 	assert_int_equal(pipeline_step(&robot.pipeline, &sample, &robot.out[k]), 0);
 }
 
-/* It drives, from 2 to 10 s of every 10 s, and stands still. */
+/* It drives from 2 to 10 s of every 10 s, with stops. */
 static void drive(double to_s)
 {
 	while (robot.samples < to_s * RATE_HZ)
 		drive_one_sample();
 }
 
-/* .. to the end of a movement; the sample at which that began. */
+/* Drives to the end of a movement; returns the sample at which that began. */
 static int drive_to_the_end(void)
 {
 	unsigned number = smoother.last.number;
@@ -369,8 +371,8 @@ static void test_the_first_point_is_zero_and_the_last_is_the_displacement(void *
 	}
 }
 
-/* A filter that is told at that point that its place is zero and certain knows at the end how far the point is from there,
- * by all that was measured in between. */
+/* A filter whose position is set to zero and certain at a point estimates at the end how far the point is from there,
+ * by all the measurements in between. */
 static void test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_from_there(void **state)
 {
 	static struct pipeline from_there[SMOOTHER_POINTS];
@@ -433,11 +435,12 @@ static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_
 			for (size_t i = 1; i < m->count; i++) {
 				int k = from + (int)lround(m->point[i].t_s * RATE_HZ);
 				struct vec3 s = m->point[i].sigma_m;
-				struct vec3 way = vec3_sub(robot.truth[k].position_n_m, robot.truth[from].position_n_m);
-				struct vec3 e = vec3_sub(m->point[i].position_n_m, way);
+				struct vec3 path_n =
+					vec3_sub(robot.truth[k].position_n_m, robot.truth[from].position_n_m);
+				struct vec3 e = vec3_sub(m->point[i].position_n_m, path_n);
 				struct vec3 l = vec3_sub(robot.out[k].position_n_m, robot.out[from].position_n_m);
 
-				live += squared(vec3_sub(l, way));
+				live += squared(vec3_sub(l, path_n));
 				smoothed += squared(e);
 				nees += squared((struct vec3){e.x / s.x, e.y / s.y, e.z / s.z}) / 3;
 				points++;
@@ -451,7 +454,8 @@ static void test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_
 	assert_near(path / true_path, 1, 0.05);
 }
 
-/* ---- what breaks a movement ---------------------------------------------------------------------------------------- */
+/* ---- interruptions of a movement
+ * ---------------------------------------------------------------------------------------- */
 
 static void assert_ends_at_the_displacement(void)
 {
@@ -466,7 +470,7 @@ static void assert_ends_at_the_displacement(void)
 	}
 }
 
-static void test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain(void **state)
+static void test_a_gap_interrupts_the_movement_and_its_path_continues_less_certain(void **state)
 {
 	struct imu_sample lost;
 	struct signal_truth truth;
@@ -498,7 +502,7 @@ static void test_after_a_reset_of_the_position_the_path_counts_from_there(void *
 }
 
 /* It drives for 5 s, stands for 1 s and turns for 2 s, which without the reset is one movement. */
-static void test_a_reset_of_the_position_at_a_standstill_ends_the_movement_and_parts_it_from_the_next(void **state)
+static void test_a_reset_of_the_position_at_a_standstill_ends_the_movement(void **state)
 {
 	struct vec3 displacement;
 
@@ -521,20 +525,20 @@ static void test_a_reset_of_the_position_at_a_standstill_ends_the_movement_and_p
 	assert_near(smoother.last.farthest_m, 0, 0.05);
 }
 
-static void test_a_velocity_beyond_belief_breaks_the_movement(void **state)
+static void test_a_velocity_beyond_the_innovation_gate_interrupts_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
 	drive(4);
 	pipeline_aid_velocity(&robot.pipeline, (struct vec3){0, 3, 0}, 0.01);
 	pipeline_aid_velocity(&robot.pipeline, robot.truth[robot.samples - 1].velocity_n_m_s, 0.01);
-	drive(9.5); /* told to move it does not stand still for 5 s */
+	drive(9.5); /* 5 s after an aided velocity in motion there is no standstill */
 	drive_to_the_end();
 	assert_false(smoother.last.whole);
 	assert_ends_at_the_displacement();
 }
 
-static void test_a_velocity_as_expected_does_not_break_the_movement(void **state)
+static void test_a_velocity_within_the_innovation_gate_does_not_interrupt_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
@@ -545,7 +549,7 @@ static void test_a_velocity_as_expected_does_not_break_the_movement(void **state
 	assert_ends_at_the_displacement();
 }
 
-static void test_an_attitude_that_is_set_breaks_the_movement(void **state)
+static void test_setting_the_attitude_interrupts_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
@@ -584,7 +588,7 @@ static void with_navigation(struct pipeline_config *config)
 	config->position.mode = POSITION_NAVIGATION;
 }
 
-static void test_another_setting_of_the_navigation_does_not_break_the_movement(void **state)
+static void test_a_new_parameter_of_the_navigation_does_not_interrupt_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
@@ -595,8 +599,8 @@ static void test_another_setting_of_the_navigation_does_not_break_the_movement(v
 	assert_ends_at_the_displacement();
 }
 
-/* The next one is told of, from its beginning. */
-static void assert_given_up(void)
+/* The interrupted movement is dropped, the next one is whole. */
+static void assert_movement_dropped(void)
 {
 	drive(11.8);
 	assert_int_equal(smoother.last.number, 0);
@@ -605,16 +609,16 @@ static void assert_given_up(void)
 	assert_ends_at_the_displacement();
 }
 
-static void test_another_calibration_gives_the_movement_up(void **state)
+static void test_a_new_calibration_drops_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
 	drive(5);
 	configure(with_another_bias);
-	assert_given_up();
+	assert_movement_dropped();
 }
 
-static void test_a_position_that_is_switched_off_gives_the_movement_up(void **state)
+static void test_switching_the_position_off_drops_the_movement(void **state)
 {
 	(void)state;
 	switch_on(1);
@@ -622,10 +626,10 @@ static void test_a_position_that_is_switched_off_gives_the_movement_up(void **st
 	configure(without_position);
 	drive(6);
 	configure(with_navigation);
-	assert_given_up();
+	assert_movement_dropped();
 }
 
-static void test_samples_of_another_time_give_the_movement_up(void **state)
+static void test_a_discontinuity_drops_the_movement(void **state)
 {
 	struct imu_sample sample;
 	struct pipeline_output out;
@@ -637,10 +641,10 @@ static void test_samples_of_another_time_give_the_movement_up(void **state)
 	sensor_next(&robot.sensor, signal_find("square"), &sample, &truth);
 	sample.flags |= SAMPLE_DISCONTINUITY;
 	assert_int_equal(pipeline_step(&robot.pipeline, &sample, &out), 0);
-	assert_given_up();
+	assert_movement_dropped();
 }
 
-static void test_the_last_movement_stands_until_the_next_one_ends(void **state)
+static void test_the_last_movement_stays_until_the_next_one_ends(void **state)
 {
 	static struct smoother_movement before;
 
@@ -658,10 +662,9 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup(test_each_point_is_that_of_a_rauch_tung_striebel_smoother, fresh),
+		cmocka_unit_test_setup(test_a_movement_longer_than_the_memory_has_fewer_points_smoothed_as_well, fresh),
 		cmocka_unit_test_setup(
-			test_a_movement_longer_than_the_memory_is_smoothed_as_well_at_fewer_points, fresh),
-		cmocka_unit_test_setup(
-			test_what_is_learnt_after_a_loss_corrects_as_much_of_the_path_before_as_is_left, fresh),
+			test_measurements_after_a_reset_of_errors_correct_the_path_before_by_the_other_errors, fresh),
 		cmocka_unit_test_setup(
 			test_the_length_of_a_path_to_and_fro_is_right_even_where_its_points_are_far_apart, fresh),
 		cmocka_unit_test_setup(test_the_first_point_is_zero_and_the_last_is_the_displacement, fresh),
@@ -669,19 +672,18 @@ int main(void)
 			test_each_point_is_the_end_less_what_the_filter_makes_of_the_way_from_there, fresh),
 		cmocka_unit_test_setup(
 			test_the_smoothed_path_is_nearer_to_the_true_one_than_the_live_path_and_sigma_is_honest, fresh),
-		cmocka_unit_test_setup(test_a_gap_breaks_the_movement_and_its_path_goes_on_less_certain, fresh),
+		cmocka_unit_test_setup(test_a_gap_interrupts_the_movement_and_its_path_continues_less_certain, fresh),
 		cmocka_unit_test_setup(test_after_a_reset_of_the_position_the_path_counts_from_there, fresh),
+		cmocka_unit_test_setup(test_a_reset_of_the_position_at_a_standstill_ends_the_movement, fresh),
+		cmocka_unit_test_setup(test_a_velocity_beyond_the_innovation_gate_interrupts_the_movement, fresh),
 		cmocka_unit_test_setup(
-			test_a_reset_of_the_position_at_a_standstill_ends_the_movement_and_parts_it_from_the_next,
-			fresh),
-		cmocka_unit_test_setup(test_a_velocity_beyond_belief_breaks_the_movement, fresh),
-		cmocka_unit_test_setup(test_a_velocity_as_expected_does_not_break_the_movement, fresh),
-		cmocka_unit_test_setup(test_an_attitude_that_is_set_breaks_the_movement, fresh),
-		cmocka_unit_test_setup(test_another_setting_of_the_navigation_does_not_break_the_movement, fresh),
-		cmocka_unit_test_setup(test_another_calibration_gives_the_movement_up, fresh),
-		cmocka_unit_test_setup(test_a_position_that_is_switched_off_gives_the_movement_up, fresh),
-		cmocka_unit_test_setup(test_samples_of_another_time_give_the_movement_up, fresh),
-		cmocka_unit_test_setup(test_the_last_movement_stands_until_the_next_one_ends, fresh),
+			test_a_velocity_within_the_innovation_gate_does_not_interrupt_the_movement, fresh),
+		cmocka_unit_test_setup(test_setting_the_attitude_interrupts_the_movement, fresh),
+		cmocka_unit_test_setup(test_a_new_parameter_of_the_navigation_does_not_interrupt_the_movement, fresh),
+		cmocka_unit_test_setup(test_a_new_calibration_drops_the_movement, fresh),
+		cmocka_unit_test_setup(test_switching_the_position_off_drops_the_movement, fresh),
+		cmocka_unit_test_setup(test_a_discontinuity_drops_the_movement, fresh),
+		cmocka_unit_test_setup(test_the_last_movement_stays_until_the_next_one_ends, fresh),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
