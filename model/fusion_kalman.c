@@ -610,8 +610,8 @@ static void add_rotation(struct fusion_kalman *k, struct quat q, struct vec3 rat
 		}
 }
 
-/* Over missing samples the turn is uncertain by the rate times the gap, and the velocity is unknown. Only this sample is
- * used. */
+/* Over missing samples the turn is uncertain by the rate times the gap, and the velocity is unknown. Only this sample
+ * is used. */
 static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double dt_s)
 {
 	double variance = fmin(1, squared(dt_s) * vec3_dot(rate_b_rad_s, rate_b_rad_s));

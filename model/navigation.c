@@ -142,64 +142,6 @@ static struct vec3 variance(const struct navigation *n, int at)
 	return (struct vec3){n->p[at][at], n->p[at + 1][at + 1], n->p[at + 2][at + 2]};
 }
 
-static void add_scaled(struct mat3 *a, double k, const struct mat3 *b)
-{
-	for (int i = 0; i < 3; i++)
-		for (int j = 0; j < 3; j++)
-			a->m[i][j] += k * b->m[i][j];
-}
-
-/* a += [f]x b */
-static void add_cross(struct mat3 *a, struct vec3 f, const struct mat3 *b)
-{
-	for (int j = 0; j < 3; j++) {
-		a->m[0][j] += f.y * b->m[2][j] - f.z * b->m[1][j];
-		a->m[1][j] += f.z * b->m[0][j] - f.x * b->m[2][j];
-		a->m[2][j] += f.x * b->m[1][j] - f.y * b->m[0][j];
-	}
-}
-
-static struct mat3 minus_cross(struct vec3 f)
-{
-	return (struct mat3){{{0, f.z, -f.y}, {-f.z, 0, f.x}, {f.y, -f.x, 0}}};
-}
-
-static void add_sample(struct navigation_sums *s, const struct mat3 *r_nb, struct vec3 omega_b, struct vec3 force_n,
-	struct vec3 accel_n, double dt)
-{
-	struct vec3 f_dt = vec3_scale(dt, force_n);
-
-	add_scaled(&s->w, dt, &s->v);
-	add_scaled(&s->u, dt, &s->s);
-	s->ff = vec3_add(s->ff, vec3_scale(dt, s->f));
-	add_cross(&s->v, f_dt, &s->s);
-	add_scaled(&s->s, dt, r_nb);
-	s->f = vec3_add(s->f, f_dt);
-	s->turned_b_rad = vec3_add(s->turned_b_rad, vec3_scale(dt, omega_b));
-	s->turned2_rad2_s += dt * vec3_dot(omega_b, omega_b);
-	s->accel2_m2_s3 += dt * vec3_dot(accel_n, accel_n);
-	s->t_s += dt;
-}
-
-/* p = F p with the transition of the sums. At a standstill the position does not change. */
-static void propagate_rows(double p[N][N], const struct navigation_sums *s, bool still)
-{
-	const struct mat3 minus_f = minus_cross(s->f), minus_ff = minus_cross(s->ff);
-
-	if (!still) {
-		for (int i = 0; i < 3; i++)
-			for (int j = 0; j < N; j++)
-				p[P + i][j] += s->t_s * p[V + i][j];
-		kalman_add_rows(N, p[0], P, 3, 1, minus_ff.m[0], THETA);
-		kalman_add_rows(N, p[0], P, 3, 1, s->w.m[0], BG);
-		kalman_add_rows(N, p[0], P, 3, -1, s->u.m[0], BA);
-	}
-	kalman_add_rows(N, p[0], V, 3, 1, minus_f.m[0], THETA);
-	kalman_add_rows(N, p[0], V, 3, 1, s->v.m[0], BG);
-	kalman_add_rows(N, p[0], V, 3, -1, s->s.m[0], BA);
-	kalman_add_rows(N, p[0], THETA, 3, -1, s->s.m[0], BG);
-}
-
 static void propagate(struct navigation *n)
 {
 	const struct noise_config *c = &n->config.noise;
@@ -208,11 +150,11 @@ static void propagate(struct navigation *n)
 	       (*since_point)[N] = smoother_transition(n->smoother);
 
 	if (since_point)
-		propagate_rows(since_point, s, n->still);
+		navigation_sums_propagate(s, since_point, n->still);
 	/* p is symmetric, so F (F p)^T = F p F^T */
-	propagate_rows(n->p, s, n->still);
+	navigation_sums_propagate(s, n->p, n->still);
 	kalman_transpose(N, n->p[0]);
-	propagate_rows(n->p, s, n->still);
+	navigation_sums_propagate(s, n->p, n->still);
 
 	add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
 	add_variance(n, THETA, squared(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
@@ -301,7 +243,7 @@ static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
 {
 	struct mat3 r = mat3_from_quat(n->q_nb);
 	struct vec3 f = mat3_apply(r, vec3_sub(n->rest.accel_mean, n->accel_bias_b_m_s2));
-	const struct mat3 minus_f = minus_cross(f);
+	const struct mat3 minus_f = mat3_minus_cross(f);
 	const double accel[3] = {f.x, f.y, f.z - gravity_m_s2};
 
 	for (int i = 0; i < 3; i++)
@@ -536,7 +478,7 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	r_nb = mat3_from_quat(n->q_nb);
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
-	add_sample(&n->sums, &r_nb, omega, force, accel, dt);
+	navigation_sums_add(&n->sums, &r_nb, omega, force, accel, dt);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));

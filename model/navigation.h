@@ -7,10 +7,7 @@
  *   levelling, or a prior from the user: the velocity during a movement has the mean 0 and a known spread;
  *   a velocity from outside.
  *
- * The error of the attitude is a small rotation in the global frame, q_true = exp(theta) q. With that, the state
- * transition over many samples has sums over the samples as its blocks, and the covariance is propagated once per
- * NAVIGATION_INTERVAL_S, exactly as sample by sample:
- *   theta += -S bg,  v += -[f]x theta + V bg - S ba,  p += T v - [F]x theta + W bg - U ba.
+ * The covariance is propagated once per NAVIGATION_INTERVAL_S, by sums over the samples (navigation_sums.h).
  *
  * The errors of velocity and position grow together, and the covariance knows their correlation: the velocity error
  * seen at a standstill corrects the position of the whole movement before it. So the displacement at a standstill is
@@ -28,9 +25,9 @@
 #ifndef MODEL_NAVIGATION_H
 #define MODEL_NAVIGATION_H
 
+#include "model/navigation_sums.h"
 #include "model/noise.h"
 #include "model/rest.h"
-#include "model/math/rotation.h"
 
 /* s between two updates of the covariance. By judgement: short against a movement, and at 200 samples a second an
  * eighth of the cost of an update per sample. */
@@ -38,16 +35,6 @@
 /* s, time constant of the high-pass of the velocity. By judgement: movements of a hand are faster, the effect of a tilt
  * error (0.17 m/s per degree and second) is slower. */
 #define NAVIGATION_HIGH_PASS_S 1.0
-
-/** Places of the errors in the state, three each. */
-enum {
-	NAVIGATION_THETA = 0,
-	NAVIGATION_V = 3,
-	NAVIGATION_P = 6,
-	NAVIGATION_BG = 9,
-	NAVIGATION_BA = 12,
-	NAVIGATION_STATES = 15
-};
 
 struct navigation_config {
 	/** 0 or 1 (default): levelling, as above; without effect while there is a prior. 0 for vehicles that keep a
@@ -74,16 +61,6 @@ struct navigation_input {
 	struct vec3 attitude_variance_rad2; /* of the fusion's attitude, about each axis of n; 0: unknown */
 	double gravity_m_s2;
 	struct vec3 lever_b_m; /* reference point -> sensor */
-};
-
-/** Blocks of the state transition since the last propagation: the sums above. */
-struct navigation_sums {
-	double t_s;
-	struct vec3 f, ff; /* integral of the force, and of that */
-	struct mat3 s, u, v, w;
-	struct vec3 turned_b_rad; /* integral of the rate, less the bias */
-	double turned2_rad2_s;	  /* integral of the squared rate */
-	double accel2_m2_s3;	  /* integral of the squared acceleration */
 };
 
 struct navigation {

@@ -39,6 +39,11 @@ struct mat3 mat3_from_quat(struct quat q)
 	return (struct mat3){{{x.x, y.x, z.x}, {x.y, y.y, z.y}, {x.z, y.z, z.z}}};
 }
 
+struct mat3 mat3_minus_cross(struct vec3 a)
+{
+	return (struct mat3){{{0, a.z, -a.y}, {-a.z, 0, a.x}, {a.y, -a.x, 0}}};
+}
+
 struct mat3 seed_rx(double phi)
 {
 	double s = sin(phi), c = cos(phi);

@@ -22,6 +22,8 @@ struct mat3 mat3_transpose(struct mat3 a);
 /** Equation (1): v_global = T v_object. */
 struct vec3 mat3_apply(struct mat3 a, struct vec3 v);
 struct mat3 mat3_from_quat(struct quat q);
+/** -[a]x, so that the product with v is v x a. */
+struct mat3 mat3_minus_cross(struct vec3 a);
 
 /** Equations (2), (3), (4). */
 struct mat3 seed_rx(double phi);

@@ -80,7 +80,7 @@ static struct mat3 cross(struct vec3 a)
 	return (struct mat3){{{0, -a.z, a.y}, {a.z, 0, -a.x}, {-a.y, a.x, 0}}};
 }
 
-/* The state transition as the header writes it. */
+/* The state transition as navigation_sums.h writes it. */
 static void transition(const struct navigation_sums *s, double f[N][N])
 {
 	struct mat3 f_cross = cross(s->f), ff_cross = cross(s->ff);
