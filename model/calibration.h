@@ -27,8 +27,8 @@ struct temperature_compensation {
 struct calibration_config {
 	struct triad_calibration gyro, accel, mag;
 	struct temperature_compensation temperature;
-	struct vec3
-		mounting_rad; /* default 0: roll, pitch, yaw (z-y'-x'') that turn sensor axes into the object frame */
+	/** Default 0: roll, pitch, yaw (z-y'-x'') that turn sensor axes into the object frame. */
+	struct vec3 mounting_rad;
 };
 
 struct calibration {

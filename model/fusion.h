@@ -34,8 +34,8 @@ struct fusion_config {
 	/** rad/s^2 per rad, 0..100, default 0.0012: integral gain of Mahony's filter. A smaller one averages the gyro
 	 * bias over a longer time. A larger one finds it sooner, and oscillates above kp^2 / 4. */
 	double mahony_ki_rad_s2;
-	struct fusion_kalman_config
-		kalman; /* its heading_sigma_rad also weighs fusion_aid_yaw() for the other filters */
+	/** Its heading_sigma_rad also weighs fusion_aid_yaw() for the other filters. */
+	struct fusion_kalman_config kalman;
 	/** m, default 0: reference point -> accelerometer. Only the Kalman filter uses it. The pipeline sets it. */
 	struct vec3 lever_arm_b_m;
 	/** s, 0..0.1, default 0: age of the gyro's sample at its time stamp, over which fusion_attitude_now()
@@ -47,8 +47,8 @@ struct fusion_config {
 struct fusion {
 	struct fusion_config config;
 	struct quat q_nb;
-	struct gyro_errors
-		gyro_errors; /* estimates: the bias at rest and by Mahony's integral, or both by the Kalman filter */
+	/** Estimates: the bias at rest and by Mahony's integral, or bias and scale by the Kalman filter. */
+	struct gyro_errors gyro_errors;
 	/* PRIVATE */
 	struct fusion_kalman kalman;
 	double bias_time_s; /* of rest in the mean that is the bias; limited */

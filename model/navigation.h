@@ -71,10 +71,9 @@ struct navigation {
 	struct vec3 gyro_bias_b_rad_s, accel_bias_b_m_s2;
 	/** Covariance of the errors; that of the position counts from the last standstill. */
 	double p[NAVIGATION_STATES][NAVIGATION_STATES];
-	struct vec3 earlier_variance_m2; /* of the position at the last standstill */
-	struct vec3
-		fusion_difference2_rad2;  /* mean square of the rotation from q_nb to the fusion's attitude, frame n */
-	struct vec3 fusion_variance_rad2; /* the last of navigation_input.attitude_variance_rad2 */
+	struct vec3 earlier_variance_m2;     /* of the position at the last standstill */
+	struct vec3 fusion_difference2_rad2; /* mean square of the rotation from q_nb to the fusion's attitude, n */
+	struct vec3 fusion_variance_rad2;    /* the last of navigation_input.attitude_variance_rad2 */
 	double gravity_m_s2;
 	bool started, still;
 	bool ended_by_reset; /* the movement before this standstill ended with a reset of the position */

@@ -65,9 +65,8 @@ struct smoother {
 	/* PRIVATE */
 	bool recording, whole;
 	double t_s, spacing_s;
-	struct smoother_map recent; /* from the last point to now */
-	struct smoother_map
-		earlier; /* to the last point, from where kept[0] to kept[settled - 1] were last corrected */
+	struct smoother_map recent;  /* from the last point to now */
+	struct smoother_map earlier; /* to the last point, since kept[0] .. kept[settled - 1] were last corrected */
 	size_t count, settled;
 	struct vec3 from_n_m;	    /* position at the beginning */
 	struct smoother_point here; /* at the last smoother_mark() */
