@@ -122,10 +122,10 @@ struct fusion_kalman {
 	double rest_field_s;
 	double undisturbed_s, rejected_s, outlier_s; /* see fusion_kalman_config.rejection_time_s */
 	/* aids */
-	double north_rad;   /* where the field points to, clockwise from y; not 0 after a heading was set or aided */
-	bool north_unknown; /* the next field defines it */
-	double aided_heading_s;				  /* for so long the last heading from outside holds */
-	int heading_rejections;				  /* of headings from outside, in a row */
+	double north_rad;	/* direction of the field, clockwise from y; 0 unless a heading was set or aided */
+	bool north_unknown;	/* the next field defines it */
+	double aided_heading_s; /* for so long the last heading from outside holds */
+	int heading_rejections; /* of headings from outside, in a row */
 	double aided_velocity_n_m_s[2], aided_velocity_s; /* the last from outside, and for how long it holds */
 };
 

@@ -212,6 +212,8 @@ static void apply_correction(struct navigation *n, const double x[N])
 	n->accel_bias_b_m_s2 = vec3_add(n->accel_bias_b_m_s2, part(x, BA));
 }
 
+/* ---- standstill ---- */
+
 /* A value of this variance does not differ significantly from zero, known to this sigma. */
 static bool may_be_zero(double value, double var, double sigma)
 {
@@ -270,6 +272,8 @@ static bool stands_still(struct navigation *n, const struct navigation_input *in
 	n->contradicted_s += dt;
 	return n->contradicted_s > n->config.rest_s;
 }
+
+/* ---- movements and their measurements ---- */
 
 /* Position and velocity of the reference point. */
 static struct smoother_point reference_point(const struct navigation *n, const struct navigation_input *in)

@@ -49,8 +49,8 @@ struct navigation_config {
 	struct noise_config noise;
 	struct rest_config standstill; /* the detector's parameters: STANDSTILL_DEFAULTS */
 	/** s, >= 0, default 1.5: a standstill that velocity or acceleration contradict is accepted after that time. A
-	 * smaller one finds back from a wrong velocity sooner, a larger one takes slow steady motions (a lift) less
-	 * often for one. */
+	 * smaller one recovers from a wrong velocity sooner, a larger one takes slow steady motions (a lift) for a
+	 * standstill less often. */
 	double rest_s;
 };
 

@@ -25,8 +25,8 @@ struct rest_config {
 	/** m/s^2, > 0, default 0.5: unit of the limits of the accelerometer. It has to be above the vibration of the
 	 * support; a larger one takes gentle motions for rest. */
 	double accel_threshold_m_s2;
-	/** s, >= 0: dwell time, for which all conditions have to hold. A smaller one sees rest earlier, and in the
-	 * turning points of a motion, too; a larger one misses short stops. */
+	/** s, >= 0: dwell time, for which all conditions have to hold. A smaller one detects rest earlier, but also in
+	 * the turning points of a motion; a larger one misses short stops. */
 	double time_s;
 	/** s, > 0: time constant of the short mean. Longer than a period of the vibration, or the mean follows it;
 	 * shorter than the dwell time, or rest begins late. */
@@ -34,13 +34,13 @@ struct rest_config {
 	/** s, >= 0: time constant of the mean square of the deviation from the short mean. 0: each sample counts by
 	 * itself, which ends rest at once but also by a single outlier. */
 	double deviation_time_s;
-	/** > 0: limit of that deviation's root mean square, as a share of the thresholds. A smaller one sees gentler
+	/** > 0: limit of that deviation's root mean square, as a share of the thresholds. A smaller one detects gentler
 	 * motions and needs a quieter sensor. */
 	double deviation_share;
-	/** s, > 0: time constant of the slow mean. A larger one sees slower changes. */
+	/** s, > 0: time constant of the slow mean. A larger one detects slower changes. */
 	double drift_time_s;
 	/** > 0: limit of the distance between short and slow mean, as a share of the thresholds; INFINITY: no limit. A
-	 * smaller one sees a motion that begins so gently that it does not scatter. */
+	 * smaller one detects motions that begin so gently that the deviation stays small. */
 	double drift_share;
 };
 
