@@ -121,6 +121,33 @@ static void test_the_sums_are_the_derivatives_of_the_integration(void **state)
 	}
 }
 
+/* n samples of the same rotation R and force F: each sum is a polynomial of the time. */
+static void test_the_sums_of_a_constant_motion_are_in_closed_form(void **state)
+{
+	const struct mat3 r = mat3_from_quat(any_attitude());
+	const struct vec3 force = any_vec(15);
+	const struct mat3 f_cross = cross(force), f_cross_r = mat3_multiply(f_cross, r);
+	const double n = SAMPLES, t = n * DT_S, t2 = n * (n - 1) / 2 * DT_S * DT_S;
+	const double t3 = n * (n - 1) * (n - 2) / 6 * DT_S * DT_S * DT_S;
+	struct navigation_sums s = {.t_s = 0};
+
+	(void)state;
+	for (int k = 0; k < SAMPLES; k++)
+		navigation_sums_add(&s, &r, (struct vec3){1, 2, 2}, force, (struct vec3){0, 3, 4}, DT_S);
+	assert_near(s.t_s, t, 1e-12);
+	assert_vec_near(s.f, vec3_scale(t, force), 1e-12);
+	assert_vec_near(s.ff, vec3_scale(t2, force), 1e-12);
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++) {
+			assert_near(s.s.m[i][j], t * r.m[i][j], 1e-12);
+			assert_near(s.u.m[i][j], t2 * r.m[i][j], 1e-12);
+			assert_near(s.v.m[i][j], t2 * f_cross_r.m[i][j], 1e-12);
+			assert_near(s.w.m[i][j], t3 * f_cross_r.m[i][j], 1e-12);
+		}
+	assert_near(s.turned2_rad2_s, 9 * t, 1e-12);
+	assert_near(s.accel2_m2_s3, 25 * t, 1e-12);
+}
+
 /* ---- the covariance against dense matrices
  * ------------------------------------------------------------------------ */
 
@@ -609,6 +636,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_sums_are_the_derivatives_of_the_integration),
+		cmocka_unit_test(test_the_sums_of_a_constant_motion_are_in_closed_form),
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
