@@ -9,6 +9,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include "drivers/ports/sources.h"
 #include "gateway/config.h"
 #include "gateway/device.h"
 #include "gateway/log.h"
@@ -23,14 +24,8 @@ static const char usage[] =
 	"\n"
 	"  -c, --config FILE     INI file: [gateway] with the options below as keys (node_id = 5), and\n"
 	"                        objects by name; 'imu9-sdo save FILE' writes one\n"
-	"      --imu SRC         where samples come from (default sim):\n"
-	"                          sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated]  simulated chips\n"
-	"                          replay:FILE.imu.csv[,loop][,speed=X]               a log\n"
-	"                          i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]                a Pololu IMU 9\n"
-	"                          iio[:DEVICE,...]                                   the kernel's drivers\n"
-	"                          wt901:/dev/ttyX[,baud=9600][,address=0x50]         a WitMotion WT901C-485\n"
-	"      --can BUS         a CAN interface, gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX[@BAUD] or\n"
-	"                        udp[:GROUP[:PORT]]                   (default: $IMU9_CAN or vcan0)\n"
+	"      --imu SRC         where samples come from, see below            (default: sim)\n"
+	"      --can BUS         the CAN bus, see below               (default: $IMU9_CAN or vcan0)\n"
 	"      --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
 	"      --bitrate B       bit/s, set where that is permitted: CAP_NET_ADMIN  (default: unchanged)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
@@ -63,6 +58,15 @@ static const struct option options[] = {
 	{"version", no_argument, NULL, OPT_VERSION},
 	{0},
 };
+
+static void print_help(void)
+{
+	fputs(usage, stdout);
+	puts("\nSRC is one of:");
+	imu_print_sources(stdout);
+	puts("\nBUS is one of:");
+	can_print_sources(stdout);
+}
 
 static int usage_error(const char *why)
 {
@@ -117,7 +121,7 @@ static int apply_option(struct config *config, int option, int index, char *cons
 		rc = config_set(config, optarg, why);
 		break;
 	case OPT_HELP:
-		fputs(usage, stdout);
+		print_help();
 		return EXIT_SUCCESS;
 	case OPT_VERSION:
 		puts("imu9-gateway " IMU9_VERSION);

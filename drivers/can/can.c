@@ -1,4 +1,5 @@
 #include "drivers/ports/can.h"
+#include "drivers/ports/sources.h"
 
 #include <assert.h>
 #include <errno.h>
@@ -13,24 +14,49 @@
 /* One full frame takes 0.25 ms at 500 kbit/s and 12 ms at 10 kbit/s. */
 enum { BACKOFF_MIN_US = 500, BACKOFF_MAX_US = 20000 };
 
+static const struct source {
+	const char *name; /* up to the first ':' or ','; "": an interface name */
+	const char *syntax, *description;
+	/* `address` is what follows the name, without the ':' */
+	int (*open)(const char *address, struct can_port **port, char *error, size_t error_size);
+} SOURCES[] = {
+	{"", "INTERFACE", "a CAN interface of the kernel (SocketCAN), e.g. can0 or vcan0", can_socketcan_open},
+	{"gs_usb", CAN_GS_USB_SYNTAX,
+		"a USB adapter of the candleLight family, through libusb, without a kernel driver", can_gs_usb_open},
+	{"slcan", CAN_SLCAN_SYNTAX, "a serial or USB-serial adapter with the slcan protocol (Lawicel, CANable)",
+		can_slcan_open},
+	{"udp", CAN_UDP_SYNTAX,
+		"UDP multicast in the format of python-can's udp_multicast bus (default " CAN_UDP_GROUP ":" CAN_UDP_PORT
+		")",
+		can_udp_open},
+};
+enum { SOURCE_COUNT = sizeof(SOURCES) / sizeof(SOURCES[0]) };
+
+void can_print_sources(FILE *out)
+{
+	for (size_t i = 0; i < SOURCE_COUNT; i++)
+		fprintf(out, "  %s\n      %s\n", SOURCES[i].syntax, SOURCES[i].description);
+}
+
+static int refuse(const char *bus, char *error, size_t error_size)
+{
+	int used = snprintf(error, error_size, "unknown bus '%.40s': use one of", bus);
+
+	for (size_t i = 0; i < SOURCE_COUNT && (size_t)used < error_size; i++)
+		used += snprintf(error + used, error_size - (size_t)used, "%s %s", i ? "," : "", SOURCES[i].syntax);
+	return -EINVAL;
+}
+
 static int open_any(const char *bus, struct can_port **port, char *error, size_t error_size)
 {
-	if (strcmp(bus, "udp") == 0)
-		return can_udp_open("", port, error, error_size);
-	if (strncmp(bus, "udp:", 4) == 0)
-		return can_udp_open(bus + 4, port, error, error_size);
-	if (strncmp(bus, "gs_usb", 6) == 0 && strchr(":,", bus[6]) != NULL) /* or the end */
-		return can_gs_usb_open(bus + 6 + (bus[6] == ':'), port, error, error_size);
-	if (strncmp(bus, "slcan:", 6) == 0)
-		return can_slcan_open(bus + 6, port, error, error_size);
-	if (bus[0] == '\0' || strpbrk(bus, ":/ ") != NULL) {
-		snprintf(error, error_size,
-			"unknown bus '%s': use an interface name (vcan0), gs_usb[:SERIAL[:CHANNEL]], slcan:/dev/ttyX "
-			"or udp[:GROUP[:PORT]]",
-			bus);
-		return -EINVAL;
-	}
-	return can_socketcan_open(bus, port, error, error_size);
+	size_t length = strcspn(bus, ":,");
+
+	for (size_t i = 1; i < SOURCE_COUNT; i++)
+		if (strlen(SOURCES[i].name) == length && strncmp(bus, SOURCES[i].name, length) == 0)
+			return SOURCES[i].open(bus + length + (bus[length] == ':'), port, error, error_size);
+	if (bus[0] == '\0' || strpbrk(bus, ":/ ") != NULL)
+		return refuse(bus, error, error_size);
+	return SOURCES[0].open(bus, port, error, error_size);
 }
 
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size)

@@ -788,7 +788,7 @@ int can_gs_usb_open(const char *address, struct can_port **port, char *error, si
 	can->sample_point_permille = options.sample_point_permille;
 	can->listen_only = options.listen_only;
 	if (!parse(can, options.address)) {
-		snprintf(error, error_size, "bad bus 'gs_usb:%s': use gs_usb[:SERIAL[:CHANNEL]]", address);
+		snprintf(error, error_size, "bad bus 'gs_usb:%s': use " CAN_GS_USB_SYNTAX, address);
 		result = -EINVAL;
 	}
 	if (result == 0)

@@ -9,6 +9,8 @@
 
 #include "drivers/ports/can.h"
 
+#define CAN_GS_USB_SYNTAX "gs_usb[:SERIAL[:CHANNEL]][,bitrate=B][,sample-point=P][,listen-only]"
+
 /** `address` is [SERIAL[:CHANNEL]][,OPTION...] (bus_options.h); instead of the serial number the place is accepted, e.g.
  * 3-1.2. Otherwise as can_open(). The adapter goes on the bus with the first can_service(), so a bit rate given
  * right after opening holds from the beginning.

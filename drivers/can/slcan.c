@@ -385,7 +385,7 @@ static void explain(int result, const struct slcan *can, char *error, size_t err
 		break;
 	case -EINVAL:
 		snprintf(error, error_size,
-			"bad bus: use slcan:DEVICE[@BAUD], with a usual baud rate from 9600 to 3000000");
+			"bad bus: use " CAN_SLCAN_SYNTAX " with a usual baud rate from 9600 to 3000000");
 		break;
 	case -EACCES:
 		snprintf(error, error_size, "no permission to use %s: be in the group that owns it (dialout), or root",

@@ -6,6 +6,8 @@
 
 #include "drivers/ports/can.h"
 
+#define CAN_SLCAN_SYNTAX "slcan:DEVICE[@BAUD][,bitrate=B][,listen-only]"
+
 /** `address` is DEVICE[@BAUD][,OPTION...] (bus_options.h; the adapter chooses the sample point). BAUD, of the serial
  * line, is 115200 unless given; adapters with USB do not mind. Otherwise as can_open(). The adapter goes on the bus with
  * the first can_service(), so a bit rate given right after opening holds from the beginning.

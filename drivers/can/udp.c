@@ -15,10 +15,6 @@
 #include "drivers/can/rx_socket.h"
 #include "drivers/can/udp_codec.h"
 
-#define DEFAULT_GROUP "239.74.163.2"
-
-enum { DEFAULT_PORT = 43113 };
-
 union address {
 	struct sockaddr any;
 	struct sockaddr_in v4;
@@ -134,8 +130,6 @@ static bool parse_port(const char *text, uint16_t *port)
 	char *end;
 	unsigned long value;
 
-	if (text == NULL)
-		return true;
 	value = strtoul(text, &end, 10);
 	if (text[0] < '0' || text[0] > '9' || *end != '\0' || value == 0 || value > 65535)
 		return false;
@@ -147,13 +141,13 @@ static bool parse(const char *text, union address *address)
 {
 	char group[INET6_ADDRSTRLEN];
 	const char *port_text;
-	uint16_t port = DEFAULT_PORT;
+	uint16_t port;
 
-	if (!split(text, group, &port_text) || !parse_port(port_text, &port))
+	if (!split(text, group, &port_text) || !parse_port(port_text ? port_text : CAN_UDP_PORT, &port))
 		return false;
 	memset(address, 0, sizeof(*address));
 	if (group[0] == '\0')
-		snprintf(group, sizeof(group), "%s", DEFAULT_GROUP);
+		snprintf(group, sizeof(group), "%s", CAN_UDP_GROUP);
 	if (inet_pton(AF_INET, group, &address->v4.sin_addr) == 1) {
 		address->v4.sin_family = AF_INET;
 		address->v4.sin_port = htons(port);
@@ -283,9 +277,9 @@ int can_udp_open(const char *address, struct can_port **port, char *error, size_
 
 	if (!parse(address, &group)) {
 		snprintf(error, error_size,
-			"bad bus 'udp:%s': use udp[:GROUP[:PORT]] with a multicast group, e.g. "
-			"udp:" DEFAULT_GROUP ":%d or udp:[ff15::1]:%d",
-			address, DEFAULT_PORT, DEFAULT_PORT);
+			"bad bus 'udp:%s': use " CAN_UDP_SYNTAX " with a multicast group, e.g. udp:" CAN_UDP_GROUP
+			":" CAN_UDP_PORT " or udp:[ff15::1]:" CAN_UDP_PORT,
+			address);
 		return -EINVAL;
 	}
 	udp = calloc(1, sizeof(*udp));

@@ -7,6 +7,10 @@
 
 #include "drivers/ports/can.h"
 
+#define CAN_UDP_SYNTAX "udp[:GROUP[:PORT]]"
+#define CAN_UDP_GROUP  "239.74.163.2" /* python-can's own */
+#define CAN_UDP_PORT   "43113"
+
 /** `address` is [GROUP[:PORT]]; an IPv6 group with a port is written [GROUP]:PORT. Otherwise as
  * can_open(). Interface: the one the kernel routes the group to (as python-can does); loopback when
  * there is no route. */

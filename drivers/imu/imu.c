@@ -7,12 +7,39 @@
 #include <string.h>
 
 #include "drivers/imu/source.h"
+#include "drivers/ports/sources.h"
 
 static const struct source {
-	const char *name;
+	const char *name; /* up to the ':' */
+	const char *syntax, *description;
 	int (*open)(char *args, const struct imu_settings *settings, struct imu_port **port, char *error,
 		size_t error_size);
-} SOURCES[] = {{"sim", sim_open}, {"replay", replay_open}, {"i2c", i2c_open}, {"iio", iio_open}, {"wt901", wt901_open}};
+} SOURCES[] = {
+	{"sim", SIM_SYNTAX,
+		"a simulated Pololu IMU 9, read by the real driver register by register, on a simulated robot",
+		sim_open},
+	{"replay", REPLAY_SYNTAX, "an IMU log, in real time or X times as fast", replay_open},
+	{"i2c", I2C_SYNTAX, "a Pololu IMU 9, v0 to v6, by its registers; the version is detected", i2c_open},
+	{"iio", IIO_SYNTAX, "the kernel's IIO drivers: gyro, accelerometer and magnetometer, found by their channels",
+		iio_open},
+	{"wt901", WT901_SYNTAX, "a WitMotion WT901C-485, over Modbus RTU", wt901_open},
+};
+enum { SOURCE_COUNT = sizeof SOURCES / sizeof *SOURCES };
+
+void imu_print_sources(FILE *out)
+{
+	for (size_t i = 0; i < SOURCE_COUNT; i++)
+		fprintf(out, "  %s\n      %s\n", SOURCES[i].syntax, SOURCES[i].description);
+}
+
+static int refuse(const char *name, char *error, size_t error_size)
+{
+	int used = snprintf(error, error_size, "unknown IMU source '%.20s': use one of", name);
+
+	for (size_t i = 0; i < SOURCE_COUNT && (size_t)used < error_size; i++)
+		used += snprintf(error + used, error_size - (size_t)used, "%s %s", i ? "," : "", SOURCES[i].syntax);
+	return -EINVAL;
+}
 
 int source_positive(const char *text, double *value)
 {
@@ -24,7 +51,7 @@ int source_positive(const char *text, double *value)
 
 static const struct source *find(const char *name)
 {
-	for (size_t i = 0; i < sizeof SOURCES / sizeof *SOURCES; i++)
+	for (size_t i = 0; i < SOURCE_COUNT; i++)
 		if (strcmp(name, SOURCES[i].name) == 0)
 			return &SOURCES[i];
 	return NULL;
@@ -44,14 +71,8 @@ int imu_open(
 	}
 	name = strsep(&args, ":");
 	source = find(name);
-	if (!source) {
-		snprintf(error, error_size,
-			"unknown IMU source '%.40s': use sim[:SCENARIO[,rate=HZ][,board=B]], "
-			"replay:FILE.imu.csv[,loop][,speed=X], i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub], "
-			"iio[:DEVICE,...] or wt901:/dev/ttyX[,baud=9600][,address=0x50]",
-			name);
-		return -EINVAL;
-	}
+	if (!source)
+		return refuse(name, error, error_size);
 	error[0] = '\0';
 	result = source->open(args, settings ? settings : &defaults, port, error, error_size);
 	if (result < 0 && error[0] == '\0') /* memory or descriptors are short: nothing the driver could add */

@@ -130,7 +130,7 @@ int replay_open(char *args, const struct imu_settings *settings, struct imu_port
 
 	(void)settings;
 	if (!path || *path == '\0') {
-		snprintf(error, error_size, "replay: no file: use replay:FILE.imu.csv[,loop][,speed=X]");
+		snprintf(error, error_size, "replay: no file: use " REPLAY_SYNTAX);
 		return -EINVAL;
 	}
 	r = calloc(1, sizeof *r);

@@ -318,7 +318,7 @@ static int parse(struct wt901 *w, char *args, char *error, size_t error_size)
 	char *rest = args, *path = strsep(&rest, ","), *option, *end;
 
 	if (!path || *path == '\0' || strlen(path) >= sizeof w->path) {
-		snprintf(error, error_size, "wt901: no serial port: use wt901:/dev/ttyX[,baud=9600][,address=0x50]");
+		snprintf(error, error_size, "wt901: no serial port: use " WT901_SYNTAX);
 		return -EINVAL;
 	}
 	strcpy(w->path, path);

@@ -86,9 +86,8 @@ struct imu_port {
 	struct imu_health health; /* as of the last read() */
 };
 
-/** Opens SRC: `sim[:SCENARIO[,board=B][,rate=HZ]]`, `replay:FILE.imu.csv[,loop][,speed=X]`,
- * `i2c:/dev/i2c-N[,drdy=CHIP:LINE][,stub]`, `iio[:DEVICE,...]` or `wt901:/dev/ttyX[,baud=9600][,address=0x50]`. `settings` NULL:
- * IMU_SETTINGS_DEFAULTS. 0 and *port (close with imu_close()), or -errno and one line in `error` that says what to do. */
+/** Opens SRC, e.g. `i2c:/dev/i2c-1` (drivers/README.md lists the kinds). `settings` NULL: IMU_SETTINGS_DEFAULTS.
+ * 0 and *port (close with imu_close()), or -errno and one line in `error` that says what is wrong and what to do. */
 int imu_open(
 	const char *src, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int imu_read(struct imu_port *port, struct imu_sample *sample);

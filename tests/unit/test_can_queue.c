@@ -318,8 +318,9 @@ static void test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are(void
 
 	(void)state;
 	assert_int_equal(can_open("pcan:1", &port, error, sizeof(error)), -EINVAL);
-	assert_string_equal(error, "unknown bus 'pcan:1': use an interface name (vcan0), gs_usb[:SERIAL[:CHANNEL]], "
-				   "slcan:/dev/ttyX or udp[:GROUP[:PORT]]");
+	assert_string_equal(error, "unknown bus 'pcan:1': use one of INTERFACE, "
+				   "gs_usb[:SERIAL[:CHANNEL]][,bitrate=B][,sample-point=P][,listen-only], "
+				   "slcan:DEVICE[@BAUD][,bitrate=B][,listen-only], udp[:GROUP[:PORT]]");
 	assert_null(port);
 }
 

@@ -1,3 +1,4 @@
+#include "drivers/ports/sources.h"
 #include "tools/lib/cli.h"
 
 #include <ctype.h>
@@ -141,6 +142,13 @@ int cli_signal_fd(void)
 		exit(CLI_FAILED);
 	}
 	return fd;
+}
+
+void cli_print_help(const char *help)
+{
+	fputs(help, stdout);
+	puts("\nBUS is one of:");
+	can_print_sources(stdout);
 }
 
 struct can_port *cli_open_bus(const char *bus)

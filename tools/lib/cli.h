@@ -36,6 +36,9 @@ uint64_t cli_now_us(void);
  * program. */
 int cli_signal_fd(void);
 
+/** Prints `help`, and after it the kinds of BUS. */
+void cli_print_help(const char *help);
+
 /** Opens the bus. A failure ends the program with CLI_FAILED. */
 struct can_port *cli_open_bus(const char *bus);
 

@@ -21,8 +21,7 @@ static const char help[] =
 	"It reads the PDO mapping from the node by SDO. Use --passive while another SDO client\n"
 	"accesses the same node.\n"
 	"\n"
-	"  -i, --bus BUS      interface, gs_usb[:SERIAL], slcan:/dev/ttyX, udp[:GROUP[:PORT]]\n"
-	"                     (default: $IMU9_CAN or vcan0)\n"
+	"  -i, --bus BUS      the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -s, --start        send NMT start to the node first, and after each boot-up\n"
 	"  -S, --sync HZ      send SYNC HZ times a second. PDOs are synchronous by default: they\n"
@@ -503,7 +502,7 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 			m->seconds = cli_real_option("-t", optarg, 0.01, 1e9);
 			break;
 		case 'h':
-			fputs(help, stdout);
+			cli_print_help(help);
 			exit(CLI_OK);
 		case 'V':
 			puts("imu9-monitor " IMU9_VERSION);

@@ -47,8 +47,7 @@ static const char help[] =
 	"                        To select one of several nodes: --serial N, and --vendor N,\n"
 	"                        --product N, --revision N if they are not those of the EDS\n"
 	"\n"
-	"  -i, --bus BUS         interface name, gs_usb[:SERIAL], slcan:/dev/ttyX or udp[:GROUP[:PORT]]\n"
-	"                        (default: $IMU9_CAN or vcan0)\n"
+	"  -i, --bus BUS         the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -e, --eds EDS         EDS of the node (default: built-in EDS of the IMU9 gateway)\n"
 	"  -t, --timeout MS      timeout of each answer (default: 500; lss: 50)\n"
@@ -124,7 +123,7 @@ static void parse_options(struct session *s, int argc, char **argv)
 			s->quiet = true;
 			break;
 		case 'h':
-			fputs(help, stdout);
+			cli_print_help(help);
 			exit(CLI_OK);
 		case 'V':
 			puts("imu9-sdo " IMU9_VERSION);

@@ -274,12 +274,12 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 	int result;
 
 	if (!path || *path == '\0') {
-		snprintf(error, error_size, "i2c: no bus: use i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,stub]");
+		snprintf(error, error_size, "i2c: no bus: use " I2C_SYNTAX);
 		return -EINVAL;
 	}
 	while ((option = strsep(&rest, ",")))
 		if (parse_option(option, &config) < 0) {
-			snprintf(error, error_size, "i2c: '%.40s': use drdy=GPIOCHIP:LINE or stub", option);
+			snprintf(error, error_size, "i2c: unknown option '%.40s': use " I2C_SYNTAX, option);
 			return -EINVAL;
 		}
 	snprintf(name, sizeof name, "i2c:%.40s", path);
