@@ -1,5 +1,6 @@
 #include "drivers/can/gs_usb_codec.h"
 
+#include <endian.h>
 #include <errno.h>
 #include <string.h>
 
@@ -19,13 +20,17 @@ enum { CREEP = 5000, LATE_MAX_US = 10000000 }; /* 1/5000 = 200 ppm */
 
 static void put_u32(uint8_t *out, uint32_t value)
 {
-	for (int i = 0; i < 4; i++)
-		out[i] = (uint8_t)(value >> 8 * i);
+	const uint32_t le = htole32(value);
+
+	memcpy(out, &le, sizeof(le));
 }
 
 static uint32_t get_u32(const uint8_t *in)
 {
-	return in[0] | (uint32_t)in[1] << 8 | (uint32_t)in[2] << 16 | (uint32_t)in[3] << 24;
+	uint32_t le;
+
+	memcpy(&le, in, sizeof(le));
+	return le32toh(le);
 }
 
 void gs_usb_put_host_format(uint8_t out[GS_USB_HOST_FORMAT_LEN])

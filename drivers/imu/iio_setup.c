@@ -15,7 +15,7 @@ enum { SETTLING_INTERVALS = 5 };
 const struct iio_kind IIO_KINDS[TRIADS] = {
 	{IMU_CHIP_GYRO, "gyro", IIO_ANGL_VEL, 1},
 	{IMU_CHIP_ACCEL, "accelerometer", IIO_ACCEL, 1},
-	{IMU_CHIP_MAG, "magnetometer", IIO_MAGN, 100},
+	{IMU_CHIP_MAG, "magnetometer", IIO_MAGN, UT_PER_GAUSS},
 };
 
 /* ---- attributes -------------------------------------------------------------------------------------------------- */
@@ -139,7 +139,7 @@ static double wanted_range(const struct imu_settings *settings, int kind)
 {
 	return kind == GYRO    ? settings->gyro_range_deg_s * RAD_PER_DEG
 	       : kind == ACCEL ? settings->accel_range_g * STANDARD_GRAVITY_M_S2
-			       : settings->mag_range_uT / 100;
+			       : settings->mag_range_uT / UT_PER_GAUSS;
 }
 
 /* A timer takes the newest sample there is: the chip must take them faster than the timer, or some come twice. */

@@ -75,9 +75,9 @@ const struct chip CHIP_LSM303DLHC_ACCEL = {.name = "LSM303DLHC",
 /* ---- magnetometers of the three: big-endian, high byte first, the address moves on by itself ---------------------- */
 
 /* full scale [gauss], digits per gauss in x and y, in z, GN */
-#define GAUSS(full_scale, xy, z, gain)                                       \
-	{                                                                    \
-		(full_scale) * 100.0, 100.0 / (xy), 100.0 / (z), (gain) << 5 \
+#define GAUSS(full_scale, xy, z, gain)                                                            \
+	{                                                                                         \
+		(full_scale) * UT_PER_GAUSS, UT_PER_GAUSS / (xy), UT_PER_GAUSS / (z), (gain) << 5 \
 	}
 static const struct chip_range DLH_FIELD[] = {GAUSS(1.3, 1055, 950, 1), GAUSS(1.9, 795, 710, 2),
 	GAUSS(2.5, 635, 570, 3), GAUSS(4.0, 430, 385, 4), GAUSS(4.7, 375, 335, 5), GAUSS(5.6, 320, 285, 6),

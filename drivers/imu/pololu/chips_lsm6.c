@@ -62,8 +62,8 @@ static void dso(const struct chip_setup *setup, struct chip_registers *out)
 const struct chip CHIP_LSM6DS33 = LSM6("LSM6DS33", 0x69, CHIP_FIFO_WORDS, 16, ds33, 90, 0.007);
 const struct chip CHIP_LSM6DSO = LSM6("LSM6DSO", 0x6C, CHIP_FIFO_TAGGED, 256, dso, 70, 0.0038);
 
-static const struct chip_range FIELD[] = {{400, 100.0 / 6842, 0, 0x00}, {800, 100.0 / 3421, 0, 0x20},
-	{1200, 100.0 / 2281, 0, 0x40}, {1600, 100.0 / 1711, 0, 0x60}, {.full_scale = 0}};
+static const struct chip_range FIELD[] = {{400, UT_PER_GAUSS / 6842, 0, 0x00}, {800, UT_PER_GAUSS / 3421, 0, 0x20},
+	{1200, UT_PER_GAUSS / 2281, 0, 0x40}, {1600, UT_PER_GAUSS / 1711, 0, 0x60}, {.full_scale = 0}};
 static const struct chip_rate FIELD_RATES[] = {{10, 4, {5}}, {20, 5, {10}}, {40, 6, {20}}, {80, 7, {40}}, {.hz = 0}};
 
 static void lis3mdl(const struct chip_setup *setup, struct chip_registers *out)

@@ -118,9 +118,14 @@ void stream_start(struct board *b, struct stream *s)
 
 /* ---- raw data ---------------------------------------------------------------------------------------------------- */
 
+static uint16_t get_u16(const uint8_t *bytes)
+{
+	return (uint16_t)(bytes[0] | bytes[1] << 8);
+}
+
 int16_t stream_word(const struct chip *chip, const uint8_t *bytes)
 {
-	return (int16_t)(chip->big_endian ? bytes[0] << 8 | bytes[1] : bytes[1] << 8 | bytes[0]);
+	return (int16_t)(chip->big_endian ? bytes[0] << 8 | bytes[1] : get_u16(bytes));
 }
 
 struct vec3 stream_decode(const struct stream *s, size_t triad, const uint8_t *set, bool *saturated)
@@ -279,8 +284,8 @@ static int read_fifo_words(struct board *b, struct stream *s)
 
 	if (result < 0)
 		return result;
-	words = status[0] | (status[1] & 0x0F) << 8;
-	next = status[2] | (status[3] & 0x03) << 8;
+	words = get_u16(status) & 0x0FFF;
+	next = get_u16(status + 2) & 0x03FF;
 	if (next > 0 && next < 6 && words >= 6 - next) {
 		words -= 6 - next;
 		if ((result = board_read_chip(b, s->chip, s->address, 0x3E, skipped, (size_t)(6 - next) * 2)) < 0)
@@ -315,7 +320,7 @@ static int read_fifo_tagged(struct board *b, struct stream *s)
 
 	if (result < 0)
 		return result;
-	entries = status[0] | (status[1] & 0x03) << 8;
+	entries = get_u16(status) & 0x03FF;
 	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48 ? LOST_PERHAPS : LOST_NONE, from_ns,
 		board_read_clock(b));
 	if (entries > 2 * FIFO_DEPTH) /* the rest next time */

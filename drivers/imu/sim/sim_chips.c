@@ -6,8 +6,6 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define GAUSS 100.0
-
 enum { CHIPS = 3, SETS = 32, WORDS = 4096, ENTRIES = 512, ENTRY = 7, BEHIND_MAX = 64, TEMPERATURE_DEGC = 30 };
 
 enum kind {
@@ -174,7 +172,7 @@ static void effect_old_mag(struct sim_chip *c)
 
 	t->rate_hz = (r[0x02] & 3) == 0 ? odr[r[0x00] >> 2 & 7] : 0;
 	set_axes(t, 7);
-	set_scale(t, GAUSS / xy[table][gain], GAUSS / xy[table][gain], GAUSS / z[table][gain], 1);
+	set_scale(t, UT_PER_GAUSS / xy[table][gain], UT_PER_GAUSS / xy[table][gain], UT_PER_GAUSS / z[table][gain], 1);
 }
 
 static void effect_lsm303d(struct sim_chip *c)
@@ -185,7 +183,7 @@ static void effect_lsm303d(struct sim_chip *c)
 	static const double mgauss[4] = {0.080, 0.160, 0.320, 0.479};
 	const uint8_t *r = c->regs;
 	struct sim_triad *a = &c->triads[0], *m = &c->triads[1];
-	double digit = mg[r[0x21] >> 3 & 7] * M_S2_PER_MG, field = mgauss[r[0x25] >> 5 & 3] * 1e-3 * GAUSS;
+	double digit = mg[r[0x21] >> 3 & 7] * M_S2_PER_MG, field = mgauss[r[0x25] >> 5 & 3] * 1e-3 * UT_PER_GAUSS;
 
 	a->rate_hz = odr[r[0x20] >> 4];
 	set_axes(a, r[0x20]);
@@ -225,7 +223,7 @@ static void effect_lis3mdl(struct sim_chip *c)
 	static const double odr[8] = {0.625, 1.25, 2.5, 5, 10, 20, 40, 80}, digits[4] = {6842, 3421, 2281, 1711};
 	const uint8_t *r = c->regs;
 	struct sim_triad *t = &c->triads[0];
-	double field = GAUSS / digits[r[0x21] >> 5 & 3];
+	double field = UT_PER_GAUSS / digits[r[0x21] >> 5 & 3];
 
 	t->rate_hz = (r[0x22] & 3) == 0 ? odr[r[0x20] >> 2 & 7] : 0;
 	set_axes(t, 7);
