@@ -131,7 +131,7 @@ static void note_lost(struct imu_thread *t)
 	if (lost == 0)
 		return;
 	t->port.counters.skipped += lost;
-	snprintf(t->port.last_skip, sizeof t->port.last_skip, "nobody took them in time");
+	snprintf(t->port.last_skip, sizeof t->port.last_skip, "the gateway did not read them in time: the queue was full");
 }
 
 static int take_message(struct imu_thread *t, struct imu_sample *sample)

@@ -75,6 +75,82 @@ static void test_sample_points_are_those_of_cia_301(void **state)
 	}
 }
 
+static void test_the_sample_point_depends_on_the_bit_rate_as_in_the_kernel(void **state)
+{
+	(void)state;
+	assert_int_equal(bit_timing_sample_point(10000), 875);
+	assert_int_equal(bit_timing_sample_point(500000), 875);
+	assert_int_equal(bit_timing_sample_point(500001), 800);
+	assert_int_equal(bit_timing_sample_point(800000), 800);
+	assert_int_equal(bit_timing_sample_point(800001), 750);
+	assert_int_equal(bit_timing_sample_point(1000000), 750);
+}
+
+static void assert_timing(
+	const struct can_link_limits *limits, uint32_t bit_s, uint32_t permille, const struct bit_timing *expected)
+{
+	struct bit_timing t = {0};
+
+	assert_int_equal(bit_timing_find(limits, 4, bit_s, permille, &t), 0);
+	assert_int_equal(t.prop, expected->prop);
+	assert_int_equal(t.seg1, expected->seg1);
+	assert_int_equal(t.seg2, expected->seg2);
+	assert_int_equal(t.sjw, expected->sjw);
+	assert_int_equal(t.brp, expected->brp);
+}
+
+/* Worked out by hand: 48 MHz / (brp * quanta) is the bit rate, 1 - seg2 / quanta the sample point. */
+static void test_a_timing_has_the_sample_point_asked_for(void **state)
+{
+	(void)state;
+	/* 1 Mbit/s, 75 %: 3 * 16 quanta, 12 of them before the sample point */
+	assert_timing(&candlelight, 1000000, 750, &(struct bit_timing){5, 6, 4, 2, 3});
+	/* 800 kbit/s, 80 %: 3 * 20 and 4 * 15 quanta are exact; the first has more */
+	assert_timing(&candlelight, 800000, 800, &(struct bit_timing){7, 8, 4, 2, 3});
+	/* 500 kbit/s, 80 %: no number of quanta is exact; 13 of 16 are 81.25 % */
+	assert_timing(&candlelight, 500000, 800, &(struct bit_timing){6, 6, 3, 1, 6});
+	/* 500 kbit/s, 50 %: 8 of 16 */
+	assert_timing(&candlelight, 500000, 500, &(struct bit_timing){3, 4, 8, 4, 6});
+}
+
+/* 12 quanta at 87.5 %: 10 of them are 83.3 %, 11 are 91.7 %, both as far off. */
+static void test_between_two_sample_points_the_earlier_one_is_chosen(void **state)
+{
+	static const struct can_link_limits twelve = {6000000, 1, 1, 1, 1, 16, 1, 8};
+
+	(void)state;
+	assert_timing(&twelve, 500000, 875, &(struct bit_timing){4, 5, 2, 1, 1});
+}
+
+static void test_the_jump_width_is_half_of_the_last_segment_within_what_the_controller_can(void **state)
+{
+	static const struct {
+		uint32_t sjw_max, sjw;
+	} cases[] = {{4, 4}, {3, 3}, {1, 1}, {0, 1}, {100, 4}};
+	struct bit_timing t;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+		assert_int_equal(bit_timing_find(&candlelight, cases[i].sjw_max, 500000, 500, &t), 0);
+		assert_int_equal(t.seg2, 8);
+		assert_int_equal(t.sjw, cases[i].sjw);
+	}
+}
+
+static void test_the_prescaler_keeps_to_its_bounds(void **state)
+{
+	static const struct can_link_limits l = {16000000, 2, 4, 2, 1, 16, 1, 8};
+	struct bit_timing t;
+
+	(void)state;
+	/* 2 * 8 and 4 * 4 quanta give 1 Mbit/s; 2 and 4 only, so 160 kbit/s (4 * 25) is the slowest */
+	assert_timing(&l, 1000000, 750, &(struct bit_timing){2, 3, 2, 1, 2});
+	assert_int_equal(bit_timing_find(&l, 4, 160000, 700, &t), 0);
+	assert_int_equal(t.brp, 4);
+	assert_int_equal(bit_timing_find(&l, 4, 150000, 700, &t), -EOPNOTSUPP);
+	assert_int_equal(bit_timing_find(&l, 4, 500000, 1000, &t), -EOPNOTSUPP);
+}
+
 static void test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate(void **state)
 {
 	static const struct can_link_limits sja1000 = {8000000, 1, 64, 1, 1, 16, 1, 8};
@@ -554,6 +630,11 @@ int main(void)
 		cmocka_unit_test(test_500_kbit_s_is_what_the_kernel_sets),
 		cmocka_unit_test(test_every_bit_rate_of_cia_301_is_exact_at_48_mhz),
 		cmocka_unit_test(test_sample_points_are_those_of_cia_301),
+		cmocka_unit_test(test_the_sample_point_depends_on_the_bit_rate_as_in_the_kernel),
+		cmocka_unit_test(test_a_timing_has_the_sample_point_asked_for),
+		cmocka_unit_test(test_between_two_sample_points_the_earlier_one_is_chosen),
+		cmocka_unit_test(test_the_jump_width_is_half_of_the_last_segment_within_what_the_controller_can),
+		cmocka_unit_test(test_the_prescaler_keeps_to_its_bounds),
 		cmocka_unit_test(test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate),
 		cmocka_unit_test(test_a_bit_rate_out_of_reach_is_refused),
 		cmocka_unit_test(test_more_than_half_a_percent_off_is_refused),

@@ -213,6 +213,51 @@ static void test_what_is_not_a_valid_frame_is_refused(void **state)
 	}
 }
 
+/* A map says in its first byte how many entries follow: 8Bh is 11. */
+static void test_a_map_with_another_number_of_entries_than_it_says_is_refused(void **state)
+{
+	char bytes[CAN_UDP_MAX];
+	struct can_msg msg;
+	size_t size = from_hex(DATA_FRAME, bytes);
+
+	(void)state;
+	assert_int_equal((unsigned char)bytes[0], 0x8B);
+	bytes[0] = (char)0x8A; /* the last entry is behind the map */
+	assert_int_equal(can_udp_decode(bytes, size, &msg), -EBADMSG);
+	bytes[0] = (char)0x8C; /* one is missing */
+	assert_int_equal(can_udp_decode(bytes, size, &msg), -EBADMSG);
+	bytes[0] = (char)0x80;
+	assert_int_equal(can_udp_decode(bytes, size, &msg), -EBADMSG);
+}
+
+#define ID_181	 "ae6172626974726174696f6e5f6964cd0181"
+#define STANDARD "ae69735f657874656e6465645f6964c2"
+#define DLC_0	 "a3646c6300"
+
+static void test_identifier_its_format_and_the_length_are_required_and_nothing_else(void **state)
+{
+	struct can_msg msg;
+
+	(void)state;
+	assert_int_equal(decode("83" ID_181 STANDARD DLC_0, &msg), 0);
+	assert_same(&msg, &(struct can_msg){.id = 0x181});
+	assert_int_equal(decode("82" STANDARD DLC_0, &msg), -EBADMSG);
+	assert_int_equal(decode("82" ID_181 DLC_0, &msg), -EBADMSG);
+	assert_int_equal(decode("82" ID_181 STANDARD, &msg), -EBADMSG);
+}
+
+static void test_a_map_with_a_16_bit_or_32_bit_count_is_read(void **state)
+{
+	struct can_msg msg;
+
+	(void)state;
+	assert_int_equal(decode("de0003" ID_181 STANDARD DLC_0, &msg), 0);
+	assert_int_equal(decode("df00000003" ID_181 STANDARD DLC_0, &msg), 0);
+	assert_same(&msg, &(struct can_msg){.id = 0x181});
+	assert_int_equal(decode("de0004" ID_181 STANDARD DLC_0, &msg), -EBADMSG);
+	assert_int_equal(decode("dfffffffff" ID_181 STANDARD DLC_0, &msg), -EBADMSG);
+}
+
 /* ---- over sockets: a group and a port of this process, so that nobody else's frames come in ---- */
 
 static uint64_t now(void)
@@ -437,6 +482,114 @@ static void test_groups_that_are_none_are_refused(void **state)
 	}
 }
 
+static void assert_bound_to(const struct can_port *port, const char *group, uint16_t port_number)
+{
+	struct sockaddr_in address;
+	socklen_t size = sizeof(address);
+	char text[INET_ADDRSTRLEN];
+
+	assert_int_equal(getsockname(port->fd, (struct sockaddr *)&address, &size), 0);
+	assert_string_equal(inet_ntop(AF_INET, &address.sin_addr, text, sizeof(text)), group);
+	assert_int_equal(ntohs(address.sin_port), port_number);
+}
+
+/* Its datagrams would be another program's: nothing is sent. */
+static void test_the_default_is_the_group_and_the_port_of_python_can(void **state)
+{
+	struct can_port *port = open_bus("udp");
+
+	(void)state;
+	assert_string_equal(port->name, "udp");
+	assert_bound_to(port, "239.74.163.2", 43113);
+	can_close(port);
+	port = open_bus("udp:239.74.163.77");
+	assert_string_equal(port->name, "udp:239.74.163.77");
+	assert_bound_to(port, "239.74.163.77", 43113);
+	can_close(port);
+	port = open_bus("udp::%u");
+	assert_bound_to(port, "239.74.163.2", test_port());
+	can_close(port);
+}
+
+static void test_each_of_several_ports_of_a_host_receives_what_another_sends(void **state)
+{
+	struct pair bus = open_pair();
+	struct can_port *third = open_bus("udp:239.74.163.77:%u");
+	struct can_msg msg;
+
+	(void)state;
+	can_send(bus.b, &remote_frame, now());
+	assert_int_equal(receive_within(bus.a, &msg, 1000), 1);
+	assert_same(&msg, &remote_frame);
+	assert_int_equal(receive_within(third, &msg, 1000), 1);
+	assert_same(&msg, &remote_frame);
+	can_close(third);
+	close_pair(bus);
+}
+
+static void test_another_group_or_another_port_is_another_bus(void **state)
+{
+	struct can_port *a = open_bus("udp:239.74.163.77:%u"), *group = open_bus("udp:239.74.163.78:%u"), *port, *b;
+	struct can_msg msg;
+	char bus[80], error[200];
+
+	(void)state;
+	snprintf(bus, sizeof(bus), "udp:239.74.163.77:%u", test_port() + 1u);
+	assert_int_equal(can_open(bus, &port, error, sizeof(error)), 0);
+	b = open_bus("udp:239.74.163.77:%u");
+	can_send(a, &data_frame, now());
+	assert_int_equal(receive_within(b, &msg, 1000), 1); /* so it has been delivered */
+	assert_int_equal(receive_within(group, &msg, 0), 0);
+	assert_int_equal(receive_within(port, &msg, 0), 0);
+	can_close(a);
+	can_close(b);
+	can_close(group);
+	can_close(port);
+}
+
+static void test_a_datagram_of_a_program_that_is_not_in_the_group_is_received(void **state)
+{
+	struct can_port *port = open_bus("udp:239.74.163.77:%u");
+	int fd = socket(AF_INET, SOCK_DGRAM, 0);
+	char bytes[CAN_UDP_MAX];
+	struct can_msg msg;
+
+	(void)state;
+	send_raw(fd, bytes, from_hex(DATA_FRAME, bytes));
+	assert_int_equal(receive_within(port, &msg, 1000), 1);
+	assert_same(&msg, &data_frame);
+	close(fd);
+	can_close(port);
+}
+
+static void test_what_a_port_sends_is_the_datagram_of_python_can(void **state)
+{
+	struct can_port *port = open_bus("udp:239.74.163.77:%u");
+	int fd = socket(AF_INET, SOCK_DGRAM, 0);
+	const int on = 1;
+	struct sockaddr_in group = {.sin_family = AF_INET, .sin_port = htons(test_port())};
+	struct ip_mreqn membership = {0};
+	char expected[CAN_UDP_MAX], bytes[CAN_UDP_MAX];
+	size_t size = from_hex(DATA_FRAME, expected);
+	struct pollfd poll_fd = {.fd = fd, .events = POLLIN};
+
+	(void)state;
+	inet_pton(AF_INET, "239.74.163.77", &group.sin_addr);
+	membership.imr_multiaddr = group.sin_addr;
+	setsockopt(fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
+	assert_int_equal(bind(fd, (struct sockaddr *)&group, sizeof(group)), 0);
+	if (setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &membership, sizeof(membership)) != 0) {
+		membership.imr_ifindex = (int)if_nametoindex("lo"); /* no route to the group */
+		assert_int_equal(setsockopt(fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &membership, sizeof(membership)), 0);
+	}
+	can_send(port, &data_frame, now());
+	assert_int_equal(poll(&poll_fd, 1, 1000), 1);
+	assert_int_equal(recv(fd, bytes, sizeof(bytes), 0), size);
+	assert_memory_equal(bytes, expected, size);
+	close(fd);
+	can_close(port);
+}
+
 static void test_an_ipv6_group_with_a_port_is_opened(void **state)
 {
 	struct can_port *port = open_bus("udp:[ff15::77]:%u");
@@ -458,6 +611,14 @@ int main(void)
 		cmocka_unit_test(test_fd_frames_and_error_frames_are_not_for_us),
 		cmocka_unit_test(test_every_truncation_is_refused_without_reading_on),
 		cmocka_unit_test(test_what_is_not_a_valid_frame_is_refused),
+		cmocka_unit_test(test_a_map_with_another_number_of_entries_than_it_says_is_refused),
+		cmocka_unit_test(test_identifier_its_format_and_the_length_are_required_and_nothing_else),
+		cmocka_unit_test(test_a_map_with_a_16_bit_or_32_bit_count_is_read),
+		cmocka_unit_test(test_the_default_is_the_group_and_the_port_of_python_can),
+		cmocka_unit_test(test_each_of_several_ports_of_a_host_receives_what_another_sends),
+		cmocka_unit_test(test_another_group_or_another_port_is_another_bus),
+		cmocka_unit_test(test_a_datagram_of_a_program_that_is_not_in_the_group_is_received),
+		cmocka_unit_test(test_what_a_port_sends_is_the_datagram_of_python_can),
 		cmocka_unit_test(test_a_frame_reaches_the_other_port),
 		cmocka_unit_test(test_own_frames_are_not_received_nor_counted),
 		cmocka_unit_test(test_the_time_of_a_frame_lies_between_sending_and_receiving),

@@ -187,7 +187,8 @@ static void test_a_source_that_cannot_be_is_refused_with_what_can(void **state)
 {
 	(void)state;
 	assert_refused("", "unknown IMU source '': use one of sim");
-	assert_refused("spi:/dev/spidev0.0", "use one of sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated], replay:FILE");
+	assert_refused(
+		"spi:/dev/spidev0.0", "use one of sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated], replay:FILE");
 	assert_refused("replay", "no file");
 	assert_refused("replay:", "no file");
 	assert_refused("replay:/nonexistent.csv", "/nonexistent.csv: No such file");
