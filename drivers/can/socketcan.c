@@ -265,7 +265,7 @@ static void explain(int result, const char *name, char *error, size_t error_size
 		break;
 	case -EMEDIUMTYPE:
 		snprintf(error, error_size,
-			"%s is no CAN interface: `ip -brief link show type can` and `type vcan` show which there are",
+			"%s is not a CAN interface: `ip -brief link show type can` and `type vcan` show which there are",
 			name);
 		break;
 	case -ENETDOWN:

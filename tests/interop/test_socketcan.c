@@ -471,7 +471,7 @@ static void test_an_interface_that_is_no_can_interface_is_refused(void **state)
 {
 	(void)state;
 	assert_open_says("lo", -EMEDIUMTYPE,
-		"lo is no CAN interface: `ip -brief link show type can` and `type vcan` show which there are");
+		"lo is not a CAN interface: `ip -brief link show type can` and `type vcan` show which there are");
 }
 
 #define ON_A_PORT(test) cmocka_unit_test_setup_teardown(test, open_port, close_port)
