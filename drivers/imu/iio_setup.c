@@ -11,6 +11,8 @@
 #include "model/math/units.h"
 
 enum { SETTLING_INTERVALS = 5 };
+/* Of a range that is asked for: 32768 digits of 0.244 mg are 7.995 g. */
+#define ENOUGH 0.99
 
 const struct iio_kind IIO_KINDS[TRIADS] = {
 	{IMU_CHIP_GYRO, "gyro", IIO_ANGL_VEL, 1},
@@ -158,9 +160,8 @@ int iio_imu_choose_settings(const struct choice *choice, const struct imu_settin
 			error, error_size, "iio: the %s takes %s samples a second at most", IIO_KINDS[kind].name, rate);
 		return -EINVAL;
 	}
-	if (choice->scales[0] &&
-		iio_choose(choice->scales, wanted_range(settings, kind) / choice->digits, scale, 32) == -ERANGE &&
-		strtod(scale, NULL) * choice->digits < 0.99 * wanted_range(settings, kind)) {
+	if (choice->scales[0] && iio_choose(choice->scales, ENOUGH * wanted_range(settings, kind) / choice->digits,
+					 scale, 32) == -ERANGE) {
 		snprintf(error, error_size, "iio: the range of the %s is not so wide", IIO_KINDS[kind].name);
 		return -EINVAL;
 	}

@@ -1,0 +1,900 @@
+/* The IIO sensor on devices that are simulated behind libiio's functions, which are defined here. The driver's thread runs
+ * within run(), step by step, in a time that moves only here. Units: Documentation/ABI/testing/sysfs-bus-iio. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <iio.h>
+#include <math.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "drivers/imu/imu_thread.h"
+
+enum { ATTRS = 8, CHANNELS = 8, DEVICES = 8, SCANS = 32, X = IIO_MOD_X, TIMERS = 2 };
+#define MS 1000000LL
+
+struct attr {
+	const char *name;
+	char text[64];
+};
+
+struct iio_channel {
+	enum iio_chan_type type;
+	int modifier;
+	bool is_output, is_scan, enabled;
+	struct iio_data_format format;
+	struct attr attrs[ATTRS];
+	int16_t raw;
+	size_t place; /* of its bytes in a scan */
+};
+
+struct scan {
+	int64_t t_ns;
+	int16_t words[6];
+};
+
+struct iio_buffer {
+	struct iio_device *device;
+	struct scan current;
+};
+
+struct iio_device {
+	char id[24], name[24];
+	bool hidden, is_trigger;
+	int trigger_result; /* of iio_device_get_trigger() */
+	struct iio_device *trigger;
+	struct iio_channel channels[CHANNELS];
+	unsigned channel_count;
+	struct attr attrs[ATTRS];
+	struct iio_buffer buffer;
+	bool buffered;
+	struct scan scans[SCANS];
+	size_t scan_count, scan_next;
+	int refill_error;
+	unsigned kernel_samples;
+};
+
+static struct world {
+	struct iio_device devices[DEVICES];
+	unsigned device_count;
+	bool no_iio, no_configfs;
+	unsigned contexts;
+	char made[TIMERS][80], removed[TIMERS][80];
+	unsigned made_count, removed_count;
+
+	int64_t now_ns;
+	void *(*thread)(void *);
+	void *thread_ctx;
+	int steps; /* that the thread may still take */
+	void (*each_step)(void);
+	uint64_t polled_reads;
+} w;
+
+static struct imu_port *port;
+
+/* ---- the system -------------------------------------------------------------------------------------------------- */
+
+int clock_gettime(clockid_t clock, struct timespec *t)
+{
+	(void)clock;
+	*t = (struct timespec){w.now_ns / (1000 * MS), w.now_ns % (1000 * MS)};
+	return 0;
+}
+
+int pthread_create(
+	pthread_t *restrict thread, const pthread_attr_t *restrict attr, void *(*start)(void *), void *restrict ctx)
+{
+	(void)thread, (void)attr;
+	w.thread = start;
+	w.thread_ctx = ctx;
+	return 0;
+}
+
+int pthread_join(pthread_t thread, void **result)
+{
+	(void)thread, (void)result;
+	return 0;
+}
+
+/* The thread waits: time moves on to the end of its wait, and the test does what it does in each step. */
+int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const sigset_t *mask)
+{
+	(void)mask;
+	for (nfds_t i = 0; i < n; i++)
+		fds[i].revents = 0;
+	w.now_ns += timeout->tv_sec * 1000 * MS + timeout->tv_nsec;
+	if (w.steps-- <= 0)
+		((struct imu_thread *)port)->stop = true;
+	else if (w.each_step)
+		w.each_step();
+	return 0;
+}
+
+int mkdir(const char *path, mode_t mode)
+{
+	struct iio_device *timer = &w.devices[w.device_count];
+
+	(void)mode;
+	errno = w.no_configfs ? ENOENT : EEXIST;
+	if (w.no_configfs)
+		return -1;
+	for (unsigned i = 0; i < w.device_count; i++)
+		if (strcmp(w.devices[i].name, strrchr(path, '/') + 1) == 0)
+			return -1;
+	snprintf(w.made[w.made_count++ % TIMERS], sizeof(w.made[0]), "%s", path);
+	*timer = (struct iio_device){.is_trigger = true};
+	snprintf(timer->id, sizeof(timer->id), "trigger%u", w.device_count);
+	snprintf(timer->name, sizeof(timer->name), "%s", strrchr(path, '/') + 1);
+	timer->attrs[0] = (struct attr){.name = "sampling_frequency"};
+	w.device_count++;
+	return 0;
+}
+
+int rmdir(const char *path)
+{
+	snprintf(w.removed[w.removed_count++ % TIMERS], sizeof(w.removed[0]), "%s", path);
+	return 0;
+}
+
+/* ---- libiio ------------------------------------------------------------------------------------------------------ */
+
+struct iio_context {
+	unsigned device_count; /* a context knows what there was when it was made */
+};
+
+struct iio_context *iio_create_local_context(void)
+{
+	struct iio_context *context = calloc(1, sizeof(*context));
+
+	if (w.no_iio) {
+		free(context);
+		errno = ENOENT;
+		return NULL;
+	}
+	w.contexts++;
+	context->device_count = w.device_count;
+	return context;
+}
+
+void iio_context_destroy(struct iio_context *context)
+{
+	w.contexts--;
+	free(context);
+}
+
+unsigned iio_context_get_devices_count(const struct iio_context *context)
+{
+	return context->device_count;
+}
+
+struct iio_device *iio_context_get_device(const struct iio_context *context, unsigned i)
+{
+	assert_true(i < context->device_count);
+	return &w.devices[i];
+}
+
+struct iio_device *iio_context_find_device(const struct iio_context *context, const char *name)
+{
+	for (unsigned i = 0; i < context->device_count; i++)
+		if (strcmp(w.devices[i].name, name) == 0)
+			return &w.devices[i];
+	return NULL;
+}
+
+const char *iio_device_get_id(const struct iio_device *device)
+{
+	return device->id;
+}
+
+const char *iio_device_get_name(const struct iio_device *device)
+{
+	return device->name[0] ? device->name : NULL;
+}
+
+bool iio_device_is_trigger(const struct iio_device *device)
+{
+	return device->is_trigger;
+}
+
+unsigned iio_device_get_channels_count(const struct iio_device *device)
+{
+	return device->hidden ? 0 : device->channel_count;
+}
+
+struct iio_channel *iio_device_get_channel(const struct iio_device *device, unsigned i)
+{
+	assert_true(i < device->channel_count);
+	return (struct iio_channel *)&device->channels[i];
+}
+
+struct iio_channel *iio_device_find_channel(const struct iio_device *device, const char *name, bool output)
+{
+	assert_string_equal(name, "timestamp");
+	assert_false(output);
+	for (unsigned i = 0; i < device->channel_count; i++)
+		if (device->channels[i].type == IIO_TIMESTAMP)
+			return (struct iio_channel *)&device->channels[i];
+	return NULL;
+}
+
+static ssize_t get(const struct attr *attrs, const char *name, char *text, size_t size)
+{
+	for (int i = 0; i < ATTRS; i++)
+		if (attrs[i].name && strcmp(attrs[i].name, name) == 0)
+			return snprintf(text, size, "%s", attrs[i].text);
+	return -ENOENT;
+}
+
+static ssize_t put(const struct attr *attrs, const char *name, const char *text)
+{
+	for (int i = 0; i < ATTRS; i++)
+		if (attrs[i].name && strcmp(attrs[i].name, name) == 0)
+			return snprintf((char *)attrs[i].text, sizeof(attrs[i].text), "%s", text);
+	return -ENOENT;
+}
+
+ssize_t iio_device_attr_read(const struct iio_device *device, const char *name, char *text, size_t size)
+{
+	return get(device->attrs, name, text, size);
+}
+
+ssize_t iio_device_attr_write(const struct iio_device *device, const char *name, const char *text)
+{
+	return put(device->attrs, name, text);
+}
+
+const char *iio_channel_find_attr(const struct iio_channel *channel, const char *name)
+{
+	char text[64];
+
+	return get(channel->attrs, name, text, sizeof(text)) >= 0 ? name : NULL;
+}
+
+ssize_t iio_channel_attr_read(const struct iio_channel *channel, const char *name, char *text, size_t size)
+{
+	return get(channel->attrs, name, text, size);
+}
+
+ssize_t iio_channel_attr_write(const struct iio_channel *channel, const char *name, const char *text)
+{
+	return put(channel->attrs, name, text);
+}
+
+int iio_channel_attr_read_double(const struct iio_channel *channel, const char *name, double *value)
+{
+	char text[64];
+
+	if (strcmp(name, "raw") == 0) {
+		w.now_ns += MS; /* sysfs is slow */
+		*value = channel->raw + (channel->type == IIO_TEMP ? 0 : (double)(w.polled_reads++ % 2));
+		return 0;
+	}
+	if (get(channel->attrs, name, text, sizeof(text)) < 0)
+		return -ENOENT;
+	*value = strtod(text, NULL);
+	return 0;
+}
+
+enum iio_chan_type iio_channel_get_type(const struct iio_channel *channel)
+{
+	return channel->type;
+}
+
+enum iio_modifier iio_channel_get_modifier(const struct iio_channel *channel)
+{
+	return (enum iio_modifier)channel->modifier;
+}
+
+bool iio_channel_is_output(const struct iio_channel *channel)
+{
+	return channel->is_output;
+}
+
+bool iio_channel_is_scan_element(const struct iio_channel *channel)
+{
+	return channel->is_scan;
+}
+
+void iio_channel_enable(struct iio_channel *channel)
+{
+	channel->enabled = true;
+}
+
+void iio_channel_disable(struct iio_channel *channel)
+{
+	channel->enabled = false;
+}
+
+const struct iio_data_format *iio_channel_get_data_format(const struct iio_channel *channel)
+{
+	return &channel->format;
+}
+
+int iio_device_get_trigger(const struct iio_device *device, const struct iio_device **trigger)
+{
+	*trigger = device->trigger;
+	return device->trigger_result;
+}
+
+int iio_device_set_trigger(const struct iio_device *device, const struct iio_device *trigger)
+{
+	((struct iio_device *)device)->trigger = (struct iio_device *)trigger;
+	return 0;
+}
+
+int iio_device_set_kernel_buffers_count(const struct iio_device *device, unsigned count)
+{
+	((struct iio_device *)device)->kernel_samples = count;
+	return 0;
+}
+
+struct iio_buffer *iio_device_create_buffer(const struct iio_device *device, size_t samples, bool cyclic)
+{
+	struct iio_device *d = (struct iio_device *)device;
+
+	assert_int_equal(samples, 1);
+	assert_false(cyclic);
+	d->buffer.device = d;
+	d->buffered = true;
+	return &d->buffer;
+}
+
+void iio_buffer_destroy(struct iio_buffer *buffer)
+{
+	buffer->device->buffered = false;
+}
+
+int iio_buffer_set_blocking_mode(struct iio_buffer *buffer, bool blocking)
+{
+	(void)buffer;
+	assert_false(blocking);
+	return 0;
+}
+
+int iio_buffer_get_poll_fd(struct iio_buffer *buffer)
+{
+	(void)buffer;
+	return 0;
+}
+
+ssize_t iio_buffer_refill(struct iio_buffer *buffer)
+{
+	struct iio_device *d = buffer->device;
+
+	if (d->scan_next < d->scan_count) {
+		buffer->current = d->scans[d->scan_next++];
+		return sizeof(buffer->current);
+	}
+	d->scan_count = d->scan_next = 0;
+	return d->refill_error ? -d->refill_error : -EAGAIN;
+}
+
+void *iio_buffer_first(const struct iio_buffer *buffer, const struct iio_channel *channel)
+{
+	assert_true(channel->enabled);
+	return channel->type == IIO_TIMESTAMP ? (void *)&buffer->current.t_ns
+					      : (void *)&buffer->current.words[channel->place];
+}
+
+void iio_channel_convert(const struct iio_channel *channel, void *to, const void *from)
+{
+	memcpy(to, from, channel->format.length / 8);
+}
+
+/* ---- the devices ------------------------------------------------------------------------------------------------- */
+
+static void add_triad(struct iio_device *d, enum iio_chan_type type, const char *scale, size_t place)
+{
+	for (int i = 0; i < 3; i++) {
+		struct iio_channel *c = &d->channels[d->channel_count++];
+
+		*c = (struct iio_channel){.type = type,
+			.modifier = X + i,
+			.is_scan = true,
+			.format = {.length = 16, .bits = 16, .is_signed = true},
+			.place = place + (size_t)i};
+		c->attrs[0] = (struct attr){.name = "scale"};
+		strcpy(c->attrs[0].text, scale);
+	}
+}
+
+static struct iio_device *add_device(const char *name, const char *rate, const char *rates)
+{
+	struct iio_device *d = &w.devices[w.device_count];
+
+	*d = (struct iio_device){.trigger_result = -ENOENT}; /* a FIFO of its own */
+	snprintf(d->id, sizeof(d->id), "iio:device%u", w.device_count++);
+	snprintf(d->name, sizeof(d->name), "%s", name);
+	d->attrs[0] = (struct attr){.name = "sampling_frequency"};
+	d->attrs[1] = (struct attr){.name = "sampling_frequency_available"};
+	d->attrs[2] = (struct attr){.name = "current_timestamp_clock", .text = "realtime"};
+	strcpy(d->attrs[0].text, rate);
+	strcpy(d->attrs[1].text, rates);
+	return d;
+}
+
+static void add_timestamp(struct iio_device *d)
+{
+	d->channels[d->channel_count++] = (struct iio_channel){
+		.type = IIO_TIMESTAMP, .is_scan = true, .format = {.length = 64, .bits = 64, .is_signed = true}};
+}
+
+enum { MOTION, MAGNETOMETER };
+
+/* An LSM6 with gyro and accelerometer in one device, 70 mdps and 0.244 mg a digit, and a LIS3MDL. */
+static int set_up(void **state)
+{
+	struct iio_device *d;
+
+	(void)state;
+	w = (struct world){.now_ns = 100000 * MS};
+	port = NULL;
+	d = add_device("lsm6dso", "104", "52 104 208 416");
+	add_triad(d, IIO_ANGL_VEL, "0.001221731", 0);
+	add_triad(d, IIO_ACCEL, "0.002392823", 3);
+	add_timestamp(d);
+	d = add_device("lis3mdl", "80", "10 20 40 80");
+	add_triad(d, IIO_MAGN, "0.000146156", 0);
+	add_timestamp(d);
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	(void)state;
+	if (port)
+		imu_close(port);
+	assert_int_equal(w.contexts, 0);
+	for (unsigned i = 0; i < w.device_count; i++)
+		assert_false(w.devices[i].buffered);
+	return 0;
+}
+
+static void open_sensor(const char *src)
+{
+	char error[300] = "";
+
+	if (imu_open(src, NULL, &port, error, sizeof(error)) < 0)
+		fail_msg("%s", error);
+}
+
+static void assert_refused(const char *src, int result, const char *words)
+{
+	char error[300] = "";
+
+	assert_int_equal(imu_open(src, NULL, &port, error, sizeof(error)), result);
+	if (!strstr(error, words))
+		fail_msg("'%s' does not say '%s'", error, words);
+	assert_null(port);
+}
+
+static void put_scan(int device, int64_t t_ns, const int16_t words[6])
+{
+	struct iio_device *d = &w.devices[device];
+	struct scan *s = &d->scans[d->scan_count++];
+
+	*s = (struct scan){.t_ns = t_ns};
+	memcpy(s->words, words, sizeof(s->words));
+}
+
+/* The thread runs for so many waits, then returns as if it were to be stopped; its buffers are closed then. */
+static void run(int steps, void (*each_step)(void))
+{
+	w.steps = steps;
+	w.each_step = each_step;
+	((struct imu_thread *)port)->stop = false;
+	w.thread(w.thread_ctx);
+}
+
+static void assert_near(double value, double expected, double tolerance)
+{
+	if (!(fabs(value - expected) <= tolerance))
+		fail_msg("%.9g, expected %.9g", value, expected);
+}
+
+/* ---- opening ----------------------------------------------------------------------------------------------------- */
+
+static void test_devices_are_found_by_their_channels_and_set_up(void **state)
+{
+	const struct iio_device *motion = &w.devices[MOTION];
+
+	(void)state;
+	open_sensor("iio");
+	assert_string_equal(port->name, "iio:lsm6dso+lsm6dso");
+	assert_near(port->rate_hz, 104, 1e-9);				  /* 100 Hz asked for */
+	assert_string_equal(motion->attrs[0].text, "104");		  /* sampling_frequency */
+	assert_string_equal(motion->attrs[2].text, "monotonic");	  /* current_timestamp_clock */
+	assert_string_equal(w.devices[MAGNETOMETER].attrs[0].text, "80"); /* its fastest */
+	assert_true(motion->buffered && w.devices[MAGNETOMETER].buffered);
+	assert_int_equal(motion->kernel_samples, 64);
+	for (unsigned i = 0; i < motion->channel_count; i++)
+		assert_true(motion->channels[i].enabled);
+	assert_int_equal(w.made_count, 0);
+}
+
+/* 32768 digits: 2000 deg/s are 0.0010652 rad/s a digit, 8 g are 0.0023942 m/s^2; chips have 0.244 mg, 0.0023928. */
+static void test_the_smallest_range_that_is_wide_enough_is_set(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+
+	(void)state;
+	for (int i = 0; i < 6; i++) {
+		motion->channels[i].attrs[1] = (struct attr){.name = "scale_available"};
+		strcpy(motion->channels[i].attrs[1].text,
+			i < 3 ? "0.000153 0.000611 0.001221" : "0.000598 0.001196 0.002393 0.004785");
+	}
+	open_sensor("iio");
+	assert_string_equal(motion->channels[0].attrs[0].text, "0.001221");
+	assert_string_equal(motion->channels[3].attrs[0].text, "0.002393");
+}
+
+static void test_what_the_devices_cannot_is_refused(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	char error[200] = "";
+
+	(void)state;
+	open_sensor("iio");
+	settings.rate_hz = 500;
+	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), -EINVAL);
+	assert_non_null(strstr(error, "416"));
+	settings.rate_hz = 416;
+	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), 0);
+	assert_near(port->rate_hz, 104, 1e-9); /* dry */
+	assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof(error)), 0);
+	assert_near(port->rate_hz, 416, 1e-9);
+	run(1, NULL);
+	assert_string_equal(w.devices[MOTION].attrs[0].text, "416");
+}
+
+static void test_a_sensor_that_is_missing_or_there_twice_is_refused(void **state)
+{
+	struct iio_device *second;
+
+	(void)state;
+	second = add_device("itg3200", "100", "100");
+	add_triad(second, IIO_ANGL_VEL, "0.001", 0);
+	assert_refused("iio", -EINVAL, "lsm6dso and itg3200");
+	assert_refused("iio:lis3mdl", -ENODEV, "gyro");
+	assert_refused("iio:itg3200", -ENODEV, "accelerometer");
+	assert_refused("iio:a,b,c,d,e", -EINVAL, "4");
+	open_sensor("iio:lsm6dso,iio:device1");
+	imu_close(port);
+	port = NULL;
+	w.no_iio = true;
+	assert_refused("iio", -ENOENT, "IIO");
+}
+
+static void test_without_a_magnetometer_the_others_are_enough(void **state)
+{
+	(void)state;
+	open_sensor("iio:lsm6dso");
+	assert_false(w.devices[MAGNETOMETER].buffered);
+}
+
+static void test_a_mount_matrix_that_is_not_a_rotation_is_refused(void **state)
+{
+	(void)state;
+	w.devices[MOTION].channels[0].attrs[2] =
+		(struct attr){.name = "mount_matrix", .text = "1, 0, 0; 0, 1, 0; 0, 0, -1"};
+	assert_refused("iio", -EINVAL, "mount_matrix");
+}
+
+/* ---- samples ----------------------------------------------------------------------------------------------------- */
+
+static void one_scan_of_each(void)
+{
+	static const int16_t motion[6] = {1000, -2000, 3000, 4096, -4096, 100}, field[6] = {2000, -1000, 500};
+
+	put_scan(MAGNETOMETER, w.now_ns - 3 * MS, field);
+	put_scan(MOTION, w.now_ns - 3 * MS, motion);
+}
+
+/* 48 ms (five intervals of 104 Hz) until readings are believed; of 80 Hz 63 ms. */
+static void test_a_scan_becomes_a_sample_with_scale_offset_and_mounting(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct imu_sample sample;
+
+	(void)state;
+	motion->channels[3].attrs[1] = (struct attr){.name = "offset", .text = "-96"};
+	motion->channels[0].attrs[2] = (struct attr){.name = "mount_matrix", .text = "0, 1, 0; -1, 0, 0; 0, 0, 1"};
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_int_equal(sample.t_us, (w.now_ns - 20 * MS - 3 * MS) / 1000);
+	assert_near(sample.gyro_rad_s.x, -2000 * 0.001221731, 1e-9); /* y of the chip */
+	assert_near(sample.gyro_rad_s.y, -1000 * 0.001221731, 1e-9);
+	assert_near(sample.gyro_rad_s.z, 3000 * 0.001221731, 1e-9);
+	assert_near(sample.accel_m_s2.x, 4000 * 0.002392823, 1e-9);
+	assert_near(sample.accel_m_s2.y, -4096 * 0.002392823, 1e-9);
+	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 1e-9); /* the kernel's unit is the gauss */
+	assert_near(sample.mag_uT.y, -1000 * 0.0146156, 1e-9);
+	assert_int_equal(sample.flags, SAMPLE_MAG);
+	assert_int_equal(imu_read(port, &sample), 0);
+}
+
+static void test_readings_of_a_chip_that_has_just_been_set_up_are_dropped(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 30 * MS; /* + 20 ms of the wait - 3 ms: 47 of 48.08 ms */
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 0);
+}
+
+static void saturated_scan(void)
+{
+	static const int16_t motion[6] = {0, -32768, 0, 0, 0, 0};
+
+	put_scan(MOTION, w.now_ns, motion);
+}
+
+static void test_a_value_at_the_end_of_its_range_is_flagged(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, saturated_scan);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_int_equal(sample.flags, SAMPLE_SATURATED);
+}
+
+static void test_the_temperature_comes_with_a_sample_once_a_second(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct iio_channel *c = &motion->channels[motion->channel_count++];
+	struct imu_sample sample;
+	int with = 0, n = 0;
+
+	(void)state;
+	*c = (struct iio_channel){.type = IIO_TEMP, .raw = 512};
+	c->attrs[0] = (struct attr){.name = "scale", .text = "3.90625"}; /* 1/256 K, in mK */
+	c->attrs[1] = (struct attr){.name = "offset", .text = "6400"};
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(110, one_scan_of_each); /* of 20 ms: 2.2 s */
+	for (; imu_read(port, &sample) == 1; n++)
+		if (sample.flags & SAMPLE_TEMPERATURE) {
+			assert_near(sample.temperature_degC, 27, 1e-9);
+			with++;
+		}
+	assert_true(n > 90);
+	assert_int_equal(with, 3); /* at 0, 1 and 2 s */
+}
+
+/* ---- triggers ---------------------------------------------------------------------------------------------------- */
+
+static void needs_trigger(int device)
+{
+	w.devices[device].trigger_result = 0; /* it can have one, and has none */
+}
+
+static void test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples(void **state)
+{
+	(void)state;
+	needs_trigger(MOTION);
+	open_sensor("iio");
+	assert_string_equal(port->name, "iio:lsm6dso+lsm6dso, by timer");
+	assert_int_equal(w.made_count, 1);
+	assert_string_equal(w.made[0], "/sys/kernel/config/iio/triggers/hrtimer/imu9-device0");
+	assert_string_equal(w.devices[2].attrs[0].text, "100.000");
+	assert_ptr_equal(w.devices[MOTION].trigger, &w.devices[2]);
+	assert_string_equal(w.devices[MOTION].attrs[0].text, "208"); /* 200 asked for */
+	assert_near(port->rate_hz, 100, 1e-9);
+	assert_null(w.devices[MAGNETOMETER].trigger);
+	imu_close(port);
+	port = NULL;
+	assert_int_equal(w.removed_count, 1);
+	assert_string_equal(w.removed[0], w.made[0]);
+	assert_null(w.devices[MOTION].trigger);
+}
+
+/* A trigger serves two devices. */
+static void test_a_magnetometer_of_its_own_has_a_timer_of_its_own(void **state)
+{
+	(void)state;
+	needs_trigger(MOTION);
+	needs_trigger(MAGNETOMETER);
+	open_sensor("iio");
+	assert_int_equal(w.made_count, 2);
+	assert_string_equal(w.made[1], "/sys/kernel/config/iio/triggers/hrtimer/imu9-device0-mag");
+	assert_ptr_equal(w.devices[MAGNETOMETER].trigger, &w.devices[3]);
+}
+
+static void test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not(void **state)
+{
+	static struct iio_device data_ready = {.id = "trigger9", .name = "lsm6dso-dev0", .is_trigger = true},
+				 left = {.id = "trigger8", .name = "imu9-0", .is_trigger = true};
+
+	(void)state;
+	needs_trigger(MOTION);
+	w.devices[MOTION].trigger = &data_ready;
+	open_sensor("iio");
+	assert_int_equal(w.made_count, 0);
+	imu_close(port);
+	port = NULL;
+	w.devices[MOTION].trigger = &left;
+	open_sensor("iio");
+	assert_int_equal(w.made_count, 1);
+}
+
+/* The chip's newest sample is half of its interval of 208 Hz old, on average. */
+static void test_a_reading_by_timer_is_half_an_interval_of_the_chip_old(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	needs_trigger(MOTION);
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near((double)sample.t_us, 1e-3 * (double)(w.now_ns - 20 * MS - 3 * MS) - 1e6 / 208 / 2, 1);
+}
+
+static void test_without_configfs_the_devices_are_polled(void **state)
+{
+	struct imu_sample sample;
+	double rate_hz;
+
+	(void)state;
+	w.no_configfs = true;
+	needs_trigger(MOTION);
+	w.devices[MOTION].channels[0].raw = 1000;
+	w.devices[MAGNETOMETER].channels[0].raw = 2000;
+	open_sensor("iio");
+	assert_string_equal(port->name, "iio:lsm6dso+lsm6dso, polled");
+	rate_hz = port->rate_hz; /* a round of nine files of 1 ms, and a tenth in reserve */
+	assert_near(rate_hz, 0.9e3 / 9, 1e-6);
+	w.now_ns += 100 * MS;
+	run(20, NULL);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near(sample.gyro_rad_s.x, 1000 * 0.001221731, 0.0013);
+	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
+}
+
+/* ---- faults ------------------------------------------------------------------------------------------------------ */
+
+static int next_result(void)
+{
+	struct imu_sample sample;
+
+	return imu_read(port, &sample);
+}
+
+/* The last of all that is there. */
+static int last_result(void)
+{
+	int last = 0;
+
+	for (int result; (result = next_result()) != 0;)
+		last = result;
+	return last;
+}
+
+static void gone(void)
+{
+	w.devices[MOTION].refill_error = ENODEV;
+}
+
+static void test_a_device_that_is_gone_is_silent_and_opened_again(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, gone);
+	assert_int_equal(next_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_SILENT);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
+	w.devices[MOTION].refill_error = 0;
+	w.now_ns += 100 * MS;
+	run(10, one_scan_of_each);
+	assert_int_equal(last_result(), 1);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	assert_int_equal(port->health.bus_errors, 1);
+}
+
+static void test_a_device_without_samples_for_100_ms_has_stopped(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	run(4, NULL); /* the wait that ends it is the fifth of 20 ms */
+	assert_int_equal(next_result(), 0);
+	run(5, NULL);
+	assert_int_equal(next_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
+}
+
+static void only_motion(void)
+{
+	static const int16_t motion[6] = {1, 2, 3, 4, 5, 6};
+
+	put_scan(MOTION, w.now_ns - MS, motion);
+}
+
+static void test_samples_go_on_without_a_magnetometer_that_has_stopped(void **state)
+{
+	struct imu_sample sample;
+	int n = 0;
+
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 60 * MS;
+	run(10, only_motion);
+	while (imu_read(port, &sample) == 1)
+		n++;
+	assert_in_range(n, 8, 10);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	assert_int_equal(port->health.degraded, IMU_FAULT_STOPPED);
+	assert_int_equal(port->health.degraded_chip, IMU_CHIP_MAG);
+}
+
+static void test_a_magnetometer_that_is_missing_is_taken_again_when_it_is_back(void **state)
+{
+	struct imu_sample sample;
+	bool had_field = false;
+
+	(void)state;
+	open_sensor("iio");
+	w.devices[MAGNETOMETER].hidden = true;
+	w.now_ns += 100 * MS;
+	run(3, only_motion); /* begins again, without it */
+	w.now_ns += 100 * MS;
+	run(10, only_motion);
+	while (imu_read(port, &sample) == 1)
+		;
+	assert_int_equal(port->health.degraded, IMU_FAULT_SILENT);
+	assert_int_equal(port->health.degraded_chip, IMU_CHIP_MAG);
+	w.devices[MAGNETOMETER].hidden = false;
+	w.now_ns += 2000 * MS;
+	run(20, one_scan_of_each);
+	for (int result; (result = imu_read(port, &sample)) != 0;)
+		had_field |= result == 1 && (sample.flags & SAMPLE_MAG) != 0;
+	assert_true(had_field);
+	assert_int_equal(port->health.degraded, IMU_FAULT_NONE);
+}
+
+int main(void)
+{
+#define IIO_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
+	const struct CMUnitTest tests[] = {
+		IIO_TEST(test_devices_are_found_by_their_channels_and_set_up),
+		IIO_TEST(test_the_smallest_range_that_is_wide_enough_is_set),
+		IIO_TEST(test_what_the_devices_cannot_is_refused),
+		IIO_TEST(test_a_sensor_that_is_missing_or_there_twice_is_refused),
+		IIO_TEST(test_without_a_magnetometer_the_others_are_enough),
+		IIO_TEST(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
+		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
+		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
+		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged),
+		IIO_TEST(test_the_temperature_comes_with_a_sample_once_a_second),
+		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
+		IIO_TEST(test_a_magnetometer_of_its_own_has_a_timer_of_its_own),
+		IIO_TEST(test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not),
+		IIO_TEST(test_a_reading_by_timer_is_half_an_interval_of_the_chip_old),
+		IIO_TEST(test_without_configfs_the_devices_are_polled),
+		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
+		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
+		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
+		IIO_TEST(test_a_magnetometer_that_is_missing_is_taken_again_when_it_is_back),
+	};
+
+	return cmocka_run_group_tests_name("imu_iio", tests, NULL, NULL);
+}
