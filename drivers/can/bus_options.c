@@ -29,7 +29,7 @@ static bool parse_sample_point(const char *text, uint32_t *permille)
 	return true;
 }
 
-static bool take(struct bus_options *options, const char *option)
+static bool parse_option(struct bus_options *options, const char *option)
 {
 	if (strncmp(option, "bitrate=", 8) == 0)
 		return parse_bit_rate(option + 8, &options->bit_s);
@@ -45,16 +45,18 @@ int bus_options_parse(struct bus_options *options, const char *text, char *error
 
 	*options = (struct bus_options){.bit_s = BUS_BIT_RATE_DEFAULT};
 	if (strlen(text) >= sizeof(copy)) {
-		snprintf(error, error_size, "'%.40s...' is too long for a bus", text);
+		snprintf(error, error_size, "'%.40s...' is too long for a bus: use at most 199 characters", text);
 		return -EINVAL;
 	}
 	strcpy(copy, text);
 	strcpy(options->address, strsep(&rest, ","));
 	while ((option = strsep(&rest, ",")) != NULL)
-		if (!take(options, option)) {
+		if (!parse_option(options, option)) {
 			snprintf(error, error_size,
-				"bad bus option '%s': bitrate=%d to %d, sample-point=0.5 to 0.95, listen-only", option,
-				BIT_RATE_MIN, BIT_RATE_MAX);
+				"unknown bus option or bad value '%s': use bitrate=%d to %d, sample-point=0.5 to 0.95 "
+				"or "
+				"listen-only",
+				option, BIT_RATE_MIN, BIT_RATE_MAX);
 			return -EINVAL;
 		}
 	return 0;

@@ -1,5 +1,5 @@
 /* drivers/can/bus_options.h
- * What may follow the address in a BUS whose adapter we set up ourselves: ,bitrate=B ,sample-point=0.875 ,listen-only */
+ * The options of a BUS whose adapter this process sets up itself: ,bitrate=B ,sample-point=0.875 ,listen-only */
 #ifndef DRIVERS_CAN_BUS_OPTIONS_H
 #define DRIVERS_CAN_BUS_OPTIONS_H
 
@@ -12,8 +12,8 @@ enum { BUS_ADDRESS_MAX = 200, BUS_BIT_RATE_DEFAULT = 500000 };
 struct bus_options {
 	char address[BUS_ADDRESS_MAX];
 	uint32_t bit_s;
-	uint32_t sample_point_permille; /* 0: by the bit rate */
-	bool listen_only;		/* takes no part: neither acknowledges nor sends */
+	uint32_t sample_point_permille; /* 0: chosen by the bit rate */
+	bool listen_only;		/* neither acknowledges nor sends */
 };
 
 /** Splits `text` at the commas. 0; -EINVAL and a reason: an unknown option, a value out of range. */

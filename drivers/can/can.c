@@ -11,7 +11,7 @@
 #include "drivers/can/socketcan.h"
 #include "drivers/can/udp.h"
 
-/* One full frame takes 0.25 ms at 500 kbit/s and 12 ms at 10 kbit/s. */
+/* Back-off of a full bus. One full frame takes 0.25 ms at 500 kbit/s and 12 ms at 10 kbit/s. */
 enum { BACKOFF_MIN_US = 500, BACKOFF_MAX_US = 20000 };
 
 static const struct source {
@@ -65,8 +65,8 @@ int can_open(const char *bus, struct can_port **port, char *error, size_t error_
 
 	error[0] = '\0';
 	result = open_any(bus, port, error, error_size);
-	if (result < 0 && error[0] == '\0') /* memory is short: nothing the driver could add */
-		snprintf(error, error_size, "cannot open %s: %s", bus, strerror(-result));
+	if (result < 0 && error[0] == '\0') /* out of memory: the driver had nothing to add */
+		snprintf(error, error_size, "cannot open bus '%s': %s", bus, strerror(-result));
 	return result;
 }
 
@@ -88,7 +88,7 @@ static bool bus_is_full(int result)
 	return result == -ENOBUFS || result == -EAGAIN;
 }
 
-/* Sends one frame. -ENOBUFS or -EAGAIN leaves it to the caller; the next attempt is due at retry_at_us. */
+/* Sends one frame. After -ENOBUFS or -EAGAIN the caller keeps it; the next attempt is due at retry_at_us. */
 static int send_now(struct can_port *port, const struct can_msg *msg, uint64_t now_us)
 {
 	int result = port->ops->send(port, msg);
@@ -117,14 +117,14 @@ static void drop_oldest(struct can_port *port)
 	port->queue_count--;
 }
 
-/* The i-th of those that wait. */
+/* The i-th frame of the queue. */
 static struct can_msg *waiting(struct can_port *port, size_t i)
 {
 	return &port->queue[(port->queue_head + i) % CAN_QUEUE_LEN];
 }
 
-/* The oldest with that identifier, whose value is superseded; if there is none, the oldest of all. So a flood of PDOs does
- * not push out the EMCY that tells of it. */
+/* Drops the oldest frame with the same identifier, whose value is superseded; if there is none, the oldest of all. So a
+ * burst of PDOs does not displace an EMCY. */
 static void make_room(struct can_port *port, const struct can_msg *msg)
 {
 	size_t i = 0;
@@ -138,7 +138,7 @@ static void make_room(struct can_port *port, const struct can_msg *msg)
 	port->counters.tx_dropped++;
 }
 
-/* Of what a device sends the newest is worth most, and an SDO client that lost an answer asks again. */
+/* The newest value of a device matters most, and an SDO client repeats a request whose response was lost. */
 static void enqueue(struct can_port *port, const struct can_msg *msg)
 {
 	if (port->queue_count == CAN_QUEUE_LEN)

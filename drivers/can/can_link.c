@@ -14,7 +14,7 @@
 
 enum { ANSWER_MAX = 16384 };
 
-/* ---- one request, one answer ------------------------------------------------------------------------------------- */
+/* ---- netlink: one request, one answer------------------------------------------------------------------------------- */
 
 struct request {
 	struct nlmsghdr header;
@@ -49,8 +49,8 @@ static void end_nested(const struct request *r, struct rtattr *outer)
 	outer->rta_len = (unsigned short)((const char *)r + r->header.nlmsg_len - (const char *)outer);
 }
 
-/* The kernel has answered when send() returns. The answer's size, or -errno. */
-static ssize_t ask(const struct request *r, void *answer)
+/* The kernel has queued its answer when send() returns. The size of the answer, or -errno. */
+static ssize_t request(const struct request *r, void *answer)
 {
 	int fd = socket(AF_NETLINK, SOCK_RAW | SOCK_CLOEXEC, NETLINK_ROUTE);
 	ssize_t size = -1;
@@ -63,12 +63,12 @@ static ssize_t ask(const struct request *r, void *answer)
 	return size < 0 ? -error : size;
 }
 
-/* Of an order: what the kernel says about it. */
-static int order(const struct request *r)
+/* Requests a change. 0, or the kernel's -errno. */
+static int change(const struct request *r)
 {
 	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
-	ssize_t size = ask(r, answer);
+	ssize_t size = request(r, answer);
 
 	if (size < 0)
 		return (int)size;
@@ -77,9 +77,9 @@ static int order(const struct request *r)
 	return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
 }
 
-/* ---- what there is ----------------------------------------------------------------------------------------------- */
+/* ---- reading ----------------------------------------------------------------------------------------------- */
 
-/* The attribute of that type among `size` bytes of them, or NULL. */
+/* The first attribute of this type in `size` bytes of attributes, or NULL. */
 static const struct rtattr *find(const void *first, size_t size, unsigned short type)
 {
 	const char *at = first, *end = at + size;
@@ -101,8 +101,8 @@ static const struct rtattr *find_in(const struct rtattr *outer, unsigned short t
 	return outer ? find(RTA_DATA(outer), RTA_PAYLOAD(outer), type) : NULL;
 }
 
-/* Copies as much as both sides know; the bytes that were there. */
-static size_t take(void *out, size_t size, const struct rtattr *attribute)
+/* Copies as many bytes as kernel and this header both have, the rest is 0. The size of the attribute, 0: not there. */
+static size_t copy(void *out, size_t size, const struct rtattr *attribute)
 {
 	size_t there = attribute ? RTA_PAYLOAD(attribute) : 0;
 
@@ -112,43 +112,43 @@ static size_t take(void *out, size_t size, const struct rtattr *attribute)
 	return there;
 }
 
-static void take_limits(struct can_link_limits *limits, const struct rtattr *data)
+static void read_limits(struct can_link_limits *limits, const struct rtattr *data)
 {
 	struct can_bittiming_const c;
 	struct can_clock clock;
 
-	take(&c, sizeof(c), find_in(data, IFLA_CAN_BITTIMING_CONST));
-	take(&clock, sizeof(clock), find_in(data, IFLA_CAN_CLOCK));
+	copy(&c, sizeof(c), find_in(data, IFLA_CAN_BITTIMING_CONST));
+	copy(&clock, sizeof(clock), find_in(data, IFLA_CAN_CLOCK));
 	*limits = (struct can_link_limits){
 		clock.freq, c.brp_min, c.brp_max, c.brp_inc, c.tseg1_min, c.tseg1_max, c.tseg2_min, c.tseg2_max};
 }
 
-static void take_controller(struct can_link *link, const struct rtattr *data)
+static void read_controller(struct can_link *link, const struct rtattr *data)
 {
 	struct can_bittiming timing;
 	struct can_berr_counter errors;
 
-	/* every controller tells its state; vcan does not */
-	link->controller = take(&link->state, sizeof(link->state), find_in(data, IFLA_CAN_STATE)) > 0;
-	take(&timing, sizeof(timing), find_in(data, IFLA_CAN_BITTIMING));
-	take(&errors, sizeof(errors), find_in(data, IFLA_CAN_BERR_COUNTER));
-	take(&link->restart_ms, sizeof(link->restart_ms), find_in(data, IFLA_CAN_RESTART_MS));
-	take_limits(&link->limits, data);
-	size_t rates = take(link->rates, sizeof(link->rates), find_in(data, IFLA_CAN_BITRATE_CONST));
+	/* every controller reports its state; vcan does not */
+	link->controller = copy(&link->state, sizeof(link->state), find_in(data, IFLA_CAN_STATE)) > 0;
+	copy(&timing, sizeof(timing), find_in(data, IFLA_CAN_BITTIMING));
+	copy(&errors, sizeof(errors), find_in(data, IFLA_CAN_BERR_COUNTER));
+	copy(&link->restart_ms, sizeof(link->restart_ms), find_in(data, IFLA_CAN_RESTART_MS));
+	read_limits(&link->limits, data);
+	size_t rates = copy(link->rates, sizeof(link->rates), find_in(data, IFLA_CAN_BITRATE_CONST));
 	link->bit_s = timing.bitrate;
 	link->tx_errors = errors.txerr;
 	link->rx_errors = errors.rxerr;
 	link->rate_count = (rates < sizeof(link->rates) ? rates : sizeof(link->rates)) / sizeof(link->rates[0]);
 }
 
-static void take_link(struct can_link *link, const struct nlmsghdr *header)
+static void read_link(struct can_link *link, const struct nlmsghdr *header)
 {
 	const void *first = IFLA_RTA(NLMSG_DATA(header));
 	size_t size = IFLA_PAYLOAD(header);
 	struct rtnl_link_stats64 stats;
 
-	take(&stats, sizeof(stats), find(first, size, IFLA_STATS64));
-	take_controller(link, find_in(find(first, size, IFLA_LINKINFO), IFLA_INFO_DATA));
+	copy(&stats, sizeof(stats), find(first, size, IFLA_STATS64));
+	read_controller(link, find_in(find(first, size, IFLA_LINKINFO), IFLA_INFO_DATA));
 	/* vcan counts each frame in both directions */
 	link->frames = stats.tx_packets + (link->controller ? stats.rx_packets : 0);
 	link->bytes = stats.tx_bytes + (link->controller ? stats.rx_bytes : 0);
@@ -159,7 +159,7 @@ int can_link_look(int interface, struct can_link *link)
 	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
 	const struct request r = request_of(RTM_GETLINK, 0, interface);
-	ssize_t size = ask(&r, answer);
+	ssize_t size = request(&r, answer);
 
 	*link = (struct can_link){0};
 	if (size < 0)
@@ -168,11 +168,11 @@ int can_link_look(int interface, struct can_link *link)
 		return -EIO;
 	if (header->nlmsg_type == NLMSG_ERROR)
 		return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
-	take_link(link, header);
+	read_link(link, header);
 	return 0;
 }
 
-/* ---- what can be changed ----------------------------------------------------------------------------------------- */
+/* ---- changing ----------------------------------------------------------------------------------------- */
 
 static bool permitted(void)
 {
@@ -196,7 +196,8 @@ bool can_link_has_rate(const struct can_link *link, uint32_t bit_s)
 	if (!link->controller || bit_s == 0)
 		return false;
 	if (link->rate_count == 0)
-		return link->limits.clock_hz == 0 || divides(&link->limits, bit_s); /* a setting will tell */
+		return link->limits.clock_hz == 0 ||
+		       divides(&link->limits, bit_s); /* limits unknown: the kernel decides */
 	for (size_t i = 0; i < link->rate_count; i++)
 		if (link->rates[i] == bit_s)
 			return true;
@@ -209,10 +210,10 @@ static int switch_on(int interface, bool on)
 
 	r.link.ifi_change = IFF_UP;
 	r.link.ifi_flags = on ? IFF_UP : 0;
-	return order(&r);
+	return change(&r);
 }
 
-/* An attribute of the controller. */
+/* Sets one attribute of the controller. */
 static int set(int interface, unsigned short type, const void *data, size_t size)
 {
 	struct request r = request_of(RTM_NEWLINK, NLM_F_ACK, interface);
@@ -223,7 +224,7 @@ static int set(int interface, unsigned short type, const void *data, size_t size
 	add(&r, type, data, size);
 	end_nested(&r, inner);
 	end_nested(&r, info);
-	return order(&r);
+	return change(&r);
 }
 
 int can_link_bit_rate(int interface, uint32_t bit_s, bool dry_run)

@@ -14,7 +14,7 @@ static void set_bus_off(struct can_port *port)
 }
 
 /* Some adapters (candleLight) report the return to error-active as a controller problem without any detail. */
-static void take_controller_state(struct can_port *port, uint8_t controller)
+static void set_controller_state(struct can_port *port, uint8_t controller)
 {
 	if ((controller & CAN_ERR_CRTL_RX_OVERFLOW) != 0)
 		port->counters.rx_dropped++;
@@ -30,7 +30,7 @@ void can_error_frame(struct can_port *port, uint32_t can_id, const uint8_t data[
 {
 	port->counters.errors++;
 	if ((can_id & CAN_ERR_CRTL) != 0 && (can_id & CAN_ERR_BUSOFF) == 0)
-		take_controller_state(port, data[1]);
+		set_controller_state(port, data[1]);
 	if ((can_id & (CAN_ERR_CRTL | ERROR_HAS_COUNTS)) != 0) {
 		port->tx_errors = data[6];
 		port->rx_errors = data[7];

@@ -18,8 +18,8 @@
 #include "drivers/can/more.h"
 
 enum {
-	PACKETS = 32,	  /* transfers that wait for packets: 7 ms of a full bus at 500 kbit/s */
-	PACKET_MAX = 512, /* of a high-speed bulk end point */
+	PACKETS = 32,	  /* IN transfers submitted at once: 7 ms of a full bus at 500 kbit/s */
+	PACKET_MAX = 512, /* of a high-speed bulk endpoint */
 	PACKETS_PER_CALL = 2 * PACKETS,
 	CONTROL_TIMEOUT_MS = 500,
 	OPEN_TIMEOUT_MS = 2000,
@@ -29,13 +29,13 @@ enum {
 };
 #define SYSFS "/sys/bus/usb/devices"
 
-/* What is asked of an adapter, in this order, one control transfer each. */
+/* Setting up the adapter: one control transfer each, in this order. */
 enum step {
 	STEP_HOST_FORMAT,
 	STEP_CONFIG,
 	STEP_LIMITS,
-	STEP_KNOWN, /* nothing is asked: waits for the first service() */
-	STEP_RESET, /* a restart begins here */
+	STEP_KNOWN, /* no transfer: waits for the first service() */
+	STEP_RESET, /* a restart starts here */
 	STEP_TIMING,
 	STEP_START,
 	STEP_RUNNING,
@@ -44,11 +44,11 @@ enum step {
 struct packet {
 	struct gs_usb *can;
 	struct libusb_transfer *transfer;
-	bool idle; /* neither at libusb nor among those done */
+	bool idle; /* neither submitted to libusb nor in `done` */
 	uint8_t bytes[PACKET_MAX];
 };
 
-/* A frame on its way. Free again when both have happened: libusb is through with it, and its echo came. */
+/* A frame being sent. Free again when its transfer has completed and its echo has arrived. */
 struct slot {
 	struct gs_usb *can;
 	struct libusb_transfer *transfer;
@@ -63,21 +63,21 @@ struct gs_usb {
 
 	char wanted[GS_USB_TEXT]; /* serial number or place */
 	uint8_t channel;
-	uint32_t sample_point_permille; /* 0: by the bit rate */
+	uint32_t sample_point_permille; /* 0: chosen by the bit rate */
 	bool listen_only;
 
 	libusb_device_handle *handle; /* NULL: unplugged */
 	int node;		      /* descriptor of the handle */
-	bool lost;		      /* give the handle up, look for the adapter anew */
+	bool lost;		      /* close the handle and search for the adapter */
 	bool cancelled;
 	uint8_t interface, in, out;
 	int packet_size;
 	struct gs_usb_limits limits;
 
 	enum step step;
-	bool restart; /* from STEP_RESET as soon as the running transfer is done */
-	bool asking;
-	int answer; /* why the last step failed, -errno */
+	bool restart; /* continue with STEP_RESET after the control transfer in progress */
+	bool asking;  /* a control transfer is in progress */
+	int answer;   /* -errno of the last step that failed */
 	struct libusb_transfer *control;
 	uint8_t control_bytes[LIBUSB_CONTROL_SETUP_SIZE + GS_USB_LIMITS_LEN];
 
@@ -85,12 +85,12 @@ struct gs_usb {
 	struct packet *done[PACKETS]; /* a ring, oldest first */
 	size_t done_head, done_count;
 	struct slot slots[GS_USB_SLOTS];
-	int pending; /* transfers that libusb has */
+	int pending; /* transfers submitted to libusb */
 
 	struct id_filter filter;
 	struct gs_usb_clock clock;
-	uint64_t look_at_us;
-	uint64_t full_since_us; /* all slots taken and no echo since; 0: not so */
+	uint64_t look_at_us;	/* search for the adapter next at */
+	uint64_t full_since_us; /* since when all slots are in use without an echo; 0: they are not */
 };
 
 static struct gs_usb *of(struct can_port *port)
@@ -115,7 +115,7 @@ static int errno_of(int usb_error)
 	}
 }
 
-/* ---- libusb's descriptors in ours --------------------------------------------------------------------------------- */
+/* ---- libusb's descriptors in the port's --------------------------------------------------------------------------------- */
 
 static void LIBUSB_CALL add_descriptor(int fd, short events, void *user_data)
 {
@@ -209,7 +209,7 @@ static void await_packets(struct gs_usb *can)
 			await_packet(can, &can->packets[i]);
 }
 
-/* The frames that the adapter still had are lost with it, or with its restart. */
+/* The frames that the adapter has not sent are lost when it is unplugged or restarted. */
 static void free_slots(struct gs_usb *can)
 {
 	for (size_t i = 0; i < GS_USB_SLOTS; i++) {
@@ -235,8 +235,8 @@ static int find_timing(const struct gs_usb *can, uint32_t bit_s, struct bit_timi
 	return bit_timing_find(&can->limits.timing, can->limits.sjw_max, bit_s, permille, timing);
 }
 
-/* Takes the answer to the present step. */
-static int take_answer(struct gs_usb *can, const uint8_t *data, size_t size)
+/* Evaluates the answer to the current step. */
+static int evaluate_answer(struct gs_usb *can, const uint8_t *data, size_t size)
 {
 	struct bit_timing timing;
 	int result = 0;
@@ -270,10 +270,10 @@ static void LIBUSB_CALL on_answer(struct libusb_transfer *transfer)
 
 	can->pending--;
 	can->asking = false;
-	can->answer =
-		transfer->status == LIBUSB_TRANSFER_COMPLETED
-			? take_answer(can, libusb_control_transfer_get_data(transfer), (size_t)transfer->actual_length)
-			: -EIO;
+	can->answer = transfer->status == LIBUSB_TRANSFER_COMPLETED
+			      ? evaluate_answer(can, libusb_control_transfer_get_data(transfer),
+					(size_t)transfer->actual_length)
+			      : -EIO;
 	if (can->answer < 0) {
 		can->lost = true;
 		return;
@@ -292,7 +292,7 @@ static void ask(struct gs_usb *can, enum gs_usb_request request, uint16_t value,
 	can->asking = submit(can, can->control);
 }
 
-static void take_step(struct gs_usb *can)
+static void request_step(struct gs_usb *can)
 {
 	uint8_t *data = can->control_bytes + LIBUSB_CONTROL_SETUP_SIZE;
 	struct bit_timing timing = {0};
@@ -313,7 +313,7 @@ static void take_step(struct gs_usb *can)
 		ask(can, GS_USB_MODE, can->channel, GS_USB_MODE_LEN, false);
 		break;
 	case STEP_TIMING:
-		(void)find_timing(can, can->port.bit_s, &timing); /* was found before */
+		(void)find_timing(can, can->port.bit_s, &timing); /* cannot fail: checked before */
 		gs_usb_put_bit_timing(&timing, data);
 		ask(can, GS_USB_BIT_TIMING, can->channel, GS_USB_BIT_TIMING_LEN, false);
 		break;
@@ -336,10 +336,10 @@ static void restart(struct gs_usb *can)
 		can->step = STEP_RESET;
 }
 
-/* ---- finding and losing it ---------------------------------------------------------------------------------------- */
+/* ---- attaching and detaching ---------------------------------------------------------------------------------------- */
 
-/* The interface with a bulk end point each way; candleLight has a second one, for its firmware. */
-static bool take_interface(struct gs_usb *can, const struct libusb_interface_descriptor *interface)
+/* The CAN interface has a bulk endpoint in each direction; candleLight has another one for firmware updates. */
+static bool use_interface(struct gs_usb *can, const struct libusb_interface_descriptor *interface)
 {
 	bool in = false, out = false;
 
@@ -373,7 +373,7 @@ static int find_interface(struct gs_usb *can)
 		return errno_of(result);
 	for (int i = 0; i < config->bNumInterfaces && !found; i++)
 		if (config->interface[i].num_altsetting > 0)
-			found = take_interface(can, &config->interface[i].altsetting[0]);
+			found = use_interface(can, &config->interface[i].altsetting[0]);
 	libusb_free_config_descriptor(config);
 	return found ? 0 : -EPROTO;
 }
@@ -398,7 +398,7 @@ static void fill_transfers(struct gs_usb *can)
 static void close_handle(struct gs_usb *can)
 {
 	if (can->handle != NULL) {
-		(void)libusb_release_interface(can->handle, can->interface); /* gives it back to the kernel's driver */
+		(void)libusb_release_interface(can->handle, can->interface); /* the kernel's driver is attached again */
 		libusb_close(can->handle);
 		can->handle = NULL;
 	}
@@ -418,7 +418,7 @@ static int claim(struct gs_usb *can)
 	return result < 0 ? errno_of(result) : 0;
 }
 
-/* Opens the wanted adapter and begins to set it up. */
+/* Opens the wanted adapter; its set-up starts with STEP_HOST_FORMAT. */
 static int attach(struct gs_usb *can, struct gs_usb_adapter *adapter, char *error, size_t error_size)
 {
 	struct gs_usb_adapter list[GS_USB_ADAPTERS];
@@ -453,7 +453,7 @@ static void cancel(struct gs_usb *can)
 	can->cancelled = true;
 }
 
-/* Takes back what libusb has, and then closes: libusb needs its transfers until they have come back. */
+/* Cancels the transfers, and closes the handle when libusb has returned all of them. */
 static void detach(struct gs_usb *can)
 {
 	can->port.state = CAN_STATE_DOWN;
@@ -489,19 +489,19 @@ static int gs_usb_send(struct can_port *port, const struct can_msg *msg)
 	return -ENOBUFS;
 }
 
-static void take_echo(struct gs_usb *can, uint32_t slot)
+static void handle_echo(struct gs_usb *can, uint32_t slot)
 {
 	if (!can->slots[slot].on_bus) {
-		can->port.counters.rx_dropped++; /* we sent no such frame */
+		can->port.counters.rx_dropped++; /* no such frame was sent */
 		return;
 	}
 	can->slots[slot].on_bus = false;
-	can->port.retry_at_us = 0; /* there is room again */
+	can->port.retry_at_us = 0; /* a slot is free: no back-off */
 	can->full_since_us = 0;
 }
 
-/* True: a frame for the receiver. */
-static bool take_packet(struct gs_usb *can, const struct packet *packet, struct can_msg *msg, uint64_t now_us)
+/* True: *msg is a received frame. */
+static bool handle_packet(struct gs_usb *can, const struct packet *packet, struct can_msg *msg, uint64_t now_us)
 {
 	struct gs_usb_frame frame;
 	size_t size = (size_t)packet->transfer->actual_length;
@@ -516,7 +516,7 @@ static bool take_packet(struct gs_usb *can, const struct packet *packet, struct 
 	if (frame.overflow)
 		can->port.counters.rx_dropped++;
 	if (frame.kind == GS_USB_ECHO)
-		take_echo(can, frame.slot);
+		handle_echo(can, frame.slot);
 	else if (frame.kind == GS_USB_ERROR)
 		can_error_frame(&can->port, frame.can_id, frame.msg.data);
 	if (frame.kind != GS_USB_RECEIVED)
@@ -540,7 +540,7 @@ static int gs_usb_receive(struct can_port *port, struct can_msg *msg, uint64_t n
 
 		can->done_head = (can->done_head + 1) % PACKETS;
 		can->done_count--;
-		received = port->state != CAN_STATE_DOWN && take_packet(can, packet, msg, now_us);
+		received = port->state != CAN_STATE_DOWN && handle_packet(can, packet, msg, now_us);
 		await_packet(can, packet);
 	}
 	more_set(&can->more, can->done_count > 0);
@@ -553,7 +553,7 @@ static int gs_usb_filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return 0;
 }
 
-/* An adapter that takes frames and confirms none, though it calls its bus healthy, has lost track of them. */
+/* An adapter that reports an active bus but has echoed none of ten frames for two seconds is restarted. */
 static uint64_t watch_echoes(struct gs_usb *can, uint64_t now_us)
 {
 	for (size_t i = 0; i < GS_USB_SLOTS; i++)
@@ -569,7 +569,7 @@ static uint64_t watch_echoes(struct gs_usb *can, uint64_t now_us)
 	return UINT64_MAX;
 }
 
-static uint64_t look_for_it(struct gs_usb *can, uint64_t now_us)
+static uint64_t search_adapter(struct gs_usb *can, uint64_t now_us)
 {
 	struct gs_usb_adapter adapter;
 	char error[300];
@@ -588,14 +588,14 @@ static uint64_t gs_usb_service(struct can_port *port, uint64_t now_us)
 	if (can->handle != NULL && can->lost)
 		detach(can);
 	if (can->handle == NULL)
-		next_us = look_for_it(can, now_us);
+		next_us = search_adapter(can, now_us);
 	if (can->handle == NULL || can->lost)
 		return next_us;
 	next_us = watch_echoes(can, now_us);
 	if (can->step == STEP_KNOWN)
 		can->step = STEP_RESET;
 	if (!can->asking)
-		take_step(can);
+		request_step(can);
 	return next_us;
 }
 
@@ -619,7 +619,7 @@ static int gs_usb_restart(struct can_port *port)
 	struct gs_usb *can = of(port);
 
 	if (can->step != STEP_RUNNING)
-		return 0; /* on the way already */
+		return 0; /* a restart is in progress */
 	restart(can);
 	return 0;
 }
@@ -648,7 +648,7 @@ static void gs_usb_close(struct can_port *port)
 				wait_for_events(can, 10);
 		}
 		if (can->handle != NULL)
-			return; /* what libusb still works on must not be freed; the process ends now anyway */
+			return; /* libusb still uses the transfers: they must not be freed */
 	}
 	libusb_free_transfer(can->control);
 	for (size_t i = 0; i < PACKETS; i++)
@@ -715,34 +715,35 @@ static void explain(
 	switch (result) {
 	case -EACCES:
 		snprintf(error, error_size,
-			"no permission to use the adapter %s (%s): install the rule 70-imu9-gateway.rules for udev "
+			"no permission to use the adapter %s (%s): install the udev rule 70-imu9-gateway.rules "
 			"(`make install`, then plug the adapter in again), or run as root",
 			name, adapter->node);
 		break;
 	case -EBUSY:
 		snprintf(error, error_size,
-			"another program uses the adapter %s: stop that, or give another adapter (gs_usb:SERIAL)",
-			name);
+			"another program uses the adapter %s: stop it, or use another adapter (gs_usb:SERIAL)", name);
 		break;
 	case -ECHRNG:
-		snprintf(error, error_size, "the adapter %s has no channel %u", name, can->channel);
+		snprintf(error, error_size, "the adapter %s has no channel %u: channels count from 0", name,
+			can->channel);
 		break;
 	case -EOPNOTSUPP:
-		snprintf(error, error_size, "the adapter %s can do neither %u bit/s%s nor anything near it", name,
+		snprintf(error, error_size,
+			"the adapter %s does not support %u bit/s%s: use another bit rate (bitrate=B)", name,
 			can->port.bit_s, can->listen_only ? " in listen-only mode" : "");
 		break;
 	default:
-		snprintf(error, error_size, "the adapter %s (%s) does not work: %s", name, adapter->node,
-			strerror(-result));
+		snprintf(error, error_size, "the adapter %s (%s) failed: %s: plug it in again, or try another USB port",
+			name, adapter->node, strerror(-result));
 	}
 }
 
-/* Asks the adapter what it can do. */
-static int get_to_know(struct gs_usb *can)
+/* Reads the adapter's properties. */
+static int identify(struct gs_usb *can)
 {
 	for (int ms = 0; ms < OPEN_TIMEOUT_MS && can->step != STEP_KNOWN && !can->lost; ms += 10) {
 		if (!can->asking)
-			take_step(can);
+			request_step(can);
 		wait_for_events(can, 10);
 	}
 	if (can->step == STEP_KNOWN)
@@ -755,13 +756,13 @@ static int set_up(struct gs_usb *can, char *error, size_t error_size)
 	struct gs_usb_adapter adapter = {0};
 	int result;
 
-	libusb_set_option(NULL, LIBUSB_OPTION_NO_DEVICE_DISCOVERY); /* ours is gs_usb_find.c: no thread, no udev */
+	libusb_set_option(NULL, LIBUSB_OPTION_NO_DEVICE_DISCOVERY); /* gs_usb_find.c does it without a thread or udev */
 	result = libusb_init(&can->usb);
 	result = result < 0 ? errno_of(result) : watch_descriptors(can);
 	if (result == 0)
 		result = allocate_transfers(can) ? attach(can, &adapter, error, error_size) : -ENOMEM;
 	if (result == 0)
-		result = get_to_know(can);
+		result = identify(can);
 	if (result < 0 && error[0] == '\0')
 		explain(result, can, &adapter, error, error_size);
 	if (result == 0) {

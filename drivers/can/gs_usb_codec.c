@@ -11,9 +11,9 @@ enum { FLAG_OVERFLOW = 1 << 0, FLAG_FD = 1 << 1 };
 #define ID_ERROR	 UINT32_C(0x20000000)
 #define ID_MASK		 UINT32_C(0x1FFFFFFF)
 #define ID_STANDARD_MASK UINT32_C(0x7FF)
-#define RECEIVED	 UINT32_C(0xFFFFFFFF) /* echo_id of a frame that is not ours */
+#define RECEIVED	 UINT32_C(0xFFFFFFFF) /* echo_id of a frame that another node sent */
 
-/* Far above any controller, and few enough to try them all. */
+/* Far above any controller's, and few enough to try all. */
 enum { SEGMENT_MAX = 4096, BRP_MAX = 65536 };
 
 enum { CREEP = 5000, LATE_MAX_US = 10000000 }; /* 1/5000 = 200 ppm */
@@ -135,7 +135,7 @@ static uint64_t start(struct gs_usb_clock *clock, uint32_t stamp_us, uint64_t no
 	return now_us;
 }
 
-/* mapped_us + (stamp's step) is where the old offset puts the frame. */
+/* With the previous offset, the frame was on the bus at mapped_us + step_us. */
 uint64_t gs_usb_clock_map(struct gs_usb_clock *clock, uint32_t stamp_us, uint64_t now_us)
 {
 	int32_t step_us = (int32_t)(stamp_us - clock->last_stamp_us);

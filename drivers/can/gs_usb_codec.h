@@ -6,7 +6,7 @@
 #include "drivers/can/gs_usb_timing.h"
 #include "drivers/ports/can.h"
 
-/* Vendor requests to the interface. wValue is the channel; 1 in HOST_FORMAT and DEVICE_CONFIG. */
+/* Vendor requests to the interface. wValue is the channel, but 1 in HOST_FORMAT and CONFIG. */
 enum gs_usb_request {
 	GS_USB_HOST_FORMAT = 0,
 	GS_USB_BIT_TIMING = 1,
@@ -29,7 +29,7 @@ enum {
 	GS_USB_FRAME_STAMPED_LEN = 24,
 };
 
-enum { GS_USB_SLOTS = 10 }; /* frames that an adapter takes before the first has come back as an echo */
+enum { GS_USB_SLOTS = 10 }; /* frames an adapter accepts before it has echoed the first */
 
 struct gs_usb_limits {
 	uint32_t features;
@@ -39,8 +39,8 @@ struct gs_usb_limits {
 
 enum gs_usb_kind {
 	GS_USB_RECEIVED, /* `msg` */
-	GS_USB_ECHO,	 /* our frame of `slot` is on the bus */
-	GS_USB_ERROR,	 /* `can_id` and `msg.data`: as SocketCAN's error frames */
+	GS_USB_ECHO,	 /* the frame sent from `slot` is on the bus */
+	GS_USB_ERROR,	 /* `can_id` and `msg.data` as in SocketCAN's error frames */
 };
 
 struct gs_usb_frame {
@@ -59,25 +59,26 @@ void gs_usb_put_bit_timing(const struct bit_timing *timing, uint8_t out[GS_USB_B
 void gs_usb_put_mode(uint32_t mode, uint32_t flags, uint8_t out[GS_USB_MODE_LEN]);
 void gs_usb_put_frame(const struct can_msg *msg, uint32_t slot, uint8_t channel, uint8_t out[GS_USB_FRAME_LEN]);
 
-/** 0; -EBADMSG: too short, or limits that no controller has. */
+/** 0; -EBADMSG: too short, or limits that no controller can have. */
 int gs_usb_get_limits(const uint8_t *in, size_t size, struct gs_usb_limits *limits);
 /** The number of channels, or -EBADMSG. */
 int gs_usb_get_channels(const uint8_t *in, size_t size);
-/** One packet is one frame, what follows it is padding. 0; -EBADMSG: too short, too long a DLC, an echo of no slot;
+/** One packet is one frame; the rest of it is padding. 0; -EBADMSG: too short, too long a DLC, an echo of a slot that does not exist;
  * -ENOTSUP: CAN FD. */
 int gs_usb_get_frame(const uint8_t *in, size_t size, bool stamped, struct gs_usb_frame *frame);
 
-/** Maps the adapter's 32-bit microsecond clock to ours. A frame cannot arrive before it was on the bus, and the quickest
- * one was hardly late: the offset is the smallest seen, and creeps up by 200 ppm, more than two crystals differ. */
+/** Maps the adapter's 32-bit microsecond clock to CLOCK_MONOTONIC. No frame arrives before it was on the bus, and the
+ * fastest one has hardly any delay: the offset between the clocks is the smallest seen. It increases by 200 ppm, more than
+ * two crystals differ, so that a drift in either direction is followed. */
 struct gs_usb_clock {
 	bool running;
 	uint32_t last_stamp_us;
-	uint64_t mapped_us; /* last_stamp_us in our time */
-	uint64_t crept_at_us;
+	uint64_t mapped_us;   /* last_stamp_us in CLOCK_MONOTONIC */
+	uint64_t crept_at_us; /* when the offset was increased last */
 };
 
-/** The time of the stamp in now_us's time; never later than now_us. What would be more than 10 s late (35 minutes without
- * a frame, an adapter that was reset) starts anew, from now_us. */
+/** The time of the stamp on the clock of now_us, never after now_us. When it would be more than 10 s before now_us (no
+ * frame for 35 minutes, an adapter that was reset), the mapping is re-initialised with now_us. */
 uint64_t gs_usb_clock_map(struct gs_usb_clock *clock, uint32_t stamp_us, uint64_t now_us);
 
 #endif

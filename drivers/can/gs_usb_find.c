@@ -10,10 +10,10 @@
 #include <string.h>
 #include <unistd.h>
 
-/* Those that Linux' own gs_usb driver knows. */
+/* The USB IDs of Linux's gs_usb driver. */
 static const char *const known_ids[] = {"1d50:606f", "1209:2323", "1cd2:606f", "16d0:10b8", "16d0:0f30", "1209:ca01"};
 
-/* One line of a file of the device, whose text goes to terminals. False: there is no such file. */
+/* Reads the first line of a file; control characters are replaced, since the text goes to terminals. False: no such file. */
 static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 {
 	int fd = openat(dir, file, O_RDONLY | O_CLOEXEC);
@@ -40,7 +40,7 @@ static bool is_known(const char *vendor, const char *product)
 	return false;
 }
 
-static bool look_at(int root, const char *name, struct gs_usb_adapter *adapter)
+static bool read_adapter(int root, const char *name, struct gs_usb_adapter *adapter)
 {
 	char vendor[GS_USB_TEXT], product[GS_USB_TEXT], bus[GS_USB_TEXT], number[GS_USB_TEXT];
 	int dir = openat(root, name, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
@@ -79,7 +79,7 @@ size_t gs_usb_list(const char *root, struct gs_usb_adapter list[GS_USB_ADAPTERS]
 	while (n < GS_USB_ADAPTERS && (entry = readdir(dir)) != NULL) {
 		if (strchr(entry->d_name, ':') != NULL || entry->d_name[0] == '.')
 			continue; /* an interface of a device */
-		if (look_at(dirfd(dir), entry->d_name, &list[n]))
+		if (read_adapter(dirfd(dir), entry->d_name, &list[n]))
 			n++;
 	}
 	closedir(dir);
@@ -93,13 +93,15 @@ static void explain(const struct gs_usb_adapter *list, size_t n, const char *wan
 
 	if (n == 0) {
 		snprintf(error, error_size,
-			"no gs_usb adapter (candleLight, CANable and kin) is plugged in: `lsusb` lists what is");
+			"no gs_usb adapter (candleLight, CANable or similar) found: plug it in; `lsusb` lists the USB "
+			"devices");
 		return;
 	}
 	if (wanted[0] != '\0')
-		snprintf(error, error_size, "no gs_usb adapter with the serial number or place '%s'; there is", wanted);
+		snprintf(error, error_size, "no gs_usb adapter with the serial number or USB port '%s': use one of",
+			wanted);
 	else
-		snprintf(error, error_size, "several gs_usb adapters: choose one");
+		snprintf(error, error_size, "several gs_usb adapters found: use one of");
 	for (size_t i = 0; i < n; i++) {
 		used = strlen(error);
 		snprintf(error + used, error_size - used, "%s gs_usb:%s (%s at %s)", i > 0 ? "," : "",

@@ -5,7 +5,7 @@
 enum { RATE_PERMILLE = 5 };
 
 struct candidate {
-	uint64_t rate_off;  /* |quanta * brp * bit_s - clock|: 0 is exact */
+	uint64_t rate_off;  /* |quanta * brp * bit_s - clock| [Hz] */
 	uint64_t point_off; /* distance from the sample point, in 1/1000000 of a bit */
 	uint32_t brp, quanta, seg2;
 };
@@ -29,7 +29,7 @@ static uint32_t clamp(uint32_t value, uint32_t low, uint32_t high)
 	return value < low ? low : value > high ? high : value;
 }
 
-/* The best second segment for so many quanta a bit; false: the segments cannot make that many. */
+/* Chooses seg2 for c->quanta; false: the segments cannot add up to it. */
 static bool split(const struct can_link_limits *l, uint32_t permille, struct candidate *c)
 {
 	uint32_t both = c->quanta - 1; /* without the synchronisation segment */
@@ -39,7 +39,7 @@ static bool split(const struct can_link_limits *l, uint32_t permille, struct can
 	uint32_t low = both > l->tseg1_max && both - l->tseg1_max > l->tseg2_min ? both - l->tseg1_max : l->tseg2_min;
 	uint32_t high = both - l->tseg1_min < l->tseg2_max ? both - l->tseg1_min : l->tseg2_max;
 
-	/* halves up: the sample point rather early than late, as the kernel has it */
+	/* half a quantum is rounded up: of two sample points the earlier one, as in the kernel */
 	c->seg2 = clamp((c->quanta * (1000 - permille) + 500) / 1000, low, high);
 	c->point_off = distance((uint64_t)(c->quanta - c->seg2) * 1000000 / c->quanta, (uint64_t)permille * 1000);
 	return true;
@@ -74,7 +74,7 @@ int bit_timing_find(const struct can_link_limits *l, uint32_t sjw_max, uint32_t 
 		uint64_t quanta = (l->clock_hz + brp * bit_s / 2) / (brp * bit_s);
 
 		if (quanta == 0)
-			break; /* and larger prescalers leave less */
+			break; /* larger prescalers give fewer quanta */
 		if (quanta > most)
 			continue;
 		c.quanta = (uint32_t)quanta;

@@ -1,5 +1,5 @@
 /* drivers/can/id_filter.h
- * Which 11-bit identifiers are wanted, for buses whose adapter does not filter. */
+ * A filter for 11-bit identifiers, for buses whose adapter does not filter. */
 #ifndef DRIVERS_CAN_ID_FILTER_H
 #define DRIVERS_CAN_ID_FILTER_H
 
@@ -8,7 +8,7 @@
 #include "drivers/ports/can.h"
 
 struct id_filter {
-	bool on; /* false: all are wanted, the 29-bit ones too */
+	bool on; /* false: all frames pass, 29-bit ones too */
 	uint32_t wanted[2048 / 32];
 };
 

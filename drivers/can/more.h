@@ -1,6 +1,6 @@
 /* drivers/can/more.h
- * A port's epoll descriptor, and what keeps it readable while frames wait in the driver itself, which no descriptor tells. Costs
- * system calls when that changes only. */
+ * A port's epoll descriptor, and an eventfd in it that keeps it readable while received frames wait in the driver itself.
+ * A system call is made only when that changes. */
 #ifndef DRIVERS_CAN_MORE_H
 #define DRIVERS_CAN_MORE_H
 
@@ -17,7 +17,7 @@ struct more {
 	bool set;
 };
 
-/** Makes the epoll descriptor and puts the eventfd into it; both are -1 before. 0 or -errno. */
+/** Opens both descriptors, which are -1 before. 0 or -errno. */
 static inline int more_open(struct more *more, int *epoll)
 {
 	struct epoll_event event = {.events = EPOLLIN};
@@ -28,7 +28,7 @@ static inline int more_open(struct more *more, int *epoll)
 	return *epoll < 0 || more->fd < 0 || epoll_ctl(*epoll, EPOLL_CTL_ADD, more->fd, &event) != 0 ? -errno : 0;
 }
 
-/** Also after more_open() failed, or was not called. */
+/** Also valid after more_open() failed or was not called. */
 static inline void more_close(struct more *more, int epoll)
 {
 	if (more->fd >= 0)

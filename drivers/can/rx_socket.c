@@ -8,7 +8,7 @@
 
 enum { RECEIVE_BUFFER_BYTES = 1 << 20 };
 
-/* The two clocks part only when somebody sets CLOCK_REALTIME. */
+/* The difference of the two clocks changes only when CLOCK_REALTIME is set. */
 enum { CLOCKS_AGREE_US = 1000000, AHEAD_MAX_US = 1000000, AGE_MAX_US = 10000000 };
 
 static int64_t to_us(const struct timespec *t)
@@ -28,7 +28,7 @@ int rx_socket_prepare(int fd)
 {
 	const int on = 1, size = RECEIVE_BUFFER_BYTES;
 
-	/* FORCE goes beyond net.core.rmem_max but needs CAP_NET_ADMIN. */
+	/* FORCE exceeds net.core.rmem_max but needs CAP_NET_ADMIN */
 	if (setsockopt(fd, SOL_SOCKET, SO_RCVBUFFORCE, &size, sizeof(size)) != 0)
 		(void)setsockopt(fd, SOL_SOCKET, SO_RCVBUF, &size, sizeof(size));
 	if (setsockopt(fd, SOL_SOCKET, SO_TIMESTAMPNS, &on, sizeof(on)) != 0 ||
@@ -45,8 +45,8 @@ static void compare_clocks(struct rx_socket *rx, uint64_t now_us)
 	rx->realtime_read_us = now_us;
 }
 
-/* `now_us` may be that of a moment before. A time far ahead of it, or many seconds old, means that CLOCK_REALTIME was
- * set: now is nearer the truth then. */
+/* `now_us` may be a little old. A time stamp far after it, or many seconds before it, means that CLOCK_REALTIME was set
+ * meanwhile: now_us is the better time then. */
 static uint64_t monotonic_us(const struct rx_socket *rx, const struct timespec *stamp, uint64_t now_us)
 {
 	int64_t received_us = to_us(stamp) - rx->realtime_ahead_us;
@@ -75,7 +75,7 @@ static void read_control(
 	}
 }
 
-/* All that wait, up to a batch. How many, or -errno. */
+/* Fetches a batch. The number of datagrams, or -errno. */
 static int fetch(struct rx_socket *rx, uint64_t now_us, uint32_t *dropped)
 {
 	_Alignas(struct cmsghdr) char control[RX_SOCKET_BATCH]
@@ -106,7 +106,7 @@ static int fetch(struct rx_socket *rx, uint64_t now_us, uint32_t *dropped)
 int rx_socket_receive(struct rx_socket *rx, const struct rx_datagram **datagram, uint64_t now_us, uint32_t *dropped)
 {
 	if (rx->next == rx->fetched) {
-		/* a batch that was not full has left nothing behind */
+		/* a batch that was not full was the last one */
 		bool drained = rx->fetched % RX_SOCKET_BATCH != 0;
 		int count = drained ? 0 : fetch(rx, now_us, dropped);
 

@@ -30,16 +30,16 @@ struct slcan {
 	char device[BUS_ADDRESS_MAX];
 	speed_t baud;
 	bool listen_only;
-	int fd; /* -1: gone */
+	int fd; /* -1: unplugged */
 	uint64_t look_at_us;
 
-	bool set_up;	 /* bit rate and opening were written */
-	int answers_due; /* to these; 0: all came, or the adapter answers nothing */
-	bool status_due; /* to F */
-	bool no_status;	 /* it does not know F */
+	bool set_up;	 /* the commands C, S and O were written */
+	int answers_due; /* answers to them; 0: all received, or the adapter answers nothing */
+	bool status_due; /* the answer to F */
+	bool no_status;	 /* the adapter does not support F */
 	uint64_t ask_status_at_us;
 
-	char out[SLCAN_LINE_MAX]; /* what the device did not take at once */
+	char out[SLCAN_LINE_MAX]; /* a line that the device did not accept at once */
 	size_t out_at, out_length;
 	char in[256];
 	size_t in_at, in_length;
@@ -110,15 +110,15 @@ static int attach(struct slcan *can)
 	return 0;
 }
 
-static void lose(struct slcan *can)
+static void detach(struct slcan *can)
 {
-	(void)tcflush(can->fd, TCOFLUSH); /* closing would wait for what is not written yet */
-	close(can->fd);			  /* leaves the epoll set by itself */
+	(void)tcflush(can->fd, TCOFLUSH); /* close() would wait until it is written */
+	close(can->fd);			  /* also removes it from the epoll set */
 	can->fd = -1;
 	can->port.state = CAN_STATE_DOWN;
 }
 
-/* Writes what is left of the last line. 0; -EAGAIN: there still is some; -ENETDOWN. */
+/* Writes the rest of the last line. 0; -EAGAIN: some is left; -ENETDOWN. */
 static int write_rest(struct slcan *can)
 {
 	ssize_t n;
@@ -129,14 +129,14 @@ static int write_rest(struct slcan *can)
 		return 0;
 	n = write(can->fd, can->out + can->out_at, can->out_length - can->out_at);
 	if (n < 0 && errno != EAGAIN) {
-		lose(can);
+		detach(can);
 		return -ENETDOWN;
 	}
 	can->out_at += n > 0 ? (size_t)n : 0;
 	return can->out_at == can->out_length ? 0 : -EAGAIN;
 }
 
-/* `out` holds a new line of that length. */
+/* Writes `out`, a new line of this length. */
 static int write_line(struct slcan *can, size_t length)
 {
 	int result;
@@ -152,9 +152,9 @@ static int write_line(struct slcan *can, size_t length)
 	return -EAGAIN;
 }
 
-/* ---- what the adapter says ---------------------------------------------------------------------------------------- */
+/* ---- answers of the adapter ---------------------------------------------------------------------------------------- */
 
-static void take_status(struct slcan *can, uint8_t flags)
+static void handle_status(struct slcan *can, uint8_t flags)
 {
 	struct can_port *port = &can->port;
 
@@ -168,13 +168,13 @@ static void take_status(struct slcan *can, uint8_t flags)
 						: CAN_STATE_ACTIVE;
 }
 
-/* The answers to C, S and O come in this order. C is refused by an adapter that is closed already. */
-static void take_answer(struct slcan *can, bool refused)
+/* The answers to C, S and O arrive in this order. An adapter that is closed already refuses C. */
+static void handle_answer(struct slcan *can, bool refused)
 {
 	if (can->answers_due > 0) {
 		can->answers_due--;
 		if (refused && can->answers_due < 2)
-			lose(can); /* and begin again */
+			detach(can); /* and start again */
 	} else if (refused && can->status_due) {
 		can->no_status = true;
 		can->status_due = false;
@@ -183,18 +183,18 @@ static void take_answer(struct slcan *can, bool refused)
 	}
 }
 
-/* True: a frame for the receiver. */
-static bool take(struct slcan *can, enum slcan_kind kind)
+/* True: reader.msg is a received frame. */
+static bool handle_line(struct slcan *can, enum slcan_kind kind)
 {
 	switch (kind) {
 	case SLCAN_FRAME:
 		return id_filter_wants(&can->filter, &can->reader.msg);
 	case SLCAN_OK:
 	case SLCAN_REFUSED:
-		take_answer(can, kind == SLCAN_REFUSED);
+		handle_answer(can, kind == SLCAN_REFUSED);
 		break;
 	case SLCAN_STATUS:
-		take_status(can, can->reader.flags);
+		handle_status(can, can->reader.flags);
 		break;
 	case SLCAN_BAD:
 		can->port.counters.rx_dropped++;
@@ -206,13 +206,13 @@ static bool take(struct slcan *can, enum slcan_kind kind)
 	return false;
 }
 
-/* False: nothing there. */
+/* False: nothing was read. */
 static bool read_more(struct slcan *can)
 {
 	ssize_t n = can->fd < 0 ? 0 : read(can->fd, can->in, sizeof(can->in));
 
 	if (can->fd >= 0 && (n == 0 || (n < 0 && errno != EAGAIN)))
-		lose(can);
+		detach(can);
 	can->in_at = 0;
 	can->in_length = n > 0 ? (size_t)n : 0;
 	return can->in_length > 0;
@@ -243,7 +243,7 @@ static int slcan_receive(struct can_port *port, struct can_msg *msg, uint64_t no
 		enum slcan_kind kind = slcan_read(&can->reader, can->in[can->in_at++]);
 
 		lines += kind != SLCAN_NOTHING;
-		received = take(can, kind);
+		received = handle_line(can, kind);
 	}
 	if (received) {
 		*msg = can->reader.msg;
@@ -278,7 +278,7 @@ static void ask_status(struct slcan *can, uint64_t now_us)
 	can->ask_status_at_us = now_us + ASK_STATUS_US;
 	memcpy(can->out, "F\r", 2);
 	can->status_due = write_line(can, 2) == 0;
-	/* what did not answer by now, does not answer */
+	/* an adapter that has not answered yet does not answer at all */
 	can->answers_due = 0;
 }
 
@@ -321,7 +321,7 @@ static int slcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 	return 0;
 }
 
-/* close() of a tty waits up to 30 s for an adapter that takes nothing: it gets a tenth of one. */
+/* close() of a tty waits up to 30 s for an adapter that does not accept data: limit that to 100 ms. */
 static void drain(int fd)
 {
 	int left = 0;
@@ -380,23 +380,26 @@ static void explain(int result, const struct slcan *can, char *error, size_t err
 	switch (result) {
 	case -EOPNOTSUPP:
 		snprintf(error, error_size,
-			"slcan has no %u bit/s: 10000, 20000, 50000, 100000, 125000, 250000, 500000, 800000, 1000000",
+			"slcan does not support %u bit/s: use 10000, 20000, 50000, 100000, 125000, 250000, 500000, "
+			"800000 or 1000000",
 			can->port.bit_s);
 		break;
 	case -EINVAL:
 		snprintf(error, error_size,
-			"bad bus: use " CAN_SLCAN_SYNTAX " with a usual baud rate from 9600 to 3000000");
+			"bad bus address: use " CAN_SLCAN_SYNTAX " with a usual baud rate from 9600 to 3000000");
 		break;
 	case -EACCES:
-		snprintf(error, error_size, "no permission to use %s: be in the group that owns it (dialout), or root",
+		snprintf(error, error_size,
+			"no permission to use %s: add this user to the group that owns it (dialout), or run as root",
 			can->device);
 		break;
 	case -EBUSY:
-		snprintf(
-			error, error_size, "another program uses %s: `fuser %s` tells which", can->device, can->device);
+		snprintf(error, error_size, "another program uses %s: stop it (`fuser %s` shows which)", can->device,
+			can->device);
 		break;
 	case -ENOTTY:
-		snprintf(error, error_size, "%s is no serial device", can->device);
+		snprintf(error, error_size, "%s is not a serial device: use one of /dev/ttyACM*, /dev/ttyUSB*",
+			can->device);
 		break;
 	default:
 		snprintf(error, error_size, "cannot open %s: %s: is the adapter plugged in? `ls /dev/tty[AU]*`",

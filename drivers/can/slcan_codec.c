@@ -70,10 +70,10 @@ static bool get_frame(const char *line, size_t length, struct can_msg *msg)
 			return false;
 		msg->data[i] = (uint8_t)value;
 	}
-	return true; /* the time is of 1 ms and wraps each minute: the time of arrival is better */
+	return true; /* the time stamp is not used: it has 1 ms and wraps every minute */
 }
 
-static enum slcan_kind take_line(struct slcan_reader *r)
+static enum slcan_kind parse_line(struct slcan_reader *r)
 {
 	uint32_t flags;
 
@@ -118,7 +118,7 @@ enum slcan_kind slcan_read(struct slcan_reader *r, char byte)
 	else if (byte == BEL)
 		kind = r->length == 0 ? SLCAN_REFUSED : SLCAN_BAD;
 	else
-		kind = take_line(r);
+		kind = parse_line(r);
 	r->length = 0;
 	r->skipping = false;
 	return kind;

@@ -7,23 +7,23 @@
 
 enum { SLCAN_LINE_MAX = 32 }; /* a frame with 8 bytes takes 27, 31 with its time */
 
-/** The line with its CR, no NUL. Returns its length. */
+/** Writes the line with its CR and without a NUL. Returns its length. */
 size_t slcan_encode(const struct can_msg *msg, char out[SLCAN_LINE_MAX]);
 
-/** The digit of the command S for a bit rate: '0' to '8'; '\0': there is none. */
+/** The digit of the command S for a bit rate, '0' to '8'; '\0': not supported. */
 char slcan_bit_rate_code(uint32_t bit_s);
 
 enum slcan_kind {
-	SLCAN_NOTHING, /* the line goes on */
+	SLCAN_NOTHING, /* the line is not complete */
 	SLCAN_FRAME,   /* `msg` */
-	SLCAN_OK,      /* a command, or a frame, was taken */
+	SLCAN_OK,      /* a command or a frame was accepted */
 	SLCAN_REFUSED, /* BEL */
 	SLCAN_STATUS,  /* `flags`, the answer to F */
-	SLCAN_OTHER,   /* an answer of no use here: version, serial number */
-	SLCAN_BAD,     /* a line that is none of these, or has no end */
+	SLCAN_OTHER,   /* another answer: version, serial number */
+	SLCAN_BAD,     /* any other line, or one that is too long */
 };
 
-/* Of the answer to F. */
+/* Flags of the answer to F. */
 enum {
 	SLCAN_RX_FULL = 1 << 0,
 	SLCAN_TX_FULL = 1 << 1,
@@ -36,12 +36,12 @@ enum {
 struct slcan_reader {
 	char line[SLCAN_LINE_MAX];
 	size_t length;
-	bool skipping; /* the line is too long: to its end */
+	bool skipping; /* the line is too long: skip the rest of it */
 	struct can_msg msg;
 	uint8_t flags;
 };
 
-/** One byte from the adapter. */
+/** Processes one byte from the adapter. */
 enum slcan_kind slcan_read(struct slcan_reader *reader, char byte);
 
 #endif

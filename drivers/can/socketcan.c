@@ -22,7 +22,7 @@ enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
 struct socketcan {
 	struct can_port port; /* port.fd is an epoll descriptor: it outlives the sockets */
 	struct rx_socket rx;
-	int interface; /* the index that rx is bound to; 0: it lost its interface */
+	int interface; /* the index that rx is bound to; 0: the interface is gone */
 	uint64_t look_at_us;
 	struct can_filter filters[CAN_RAW_FILTER_MAX];
 	size_t filter_count; /* 0: all */
@@ -33,8 +33,8 @@ static struct socketcan *of(struct can_port *port)
 	return (struct socketcan *)(void *)port;
 }
 
-/* An interface that went away is not a failure of ours: service() looks for it. Returns -error. */
-static int note(struct socketcan *can, int error)
+/* Updates the state when the interface is down or gone; service() then searches for it. Returns -error. */
+static int note_error(struct socketcan *can, int error)
 {
 	if (error == ENETDOWN || error == ENODEV || error == ENXIO)
 		can->port.state = CAN_STATE_DOWN;
@@ -54,7 +54,7 @@ static int socketcan_send(struct can_port *port, const struct can_msg *msg)
 	else
 		memcpy(frame.data, msg->data, msg->len);
 	if (write(of(port)->rx.fd, &frame, sizeof(frame)) < 0)
-		return note(of(port), errno);
+		return note_error(of(port), errno);
 	return 0;
 }
 
@@ -68,7 +68,7 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 	for (;;) {
 		result = rx_socket_receive(&can->rx, &datagram, now_us, &port->counters.rx_dropped);
 		if (result < 0)
-			return note(can, -result);
+			return note_error(can, -result);
 		if (result == 0)
 			return 0;
 		memcpy(&frame, datagram->data, sizeof(frame)); /* the buffer is longer */
@@ -130,7 +130,7 @@ static int find_interface(const char *name, int fd)
 	return request.ifr_ifindex;
 }
 
-/* Sets the socket up, binds it and lets the port poll it. */
+/* Sets the socket up, binds it and adds it to the port's epoll descriptor. */
 static int attach(const struct socketcan *can, int fd, int interface)
 {
 	const can_err_mask_t errors = CAN_ERR_MASK;
@@ -149,7 +149,7 @@ static int attach(const struct socketcan *can, int fd, int interface)
 	return 0;
 }
 
-/* Replaces the socket by one that is bound to the interface of that name as it is now. 0 or -errno. */
+/* Replaces the socket by one that is bound to the interface that has the name now. 0 or -errno. */
 static int reopen(struct socketcan *can)
 {
 	int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
@@ -164,14 +164,14 @@ static int reopen(struct socketcan *can)
 		return result;
 	}
 	if (can->rx.fd >= 0)
-		close(can->rx.fd); /* leaves the epoll set by itself */
+		close(can->rx.fd); /* also removes it from the epoll set */
 	can->rx = (struct rx_socket){.fd = fd};
 	can->interface = interface;
 	return 0;
 }
 
-/* Error frames tell of a change of state at once; this, of what was before, and of what a driver does not report. An
- * interface that is down is service()'s. */
+/* Error frames report a change of state at once; this covers the state before the socket was opened, and drivers without
+ * error frames. service() handles an interface that is down. */
 static void socketcan_look(struct can_port *port)
 {
 	struct can_link link;
@@ -219,7 +219,7 @@ static void socketcan_close(struct can_port *port)
 	free(can);
 }
 
-/* The interface goes down for it and comes back. That leaves an error on the socket, which would cost the next frame. */
+/* The interface is down meanwhile. That leaves an error on the socket, which would make the next send fail. */
 static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
 	int result = can_link_bit_rate(of(port)->interface, bit_s, dry_run);
@@ -228,7 +228,7 @@ static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_ru
 
 	if (result < 0 || dry_run)
 		return result;
-	(void)getsockopt(of(port)->rx.fd, SOL_SOCKET, SO_ERROR, &error, &size); /* takes it away */
+	(void)getsockopt(of(port)->rx.fd, SOL_SOCKET, SO_ERROR, &error, &size); /* reading clears it */
 	port->bit_s = bit_s;
 	return 0;
 }
@@ -258,29 +258,25 @@ static void explain(int result, const char *name, char *error, size_t error_size
 	switch (result) {
 	case -ENODEV:
 		snprintf(error, error_size,
-			"no CAN interface %s: is its adapter plugged in? A virtual one: `ip link add dev %s type vcan "
-			"&& "
+			"no CAN interface %s: plug its adapter in, or create a virtual one: `ip link add dev %s type "
+			"vcan && "
 			"ip link set %s up`, or use the bus `udp`",
 			name, name, name);
 		break;
 	case -EMEDIUMTYPE:
 		snprintf(error, error_size,
-			"%s is not a CAN interface: `ip -brief link show type can` and `type vcan` show which there are",
-			name);
+			"%s is not a CAN interface: `ip -brief link show type can` (or vcan) lists them", name);
 		break;
 	case -ENETDOWN:
 		snprintf(error, error_size,
-			"interface %s is down: `ip link set %s up` (a real bus: `ip link set %s up "
+			"interface %s is down: `ip link set %s up` (with a controller: `ip link set %s up "
 			"type can bitrate 500000`)",
 			name, name, name);
 		break;
 	case -EAFNOSUPPORT:
 	case -EPROTONOSUPPORT:
 		snprintf(error, error_size,
-			"cannot open %s: this kernel has no SocketCAN: `modprobe can_raw`, or use "
-			"the "
-			"bus `udp`",
-			name);
+			"cannot open %s: this kernel has no SocketCAN: `modprobe can_raw`, or use the bus `udp`", name);
 		break;
 	default:
 		snprintf(error, error_size, "cannot open CAN interface %s: %s", name, strerror(-result));
@@ -293,8 +289,8 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 	int result;
 
 	if (strlen(interface) >= IFNAMSIZ) {
-		snprintf(error, error_size, "'%s' is too long for an interface name: at most %d characters", interface,
-			IFNAMSIZ - 1);
+		snprintf(error, error_size, "'%s' is too long for an interface name: use at most %d characters",
+			interface, IFNAMSIZ - 1);
 		return -EINVAL;
 	}
 	can = calloc(1, sizeof(*can));
@@ -310,7 +306,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 		socketcan_close(&can->port);
 		return result;
 	}
-	socketcan_look(&can->port); /* the controller may be passive already: nobody will tell */
+	socketcan_look(&can->port); /* the controller may be passive already, which no error frame reports */
 	*port = &can->port;
 	return 0;
 }

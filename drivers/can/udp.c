@@ -24,7 +24,7 @@ union address {
 struct udp {
 	struct can_port port;
 	struct rx_socket rx; /* rx.fd is port.fd */
-	int sender;	     /* of its own, so that its source port tells our datagrams from others' */
+	int sender;	     /* its source port identifies this port's own datagrams */
 	union address group;
 	struct id_filter filter;
 };
@@ -67,7 +67,7 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 		if (result <= 0)
 			return result;
 		if (datagram->size == 0)
-			continue; /* our own */
+			continue; /* own */
 		if (datagram->size > sizeof(datagram->data) || can_udp_decode(datagram->data, datagram->size, msg) < 0)
 			port->counters.rx_dropped++;
 		else if (id_filter_wants(&udp->filter, msg))
@@ -168,7 +168,7 @@ static int set_int(int fd, int level, int option, int value)
 	return set(fd, level, option, &value, sizeof(value));
 }
 
-/* Interface 0: the one the kernel routes the group to. */
+/* Interface 0 is the one the kernel routes the group to. */
 static int join(int fd, const union address *group, unsigned interface)
 {
 	struct group_req request = {.gr_interface = interface};
@@ -187,7 +187,7 @@ static int send_through(int fd, const union address *group, unsigned interface)
 	return set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, (int)interface);
 }
 
-/* Sends from a port of its own. Datagrams to a group go one hop far and back to this host: the kernel's defaults. */
+/* A socket with its own source port. The kernel's defaults: multicasts go one hop and are looped back to this host. */
 static int open_sender(const union address *group)
 {
 	union address own = {.any.sa_family = group->any.sa_family};
@@ -202,10 +202,10 @@ static int open_sender(const union address *group)
 	return result;
 }
 
-/* Makes the kernel cut our own datagrams down to the UDP header: they are received empty. (Refused altogether they
- * would count as dropped in SO_RXQ_OVFL.) Our own are those with the source port of `sender` that this host sent:
- * looped copies (PACKET_LOOPBACK) and what came through the loopback interface. */
-static int empty_own(int fd, int sender)
+/* Attaches a filter that truncates own datagrams to the UDP header, so that they are received empty. (Rejected ones would
+ * be counted as dropped in SO_RXQ_OVFL.) Own datagrams have the source port of `sender` and were sent by this host: they
+ * are looped back (PACKET_LOOPBACK) or were received through the loopback interface. */
+static int truncate_own(int fd, int sender)
 {
 	union address own = {0};
 	socklen_t size = sizeof(own);
@@ -227,7 +227,7 @@ static int empty_own(int fd, int sender)
 	return set(fd, SOL_SOCKET, SO_ATTACH_FILTER, &program, sizeof(program));
 }
 
-/* Bound to the group, so that datagrams of other groups and unicast ones do not arrive. */
+/* Bound to the group, so that unicast datagrams and those of other groups are not received. */
 static int open_receiver(const union address *group, int sender)
 {
 	int fd = socket(group->any.sa_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
@@ -237,7 +237,7 @@ static int open_receiver(const union address *group, int sender)
 		return -errno;
 	result = rx_socket_prepare(fd);
 	if (result == 0)
-		result = empty_own(fd, sender);
+		result = truncate_own(fd, sender);
 	if (result == 0)
 		result = set_int(fd, SOL_SOCKET, SO_REUSEADDR, 1);
 	if (result == 0 && bind(fd, &group->any, address_size(group)) != 0)
@@ -264,7 +264,7 @@ static int open_sockets(struct udp *udp)
 	result = join(udp->port.fd, &udp->group, 0);
 	if (result == 0)
 		return 0;
-	/* no route to the group: a host, or a container, without network */
+	/* no route to the group, e.g. in a container without a network */
 	result = join(udp->port.fd, &udp->group, loopback);
 	return result < 0 ? result : send_through(udp->sender, &udp->group, loopback);
 }
@@ -291,7 +291,9 @@ int can_udp_open(const char *address, struct can_port **port, char *error, size_
 	snprintf(udp->port.name, sizeof(udp->port.name), address[0] == '\0' ? "udp" : "udp:%s", address);
 	result = open_sockets(udp);
 	if (result < 0) {
-		snprintf(error, error_size, "cannot open bus '%s': %s", udp->port.name, strerror(-result));
+		snprintf(error, error_size,
+			"cannot open bus '%s': %s: check that this host has a network interface with multicast",
+			udp->port.name, strerror(-result));
 		udp_close(&udp->port);
 		return result;
 	}

@@ -5,7 +5,7 @@
 #include <mpack.h>
 #include <string.h>
 
-/* The wire order of python-can. */
+/* In the order in which python-can writes them. */
 enum key {
 	KEY_TIMESTAMP,
 	KEY_ID,
@@ -57,8 +57,7 @@ static void put_bytes(struct writer *w, const char *bytes, size_t size)
 
 static mpack_token_t value_of(enum key key, const struct can_msg *msg)
 {
-	/* 8 bytes of 0.0: what a message without a time has; receivers stamp it themselves.
-	 * mpack_pack_float() would shorten it to a 32-bit float. */
+	/* 0.0 in 8 bytes: no time stamp; the receiver's kernel adds one. mpack_pack_float() would write 4 bytes. */
 	static const mpack_token_t no_time = {.type = MPACK_TOKEN_FLOAT, .length = 8};
 
 	switch (key) {
@@ -76,7 +75,7 @@ static mpack_token_t value_of(enum key key, const struct can_msg *msg)
 		return mpack_pack_uint(msg->len);
 	case KEY_DATA:
 		return mpack_pack_bin(msg->remote ? 0 : msg->len);
-	default: /* what a classical frame is not */
+	default: /* is_error_frame, is_fd, bitrate_switch, error_state_indicator */
 		return mpack_pack_boolean(false);
 	}
 }
@@ -105,13 +104,13 @@ struct reader {
 	size_t left;
 };
 
-/* mpack_read() must not be called with nothing left: it would read on. */
+/* mpack_read() must not be called with no bytes left: it would read beyond them. */
 static bool next(struct reader *r, mpack_token_t *token)
 {
 	return r->left > 0 && mpack_read(&r->state, &r->in, &r->left, token) == MPACK_OK;
 }
 
-/* One token; strings and the like come with their bytes (NULL when empty). False: malformed, truncated. */
+/* Reads one token, and the bytes of a string or binary (NULL when empty). False: malformed or truncated. */
 static bool get(struct reader *r, mpack_token_t *token, const char **bytes)
 {
 	mpack_token_t chunk;
@@ -201,7 +200,7 @@ static bool get_field(struct reader *r, struct fields *f)
 	return false;
 }
 
-static bool fields_are_sound(const struct fields *f)
+static bool fields_are_valid(const struct fields *f)
 {
 	const uint32_t needed = 1u << KEY_ID | 1u << KEY_EXTENDED | 1u << KEY_DLC;
 
@@ -228,7 +227,7 @@ int can_udp_decode(const char *in, size_t size, struct can_msg *msg)
 		return -EBADMSG;
 	if (f.fd || f.error)
 		return -ENOTSUP;
-	if (!fields_are_sound(&f))
+	if (!fields_are_valid(&f))
 		return -EBADMSG;
 
 	memset(msg->data, 0, sizeof(msg->data));

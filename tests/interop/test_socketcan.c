@@ -1,4 +1,4 @@
-/* The SocketCAN driver on a vcan of its own, against can-utils. Needs root of a place that has vcan:
+/* The SocketCAN driver on its own vcan, against can-utils. Needs root and vcan:
  *
  *     make build/tests/interop/test_socketcan && tests/rig/vcan-run build/tests/interop/test_socketcan
  */
@@ -18,7 +18,7 @@
 
 #include "drivers/ports/can.h"
 
-#define IF "imu9test" /* a vcan of our own */
+#define IF "imu9test" /* used by this test only */
 
 enum { SKIPPED = 77 };
 
@@ -157,7 +157,7 @@ static void test_the_time_of_a_frame_is_when_it_came_in(void **state)
 	assert_in_range(msg.t_us, before_us, after_us);
 }
 
-/* In bursts that the receive buffer holds: cangen is faster than any bus. */
+/* In bursts that fit into the receive buffer: cangen is faster than any bus. */
 static void test_10000_frames_come_in_whole_and_in_order(void **state)
 {
 	struct can_msg msg;
@@ -187,7 +187,7 @@ static void test_10000_frames_go_out_whole_and_in_order(void **state)
 		msg.data[1] = (uint8_t)i;
 		assert_int_equal(can_send(port, &msg, now()), 0);
 		if (i % 500 == 499)
-			usleep(20000); /* a busy kernel keeps no more than 1000 frames of a vcan */
+			usleep(20000); /* the kernel queues at most 1000 frames of a vcan */
 	}
 	assert_int_equal(port->counters.tx, 10000);
 	for (unsigned i = 0; i < 10000; i++) {
@@ -198,7 +198,7 @@ static void test_10000_frames_go_out_whole_and_in_order(void **state)
 	pclose(candump);
 }
 
-static void test_what_a_reader_was_too_slow_for_is_counted(void **state)
+static void test_frames_the_kernel_dropped_for_a_slow_reader_are_counted(void **state)
 {
 	enum { FRAMES = 4000 };
 	struct can_port *port = *state, *sender;
@@ -214,7 +214,7 @@ static void test_what_a_reader_was_too_slow_for_is_counted(void **state)
 	}
 	while (receive_within(port, &msg, 50) == 1)
 		received++;
-	send_id(sender, 0x181); /* the kernel tells with the next frame */
+	send_id(sender, 0x181); /* the kernel reports drops with the next frame */
 	assert_receives(port, 0x181);
 	assert_true(received < FRAMES);
 	assert_int_equal(received + port->counters.rx_dropped, FRAMES);
@@ -236,7 +236,7 @@ static void test_a_filter_passes_data_and_remote_frames_of_its_identifiers_only(
 	assert_int_equal(port->counters.rx, 2);
 }
 
-static void test_a_filter_of_no_identifiers_passes_all(void **state)
+static void test_an_empty_filter_passes_all_frames(void **state)
 {
 	static const uint32_t ids[] = {0x601};
 
@@ -292,7 +292,7 @@ static void test_the_state_follows_the_controller(void **state)
 	assert_int_equal(port->counters.rx, 0);
 }
 
-static void test_bus_off_is_noticed_counted_once_and_left_by_a_restart(void **state)
+static void test_bus_off_is_detected_counted_once_and_ended_by_a_restart(void **state)
 {
 	struct can_port *port = *state;
 
@@ -316,7 +316,7 @@ static void test_an_overflow_in_the_controller_counts_as_a_lost_frame(void **sta
 	assert_int_equal(((struct can_port *)*state)->counters.rx_dropped, 1);
 }
 
-/* ---- an interface that goes and comes ---- */
+/* ---- an interface that goes down or away ---- */
 
 static void assert_down(struct can_port *port)
 {
@@ -341,13 +341,13 @@ static void assert_comes_back(struct can_port *port)
 	shell("cansend " IF " 123#; cansend " IF " 601#");
 }
 
-static void test_going_down_is_told_once_and_frames_are_refused_and_counted(void **state)
+static void test_going_down_is_reported_once_and_frames_are_refused_and_counted(void **state)
 {
 	struct can_port *port = *state;
 
 	shell("ip link set " IF " down");
 	assert_down(port);
-	assert_false(readable(port, 300)); /* nothing that could keep a loop busy */
+	assert_false(readable(port, 300)); /* or a poll loop would be busy */
 	assert_int_equal(send_id(port, 0x181), -ENETDOWN);
 	assert_int_equal(port->counters.tx_dropped, 1);
 	assert_int_equal(can_service(port, 5000000), 5200000);
@@ -381,14 +381,14 @@ static void test_frames_that_came_in_before_going_down_are_still_delivered(void 
 	assert_receives(port, 0x123);
 }
 
-static void test_an_interface_that_is_removed_and_made_anew_works_again(void **state)
+static void test_an_interface_that_is_removed_and_created_again_works_again(void **state)
 {
 	static const uint32_t ids[] = {0x601};
 	struct can_port *port = *state;
 	int fd = port->fd;
 
 	can_filter(port, ids, 1);
-	shell("ip link del " IF); /* may tell twice: that it goes down, then that it is gone */
+	shell("ip link del " IF); /* may be reported twice: down, then gone */
 	assert_down(port);
 	if (readable(port, 0))
 		assert_down(port);
@@ -403,7 +403,7 @@ static void test_an_interface_that_is_removed_and_made_anew_works_again(void **s
 	assert_int_equal(port->fd, fd);
 }
 
-static void test_sending_alone_notices_that_the_interface_is_gone(void **state)
+static void test_sending_detects_that_the_interface_is_gone(void **state)
 {
 	struct can_port *port = *state;
 
@@ -444,7 +444,7 @@ static void test_a_bus_that_is_full_slows_sending_down_and_loses_nothing(void **
 	can_close(reader);
 }
 
-/* ---- what can_open() says ---- */
+/* ---- errors of can_open() ---- */
 
 static void assert_open_says(const char *bus, int result, const char *text)
 {
@@ -459,19 +459,20 @@ static void test_an_interface_that_is_not_there_or_down_is_explained(void **stat
 {
 	(void)state;
 	assert_open_says("nocan7", -ENODEV,
-		"no CAN interface nocan7: is its adapter plugged in? A virtual one: `ip link add dev nocan7 type vcan "
+		"no CAN interface nocan7: plug its adapter in, or create a virtual one: `ip link add dev nocan7 type "
+		"vcan "
 		"&& ip link set nocan7 up`, or use the bus `udp`");
 	shell("ip link set " IF " down");
 	assert_open_says(IF, -ENETDOWN,
-		"interface " IF " is down: `ip link set " IF " up` (a real bus: `ip link set " IF
+		"interface " IF " is down: `ip link set " IF " up` (with a controller: `ip link set " IF
 		" up type can bitrate 500000`)");
 }
 
-static void test_an_interface_that_is_no_can_interface_is_refused(void **state)
+static void test_an_interface_that_is_not_a_can_interface_is_refused(void **state)
 {
 	(void)state;
-	assert_open_says("lo", -EMEDIUMTYPE,
-		"lo is not a CAN interface: `ip -brief link show type can` and `type vcan` show which there are");
+	assert_open_says(
+		"lo", -EMEDIUMTYPE, "lo is not a CAN interface: `ip -brief link show type can` (or vcan) lists them");
 }
 
 #define ON_A_PORT(test) cmocka_unit_test_setup_teardown(test, open_port, close_port)
@@ -485,22 +486,22 @@ int main(void)
 		ON_A_PORT(test_the_time_of_a_frame_is_when_it_came_in),
 		ON_A_PORT(test_10000_frames_come_in_whole_and_in_order),
 		ON_A_PORT(test_10000_frames_go_out_whole_and_in_order),
-		ON_A_PORT(test_what_a_reader_was_too_slow_for_is_counted),
+		ON_A_PORT(test_frames_the_kernel_dropped_for_a_slow_reader_are_counted),
 		ON_A_PORT(test_a_filter_passes_data_and_remote_frames_of_its_identifiers_only),
-		ON_A_PORT(test_a_filter_of_no_identifiers_passes_all),
+		ON_A_PORT(test_an_empty_filter_passes_all_frames),
 		ON_A_PORT(test_more_identifiers_than_the_kernel_takes_pass_all),
 		ON_A_PORT(test_error_frames_pass_every_filter),
 		ON_A_PORT(test_the_state_follows_the_controller),
-		ON_A_PORT(test_bus_off_is_noticed_counted_once_and_left_by_a_restart),
+		ON_A_PORT(test_bus_off_is_detected_counted_once_and_ended_by_a_restart),
 		ON_A_PORT(test_a_bus_error_changes_no_state),
 		ON_A_PORT(test_an_overflow_in_the_controller_counts_as_a_lost_frame),
-		ON_A_PORT(test_going_down_is_told_once_and_frames_are_refused_and_counted),
+		ON_A_PORT(test_going_down_is_reported_once_and_frames_are_refused_and_counted),
 		ON_A_PORT(test_an_interface_that_comes_up_again_works_again),
 		ON_A_PORT(test_frames_that_came_in_before_going_down_are_still_delivered),
-		ON_A_PORT(test_an_interface_that_is_removed_and_made_anew_works_again),
-		ON_A_PORT(test_sending_alone_notices_that_the_interface_is_gone),
+		ON_A_PORT(test_an_interface_that_is_removed_and_created_again_works_again),
+		ON_A_PORT(test_sending_detects_that_the_interface_is_gone),
 		ON_A_PORT(test_an_interface_that_is_not_there_or_down_is_explained),
-		ON_A_PORT(test_an_interface_that_is_no_can_interface_is_refused),
+		ON_A_PORT(test_an_interface_that_is_not_a_can_interface_is_refused),
 		ON_A_PORT(test_a_bus_that_is_full_slows_sending_down_and_loses_nothing),
 	};
 	int failed;

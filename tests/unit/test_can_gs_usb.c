@@ -1,5 +1,5 @@
-/* Bit timing, bytes and clock of gs_usb adapters. Oracles: the bytes of the protocol as candleLight adapters send them,
- * CiA 301's table of bit timings, what `ip -details link show` prints for the kernel's own gs_usb. */
+/* Bit timing, protocol and clock of gs_usb adapters. Oracles: the bytes that candleLight adapters send, the bit timings of
+ * CiA 301, and what `ip -details link show` prints for the kernel's gs_usb driver. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -160,7 +160,7 @@ static void test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate(void **
 	assert_int_equal(quanta(&t) * t.brp, 96);
 }
 
-static void test_a_bit_rate_out_of_reach_is_refused(void **state)
+static void test_a_bit_rate_that_cannot_be_reached_is_refused(void **state)
 {
 	struct bit_timing t;
 
@@ -180,7 +180,7 @@ static void test_more_than_half_a_percent_off_is_refused(void **state)
 	assert_int_equal(bit_timing_find(&coarse, 4, 1004000, 750, &t), 0);
 }
 
-/* No combination that is tried one by one is better. */
+/* Oracle: all combinations of prescaler and segments. */
 static void test_no_other_setting_is_nearer(void **state)
 {
 	static const struct can_link_limits odd = {36000000, 2, 96, 2, 3, 13, 2, 5};
@@ -287,7 +287,7 @@ static void test_an_echo_names_its_slot(void **state)
 	assert_int_equal(frame.slot, 9);
 }
 
-static void test_packets_that_are_no_frame_are_refused(void **state)
+static void test_packets_that_are_not_frames_are_refused(void **state)
 {
 	uint8_t bytes[GS_USB_FRAME_STAMPED_LEN];
 	struct gs_usb_frame frame;
@@ -301,7 +301,7 @@ static void test_packets_that_are_no_frame_are_refused(void **state)
 	bytes[8] = 8;
 	bytes[10] = 2; /* CAN FD */
 	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), -ENOTSUP);
-	bytes[0] = GS_USB_SLOTS; /* an echo of a slot that is not there */
+	bytes[0] = GS_USB_SLOTS; /* an echo of a slot that does not exist */
 	bytes[1] = bytes[2] = bytes[3] = 0;
 	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), -EBADMSG);
 }
@@ -320,20 +320,20 @@ static void test_the_limits_of_a_candlelight_are_unpacked(void **state)
 	assert_memory_equal(&limits.timing, &candlelight, sizeof(candlelight));
 }
 
-static void test_limits_that_no_controller_has_are_refused(void **state)
+static void test_limits_that_no_controller_can_have_are_refused(void **state)
 {
 	struct gs_usb_limits limits;
 	uint8_t bytes[GS_USB_LIMITS_LEN];
 
 	(void)state;
 	assert_int_equal(gs_usb_get_limits(bt_const, GS_USB_LIMITS_LEN - 1, &limits), -EBADMSG);
-	for (size_t at = 4; at < 24; at += 4) { /* clock, segments: nought */
+	for (size_t at = 4; at < 24; at += 4) { /* clock and segments: zero */
 		memcpy(bytes, bt_const, sizeof(bytes));
 		memset(bytes + at, 0, 4);
 		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
 	}
 	memcpy(bytes, bt_const, sizeof(bytes));
-	memset(bytes + 32, 0xFF, 4); /* four thousand million prescalers */
+	memset(bytes + 32, 0xFF, 4); /* 2^32 - 1 prescalers */
 	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
 }
 
@@ -358,7 +358,7 @@ static struct can_port after_error(enum can_state before, uint32_t can_id, uint8
 	return port;
 }
 
-static void test_error_frames_tell_the_state_of_the_bus(void **state)
+static void test_error_frames_report_the_state_of_the_bus(void **state)
 {
 	(void)state;
 	assert_int_equal(after_error(CAN_STATE_ACTIVE, 0x20000004, 0x08).state, CAN_STATE_WARNING);
@@ -377,7 +377,7 @@ static void test_a_missing_acknowledge_alone_changes_no_state(void **state)
 	assert_int_equal(after_error(CAN_STATE_WARNING, 0x20000020, 0).state, CAN_STATE_WARNING);
 }
 
-static void test_error_frames_bring_the_error_counters(void **state)
+static void test_error_frames_contain_the_error_counters(void **state)
 {
 	struct can_port port = after_error(CAN_STATE_ACTIVE, 0x20000004, 0x20);
 
@@ -408,7 +408,7 @@ static void test_an_overflow_counts_as_a_lost_frame(void **state)
 
 /* ---- the clock ---- */
 
-static void test_a_frame_that_came_late_has_the_time_it_was_on_the_bus(void **state)
+static void test_a_frame_read_late_has_the_time_it_was_on_the_bus(void **state)
 {
 	struct gs_usb_clock clock = {0};
 
@@ -417,7 +417,7 @@ static void test_a_frame_that_came_late_has_the_time_it_was_on_the_bus(void **st
 	assert_int_equal(gs_usb_clock_map(&clock, 7000, 1004000), 1002000); /* 2 ms late */
 }
 
-static void test_no_frame_comes_from_the_future(void **state)
+static void test_no_time_of_a_frame_is_in_the_future(void **state)
 {
 	struct gs_usb_clock clock = {0};
 
@@ -436,7 +436,7 @@ static void test_the_clock_of_the_adapter_may_wrap(void **state)
 	assert_int_equal(gs_usb_clock_map(&clock, 1000, 1002500), 1002000);
 }
 
-/* An hour at 1 kHz with a crystal that is off: the error stays at the transport's jitter. */
+/* An hour at 1 kHz with a crystal error: the error of the times stays within the jitter of the transport. */
 static void follow(int32_t ppm)
 {
 	struct gs_usb_clock clock = {0};
@@ -468,7 +468,7 @@ static void test_a_slow_crystal_is_followed(void **state)
 	follow(-100);
 }
 
-static void test_after_an_adapter_was_reset_the_clock_starts_anew(void **state)
+static void test_after_a_reset_of_the_adapter_the_clock_is_initialised_again(void **state)
 {
 	struct gs_usb_clock clock = {0};
 
@@ -497,7 +497,7 @@ static void test_a_filter_passes_the_wanted_identifiers_only(void **state)
 	assert_true(id_filter_wants(&filter, &msg));
 }
 
-/* ---- which adapters there are ---- */
+/* ---- finding adapters ---- */
 
 static void put_file(const char *folder, const char *name, const char *text)
 {
@@ -527,7 +527,7 @@ static void put_device(const char *root, const char *place, const char *vendor, 
 		put_file(folder, "serial", serial);
 }
 
-static void test_sysfs_tells_the_adapters_from_other_devices(void **state)
+static void test_adapters_are_found_among_the_usb_devices_of_sysfs(void **state)
 {
 	char root[] = "/tmp/imu9-sysfs.XXXXXX", command[100];
 	struct gs_usb_adapter list[GS_USB_ADAPTERS];
@@ -586,21 +586,21 @@ static void test_an_adapter_is_chosen_by_serial_number_or_place(void **state)
 	assert_int_equal(choose(two, 1, "", "3-1", ""), 0);
 }
 
-static void test_when_the_choice_is_not_clear_the_adapters_are_listed(void **state)
+static void test_when_no_adapter_or_several_match_they_are_listed(void **state)
 {
 	struct gs_usb_adapter alike[2] = {two[0], two[1]};
 
 	(void)state;
 	assert_int_equal(
 		choose(two, 2, "", "", "gs_usb:0042 (candleLight at 3-1), gs_usb:0043 (CANable at 3-2)"), -ENOTUNIQ);
-	assert_int_equal(choose(two, 2, "0044", "", "'0044'; there is gs_usb:0042"), -ENODEV);
+	assert_int_equal(choose(two, 2, "0044", "", "'0044': use one of gs_usb:0042"), -ENODEV);
 	assert_int_equal(choose(two, 0, "", "", "no gs_usb adapter"), -ENODEV);
 	strcpy(alike[1].serial, "0042");
 	assert_int_equal(choose(alike, 2, "0042", "", "several"), -ENOTUNIQ);
 	assert_int_equal(choose(alike, 2, "3-2", "3-2", ""), 0);
 }
 
-static void test_the_udev_rule_names_every_adapter_that_is_known(void **state)
+static void test_the_udev_rule_contains_every_usb_id_that_is_known(void **state)
 {
 	char root[] = "/tmp/imu9-sysfs.XXXXXX", line[300], vendor[5], product[5], place[16], command[100];
 	struct gs_usb_adapter list[GS_USB_ADAPTERS];
@@ -609,7 +609,7 @@ static void test_the_udev_rule_names_every_adapter_that_is_known(void **state)
 
 	(void)state;
 	if (rule == NULL)
-		skip(); /* not started in the project's folder */
+		skip(); /* not run from the top folder */
 	assert_non_null(mkdtemp(root));
 	while (fgets(line, sizeof(line), rule))
 		if (sscanf(line, "ATTR{idVendor}==\"%4[0-9a-f]\", ATTR{idProduct}==\"%4[0-9a-f]\"", vendor, product) ==
@@ -636,7 +636,7 @@ int main(void)
 		cmocka_unit_test(test_the_jump_width_is_half_of_the_last_segment_within_what_the_controller_can),
 		cmocka_unit_test(test_the_prescaler_keeps_to_its_bounds),
 		cmocka_unit_test(test_a_clock_that_does_not_divide_gives_the_nearest_bit_rate),
-		cmocka_unit_test(test_a_bit_rate_out_of_reach_is_refused),
+		cmocka_unit_test(test_a_bit_rate_that_cannot_be_reached_is_refused),
 		cmocka_unit_test(test_more_than_half_a_percent_off_is_refused),
 		cmocka_unit_test(test_no_other_setting_is_nearer),
 		cmocka_unit_test(test_a_frame_is_packed_as_the_adapter_expects_it),
@@ -645,27 +645,27 @@ int main(void)
 		cmocka_unit_test(test_a_received_frame_is_unpacked),
 		cmocka_unit_test(test_without_time_stamps_the_last_four_bytes_are_padding),
 		cmocka_unit_test(test_an_echo_names_its_slot),
-		cmocka_unit_test(test_packets_that_are_no_frame_are_refused),
+		cmocka_unit_test(test_packets_that_are_not_frames_are_refused),
 		cmocka_unit_test(test_the_limits_of_a_candlelight_are_unpacked),
-		cmocka_unit_test(test_limits_that_no_controller_has_are_refused),
+		cmocka_unit_test(test_limits_that_no_controller_can_have_are_refused),
 		cmocka_unit_test(test_the_number_of_channels_is_one_more_than_the_adapter_says),
-		cmocka_unit_test(test_error_frames_tell_the_state_of_the_bus),
+		cmocka_unit_test(test_error_frames_report_the_state_of_the_bus),
 		cmocka_unit_test(test_a_missing_acknowledge_alone_changes_no_state),
-		cmocka_unit_test(test_error_frames_bring_the_error_counters),
+		cmocka_unit_test(test_error_frames_contain_the_error_counters),
 		cmocka_unit_test(test_going_bus_off_is_counted_once),
 		cmocka_unit_test(test_an_overflow_counts_as_a_lost_frame),
-		cmocka_unit_test(test_a_frame_that_came_late_has_the_time_it_was_on_the_bus),
-		cmocka_unit_test(test_no_frame_comes_from_the_future),
+		cmocka_unit_test(test_a_frame_read_late_has_the_time_it_was_on_the_bus),
+		cmocka_unit_test(test_no_time_of_a_frame_is_in_the_future),
 		cmocka_unit_test(test_the_clock_of_the_adapter_may_wrap),
 		cmocka_unit_test(test_a_fast_crystal_is_followed),
 		cmocka_unit_test(test_a_slow_crystal_is_followed),
-		cmocka_unit_test(test_after_an_adapter_was_reset_the_clock_starts_anew),
+		cmocka_unit_test(test_after_a_reset_of_the_adapter_the_clock_is_initialised_again),
 		cmocka_unit_test(test_a_filter_passes_the_wanted_identifiers_only),
-		cmocka_unit_test(test_sysfs_tells_the_adapters_from_other_devices),
+		cmocka_unit_test(test_adapters_are_found_among_the_usb_devices_of_sysfs),
 		cmocka_unit_test(test_control_codes_of_a_device_do_not_reach_the_terminal),
 		cmocka_unit_test(test_an_adapter_is_chosen_by_serial_number_or_place),
-		cmocka_unit_test(test_when_the_choice_is_not_clear_the_adapters_are_listed),
-		cmocka_unit_test(test_the_udev_rule_names_every_adapter_that_is_known),
+		cmocka_unit_test(test_when_no_adapter_or_several_match_they_are_listed),
+		cmocka_unit_test(test_the_udev_rule_contains_every_usb_id_that_is_known),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

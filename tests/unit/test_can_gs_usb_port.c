@@ -542,6 +542,8 @@ static void test_what_the_adapter_cannot_is_refused(void **state)
 	adapter.plugged = false;
 	assert_refused("gs_usb", -ENODEV, "no adapter");
 	assert_refused("gs_usb:0042:", -EINVAL, "gs_usb[:SERIAL[:CHANNEL]]");
+	assert_refused("gs_usb:0123456789012345678901234567890123456789012345678901234567890123", -EINVAL,
+		"gs_usb[:SERIAL[:CHANNEL]]"); /* 64 characters */
 	assert_refused("gs_usb:0042:256", -EINVAL, "gs_usb[:SERIAL[:CHANNEL]]");
 }
 

@@ -1,4 +1,4 @@
-/* Which bit rates a controller has: drivers/can/can_link.h. The limits are those of the kernel's drivers. */
+/* Bit rates that a controller supports (drivers/can/can_link.h). The limits are those of the kernel's drivers. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -7,7 +7,7 @@
 
 #include "drivers/can/can_link.h"
 
-/* SJA1000 with its 16 MHz crystal: 8 MHz */
+/* an SJA1000 with a 16 MHz crystal runs at 8 MHz */
 static const struct can_link sja1000 = {.controller = true,
 	.limits = {.clock_hz = 8000000,
 		.brp_min = 1,
@@ -18,7 +18,7 @@ static const struct can_link sja1000 = {.controller = true,
 		.tseg2_min = 1,
 		.tseg2_max = 8}};
 
-static void test_a_controller_has_the_rates_that_its_clock_divides_into(void **state)
+static void test_a_controller_supports_the_rates_its_clock_can_be_divided_to(void **state)
 {
 	static const uint32_t rates[] = {1000000, 800000, 500000, 250000, 125000, 50000, 20000, 10000};
 
@@ -27,14 +27,14 @@ static void test_a_controller_has_the_rates_that_its_clock_divides_into(void **s
 		assert_true(can_link_has_rate(&sja1000, rates[i]));
 }
 
-static void test_a_rate_beyond_half_a_percent_is_not_had(void **state)
+static void test_a_rate_more_than_half_a_percent_off_is_not_supported(void **state)
 {
 	(void)state;
 	assert_true(can_link_has_rate(&sja1000, 799000));
 	assert_false(can_link_has_rate(&sja1000, 780000));
 }
 
-static void test_a_rate_too_slow_or_too_fast_is_not_had(void **state)
+static void test_a_rate_that_is_too_low_or_too_high_is_not_supported(void **state)
 {
 	(void)state;
 	assert_false(can_link_has_rate(&sja1000, 4000)); /* 64 x 25 quanta are 5 kbit/s */
@@ -42,7 +42,7 @@ static void test_a_rate_too_slow_or_too_fast_is_not_had(void **state)
 	assert_false(can_link_has_rate(&sja1000, 0));
 }
 
-static void test_a_controller_with_a_list_has_what_stands_there(void **state)
+static void test_a_controller_with_a_list_supports_only_the_rates_in_it(void **state)
 {
 	const struct can_link slcan = {.controller = true, .rates = {10000, 125000}, .rate_count = 2};
 
@@ -51,7 +51,7 @@ static void test_a_controller_with_a_list_has_what_stands_there(void **state)
 	assert_false(can_link_has_rate(&slcan, 250000));
 }
 
-static void test_a_bus_without_a_controller_has_none(void **state)
+static void test_a_bus_without_a_controller_supports_none(void **state)
 {
 	const struct can_link vcan = {0};
 
@@ -62,11 +62,11 @@ static void test_a_bus_without_a_controller_has_none(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_controller_has_the_rates_that_its_clock_divides_into),
-		cmocka_unit_test(test_a_rate_beyond_half_a_percent_is_not_had),
-		cmocka_unit_test(test_a_rate_too_slow_or_too_fast_is_not_had),
-		cmocka_unit_test(test_a_controller_with_a_list_has_what_stands_there),
-		cmocka_unit_test(test_a_bus_without_a_controller_has_none),
+		cmocka_unit_test(test_a_controller_supports_the_rates_its_clock_can_be_divided_to),
+		cmocka_unit_test(test_a_rate_more_than_half_a_percent_off_is_not_supported),
+		cmocka_unit_test(test_a_rate_that_is_too_low_or_too_high_is_not_supported),
+		cmocka_unit_test(test_a_controller_with_a_list_supports_only_the_rates_in_it),
+		cmocka_unit_test(test_a_bus_without_a_controller_supports_none),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,4 +1,4 @@
-/* What can_send() and can_service() do with a bus that is full at times, on a fake one. */
+/* The transmit queue of can_send() and can_service(), on a fake bus that is full at times. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -12,8 +12,8 @@
 
 struct fake {
 	struct can_port port;
-	int room;    /* frames that the bus takes before it is full */
-	int refusal; /* what it says then */
+	int room;    /* frames that the bus accepts before it is full */
+	int refusal; /* the error then */
 	uint32_t sent[1200];
 	size_t sent_count, attempts;
 };
@@ -79,7 +79,7 @@ static void test_a_refused_frame_waits_and_the_refusal_is_counted(void **state)
 	assert_int_equal(fake.port.counters.tx_dropped, 0);
 }
 
-static void test_eagain_means_full_too(void **state)
+static void test_eagain_means_that_the_bus_is_full_too(void **state)
 {
 	struct fake fake;
 
@@ -91,7 +91,7 @@ static void test_eagain_means_full_too(void **state)
 	assert_int_equal(fake.port.counters.tx_retries, 1);
 }
 
-static void test_service_asks_to_be_called_when_the_wait_is_over(void **state)
+static void test_the_next_deadline_is_the_end_of_the_back_off(void **state)
 {
 	struct fake fake;
 
@@ -101,7 +101,7 @@ static void test_service_asks_to_be_called_when_the_wait_is_over(void **state)
 	assert_int_equal(can_service(&fake.port, 1000), 1500);
 }
 
-static void test_service_with_nothing_queued_needs_no_call(void **state)
+static void test_with_an_empty_queue_there_is_no_deadline(void **state)
 {
 	struct fake fake;
 
@@ -110,7 +110,7 @@ static void test_service_with_nothing_queued_needs_no_call(void **state)
 	assert_true(can_service(&fake.port, 1000) == UINT64_MAX);
 }
 
-static void test_the_bus_is_left_alone_before_the_wait_is_over(void **state)
+static void test_nothing_is_sent_during_the_back_off(void **state)
 {
 	struct fake fake;
 
@@ -122,7 +122,7 @@ static void test_the_bus_is_left_alone_before_the_wait_is_over(void **state)
 	assert_int_equal(fake.attempts, 1);
 }
 
-static void test_the_wait_doubles_from_half_a_millisecond_to_20_ms(void **state)
+static void test_the_back_off_doubles_from_half_a_millisecond_to_20_ms(void **state)
 {
 	static const uint64_t waits_us[] = {500, 1000, 2000, 4000, 8000, 16000, 20000, 20000};
 	struct fake fake;
@@ -139,7 +139,7 @@ static void test_the_wait_doubles_from_half_a_millisecond_to_20_ms(void **state)
 	}
 }
 
-static void test_a_frame_that_went_through_ends_the_doubling(void **state)
+static void test_a_frame_that_was_sent_resets_the_back_off(void **state)
 {
 	struct fake fake;
 
@@ -153,7 +153,7 @@ static void test_a_frame_that_went_through_ends_the_doubling(void **state)
 	assert_int_equal(can_service(&fake.port, 2000), 2500);
 }
 
-static void test_a_new_frame_does_not_overtake_those_that_wait(void **state)
+static void test_a_new_frame_does_not_overtake_queued_frames(void **state)
 {
 	struct fake fake;
 
@@ -167,7 +167,7 @@ static void test_a_new_frame_does_not_overtake_those_that_wait(void **state)
 	assert_sent(&fake, 1, 2);
 }
 
-static void test_a_new_frame_that_comes_when_the_wait_is_over_takes_the_waiting_along(void **state)
+static void test_a_new_frame_after_the_back_off_is_sent_behind_the_queued_ones(void **state)
 {
 	struct fake fake;
 
@@ -208,9 +208,7 @@ static void test_a_full_queue_drops_the_oldest_frame_and_counts_it(void **state)
 	assert_sent(&fake, 3, CAN_QUEUE_LEN);
 }
 
-/* A bus of 10 frames of room that drains one frame every 250 us, fed in bursts beyond that for a while: all frames
- * arrive, in order. */
-static void test_in_a_full_queue_a_new_value_takes_the_place_of_the_oldest_of_its_identifier(void **state)
+static void test_in_a_full_queue_a_new_frame_replaces_the_oldest_with_its_identifier(void **state)
 {
 	struct fake fake;
 
@@ -228,7 +226,7 @@ static void test_in_a_full_queue_a_new_value_takes_the_place_of_the_oldest_of_it
 	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 0x190);
 }
 
-static void test_what_waits_keeps_its_order_when_a_superseded_frame_is_dropped(void **state)
+static void test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped(void **state)
 {
 	struct fake fake;
 
@@ -245,7 +243,8 @@ static void test_what_waits_keeps_its_order_when_a_superseded_frame_is_dropped(v
 	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 5);
 }
 
-static void test_order_holds_through_many_refusals(void **state)
+/* A bus with room for 10 frames that sends one every 250 us, fed in bursts of 20. */
+static void test_the_order_is_kept_through_many_refusals(void **state)
 {
 	struct fake fake;
 	uint64_t now_us = 0;
@@ -266,7 +265,7 @@ static void test_order_holds_through_many_refusals(void **state)
 	assert_int_equal(fake.port.counters.tx_dropped, 0);
 }
 
-static void test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted(void **state)
+static void test_a_frame_that_the_bus_cannot_send_is_reported_and_counted(void **state)
 {
 	struct fake fake;
 
@@ -278,7 +277,7 @@ static void test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted
 	assert_int_equal(fake.port.queue_count, 0);
 }
 
-static void test_frames_that_wait_when_the_bus_goes_down_are_dropped_and_counted(void **state)
+static void test_queued_frames_are_dropped_and_counted_when_the_bus_goes_down(void **state)
 {
 	struct fake fake;
 
@@ -311,7 +310,7 @@ static void test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_q
 	assert_int_equal(can_service(&fake.port, 100), 600);
 }
 
-static void test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are(void **state)
+static void test_an_unknown_kind_of_bus_is_refused_with_the_known_kinds(void **state)
 {
 	struct can_port *port = NULL;
 	char error[200] = "";
@@ -324,7 +323,7 @@ static void test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are(void
 	assert_null(port);
 }
 
-static void test_an_interface_that_is_not_there_is_refused(void **state)
+static void test_an_interface_that_does_not_exist_is_refused(void **state)
 {
 	struct can_port *port = NULL;
 	char error[200] = "";
@@ -351,24 +350,24 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_frame_goes_straight_to_a_bus_that_has_room),
 		cmocka_unit_test(test_a_refused_frame_waits_and_the_refusal_is_counted),
-		cmocka_unit_test(test_eagain_means_full_too),
-		cmocka_unit_test(test_service_asks_to_be_called_when_the_wait_is_over),
-		cmocka_unit_test(test_service_with_nothing_queued_needs_no_call),
-		cmocka_unit_test(test_the_bus_is_left_alone_before_the_wait_is_over),
-		cmocka_unit_test(test_the_wait_doubles_from_half_a_millisecond_to_20_ms),
-		cmocka_unit_test(test_a_frame_that_went_through_ends_the_doubling),
-		cmocka_unit_test(test_a_new_frame_does_not_overtake_those_that_wait),
-		cmocka_unit_test(test_a_new_frame_that_comes_when_the_wait_is_over_takes_the_waiting_along),
+		cmocka_unit_test(test_eagain_means_that_the_bus_is_full_too),
+		cmocka_unit_test(test_the_next_deadline_is_the_end_of_the_back_off),
+		cmocka_unit_test(test_with_an_empty_queue_there_is_no_deadline),
+		cmocka_unit_test(test_nothing_is_sent_during_the_back_off),
+		cmocka_unit_test(test_the_back_off_doubles_from_half_a_millisecond_to_20_ms),
+		cmocka_unit_test(test_a_frame_that_was_sent_resets_the_back_off),
+		cmocka_unit_test(test_a_new_frame_does_not_overtake_queued_frames),
+		cmocka_unit_test(test_a_new_frame_after_the_back_off_is_sent_behind_the_queued_ones),
 		cmocka_unit_test(test_nothing_is_lost_until_the_queue_is_full),
 		cmocka_unit_test(test_a_full_queue_drops_the_oldest_frame_and_counts_it),
-		cmocka_unit_test(test_in_a_full_queue_a_new_value_takes_the_place_of_the_oldest_of_its_identifier),
-		cmocka_unit_test(test_what_waits_keeps_its_order_when_a_superseded_frame_is_dropped),
-		cmocka_unit_test(test_order_holds_through_many_refusals),
-		cmocka_unit_test(test_a_frame_that_the_bus_cannot_take_at_all_is_reported_and_counted),
-		cmocka_unit_test(test_frames_that_wait_when_the_bus_goes_down_are_dropped_and_counted),
+		cmocka_unit_test(test_in_a_full_queue_a_new_frame_replaces_the_oldest_with_its_identifier),
+		cmocka_unit_test(test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped),
+		cmocka_unit_test(test_the_order_is_kept_through_many_refusals),
+		cmocka_unit_test(test_a_frame_that_the_bus_cannot_send_is_reported_and_counted),
+		cmocka_unit_test(test_queued_frames_are_dropped_and_counted_when_the_bus_goes_down),
 		cmocka_unit_test(test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_queues),
-		cmocka_unit_test(test_an_unknown_kind_of_bus_is_refused_with_the_kinds_there_are),
-		cmocka_unit_test(test_an_interface_that_is_not_there_is_refused),
+		cmocka_unit_test(test_an_unknown_kind_of_bus_is_refused_with_the_known_kinds),
+		cmocka_unit_test(test_an_interface_that_does_not_exist_is_refused),
 		cmocka_unit_test(test_a_name_that_is_too_long_for_an_interface_is_refused),
 	};
 

@@ -1,4 +1,4 @@
-/* The slcan driver against the other end of a pseudo terminal. Oracle: the lines as Lawicel's manual has them. */
+/* The slcan driver on a pseudo terminal whose other end is the adapter. Oracle: the lines of Lawicel's CANUSB manual. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -16,14 +16,14 @@
 #include "drivers/ports/can.h"
 
 struct rig {
-	int adapter; /* the adapter's end */
+	int adapter; /* its end of the pseudo terminal */
 	char link[64];
 	struct can_port *port;
 	uint64_t now_us;
 	char folder[32];
 };
 
-/* A pseudo terminal under a name that stays. */
+/* A new pseudo terminal under the same name. */
 static void plug(struct rig *r)
 {
 	r->adapter = posix_openpt(O_RDWR | O_NOCTTY | O_NONBLOCK);
@@ -85,7 +85,7 @@ static void open_bus(struct rig *r, const char *options)
 	assert_int_equal(try_open(r, options, error), 0);
 }
 
-/* On the bus, and the adapter has said that it is. */
+/* On the bus, and the adapter has confirmed it. */
 static void go_on_bus(struct rig *r)
 {
 	struct can_msg msg;
@@ -153,7 +153,7 @@ static void test_bit_rate_and_listening_are_options_of_the_bus(void **state)
 	assert_hears(r, "");
 }
 
-static void test_a_bit_rate_given_after_opening_holds_from_the_beginning(void **state)
+static void test_a_bit_rate_set_after_opening_is_used_from_the_start(void **state)
 {
 	struct rig *r = *state;
 
@@ -216,7 +216,7 @@ static void test_an_adapter_that_was_closed_already_may_refuse_to_close(void **s
 	assert_int_equal(r->port->counters.tx_dropped, 0);
 }
 
-static void test_what_is_wrong_is_said(void **state)
+static void test_a_wrong_address_or_device_is_refused_with_what_to_do(void **state)
 {
 	struct rig *r = *state;
 	char error[300] = "";
@@ -228,7 +228,7 @@ static void test_what_is_wrong_is_said(void **state)
 	assert_int_equal(try_open(r, ",speed=1", error), -EINVAL);
 	assert_non_null(strstr(error, "'speed=1'"));
 	assert_int_equal(can_open("slcan:/dev/null", &r->port, error, sizeof(error)), -ENOTTY);
-	assert_string_equal(error, "/dev/null is no serial device");
+	assert_string_equal(error, "/dev/null is not a serial device: use one of /dev/ttyACM*, /dev/ttyUSB*");
 	assert_int_equal(can_open("slcan:/no/such", &r->port, error, sizeof(error)), -ENOENT);
 	assert_null(r->port);
 }
@@ -265,7 +265,7 @@ static void test_lines_are_received_as_frames(void **state)
 	assert_receives_nothing(r);
 }
 
-static void test_the_time_of_an_adapter_that_adds_it_is_taken_for_no_data(void **state)
+static void test_a_time_stamp_behind_the_data_is_not_taken_as_data(void **state)
 {
 	struct rig *r = *state;
 
@@ -275,7 +275,7 @@ static void test_the_time_of_an_adapter_that_adds_it_is_taken_for_no_data(void *
 	assert_int_equal(r->port->counters.rx_dropped, 0);
 }
 
-static void test_a_line_may_come_in_pieces(void **state)
+static void test_a_line_may_arrive_in_pieces(void **state)
 {
 	struct rig *r = *state;
 
@@ -342,7 +342,7 @@ static void test_a_filter_passes_the_wanted_identifiers_only(void **state)
 	assert_receives_nothing(r);
 }
 
-static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn(void **state)
+static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_split(void **state)
 {
 	struct rig *r = *state;
 	char heard[64 * 1024], line[32];
@@ -354,7 +354,7 @@ static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn(voi
 		const struct can_msg msg = {.id = i, .len = 8};
 
 		assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
-		/* the reader is slower than the writer at first */
+		/* the adapter reads more slowly than the driver writes at first */
 		for (int k = 0; r->port->queue_count > CAN_QUEUE_LEN / 2 && k < 1000; k++) {
 			n = read(r->adapter, heard + length, 100);
 			length += n > 0 ? (size_t)n : 0;
@@ -371,7 +371,7 @@ static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn(voi
 	assert_true(r->port->counters.tx_retries > 0);
 	for (uint32_t i = 0; i < 1000; i++) {
 		if (strncmp(heard + at, "F\r", 2) == 0)
-			at += 2; /* asked for the state in between */
+			at += 2; /* the state is requested meanwhile */
 		snprintf(line, sizeof(line), "t%03X80000000000000000\r", i);
 		assert_memory_equal(heard + at, line, strlen(line));
 		at += strlen(line);
@@ -389,7 +389,7 @@ static void ask(struct rig *r, const char *answer)
 	assert_receives_nothing(r);
 }
 
-static void test_the_state_is_asked_for_once_a_second(void **state)
+static void test_the_state_is_requested_once_a_second(void **state)
 {
 	struct rig *r = *state;
 
@@ -406,7 +406,7 @@ static void test_the_state_is_asked_for_once_a_second(void **state)
 	assert_int_equal(r->port->counters.rx_dropped, 1);
 }
 
-static void test_an_adapter_that_does_not_know_the_question_is_not_asked_again(void **state)
+static void test_an_adapter_without_the_status_command_is_not_asked_again(void **state)
 {
 	struct rig *r = *state;
 
@@ -463,18 +463,19 @@ int main(void)
 			test_the_adapter_is_closed_set_and_opened_with_the_first_service, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_bit_rate_and_listening_are_options_of_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_a_bit_rate_given_after_opening_holds_from_the_beginning, set_up, tear_down),
+			test_a_bit_rate_set_after_opening_is_used_from_the_start, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_the_bit_rate_can_be_changed_on_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_closing_takes_the_adapter_off_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_an_adapter_that_refuses_to_open_is_tried_again, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_that_was_closed_already_may_refuse_to_close, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_what_is_wrong_is_said, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_wrong_address_or_device_is_refused_with_what_to_do, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_frames_are_sent_as_lines, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_lines_are_received_as_frames, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_the_time_of_an_adapter_that_adds_it_is_taken_for_no_data, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_a_line_may_come_in_pieces, set_up, tear_down),
+			test_a_time_stamp_behind_the_data_is_not_taken_as_data, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_line_may_arrive_in_pieces, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_garbage_is_counted_and_the_next_frame_is_received, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_line_without_an_end_is_bounded, set_up, tear_down),
@@ -482,10 +483,10 @@ int main(void)
 			test_the_descriptor_stays_readable_while_frames_wait_in_the_driver, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_filter_passes_the_wanted_identifiers_only, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_frames_wait_while_the_line_is_full_and_none_is_lost_or_torn, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_the_state_is_asked_for_once_a_second, set_up, tear_down),
+			test_frames_wait_while_the_line_is_full_and_none_is_lost_or_split, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_the_state_is_requested_once_a_second, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
-			test_an_adapter_that_does_not_know_the_question_is_not_asked_again, set_up, tear_down),
+			test_an_adapter_without_the_status_command_is_not_asked_again, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_refused_frame_is_counted_as_lost, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again, set_up, tear_down),

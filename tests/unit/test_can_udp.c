@@ -1,4 +1,4 @@
-/* The udp bus: its codec against bytes that python-can made, and two ports over real sockets. */
+/* The udp bus: its codec against bytes made by python-can, and ports over real sockets. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -147,7 +147,7 @@ static void test_every_length_and_identifier_size_survives_the_way_there_and_bac
 	}
 }
 
-static void test_fd_frames_and_error_frames_are_not_for_us(void **state)
+static void test_fd_frames_and_error_frames_are_not_supported(void **state)
 {
 	struct can_msg msg;
 
@@ -156,7 +156,7 @@ static void test_fd_frames_and_error_frames_are_not_for_us(void **state)
 	assert_int_equal(decode(ERROR_FRAME, &msg), -ENOTSUP);
 }
 
-/* The page behind the bytes is not there: a read beyond them crashes. */
+/* The page behind the bytes is unmapped: a read beyond them crashes. */
 static void test_every_truncation_is_refused_without_reading_on(void **state)
 {
 	size_t page = (size_t)sysconf(_SC_PAGESIZE);
@@ -175,7 +175,7 @@ static void test_every_truncation_is_refused_without_reading_on(void **state)
 	munmap(pages, page);
 }
 
-/* Each differs from a valid frame in one thing. */
+/* Each differs from a valid frame in one respect. */
 static void test_what_is_not_a_valid_frame_is_refused(void **state)
 {
 	static const struct {
@@ -258,7 +258,7 @@ static void test_a_map_with_a_16_bit_or_32_bit_count_is_read(void **state)
 	assert_int_equal(decode("dfffffffff" ID_181 STANDARD DLC_0, &msg), -EBADMSG);
 }
 
-/* ---- over sockets: a group and a port of this process, so that nobody else's frames come in ---- */
+/* ---- over sockets: a UDP port of this process only, so that no other program's frames are received ---- */
 
 static uint64_t now(void)
 {
@@ -397,7 +397,7 @@ static void test_a_filter_lets_only_its_identifiers_through(void **state)
 	close_pair(bus);
 }
 
-/* To the group of open_pair(), by the way that the driver takes: loopback where there is no route. */
+/* To the group of open_pair(), routed as the driver does: by loopback where there is no route. */
 static void send_raw(int fd, const char *data, size_t size)
 {
 	const struct ip_mreqn loopback = {.imr_ifindex = (int)if_nametoindex("lo")};
@@ -428,9 +428,9 @@ static void test_malformed_datagrams_are_counted_and_the_next_frame_is_read(void
 	close_pair(bus);
 }
 
-/* The kernel tells of drops with the next datagram that it has room for. The pauses let it carry the datagrams from the
- * sender to the receiver's buffer, which holds about 2500. */
-static void test_what_a_reader_was_too_slow_for_is_counted(void **state)
+/* The kernel reports drops with the next datagram it has room for. The pauses let it move the datagrams to the receive
+ * buffer, which holds about 2500. */
+static void test_frames_the_kernel_dropped_for_a_slow_reader_are_counted(void **state)
 {
 	enum { FRAMES = 4000 };
 	struct pair bus = open_pair();
@@ -455,7 +455,7 @@ static void test_what_a_reader_was_too_slow_for_is_counted(void **state)
 	close_pair(bus);
 }
 
-static void test_groups_that_are_none_are_refused(void **state)
+static void test_addresses_that_are_not_multicast_groups_are_refused(void **state)
 {
 	static const char *const bad[] = {
 		"udp:10.0.0.1",
@@ -493,7 +493,7 @@ static void assert_bound_to(const struct can_port *port, const char *group, uint
 	assert_int_equal(ntohs(address.sin_port), port_number);
 }
 
-/* Its datagrams would be another program's: nothing is sent. */
+/* Other programs may use this bus: nothing is sent. */
 static void test_the_default_is_the_group_and_the_port_of_python_can(void **state)
 {
 	struct can_port *port = open_bus("udp");
@@ -608,7 +608,7 @@ int main(void)
 		cmocka_unit_test(test_frames_of_python_can_are_read),
 		cmocka_unit_test(test_a_frame_with_a_channel_name_and_a_time_is_read),
 		cmocka_unit_test(test_every_length_and_identifier_size_survives_the_way_there_and_back),
-		cmocka_unit_test(test_fd_frames_and_error_frames_are_not_for_us),
+		cmocka_unit_test(test_fd_frames_and_error_frames_are_not_supported),
 		cmocka_unit_test(test_every_truncation_is_refused_without_reading_on),
 		cmocka_unit_test(test_what_is_not_a_valid_frame_is_refused),
 		cmocka_unit_test(test_a_map_with_another_number_of_entries_than_it_says_is_refused),
@@ -625,8 +625,8 @@ int main(void)
 		cmocka_unit_test(test_a_burst_of_100_arrives_whole_and_in_order),
 		cmocka_unit_test(test_a_filter_lets_only_its_identifiers_through),
 		cmocka_unit_test(test_malformed_datagrams_are_counted_and_the_next_frame_is_read),
-		cmocka_unit_test(test_what_a_reader_was_too_slow_for_is_counted),
-		cmocka_unit_test(test_groups_that_are_none_are_refused),
+		cmocka_unit_test(test_frames_the_kernel_dropped_for_a_slow_reader_are_counted),
+		cmocka_unit_test(test_addresses_that_are_not_multicast_groups_are_refused),
 		cmocka_unit_test(test_an_ipv6_group_with_a_port_is_opened),
 	};
 
