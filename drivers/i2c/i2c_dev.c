@@ -1,5 +1,5 @@
-/* /dev/i2c-N. A combined write-read (I2C_RDWR) where the adapter can; else SMBus I2C-block reads, which is all that
- * SMBus hosts and the kernel's i2c-stub have. */
+/* /dev/i2c-N. A combined write and read (I2C_RDWR) where the adapter supports it, else SMBus I2C block reads, as SMBus
+ * hosts and the kernel's i2c-stub have them. */
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/i2c-dev.h>
@@ -12,13 +12,13 @@
 
 #include "drivers/i2c/i2c.h"
 
-/* a chip that holds the clock must not hold the sensor's thread for the kernel's default of a second */
+/* a chip that stretches the clock would block the thread for the kernel's default of 1 s */
 enum { TIMEOUT_10MS = 2, RETRIES = 0 };
 
 struct i2c_dev {
 	struct i2c_bus bus;
 	int fd;
-	int slave; /* what I2C_SLAVE was last given */
+	int slave; /* address last set by I2C_SLAVE; -1: none */
 };
 
 static int rdwr(struct i2c_dev *dev, struct i2c_msg *messages, unsigned n)
@@ -49,7 +49,7 @@ static int smbus(
 {
 	struct i2c_smbus_ioctl_data transfer = {.read_write = direction, .command = sub, .size = size, .data = data};
 
-	/* not I2C_SLAVE_FORCE: chips that a kernel driver holds are not ours */
+	/* not I2C_SLAVE_FORCE: that would disturb a kernel driver that is bound to the chip */
 	if (dev->slave != address && ioctl(dev->fd, I2C_SLAVE, (unsigned long)address) < 0)
 		return -errno;
 	dev->slave = address;
@@ -96,9 +96,9 @@ static const struct i2c_ops *choose(unsigned long functions)
 
 static const char *advice(int error)
 {
-	return error == ENOENT ? ": is the bus enabled? (i2cdetect -l; on a Raspberry Pi: dtparam=i2c_arm=on; modprobe "
-				 "i2c-dev)"
-	       : error == EACCES ? ": add this user to the group i2c (README, \"Wiring\")"
+	return error == ENOENT	 ? ": enable the bus (`modprobe i2c-dev`; on a Raspberry Pi dtparam=i2c_arm=on); "
+				   "`i2cdetect -l` lists the buses"
+	       : error == EACCES ? ": add this user to the group i2c"
 				 : "";
 }
 
@@ -111,7 +111,7 @@ int i2c_dev_open(const char *path, struct i2c_bus **bus, char *error, size_t err
 	if (fd < 0 || ioctl(fd, I2C_FUNCS, &functions) < 0) {
 		result = -errno;
 		snprintf(error, error_size, "%s: %s%s", path, strerror(-result),
-			result == -ENOTTY ? ": not an I2C bus" : advice(-result));
+			result == -ENOTTY ? ": not an I2C bus: use /dev/i2c-N" : advice(-result));
 		if (fd >= 0)
 			close(fd);
 		return result;
@@ -119,7 +119,8 @@ int i2c_dev_open(const char *path, struct i2c_bus **bus, char *error, size_t err
 	dev = calloc(1, sizeof *dev);
 	if (!dev || !choose(functions)) {
 		snprintf(error, error_size, "%s: %s", path,
-			dev ? "this adapter can neither I2C nor SMBus I2C-block reads" : "out of memory");
+			dev ? "this adapter supports neither I2C nor SMBus I2C block reads: use another one"
+			    : "out of memory");
 		free(dev);
 		close(fd);
 		return -ENOTSUP;

@@ -10,8 +10,8 @@ static void begin_stretch(struct frozen *f, const double *raw, size_t n)
 	f->stretch = 0;
 }
 
-/* A stretch ends when one of the values has left the digit beside that where it began. */
-static void learn(struct frozen *f, const double *raw, size_t n)
+/* A stretch ends when one of the values has moved by more than one digit. */
+static void update_stretch(struct frozen *f, const double *raw, size_t n)
 {
 	bool left = false;
 
@@ -43,9 +43,9 @@ bool frozen_watch(struct frozen *f, const double *raw, size_t n)
 	if (memcmp(f->last, raw, n * sizeof *raw) != 0) {
 		if (f->same > f->longest)
 			f->longest = f->same;
-		f->coarse |= f->stretch > FROZEN_STRETCH; /* and goes on */
+		f->coarse |= f->stretch > FROZEN_STRETCH;
 		f->same = 0;
-		learn(f, raw, n);
+		update_stretch(f, raw, n);
 		memcpy(f->last, raw, n * sizeof *raw);
 	}
 	f->same++;

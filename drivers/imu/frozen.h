@@ -1,8 +1,10 @@
 /* drivers/imu/frozen.h
- * Tells a sensor that repeats itself from one that is quiet. Where the noise is above a digit, the same raw values come
- * some times in a row and no more: how often is learned, and a run is too long when it is ten times the longest that ended.
- * Where the noise is below a digit the values may stand for ever at rest, and that tells nothing. Which it is shows when
- * the sensor is left alone: noise spreads over several digits, or stays within one. */
+ * Detects a sensor that delivers the same raw values again and again (frozen), and distinguishes it from one at rest.
+ *
+ * Where the noise exceeds one digit, equal raw values repeat only a few times. The longest run so far is measured; a run
+ * ten times as long is a fault. Where the noise is below one digit, the values at rest may stay equal for any time, and a
+ * run means nothing. Which of the two holds is determined from stretches in which the values stay within two neighbouring
+ * digits: with noise above a digit they are short. */
 #ifndef DRIVERS_IMU_FROZEN_H
 #define DRIVERS_IMU_FROZEN_H
 
@@ -11,24 +13,24 @@
 
 enum {
 	FROZEN_VALUES = 12,
-	FROZEN_AT_LEAST = 30,
-	FROZEN_TIMES = 10,
-	FROZEN_STRETCH = 50, /* values that stay within one digit for longer have no noise to speak of */
-	FROZEN_LEARNT = 50,  /* so many shorter stretches, and the noise is taken to be above a digit */
+	FROZEN_AT_LEAST = 30, /* equal values: shorter runs are never a fault */
+	FROZEN_TIMES = 10,    /* times the longest run that ended */
+	FROZEN_STRETCH = 50,  /* samples; with a longer stretch the noise is below a digit */
+	FROZEN_LEARNT = 50,   /* after this number of shorter stretches the noise is above a digit */
 };
 
-struct frozen {	    /* zeroed: nothing known */
-	bool noisy; /* set by whoever knows that the noise is above a digit: nothing needs to be learned first */
+struct frozen {	    /* starts zeroed */
+	bool noisy; /* set by a caller that knows that the noise exceeds one digit */
 
 	/* PRIVATE */
-	double last[FROZEN_VALUES], digit[FROZEN_VALUES]; /* the smallest change seen; 0: none yet */
+	double last[FROZEN_VALUES], digit[FROZEN_VALUES]; /* digit: the smallest change seen; 0: none yet */
 	double low[FROZEN_VALUES], high[FROZEN_VALUES];	  /* of this stretch */
 	unsigned same, longest;
 	unsigned stretch, stretches;
 	bool coarse;
 };
 
-/** The next raw values, always the same number of them. True: they, and those before, are no measurements. */
+/** Processes the next raw values; n is the same in each call. True: the sensor is frozen. */
 bool frozen_watch(struct frozen *f, const double *raw, size_t n);
 
 #endif

@@ -1,6 +1,5 @@
-/* iio[:DEVICE[,DEVICE]...]: what the kernel's own drivers measure, through libiio. Buffered capture by the devices' own
- * triggers (data ready) or a timer trigger, which is made through configfs; where neither can be, polled through sysfs.
- * Units: Documentation/ABI/testing/sysfs-bus-iio. */
+/* iio[:DEVICE[,DEVICE]...]: sensors of the kernel's IIO drivers, through libiio. Samples are captured in buffers, triggered
+ * by the devices (data ready) or by a timer trigger; where neither is possible, they are polled through sysfs. */
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -12,13 +11,13 @@
 
 #define NS_PER_MS    1000000LL
 #define NS_PER_S     1000000000LL
-#define WAKE_NS	     (20 * NS_PER_MS)  /* a device that has gone wakes nobody */
-#define STALL_NS     (100 * NS_PER_MS) /* or five intervals */
+#define WAKE_NS	     (20 * NS_PER_MS)  /* the buffer of a device that was removed does not become readable */
+#define STALL_NS     (100 * NS_PER_MS) /* or five sampling intervals, if longer */
 #define MAG_RETRY_NS (2 * NS_PER_S)
 
 /* ---- beginning and ending ---------------------------------------------------------------------------------------- */
 
-/* Closes everything; the trigger that was made goes, too. */
+/* Closes the buffers and the context, and removes the timer triggers. */
 static void end(struct iio_imu *imu)
 {
 	for (size_t i = 0; i < imu->capture_count; i++) {
@@ -26,7 +25,7 @@ static void end(struct iio_imu *imu)
 
 		if (c->buffer)
 			iio_buffer_destroy(c->buffer);
-		if (c->timer && iio_device_set_trigger(c->device, NULL) < 0) { /* the device has gone */
+		if (c->timer && iio_device_set_trigger(c->device, NULL) < 0) { /* the device was removed */
 		}
 	}
 	imu->capture_count = 0;
@@ -38,7 +37,7 @@ static void end(struct iio_imu *imu)
 	imu->running = false;
 }
 
-/* A reading taken by a timer is as old as the chip's newest sample then was: half its interval, more or less. */
+/* A reading triggered by a timer is the chip's newest sample: half its interval old, +- half an interval. */
 static int64_t tolerance_ns(const struct iio_imu *imu)
 {
 	double longest = 0;
@@ -112,15 +111,15 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	t->seen_ns = imu_thread_now_ns();
 	if (t_ns < t->settled_ns)
 		return;
-	/* the others may be coarse, and then be still at rest */
+	/* accelerometer and magnetometer may be coarse: equal values at rest are normal */
 	if (kind == GYRO)
 		imu->is_frozen = frozen_watch(&imu->gyro_frozen, raw, AXES);
 	if (kind == GYRO && imu->is_frozen)
 		return;
-	/* a timer faster than the chip reads the same sample again */
-	if (kind == MAG && (double)(t_ns - t->taken_ns) < 0.9 * t->interval_ns)
+	/* a timer that is faster than the chip reads the same sample again */
+	if (kind == MAG && (double)(t_ns - t->last_ns) < 0.9 * t->interval_ns)
 		return;
-	t->taken_ns = t_ns;
+	t->last_ns = t_ns;
 	for (int i = 0; i < AXES; i++)
 		reading.saturated |= raw[i] >= t->highest || raw[i] <= t->lowest;
 	v = (struct vec3){(raw[0] + t->offset[0]) * t->scale[0], (raw[1] + t->offset[1]) * t->scale[1],
@@ -131,7 +130,7 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	merge_add(&imu->merge, IIO_KINDS[kind].chip, &reading);
 }
 
-static void take_scan(struct iio_imu *imu, const struct capture *c)
+static void process_scan(struct iio_imu *imu, const struct capture *c)
 {
 	int64_t t_ns = imu_thread_now_ns();
 
@@ -153,13 +152,13 @@ static void take_scan(struct iio_imu *imu, const struct capture *c)
 	}
 }
 
-/* Everything that is there. 0 or -errno. */
+/* Processes all scans of the buffer. 0 or -errno. */
 static int drain(struct iio_imu *imu, const struct capture *c)
 {
 	ssize_t n;
 
 	while ((n = iio_buffer_refill(c->buffer)) > 0)
-		take_scan(imu, c);
+		process_scan(imu, c);
 	return n == 0 ? -ENODEV : n == -EAGAIN ? 0 : (int)n;
 }
 
@@ -171,7 +170,7 @@ static bool read_raw(const struct triad *t, double raw[AXES])
 	return true;
 }
 
-/* One of each through sysfs, its time the middle of its reading. False: gyro or accelerometer cannot be read. */
+/* Reads each sensor through sysfs; the time of a reading is the middle of the read. False: gyro or accelerometer failed. */
 static bool read_polled(struct iio_imu *imu)
 {
 	for (int kind = 0; kind < TRIADS; kind++) {
@@ -229,7 +228,7 @@ static void deliver(struct iio_imu *imu)
 			sample.flags |= SAMPLE_TEMPERATURE;
 			imu->temperature_new = false;
 		}
-		imu_thread_works(&imu->thread);
+		imu_thread_recovered(&imu->thread);
 		imu_thread_rate(&imu->thread, &sample);
 		imu_thread_send(&imu->thread, &sample);
 	}
@@ -244,8 +243,8 @@ static bool stalled(const struct iio_imu *imu, int kind)
 	return t->device && (double)(imu_thread_now_ns() - t->seen_ns) > limit_ns;
 }
 
-/* Samples go on without the magnetometer. One that went away is looked for; what has come back is found by beginning
- * anew. */
+/* Samples continue without the magnetometer. One that was removed is searched for; when it is back, the capture is
+ * restarted. */
 static void watch_mag(struct iio_imu *imu)
 {
 	struct imu_health *h = &imu->thread.health;
@@ -254,7 +253,7 @@ static void watch_mag(struct iio_imu *imu)
 
 	h->degraded = (uint8_t)(missing ? IMU_FAULT_SILENT : still ? IMU_FAULT_STOPPED : IMU_FAULT_NONE);
 	h->degraded_chip = h->degraded ? IMU_CHIP_MAG : 0;
-	imu_thread_tell(&imu->thread);
+	imu_thread_report(&imu->thread);
 	if (!missing || imu_thread_now_ns() < imu->mag_retry_ns)
 		return;
 	imu->mag_retry_ns = imu_thread_now_ns() + MAG_RETRY_NS;
@@ -270,7 +269,7 @@ static void watch_mag(struct iio_imu *imu)
 		iio_context_destroy(context);
 }
 
-/* False: it failed, and that was told. */
+/* False: it failed, and the fault was reported. */
 static bool capture(struct iio_imu *imu)
 {
 	struct pollfd fds[TRIADS];
@@ -395,14 +394,16 @@ static int parse(struct iio_imu *imu, const char *args, char *error, size_t erro
 	char *rest = imu->names, *name;
 
 	if ((size_t)snprintf(imu->names, sizeof imu->names, "%s", args ? args : "") >= sizeof imu->names) {
-		snprintf(error, error_size, "iio: names longer than %zu characters", sizeof imu->names - 1);
+		snprintf(error, error_size, "iio: the device names have more than %zu characters: name fewer devices",
+			sizeof imu->names - 1);
 		return -EINVAL;
 	}
 	while ((name = strsep(&rest, ","))) {
 		if (*name == '\0')
 			continue;
 		if (imu->wanted_count == DEVICES_NAMED) {
-			snprintf(error, error_size, "iio: more than %d devices", DEVICES_NAMED);
+			snprintf(error, error_size, "iio: more than %d devices named: use at most %d", DEVICES_NAMED,
+				DEVICES_NAMED);
 			return -EINVAL;
 		}
 		imu->wanted[imu->wanted_count++] = name;
@@ -410,13 +411,14 @@ static int parse(struct iio_imu *imu, const char *args, char *error, size_t erro
 	return 0;
 }
 
-/* A round through sysfs may take longer than asked for: drivers switch the chip on for each. */
+/* A read through sysfs may take longer than the sampling interval: some drivers power the chip up for each one. */
 static int measure_polling(struct iio_imu *imu, char *error, size_t error_size)
 {
 	int64_t begun_ns = imu_thread_now_ns();
 
 	if (!read_polled(imu)) {
-		snprintf(error, error_size, "iio: %s cannot be read", iio_imu_label(imu->triads[GYRO].device));
+		snprintf(error, error_size, "iio: %s cannot be read through sysfs: see the kernel log (dmesg)",
+			iio_imu_label(imu->triads[GYRO].device));
 		return -EIO;
 	}
 	imu->polling_hz = 0.9e9 / (double)(imu_thread_now_ns() - begun_ns);
@@ -447,7 +449,7 @@ static int start(
 					       : "");
 	result = imu_thread_start(&imu->thread, "imu9-iio", settings->realtime, run);
 	if (result < 0)
-		snprintf(error, error_size, "no thread for the sensor: %s", strerror(-result));
+		snprintf(error, error_size, "cannot start the sensor's thread: %s", strerror(-result));
 	return result;
 }
 

@@ -1,6 +1,6 @@
 /* drivers/imu/iio_parts.h
- * What the files behind iio_open() share: iio_setup.c finds the devices and sets them up, iio_trigger.c chooses how they
- * are triggered and opens their buffers, iio.c reads them in a thread behind the port. */
+ * Shared by the files of the IIO driver: iio_setup.c finds the devices and sets them up, iio_trigger.c chooses their
+ * triggers and opens their buffers, iio.c reads them in a thread and implements the port. */
 #ifndef DRIVERS_IMU_IIO_PARTS_H
 #define DRIVERS_IMU_IIO_PARTS_H
 
@@ -11,8 +11,7 @@
 #include "drivers/imu/merge.h"
 
 enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256 };
-/* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, where nobody raised it): a magnetometer of its own has
- * its own. */
+/* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, default 2): a separate magnetometer has its own timer. */
 enum { TIMER_MOTION, TIMER_MAG, TIMERS };
 
 struct iio_kind {
@@ -22,33 +21,33 @@ struct iio_kind {
 	double to_sample; /* from the kernel's unit (m/s^2, rad/s, Gauss) to that of struct imu_sample */
 };
 extern const struct iio_kind IIO_KINDS[TRIADS];
-enum { GYRO, ACCEL, MAG }; /* indices of IIO_KINDS and of what follows */
+enum { GYRO, ACCEL, MAG }; /* indices of IIO_KINDS, triads and choices */
 
-/* three axes of one device */
+/* the three axes of one sensor of a device */
 struct triad {
-	struct iio_device *device; /* NULL: there is none */
+	struct iio_device *device; /* NULL: not found */
 	struct iio_channel *axis[AXES];
 	double scale[AXES], offset[AXES];
 	struct vec3 mount[AXES]; /* rows */
-	double lowest, highest;	 /* raw */
-	double interval_ns;	 /* of the chip's own samples; 0: not known */
-	int64_t settled_ns;	 /* readings before are of a chip that wakes up */
-	int64_t seen_ns;	 /* when a reading came last */
-	int64_t taken_ns;	 /* the last reading's time */
+	double lowest, highest;	 /* raw values at the ends of the range */
+	double interval_ns;	 /* of the chip's samples; 0: not known */
+	int64_t settled_ns;	 /* earlier readings are dropped: the chip is settling */
+	int64_t seen_ns;	 /* when the last reading was processed */
+	int64_t last_ns;	 /* time of the last reading */
 };
 
-/* one device, whose triads are read together */
+/* one device with a buffer; its triads are read together */
 struct capture {
 	struct iio_device *device;
 	struct iio_buffer *buffer;
 	struct iio_channel *timestamp;
-	const char *timer; /* NULL: it has a clock of its own */
+	const char *timer; /* name of the timer trigger; NULL: the device has its own trigger */
 };
 
-/* what can be set, as told when first opened */
+/* what the kernel's driver offers, read when first opened */
 struct choice {
 	char rates[TEXT], scales[TEXT];
-	double digits; /* from the middle to the end of the range */
+	double digits; /* from zero to the end of the range */
 	bool by_timer;
 };
 
@@ -59,23 +58,23 @@ struct iio_imu {
 	size_t wanted_count;
 
 	pthread_mutex_t lock;
-	struct imu_settings settings;  /* the port's, under `lock` for the thread */
-	struct choice choices[TRIADS]; /* the thread's, under `lock` for the port */
+	struct imu_settings settings;  /* written by the port, under `lock` */
+	struct choice choices[TRIADS]; /* written by the thread, under `lock` */
 	atomic_bool restart;
 
-	/* the thread's own */
+	/* used by the thread only */
 	struct iio_context *context;
 	struct triad triads[TRIADS];
 	struct capture captures[TRIADS];
 	size_t capture_count;
 	bool running, polled, had_mag;
-	char timers[TIMERS][48]; /* names of the triggers that were made; "" */
+	char timers[TIMERS][48]; /* names of the timer triggers that were created; "": none */
 	double rate_hz;
-	double polling_hz; /* no more rounds through sysfs fit into a second, as measured when opened; 0: not polled */
+	double polling_hz; /* highest rate of reads through sysfs, measured when opened; 0: not polled */
 	struct merge merge;
-	struct frozen gyro_frozen; /* also over restarts */
+	struct frozen gyro_frozen; /* kept over restarts */
 	bool is_frozen;
-	int64_t next_ns; /* polled; to look for a magnetometer; to read the temperature */
+	int64_t next_ns; /* next poll */
 	int64_t mag_retry_ns, temperature_ns;
 	bool temperature_new;
 	double temperature_degC;
@@ -89,7 +88,7 @@ int iio_imu_find_triads(struct iio_imu *imu, char *error, size_t error_size);
 int iio_imu_choose_settings(const struct choice *choice, const struct imu_settings *settings, int kind, char *rate,
 	char *scale, char *error, size_t error_size);
 int iio_imu_explain(const struct iio_device *device, const char *what, ssize_t result, char *error, size_t error_size);
-void iio_imu_learn_choices(struct iio_imu *imu, int kind, bool by_timer);
+void iio_imu_read_choices(struct iio_imu *imu, int kind, bool by_timer);
 int iio_imu_set_up(struct iio_imu *imu, int kind, const struct imu_settings *settings, char *error, size_t error_size);
 
 /* ---- iio_trigger.c ---- */

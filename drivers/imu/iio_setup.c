@@ -1,5 +1,5 @@
-/* Finds the IIO devices that have a gyro, an accelerometer and a magnetometer, and sets their rates and ranges. Units:
- * Documentation/ABI/testing/sysfs-bus-iio. */
+/* Finds the IIO devices with a gyro, an accelerometer and a magnetometer by their channels, and sets their rates and
+ * ranges. Units: Documentation/ABI/testing/sysfs-bus-iio. */
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -11,7 +11,7 @@
 #include "model/math/units.h"
 
 enum { SETTLING_INTERVALS = 5 };
-/* Of a range that is asked for: 32768 digits of 0.244 mg are 7.995 g. */
+/* A range is wide enough from this share of the requested one on: 32768 digits of 0.244 mg are 7.995 g, for 8 g. */
 #define ENOUGH 0.99
 
 const struct iio_kind IIO_KINDS[TRIADS] = {
@@ -22,7 +22,7 @@ const struct iio_kind IIO_KINDS[TRIADS] = {
 
 /* ---- attributes -------------------------------------------------------------------------------------------------- */
 
-/* Of the axis, or of the whole device. The length, or -errno. */
+/* Reads the attribute of the axis, or else of the device. The length, or -errno. */
 static ssize_t read_attr(const struct triad *t, int axis, const char *name, char *text)
 {
 	ssize_t n = iio_channel_find_attr(t->axis[axis], name) ? iio_channel_attr_read(t->axis[axis], name, text, TEXT)
@@ -87,7 +87,7 @@ bool iio_imu_is_wanted(const struct iio_imu *imu, const struct iio_device *devic
 	return imu->wanted_count == 0;
 }
 
-/* 0, or -errno: none, or more than one. */
+/* 0; -ENODEV: none; -EINVAL: more than one. */
 static int find_triad(struct iio_imu *imu, int kind, char *error, size_t error_size)
 {
 	struct triad found, *triad = &imu->triads[kind];
@@ -100,7 +100,7 @@ static int find_triad(struct iio_imu *imu, int kind, char *error, size_t error_s
 			!iio_imu_has_triad(device, IIO_KINDS[kind].type, &found))
 			continue;
 		if (triad->device) {
-			snprintf(error, error_size, "iio: %s and %s have a %s each: name one (iio:%s,...)",
+			snprintf(error, error_size, "iio: %s and %s each have a %s: name one of them (iio:%s,...)",
 				iio_imu_label(triad->device), iio_imu_label(device), IIO_KINDS[kind].name,
 				iio_imu_label(device));
 			return -EINVAL;
@@ -109,8 +109,9 @@ static int find_triad(struct iio_imu *imu, int kind, char *error, size_t error_s
 	}
 	if (triad->device)
 		return 0;
-	snprintf(error, error_size, "iio: no %s%s in /sys/bus/iio/devices: is its driver loaded and bound?",
-		IIO_KINDS[kind].name, imu->wanted_count ? " of that name" : "");
+	snprintf(error, error_size,
+		"iio: no %s%s in /sys/bus/iio/devices: load its driver, and check in dmesg that it is bound",
+		IIO_KINDS[kind].name, imu->wanted_count ? " with such a name" : "");
 	return -ENODEV;
 }
 
@@ -122,7 +123,8 @@ int iio_imu_find_triads(struct iio_imu *imu, char *error, size_t error_size)
 	if (!imu->context) {
 		int result = errno ? -errno : -ENODEV;
 
-		snprintf(error, error_size, "iio: %s: this kernel has no IIO device", strerror(-result));
+		snprintf(error, error_size, "iio: %s: this kernel has no IIO devices: load the sensor's driver",
+			strerror(-result));
 		return result;
 	}
 	for (int kind = 0; kind < TRIADS; kind++) {
@@ -136,7 +138,7 @@ int iio_imu_find_triads(struct iio_imu *imu, char *error, size_t error_size)
 
 /* ---- setting up -------------------------------------------------------------------------------------------------- */
 
-/* What the settings ask of each, in the kernel's unit. */
+/* The range that the settings request, in the kernel's unit. */
 static double wanted_range(const struct imu_settings *settings, int kind)
 {
 	return kind == GYRO    ? settings->gyro_range_deg_s * RAD_PER_DEG
@@ -144,7 +146,7 @@ static double wanted_range(const struct imu_settings *settings, int kind)
 			       : settings->mag_range_uT / UT_PER_GAUSS;
 }
 
-/* A timer takes the newest sample there is: the chip must take them faster than the timer, or some come twice. */
+/* A timer trigger reads the chip's newest sample: the chip must sample faster than the timer, or some are read twice. */
 static double wanted_rate(const struct imu_settings *settings, const struct choice *choice)
 {
 	return choice->by_timer ? 2 * settings->rate_hz : settings->rate_hz;
@@ -156,13 +158,14 @@ int iio_imu_choose_settings(const struct choice *choice, const struct imu_settin
 	rate[0] = scale[0] = '\0';
 	if (choice->rates[0] && iio_choose(choice->rates, wanted_rate(settings, choice), rate, 32) == -ERANGE &&
 		kind != MAG && strtod(rate, NULL) < settings->rate_hz) {
-		snprintf(
-			error, error_size, "iio: the %s takes %s samples a second at most", IIO_KINDS[kind].name, rate);
+		snprintf(error, error_size, "iio: sensor rate too high: the %s has at most %s samples a second",
+			IIO_KINDS[kind].name, rate);
 		return -EINVAL;
 	}
 	if (choice->scales[0] && iio_choose(choice->scales, ENOUGH * wanted_range(settings, kind) / choice->digits,
 					 scale, 32) == -ERANGE) {
-		snprintf(error, error_size, "iio: the range of the %s is not so wide", IIO_KINDS[kind].name);
+		snprintf(error, error_size, "iio: range too wide: the widest of the %s has %s a digit",
+			IIO_KINDS[kind].name, scale);
 		return -EINVAL;
 	}
 	return 0;
@@ -172,7 +175,7 @@ int iio_imu_explain(const struct iio_device *device, const char *what, ssize_t r
 {
 	snprintf(error, error_size, "iio: %s of %s: %s%s", what, iio_imu_label(device), strerror((int)-result),
 		result == -EACCES  ? ": run as root, or give this user the device's files by a udev rule"
-		: result == -EBUSY ? ": another program reads it"
+		: result == -EBUSY ? ": another program reads it: stop that"
 				   : "");
 	return (int)result;
 }
@@ -191,14 +194,14 @@ static int read_scales(struct triad *t, int kind, char *error, size_t error_size
 	t->highest = ldexp(1, (int)bits - (format->is_signed ? 1 : 0)) - 1;
 	t->lowest = format->is_signed ? -t->highest - 1 : -INFINITY;
 	if (read_attr(t, 0, "mount_matrix", text) > 0 && iio_parse_mount_matrix(text, t->mount) < 0) {
-		snprintf(error, error_size, "iio: the mount_matrix of %s is no rotation: %.60s",
+		snprintf(error, error_size, "iio: the mount_matrix of %s is not a rotation: %.60s",
 			iio_imu_label(t->device), text);
 		return -EINVAL;
 	}
 	return 0;
 }
 
-void iio_imu_learn_choices(struct iio_imu *imu, int kind, bool by_timer)
+void iio_imu_read_choices(struct iio_imu *imu, int kind, bool by_timer)
 {
 	const struct triad *t = &imu->triads[kind];
 	const struct iio_data_format *format = iio_channel_get_data_format(t->axis[0]);
@@ -209,7 +212,7 @@ void iio_imu_learn_choices(struct iio_imu *imu, int kind, bool by_timer)
 	read_attr(t, 0, "sampling_frequency_available", choice.rates);
 	read_attr(t, 0, "scale_available", choice.scales);
 	choice.digits = ldexp(1, format->bits > 0 && format->bits < 64 ? (int)format->bits - 1 : 15);
-	pthread_mutex_lock(&imu->lock); /* a magnetometer may come late */
+	pthread_mutex_lock(&imu->lock); /* a magnetometer may be found later */
 	imu->choices[kind] = choice;
 	pthread_mutex_unlock(&imu->lock);
 }
@@ -218,7 +221,7 @@ int iio_imu_set_up(struct iio_imu *imu, int kind, const struct imu_settings *set
 {
 	struct triad *t = &imu->triads[kind];
 	char rate[32], scale[32];
-	double taken_hz;
+	double actual_hz;
 	int result = iio_imu_choose_settings(&imu->choices[kind], settings, kind, rate, scale, error, error_size);
 	ssize_t n = 0;
 
@@ -228,8 +231,8 @@ int iio_imu_set_up(struct iio_imu *imu, int kind, const struct imu_settings *set
 		return iio_imu_explain(t->device, "the range", n, error, error_size);
 	if (rate[0] && (n = write_attr(t, "sampling_frequency", rate)) < 0)
 		return iio_imu_explain(t->device, "the rate", n, error, error_size);
-	taken_hz = read_number(t, 0, "sampling_frequency", 0);
-	t->interval_ns = taken_hz > 0 ? 1e9 / taken_hz : 0;
+	actual_hz = read_number(t, 0, "sampling_frequency", 0);
+	t->interval_ns = actual_hz > 0 ? 1e9 / actual_hz : 0;
 	t->seen_ns = imu_thread_now_ns();
 	t->settled_ns = t->seen_ns + (int64_t)(SETTLING_INTERVALS * t->interval_ns);
 	return read_scales(t, kind, error, error_size);

@@ -11,7 +11,6 @@ int iio_parse_mount_matrix(const char *text, struct vec3 rows[3])
 	struct vec3 r[3];
 	int end = 0;
 
-	/* the longest numbers the kernel writes have 9 digits after the point */
 	/* cppcheck-suppress invalidScanfArgType_float ; it takes &r[0].x for a double */
 	if (sscanf(text, "%lf , %lf , %lf ; %lf , %lf , %lf ; %lf , %lf , %lf %n", &r[0].x, &r[0].y, &r[0].z, &r[1].x,
 		    &r[1].y, &r[1].z, &r[2].x, &r[2].y, &r[2].z, &end) != 9 ||

@@ -1,5 +1,5 @@
-/* How IIO devices are triggered: by a trigger of their own (data ready), or by a timer trigger that is made through
- * configfs; and the buffers through which they are captured. */
+/* Triggers and buffers of IIO devices. A device is triggered by its own trigger (data ready), or by a timer trigger that is
+ * created through configfs. */
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
@@ -28,9 +28,9 @@ static enum triggering how_triggered(const struct triad *t)
 			return NO_BUFFER;
 	}
 	result = iio_device_get_trigger(t->device, &trigger);
-	if (result == -ENOENT) /* a FIFO of its own, and nothing to be chosen */
+	if (result == -ENOENT) /* the device has a FIFO and needs no trigger */
 		return OWN_CLOCK;
-	/* the timer of a gateway that was killed may be there still */
+	/* not the timer trigger left by a gateway that was killed */
 	return result == 0 && trigger && strncmp(iio_imu_label(trigger), TIMER_PREFIX, sizeof TIMER_PREFIX - 1) != 0
 		       ? OWN_CLOCK
 		       : NEEDS_TIMER;
@@ -78,7 +78,8 @@ int iio_imu_use_timer(struct iio_imu *imu, const struct capture *c, char *error,
 	ssize_t n;
 
 	if (!timer) {
-		snprintf(error, error_size, "iio: the timer trigger %s did not come up", c->timer);
+		snprintf(error, error_size,
+			"iio: the kernel did not create the timer trigger %s: `modprobe iio-trig-hrtimer`", c->timer);
 		return -ENODEV;
 	}
 	snprintf(rate, sizeof rate, "%.3f", imu->rate_hz);
@@ -108,7 +109,7 @@ int iio_imu_open_buffer(struct iio_imu *imu, struct capture *c, char *error, siz
 	c->timestamp = iio_device_find_channel(c->device, "timestamp", false);
 	if (c->timestamp)
 		iio_channel_enable(c->timestamp);
-	/* the time of the gateway; without it, readings have the time they come at */
+	/* time stamps of CLOCK_MONOTONIC; without them, the time when the scan is read is used */
 	if (c->timestamp && (n = iio_device_attr_write(c->device, "current_timestamp_clock", "monotonic")) < 0)
 		return iio_imu_explain(c->device, "the clock", n, error, error_size);
 	n = iio_device_set_kernel_buffers_count(c->device, KERNEL_SAMPLES);
@@ -130,7 +131,7 @@ static void add_capture(struct iio_imu *imu, int kind, const char *timer)
 	imu->captures[imu->capture_count++] = (struct capture){.device = t->device, .timer = timer};
 }
 
-/* How each is triggered; makes the timer where one needs it. Polled is what is left. */
+/* Chooses how each triad is triggered and creates timer triggers where needed. If that fails, all are polled. */
 int iio_imu_plan_capture(struct iio_imu *imu, char *error, size_t error_size)
 {
 	enum triggering how[TRIADS] = {OWN_CLOCK, OWN_CLOCK, OWN_CLOCK};
@@ -148,14 +149,14 @@ int iio_imu_plan_capture(struct iio_imu *imu, char *error, size_t error_size)
 	for (int kind = 0; kind < TRIADS && timer && !imu->polled; kind++)
 		if (imu->triads[kind].device && how[kind] == NEEDS_TIMER)
 			imu->polled = !make_timer(imu, timer_of(imu, kind));
-	if (timer && !imu->polled) /* a context knows what there was when it was made */
+	if (timer && !imu->polled) /* a context contains the devices that existed when it was created */
 		result = iio_imu_find_triads(imu, error, error_size);
 	if (result < 0)
 		return result;
 	for (int kind = 0; kind < TRIADS; kind++) {
 		if (!imu->triads[kind].device)
 			continue;
-		iio_imu_learn_choices(imu, kind, imu->polled || how[kind] == NEEDS_TIMER);
+		iio_imu_read_choices(imu, kind, imu->polled || how[kind] == NEEDS_TIMER);
 		if (!imu->polled)
 			add_capture(imu, kind, how[kind] == NEEDS_TIMER ? imu->timers[timer_of(imu, kind)] : NULL);
 	}

@@ -66,7 +66,7 @@ int imu_open(
 	int result;
 
 	if ((size_t)snprintf(text, sizeof text, "%s", src) >= sizeof text) {
-		snprintf(error, error_size, "IMU source longer than %zu characters", sizeof text - 1);
+		snprintf(error, error_size, "the IMU source is too long: use at most %zu characters", sizeof text - 1);
 		return -EINVAL;
 	}
 	name = strsep(&args, ":");
@@ -75,7 +75,7 @@ int imu_open(
 		return refuse(name, error, error_size);
 	error[0] = '\0';
 	result = source->open(args, settings ? settings : &defaults, port, error, error_size);
-	if (result < 0 && error[0] == '\0') /* memory or descriptors are short: nothing the driver could add */
+	if (result < 0 && error[0] == '\0') /* out of memory or descriptors: the driver had nothing to add */
 		snprintf(error, error_size, "%s: %s", name, strerror(-result));
 	return result;
 }

@@ -31,8 +31,7 @@ __attribute__((format(printf, 2, 3))) static int skip(struct imu_log *log, const
 	return 0;
 }
 
-/* 1 and the line without its end, 0 at the end of the file, -EIO. *bad: what makes it unreadable,
- * or NULL. */
+/* 1 and the line without its end, 0 at the end of the file, -EIO. *bad: why it is not a text line, or NULL. */
 static int read_line(struct imu_log *log, char text[IMU_LOG_LINE_MAX], const char **bad)
 {
 	size_t n = 0;
@@ -48,7 +47,7 @@ static int read_line(struct imu_log *log, char text[IMU_LOG_LINE_MAX], const cha
 		else if (n < IMU_LOG_LINE_MAX - 1)
 			text[n++] = (char)c;
 		else
-			*bad = "line too long";
+			*bad = "the line is too long";
 	}
 	if (ferror(log->file))
 		return -EIO;
@@ -58,8 +57,8 @@ static int read_line(struct imu_log *log, char text[IMU_LOG_LINE_MAX], const cha
 	return 1;
 }
 
-/* Cuts the line at its commas, blanks around a field taken away. The number of fields; FIELDS_MAX
- * stands for "or more". */
+/* Splits the line at its commas and removes blanks around the fields. Returns the number of fields; FIELDS_MAX means
+ * FIELDS_MAX or more. */
 static int split(char *text, char *field[FIELDS_MAX])
 {
 	int count = 0;
@@ -80,7 +79,7 @@ static int split(char *text, char *field[FIELDS_MAX])
 	return count;
 }
 
-/* A finite decimal number and nothing else: no "nan", no hexadecimal. */
+/* Accepts finite decimal numbers only: no "nan", no hexadecimal. */
 static int parse_number(const char *text, double *value)
 {
 	char *end;
@@ -104,7 +103,7 @@ static int first_of_triad(int column)
 	return column < COLUMN_REFERENCE ? COLUMN_MAG : COLUMN_REFERENCE;
 }
 
-/* Whether the header has one of the three columns at least. */
+/* Whether the header has at least one of the three columns. */
 static int any_named(const struct imu_log *log, int column)
 {
 	return log->field_of[column] >= 0 || log->field_of[column + 1] >= 0 || log->field_of[column + 2] >= 0;
@@ -119,7 +118,7 @@ static int read_header(struct imu_log *log, char *error, size_t error_size)
 	if (got <= 0 || bad) {
 		snprintf(error, error_size, "%s:1: %s", log->path,
 			got < 0	   ? strerror(errno)
-			: got == 0 ? "empty: an IMU log begins with t,gx,gy,gz,ax,ay,az,mx,my,mz"
+			: got == 0 ? "the file is empty: an IMU log starts with the header t,gx,gy,gz,ax,ay,az,mx,my,mz"
 				   : bad);
 		return got < 0 ? got : -EINVAL;
 	}
@@ -130,7 +129,8 @@ static int read_header(struct imu_log *log, char *error, size_t error_size)
 		int column = column_named(field[i]);
 
 		if (column >= 0 && log->field_of[column] >= 0) {
-			snprintf(error, error_size, "%s:1: column %s twice", log->path, field[i]);
+			snprintf(error, error_size, "%s:1: the header has column %s twice: remove one", log->path,
+				field[i]);
 			return -EINVAL;
 		}
 		if (column >= 0)
@@ -148,7 +148,7 @@ static int read_header(struct imu_log *log, char *error, size_t error_size)
 	return 0;
 }
 
-/* 1 and three numbers, 0 when the row was skipped. */
+/* 1 and three numbers; 0: the row was skipped. */
 static int parse_triad(struct imu_log *log, char *const field[], int column, struct vec3 *triad)
 {
 	double *const value[] = {&triad->x, &triad->y, &triad->z};
@@ -157,12 +157,12 @@ static int parse_triad(struct imu_log *log, char *const field[], int column, str
 		const char *text = field[log->field_of[column + i]];
 
 		if (parse_number(text, value[i]) < 0)
-			return skip(log, "%s is no finite number: '%.20s'", COLUMNS[column + i], text);
+			return skip(log, "%s is not a finite number: '%.20s'", COLUMNS[column + i], text);
 	}
 	return 1;
 }
 
-/* Whether the row has something in one of the columns at least. */
+/* Whether at least one of the fields is not empty. */
 static int any_given(const struct imu_log *log, char *const field[], int column, int count)
 {
 	for (int i = column; i < column + count; i++)
@@ -171,7 +171,7 @@ static int any_given(const struct imu_log *log, char *const field[], int column,
 	return 0;
 }
 
-/* What a row may leave empty. 0 when it was skipped. */
+/* The fields that may be empty. 0: the row was skipped. */
 static int parse_optional(struct imu_log *log, char *const field[], struct imu_sample *sample)
 {
 	if (any_given(log, field, COLUMN_MAG, 3)) {
@@ -188,13 +188,13 @@ static int parse_optional(struct imu_log *log, char *const field[], struct imu_s
 		const char *text = field[log->field_of[COLUMN_TEMPERATURE]];
 
 		if (parse_number(text, &sample->temperature_degC) < 0)
-			return skip(log, "temperature is no finite number: '%.20s'", text);
+			return skip(log, "temperature is not a finite number: '%.20s'", text);
 		sample->flags |= SAMPLE_TEMPERATURE;
 	}
 	return 1;
 }
 
-/* 1 and a sample, 0 when the row was skipped. */
+/* 1 and a sample; 0: the row was skipped. */
 static int parse_row(struct imu_log *log, char *text, struct imu_sample *sample)
 {
 	char *field[FIELDS_MAX];
@@ -207,7 +207,7 @@ static int parse_row(struct imu_log *log, char *text, struct imu_sample *sample)
 		return skip(log, "%d fields, the header has %d", count, log->fields);
 	text = field[log->field_of[COLUMN_T]];
 	if (parse_number(text, &t_s) < 0)
-		return skip(log, "t is no finite number: '%.20s'", text);
+		return skip(log, "t is not a finite number: '%.20s'", text);
 	if (t_s < 0 || t_s > LATEST_T_S)
 		return skip(log, "t is out of range: '%.20s'", text);
 	t_us = (uint64_t)(t_s * 1e6 + 0.5);
@@ -263,8 +263,8 @@ static int read_head(struct imu_log *log, char *error, size_t error_size)
 	}
 	n = log->head_count - 1;
 	if (n < 1) {
-		snprintf(error, error_size, "%s: fewer than two good rows%s%s", log->path,
-			log->skipped ? "; the last skipped: " : "", log->last_skip);
+		snprintf(error, error_size, "%s: fewer than two valid rows%s%s", log->path,
+			log->skipped ? "; last skipped row: " : "", log->last_skip);
 		return -EINVAL;
 	}
 	for (int i = 0; i < n; i++)

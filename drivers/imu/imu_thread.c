@@ -39,9 +39,9 @@ void imu_thread_send(struct imu_thread *t, const struct imu_sample *sample)
 	*m = (struct imu_message){.health = t->health, .has_sample = sample};
 	if (sample)
 		m->sample = *sample;
-	t->told = t->health;
+	t->sent = t->health;
 	atomic_store_explicit(&t->head, head + 1, memory_order_release);
-	if (write(t->port.fd, &one, sizeof one) < 0) { /* the counter is full: it is readable already */
+	if (write(t->port.fd, &one, sizeof one) < 0) { /* the eventfd is at its maximum, and readable */
 	}
 }
 
@@ -62,9 +62,9 @@ static bool state_changed(const struct imu_health *a, const struct imu_health *b
 	       a->degraded_chip != b->degraded_chip || a->self_test != b->self_test || a->restarts != b->restarts;
 }
 
-void imu_thread_tell(struct imu_thread *t)
+void imu_thread_report(struct imu_thread *t)
 {
-	if (state_changed(&t->told, &t->health))
+	if (state_changed(&t->sent, &t->health))
 		imu_thread_send(t, NULL);
 }
 
@@ -80,7 +80,7 @@ void imu_thread_wait(struct imu_thread *t, int64_t until_ns, struct pollfd *fds,
 	for (size_t i = 0; i < n; i++)
 		all[1 + i] = fds[i];
 	if (ppoll(all, (nfds_t)(1 + n), &timeout, NULL) > 0 && all[0].revents &&
-		read(t->wake_fd, &count, sizeof count) < 0) { /* taken back meanwhile */
+		read(t->wake_fd, &count, sizeof count) < 0) { /* reset meanwhile */
 	}
 	for (size_t i = 0; i < n; i++)
 		fds[i].revents = all[1 + i].revents;
@@ -97,7 +97,7 @@ void imu_thread_failed(struct imu_thread *t, enum imu_fault fault, enum imu_chip
 	t->last_us = 0;
 	t->health.fault = (uint8_t)fault;
 	t->health.fault_chip = (uint8_t)chip;
-	imu_thread_tell(t);
+	imu_thread_report(t);
 	t->backoff_ns = t->backoff_ns == 0 ? BACKOFF_FIRST_NS : 2 * t->backoff_ns;
 	if (t->backoff_ns > NS_PER_S)
 		t->backoff_ns = NS_PER_S;
@@ -105,7 +105,7 @@ void imu_thread_failed(struct imu_thread *t, enum imu_fault fault, enum imu_chip
 	t->health.restarts++;
 }
 
-void imu_thread_works(struct imu_thread *t)
+void imu_thread_recovered(struct imu_thread *t)
 {
 	t->backoff_ns = 0;
 	t->health.fault = IMU_FAULT_NONE;
@@ -131,10 +131,11 @@ static void note_lost(struct imu_thread *t)
 	if (lost == 0)
 		return;
 	t->port.counters.skipped += lost;
-	snprintf(t->port.last_skip, sizeof t->port.last_skip, "the gateway did not read them in time: the queue was full");
+	snprintf(t->port.last_skip, sizeof t->port.last_skip,
+		"the gateway did not read them in time: the queue was full");
 }
 
-static int take_message(struct imu_thread *t, struct imu_sample *sample)
+static int read_message(struct imu_thread *t, struct imu_sample *sample)
 {
 	unsigned tail = atomic_load_explicit(&t->tail, memory_order_relaxed);
 	const struct imu_message *m = &t->queue[tail % IMU_THREAD_QUEUE];
@@ -169,8 +170,8 @@ int imu_thread_read(struct imu_port *port, struct imu_sample *sample)
 	note_lost(t);
 	if (queue_empty(t) && read(port->fd, &count, sizeof count) < 0 && errno != EAGAIN)
 		return -errno;
-	while (result == 0 && !queue_empty(t)) /* one may have come before the counter was read */
-		result = take_message(t, sample);
+	while (result == 0 && !queue_empty(t)) /* a message may have arrived before the eventfd was read */
+		result = read_message(t, sample);
 	return result;
 }
 
@@ -178,7 +179,7 @@ void imu_thread_wake(struct imu_thread *t)
 {
 	const uint64_t one = 1;
 
-	if (write(t->wake_fd, &one, sizeof one) < 0) { /* full: it wakes anyway */
+	if (write(t->wake_fd, &one, sizeof one) < 0) { /* at its maximum, and readable */
 	}
 }
 
@@ -201,7 +202,7 @@ int imu_thread_start(struct imu_thread *t, const char *name, int realtime, void 
 	pthread_attr_setstacksize(&attributes, STACK_BYTES);
 	result = pthread_create(&t->thread, &attributes, run, t);
 	pthread_attr_destroy(&attributes);
-	/* refused: the process says so for its main thread */
+	/* if not permitted, the process reports it for its main thread */
 	if (result == 0 && realtime > 0)
 		pthread_setschedparam(t->thread, SCHED_FIFO, &param);
 	return -result;

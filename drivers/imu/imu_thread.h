@@ -1,6 +1,6 @@
 /* drivers/imu/imu_thread.h
- * For sensors whose transfers block: a thread of the driver's own does them; samples, and how the sensor is, come to the
- * port through a bounded queue without locks behind an eventfd. */
+ * For sensors with blocking transfers: a thread of the driver makes them, and passes samples and the sensor's health to the
+ * port through a bounded lock-free queue and an eventfd. One thread writes, one reads. */
 #ifndef DRIVERS_IMU_IMU_THREAD_H
 #define DRIVERS_IMU_IMU_THREAD_H
 
@@ -14,8 +14,8 @@
 enum { IMU_THREAD_QUEUE = 256 };
 
 struct imu_thread {
-	struct imu_port port;	  /* first, as this is first in the driver's struct */
-	struct imu_health health; /* the thread's own; port.health follows with what is sent */
+	struct imu_port port;	  /* first member; struct imu_thread is the first member of the driver's struct */
+	struct imu_health health; /* written by the thread; port.health is that of the last message read */
 
 	/* PRIVATE */
 	pthread_t thread;
@@ -25,45 +25,46 @@ struct imu_thread {
 	int64_t backoff_ns;
 	double interval_us; /* between samples, smoothed; 0: not known */
 	uint64_t last_us;
-	struct imu_health told; /* what the last message said */
+	struct imu_health sent; /* health of the last message sent */
 	struct imu_message {
 		struct imu_health health;
 		struct imu_sample sample;
 		bool has_sample;
 	} queue[IMU_THREAD_QUEUE];
-	atomic_uint head, tail; /* written by the thread; taken by the port */
-	atomic_uint lost;	/* found no room */
+	atomic_uint head, tail; /* head is written by the thread, tail by the port */
+	atomic_uint lost;	/* messages dropped because the queue was full */
 	atomic_bool stop;
 };
 
-/** CLOCK_MONOTONIC, ns: the time of the samples. */
+/** CLOCK_MONOTONIC [ns], the clock of the samples. */
 int64_t imu_thread_now_ns(void);
 
-/** Makes the descriptors; the rest of `t` is the caller's, zeroed. 0 or -errno. Undone by imu_thread_release(). */
+/** Opens the descriptors; the rest of `t` must be zero. 0 or -errno; imu_thread_release() closes them. */
 int imu_thread_init(struct imu_thread *t);
-/** `name` (static) is what ps shows; `realtime` as in struct imu_settings, without it when refused. 0 or -errno. */
+/** Starts the thread. `name` (static) is shown by ps; `realtime` as in struct imu_settings, ignored where not permitted.
+ * 0 or -errno. */
 int imu_thread_start(struct imu_thread *t, const char *name, int realtime, void (*run)(struct imu_thread *t));
-/** Waits until run() has returned. */
+/** Requests run() to return and waits for it. */
 void imu_thread_stop(struct imu_thread *t);
 void imu_thread_release(struct imu_thread *t);
 
 /* ---- in the thread ---- */
-/** run() must return. */
+/** Whether run() must return. */
 bool imu_thread_stopping(const struct imu_thread *t);
-/** Sends a sample, or NULL, and the health with it. Dropped and counted when nobody takes them. */
+/** Sends the health, and a sample unless it is NULL. Dropped and counted when the queue is full. */
 void imu_thread_send(struct imu_thread *t, const struct imu_sample *sample);
-/** Measures the rate that the health tells; each sample before it is sent. */
+/** Updates the measured rate of the health; call it with each sample before it is sent. */
 void imu_thread_rate(struct imu_thread *t, const struct imu_sample *sample);
-/** Sends the health without a sample if its state has changed. */
-void imu_thread_tell(struct imu_thread *t);
-/** Waits for that time, imu_thread_wake(), or one of `n` descriptors (at most 4); their revents are set. */
+/** Sends the health without a sample if its state has changed since the last message. */
+void imu_thread_report(struct imu_thread *t);
+/** Waits until that time, for imu_thread_wake(), or for one of `n` descriptors (at most 4); sets their revents. */
 void imu_thread_wait(struct imu_thread *t, int64_t until_ns, struct pollfd *fds, size_t n);
-/** Waits for that time, or until run() must return. */
+/** Waits until that time, or until run() must return. */
 void imu_thread_sleep(struct imu_thread *t, int64_t until_ns);
-/** The sensor failed: tells it, counts a restart, and waits 10 ms, 20 ms, ... 1 s. */
+/** The sensor failed: reports the fault, waits for the back-off time (10 ms, 20 ms, ... 1 s) and counts a restart. */
 void imu_thread_failed(struct imu_thread *t, enum imu_fault fault, enum imu_chip chip);
-/** The sensor gives samples (again). */
-void imu_thread_works(struct imu_thread *t);
+/** The sensor delivers samples: clears the fault and the back-off. */
+void imu_thread_recovered(struct imu_thread *t);
 
 /* ---- for the port ---- */
 /** imu_ops.read */

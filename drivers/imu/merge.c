@@ -47,7 +47,7 @@ static int64_t apart_ns(const struct merge_reading *a, const struct merge_readin
 	return llabs(a->t_ns - b->t_ns);
 }
 
-/* The acceleration at the gyro's instant. 1, 0: not known yet, -1: it never will be. */
+/* The acceleration at the time of the gyro reading. 1; 0: not known yet; -1: will not be known. */
 static int accel_at(struct merge *m, const struct merge_reading *gyro, struct merge_reading *out)
 {
 	const struct merge_reading *before, *after;
@@ -75,7 +75,7 @@ static int accel_at(struct merge *m, const struct merge_reading *gyro, struct me
 	return 1;
 }
 
-/* In a resting field, what turned since then is the sensor. */
+/* The field is constant in the global frame: in the sensor's axes it changes by v x omega. */
 static void add_mag(struct merge *m, const struct merge_reading *gyro, struct imu_sample *sample)
 {
 	double age_s = 1e-9 * (double)(gyro->t_ns - m->mag.t_ns);

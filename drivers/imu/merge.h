@@ -1,6 +1,6 @@
 /* drivers/imu/merge.h
- * One sample out of gyro, accelerometer and magnetometer that each measure at instants of their own: a sample is one of
- * the gyro, the acceleration interpolated to its instant, the field turned to it. Pure. */
+ * Makes samples from a gyro, an accelerometer and a magnetometer that measure at different times. A sample has the time of
+ * a gyro reading; the acceleration is interpolated to it, the magnetic field is rotated to it. Pure. */
 #ifndef DRIVERS_IMU_MERGE_H
 #define DRIVERS_IMU_MERGE_H
 
@@ -10,27 +10,27 @@ enum { MERGE_READINGS = 32 };
 
 struct merge_reading {
 	int64_t t_ns;
-	struct vec3 value; /* in the unit of struct imu_sample, all in the same axes */
+	struct vec3 value; /* units of struct imu_sample, common axes */
 	bool saturated;
 };
 
 struct merge {
-	int64_t tolerance_ns; /* readings as near as that are of one instant: no better is known of their times */
-	uint32_t lost;	      /* of the gyro: no acceleration before and after them */
+	int64_t tolerance_ns; /* readings closer than this count as simultaneous: the uncertainty of their times */
+	uint32_t lost;	      /* gyro readings without an acceleration before and after */
 	/* PRIVATE */
 	struct merge_ring {
 		struct merge_reading at[MERGE_READINGS];
 		unsigned first, count;
-		int64_t last_ns; /* pushed last, taken out or not */
+		int64_t last_ns; /* time of the newest reading ever added */
 	} gyro, accel;
 	struct merge_reading mag;
 	bool mag_new;
 };
 
 void merge_init(struct merge *m, int64_t tolerance_ns);
-/** Each chip's readings in the order of their times; others are dropped. */
+/** Adds a reading. The readings of a chip must have increasing times; others are dropped. */
 void merge_add(struct merge *m, enum imu_chip chip, const struct merge_reading *reading);
-/** Takes the next sample out, when what it takes is there. */
+/** Returns true and the next sample, if all its readings are there. */
 bool merge_next(struct merge *m, struct imu_sample *sample);
 
 #endif

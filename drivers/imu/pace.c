@@ -15,7 +15,7 @@ static int64_t now_ns(void)
 	return (int64_t)now.tv_sec * NS_PER_S + now.tv_nsec;
 }
 
-/* Setting the timer also takes back that it was readable. */
+/* Setting the timer also makes the descriptor unreadable. */
 static void wake_at(const struct pace *pace, int64_t at_ns)
 {
 	struct itimerspec timer = {.it_value = {at_ns / NS_PER_S, at_ns % NS_PER_S}};

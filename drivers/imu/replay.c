@@ -1,5 +1,4 @@
-/* Plays a log in real time. The whole file is in memory before the first sample is due: reading it
- * can not delay one. */
+/* Replays an IMU log in real time. The whole file is read into memory first, so that reading cannot delay a sample. */
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -17,8 +16,8 @@ struct replay {
 	size_t count, next;
 	int loop;
 	double speed;
-	uint64_t interval_us, pass_us; /* of sampling; from one pass to the next */
-	uint64_t shift_us;	       /* of this pass */
+	uint64_t interval_us, pass_us; /* sampling interval; duration of one pass */
+	uint64_t shift_us;	       /* added to the times of this pass */
 };
 
 static int replay_read(struct imu_port *port, struct imu_sample *sample)

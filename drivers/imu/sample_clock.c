@@ -2,14 +2,14 @@
 
 #include <math.h>
 
-/* How fast an oscillator may change its period, as a fraction of it per second: warming up. */
+/* Largest relative change of an oscillator's period per second, while it warms up. */
 #define DRIFT_PER_S 3e-5
-/* The period is never believed to be known better than that. */
+/* The bounds of the period are not narrowed below this fraction of it. */
 #define FINEST 5e-5
-/* Added to either bound of it when they were wrong. */
+/* Widens both bounds of the period after a contradiction. */
 #define LOOSEN 5e-4
 
-/* The period is measured over so long: the mean of a longer time would not be that of now. */
+/* The period is measured over this time: over a longer one it drifts. */
 #define ANCHOR_NS 2.5e9
 
 enum { SMOOTHING = 8 };
@@ -36,7 +36,7 @@ static void begin(struct sample_clock *c, int64_t newest, double lo_ns, double h
 	c->taken_ns = (lo_ns + hi_ns) / 2;
 }
 
-/* What the time since the anchor says about the period. */
+/* Narrows the bounds of the period by the time since the anchor. */
 static void narrow_period(struct sample_clock *c)
 {
 	double n = (double)(c->newest - c->anchor), period_ns = sample_clock_period(c);
@@ -78,8 +78,8 @@ static void advance(struct sample_clock *c, int64_t newest)
 	clamp_period(c);
 }
 
-/* What was known and what this read says contradict each other: the period has left its bounds, or samples come
- * unevenly. A little: it was shortly after, or before, what this read says. Much: begin anew, with what this read says. */
+/* The bracket and this read contradict each other: the period has left its bounds, or samples are uneven. Below a quarter of
+ * the period, the bracket becomes the end of the read's that is nearest to it; otherwise the read's bracket replaces it. */
 static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
 {
 	const double little_ns = c->nominal_ns / 4, taken_ns = c->taken_ns;
@@ -96,7 +96,7 @@ static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
 	c->taken_ns = fmax(c->lo_ns, fmin(c->hi_ns, taken_ns));
 }
 
-/* The newest sample was taken between these, too. */
+/* Intersects the bracket of the newest sample with this one. */
 static void narrow(struct sample_clock *c, double lo_ns, double hi_ns)
 {
 	double guess_ns;
@@ -126,7 +126,7 @@ void sample_clock_read(struct sample_clock *c, int64_t count, double from_ns, do
 	}
 	if (count - 1 > c->newest)
 		advance(c, count - 1);
-	ahead = (double)(c->newest - (count - 1)); /* an edge may be known before its sample is read */
+	ahead = (double)(c->newest - (count - 1)); /* > 0: an edge was seen before its sample was read */
 	narrow(c, from_ns - c->longest_ns + ahead * c->shortest_ns, to_ns + ahead * c->longest_ns);
 }
 
@@ -153,17 +153,17 @@ static double width_of(const struct sample_clock *c, int64_t index)
 	return c->hi_ns - c->lo_ns + (double)(index - c->newest) * (c->longest_ns - c->shortest_ns);
 }
 
-bool sample_clock_learns(const struct sample_clock *c, int64_t index)
+bool sample_clock_is_wide(const struct sample_clock *c, int64_t index)
 {
 	return width_of(c, index) > sample_clock_period(c) / 16;
 }
 
-/* In the middle of a wide bracket, to halve it; after the end of a narrow one, to find the sample. */
+/* The middle of a wide bracket, to halve it; the end of a narrow one, to find the sample. */
 double sample_clock_due(const struct sample_clock *c, int64_t index)
 {
 	double hi_ns = c->hi_ns + (double)(index - c->newest) * c->longest_ns;
 
-	return sample_clock_learns(c, index) ? hi_ns - width_of(c, index) / 2 : hi_ns;
+	return sample_clock_is_wide(c, index) ? hi_ns - width_of(c, index) / 2 : hi_ns;
 }
 
 bool sample_clock_locked(const struct sample_clock *c)

@@ -1,6 +1,6 @@
 /* drivers/imu/source.h
- * What imu_open() chooses from. `args` is what follows the colon of SRC, NULL without one; results
- * as imu_open()'s. */
+ * The sources of imu_open(). `args` is the text after the colon of SRC, NULL without a colon, and is modified. Results as
+ * those of imu_open(). */
 #ifndef DRIVERS_IMU_SOURCE_H
 #define DRIVERS_IMU_SOURCE_H
 
@@ -19,12 +19,12 @@ int iio_open(char *args, const struct imu_settings *settings, struct imu_port **
 int wt901_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 
-/** imu_port.silence_us for samples that arrive at rate_hz: 100 ms, or ten intervals when that is longer. */
+/** imu_port.silence_us for samples at rate_hz: 100 ms, or ten sampling intervals if that is longer. */
 uint64_t source_silence_us(double rate_hz);
-/** Of a sensor that is as fast as its samples' own time: the rate and the silence that goes with it. */
+/** Sets port->rate_hz and the silence_us for it; not for a log that is replayed at another speed. */
 void source_use_rate(struct imu_port *port, double rate_hz);
 
-/** A number above 0 and nothing after it. 0 or -EINVAL. */
+/** Parses a number above 0. 0 or -EINVAL. */
 int source_positive(const char *text, double *value);
 
 #endif

@@ -1,4 +1,4 @@
-/* WitMotion WT901C-485: Modbus RTU, one read of all measurements a cycle. Registers and scales: WitMotion's protocol
+/* WitMotion WT901C-485: Modbus RTU, one read of all measurements per cycle. Registers and scales: WitMotion's protocol
  * description ("WIT Standard Modbus") and its SDK for this sensor (github.com/WITMOTION/WitStandardModbus_WT901C485). */
 #include <errno.h>
 #include <math.h>
@@ -16,18 +16,18 @@ enum {
 	REG_BANDWIDTH = 0x1F,
 	REG_DATA = 0x34, /* acceleration, rate, field, angles (3 each), temperature */
 	DATA_WORDS = 13,
-	MEASURED_WORDS = 9, /* of these, measured and not computed */
+	MEASURED_WORDS = 9, /* of these, measured (the angles are computed by the sensor) */
 	TEMPERATURE_WORD = 12,
 	REG_UNLOCK = 0x69,
-	UNLOCK_KEY = 0xB588, /* for 10 s */
+	UNLOCK_KEY = 0xB588, /* unlocks the configuration for 10 s */
 	REG_MAG_TYPE = 0x72,
 
-	/* of one cycle on the line, 8N1 */
+	/* of one cycle, 8N1 */
 	REQUEST_CHARS = 8,
 	ANSWER_CHARS = 5 + 2 * DATA_WORDS,
 	BITS_PER_CHAR = 10,
 
-	FAILURES = 2, /* in a row: the sensor does not answer */
+	FAILURES = 2, /* consecutive ones: the sensor does not answer */
 	OPEN_TRIES = 3,
 };
 
@@ -36,15 +36,15 @@ enum {
 #define FULL_SCALE	 32768.0
 
 #define NS_PER_MS	    1000000.0
-#define TURNAROUND_NS	    (3 * NS_PER_MS)    /* the sensor's own setting (74h) as delivered */
-#define SHORTEST_SILENCE_NS (1.75 * NS_PER_MS) /* Modbus: 3.5 characters, above 19200 Bd that */
-#define PATIENCE_NS	    (40 * NS_PER_MS)   /* what a USB adapter may keep an answer back, twice */
-#define UNLOCKED_NS	    (20 * NS_PER_MS)   /* SDK: wait so long after a write to the configuration */
+#define TURNAROUND_NS	    (3 * NS_PER_MS)    /* response delay, factory setting of register 74h */
+#define SHORTEST_SILENCE_NS (1.75 * NS_PER_MS) /* Modbus RTU: 3.5 characters, above 19200 Bd this */
+#define PATIENCE_NS	    (40 * NS_PER_MS)   /* added to the timeouts: twice the latency of a USB adapter */
+#define UNLOCKED_NS	    (20 * NS_PER_MS)   /* SDK: pause after a write to the configuration */
 
 static const int BAUDS[] = {4800, 9600, 19200, 38400, 57600, 115200, 230400};
 /* register 1Fh: code and low-pass, Hz */
 static const int BANDWIDTHS_HZ[] = {256, 188, 98, 42, 20, 10, 5};
-/* uT a digit by the type of magnetometer fitted (72h), as the SDK has it; it takes that of type 3 where it does not ask */
+/* uT per digit by the type of the magnetometer (register 72h), from the SDK; type 3 where the type is not known */
 static const double MAG_STEP_UT[] = {[2] = 0.15, [3] = 0.013, [4] = 0.058, [5] = 0.098, [6] = 1.0 / 120, [7] = 0.02};
 enum { MAG_TYPES = sizeof MAG_STEP_UT / sizeof *MAG_STEP_UT, MAG_TYPE_USUAL = 3 };
 
@@ -54,12 +54,12 @@ struct wt901 {
 	int baud, address;
 	double char_ns, silence_ns;
 
-	/* set by the port, taken by the thread */
+	/* set by the port, read by the thread */
 	_Atomic int64_t period_ns;
 	atomic_uint bandwidth; /* code */
 	atomic_bool configure;
 
-	/* the thread's own */
+	/* used by the thread only */
 	modbus_t *modbus; /* NULL: not connected */
 	double mag_step_uT;
 	unsigned failures;
@@ -96,8 +96,8 @@ static int connect_line(struct wt901 *w)
 	return result;
 }
 
-/* What libmodbus says of an answer; anything else is the serial device's own error. */
-static bool line_stands(int error)
+/* Whether libmodbus reports a missing or bad answer; other errors are those of the serial device. */
+static bool is_answer_error(int error)
 {
 	return error == ETIMEDOUT || error > MODBUS_ENOBASE;
 }
@@ -120,14 +120,14 @@ static int read_registers(struct wt901 *w, int at, int n, uint16_t *words)
 		return 0;
 	error = errno;
 	w->thread.health.bus_errors++;
-	if (line_stands(error)) { /* the rest of what came is not the next answer */
+	if (is_answer_error(error)) { /* discard the rest of this answer */
 		pause_ns(w, w->silence_ns);
 		modbus_flush(w->modbus);
 	}
 	return -error;
 }
 
-/* Not saved: it is written at each start, and the sensor's flash does not wear. A sensor that refuses keeps its own. */
+/* Not saved: it is written at each start, which spares the sensor's flash. A sensor that rejects it keeps its setting. */
 static void write_bandwidth(struct wt901 *w)
 {
 	pause_ns(w, w->silence_ns);
@@ -149,7 +149,7 @@ static int start(struct wt901 *w)
 		return result;
 	modbus_flush(w->modbus);
 	result = read_registers(w, REG_MAG_TYPE, 1, &type);
-	if (result < 0 && !is_exception(-result)) { /* an exception is an answer: this firmware does not tell */
+	if (result < 0 && !is_exception(-result)) { /* an exception is an answer: this firmware lacks the register */
 		disconnect(w);
 		return result;
 	}
@@ -174,7 +174,7 @@ static bool saturated(const uint16_t *words)
 	return false;
 }
 
-/* The sensor took its measurements between the end of the request and the beginning of the answer. */
+/* The measurements were taken between the end of the request and the start of the answer: their middle. */
 static double measured_ns(const struct wt901 *w, int64_t asked_ns, int64_t answered_ns)
 {
 	double asked = (double)asked_ns, answered = (double)answered_ns;
@@ -194,12 +194,12 @@ static void deliver(struct wt901 *w, const uint16_t *words, double t_ns)
 		.flags = SAMPLE_MAG | SAMPLE_TEMPERATURE | (saturated(words) ? SAMPLE_SATURATED : 0),
 	};
 
-	imu_thread_works(&w->thread);
+	imu_thread_recovered(&w->thread);
 	imu_thread_rate(&w->thread, &sample);
 	imu_thread_send(&w->thread, &sample);
 }
 
-static int take_sample(struct wt901 *w)
+static int read_sample(struct wt901 *w)
 {
 	uint16_t words[DATA_WORDS];
 	double measured[MEASURED_WORDS];
@@ -215,7 +215,7 @@ static int take_sample(struct wt901 *w)
 	if (frozen_watch(&w->frozen, measured, MEASURED_WORDS)) {
 		w->thread.health.fault = IMU_FAULT_FROZEN;
 		w->thread.health.fault_chip = IMU_CHIP_GYRO;
-		imu_thread_tell(&w->thread);
+		imu_thread_report(&w->thread);
 		return 0;
 	}
 	deliver(w, words, measured_ns(w, asked_ns, answered_ns));
@@ -242,8 +242,8 @@ static void run(struct imu_thread *t)
 		}
 		if (atomic_exchange(&w->configure, false))
 			write_bandwidth(w);
-		int result = take_sample(w);
-		if (result < 0 && (!line_stands(-result) || ++w->failures >= FAILURES)) {
+		int result = read_sample(w);
+		if (result < 0 && (!is_answer_error(-result) || ++w->failures >= FAILURES)) {
 			fail(w);
 			continue;
 		}
@@ -279,8 +279,8 @@ static int port_configure(
 	double rate_hz = fmin(settings->rate_hz, highest_rate_hz(w));
 
 	if (settings->gyro_range_deg_s > GYRO_RANGE_DEG_S || settings->accel_range_g > ACCEL_RANGE_G) {
-		snprintf(error, error_size, "wt901: its ranges are %.0f deg/s and %.0f g", GYRO_RANGE_DEG_S,
-			ACCEL_RANGE_G);
+		snprintf(error, error_size, "wt901: range too wide: the sensor has %.0f deg/s and %.0f g",
+			GYRO_RANGE_DEG_S, ACCEL_RANGE_G);
 		return -EINVAL;
 	}
 	if (dry)
@@ -305,7 +305,7 @@ static const struct imu_ops OPS = {.read = imu_thread_read, .close = port_close,
 
 /* ---- wt901:/dev/ttyX --------------------------------------------------------------------------------------------- */
 
-static bool known_baud(int baud)
+static bool is_baud_rate(int baud)
 {
 	for (size_t i = 0; i < sizeof BAUDS / sizeof *BAUDS; i++)
 		if (baud == BAUDS[i])
@@ -329,13 +329,16 @@ static int parse(struct wt901 *w, char *args, char *error, size_t error_size)
 		long number = value ? strtol(value + 1, &end, 0) : -1;
 		bool whole = value && value[1] != '\0' && *end == '\0';
 
-		if (whole && strncmp(option, "baud=", 5) == 0 && number <= 230400 && known_baud((int)number)) {
+		if (whole && strncmp(option, "baud=", 5) == 0 && number <= 230400 && is_baud_rate((int)number)) {
 			w->baud = (int)number;
 		} else if (whole && strncmp(option, "address=", 8) == 0 && number >= 1 && number <= 247) {
 			w->address = (int)number;
 		} else {
 			snprintf(error, error_size,
-				"wt901: '%.40s': use baud=4800, 9600, ... 230400 or address=1 to 247", option);
+				"wt901: unknown option or bad value '%.40s': use baud=4800, 9600, ... 230400 or "
+				"address=1 "
+				"to 247",
+				option);
 			return -EINVAL;
 		}
 	}
@@ -350,24 +353,27 @@ static int begin(struct wt901 *w, const struct imu_settings *settings, char *err
 		result = port_configure(&w->thread.port, settings, 0, error, error_size);
 	if (result < 0)
 		return result;
-	atomic_store(&w->configure, false); /* start() does it */
+	atomic_store(&w->configure, false); /* start() writes it */
 	for (int i = 0; i < OPEN_TRIES; i++) {
 		result = start(w);
-		if (result == 0 || !line_stands(-result))
+		if (result == 0 || !is_answer_error(-result))
 			break;
 	}
-	if (result < 0 && line_stands(-result))
+	if (result < 0 && is_answer_error(-result))
 		snprintf(error, error_size,
-			"%s: no answer from address %02Xh at %d Bd: check A, B and power, or give baud= and address=",
+			"%s: no answer from address %02Xh at %d Bd: check the wires A and B and power, or set baud= "
+			"and "
+			"address=",
 			w->path, (unsigned)w->address, w->baud);
 	else if (result < 0)
-		snprintf(error, error_size, "%s: %s: is it the right port, is this user in its group (dialout)?",
-			w->path, strerror(-result));
+		snprintf(error, error_size,
+			"%s: %s: check that it is the right port and that this user is in its group (dialout)", w->path,
+			strerror(-result));
 	if (result < 0)
 		return result;
 	result = imu_thread_start(&w->thread, "imu9-wt901", settings->realtime, run);
 	if (result < 0)
-		snprintf(error, error_size, "no thread for the sensor: %s", strerror(-result));
+		snprintf(error, error_size, "cannot start the sensor's thread: %s", strerror(-result));
 	return result;
 }
 
@@ -387,7 +393,7 @@ int wt901_open(char *args, const struct imu_settings *settings, struct imu_port 
 	w->char_ns = 1e9 * BITS_PER_CHAR / w->baud;
 	w->silence_ns = fmax(SHORTEST_SILENCE_NS, 3.5 * w->char_ns);
 	w->thread.port.ops = &OPS;
-	w->frozen.noisy = true; /* its accelerometer's digit is half a mg */
+	w->frozen.noisy = true; /* its accelerometer has digits of 0.5 mg, below its noise */
 	snprintf(w->thread.port.name, sizeof w->thread.port.name, "wt901:%.40s %d Bd", w->path, w->baud);
 	result = begin(w, settings, error, error_size);
 	if (result < 0) {

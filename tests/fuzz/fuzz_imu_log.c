@@ -1,4 +1,4 @@
-/* Any bytes as an IMU log: no crash, and whatever comes out is finite and in order. */
+/* Arbitrary bytes as an IMU log: no crash, and all samples are finite with increasing times. */
 #include <assert.h>
 #include <stdio.h>
 #include <sys/mman.h>

@@ -1,4 +1,5 @@
-/* Any bytes from a serial line: the reader keeps its bounds, and what it takes for a frame is one that comes back the same. */
+/* Arbitrary bytes from a serial line: the reader stays within its buffer, and a frame it accepts is decoded equally after
+ * encoding. */
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>

@@ -1,4 +1,4 @@
-/* Any datagram: the decoder reads no byte beyond it, and what it accepts is a valid frame that comes back the same. */
+/* Arbitrary datagrams: no byte beyond one is read, and a frame that is accepted is decoded equally after encoding. */
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>

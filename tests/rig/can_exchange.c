@@ -1,7 +1,8 @@
 /* can_exchange BUS SEND-ID RECEIVE-ID COUNT
  *
- * Sends COUNT numbered frames through the driver of BUS, as fast as a full bus of 500 kbit/s, and receives as many,
- * at the same time. To be run on both ends of a bus; begins when the other end is heard. Status 0: all came, in order and once, and none was lost in sending. */
+ * Sends COUNT numbered frames through the driver of BUS at the rate of a full bus of 500 kbit/s and receives COUNT frames
+ * at the same time. Run it on both ends of a bus; it starts when it has received from the other end. Status 0: all frames
+ * were received once and in order, and none was lost in sending. */
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,8 +19,8 @@ struct exchange {
 	uint32_t send_id, receive_id, count;
 	uint32_t sent, received, disordered;
 	uint64_t hello_at_us;
-	uint64_t begun_us, last_us; /* begun: 0 until the other end was heard */
-	uint64_t delay_max_us;	    /* from the frame's time to its being received here */
+	uint64_t begun_us, last_us; /* begun: 0 until the other end was received */
+	uint64_t delay_max_us;	    /* from the time of a frame to can_receive() */
 };
 
 static uint64_t now(void)
@@ -63,7 +64,7 @@ static void receive_all(struct exchange *x, uint64_t now_us)
 		memcpy(&number, msg.data, sizeof(number));
 		if (x->begun_us == 0) {
 			x->begun_us = now_us;
-			send_number(x, HELLO, now_us); /* it may have missed the first */
+			send_number(x, HELLO, now_us); /* the other end may have missed the first */
 		}
 		if (number == HELLO)
 			continue;
@@ -84,7 +85,7 @@ static void run(struct exchange *x)
 {
 	struct pollfd fd = {.fd = x->port->fd, .events = POLLIN};
 	uint64_t now_us = now(), moved_us = now_us;
-	uint32_t moved = 0; /* frames, either way */
+	uint32_t moved = 0; /* frames in both directions */
 
 	x->last_us = now_us;
 	while (!is_done(x) && now_us - moved_us < PATIENCE_US) {
@@ -98,7 +99,7 @@ static void run(struct exchange *x)
 			moved_us = now_us;
 		}
 	}
-	/* what the other end still waits for may be on its way */
+	/* frames for the other end may still be queued */
 	for (uint64_t end_us = now_us + 500000; now_us < end_us; now_us = now()) {
 		poll(&fd, 1, 10);
 		receive_all(x, now_us);

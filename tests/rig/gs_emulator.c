@@ -1,16 +1,16 @@
 /* gs_emulator FFS GADGET COMMANDS BUS [BUS2]
  *
- * A candleLight-like USB-CAN adapter in user space: a function of a USB gadget (FFS: where its functionfs is mounted;
- * GADGET: its folder in configfs), with one channel for each BUS, an interface of SocketCAN. Written from the description of the
- * protocol, apart from the driver's own codec, so that they check each other. Prints `ready`.
+ * A candleLight-like USB-CAN adapter in user space: a function of a USB gadget (FFS: mount point of its functionfs;
+ * GADGET: its folder in configfs) with one channel for each BUS, a SocketCAN interface. Written from the description of
+ * the protocol, independently of the driver's codec. Prints `ready`.
  *
- * COMMANDS is a FIFO that takes, one a line, for channel 0:
- *   warning, passive, active   what the controller reports of its error state
- *   bus-off                    off the bus, until the host restarts the channel or `restarted`
- *   restarted                  the controller came back by itself
- *   noack, ack                 nobody acknowledges: frames are kept and tried again, the controller goes passive
- *   deaf, hears                takes frames and forgets them: a bug of the adapter
- *   garbage                    ten packets that are no frames
+ * COMMANDS is a FIFO with one command a line, for channel 0:
+ *   warning, passive, active   error state that the controller reports
+ *   bus-off                    bus-off until the host restarts the channel, or `restarted`
+ *   restarted                  the controller leaves bus-off by itself
+ *   noack, ack                 no other node acknowledges: frames are repeated, the controller becomes error passive
+ *   deaf, hears                accepts frames and drops them, as an adapter with a bug
+ *   garbage                    ten packets that are not frames
  *   unplug, replug
  *   report                     a line to stdout: frames from the host, frames to it, restarts */
 #include <errno.h>
@@ -35,7 +35,7 @@ enum { HOST_FORMAT, BITTIMING, MODE, BERR, BT_CONST, DEVICE_CONFIG }; /* request
 enum { LISTEN_ONLY = 1 << 0, TIMESTAMP = 1 << 4 };		      /* features, and flags of MODE */
 #define NO_ECHO UINT32_C(0xFFFFFFFF)
 
-struct frame { /* as on the wire, where numbers are little-endian like ours: user-mode-linux is x86 */
+struct frame { /* as on the wire, little-endian, as the host: user-mode-linux is x86 */
 	uint32_t echo_id, can_id;
 	uint8_t dlc, channel, flags, reserved, data[8];
 	uint32_t time_us;
@@ -60,7 +60,7 @@ static struct {
 	int ep0, in, out;
 	const char *gadget;
 	int channel_count;
-	pthread_mutex_t lock; /* of all below */
+	pthread_mutex_t lock; /* protects the members below */
 	pthread_cond_t change;
 	struct channel channels[CHANNELS];
 	struct packet queue[QUEUE]; /* to the host */
@@ -104,7 +104,7 @@ static void to_host(struct channel *c, struct frame frame)
 	put(&frame, c->flags & TIMESTAMP ? STAMPED : PLAIN);
 }
 
-/* Writes without the lock: it waits for the host. */
+/* Writes without the lock, since it blocks until the host reads. */
 static void *write_in(void *unused)
 {
 	struct packet packet;
@@ -152,7 +152,7 @@ static void send_kept(struct channel *c)
 	pthread_cond_broadcast(&adapter.change);
 }
 
-/* Called with the lock held, as all that follow a frame. */
+/* Called with the lock held, as all functions that handle a frame. */
 static void from_host(struct channel *c, const struct frame *frame)
 {
 	if (!c->on || (c->flags & LISTEN_ONLY))
@@ -266,7 +266,7 @@ static bool obey(uint8_t request, uint16_t value, size_t length)
 
 	if (request > BERR || length > sizeof(data) || (request != HOST_FORMAT && value >= adapter.channel_count))
 		return false;
-	/* the host goes on as soon as the data are read: its first frame must find the new mode */
+	/* the host continues as soon as the data are read: the mode must be set before its first frame */
 	pthread_mutex_lock(&adapter.lock);
 	if (read(adapter.ep0, data, length) < 0)
 		perror("ep0");
@@ -289,7 +289,7 @@ static void take_setup(const struct usb_ctrlrequest *r)
 		known = obey(r->bRequest, r->wValue, r->wLength);
 	if (known)
 		return;
-	/* the wrong direction stalls the end point */
+	/* the wrong direction stalls the endpoint */
 	if (in ? read(adapter.ep0, &none, 0) : write(adapter.ep0, &none, 0))
 		return;
 }
@@ -334,7 +334,7 @@ static void send_garbage(void)
 		size_t size = 5 + i * 6;
 
 		for (size_t k = 0; k < sizeof(bytes); k++)
-			bytes[k] = (uint8_t)(i * 37 + k * 11 + 100); /* no slot has such a number */
+			bytes[k] = (uint8_t)(i * 37 + k * 11 + 100); /* not a valid slot */
 		put(bytes, size);
 	}
 }
@@ -444,7 +444,7 @@ static int open_file(const char *folder, const char *name)
 static int open_bus(const char *name)
 {
 	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(name)};
-	int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW), size = 1 << 24; /* a wire loses nothing */
+	int fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW), size = 1 << 24; /* so that no frame is lost */
 
 	if (fd < 0 || address.can_ifindex == 0 || bind(fd, (struct sockaddr *)&address, sizeof(address)) != 0)
 		fail(name);

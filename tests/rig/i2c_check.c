@@ -1,7 +1,7 @@
 /* tests/rig/i2c_check.c
- * i2c_check SRC SCENARIO START_US SECONDS: reads SRC, whose chips feel SCENARIO since START_US (as i2c_feed prints), and
- * compares each sample with the motion at its time. Prints the RMS errors; status 0 when they are within what a
- * millisecond of the feeder's lateness and the digits explain, and no fault came. */
+ * i2c_check SRC SCENARIO START_US SECONDS: reads SRC, whose chips measure SCENARIO from START_US on (printed by
+ * i2c_feed), and compares each sample with the motion at its time. Prints the RMS errors; status 0 when they are within
+ * the limits for the digits and the feeder's delay of 1 ms, and there was no fault. */
 #include <math.h>
 #include <poll.h>
 #include <stdio.h>
@@ -40,7 +40,7 @@ int main(int argc, char **argv)
 	const struct sensor_config *ideal = sensor_preset("ideal");
 	const struct signal *signal = argc == 5 ? signal_find(argv[2]) : NULL;
 	struct error gyro = {0}, accel = {0}, mag = {0};
-	double late = 0, alpha = 0; /* to fit one delay of the gyro */
+	double late = 0, alpha = 0; /* for a least-squares fit of the gyro's delay */
 	unsigned samples = 0, faults = 0;
 	struct imu_sample sample;
 	struct signal_truth truth;

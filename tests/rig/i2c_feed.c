@@ -1,12 +1,12 @@
 /* tests/rig/i2c_feed.c
- * i2c_feed [-b BOARD] [-s SCENARIO] [-n] BUS: makes the chips of a board of an i2c-stub, e.g. of /dev/i2c-0.
+ * i2c_feed [-b BOARD] [-s SCENARIO] [-n] BUS: simulates the chips of a board in an i2c-stub, e.g. /dev/i2c-0.
  *
- * The simulated chips (drivers/imu/sim/sim_chips.h) live in here; every millisecond what the driver wrote into the stub's
- * registers goes to them, and what changed in theirs goes to the stub: a burst at its register and, since a stub takes
- * no notice of the bit that asks for more, at that with bit 7. A stub cannot tell that something was read: ready bits
- * stay and FIFOs do not empty, and the driver must know (i2c:BUS,stub).
+ * Every millisecond, registers that the driver has written to the stub are copied to the simulated chips
+ * (drivers/imu/sim/sim_chips.h), and their changed registers to the stub: at the register and, since a stub ignores the
+ * auto-increment bit, also at the register with bit 7 set. A stub does not know that a register was read: data-ready bits
+ * stay set and FIFOs do not empty, which the option `stub` tells the driver (i2c:BUS,stub).
  *
- * -n: without noise. Prints "start US", the CLOCK_MONOTONIC of the scenario's beginning, when the registers stand.
+ * -n: without noise. When the registers are written, prints "start US", the start of the scenario in CLOCK_MONOTONIC.
  * Lines on stdin: brownout|freeze|stop|saturate gyro|accel|mag [0|1]. Ends with stdin's "quit" or a signal. */
 #include <errno.h>
 #include <fcntl.h>
@@ -26,9 +26,9 @@
 enum { WATCHED = 0x40, GAP = 2, EVERY_MS = 1, CHIPS = 3, SEED = 1 };
 
 struct fed {
-	enum imu_chip chip; /* one of those at that address */
+	enum imu_chip chip; /* one of the sensors at that address */
 	uint8_t address;
-	uint8_t shadow[128]; /* as the stub has them */
+	uint8_t shadow[128]; /* the registers of the stub */
 };
 
 static int bus_fd;
@@ -52,7 +52,7 @@ static void block(uint8_t address, uint8_t direction, uint8_t at, uint8_t *bytes
 	memcpy(bytes, data.block + 1, n);
 }
 
-/* What the driver wrote goes to the chips. */
+/* Copies what the driver wrote to the chips. */
 static void from_stub(struct fed *f)
 {
 	uint8_t now[WATCHED];
@@ -77,7 +77,7 @@ static void put_run(struct fed *f, size_t first, size_t last)
 	}
 }
 
-/* Registers that changed, near ones in one burst: status and data must not be seen apart. */
+/* Copies changed registers to the stub, close ones in one burst: status and data must change together. */
 static void to_stub(struct fed *f)
 {
 	const uint8_t *regs = sim_board_registers(board, f->chip);
@@ -122,7 +122,7 @@ static bool obey(char *line)
 	return true;
 }
 
-/* Chips in `fed`, each address once. */
+/* Adds the chips to `fed`, each address once. */
 static size_t gather(struct fed *fed)
 {
 	size_t n = 0;
@@ -159,7 +159,7 @@ static void feed(void)
 		if (poll(&in, 1, EVERY_MS) <= 0)
 			continue;
 		if (!fgets(line, sizeof line, stdin))
-			in.fd = -1; /* closed: goes on until a signal */
+			in.fd = -1; /* closed: continues until a signal */
 		else if (!obey(line))
 			return;
 	}

@@ -1,4 +1,4 @@
-"""What the Python tests of the rig share: the runner, the emulated USB adapter."""
+"""Shared by the Python tests of the rig: the runner and the emulated USB adapter."""
 import atexit
 import os
 import pathlib
@@ -53,7 +53,7 @@ class Result(unittest.TestResult):
 
 
 def main():
-    """Runs the tests of the program, those with one of its arguments in their names."""
+    """Runs the tests of the program whose names contain one of its arguments."""
     words = sys.argv[1:]
     for group in unittest.defaultTestLoader.loadTestsFromName("__main__"):
         chosen = [test for test in group if not words or any(word in test.id() for word in words)]
@@ -111,7 +111,7 @@ class UsbAdapter:
             f.write("\n".join(commands) + "\n")
 
     def last_line(self, start):
-        """The emulator's last line that starts so."""
+        """The last line of the emulator with this start."""
         return [line for line in self.log.read_text().splitlines() if line.startswith(start)][-1]
 
     def report(self):
@@ -123,7 +123,7 @@ class UsbAdapter:
 
 
 def driver_of_adapter():
-    """The kernel's driver that has the adapter's interface, or None."""
+    """The kernel driver bound to the adapter's interface, or None."""
     for path in pathlib.Path("/sys/bus/usb/drivers").glob("*/*:*"):
         if (path / "../idVendor").resolve().read_text().strip() == "1d50":
             return path.parent.name

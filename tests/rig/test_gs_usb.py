@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # rig: -k
-"""A gs_usb adapter, emulated down to its USB descriptors: through the kernel's driver, and through ours by libusb. The
-bus behind the adapter is vcan0, where the far side is."""
+"""A gs_usb adapter, emulated down to its USB descriptors: through the kernel's driver, and through the gateway's
+driver with libusb. The bus behind the adapter is vcan0, where the other node is."""
 import os
 import pathlib
 import struct
@@ -30,7 +30,7 @@ def u32(data):
 
 
 def emergencies(frames):
-    """Those of the bus: a busy machine may make the simulated sensor late, too."""
+    """The EMCYs of the bus: on a busy machine the simulated sensor may be late, too."""
     codes = [canopen.emergency(f)[0] for f in frames if f.arbitration_id == canopen.EMCY + NODE]
     return [code for code in codes if code & 0xFF00 == 0x8100]
 
@@ -45,7 +45,7 @@ class ThroughTheKernel(unittest.TestCase):
     @staticmethod
     def up():
         rig.wait_until(lambda: os.path.exists("/sys/class/net/can0"))
-        # the guest's only processor may serve the emulator for long: what the kernel holds meanwhile is more than on a board
+        # the guest's only processor may run the emulator for long: the kernel queues more frames than on real hardware
         pathlib.Path("/proc/sys/net/core/netdev_max_backlog").write_text("20000")
         shell("ip", "link", "set", "can0", "type", "can", "bitrate", "500000")
         shell("ip", "link", "set", "can0", "txqueuelen", "100", "up")
@@ -74,14 +74,14 @@ class ThroughTheKernel(unittest.TestCase):
         self.gateway = rig.Gateway(*options, bus=self.bus)
         self.addCleanup(self.stop, self.gateway)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
-        self.master.download(NODE, 0x1800, 2, b"\xFE")  # TPDO1 by its timer
+        self.master.download(NODE, 0x1800, 2, b"\xFE")  # TPDO1 by its event timer
         self.master.download(NODE, 0x1800, 5, u16(10))  # ms
         self.master.nmt(canopen.START, NODE)
         self.pdos_come()
 
     @staticmethod
     def stop(gateway):
-        """Politely: only then the kernel's driver gets the adapter back."""
+        """Closes the port, so that the kernel's driver gets the adapter back."""
         if gateway.process.poll() is None:
             gateway.end()
 
@@ -153,7 +153,7 @@ class ThroughTheKernel(unittest.TestCase):
         self.assertEqual(self.counter(TX_DROPPED), 0)
         adapter.tell("noack")
         rig.wait_until(lambda: "error passive" in self.gateway.log)
-        time.sleep(3)  # queues run over
+        time.sleep(3)  # the queues overflow
         self.master.drain()
         adapter.tell("ack")
         frames = self.master.listen(2)

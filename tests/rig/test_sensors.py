@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # rig: -k -V -I 0x19,0x1d,0x1e,0x6b
-"""The gateway on chips in an i2c-stub that feel a known motion, through /dev/i2c and through IIO on the kernel's own
-drivers: what it puts on the bus against the replay of that motion, and its faults."""
+"""The gateway on chips in an i2c-stub that measure a known motion, through /dev/i2c and through the kernel's IIO drivers:
+its PDOs are compared with the replay of that motion, and faults are injected."""
 import os
 import pathlib
 import subprocess
@@ -15,10 +15,10 @@ from rig_tests import program, rig
 from rig import NODE
 import canopen_master as canopen
 
-SIGNAL = "figure"  # turned slowly through all directions, never still
+SIGNAL = "figure"  # slow rotations through all directions, never at rest
 SECONDS = 20
 ANGLE_LIMIT = 0.3  # deg; a digit and a half of 12 bits of acceleration
-LATE = 0.003  # s; how far a time of measurement may be off: the feeder's millisecond, and what a timer cannot know
+LATE = 0.003  # s; error of a sample's time: the feeder's millisecond, and the jitter of a timer trigger
 G, DEG = 9.80665, numpy.pi / 180
 FORCE, RATE = slice(0, 3), slice(3, 6)
 LSM303DLHC_DIGIT, LSM303D_DIGIT = 0.004 * G, 0.000244 * G  # m/s^2 at 8 g: 12 bits, 16 bits
@@ -47,7 +47,7 @@ class Feeder:
 
 
 class Motion:
-    """The motion without any error, finely sampled."""
+    """The ideal motion, sampled at 1 kHz."""
 
     def __init__(self):
         log = rig.run("imu9-sim", "-s", "ideal", "-r", "1000", "-d", SECONDS + 15, SIGNAL)
@@ -63,12 +63,12 @@ class Motion:
         return self.between(t, self.t, self.values)
 
     def bounds(self, t):
-        """The least and the most of each value within LATE of t."""
+        """The minimum and maximum of each value within LATE of t."""
         near = numpy.stack([self.at(t + late) for late in numpy.linspace(-LATE, LATE, 13)])
         return near.min(axis=0), near.max(axis=0)
 
     def replay(self, t):
-        """What imu9-replay makes of samples at these times."""
+        """The output of imu9-replay for samples at these times."""
         values, mag = self.at(t), self.between(t, self.t, self.mag)
         rows = ["t,gx,gy,gz,ax,ay,az,mx,my,mz"]
         rows += [",".join("%.9g" % x for x in (t[i], *values[i, RATE], *values[i, FORCE], *mag[i]))
@@ -81,7 +81,7 @@ class Motion:
 
 
 class Sensor(unittest.TestCase):
-    """What holds for each way to the chips; subclasses say which."""
+    """Tests for each way to the chips; the subclasses define it."""
 
     def setUp(self):
         self.feeder = Feeder(self.board)
@@ -92,7 +92,7 @@ class Sensor(unittest.TestCase):
         self.gateway = rig.Gateway(imu=self.source)
         self.addCleanup(self.end)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
-        time.sleep(1)  # the I2C driver has found the beat of the chips, the filters have settled
+        time.sleep(1)  # the sample clocks are locked, the filters have settled
         self.master.drain()
 
     def bind(self):
@@ -112,10 +112,10 @@ class Sensor(unittest.TestCase):
 
     @staticmethod
     def extra(number):
-        return 0x190 + (number - 5) * 0x100 + NODE  # 190h, 290h, 390h + node: nobody else's here
+        return 0x190 + (number - 5) * 0x100 + NODE  # 190h, 290h, 390h + node: not used otherwise here
 
     def record(self):
-        """Times of the motion [s], force and rate, angles [deg]; one row a sample whose PDOs all came."""
+        """Times of the motion [s], force and rate, angles [deg]; one row for each sample whose PDOs were all received."""
         self.map()
         self.master.nmt(canopen.START, NODE)
         dump = subprocess.run(["timeout", str(SECONDS), "candump", "-L", rig.BUS], capture_output=True,
@@ -150,7 +150,7 @@ class Sensor(unittest.TestCase):
         t, values, angles, acceleration = self.record()
         self.assertGreater(t[-1] - t[0], SECONDS - 1)
         self.assertLess(numpy.diff(t).max(), 0.025)
-        settled = t > t[0] + 3  # the gateway's filters have run for longer than the replay's
+        settled = t > t[0] + 3  # the gateway's filters started before the replay's
         motion = Motion()
         low, high = motion.bounds(t)
         beyond = numpy.maximum(numpy.maximum(low - values, values - high), 0)[:, FORCE].max() / self.force_digit
@@ -183,7 +183,7 @@ class I2cOf16Bits(I2cOf12Bits):
 
 class Iio(Sensor):
     board, source = "v2", "iio"
-    force_digit, rate_digit = 4 * LSM303DLHC_DIGIT, L3GD20_DIGIT  # the kernel leaves the accelerometer at 10 bits
+    force_digit, rate_digit = 4 * LSM303DLHC_DIGIT, L3GD20_DIGIT  # the kernel's driver uses 10 bits of the accelerometer
     chips = {"l3gd20": "0x6b", "lsm303dlhc_accel": "0x19", "lsm303dlhc_magn": "0x1e"}
 
     def bind(self):
@@ -225,7 +225,7 @@ class Iio(Sensor):
         self.assertEqual(len(list(triggers.iterdir())), 2)
         self.end()
         self.assertEqual(list(triggers.iterdir()), [])
-        self.gateway.start()  # which the clean-up will end
+        self.gateway.start()  # stopped by the clean-up
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
 
     def test_without_a_trigger_it_is_polled(self):

@@ -1,9 +1,9 @@
 /* tests/rig/uml_xstate.c
- * Lets Debian's user-mode-linux 6.1 run on processors with AMX. vcan-run preloads it where it is needed.
+ * Makes Debian's user-mode-linux 6.1 work on processors with AMX. vcan-run preloads it where needed.
  *
- * UML keeps 2696 bytes of its processes' extended state (x87 to PKRU) and puts them back by PTRACE_SETREGSET. Hosts take
- * only the whole area, 11008 bytes with AMX, and answer EFAULT; UML then kills its init. Here a short area is completed
- * with components in their initial state: nothing in the guest uses AMX. */
+ * UML saves 2696 bytes of its processes' extended state (x87 to PKRU) and restores them with PTRACE_SETREGSET. The host
+ * accepts only the complete area, 11008 bytes with AMX, and returns EFAULT otherwise; UML then kills its init. This
+ * library extends a short area by components in their initial state: nothing in the guest uses AMX. */
 #include <elf.h>
 #include <errno.h>
 #include <stdarg.h>

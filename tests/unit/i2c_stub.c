@@ -7,7 +7,7 @@
 
 enum { EVERY_NS = 1000000, TRANSFER_NS = 20000, WRITABLE = 0x40 };
 
-static void carry_over(struct i2c_stub *stub, enum imu_chip chip)
+static void copy_registers(struct i2c_stub *stub, enum imu_chip chip)
 {
 	struct world *w = stub->world;
 	const uint8_t address = sim_board_address(w->sim, chip);
@@ -19,7 +19,7 @@ static void carry_over(struct i2c_stub *stub, enum imu_chip chip)
 		if (seen[reg] != shadow[reg]) {
 			i2c_write(w->bus, address, reg, seen[reg]);
 			shadow[reg] = seen[reg];
-			w->now_ns = at_ns; /* the chips' side takes no time */
+			w->now_ns = at_ns; /* this access takes no time */
 		}
 	now = sim_board_registers(w->sim, chip);
 	for (int reg = 0; reg < 128; reg++)
@@ -33,11 +33,11 @@ static void feed_at(struct i2c_stub *stub, int64_t ns)
 
 	stub->world->now_ns = stub->fed_ns = ns;
 	for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++)
-		carry_over(stub, chip);
+		copy_registers(stub, chip);
 	stub->world->now_ns = now_ns;
 }
 
-/* The first time after what the driver wrote, and the last before what it reads now, are those that matter. */
+/* Only the first copy after a write of the driver and the last one before a read matter. */
 static void catch_up(struct i2c_stub *stub)
 {
 	const int64_t steps = (stub->world->now_ns - stub->fed_ns) / EVERY_NS, from_ns = stub->fed_ns;

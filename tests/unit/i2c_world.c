@@ -143,7 +143,7 @@ int64_t world_until_fault(struct world *w, enum imu_fault fault, enum imu_chip c
 	return -1;
 }
 
-int64_t world_until_well(struct world *w, int64_t us)
+int64_t world_until_recovered(struct world *w, int64_t us)
 {
 	struct imu_sample sample;
 

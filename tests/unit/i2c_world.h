@@ -1,6 +1,6 @@
 /* tests/unit/i2c_world.h
- * A simulated board and the driver on it, in a time that moves only here: each transfer takes as long as at 400 kHz,
- * and reads may be late by a random time. */
+ * A simulated board and its driver in simulated time. Each transfer takes as long as at 400 kHz; wake-ups may be late by a
+ * random time. */
 #ifndef TESTS_UNIT_I2C_WORLD_H
 #define TESTS_UNIT_I2C_WORLD_H
 
@@ -16,33 +16,33 @@ struct world {
 	struct board board;
 	struct sim_config config;
 	struct rng rng;
-	int64_t late_ns; /* wake-ups come up to so much late */
+	int64_t late_ns; /* upper limit of the delay of a wake-up */
 	unsigned long accesses;
 
-	/* what the test does to access number `fault_at` and those after it */
+	/* faults: hooks of the test for the accesses from number `fault_at` on */
 	unsigned long fault_at, fault_count;
 	int (*before)(struct world *world, const struct sim_access *access);
 	void (*after)(struct world *world, const struct sim_access *access);
 };
 
-/** Of that board, at 100 Hz, on `scenario`; with the noise of real chips unless `ideal`. Detected and set up. */
+/** The board in `scenario`, detected and set up at 100 Hz; with the noise of real chips unless `ideal`. */
 struct world *world_new(const char *board, const char *scenario, bool ideal);
-/** The same in two steps: changes may be made between. */
+/** The same in separate steps, so that a test can change something between them. */
 struct world *world_make(const char *board, const char *scenario, bool ideal);
 void world_detect(struct world *world);
 void world_set_up(struct world *world, const struct imu_settings *settings, bool fifo);
 void world_free(struct world *world);
 
-/** Lets time pass until the driver has a sample, for at most `us`. */
+/** Runs until the driver has a sample, at most `us`. */
 bool world_sample(struct world *world, struct imu_sample *sample, int64_t us);
-/** Lets time pass; the samples go nowhere. */
+/** Runs for `us` and drops the samples. */
 void world_run(struct world *world, int64_t us);
-/** Lets time pass until the driver finds that fault with that chip; how long that took, us; -1: not within `us`. */
+/** Runs until the driver reports this fault of the chip. Returns the time it took [us]; -1: not within `us`. */
 int64_t world_until_fault(struct world *world, enum imu_fault fault, enum imu_chip chip, int64_t us);
-/** Until there is none. */
-int64_t world_until_well(struct world *world, int64_t us);
+/** The same until there is no fault. */
+int64_t world_until_recovered(struct world *world, int64_t us);
 
-/** The truth at a sample's time. */
+/** The true motion at the time of a sample. */
 struct signal_truth world_truth(const struct world *world, const struct imu_sample *sample);
 
 #endif

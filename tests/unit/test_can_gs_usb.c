@@ -177,7 +177,8 @@ static void test_more_than_half_a_percent_off_is_refused(void **state)
 
 	(void)state; /* 8 MHz / 8 = 1 Mbit/s, / 9 = 889 kbit/s */
 	assert_int_equal(bit_timing_find(&coarse, 4, 950000, 875, &t), -EOPNOTSUPP);
-	assert_int_equal(bit_timing_find(&coarse, 4, 1004000, 750, &t), 0);
+	assert_int_equal(bit_timing_find(&coarse, 4, 1004900, 750, &t), 0);
+	assert_int_equal(bit_timing_find(&coarse, 4, 1005500, 750, &t), -EOPNOTSUPP);
 }
 
 /* Oracle: all combinations of prescaler and segments. */

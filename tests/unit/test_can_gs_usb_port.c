@@ -29,14 +29,14 @@ static struct adapter {
 	/* what it is */
 	bool plugged, can_listen_only, stamps;
 	uint8_t channels;
-	uint8_t fails; /* this request is refused; 0xFF: none */
+	uint8_t fails; /* the request that is refused; 0xFF: none */
 
 	/* what it was asked and sent */
 	struct request requests[REQUESTS];
 	size_t request_count;
 	uint8_t sent[SENT][20];
 	size_t sent_count;
-	bool holds; /* does not take packets off the wire */
+	bool holds; /* completes no OUT transfer */
 	unsigned opened, closed, claimed, released, allocated;
 
 	/* libusb's: submitted and not completed */
@@ -492,7 +492,7 @@ static void test_another_bit_rate_restarts_the_adapter_with_its_timing(void **st
 	assert_int_equal(port->bit_s, 1000000);
 }
 
-static void test_a_bit_rate_given_after_opening_holds_from_the_beginning(void **state)
+static void test_a_bit_rate_set_after_opening_is_used_from_the_start(void **state)
 {
 	(void)state;
 	open_bus("gs_usb");
@@ -529,7 +529,7 @@ static void assert_refused(const char *bus, int result, const char *words)
 	assert_null(port);
 }
 
-static void test_what_the_adapter_cannot_is_refused(void **state)
+static void test_what_the_adapter_does_not_support_is_refused(void **state)
 {
 	(void)state;
 	assert_refused("gs_usb::1", -ECHRNG, "has no channel 1");
@@ -602,7 +602,7 @@ static void test_the_adapter_is_given_ten_frames_and_the_next_when_an_echo_has_c
 }
 
 /* Its echo may be faster than the confirmation of the host controller. */
-static void test_a_slot_is_not_used_again_while_its_transfer_is_libusb_s(void **state)
+static void test_a_slot_is_not_used_again_before_its_transfer_has_completed(void **state)
 {
 	(void)state;
 	open_and_start("gs_usb");
@@ -663,7 +663,7 @@ static void test_an_echo_in_between_shows_that_the_adapter_works(void **state)
 	now_us += 1500000;
 	assert_nothing_received();
 	assert_int_equal(adapter.request_count, 6);
-	assert_int_equal(can_service(port, now_us), now_us + 500000); /* asks to be called when it will be too long */
+	assert_int_equal(can_service(port, now_us), now_us + 500000); /* the next deadline */
 }
 
 /* ---- receiving --------------------------------------------------------------------------------------------------- */
@@ -702,7 +702,7 @@ static void test_with_stamps_the_time_is_that_of_the_adapter(void **state)
 	assert_int_equal(msg.t_us, first_us + 2000 + 1); /* the offset creeps by 200 ppm */
 }
 
-static void test_an_error_frame_brings_state_and_counters_and_is_not_received(void **state)
+static void test_an_error_frame_sets_state_and_counters_and_is_not_received(void **state)
 {
 	(void)state;
 	open_and_start("gs_usb");
@@ -736,7 +736,7 @@ static void test_in_bus_off_frames_wait_and_a_restart_ends_it(void **state)
 	assert_int_equal(adapter.sent_count, 1);
 }
 
-static void test_a_frame_with_the_overflow_flag_tells_of_a_lost_one(void **state)
+static void test_the_overflow_flag_of_a_frame_counts_as_a_lost_frame(void **state)
 {
 	static const uint8_t bytes[20] = {0xFF, 0xFF, 0xFF, 0xFF, 0x05, 0x06, 0, 0, 0, 0, 1};
 	struct can_msg msg;
@@ -856,21 +856,21 @@ int main(void)
 		ADAPTER_TEST(test_opening_asks_what_the_adapter_is_and_the_first_service_puts_it_on_the_bus),
 		ADAPTER_TEST(test_channel_and_listening_are_in_the_requests),
 		ADAPTER_TEST(test_another_bit_rate_restarts_the_adapter_with_its_timing),
-		ADAPTER_TEST(test_a_bit_rate_given_after_opening_holds_from_the_beginning),
+		ADAPTER_TEST(test_a_bit_rate_set_after_opening_is_used_from_the_start),
 		ADAPTER_TEST(test_the_sample_point_can_be_chosen),
 		ADAPTER_TEST(test_closing_takes_the_adapter_off_the_bus),
-		ADAPTER_TEST(test_what_the_adapter_cannot_is_refused),
+		ADAPTER_TEST(test_what_the_adapter_does_not_support_is_refused),
 		ADAPTER_TEST(test_a_frame_is_sent_as_one_packet_with_its_slot),
 		ADAPTER_TEST(test_the_adapter_is_given_ten_frames_and_the_next_when_an_echo_has_come),
-		ADAPTER_TEST(test_a_slot_is_not_used_again_while_its_transfer_is_libusb_s),
+		ADAPTER_TEST(test_a_slot_is_not_used_again_before_its_transfer_has_completed),
 		ADAPTER_TEST(test_an_echo_of_a_frame_that_was_not_sent_is_counted),
 		ADAPTER_TEST(test_an_adapter_that_confirms_nothing_for_two_seconds_is_restarted),
 		ADAPTER_TEST(test_an_echo_in_between_shows_that_the_adapter_works),
 		ADAPTER_TEST(test_a_received_frame_has_the_time_of_its_arrival_without_stamps),
 		ADAPTER_TEST(test_with_stamps_the_time_is_that_of_the_adapter),
-		ADAPTER_TEST(test_an_error_frame_brings_state_and_counters_and_is_not_received),
+		ADAPTER_TEST(test_an_error_frame_sets_state_and_counters_and_is_not_received),
 		ADAPTER_TEST(test_in_bus_off_frames_wait_and_a_restart_ends_it),
-		ADAPTER_TEST(test_a_frame_with_the_overflow_flag_tells_of_a_lost_one),
+		ADAPTER_TEST(test_the_overflow_flag_of_a_frame_counts_as_a_lost_frame),
 		ADAPTER_TEST(test_packets_of_another_channel_too_short_or_too_long_are_counted_and_not_received),
 		ADAPTER_TEST(test_the_descriptor_is_readable_while_packets_wait_in_the_driver),
 		ADAPTER_TEST(test_many_more_packets_than_transfers_arrive_in_order),

@@ -108,7 +108,7 @@ int setsockopt(int fd, int level, int option, const void *value, socklen_t size)
 int getsockopt(int fd, int level, int option, void *restrict value, socklen_t *restrict size)
 {
 	(void)fd, (void)level, (void)size;
-	if (option == SO_ERROR) { /* reading takes it away */
+	if (option == SO_ERROR) { /* reading clears it */
 		memcpy(value, &k.send_error, sizeof(int));
 		k.send_error = 0;
 	}
@@ -699,7 +699,7 @@ static void test_a_refusal_or_a_damaged_message_is_an_error_or_empty(void **stat
 	assert_int_equal(link.frames, 0);
 }
 
-static void test_the_port_takes_state_counters_and_bit_rate_from_the_controller(void **state)
+static void test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_controller(void **state)
 {
 	(void)state;
 	put_controller(1, 0, NULL, 0);
@@ -828,7 +828,7 @@ int main(void)
 		KERNEL_TEST(test_a_controller_s_properties_are_read),
 		KERNEL_TEST(test_a_virtual_interface_has_no_controller_and_counts_each_frame_twice),
 		KERNEL_TEST(test_a_refusal_or_a_damaged_message_is_an_error_or_empty),
-		KERNEL_TEST(test_the_port_takes_state_counters_and_bit_rate_from_the_controller),
+		KERNEL_TEST(test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_controller),
 		KERNEL_TEST(test_a_bit_rate_is_set_with_the_interface_down),
 		KERNEL_TEST(test_a_bit_rate_that_cannot_be_set_is_refused),
 		KERNEL_TEST(test_bus_off_is_ended_where_the_kernel_does_not_do_it),

@@ -479,6 +479,7 @@ static void test_addresses_that_are_not_multicast_groups_are_refused(void **stat
 		if (can_open(bad[i], &port, error, sizeof(error)) != -EINVAL)
 			fail_msg("%s", bad[i]);
 		assert_non_null(strstr(error, bad[i]));
+		assert_non_null(strstr(error, "with a multicast group"));
 	}
 }
 

@@ -1,4 +1,5 @@
-/* Frozen sensors and quiet ones: raw values of a gyro whose noise is so many digits, at rest and in motion. */
+/* Detection of frozen sensors (drivers/imu/frozen.h): raw values of a gyro with noise below and above a digit, at rest and
+ * in motion. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>
@@ -54,7 +55,7 @@ static void rest(struct gyro *g, double s)
 		measure(g, 0);
 }
 
-/* To and fro about all axes, some 100 digits a second fast; the offsets drift by a share of a digit meanwhile. */
+/* An oscillation of 100 digits about all axes; the offsets drift by up to half a digit meanwhile. */
 static void move(struct gyro *g, double s)
 {
 	for (int i = 0; i < s * RATE_HZ; i++)
@@ -63,8 +64,8 @@ static void move(struct gyro *g, double s)
 		g->offset_digits[i] += rng_uniform(&g->rng) - 0.5;
 }
 
-/* Samples until a freeze is found, or 0. */
-static unsigned found_after(struct gyro *g)
+/* Samples until the freeze is detected, or 0. */
+static unsigned detected_after(struct gyro *g)
 {
 	g->alarms = 0;
 	for (unsigned n = 1; n <= 1000; n++) {
@@ -75,7 +76,7 @@ static unsigned found_after(struct gyro *g)
 	return 0;
 }
 
-static void test_a_gyro_with_noise_of_a_digit_is_found_within_a_second(void **state)
+static void test_a_frozen_gyro_with_noise_of_a_digit_is_detected_within_a_second(void **state)
 {
 	static const double SIGMAS[] = {0.7, 1, 3, 30};
 
@@ -87,11 +88,11 @@ static void test_a_gyro_with_noise_of_a_digit_is_found_within_a_second(void **st
 		move(&g, 3);
 		rest(&g, 60);
 		assert_int_equal(g.alarms, 0);
-		assert_in_range(found_after(&g), 1, RATE_HZ);
+		assert_in_range(detected_after(&g), 1, RATE_HZ);
 	}
 }
 
-static void test_a_rest_is_not_frozen_however_much_less_than_a_digit_the_noise_is(void **state)
+static void test_at_rest_noise_below_a_digit_is_not_frozen(void **state)
 {
 	static const double SIGMAS[] = {0, 0.01, 0.03, 0.1, 0.2, 0.3, 0.4, 0.5};
 
@@ -107,8 +108,8 @@ static void test_a_rest_is_not_frozen_however_much_less_than_a_digit_the_noise_i
 	}
 }
 
-/* The narrowest filters: each value is much like the one before. */
-static void test_slow_noise_at_rest_is_not_frozen(void **state)
+/* The narrowest low-pass filters: consecutive values are correlated. */
+static void test_correlated_noise_at_rest_is_not_frozen(void **state)
 {
 	static const double SIGMAS[] = {0.1, 0.3, 0.5, 0.7, 1};
 
@@ -138,12 +139,12 @@ static void test_a_digit_may_be_several_steps_of_the_raw_values(void **state)
 		}
 		rest(&noisy, 30);
 		assert_int_equal(quiet.alarms + noisy.alarms, 0);
-		assert_in_range(found_after(&noisy), 1, RATE_HZ);
+		assert_in_range(detected_after(&noisy), 1, RATE_HZ);
 	}
 }
 
-/* All that can be known of it then is its motion. */
-static void test_a_coarse_gyro_that_was_never_at_rest_before_is_taken_for_frozen_once_at_most(void **state)
+/* Its motion alone does not show that its noise is below a digit. */
+static void test_a_coarse_gyro_that_was_never_at_rest_raises_at_most_one_false_alarm(void **state)
 {
 	(void)state;
 	for (uint64_t seed = 0; seed < 40; seed++) {
@@ -161,30 +162,30 @@ static void test_a_coarse_gyro_that_was_never_at_rest_before_is_taken_for_frozen
 	}
 }
 
-static void test_values_that_do_not_change_from_the_start_on_tell_nothing_but_where_the_noise_is_known(void **state)
+static void test_values_that_are_constant_from_the_start_are_a_fault_only_with_known_noise(void **state)
 {
 	struct gyro unknown = gyro_of(1, 1), known = gyro_of(1, 1);
 
 	(void)state;
 	known.frozen.noisy = true;
-	assert_int_equal(found_after(&unknown), 0);
-	assert_int_equal(found_after(&known), FROZEN_AT_LEAST);
+	assert_int_equal(detected_after(&unknown), 0);
+	assert_int_equal(detected_after(&known), FROZEN_AT_LEAST);
 }
 
-static void test_a_frozen_sensor_is_well_with_the_first_other_value(void **state)
+static void test_a_frozen_sensor_has_recovered_with_the_first_other_value(void **state)
 {
 	struct gyro g = gyro_of(3, 1);
 
 	(void)state;
 	rest(&g, 10);
-	assert_true(found_after(&g) > 0);
+	assert_true(detected_after(&g) > 0);
 	g.alarms = 0;
 	g.raw[0]++;
 	watch(&g);
 	assert_int_equal(g.alarms, 0);
 }
 
-static void test_a_sensor_may_repeat_itself_ten_times_as_long_as_it_did(void **state)
+static void test_a_run_of_equal_values_may_be_ten_times_the_longest_before(void **state)
 {
 	struct gyro g = {.frozen.noisy = true};
 
@@ -202,15 +203,14 @@ static void test_a_sensor_may_repeat_itself_ten_times_as_long_as_it_did(void **s
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_gyro_with_noise_of_a_digit_is_found_within_a_second),
-		cmocka_unit_test(test_a_rest_is_not_frozen_however_much_less_than_a_digit_the_noise_is),
-		cmocka_unit_test(test_slow_noise_at_rest_is_not_frozen),
+		cmocka_unit_test(test_a_frozen_gyro_with_noise_of_a_digit_is_detected_within_a_second),
+		cmocka_unit_test(test_at_rest_noise_below_a_digit_is_not_frozen),
+		cmocka_unit_test(test_correlated_noise_at_rest_is_not_frozen),
 		cmocka_unit_test(test_a_digit_may_be_several_steps_of_the_raw_values),
-		cmocka_unit_test(test_a_coarse_gyro_that_was_never_at_rest_before_is_taken_for_frozen_once_at_most),
-		cmocka_unit_test(
-			test_values_that_do_not_change_from_the_start_on_tell_nothing_but_where_the_noise_is_known),
-		cmocka_unit_test(test_a_frozen_sensor_is_well_with_the_first_other_value),
-		cmocka_unit_test(test_a_sensor_may_repeat_itself_ten_times_as_long_as_it_did),
+		cmocka_unit_test(test_a_coarse_gyro_that_was_never_at_rest_raises_at_most_one_false_alarm),
+		cmocka_unit_test(test_values_that_are_constant_from_the_start_are_a_fault_only_with_known_noise),
+		cmocka_unit_test(test_a_frozen_sensor_has_recovered_with_the_first_other_value),
+		cmocka_unit_test(test_a_run_of_equal_values_may_be_ten_times_the_longest_before),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -36,7 +36,7 @@ static int nobody(struct world *w, const struct sim_access *access)
 	return -ENXIO;
 }
 
-static void test_an_empty_bus_is_refused_with_where_was_looked(void **state)
+static void test_an_empty_bus_is_refused_with_the_addresses_that_were_tried(void **state)
 {
 	struct world *w = world_make("v3", "rest", true);
 	const struct board_clock clock = w->board.clock;
@@ -56,7 +56,7 @@ static void other_identity(struct world *w, const struct sim_access *access)
 		access->bytes[0] = 0x33;
 }
 
-static void test_chips_that_are_none_of_ours_are_refused(void **state)
+static void test_unknown_chips_are_refused(void **state)
 {
 	struct world *w = world_make("v6", "rest", true);
 	const struct board_clock clock = w->board.clock;
@@ -78,7 +78,7 @@ struct layout {
 	int y, z; /* places of y and z; x comes first */
 };
 
-static struct layout layout; /* what disguise() has to know */
+static struct layout layout; /* for fake_data() */
 
 static void put_word(uint8_t *at, int value, bool big)
 {
@@ -86,8 +86,8 @@ static void put_word(uint8_t *at, int value, bool big)
 	at[big ? 0 : 1] = (uint8_t)((unsigned)value >> 8);
 }
 
-/* Every read of the data shows X, Y, Z, and the next one their negatives: never the same twice. */
-static void disguise(struct world *w, const struct sim_access *access)
+/* Replaces the data of a read by X, Y, Z, and those of the next by -X, -Y, -Z, so that they are not frozen. */
+static void fake_data(struct world *w, const struct sim_access *access)
 {
 	const uint8_t first = access->sub & 0x7F;
 	static int sign = 1;
@@ -161,7 +161,7 @@ static const struct scale SCALES[] = {
 	{"v6", IMU_CHIP_ACCEL, 8, 0.000244, 0.000244, {0x6B, 0x28, false, 1, 2}},
 };
 
-/* The field is turned on with the (noisy) gyro to the sample's time: not quite what was read. */
+/* The field is rotated to the sample's time with the noisy gyro, so that it differs a little from what was read. */
 static bool shown(struct vec3 got, const struct scale *s, double unit)
 {
 	const double tolerance = s->chip == IMU_CHIP_MAG ? 0.1 : 1e-9;
@@ -188,7 +188,7 @@ static void test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets(
 		world_detect(w);
 		world_set_up(w, &settings, false);
 		layout = s->layout;
-		w->after = disguise;
+		w->after = fake_data;
 		do
 			assert_true(world_sample(w, &sample, 500000));
 		while (s->chip == IMU_CHIP_MAG && !(sample.flags & SAMPLE_MAG));
@@ -206,7 +206,7 @@ static void test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets(
 	}
 }
 
-/* ---- the signal comes through ------------------------------------------------------------------------------------- */
+/* ---- the motion is measured ------------------------------------------------------------------------------------- */
 
 /* digits at 2000 deg/s, 8 g and the finest field range */
 static const struct {
@@ -247,7 +247,7 @@ static void test_samples_are_the_motion_within_a_digit_and_the_time_within_a_ten
 	}
 }
 
-/* One delay that fits the gyro of n samples, s. */
+/* The delay [s] that fits the gyro of n samples best. */
 static double delay_of(struct world *w, int n)
 {
 	double late = 0, alpha = 0;
@@ -264,7 +264,7 @@ static double delay_of(struct world *w, int n)
 	return late / alpha;
 }
 
-static void test_through_a_stub_samples_come_at_their_rate_and_a_millisecond_of_their_time(void **state)
+static void test_through_a_stub_samples_have_their_rate_and_their_time_within_a_millisecond(void **state)
 {
 	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
 	static struct i2c_stub stub;
@@ -274,7 +274,7 @@ static void test_through_a_stub_samples_come_at_their_rate_and_a_millisecond_of_
 		struct world *w = world_make(BOARDS[i], "tumble", true);
 		double delay_s;
 
-		world_detect(w); /* for its clock */
+		world_detect(w); /* sets its clock */
 		stub_begin(&stub, w);
 		world_set_up(w, &settings, false);
 		delay_of(w, 200);
@@ -297,7 +297,7 @@ static double time_error(struct world *w, const struct imu_sample *sample, doubl
 	return fabs(n - floor(n + 0.5));
 }
 
-static void test_late_reads_do_not_show_in_the_time_stamps(void **state)
+static void test_late_reads_do_not_change_the_time_stamps(void **state)
 {
 	const double rates[] = {100, 200, 400, 800};
 
@@ -324,7 +324,7 @@ static void test_late_reads_do_not_show_in_the_time_stamps(void **state)
 				if (time_error(w, &sample, rates[i]) > 0.1)
 					fail_msg("%g Hz, %d ms late: sample %d off by %g", rates[i], (int)late_ms, n,
 						time_error(w, &sample, rates[i]));
-				assert_true(fabs(interval - 1) < 0.1); /* and none is missing */
+				assert_true(fabs(interval - 1) < 0.1); /* no sample is missing */
 			}
 			world_free(w);
 		}
@@ -392,7 +392,7 @@ static void test_data_ready_edges_give_times_that_late_reads_alone_do_not(void *
 	assert_true(worst_time_error(false) > 0.03);
 }
 
-static void test_the_temperature_comes_with_a_sample_once_a_second(void **state)
+static void test_a_sample_has_the_temperature_once_a_second(void **state)
 {
 	const char *const with[] = {"v0", "v3", "v5", "v6"};
 
@@ -428,27 +428,27 @@ static void assert_impossible(const char *board, const struct imu_settings *sett
 	world_free(w);
 }
 
-static void test_what_the_chips_cannot_is_refused_with_what_they_can(void **state)
+static void test_settings_that_the_chips_do_not_support_are_refused_with_the_limit(void **state)
 {
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
 
 	(void)state;
 	settings.rate_hz = 1000;
-	assert_impossible("v3", &settings, "sensor rate 1000 Hz: the L3GD20H goes to 800 Hz");
+	assert_impossible("v3", &settings, "sensor rate 1000 Hz: the L3GD20H has at most 800 Hz");
 	settings = IMU_SETTINGS_DEFAULTS;
 	settings.gyro_range_deg_s = 4000;
-	assert_impossible("v0", &settings, "gyro range 4000 deg/s: the L3G4200D goes to 2000");
+	assert_impossible("v0", &settings, "gyro range 4000 deg/s: the L3G4200D has at most 2000");
 	settings = IMU_SETTINGS_DEFAULTS;
 	settings.accel_range_g = 16;
-	assert_impossible("v1", &settings, "accelerometer range 16 g: the LSM303DLH goes to 8");
+	assert_impossible("v1", &settings, "accelerometer range 16 g: the LSM303DLH has at most 8");
 	settings = IMU_SETTINGS_DEFAULTS;
 	settings.mag_range_uT = 1300;
-	assert_impossible("v3", &settings, "magnetometer range 1300 uT: the LSM303D goes to 1200");
+	assert_impossible("v3", &settings, "magnetometer range 1300 uT: the LSM303D has at most 1200");
 	settings.mag_range_uT = NAN;
-	assert_impossible("v3", &settings, "magnetometer range nan uT: the LSM303D goes to 1200");
+	assert_impossible("v3", &settings, "magnetometer range nan uT: the LSM303D has at most 1200");
 }
 
-static void test_the_smallest_values_that_are_enough_are_taken(void **state)
+static void test_the_smallest_values_that_are_enough_are_chosen(void **state)
 {
 	struct imu_settings settings = {
 		.rate_hz = 150, .gyro_range_deg_s = 250, .accel_range_g = 3, .mag_range_uT = 250};
@@ -470,7 +470,7 @@ static void test_the_smallest_values_that_are_enough_are_taken(void **state)
 }
 
 /* Control registers as the data sheets' tables give them for 100 Hz, 2000 deg/s, 8 g, the finest field range. */
-static void test_the_registers_hold_what_the_data_sheets_say(void **state)
+static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 {
 	static const struct {
 		const char *board;
@@ -531,7 +531,7 @@ static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
 		world_run(w, 100000);
 		board_self_test(&w->board);
 		assert_int_equal(w->board.health.self_test, passed[i] | IMU_SELF_TEST_RUNS);
-		assert_true(world_sample(w, &sample, 300000)); /* and measures again */
+		assert_true(world_sample(w, &sample, 300000)); /* samples continue */
 		assert_int_equal(w->board.health.self_test, passed[i]);
 		assert_int_equal(w->board.health.degraded, 0);
 		assert_true(vec3_norm(vec3_sub(sample.accel_m_s2, (struct vec3){0, 0, 9.81})) < 0.5);
@@ -539,7 +539,7 @@ static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
 	}
 }
 
-static void test_a_self_test_passes_whatever_range_is_set(void **state)
+static void test_a_self_test_passes_in_any_range(void **state)
 {
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
 
@@ -557,7 +557,7 @@ static void test_a_self_test_passes_whatever_range_is_set(void **state)
 	}
 }
 
-static void test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes(void **state)
+static void test_a_self_test_without_effect_has_failed(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
 
@@ -575,22 +575,22 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_each_board_is_recognised),
-		cmocka_unit_test(test_an_empty_bus_is_refused_with_where_was_looked),
-		cmocka_unit_test(test_chips_that_are_none_of_ours_are_refused),
+		cmocka_unit_test(test_an_empty_bus_is_refused_with_the_addresses_that_were_tried),
+		cmocka_unit_test(test_unknown_chips_are_refused),
 		cmocka_unit_test(test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets),
 		cmocka_unit_test(test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample),
-		cmocka_unit_test(test_through_a_stub_samples_come_at_their_rate_and_a_millisecond_of_their_time),
-		cmocka_unit_test(test_late_reads_do_not_show_in_the_time_stamps),
+		cmocka_unit_test(test_through_a_stub_samples_have_their_rate_and_their_time_within_a_millisecond),
+		cmocka_unit_test(test_late_reads_do_not_change_the_time_stamps),
 		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
 		cmocka_unit_test(test_the_rate_is_measured),
 		cmocka_unit_test(test_data_ready_edges_give_times_that_late_reads_alone_do_not),
-		cmocka_unit_test(test_the_temperature_comes_with_a_sample_once_a_second),
-		cmocka_unit_test(test_what_the_chips_cannot_is_refused_with_what_they_can),
-		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_taken),
-		cmocka_unit_test(test_the_registers_hold_what_the_data_sheets_say),
+		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
+		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
+		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
+		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
-		cmocka_unit_test(test_a_self_test_passes_whatever_range_is_set),
-		cmocka_unit_test(test_a_self_test_that_changes_nothing_has_failed_until_the_next_passes),
+		cmocka_unit_test(test_a_self_test_passes_in_any_range),
+		cmocka_unit_test(test_a_self_test_without_effect_has_failed),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

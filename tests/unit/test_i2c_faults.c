@@ -1,5 +1,5 @@
-/* Faults of the simulated chips and of the bus: each is found within 100 ms, told as what it is, and is over when the
- * chip is well again. */
+/* Faults of the simulated chips and of the bus: each is detected within 100 ms with its kind, and cleared when the chip
+ * works again. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -12,9 +12,9 @@
 #include "tests/unit/i2c_world.h"
 
 static const char *const BOARDS[] = {"v0", "v1", "v2", "v3", "v5", "v6"};
-enum { BOARD_COUNT = 6, FOUND_US = 100000, WELL_US = 3000000 };
+enum { BOARD_COUNT = 6, DETECTED_US = 100000, RECOVERED_US = 3000000 };
 
-/* Runs a second, so that everything is settled. */
+/* After one second without a fault. */
 static struct world *settled(const char *board)
 {
 	struct world *w = world_new(board, "square", false);
@@ -25,15 +25,15 @@ static struct world *settled(const char *board)
 	return w;
 }
 
-/* The chip that answers for a triad: the accelerometer of an LSM6 is told as the gyro, its chip. */
-static enum imu_chip told_as(const struct world *w, enum imu_chip chip)
+/* The chip reported for a sensor: the accelerometer of an LSM6 is reported as the gyro, which is the same chip. */
+static enum imu_chip reported_as(const struct world *w, enum imu_chip chip)
 {
 	return chip == IMU_CHIP_ACCEL && w->board.accel == w->board.gyro ? IMU_CHIP_GYRO : chip;
 }
 
 typedef void fault_of_chip(struct sim_board *, enum imu_chip, bool);
 
-static void assert_found_and_over(fault_of_chip *put, enum imu_fault fault)
+static void assert_detected_and_cleared(fault_of_chip *put, enum imu_fault fault)
 {
 	for (int i = 0; i < BOARD_COUNT; i++)
 		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
@@ -41,51 +41,51 @@ static void assert_found_and_over(fault_of_chip *put, enum imu_fault fault)
 			int64_t us;
 
 			put(w->sim, chip, true);
-			us = world_until_fault(w, fault, told_as(w, chip), 2 * FOUND_US);
-			if (us < 0 || us > FOUND_US)
-				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
+			us = world_until_fault(w, fault, reported_as(w, chip), 2 * DETECTED_US);
+			if (us < 0 || us > DETECTED_US)
+				fail_msg("%s, chip %d: detected after %lld us", BOARDS[i], chip, (long long)us);
 			world_run(w, 500000);
 			assert_true(w->board.health.fault || w->board.health.degraded); /* still */
 			put(w->sim, chip, false);
-			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 			world_free(w);
 		}
 }
 
-static void test_a_chip_that_does_not_answer_is_found_and_comes_back(void **state)
+static void test_a_chip_that_does_not_answer_is_detected_and_recovers(void **state)
 {
 	(void)state;
-	assert_found_and_over(sim_board_silence, IMU_FAULT_SILENT);
+	assert_detected_and_cleared(sim_board_silence, IMU_FAULT_SILENT);
 }
 
-static void test_a_chip_that_measures_nothing_new_is_found_and_comes_back(void **state)
+static void test_a_chip_without_new_samples_is_detected_and_recovers(void **state)
 {
 	struct world *w;
 
 	(void)state;
-	/* not the triads of an LSM6: they stop together */
+	/* not the sensors of an LSM6, which stop together */
 	for (int i = 0; i < 4; i++)
 		for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++) {
 			w = settled(BOARDS[i]);
 			sim_board_stop(w->sim, chip, true);
-			assert_in_range(world_until_fault(w, IMU_FAULT_STOPPED, chip, 2 * FOUND_US), 1, FOUND_US);
+			assert_in_range(world_until_fault(w, IMU_FAULT_STOPPED, chip, 2 * DETECTED_US), 1, DETECTED_US);
 			sim_board_stop(w->sim, chip, false);
-			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 			world_free(w);
 		}
 }
 
-/* Where noise is less than a digit it takes longer to be sure. */
+/* With noise below a digit, the detection takes longer. */
 static int64_t frozen_within_us(const char *board, enum imu_chip chip)
 {
 	if (strcmp(board, "v3") == 0 && chip == IMU_CHIP_GYRO)
 		return 320000;
 	if (strcmp(board, "v3") < 0 && chip == IMU_CHIP_MAG)
 		return 140000;
-	return FOUND_US;
+	return DETECTED_US;
 }
 
-static void test_frozen_data_are_found_and_over_with_the_first_other_value(void **state)
+static void test_frozen_data_are_detected_and_cleared_by_the_first_other_value(void **state)
 {
 	(void)state;
 	for (int i = 0; i < BOARD_COUNT; i++)
@@ -96,19 +96,19 @@ static void test_frozen_data_are_found_and_over_with_the_first_other_value(void 
 			sim_board_freeze(w->sim, chip, true);
 			if (w->board.accel == w->board.gyro) /* one chip: both freeze */
 				sim_board_freeze(w->sim, chip == IMU_CHIP_GYRO ? IMU_CHIP_ACCEL : IMU_CHIP_GYRO, true);
-			us = world_until_fault(w, IMU_FAULT_FROZEN, told_as(w, chip), 4 * FOUND_US);
+			us = world_until_fault(w, IMU_FAULT_FROZEN, reported_as(w, chip), 4 * DETECTED_US);
 			if (us < 0 || us > frozen_within_us(BOARDS[i], chip))
-				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
+				fail_msg("%s, chip %d: detected after %lld us", BOARDS[i], chip, (long long)us);
 			world_run(w, 1000000);
 			assert_true(w->board.health.fault || w->board.health.degraded);
 			for (enum imu_chip all = IMU_CHIP_GYRO; all <= IMU_CHIP_MAG; all++)
 				sim_board_freeze(w->sim, all, false);
-			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 			world_free(w);
 		}
 }
 
-/* Ranges of which a digit is coarser than the noise: at rest they repeat for seconds. */
+/* In ranges with digits coarser than the noise, values at rest repeat for seconds. */
 static void test_a_coarse_range_at_rest_is_not_frozen(void **state)
 {
 	static const struct {
@@ -146,7 +146,7 @@ static void stalls_after(struct world *w, const struct sim_access *access)
 		w->now_ns += (int64_t)(rng_u64(&w->rng) % 500000000);
 }
 
-static void test_a_machine_that_stalls_for_half_a_second_anywhere_is_no_fault_of_the_chips(void **state)
+static void test_a_machine_that_stalls_for_half_a_second_is_not_a_fault_of_the_chips(void **state)
 {
 	(void)state;
 	for (int i = 0; i < BOARD_COUNT; i++) {
@@ -165,10 +165,10 @@ static void test_a_machine_that_stalls_for_half_a_second_anywhere_is_no_fault_of
 	}
 }
 
-static void test_saturated_data_are_found_and_over_with_the_first_good_value(void **state)
+static void test_saturated_data_are_detected_and_cleared_by_the_first_value_in_range(void **state)
 {
 	(void)state;
-	assert_found_and_over(sim_board_saturate, IMU_FAULT_SATURATED);
+	assert_detected_and_cleared(sim_board_saturate, IMU_FAULT_SATURATED);
 }
 
 static void test_a_short_saturation_is_only_flagged(void **state)
@@ -192,7 +192,7 @@ static void test_a_short_saturation_is_only_flagged(void **state)
 	world_free(w);
 }
 
-static void test_a_brown_out_is_found_and_the_chip_set_up_anew(void **state)
+static void test_a_brown_out_is_detected_and_the_chip_initialised_again(void **state)
 {
 	(void)state;
 	for (int i = 0; i < BOARD_COUNT; i++)
@@ -202,10 +202,10 @@ static void test_a_brown_out_is_found_and_the_chip_set_up_anew(void **state)
 			int64_t us;
 
 			sim_board_brown_out(w->sim, chip);
-			us = world_until_fault(w, IMU_FAULT_CONFIGURATION, told_as(w, chip), 2 * FOUND_US);
-			if (us < 0 || us > FOUND_US)
-				fail_msg("%s, chip %d: found after %lld us", BOARDS[i], chip, (long long)us);
-			assert_true(world_until_well(w, WELL_US) >= 0);
+			us = world_until_fault(w, IMU_FAULT_CONFIGURATION, reported_as(w, chip), 2 * DETECTED_US);
+			if (us < 0 || us > DETECTED_US)
+				fail_msg("%s, chip %d: detected after %lld us", BOARDS[i], chip, (long long)us);
+			assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 			assert_true(world_sample(w, &sample, 200000));
 			assert_true(w->board.health.restarts > 0);
 			world_free(w);
@@ -218,7 +218,7 @@ static void other_gyro(struct world *w, const struct sim_access *access)
 		access->bytes[0] = 0xD4;
 }
 
-static void test_another_chip_in_its_place_is_not_taken(void **state)
+static void test_another_chip_at_the_same_address_is_not_used(void **state)
 {
 	struct world *w = settled("v3");
 
@@ -229,24 +229,24 @@ static void test_another_chip_in_its_place_is_not_taken(void **state)
 	assert_int_equal(w->board.health.fault_chip, IMU_CHIP_GYRO);
 	assert_int_equal(w->board.gyro->state, STREAM_DOWN);
 	w->after = NULL;
-	assert_true(world_until_well(w, WELL_US) >= 0);
+	assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 	world_free(w);
 }
 
-static void test_without_its_magnetometer_the_sensor_goes_on_without_gyro_it_does_not(void **state)
+static void test_samples_continue_without_the_magnetometer_but_not_without_the_gyro(void **state)
 {
 	struct world *w = settled("v3");
 	struct imu_sample sample;
 
 	(void)state;
 	sim_board_stop(w->sim, IMU_CHIP_MAG, true);
-	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_MAG, FOUND_US) > 0);
+	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_MAG, DETECTED_US) > 0);
 	for (int i = 0; i < 20; i++) {
 		assert_true(world_sample(w, &sample, 50000));
 		assert_false(sample.flags & SAMPLE_MAG);
 	}
 	sim_board_stop(w->sim, IMU_CHIP_GYRO, true);
-	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, FOUND_US) > 0);
+	assert_true(world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, DETECTED_US) > 0);
 	assert_false(world_sample(w, &sample, 500000));
 	world_free(w);
 }
@@ -259,14 +259,14 @@ static int count_starts(struct world *w, const struct sim_access *access)
 	return -EIO;
 }
 
-static void test_a_dead_chip_is_tried_again_less_and_less_often_but_every_second(void **state)
+static void test_the_retries_of_a_dead_chip_back_off_to_one_a_second(void **state)
 {
 	struct world *w = settled("v3");
 	unsigned long first_second, later;
 
 	(void)state;
 	sim_board_stop(w->sim, IMU_CHIP_GYRO, true);
-	world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, FOUND_US);
+	world_until_fault(w, IMU_FAULT_STOPPED, IMU_CHIP_GYRO, DETECTED_US);
 	w->before = count_starts;
 	world_run(w, 1000000);
 	first_second = w->fault_count;
@@ -301,7 +301,7 @@ static void test_a_tenth_of_all_transfers_may_fail(void **state)
 
 /* ---- every access of the start and of the first reads, one run each ------------------------------------------------ */
 
-enum { FOR_EVER = 1000000 };
+enum { ALL_FOLLOWING = 1000000 };
 
 static bool hit(const struct world *w, const struct sim_access *access)
 {
@@ -336,7 +336,7 @@ static void all_zeroes(struct world *w, const struct sim_access *access)
 		memset(access->bytes, 0x00, access->n);
 }
 
-/* Detects and sets up with the fault of that access; false: refused, with a reason. */
+/* Detects and sets up while the fault is active; false: refused with a reason. */
 static bool begun(struct world *w)
 {
 	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
@@ -365,8 +365,8 @@ static struct world *with_fault(const char *board, unsigned long at, unsigned lo
 	return w;
 }
 
-/* One disturbed access: whatever it brings about, it is over within a second, and samples come. */
-static void assert_one_is_overcome(int (*before)(struct world *, const struct sim_access *),
+/* After one disturbed access there is no fault and there are samples within a second. */
+static void assert_recovers_from_one(int (*before)(struct world *, const struct sim_access *),
 	void (*after)(struct world *, const struct sim_access *))
 {
 	for (int i = 0; i < BOARD_COUNT; i++)
@@ -386,20 +386,21 @@ static void assert_one_is_overcome(int (*before)(struct world *, const struct si
 		}
 }
 
-/* From that access on for ever: within 100 ms there is a fault, or there was no start; and when it ends, so does it. */
-static void assert_all_from_there_are_found(int (*before)(struct world *, const struct sim_access *),
+/* All accesses from one on are disturbed: the start fails, or a fault is detected within 100 ms. Without the disturbance
+ * the driver recovers. */
+static void assert_all_from_there_are_detected(int (*before)(struct world *, const struct sim_access *),
 	void (*after)(struct world *, const struct sim_access *))
 {
 	for (int i = 0; i < BOARD_COUNT; i++)
 		for (unsigned long at = 0; at < 120; at++) {
-			struct world *w = with_fault(BOARDS[i], at, FOR_EVER, before, after);
+			struct world *w = with_fault(BOARDS[i], at, ALL_FOLLOWING, before, after);
 			struct imu_sample sample;
 			bool faulty;
 
 			if (begun(w)) {
 				while (w->accesses < w->fault_at)
 					world_run(w, 1000);
-				world_run(w, FOUND_US);
+				world_run(w, DETECTED_US);
 				faulty = w->board.health.fault || w->board.health.degraded;
 				if (!faulty)
 					fail_msg("%s, from access %lu on: no fault after 100 ms", BOARDS[i], at);
@@ -407,76 +408,76 @@ static void assert_all_from_there_are_found(int (*before)(struct world *, const 
 			w->before = NULL;
 			w->after = NULL;
 			assert_true(w->board.gyro && w->board.mag ? true : begun(w));
-			assert_true(world_until_well(w, WELL_US) >= 0);
+			assert_true(world_until_recovered(w, RECOVERED_US) >= 0);
 			assert_true(world_sample(w, &sample, 300000));
 			world_free(w);
 		}
 }
 
-static void test_one_failed_transfer_anywhere_is_overcome(void **state)
+static void test_the_driver_recovers_from_any_one_failed_transfer(void **state)
 {
 	(void)state;
-	assert_one_is_overcome(fails, NULL);
+	assert_recovers_from_one(fails, NULL);
 }
 
-static void test_one_transfer_with_wrong_data_anywhere_is_overcome(void **state)
+static void test_the_driver_recovers_from_any_one_transfer_with_wrong_data(void **state)
 {
 	(void)state;
-	assert_one_is_overcome(NULL, inverted);
+	assert_recovers_from_one(NULL, inverted);
 }
 
-static void test_one_lost_write_anywhere_is_overcome(void **state)
+static void test_the_driver_recovers_from_any_one_lost_write(void **state)
 {
 	(void)state;
-	assert_one_is_overcome(write_is_lost, NULL);
+	assert_recovers_from_one(write_is_lost, NULL);
 }
 
-static void test_a_bus_that_fails_from_any_access_on_is_found(void **state)
+static void test_a_bus_that_fails_from_any_access_on_is_detected(void **state)
 {
 	(void)state;
-	assert_all_from_there_are_found(fails, NULL);
+	assert_all_from_there_are_detected(fails, NULL);
 }
 
-static void test_a_bus_stuck_at_one_from_any_access_on_is_found(void **state)
+static void test_a_bus_stuck_at_one_from_any_access_on_is_detected(void **state)
 {
 	(void)state;
-	assert_all_from_there_are_found(NULL, all_ones);
+	assert_all_from_there_are_detected(NULL, all_ones);
 }
 
-static void test_a_bus_stuck_at_zero_from_any_access_on_is_found(void **state)
+static void test_a_bus_stuck_at_zero_from_any_access_on_is_detected(void **state)
 {
 	(void)state;
-	assert_all_from_there_are_found(NULL, all_zeroes);
+	assert_all_from_there_are_detected(NULL, all_zeroes);
 }
 
-static void test_wrong_data_from_any_access_on_are_found(void **state)
+static void test_wrong_data_from_any_access_on_are_detected(void **state)
 {
 	(void)state;
-	assert_all_from_there_are_found(NULL, inverted);
+	assert_all_from_there_are_detected(NULL, inverted);
 }
 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_a_chip_that_does_not_answer_is_found_and_comes_back),
-		cmocka_unit_test(test_a_chip_that_measures_nothing_new_is_found_and_comes_back),
-		cmocka_unit_test(test_frozen_data_are_found_and_over_with_the_first_other_value),
+		cmocka_unit_test(test_a_chip_that_does_not_answer_is_detected_and_recovers),
+		cmocka_unit_test(test_a_chip_without_new_samples_is_detected_and_recovers),
+		cmocka_unit_test(test_frozen_data_are_detected_and_cleared_by_the_first_other_value),
 		cmocka_unit_test(test_a_coarse_range_at_rest_is_not_frozen),
-		cmocka_unit_test(test_a_machine_that_stalls_for_half_a_second_anywhere_is_no_fault_of_the_chips),
-		cmocka_unit_test(test_saturated_data_are_found_and_over_with_the_first_good_value),
+		cmocka_unit_test(test_a_machine_that_stalls_for_half_a_second_is_not_a_fault_of_the_chips),
+		cmocka_unit_test(test_saturated_data_are_detected_and_cleared_by_the_first_value_in_range),
 		cmocka_unit_test(test_a_short_saturation_is_only_flagged),
-		cmocka_unit_test(test_a_brown_out_is_found_and_the_chip_set_up_anew),
-		cmocka_unit_test(test_another_chip_in_its_place_is_not_taken),
-		cmocka_unit_test(test_without_its_magnetometer_the_sensor_goes_on_without_gyro_it_does_not),
-		cmocka_unit_test(test_a_dead_chip_is_tried_again_less_and_less_often_but_every_second),
+		cmocka_unit_test(test_a_brown_out_is_detected_and_the_chip_initialised_again),
+		cmocka_unit_test(test_another_chip_at_the_same_address_is_not_used),
+		cmocka_unit_test(test_samples_continue_without_the_magnetometer_but_not_without_the_gyro),
+		cmocka_unit_test(test_the_retries_of_a_dead_chip_back_off_to_one_a_second),
 		cmocka_unit_test(test_a_tenth_of_all_transfers_may_fail),
-		cmocka_unit_test(test_one_failed_transfer_anywhere_is_overcome),
-		cmocka_unit_test(test_one_transfer_with_wrong_data_anywhere_is_overcome),
-		cmocka_unit_test(test_one_lost_write_anywhere_is_overcome),
-		cmocka_unit_test(test_a_bus_that_fails_from_any_access_on_is_found),
-		cmocka_unit_test(test_a_bus_stuck_at_one_from_any_access_on_is_found),
-		cmocka_unit_test(test_a_bus_stuck_at_zero_from_any_access_on_is_found),
-		cmocka_unit_test(test_wrong_data_from_any_access_on_are_found),
+		cmocka_unit_test(test_the_driver_recovers_from_any_one_failed_transfer),
+		cmocka_unit_test(test_the_driver_recovers_from_any_one_transfer_with_wrong_data),
+		cmocka_unit_test(test_the_driver_recovers_from_any_one_lost_write),
+		cmocka_unit_test(test_a_bus_that_fails_from_any_access_on_is_detected),
+		cmocka_unit_test(test_a_bus_stuck_at_one_from_any_access_on_is_detected),
+		cmocka_unit_test(test_a_bus_stuck_at_zero_from_any_access_on_is_detected),
+		cmocka_unit_test(test_wrong_data_from_any_access_on_are_detected),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,5 +1,5 @@
-/* What the IIO driver does apart from the kernel: attribute files and the merging of devices. The driver itself runs on
- * the kernel's own drivers in the rig (tests/rig/test_iio). */
+/* Parsing of IIO attributes and merging of readings. test_imu_iio.c tests the driver; tests/rig/test_sensors.py runs it on
+ * the kernel's IIO drivers. */
 #include <errno.h>
 #include <math.h>
 #include <stdarg.h>
@@ -20,7 +20,7 @@
 static void assert_near(double value, double wanted)
 {
 	if (!(fabs(value - wanted) <= 1e-9))
-		fail_msg("%.9g, and not %.9g", value, wanted);
+		fail_msg("%.9g, expected %.9g", value, wanted);
 }
 
 /* ---- mount_matrix ------------------------------------------------------------------------------------------------ */
@@ -38,7 +38,7 @@ static void test_a_mount_matrix_is_read_row_by_row(void **state)
 	assert_near(rows[0].y, -0.6);
 }
 
-static void test_a_mount_matrix_that_is_no_rotation_is_refused(void **state)
+static void test_a_mount_matrix_that_is_not_a_rotation_is_refused(void **state)
 {
 	static const char *const wrong[] = {"", "1, 0, 0; 0, 1, 0; 0, 0", "1, 0, 0; 0, 1, 0; 0, 0, 1; 2",
 		"1, 0, 0; 0, 1, 0; 0, 0, -1", "2, 0, 0; 0, 2, 0; 0, 0, 2", "0, 0, 0; 0, 0, 0; 0, 0, 0",
@@ -62,7 +62,7 @@ static void assert_chosen(const char *available, double wanted, int result, cons
 	assert_string_equal(chosen, token);
 }
 
-static void test_the_smallest_that_is_enough_is_chosen_as_the_kernel_writes_it(void **state)
+static void test_the_smallest_value_that_is_enough_is_chosen_with_its_text(void **state)
 {
 	(void)state;
 	assert_chosen("1 10 25 50 100 200 400 1600", 100, 0, "100");
@@ -71,7 +71,7 @@ static void test_the_smallest_that_is_enough_is_chosen_as_the_kernel_writes_it(v
 	assert_chosen("800 400.500000 100", 300, 0, "400.500000");
 }
 
-static void test_where_none_is_enough_the_largest_is_told(void **state)
+static void test_if_no_value_is_enough_the_largest_is_returned(void **state)
 {
 	(void)state;
 	assert_chosen("1 10 75", 100, -ERANGE, "75");
@@ -79,7 +79,7 @@ static void test_where_none_is_enough_the_largest_is_told(void **state)
 	assert_chosen("10 fast 1000", 100, -EINVAL, "");
 }
 
-static void test_a_range_with_steps_is_understood(void **state)
+static void test_a_range_with_steps_is_parsed(void **state)
 {
 	(void)state;
 	assert_chosen("[5 5 1000]", 12, 0, "15");
@@ -97,7 +97,7 @@ static void add(struct merge *m, enum imu_chip chip, int64_t t_ns, double x)
 	merge_add(m, chip, &(struct merge_reading){.t_ns = t_ns, .value = {x, 0, 0}});
 }
 
-static void test_the_acceleration_is_that_at_the_gyro_s_instant(void **state)
+static void test_the_acceleration_is_interpolated_to_the_time_of_the_gyro(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -106,7 +106,7 @@ static void test_the_acceleration_is_that_at_the_gyro_s_instant(void **state)
 	merge_init(&m, 0);
 	add(&m, IMU_CHIP_ACCEL, 10 * MS, 1);
 	add(&m, IMU_CHIP_GYRO, 14 * MS, 0.5);
-	assert_false(merge_next(&m, &sample)); /* what comes after it is not known yet */
+	assert_false(merge_next(&m, &sample)); /* there is no acceleration after it yet */
 	add(&m, IMU_CHIP_ACCEL, 20 * MS, 2);
 	assert_true(merge_next(&m, &sample));
 	assert_int_equal(sample.t_us, 14000);
@@ -116,7 +116,7 @@ static void test_the_acceleration_is_that_at_the_gyro_s_instant(void **state)
 	assert_false(merge_next(&m, &sample));
 }
 
-static void test_of_one_device_a_sample_is_there_at_once(void **state)
+static void test_readings_with_equal_times_are_a_sample_at_once(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -133,7 +133,7 @@ static void test_of_one_device_a_sample_is_there_at_once(void **state)
 	assert_int_equal(m.lost, 0);
 }
 
-static void test_within_the_tolerance_two_readings_are_of_one_instant(void **state)
+static void test_readings_within_the_tolerance_are_simultaneous(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -151,7 +151,7 @@ static void test_within_the_tolerance_two_readings_are_of_one_instant(void **sta
 	assert_near(sample.accel_m_s2.x, 3);
 }
 
-static void test_other_rates_are_brought_to_that_of_the_gyro(void **state)
+static void test_samples_have_the_rate_of_the_gyro(void **state)
 {
 	struct imu_sample sample;
 	unsigned n = 0;
@@ -159,7 +159,7 @@ static void test_other_rates_are_brought_to_that_of_the_gyro(void **state)
 
 	(void)state;
 	merge_init(&m, 0);
-	/* a ramp of 1 a ms, of which the accelerometer takes 7 samples to 5 of the gyro, 3 ms later */
+	/* a ramp of 1 per ms; the accelerometer has 7 samples to 5 of the gyro, 3 ms later */
 	for (int64_t t = 0; t < 1000 * MS; t += MS / 2) {
 		if (t % (5 * MS) == 3 * MS)
 			add(&m, IMU_CHIP_ACCEL, t, 1e-6 * (double)t);
@@ -174,7 +174,7 @@ static void test_other_rates_are_brought_to_that_of_the_gyro(void **state)
 	assert_int_equal(m.lost, 1); /* the first, before any acceleration */
 }
 
-static void test_a_gyro_before_every_acceleration_is_lost_and_counted(void **state)
+static void test_a_gyro_reading_before_any_acceleration_is_lost_and_counted(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -187,7 +187,7 @@ static void test_a_gyro_before_every_acceleration_is_lost_and_counted(void **sta
 	assert_int_equal(m.lost, 1);
 }
 
-static void test_without_acceleration_the_gyro_s_readings_do_not_pile_up(void **state)
+static void test_without_accelerations_the_oldest_gyro_readings_are_dropped(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -217,7 +217,7 @@ static void test_readings_that_go_back_in_time_are_dropped(void **state)
 	assert_false(merge_next(&m, &sample));
 }
 
-static void test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped(void **state)
+static void test_a_reading_older_than_a_delivered_sample_is_dropped(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -232,7 +232,7 @@ static void test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped(v
 	assert_false(merge_next(&m, &sample));
 }
 
-static void test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant(void **state)
+static void test_each_field_is_delivered_once_rotated_to_the_time_of_the_gyro(void **state)
 {
 	struct imu_sample sample;
 	struct merge m;
@@ -246,7 +246,7 @@ static void test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant(void *
 	}
 	assert_true(merge_next(&m, &sample));
 	assert_int_equal(sample.flags, SAMPLE_MAG);
-	/* turning by +z, the sensor sees a field along x go towards -y: 2 rad/s for 10 ms */
+	/* with a rotation about +z, a field along x moves towards -y: 2 rad/s for 10 ms */
 	assert_near(sample.mag_uT.x, 40);
 	assert_near(sample.mag_uT.y, -0.8);
 	assert_true(merge_next(&m, &sample));
@@ -275,19 +275,19 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_mount_matrix_is_read_row_by_row),
-		cmocka_unit_test(test_a_mount_matrix_that_is_no_rotation_is_refused),
-		cmocka_unit_test(test_the_smallest_that_is_enough_is_chosen_as_the_kernel_writes_it),
-		cmocka_unit_test(test_where_none_is_enough_the_largest_is_told),
-		cmocka_unit_test(test_a_range_with_steps_is_understood),
-		cmocka_unit_test(test_the_acceleration_is_that_at_the_gyro_s_instant),
-		cmocka_unit_test(test_of_one_device_a_sample_is_there_at_once),
-		cmocka_unit_test(test_within_the_tolerance_two_readings_are_of_one_instant),
-		cmocka_unit_test(test_other_rates_are_brought_to_that_of_the_gyro),
-		cmocka_unit_test(test_a_gyro_before_every_acceleration_is_lost_and_counted),
-		cmocka_unit_test(test_without_acceleration_the_gyro_s_readings_do_not_pile_up),
+		cmocka_unit_test(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
+		cmocka_unit_test(test_the_smallest_value_that_is_enough_is_chosen_with_its_text),
+		cmocka_unit_test(test_if_no_value_is_enough_the_largest_is_returned),
+		cmocka_unit_test(test_a_range_with_steps_is_parsed),
+		cmocka_unit_test(test_the_acceleration_is_interpolated_to_the_time_of_the_gyro),
+		cmocka_unit_test(test_readings_with_equal_times_are_a_sample_at_once),
+		cmocka_unit_test(test_readings_within_the_tolerance_are_simultaneous),
+		cmocka_unit_test(test_samples_have_the_rate_of_the_gyro),
+		cmocka_unit_test(test_a_gyro_reading_before_any_acceleration_is_lost_and_counted),
+		cmocka_unit_test(test_without_accelerations_the_oldest_gyro_readings_are_dropped),
 		cmocka_unit_test(test_readings_that_go_back_in_time_are_dropped),
-		cmocka_unit_test(test_readings_that_go_back_behind_a_sample_that_is_out_are_dropped),
-		cmocka_unit_test(test_the_field_comes_once_and_is_turned_to_the_gyro_s_instant),
+		cmocka_unit_test(test_a_reading_older_than_a_delivered_sample_is_dropped),
+		cmocka_unit_test(test_each_field_is_delivered_once_rotated_to_the_time_of_the_gyro),
 		cmocka_unit_test(test_saturation_of_either_flags_the_sample),
 	};
 

@@ -538,7 +538,7 @@ static void test_the_smallest_range_that_is_wide_enough_is_set(void **state)
 	assert_string_equal(motion->channels[3].attrs[0].text, "0.002393");
 }
 
-static void test_what_the_devices_cannot_is_refused(void **state)
+static void test_settings_that_the_devices_do_not_support_are_refused(void **state)
 {
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
 	char error[200] = "";
@@ -600,7 +600,7 @@ static void one_scan_of_each(void)
 	put_scan(MOTION, w.now_ns - 3 * MS, motion);
 }
 
-/* 48 ms (five intervals of 104 Hz) until readings are believed; of 80 Hz 63 ms. */
+/* 48 ms (five intervals of 104 Hz) until readings are used; of 80 Hz 63 ms. */
 static void test_a_scan_becomes_a_sample_with_scale_offset_and_mounting(void **state)
 {
 	struct iio_device *motion = &w.devices[MOTION];
@@ -655,7 +655,7 @@ static void test_a_value_at_the_end_of_its_range_is_flagged(void **state)
 	assert_int_equal(sample.flags, SAMPLE_SATURATED);
 }
 
-static void test_the_temperature_comes_with_a_sample_once_a_second(void **state)
+static void test_a_sample_has_the_temperature_once_a_second(void **state)
 {
 	struct iio_device *motion = &w.devices[MOTION];
 	struct iio_channel *c = &motion->channels[motion->channel_count++];
@@ -846,7 +846,7 @@ static void test_samples_go_on_without_a_magnetometer_that_has_stopped(void **st
 	assert_int_equal(port->health.degraded_chip, IMU_CHIP_MAG);
 }
 
-static void test_a_magnetometer_that_is_missing_is_taken_again_when_it_is_back(void **state)
+static void test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back(void **state)
 {
 	struct imu_sample sample;
 	bool had_field = false;
@@ -877,14 +877,14 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		IIO_TEST(test_devices_are_found_by_their_channels_and_set_up),
 		IIO_TEST(test_the_smallest_range_that_is_wide_enough_is_set),
-		IIO_TEST(test_what_the_devices_cannot_is_refused),
+		IIO_TEST(test_settings_that_the_devices_do_not_support_are_refused),
 		IIO_TEST(test_a_sensor_that_is_missing_or_there_twice_is_refused),
 		IIO_TEST(test_without_a_magnetometer_the_others_are_enough),
 		IIO_TEST(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged),
-		IIO_TEST(test_the_temperature_comes_with_a_sample_once_a_second),
+		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
 		IIO_TEST(test_a_magnetometer_of_its_own_has_a_timer_of_its_own),
 		IIO_TEST(test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not),
@@ -893,7 +893,7 @@ int main(void)
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
-		IIO_TEST(test_a_magnetometer_that_is_missing_is_taken_again_when_it_is_back),
+		IIO_TEST(test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back),
 	};
 
 	return cmocka_run_group_tests_name("imu_iio", tests, NULL, NULL);

@@ -51,7 +51,7 @@ static void assert_refused(const char *text, int result, const char *word)
 		fail_msg("'%s' does not say '%s'", error, word);
 }
 
-/* Reads all; the number of good rows. */
+/* Reads all rows. Returns the number of valid ones. */
 static int count(struct imu_log *log)
 {
 	struct imu_sample sample;
@@ -64,7 +64,7 @@ static int count(struct imu_log *log)
 	return n;
 }
 
-/* Two good rows around a bad one: it must be skipped, and said with its line and the word. */
+/* A bad row between two valid ones is skipped, and last_skip contains its line and `word`. */
 static void assert_skipped(const char *row, const char *word)
 {
 	char text[2048];
@@ -108,7 +108,7 @@ static void test_empty_magnetometer_fields_mean_no_measurement(void **state)
 	imu_log_close(&log);
 }
 
-static void test_temperature_and_reference_acceleration_are_taken_where_the_row_has_them(void **state)
+static void test_temperature_and_reference_acceleration_are_read_where_the_row_has_them(void **state)
 {
 	const char text[] = "t,gx,gy,gz,ax,ay,az,temperature,ref_al,ref_as,ref_at\n"
 			    "0,1,2,3,4,5,6,21.5,0.1,-0.2,0.3\n0.01,1,2,3,4,5,6,,,,\n";
@@ -167,7 +167,7 @@ static void test_the_header_names_the_order_and_other_columns_are_ignored(void *
 	assert_int_equal(log.skipped, 0);
 }
 
-static void test_windows_line_ends_blanks_and_a_byte_order_mark_do_no_harm(void **state)
+static void test_windows_line_ends_blanks_and_a_byte_order_mark_are_accepted(void **state)
 {
 	const char text[] = "\xef\xbb\xbft, gx, gy, gz, ax, ay, az\r\n 0 ,1,2,3,4,5, 6\r\n1,1,2,3,4,5,6\r\n";
 	struct imu_log log = opened(text, strlen(text));
@@ -194,7 +194,7 @@ static void test_a_row_with_too_few_or_too_many_fields_is_skipped(void **state)
 	assert_skipped("", "1 fields");
 }
 
-static void test_a_row_with_what_is_no_finite_number_is_skipped(void **state)
+static void test_a_row_with_a_field_that_is_not_a_finite_number_is_skipped(void **state)
 {
 	(void)state;
 	assert_skipped("0.01,nan,2,3,4,5,6,7,8,9", "gx");
@@ -203,7 +203,7 @@ static void test_a_row_with_what_is_no_finite_number_is_skipped(void **state)
 	assert_skipped("0.01,1,2,3,4,5,0x10,7,8,9", "az");
 	assert_skipped("0.01,1,2,,4,5,6,7,8,9", "gz");
 	assert_skipped("0.01,1,2,3.0.1,4,5,6,7,8,9", "gz");
-	assert_skipped("abc,1,2,3,4,5,6,7,8,9", "t is no finite number: 'abc'");
+	assert_skipped("abc,1,2,3,4,5,6,7,8,9", "t is not a finite number: 'abc'");
 	assert_skipped("-1,1,2,3,4,5,6,7,8,9", "out of range");
 	assert_skipped("1e15,1,2,3,4,5,6,7,8,9", "out of range");
 }
@@ -221,7 +221,7 @@ static void test_a_row_whose_time_does_not_increase_is_skipped(void **state)
 	assert_skipped("0.0000001,1,2,3,4,5,6,7,8,9", "time does not increase");
 }
 
-static void test_after_a_skipped_row_time_is_compared_with_the_last_good_one(void **state)
+static void test_after_a_skipped_row_the_time_is_compared_with_the_last_valid_one(void **state)
 {
 	const char text[] = HEADER ROW("5") ROW("1") ROW("2") ROW("6");
 	struct imu_log log = opened(text, strlen(text));
@@ -238,7 +238,7 @@ static void test_a_line_longer_than_the_limit_is_skipped_whole(void **state)
 	(void)state;
 	memset(row, '1', sizeof row - 1);
 	row[sizeof row - 1] = '\0';
-	assert_skipped(row, "line too long");
+	assert_skipped(row, "the line is too long");
 }
 
 static void test_a_line_with_a_nul_byte_is_skipped(void **state)
@@ -255,18 +255,18 @@ static void test_a_line_with_a_nul_byte_is_skipped(void **state)
 static void test_a_log_without_a_usable_header_is_refused(void **state)
 {
 	(void)state;
-	assert_refused("", -EINVAL, ":1: empty");
+	assert_refused("", -EINVAL, ":1: the file is empty");
 	assert_refused("0,1,2,3,4,5,6,7,8,9\n", -EINVAL, ":1: no column t");
 	assert_refused("t,gx,gy,gz,ax,ay\n", -EINVAL, "no column az");
 	assert_refused("t,gx,gy,gz,ax,ay,az,mx\n", -EINVAL, "no column my");
 	assert_refused("t,gx,gy,gz,ax,ay,az,gx\n", -EINVAL, "column gx twice");
 }
 
-static void test_a_log_without_two_good_rows_is_refused_and_the_last_skip_said(void **state)
+static void test_a_log_without_two_valid_rows_is_refused_with_the_last_skip(void **state)
 {
 	(void)state;
-	assert_refused(HEADER ROW("0"), -EINVAL, "fewer than two good rows");
-	assert_refused(HEADER ROW("0") "1,x,2,3,4,5,6,7,8,9\n", -EINVAL, ":3: gx is no finite number: 'x'");
+	assert_refused(HEADER ROW("0"), -EINVAL, "fewer than two valid rows");
+	assert_refused(HEADER ROW("0") "1,x,2,3,4,5,6,7,8,9\n", -EINVAL, ":3: gx is not a finite number: 'x'");
 }
 
 static void test_a_missing_file_and_a_directory_are_refused(void **state)
@@ -342,22 +342,22 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_row_becomes_a_sample_in_si_units),
 		cmocka_unit_test(test_empty_magnetometer_fields_mean_no_measurement),
-		cmocka_unit_test(test_temperature_and_reference_acceleration_are_taken_where_the_row_has_them),
+		cmocka_unit_test(test_temperature_and_reference_acceleration_are_read_where_the_row_has_them),
 		cmocka_unit_test(test_a_row_with_half_a_reference_or_a_broken_temperature_is_skipped),
 		cmocka_unit_test(test_a_header_with_half_a_reference_is_refused),
 		cmocka_unit_test(test_the_header_may_leave_the_magnetometer_out),
 		cmocka_unit_test(test_the_header_names_the_order_and_other_columns_are_ignored),
-		cmocka_unit_test(test_windows_line_ends_blanks_and_a_byte_order_mark_do_no_harm),
+		cmocka_unit_test(test_windows_line_ends_blanks_and_a_byte_order_mark_are_accepted),
 		cmocka_unit_test(test_the_last_line_needs_no_newline),
 		cmocka_unit_test(test_a_row_with_too_few_or_too_many_fields_is_skipped),
-		cmocka_unit_test(test_a_row_with_what_is_no_finite_number_is_skipped),
+		cmocka_unit_test(test_a_row_with_a_field_that_is_not_a_finite_number_is_skipped),
 		cmocka_unit_test(test_a_row_with_half_a_magnetometer_is_skipped),
 		cmocka_unit_test(test_a_row_whose_time_does_not_increase_is_skipped),
-		cmocka_unit_test(test_after_a_skipped_row_time_is_compared_with_the_last_good_one),
+		cmocka_unit_test(test_after_a_skipped_row_the_time_is_compared_with_the_last_valid_one),
 		cmocka_unit_test(test_a_line_longer_than_the_limit_is_skipped_whole),
 		cmocka_unit_test(test_a_line_with_a_nul_byte_is_skipped),
 		cmocka_unit_test(test_a_log_without_a_usable_header_is_refused),
-		cmocka_unit_test(test_a_log_without_two_good_rows_is_refused_and_the_last_skip_said),
+		cmocka_unit_test(test_a_log_without_two_valid_rows_is_refused_with_the_last_skip),
 		cmocka_unit_test(test_a_missing_file_and_a_directory_are_refused),
 		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
 		cmocka_unit_test(test_a_pipe_loses_no_row),

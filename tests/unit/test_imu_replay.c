@@ -25,7 +25,7 @@ static double now_s(void)
 	return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-/* Rows at 100.00 s, 100.01 s ..; gx counts them. One bad row after the first. */
+/* Rows at 100.00 s, 100.01 s ..; gx counts them. A bad row follows the first. */
 static int write_log(void **state)
 {
 	FILE *file;
@@ -71,7 +71,7 @@ static int wait_and_read(struct imu_port *port, struct imu_sample *sample)
 	return got;
 }
 
-static void test_every_row_comes_in_order_and_not_before_its_time(void **state)
+static void test_every_row_is_read_in_order_and_not_before_its_time(void **state)
 {
 	double start = now_s();
 	struct imu_port *port = opened("");
@@ -90,7 +90,7 @@ static void test_every_row_comes_in_order_and_not_before_its_time(void **state)
 	imu_close(port);
 }
 
-static void test_the_end_of_the_log_is_said_at_once_and_stays(void **state)
+static void test_the_end_of_the_log_is_reported_at_once_and_stays(void **state)
 {
 	struct imu_port *port = opened(",speed=1000");
 	struct imu_sample sample;
@@ -103,7 +103,7 @@ static void test_the_end_of_the_log_is_said_at_once_and_stays(void **state)
 	imu_close(port);
 }
 
-static void test_speed_divides_the_waiting_and_leaves_the_time_stamps(void **state)
+static void test_the_speed_changes_the_pace_and_not_the_time_stamps(void **state)
 {
 	double start = now_s();
 	struct imu_port *port = opened(",speed=0.5");
@@ -118,7 +118,7 @@ static void test_speed_divides_the_waiting_and_leaves_the_time_stamps(void **sta
 	imu_close(port);
 }
 
-static void test_a_loop_begins_anew_with_a_discontinuity_and_time_goes_on(void **state)
+static void test_a_loop_starts_again_with_a_discontinuity_and_increasing_time(void **state)
 {
 	struct imu_port *port = opened(",loop,speed=100");
 	struct imu_sample sample;
@@ -133,7 +133,7 @@ static void test_a_loop_begins_anew_with_a_discontinuity_and_time_goes_on(void *
 	imu_close(port);
 }
 
-static void test_when_nothing_is_due_nothing_is_readable(void **state)
+static void test_the_descriptor_is_not_readable_before_a_sample_is_due(void **state)
 {
 	struct imu_port *port = opened(",speed=0.001");
 	struct pollfd fd = {port->fd, POLLIN, 0};
@@ -146,7 +146,7 @@ static void test_when_nothing_is_due_nothing_is_readable(void **state)
 	imu_close(port);
 }
 
-static void test_after_a_pause_all_due_samples_come_one_by_one_and_are_counted_late(void **state)
+static void test_after_a_pause_all_due_samples_are_read_and_counted_as_late(void **state)
 {
 	struct imu_port *port = opened("");
 	struct pollfd fd = {port->fd, POLLIN, 0};
@@ -163,7 +163,7 @@ static void test_after_a_pause_all_due_samples_come_one_by_one_and_are_counted_l
 	imu_close(port);
 }
 
-static void test_skipped_rows_are_counted_and_the_last_is_named(void **state)
+static void test_skipped_rows_are_counted_with_the_reason_of_the_last(void **state)
 {
 	struct imu_port *port = opened("");
 
@@ -183,7 +183,7 @@ static void assert_refused(const char *src, const char *word)
 		fail_msg("%s: '%s' does not say '%s'", src, error, word);
 }
 
-static void test_a_source_that_cannot_be_is_refused_with_what_can(void **state)
+static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **state)
 {
 	(void)state;
 	assert_refused("", "unknown IMU source '': use one of sim");
@@ -198,7 +198,7 @@ static void test_a_source_that_cannot_be_is_refused_with_what_can(void **state)
 	assert_refused("replay:x.csv,", "unknown option ''");
 }
 
-static void test_a_close_of_nothing_does_nothing(void **state)
+static void test_closing_null_is_permitted(void **state)
 {
 	(void)state;
 	imu_close(NULL);
@@ -207,15 +207,15 @@ static void test_a_close_of_nothing_does_nothing(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_every_row_comes_in_order_and_not_before_its_time),
-		cmocka_unit_test(test_the_end_of_the_log_is_said_at_once_and_stays),
-		cmocka_unit_test(test_speed_divides_the_waiting_and_leaves_the_time_stamps),
-		cmocka_unit_test(test_a_loop_begins_anew_with_a_discontinuity_and_time_goes_on),
-		cmocka_unit_test(test_when_nothing_is_due_nothing_is_readable),
-		cmocka_unit_test(test_after_a_pause_all_due_samples_come_one_by_one_and_are_counted_late),
-		cmocka_unit_test(test_skipped_rows_are_counted_and_the_last_is_named),
-		cmocka_unit_test(test_a_source_that_cannot_be_is_refused_with_what_can),
-		cmocka_unit_test(test_a_close_of_nothing_does_nothing),
+		cmocka_unit_test(test_every_row_is_read_in_order_and_not_before_its_time),
+		cmocka_unit_test(test_the_end_of_the_log_is_reported_at_once_and_stays),
+		cmocka_unit_test(test_the_speed_changes_the_pace_and_not_the_time_stamps),
+		cmocka_unit_test(test_a_loop_starts_again_with_a_discontinuity_and_increasing_time),
+		cmocka_unit_test(test_the_descriptor_is_not_readable_before_a_sample_is_due),
+		cmocka_unit_test(test_after_a_pause_all_due_samples_are_read_and_counted_as_late),
+		cmocka_unit_test(test_skipped_rows_are_counted_with_the_reason_of_the_last),
+		cmocka_unit_test(test_an_unknown_source_or_option_is_refused_with_what_to_use),
+		cmocka_unit_test(test_closing_null_is_permitted),
 	};
 
 	return cmocka_run_group_tests(tests, write_log, remove_log);

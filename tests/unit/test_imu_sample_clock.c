@@ -206,14 +206,14 @@ static void test_a_read_is_due_in_the_middle_of_a_wide_bracket_and_at_the_end_of
 		.newest = 0, .lo_ns = 100 * MS, .hi_ns = 100.64 * MS, .shortest_ns = PERIOD, .longest_ns = PERIOD};
 
 	(void)state;
-	assert_true(sample_clock_learns(&c, 1));
+	assert_true(sample_clock_is_wide(&c, 1));
 	assert_near(sample_clock_due(&c, 1), 110.32 * MS, 1);
 	c.hi_ns = 100.6 * MS;
-	assert_false(sample_clock_learns(&c, 1));
+	assert_false(sample_clock_is_wide(&c, 1));
 	assert_near(sample_clock_due(&c, 1), 110.6 * MS, 1);
 	/* three periods on it is wider by what the period is not known */
 	c.longest_ns = 10.1 * MS;
-	assert_true(sample_clock_learns(&c, 3));
+	assert_true(sample_clock_is_wide(&c, 3));
 	assert_near(sample_clock_due(&c, 3), (130.9 - 0.45) * MS, 1);
 }
 

@@ -47,7 +47,7 @@ static void test_the_default_is_the_robot_on_the_square_at_100_hz(void **state)
 	imu_close(port);
 }
 
-static void test_samples_come_in_real_time_at_the_rate_asked_for(void **state)
+static void test_samples_have_the_requested_rate_in_real_time(void **state)
 {
 	double start = now_s();
 	struct imu_port *port = opened("sim:rest,rate=200");
@@ -58,7 +58,7 @@ static void test_samples_come_in_real_time_at_the_rate_asked_for(void **state)
 	for (int i = 0; i < 30; i++) {
 		wait_and_read(port, &sample);
 		assert_true(now_s() >= 1e-6 * (double)sample.t_us);
-		if (i > 0) /* its oscillator is nearly right, and its clock being learned */
+		if (i > 0) /* the oscillator has an error of 0.4 %, and the sample clock is not locked yet */
 			assert_in_range(sample.t_us - last_us, 4500, 5500);
 		last_us = sample.t_us;
 	}
@@ -66,7 +66,7 @@ static void test_samples_come_in_real_time_at_the_rate_asked_for(void **state)
 	imu_close(port);
 }
 
-static void test_at_rest_the_sensor_shows_g_and_its_noise(void **state)
+static void test_at_rest_the_sensor_measures_gravity_and_its_noise(void **state)
 {
 	struct imu_port *port = opened("sim:rest,rate=800");
 	struct vec3 gyro = {0, 0, 0}, accel = {0, 0, 0};
@@ -86,11 +86,11 @@ static void test_at_rest_the_sensor_shows_g_and_its_noise(void **state)
 	imu_close(port);
 }
 
-static void test_an_unknown_scenario_or_option_is_refused_with_what_can(void **state)
+static void test_an_unknown_scenario_or_option_is_refused_with_what_to_use(void **state)
 {
 	const char *const bad[][2] = {{"sim:circle", "use one of square, boat, roll_step, rest"},
-		{"sim:boat,speed=2", "use rate=HZ or board="}, {"sim:boat,rate=0", "use rate=HZ"},
-		{"sim:boat,rate=100x", "use rate=HZ"}, {"sim:boat,rate=1e9", "the L3GD20H goes to 800 Hz"},
+		{"sim:boat,speed=2", "use rate=HZ, board="}, {"sim:boat,rate=0", "use rate=HZ"},
+		{"sim:boat,rate=100x", "use rate=HZ"}, {"sim:boat,rate=1e9", "the L3GD20H has at most 800 Hz"},
 		{"sim:boat,board=v4", "use v0, v1, v2, v3, v5 or v6"}};
 	struct imu_port *port;
 	char error[256];
@@ -103,7 +103,7 @@ static void test_an_unknown_scenario_or_option_is_refused_with_what_can(void **s
 	}
 }
 
-static void test_other_settings_are_taken_while_it_runs(void **state)
+static void test_settings_can_be_changed_while_it_runs(void **state)
 {
 	struct imu_port *port = opened("sim:rest");
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
@@ -124,7 +124,7 @@ static void test_other_settings_are_taken_while_it_runs(void **state)
 	imu_close(port);
 }
 
-static void test_settings_that_cannot_be_are_refused_and_the_old_ones_stay(void **state)
+static void test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay(void **state)
 {
 	struct imu_port *port = opened("sim:rest,board=v2");
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
@@ -134,16 +134,16 @@ static void test_settings_that_cannot_be_are_refused_and_the_old_ones_stay(void 
 	(void)state;
 	settings.accel_range_g = 32;
 	assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof error), -EINVAL);
-	assert_string_equal(error, "accelerometer range 32 g: the LSM303DLHC goes to 16");
+	assert_string_equal(error, "accelerometer range 32 g: the LSM303DLHC has at most 16");
 	wait_and_read(port, &sample);
 	settings = IMU_SETTINGS_DEFAULTS;
 	settings.rate_hz = 700;
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof error), 0);
-	assert_true(port->rate_hz == 95); /* only asked whether it could */
+	assert_true(port->rate_hz == 95); /* dry */
 	imu_close(port);
 }
 
-static void test_a_self_test_on_command_tells_its_result(void **state)
+static void test_a_self_test_on_command_reports_its_result(void **state)
 {
 	struct imu_port *port = opened("sim:rest");
 	struct imu_sample sample;
@@ -160,12 +160,12 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_default_is_the_robot_on_the_square_at_100_hz),
-		cmocka_unit_test(test_samples_come_in_real_time_at_the_rate_asked_for),
-		cmocka_unit_test(test_at_rest_the_sensor_shows_g_and_its_noise),
-		cmocka_unit_test(test_other_settings_are_taken_while_it_runs),
-		cmocka_unit_test(test_settings_that_cannot_be_are_refused_and_the_old_ones_stay),
-		cmocka_unit_test(test_a_self_test_on_command_tells_its_result),
-		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_can),
+		cmocka_unit_test(test_samples_have_the_requested_rate_in_real_time),
+		cmocka_unit_test(test_at_rest_the_sensor_measures_gravity_and_its_noise),
+		cmocka_unit_test(test_settings_can_be_changed_while_it_runs),
+		cmocka_unit_test(test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay),
+		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
+		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

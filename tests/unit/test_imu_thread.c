@@ -152,8 +152,8 @@ static void test_a_fault_is_read_as_an_error_in_its_place_among_the_samples(void
 	send_numbered(t, 1, 1);
 	t->health.fault = IMU_FAULT_SILENT;
 	t->health.fault_chip = IMU_CHIP_ACCEL;
-	imu_thread_tell(t);
-	imu_thread_works(t);
+	imu_thread_report(t);
+	imu_thread_recovered(t);
 	send_numbered(t, 2, 1);
 	assert_reads(t, 1, 1);
 	assert_int_equal(imu_thread_read(&t->port, &sample), -EIO);
@@ -169,7 +169,7 @@ static void test_a_degraded_sensor_is_reported_without_an_error(void **state)
 	struct imu_thread *t = *state;
 
 	t->health.degraded = IMU_FAULT_STOPPED;
-	imu_thread_tell(t);
+	imu_thread_report(t);
 	assert_reads_nothing(t);
 	assert_int_equal(t->port.health.degraded, IMU_FAULT_STOPPED);
 	assert_int_equal(t->port.counters.samples, 0);
@@ -183,17 +183,17 @@ static void test_health_alone_is_sent_when_its_state_has_changed_and_not_for_a_c
 
 	for (size_t i = 0; i < sizeof states / sizeof *states; i++) {
 		*states[i] = 1;
-		imu_thread_tell(t);
-		imu_thread_tell(t); /* nothing has changed since */
+		imu_thread_report(t);
+		imu_thread_report(t); /* nothing has changed since */
 		assert_int_equal(t->head, i + 1);
 	}
 	t->health.restarts++;
-	imu_thread_tell(t);
+	imu_thread_report(t);
 	assert_int_equal(t->head, 6);
 	t->health.bus_errors++;
 	t->health.overruns++;
 	t->health.rate_hz = 99;
-	imu_thread_tell(t);
+	imu_thread_report(t);
 	assert_int_equal(t->head, 6);
 }
 
@@ -238,7 +238,7 @@ static void test_the_back_off_doubles_from_10_ms_to_a_second_until_the_sensor_wo
 		assert_int_equal(t->health.fault, IMU_FAULT_SILENT);
 		assert_int_equal(t->health.fault_chip, IMU_CHIP_GYRO);
 	}
-	imu_thread_works(t);
+	imu_thread_recovered(t);
 	imu_thread_failed(t, IMU_FAULT_SILENT, IMU_CHIP_GYRO);
 	assert_int_equal(t->backoff_ns, 10000000);
 }

@@ -444,7 +444,7 @@ static void test_a_range_it_has_not_is_refused(void **state)
 	(void)state;
 	settings.accel_range_g = 24;
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof error), -EINVAL);
-	assert_string_equal(error, "wt901: its ranges are 2000 deg/s and 16 g");
+	assert_string_equal(error, "wt901: range too wide: the sensor has 2000 deg/s and 16 g");
 	imu_close(port);
 }
 

@@ -4,9 +4,9 @@
 
 enum {
 	RETRY_MS = 5,
-	CAN_WAIT_MS = 11, /* what is not urgent: a little more than the gyro's interval at 100 Hz */
+	CAN_WAIT_MS = 11, /* reads that are not urgent: a little more than the gyro's interval at 100 Hz */
 	TEMPERATURE_MS = 1000,
-	BATCH_US = 2500, /* a FIFO is not read more often */
+	BATCH_US = 2500, /* shortest time between reads of a FIFO */
 };
 
 int64_t board_read_clock(struct board *b)
@@ -54,7 +54,7 @@ void board_update_health(struct board *b)
 	h->rate_hz = b->gyro->state == STREAM_UP && period_ns > 0 ? (float)(1e9 / period_ns) : 0;
 }
 
-/* ---- when what is read ------------------------------------------------------------------------------------------- */
+/* ---- schedule of the reads ------------------------------------------------------------------------------------------- */
 
 static const struct reading *peek(const struct stream *s, size_t i)
 {
@@ -65,10 +65,10 @@ static int64_t gyro_target(const struct stream *s)
 {
 	double period_us = sample_clock_period(&s->clock) / 1000;
 
-	return s->setup.fifo ? s->taken + (int64_t)ceil(BATCH_US / period_us) - 1 : s->taken;
+	return s->setup.fifo ? s->next + (int64_t)ceil(BATCH_US / period_us) - 1 : s->next;
 }
 
-/* The newest sample of the gyro has none of the accelerometer after it. */
+/* Whether the newest sample of the gyro has no accelerometer sample after it yet. */
 static bool gyro_waits(const struct board *b)
 {
 	const struct stream *g = b->gyro, *a = b->accel;
@@ -76,7 +76,7 @@ static bool gyro_waits(const struct board *b)
 	return g->count > 0 && peek(g, g->count - 1)->t_ns > sample_clock_at(&a->clock, a->clock.newest);
 }
 
-/* With a FIFO the accelerometer is read once a batch of the gyro: when it has a sample after it. */
+/* With a FIFO, the accelerometer is read once per batch of the gyro, when it has a sample after the batch. */
 static int64_t accel_target(const struct board *b, const struct stream *s)
 {
 	const struct stream *g = b->gyro;
@@ -84,22 +84,21 @@ static int64_t accel_target(const struct board *b, const struct stream *s)
 	int64_t index;
 
 	if (!s->setup.fifo || g->state != STREAM_UP)
-		return s->taken;
+		return s->next;
 	until_ns = gyro_waits(b) ? peek(g, g->count - 1)->t_ns : sample_clock_at(&g->clock, gyro_target(g));
 	index = s->clock.newest + (int64_t)ceil((until_ns - sample_clock_at(&s->clock, s->clock.newest)) /
 						sample_clock_period(&s->clock));
-	return index > s->taken ? index : s->taken;
+	return index > s->next ? index : s->next;
 }
 
-/* The gyro waits for the accelerometer, without which its sample is of no use: both are read in one go. Not where its
- * clock has something to learn. */
+/* The gyro is read together with the accelerometer, which its samples need, unless its clock has a wide bracket. */
 static double gyro_due(const struct board *b, const struct stream *g)
 {
 	const struct stream *a = b->accel;
 	double due_ns = sample_clock_due(&g->clock, gyro_target(g));
 
 	if (a == g || !g->setup.fifo || !a->setup.fifo || g->state != STREAM_UP || a->state != STREAM_UP ||
-		gyro_waits(b) || a->failures > 0 || sample_clock_learns(&g->clock, gyro_target(g)))
+		gyro_waits(b) || a->failures > 0 || sample_clock_is_wide(&g->clock, gyro_target(g)))
 		return due_ns;
 	return fmax(due_ns, sample_clock_due(&a->clock, accel_target(b, a)));
 }
@@ -114,7 +113,7 @@ static int64_t next_due(const struct board *b, const struct stream *s)
 		return (int64_t)(t_ns + period_ns / 4);
 	due_ns = s == b->gyro	 ? gyro_due(b, s)
 		 : s == b->accel ? sample_clock_due(&s->clock, accel_target(b, s))
-				 : sample_clock_due(&s->clock, s->taken);
+				 : sample_clock_due(&s->clock, s->next);
 	return (int64_t)fmax(due_ns, t_ns + period_ns / 32);
 }
 
@@ -131,7 +130,7 @@ static void step_stream(struct board *b, struct stream *s)
 	stream_watch(b, s);
 }
 
-/* The magnetometer and the registers that are read back can wait for the gyro to be read. */
+/* Reads of the magnetometer and the verification of registers may wait for the next read of the gyro. */
 static int64_t wake_of(const struct board *b, const struct stream *s)
 {
 	int64_t can_wait_ns = b->gyro->state == STREAM_UP ? CAN_WAIT_MS * BOARD_MS : 0, due_ns;
@@ -139,7 +138,7 @@ static int64_t wake_of(const struct board *b, const struct stream *s)
 	if (s->state == STREAM_DOWN)
 		return s->retry_ns;
 	due_ns = s->due_ns;
-	if (s == b->mag && s->failures == 0 && s->state == STREAM_UP && !sample_clock_learns(&s->clock, s->taken))
+	if (s == b->mag && s->failures == 0 && s->state == STREAM_UP && !sample_clock_is_wide(&s->clock, s->next))
 		due_ns += can_wait_ns;
 	return due_ns < s->verify_ns + can_wait_ns ? due_ns : s->verify_ns + can_wait_ns;
 }
@@ -170,7 +169,7 @@ int64_t board_step(struct board *b)
 	board_read_clock(b);
 	for (size_t i = 0; i < b->stream_count; i++)
 		step_stream(b, &b->streams[i]);
-	/* it may wait for a sample of the gyro that has just been read */
+	/* the gyro sample that it waits for may just have been read */
 	if (b->accel != b->gyro && b->accel->state != STREAM_DOWN && b->accel->failures == 0) {
 		b->accel->due_ns = next_due(b, b->accel);
 		if (b->gyro->state == STREAM_UP && b->gyro->failures == 0 && b->gyro->due_ns > b->now_ns)
@@ -184,7 +183,7 @@ int64_t board_step(struct board *b)
 	return wake_ns;
 }
 
-/* The interrupt and its time stamp may come a little after the edge. */
+/* The time stamp of the interrupt may be up to LATENCY_NS after the edge. */
 void board_data_ready(struct board *b, int64_t t_ns)
 {
 	enum { LATENCY_NS = 100000 };
@@ -203,7 +202,7 @@ static void drop(struct stream *s)
 	s->count--;
 }
 
-/* The accelerometer at the instant of a sample of the gyro: 1; 0: not known yet; -1: never will be. */
+/* The acceleration at the time of a gyro sample. 1; 0: not known yet; -1: will not be known. */
 static int accel_at(struct board *b, const struct reading *gyro, struct vec3 *value, bool *saturated)
 {
 	struct stream *a = b->accel;
@@ -228,7 +227,7 @@ static int accel_at(struct board *b, const struct reading *gyro, struct vec3 *va
 	return 1;
 }
 
-/* The field as it stood a little earlier, in the axes as they are turned now: dv/dt = v x omega. */
+/* Rotates the field to the time of the gyro sample: dv/dt = v x omega. */
 static void add_mag(struct board *b, double t_ns, struct imu_sample *sample)
 {
 	for (struct stream *m = b->mag; m->count > 0 && peek(m, 0)->t_ns <= t_ns; drop(m)) {
@@ -256,7 +255,7 @@ bool board_next(struct board *b, struct imu_sample *sample)
 		if (have == 0)
 			return false;
 		drop(b->gyro);
-		if (gyro.t_ns < b->last_t_ns + 1000) /* a clock that began anew */
+		if (gyro.t_ns < b->last_t_ns + 1000) /* its clock was re-initialised */
 			have = -1;
 	}
 	b->last_t_ns = gyro.t_ns;

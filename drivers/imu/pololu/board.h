@@ -1,16 +1,17 @@
 /* drivers/imu/pololu/board.h
- * A Pololu IMU 9, whichever it is, on an I2C bus: finds its chips, sets them up, reads them, and says when each sample
- * was taken. Passive: time and sleep are given, so that tests run it in a time of their own. Not thread-safe; where
- * transfers may block, it belongs into a thread (i2c_imu.c).
+ * A Pololu IMU 9 of any version on an I2C bus: detects its chips, sets them up, reads them, and estimates when each sample
+ * was taken. Passive: clock and sleep are injected, so that tests run in simulated time. Not thread-safe; transfers block,
+ * so that it runs in its own thread (i2c_imu.c).
  *
- * Each chip samples by its own oscillator (sample_clock.h). A sample of the board is one of the gyro, the accelerometer
- * interpolated to its instant. What goes wrong with a chip is found within 100 ms: it does not answer (20 ms), measures
- * nothing (50 ms), stands at the end of its range (60 ms), or its registers are not what was written (each read back in
- * turn, one in about 10 ms of each chip). Equal raw values are a fault (50 ms) once noise cannot be their reason any
- * more: with the settings of IMU_SETTINGS_DEFAULTS after at most 100 ms, but 140 ms of the magnetometer of LSM303DLH,
- * DLM and DLHC, 320 ms of the L3GD20H; of ranges whose digits are coarser than the noise, never. All this by what reads
- * show, not by how long they take, so that a slow machine is no fault. A chip at fault is started anew, after 10 ms,
- * 20 ms, ... 1 s. */
+ * Each chip samples by its own oscillator (sample_clock.h). A sample of the board has the time of a gyro sample; the
+ * acceleration is interpolated to it.
+ *
+ * A fault of a chip is detected within 100 ms: it does not answer (20 ms), has no new samples (50 ms), is at the end of its
+ * range (60 ms), or a register differs from what was written (each chip's registers are read back in turn, one in 10 ms).
+ * Equal raw values are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms, for the
+ * magnetometers of LSM303DLH, DLM and DLHC 140 ms, for the L3GD20H 320 ms; never in ranges with digits coarser than the
+ * noise. Faults are derived from the data that reads return, not from how long they take: a slow machine is not a fault. A
+ * faulty chip is initialised again after a back-off of 10 ms, 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_H
 #define DRIVERS_IMU_POLOLU_BOARD_H
 
@@ -22,7 +23,7 @@ enum { BOARD_STREAMS = 3, STREAM_READINGS = 64 };
 
 struct board_clock {
 	void *ctx;
-	int64_t (*now_ns)(void *ctx); /* CLOCK_MONOTONIC, or whatever the samples' time shall be */
+	int64_t (*now_ns)(void *ctx); /* the clock of the samples, e.g. CLOCK_MONOTONIC */
 	void (*sleep_until)(void *ctx, int64_t ns);
 };
 
@@ -34,45 +35,45 @@ struct reading {
 
 enum stream_state { STREAM_DOWN, STREAM_STARTING, STREAM_UP };
 
-/* PRIVATE: one chip, being read */
+/* PRIVATE: one chip */
 struct stream {
 	const struct chip *chip;
 	uint8_t address;
 	struct chip_setup setup;
 	struct chip_registers registers;
 	struct sample_clock clock;
-	int64_t taken; /* index of the next sample to be read */
+	int64_t next; /* index of the next sample to read */
 	struct reading readings[STREAM_READINGS];
 	size_t first, count;
-	uint8_t partial[CHIP_TRIADS * 6]; /* CHIP_FIFO_TAGGED: a set of which half has come */
+	uint8_t partial[CHIP_TRIADS * 6]; /* CHIP_FIFO_TAGGED: a set of which one half has been read */
 	unsigned partial_have;
 
 	enum stream_state state;
 	enum imu_fault fault;
-	int64_t retry_ns, backoff_ns; /* when DOWN */
-	int64_t since_ns;	      /* that it has this state */
+	int64_t retry_ns, backoff_ns; /* in STREAM_DOWN */
+	int64_t since_ns;	      /* start of this state */
 	int64_t due_ns, verify_ns;
-	size_t verify;		   /* the register to be read back next */
-	int64_t fresh_ns, none_ns; /* end of the last read that found a sample, beginning of the last that did not */
-	int64_t failing_ns;	   /* first of the failed transfers in a row */
+	size_t verify;		   /* index of the register to read back next */
+	int64_t fresh_ns, none_ns; /* end of the last read with a sample, start of the last read without one */
+	int64_t failing_ns;	   /* time of the first of consecutive failed transfers */
 	unsigned failures;
 	uint8_t last[CHIP_TRIADS * 6];
-	unsigned same, same_limit, saturated; /* samples in a row */
+	unsigned same, same_limit, saturated; /* consecutive samples */
 };
 
 struct board {
-	char name[32]; /* "v3", or the chips' names */
+	char name[32]; /* "v3", or the names of the chips */
 	struct imu_health health;
 
 	/* PRIVATE */
 	struct i2c_bus *bus;
 	struct board_clock clock;
-	int64_t now_ns; /* as last read */
+	int64_t now_ns; /* time of the last board_read_clock() */
 	struct stream streams[BOARD_STREAMS];
 	size_t stream_count;
-	struct stream *gyro, *accel, *mag; /* accel == gyro where one chip is both */
+	struct stream *gyro, *accel, *mag; /* accel == gyro if they are one chip */
 	double last_t_ns;
-	int64_t temperature_ns; /* when to read it */
+	int64_t temperature_ns; /* next read */
 	double temperature_degC;
 	bool temperature_new;
 	bool self_test_failed;
@@ -85,29 +86,29 @@ struct board_plan {
 	double rate_hz; /* nominal */
 };
 
-/** Looks what is there. 0, or -ENODEV (or what the bus said) and one line in `error`. */
+/** Detects the chips. 0, or -ENODEV or the error of the bus, and one line in `error`. */
 int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 
-/** What `settings` come to on this board. Reads nothing but what detection found: callable beside board_step().
- * `stub`: the bus is an i2c-stub: ready bits stay, FIFOs do not empty, and registers may be 2 ms old. 0; -EINVAL:
- * impossible, one line in `error`. */
+/** Chooses the chips' rates, ranges and bandwidths for `settings`. Uses only the result of the detection, so that it may be
+ * called while another thread runs board_step(). `stub`: the bus is an i2c-stub: ready bits stay set, FIFOs stay full, and
+ * register values may be 2 ms old. 0; -EINVAL: not possible, one line in `error`. */
 int board_plan(const struct board *board, const struct imu_settings *settings, bool stub, bool data_ready,
 	struct board_plan *plan, char *error, size_t error_size);
 
-/** Starts the chips anew with that plan, from the next step on. */
+/** Initialises the chips with this plan in the next board_step(). */
 void board_apply(struct board *board, const struct board_plan *plan);
 
-/** Reads what is due. Returns when to call again. */
+/** Makes the reads that are due. Returns the time of the next call. */
 int64_t board_step(struct board *board);
 
-/** The gyro's data-ready line rose at that time. */
+/** The gyro's data-ready line had a rising edge at this time. */
 void board_data_ready(struct board *board, int64_t t_ns);
 
-/** Takes the next sample out. Its t_us is that of the clock. */
+/** Returns true and the next sample; its t_us is on the injected clock. */
 bool board_next(struct board *board, struct imu_sample *sample);
 
-/** Blocks for one to two seconds; board->health.self_test tells. The board must be at rest. */
+/** Runs the self-test, one to two seconds; the result is in board->health.self_test. The board must be at rest. */
 void board_self_test(struct board *board);
 
 #endif

@@ -4,7 +4,7 @@
 #include <stdio.h>
 #include <string.h>
 
-/* Twice: one disturbed transfer must not hide a chip. */
+/* Tries twice, so that one disturbed transfer does not hide a chip. */
 static bool is_there(const struct board *b, const struct chip *chip, uint8_t address, int *error)
 {
 	int result = board_identify(b, chip, address);
@@ -16,7 +16,7 @@ static bool is_there(const struct board *b, const struct chip *chip, uint8_t add
 	return result == 0;
 }
 
-/* The first of `candidates` that answers becomes the board's next stream. */
+/* Adds a stream for the first of `candidates` that answers. */
 static struct stream *find(struct board *b, const struct chip *const candidates[], int *error)
 {
 	for (; *candidates; candidates++)
@@ -48,8 +48,8 @@ static void name_board(struct board *b)
 static int missing(const char *what, const char *where, int cause, char *error, size_t error_size)
 {
 	snprintf(error, error_size,
-		"no %s answers at %s (%s): is the board powered and wired, and no other driver on it?", what, where,
-		cause ? strerror(-cause) : "other chips do");
+		"no %s answers at %s (%s): check power and wiring, and that no kernel driver is bound to the chip",
+		what, where, cause ? strerror(-cause) : "other chips answer there");
 	return cause ? cause : -ENODEV;
 }
 

@@ -4,7 +4,7 @@
 #include <math.h>
 #include <stdio.h>
 
-/* Values of a data sheet that near to the one asked for are it: 95 Hz for 100, 245 deg/s for 250. */
+/* A value of the data sheet is enough from this share of the requested one on: 95 Hz for 100, 245 deg/s for 250. */
 #define NEARLY 0.94
 
 static const struct chip_rate *choose_rate(const struct chip *chip, double hz, bool or_fastest)
@@ -18,7 +18,7 @@ static const struct chip_rate *choose_rate(const struct chip *chip, double hz, b
 	return or_fastest ? r - 1 : NULL;
 }
 
-/* The narrowest that is wide enough, or the widest. */
+/* Chooses the narrowest bandwidth that is enough, or the widest. */
 static void choose_bandwidth(struct chip_setup *setup, double hz)
 {
 	const double *all = setup->rate->bandwidth_hz;
@@ -31,46 +31,46 @@ static void choose_bandwidth(struct chip_setup *setup, double hz)
 	setup->bandwidth_hz = all[best];
 }
 
-struct wish {
+struct request {
 	const char *what, *unit;
 	double value;
 };
 
-static struct wish wish_of(enum imu_chip what, const struct imu_settings *settings)
+static struct request request_of(enum imu_chip what, const struct imu_settings *settings)
 {
 	switch (what) {
 	case IMU_CHIP_GYRO:
-		return (struct wish){"gyro", "deg/s", settings->gyro_range_deg_s};
+		return (struct request){"gyro", "deg/s", settings->gyro_range_deg_s};
 	case IMU_CHIP_ACCEL:
-		return (struct wish){"accelerometer", "g", settings->accel_range_g};
+		return (struct request){"accelerometer", "g", settings->accel_range_g};
 	case IMU_CHIP_MAG:
 		break;
 	}
-	return (struct wish){"magnetometer", "uT", settings->mag_range_uT};
+	return (struct request){"magnetometer", "uT", settings->mag_range_uT};
 }
 
 static int choose_ranges(const struct stream *s, const struct imu_settings *settings, struct chip_setup *setup,
 	char *error, size_t error_size)
 {
 	for (size_t i = 0; i < s->chip->triad_count; i++) {
-		struct wish wish = wish_of(s->chip->triads[i].what, settings);
+		struct request wanted = request_of(s->chip->triads[i].what, settings);
 		const struct chip_range *r = s->chip->triads[i].ranges;
 
-		while (r->full_scale > 0 && !(r->full_scale >= wish.value * NEARLY))
+		while (r->full_scale > 0 && !(r->full_scale >= wanted.value * NEARLY))
 			r++;
 		if (r->full_scale > 0) {
 			setup->range[i] = r;
 			continue;
 		}
-		snprintf(error, error_size, "%s range %g %s: the %s goes to %g", wish.what, wish.value, wish.unit,
-			s->chip->name, (r - 1)->full_scale);
+		snprintf(error, error_size, "%s range %g %s: the %s has at most %g", wanted.what, wanted.value,
+			wanted.unit, s->chip->name, (r - 1)->full_scale);
 		return -EINVAL;
 	}
 	return 0;
 }
 
-/* Faster than the gyro where it can: less to interpolate, and less to wait for. Not below 400 Hz, where coarse digits
- * repeat too often to be told from frozen ones in time. */
+/* Faster than the gyro where possible: less to interpolate, and less to wait for. Not below 400 Hz, where coarse digits
+ * repeat too often to detect frozen data in time. */
 static double accel_rate(double gyro_hz)
 {
 	return fmax(2 * gyro_hz, 400);
@@ -85,7 +85,7 @@ int board_plan(const struct board *b, const struct imu_settings *settings, bool 
 	if (!gyro || !(settings->rate_hz > 0)) {
 		const struct chip_rate *fastest = choose_rate(b->gyro->chip, INFINITY, true);
 
-		snprintf(error, error_size, "sensor rate %g Hz: the %s goes to %g Hz", settings->rate_hz,
+		snprintf(error, error_size, "sensor rate %g Hz: the %s has at most %g Hz", settings->rate_hz,
 			b->gyro->chip->name, fastest->hz);
 		return -EINVAL;
 	}

@@ -6,7 +6,7 @@
 
 enum { TEST_READS = 16, TEST_SETTLE_MS = 200 };
 
-/* Mean of what the data registers show. */
+/* The mean of TEST_READS samples of the data registers. */
 static int mean_of(struct board *b, const struct stream *s, struct vec3 mean[CHIP_TRIADS])
 {
 	int64_t next_ns = board_read_clock(b), period_ns = (int64_t)(1e9 / s->setup.rate->hz);
@@ -60,7 +60,7 @@ static const struct chip_range *widest(const struct chip_triad *triad)
 	return r;
 }
 
-/* Through the data registers, without FIFO; afterwards the chip is started anew like after a fault. */
+/* Reads the data registers, without FIFO. Afterwards the chip is initialised again, as after a fault. */
 static void test_stream(struct board *b, struct stream *s)
 {
 	const struct chip_setup setup = s->setup;
@@ -72,7 +72,7 @@ static void test_stream(struct board *b, struct stream *s)
 		if (t->self_test.most <= 0)
 			continue;
 		s->setup.fifo = false;
-		if (t->what == IMU_CHIP_GYRO) /* there its limits hold */
+		if (t->what == IMU_CHIP_GYRO) /* its limits are specified for it */
 			s->setup.range[i] = widest(t);
 		s->registers = (struct chip_registers){0};
 		s->chip->registers(&s->setup, &s->registers);
@@ -94,7 +94,7 @@ static void test_stream(struct board *b, struct stream *s)
 
 void board_self_test(struct board *b)
 {
-	b->health.self_test = IMU_SELF_TEST_RUNS; /* until samples come again */
+	b->health.self_test = IMU_SELF_TEST_RUNS; /* until there are samples again */
 	b->self_test_failed = false;
 	for (size_t i = 0; i < b->stream_count; i++)
 		test_stream(b, &b->streams[i]);

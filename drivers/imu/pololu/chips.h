@@ -1,7 +1,7 @@
 /* drivers/imu/pololu/chips.h
- * What the driver must know of each chip: how to recognise it, what can be set, which registers do that, and where and
- * in which form its data stand. Source: the data sheets of STMicroelectronics for the chips named. A device with one
- * oscillator is one struct chip; the LSM303D, whose accelerometer and magnetometer run on their own, is two. */
+ * Descriptions of the chips: identity, settings and the registers for them, address and format of the data. Source: the
+ * data sheets of STMicroelectronics. A device with one oscillator is one struct chip; the LSM303D, whose accelerometer and
+ * magnetometer sample independently, is two. */
 #ifndef DRIVERS_IMU_POLOLU_CHIPS_H
 #define DRIVERS_IMU_POLOLU_CHIPS_H
 
@@ -17,7 +17,7 @@ struct chip_register {
 	uint8_t address, value;
 };
 
-/* What is written at the start, in this order; also what must still stand there later. */
+/* Registers written at the start, in this order, and verified later. */
 struct chip_registers {
 	struct chip_register at[CHIP_REGISTERS];
 	size_t n;
@@ -26,25 +26,25 @@ struct chip_registers {
 struct chip_rate {
 	double hz;
 	uint8_t code;
-	double bandwidth_hz[CHIP_BANDWIDTHS]; /* by code; 0: the chip has not so many */
+	double bandwidth_hz[CHIP_BANDWIDTHS]; /* by code; 0: the chip has no such code */
 };
 
 /* SI units (rad/s, m/s^2), micro-tesla */
 struct chip_range {
 	double full_scale; /* deg/s, g, uT, as in struct imu_settings */
 	double step;	   /* one digit of the 16-bit word */
-	double step_z;	   /* where the z axis differs; 0: as the others */
+	double step_z;	   /* of the z axis if it differs; 0: as the others */
 	uint8_t code;
 };
 
-/* Settings as this chip has them. */
+/* The settings chosen for this chip. */
 struct chip_setup {
 	const struct chip_rate *rate;
 	const struct chip_range *range[CHIP_TRIADS];
 	double bandwidth_hz;
 	uint8_t bandwidth_code;
 	bool fifo;
-	bool data_ready; /* on its interrupt line */
+	bool data_ready; /* signal data ready on the interrupt line */
 	bool stub;	 /* see board_plan() */
 };
 
@@ -58,32 +58,32 @@ enum chip_fifo {
 struct chip_triad {
 	enum imu_chip what;
 	const struct chip_range *ranges; /* ends with full_scale 0 */
-	uint8_t byte;			 /* of its first word in the data */
-	uint8_t order[3];		 /* which of its words are x, y, z */
+	uint8_t byte;			 /* offset of its first word in the data */
+	uint8_t order[3];		 /* positions of the words of x, y and z */
 	double density;			 /* white noise, unit/sqrt(Hz) */
-	uint8_t digit;			 /* the word moves in steps of so many (left-justified 12 bits: 16); 0: 1 */
-	int16_t overflow;		 /* word that means "out of range"; 0: the ends of 16 bits do */
+	uint8_t digit;			 /* step of the word, 16 for left-justified 12 bits; 0: 1 */
+	int16_t overflow;		 /* word that means "out of range"; 0: the ends of the 16-bit range */
 	struct {
 		uint8_t address, mask, on;
-		/* change of the output, either sign, of gyros in their widest range; most 0: no self-test that has
-		 * limits */
+		/* limits of the change of the output, either sign, of gyros in their widest range; most 0: no self-test
+		 * with limits */
 		double least, most;
 	} self_test;
 };
 
 struct chip {
 	const char *name;
-	uint8_t addresses[2]; /* 0: only one */
-	/* these bytes stand there; none: whoever answers */
+	uint8_t addresses[2]; /* [1] 0: only one */
+	/* bytes of the identity registers; size 0: any chip that answers */
 	uint8_t identity_at, identity[3];
 	size_t identity_size;
 
-	uint8_t increment; /* bit in the sub-address that makes a read go on to the next register */
+	uint8_t increment; /* auto-increment bit of the sub-address */
 	bool big_endian;
 	uint8_t status, ready, overrun;
 	uint8_t data, data_size;
 	enum chip_fifo fifo;
-	const struct chip_rate *rates; /* rising, ends with 0 Hz */
+	const struct chip_rate *rates; /* increasing, ends with 0 Hz */
 	struct chip_triad triads[CHIP_TRIADS];
 	size_t triad_count;
 	struct {

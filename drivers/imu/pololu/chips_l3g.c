@@ -11,7 +11,7 @@ static const struct chip_rate RATES_4200[] = {{100, 0, {12.5, 25}}, {200, 1, {12
 	{400, 2, {20, 25, 50, 110}}, {800, 3, {30, 35, 50, 110}}, {.hz = 0}};
 static const struct chip_rate RATES_20[] = {{95, 0, {12.5, 25}}, {190, 1, {12.5, 25, 50, 70}},
 	{380, 2, {20, 25, 50, 100}}, {760, 3, {30, 35, 50, 100}}, {.hz = 0}};
-/* bandwidth codes that the data sheet leaves out stand with the one below */
+/* bandwidth codes that the data sheet does not list have the value of the next lower one */
 static const struct chip_rate RATES_20H[] = {{100, 0, {12.5, 25}}, {200, 1, {12.5, 12.5, 12.5, 70}},
 	{400, 2, {20, 25, 50, 110}}, {800, 3, {30, 35, 35, 100}}, {.hz = 0}};
 

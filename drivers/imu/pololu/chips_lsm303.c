@@ -3,7 +3,7 @@
 #include "drivers/imu/pololu/chips.h"
 #include "model/math/units.h"
 
-/* ---- accelerometer of DLH and DLM: 12 bits, left-justified: a digit of the data sheet is 16 of the word's --------- */
+/* ---- accelerometer of DLH and DLM: 12 bits, left-justified: one digit of the data sheet is 16 of the word --------- */
 
 static const struct chip_range DLH_RANGES[] = {{2, 1 * M_S2_PER_MG / 16, 0, 0}, {4, 2 * M_S2_PER_MG / 16, 0, 1},
 	{8, 3.9 * M_S2_PER_MG / 16, 0, 3}, {.full_scale = 0}};
@@ -72,7 +72,7 @@ const struct chip CHIP_LSM303DLHC_ACCEL = {.name = "LSM303DLHC",
 	.triad_count = 1,
 	.registers = dlhc_accel};
 
-/* ---- magnetometers of the three: big-endian, high byte first, the address moves on by itself ---------------------- */
+/* ---- magnetometers of the three: big-endian, address auto-increment ---------------------- */
 
 /* full scale [gauss], digits per gauss in x and y, in z, GN */
 #define GAUSS(full_scale, xy, z, gain)                                                            \
@@ -116,13 +116,13 @@ static void mag_registers(const struct chip_setup *setup, struct chip_registers 
 		0x3C \
 	}
 
-/* Noise: 2 mgauss at 75 Hz, the finest resolution that their data sheets give. Words stand as x, y, z on the DLH and as
+/* Noise: 2 mgauss at 75 Hz, the resolution given in their data sheets. The order of the words is x, y, z on the DLH and
  * x, z, y on its successors. */
 const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH_FIELD, 0.033, 1, 2);
 const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 0.033, 2, 1);
 const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 0.033, 2, 1);
 
-/* ---- LSM303D: one address, 16 bits; two oscillators' worth of samples --------------------------------------------- */
+/* ---- LSM303D: one address, 16 bits; accelerometer and magnetometer sample independently --------------------------------------------- */
 
 static const struct chip_range D_RANGES[] = {{2, 0.061 * M_S2_PER_MG, 0, 0}, {4, 0.122 * M_S2_PER_MG, 0, 1},
 	{6, 0.183 * M_S2_PER_MG, 0, 2}, {8, 0.244 * M_S2_PER_MG, 0, 3}, {16, 0.732 * M_S2_PER_MG, 0, 4},
@@ -136,7 +136,7 @@ static const struct chip_rate D_RATES[] = {{12.5, 3, D_FILTERS}, {25, 4, D_FILTE
 	{.hz = 0}};
 static const struct chip_range D_FIELD[] = {{200, 0.0080, 0, 0x00}, {400, 0.0160, 0, 0x20}, {800, 0.0320, 0, 0x40},
 	{1200, 0.0479, 0, 0x60}, {.full_scale = 0}};
-/* 100 Hz asks for an accelerometer above 50 Hz */
+/* not 100 Hz: it requires an accelerometer rate above 50 Hz */
 static const struct chip_rate D_MAG_RATES[] = {
 	{6.25, 1, {3}}, {12.5, 2, {6}}, {25, 3, {12.5}}, {50, 4, {25}}, {.hz = 0}};
 

@@ -1,9 +1,9 @@
 /* LSM6DS33 (DocID027423) and LSM6DSO (DS12140): accelerometer and gyro on one oscillator, sampled together. LIS3MDL
- * (DocID024204): the magnetometer beside them. */
+ * (DocID024204): the magnetometer on the same boards. */
 #include "drivers/imu/pololu/chips.h"
 #include "model/math/units.h"
 
-/* the code is FS_G and FS_125 as they stand in CTRL2_G */
+/* the code contains FS_G and FS_125 at their places in CTRL2_G */
 static const struct chip_range GYRO_RANGES[] = {{125, 4.375e-3 * RAD_PER_DEG, 0, 0x02},
 	{250, 8.75e-3 * RAD_PER_DEG, 0, 0x00}, {500, 17.5e-3 * RAD_PER_DEG, 0, 0x04},
 	{1000, 35e-3 * RAD_PER_DEG, 0, 0x08}, {2000, 70e-3 * RAD_PER_DEG, 0, 0x0C}, {.full_scale = 0}};
@@ -39,7 +39,7 @@ static void dso(const struct chip_setup *setup, struct chip_registers *out)
 	chip_put(out, 0x0A, setup->fifo ? 0x06 : 0x00);
 }
 
-/* Limits of the self-test at 2000 deg/s: DS12140, mechanical characteristics; the DS33's are the same. */
+/* Limits of the self-test at 2000 deg/s: DS12140, mechanical characteristics; those of the DS33 are equal. */
 #define LSM6(chip_name, who, fifo_kind, digits_per_degC, put, accel_noise, gyro_noise)                                 \
 	{                                                                                                              \
 		.name = (chip_name), .addresses = {0x6B, 0x6A}, .identity_at = 0x0F, .identity = {who},                \

@@ -19,12 +19,12 @@ struct i2c_imu {
 	struct i2c_bus *bus;
 	struct i2c_imu_config config;
 
-	/* the thread's own */
+	/* used by the thread only */
 	struct board board;
 	struct gpiod_chip *gpio;
 	struct gpiod_line *drdy;
 
-	/* between the two */
+	/* set by the port, read by the thread */
 	atomic_bool self_test, replan;
 	pthread_mutex_t plan_lock;
 	struct board_plan plan; /* to be applied when `replan` */
@@ -59,7 +59,7 @@ static void deliver(struct i2c_imu *imu)
 			imu_thread_send(&imu->thread, &sample);
 	}
 	imu->thread.health = imu->board.health;
-	imu_thread_tell(&imu->thread);
+	imu_thread_report(&imu->thread);
 }
 
 static void wait_until(struct i2c_imu *imu, int64_t wake_ns)
@@ -74,7 +74,7 @@ static void wait_until(struct i2c_imu *imu, int64_t wake_ns)
 		board_data_ready(&imu->board, (int64_t)event.ts.tv_sec * NS_PER_S + event.ts.tv_nsec);
 }
 
-static void take_orders(struct i2c_imu *imu)
+static void apply_requests(struct i2c_imu *imu)
 {
 	if (atomic_exchange(&imu->replan, false)) {
 		pthread_mutex_lock(&imu->plan_lock);
@@ -83,7 +83,7 @@ static void take_orders(struct i2c_imu *imu)
 	}
 	if (atomic_exchange(&imu->self_test, false)) {
 		imu->thread.health.self_test = IMU_SELF_TEST_RUNS;
-		imu_thread_tell(&imu->thread);
+		imu_thread_report(&imu->thread);
 		board_self_test(&imu->board);
 	}
 }
@@ -95,7 +95,7 @@ static void run(struct imu_thread *t)
 	while (!imu_thread_stopping(t)) {
 		int64_t wake_ns;
 
-		take_orders(imu);
+		apply_requests(imu);
 		wake_ns = board_step(&imu->board);
 		deliver(imu);
 		wait_until(imu, wake_ns);
@@ -114,8 +114,8 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 	return board_plan(&imu->board, &wanted, imu->config.stub, imu->drdy != NULL, plan, error, error_size);
 }
 
-/* What fails on the bus is told by the thread itself, in time. Silence is a thread that hangs, and no machine that is
- * slow. */
+/* The thread reports faults of the bus itself. The port's silence is the limit for a hanging thread, and tolerates a slow
+ * machine. */
 static void use_rate(struct i2c_imu *imu, double rate_hz)
 {
 	uint64_t hangs_us = imu->config.simulated ? SIMULATED_US : HANGS_US;
@@ -187,12 +187,12 @@ static int open_drdy(struct i2c_imu *imu, char *error, size_t error_size)
 	if (imu->drdy && gpiod_line_request_rising_edge_events(imu->drdy, "imu9-gateway") == 0)
 		return 0;
 	result = errno ? -errno : -EIO;
-	snprintf(error, error_size, "data-ready line %s:%u: %s: gpioinfo shows what there is", config->drdy_chip,
-		config->drdy_line, strerror(-result));
+	snprintf(error, error_size, "data-ready line %s:%u: %s: use one that `gpioinfo` lists as unused",
+		config->drdy_chip, config->drdy_line, strerror(-result));
 	return result;
 }
 
-/* Up to the thread: everything that can fail with a reason. */
+/* All that can fail before the thread is started. */
 static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, char *error, size_t error_size)
 {
 	char why[160];
@@ -238,7 +238,7 @@ int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, cons
 		imu->config.name = imu->config.drdy_chip = NULL; /* the caller's */
 		result = imu_thread_start(&imu->thread, "imu9-i2c", settings->realtime, run);
 		if (result < 0)
-			snprintf(error, error_size, "no thread for the sensor: %s", strerror(-result));
+			snprintf(error, error_size, "cannot start the sensor's thread: %s", strerror(-result));
 	}
 	if (result < 0) {
 		release(imu);

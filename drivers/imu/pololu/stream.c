@@ -4,17 +4,17 @@
 #include <math.h>
 #include <string.h>
 
-/* Oscillators of these chips may be off by that. */
+/* Tolerance of the chips' oscillators. */
 #define RATE_TOLERANCE 0.2
 
 enum {
 	LAST_BACKOFF_MS = 1000,
-	SOUND_MS = 1000,  /* so long without a fault, and the back-off begins anew */
-	STUB_LATE_MS = 2, /* what a stub shows may be that old */
-	/* Until the clock knows when samples are taken; a machine that reads too unevenly for that gets them all the
-	 * same after so many. */
+	STABLE_MS = 1000, /* after this time without a fault, the back-off is reset */
+	STUB_LATE_MS = 2, /* age of the register values of a stub */
+	/* Samples are delivered when the sample clock is locked, or after this number of samples on a machine that reads
+	 * too unevenly for that. */
 	SETTLE_SAMPLES = 16,
-	SATURATED_WORD = 32752, /* also the end of left-justified 12 bits */
+	SATURATED_WORD = 32752, /* the end of the range of left-justified 12 bits */
 	FIFO_SOURCE = 0x2F,
 	FIFO_DEPTH = 32,
 };
@@ -48,7 +48,7 @@ void stream_fail(struct board *b, struct stream *s, enum imu_fault fault)
 {
 	if (s->fault == IMU_FAULT_NONE)
 		s->fault = fault;
-	if (s->state == STREAM_UP && b->now_ns - s->since_ns > SOUND_MS * BOARD_MS)
+	if (s->state == STREAM_UP && b->now_ns - s->since_ns > STABLE_MS * BOARD_MS)
 		s->backoff_ns = STREAM_FIRST_BACKOFF_MS * BOARD_MS;
 	enter(b, s, STREAM_DOWN);
 	s->retry_ns = s->since_ns + s->backoff_ns;
@@ -107,7 +107,7 @@ void stream_start(struct board *b, struct stream *s)
 	}
 	enter(b, s, STREAM_STARTING);
 	sample_clock_start(&s->clock, 1e9 / s->setup.rate->hz, RATE_TOLERANCE);
-	s->taken = 0;
+	s->next = 0;
 	s->first = s->count = s->verify = 0;
 	s->partial_have = s->failures = s->saturated = s->same = 0;
 	s->failing_ns = 0;
@@ -151,17 +151,17 @@ static void watch_data(struct stream *s, const uint8_t *set, bool saturated)
 	s->saturated = saturated ? s->saturated + 1 : 0;
 }
 
-/* Whether what a chip measures after a fault shows that the fault is over. */
-static bool sound(const struct stream *s)
+/* Whether the samples of a chip that was initialised again show that the fault is over. */
+static bool recovered(const struct stream *s)
 {
 	if (s->clock.newest + 1 < SETTLE_SAMPLES && !sample_clock_locked(&s->clock))
 		return false;
 	return (s->fault != IMU_FAULT_FROZEN || s->same == 1) && (s->fault != IMU_FAULT_SATURATED || s->saturated == 0);
 }
 
-static void take(struct board *b, struct stream *s, const uint8_t *set)
+static void add_sample(struct board *b, struct stream *s, const uint8_t *set)
 {
-	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->taken++)};
+	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->next++)};
 	bool saturated = false;
 
 	for (size_t i = 0; i < s->chip->triad_count; i++)
@@ -169,7 +169,7 @@ static void take(struct board *b, struct stream *s, const uint8_t *set)
 	reading.saturated = saturated;
 	watch_data(s, set, saturated);
 	s->fresh_ns = b->now_ns;
-	if (s->state == STREAM_STARTING && sound(s)) {
+	if (s->state == STREAM_STARTING && recovered(s)) {
 		s->fault = IMU_FAULT_NONE;
 		enter(b, s, STREAM_UP);
 	}
@@ -184,26 +184,26 @@ static void take(struct board *b, struct stream *s, const uint8_t *set)
 
 enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
 
-/* The chip had `level` samples at some time between the two, the oldest of them being taken next. How many it lost
- * before them, the clock tells. */
+/* Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were lost
+ * before it is derived from the sample clock. */
 static void observe(
 	struct board *b, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns)
 {
 	if (losses != LOST_NONE && s->clock.newest >= 0) {
-		double since_ns = (double)from_ns - sample_clock_at(&s->clock, s->taken + level - 1);
+		double since_ns = (double)from_ns - sample_clock_at(&s->clock, s->next + level - 1);
 		double n = fmax(floor(since_ns / sample_clock_period(&s->clock)), losses == LOST_SOME ? 1 : 0);
 
-		s->taken += (int64_t)n;
+		s->next += (int64_t)n;
 		b->health.overruns += (uint32_t)n;
 	}
 	if (level == 0)
 		s->none_ns = from_ns;
-	/* of a stub, what is not there yet may have been sampled already */
-	sample_clock_read(&s->clock, s->taken + level,
+	/* a stub may not show a sample that was already taken */
+	sample_clock_read(&s->clock, s->next + level,
 		(double)(s->setup.stub ? from_ns - STUB_LATE_MS * BOARD_MS : from_ns), (double)to_ns);
 }
 
-/* Between this sample and the one before. */
+/* Whether samples were lost between this one and the one before. */
 static enum losses losses_of(const struct stream *s, uint8_t status)
 {
 	if (s->setup.stub || s->chip->overrun == 0)
@@ -211,7 +211,7 @@ static enum losses losses_of(const struct stream *s, uint8_t status)
 	return status & s->chip->overrun ? LOST_SOME : LOST_NONE;
 }
 
-/* Without FIFO: status and data, in one transfer where they stand near each other. */
+/* Without FIFO: reads status and data, in one transfer if they are close enough. */
 static int read_registers(struct board *b, struct stream *s)
 {
 	const struct chip *chip = s->chip;
@@ -232,16 +232,16 @@ static int read_registers(struct board *b, struct stream *s)
 		if (result < 0)
 			return result;
 	}
-	/* in a stub the bit stays: other data are new data */
+	/* the data-ready bit of a stub stays set: a sample is new if its data differ */
 	if (fresh && s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
 		fresh = false;
 	observe(b, s, fresh ? 1 : 0, fresh ? losses_of(s, bytes[0]) : LOST_NONE, from_ns, to_ns);
 	if (fresh)
-		take(b, s, set);
+		add_sample(b, s, set);
 	return fresh;
 }
 
-static int take_sets(struct board *b, struct stream *s, uint8_t at, int64_t level)
+static int read_sets(struct board *b, struct stream *s, uint8_t at, int64_t level)
 {
 	const size_t size = s->chip->data_size;
 	uint8_t bytes[I2C_BLOCK_MAX];
@@ -256,7 +256,7 @@ static int take_sets(struct board *b, struct stream *s, uint8_t at, int64_t leve
 		if (result < 0)
 			return result;
 		for (size_t i = 0; i < sets; i++)
-			take(b, s, bytes + i * size);
+			add_sample(b, s, bytes + i * size);
 		left -= (int64_t)sets;
 	}
 	return (int)level;
@@ -272,10 +272,10 @@ static int read_fifo_sets(struct board *b, struct stream *s)
 	if (result < 0)
 		return result;
 	observe(b, s, level, source & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, board_read_clock(b));
-	return take_sets(b, s, s->chip->data, level);
+	return read_sets(b, s, s->chip->data, level);
 }
 
-/* LSM6DS33: the status tells which word of the set comes next; after an overrun it may be one in the middle. */
+/* LSM6DS33: the status contains the position of the next word in its set; after an overrun it may be in the middle. */
 static int read_fifo_words(struct board *b, struct stream *s)
 {
 	int64_t from_ns = board_read_clock(b), words;
@@ -292,10 +292,10 @@ static int read_fifo_words(struct board *b, struct stream *s)
 			return result;
 	}
 	observe(b, s, words / 6, status[1] & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, board_read_clock(b));
-	return take_sets(b, s, 0x3E, words / 6 < FIFO_DEPTH ? words / 6 : FIFO_DEPTH);
+	return read_sets(b, s, 0x3E, words / 6 < FIFO_DEPTH ? words / 6 : FIFO_DEPTH);
 }
 
-static void take_tagged(struct board *b, struct stream *s, const uint8_t *entry)
+static void add_tagged(struct board *b, struct stream *s, const uint8_t *entry)
 {
 	enum { TAG_GYRO = 1, TAG_ACCEL = 2 };
 	unsigned tag = entry[0] >> 3;
@@ -307,7 +307,7 @@ static void take_tagged(struct board *b, struct stream *s, const uint8_t *entry)
 	if (s->partial_have != (TAG_GYRO | TAG_ACCEL))
 		return;
 	s->partial_have = 0;
-	take(b, s, s->partial);
+	add_sample(b, s, s->partial);
 }
 
 /* LSM6DSO: each entry is a tag and one triad. */
@@ -331,7 +331,7 @@ static int read_fifo_tagged(struct board *b, struct stream *s)
 		if ((result = board_read_chip(b, s->chip, s->address, 0x78, bytes, n * ENTRY)) < 0)
 			return result;
 		for (size_t i = 0; i < n; i++)
-			take_tagged(b, s, bytes + i * ENTRY);
+			add_tagged(b, s, bytes + i * ENTRY);
 	}
 	return (int)entries;
 }

@@ -4,28 +4,28 @@
 #include <errno.h>
 #include <math.h>
 
-/* A chip may have so much less noise than its data sheet's typical figure. */
+/* Noise of a quiet chip, as a share of the typical value in its data sheet. */
 #define LEAST_NOISE 0.6
-/* Chance that noise alone repeats itself often enough to be taken for frozen data; at 400 Hz, with all three axes at
- * the worst place all the time, once in 80 years. */
+/* Probability of a false alarm per sample: equal samples by noise alone. At 400 Hz, in the worst case for all axes, this
+ * is once in 80 years. */
 #define FROZEN_CHANCE 1e-12
 
 enum {
 	SILENT_MS = 20,
 	STOPPED_MS = 50,
-	STOPPED_STUB_MS = 1000, /* its feeder is a program that may have to wait */
+	STOPPED_STUB_MS = 1000, /* a program writes the registers, and may be delayed */
 	FROZEN_MS = 50,
-	LAST_FROZEN_MS = 1000, /* where noise needs longer, it tells nothing */
+	LAST_FROZEN_MS = 1000, /* if equal samples by noise may last longer, they are no fault */
 	SATURATED_MS = 60,
 };
 
-/* The greatest chance that the next value of an axis is the same digit, whatever came before. Noise behind a low-pass
- * (of first order) follows itself; what is new in each sample has the deviation that is left. */
-static double chance_of_same(const struct chip_setup *setup, double density, double digit)
+/* The largest probability that the next value of an axis is the same digit. Noise behind a first-order low-pass is
+ * correlated; the innovation of each sample has the remaining standard deviation. */
+static double probability_of_same(const struct chip_setup *setup, double density, double digit)
 {
-	double follows = exp(-2 * PI * setup->bandwidth_hz / setup->rate->hz);
+	double correlation = exp(-2 * PI * setup->bandwidth_hz / setup->rate->hz);
 	double sigma = LEAST_NOISE * density * sqrt(fmin(setup->bandwidth_hz, setup->rate->hz / 2)) *
-		       sqrt(1 - follows * follows) / digit;
+		       sqrt(1 - correlation * correlation) / digit;
 
 	return erf(0.5 / (sigma * sqrt(2)));
 }
@@ -37,15 +37,15 @@ static unsigned samples_in(const struct stream *s, int ms)
 
 unsigned stream_same_limit(const struct stream *s)
 {
-	double log_chance = 0, n;
+	double log_probability = 0, n;
 
 	for (size_t i = 0; i < s->chip->triad_count; i++) {
 		const struct chip_triad *t = &s->chip->triads[i];
 		double digit = s->setup.range[i]->step * (t->digit ? t->digit : 1);
 
-		log_chance += 3 * log(chance_of_same(&s->setup, t->density, digit));
+		log_probability += 3 * log(probability_of_same(&s->setup, t->density, digit));
 	}
-	n = 1 + ceil(log(FROZEN_CHANCE) / log_chance);
+	n = 1 + ceil(log(FROZEN_CHANCE) / log_probability);
 	if (!(n <= samples_in(s, LAST_FROZEN_MS)))
 		return 0;
 	return (unsigned)fmax(n, samples_in(s, FROZEN_MS));
@@ -82,13 +82,13 @@ void stream_verify_next(struct board *b, struct stream *s)
 	stream_count_errors(b, s, result);
 }
 
-/* Nothing new between the end of a read that found something and the beginning of one that did not. */
+/* No new sample from the end of the last read with one to the start of the last read without one. */
 static bool stopped(const struct stream *s)
 {
 	int64_t limit_ns =
 		(s->setup.stub ? STOPPED_STUB_MS : STOPPED_MS) * BOARD_MS + (int64_t)(2e9 / s->setup.rate->hz);
 
-	if (s->setup.stub && s->same_limit == 0) /* equal data may be new ones */
+	if (s->setup.stub && s->same_limit == 0) /* equal data may be new samples */
 		return false;
 	return s->none_ns - s->fresh_ns > limit_ns;
 }

@@ -1,5 +1,5 @@
-/* A simulated robot: the real driver on simulated chips (sim_chips.h) that feel a scenario of model/sim/signal with the
- * noise of model/sim/sensor, calibrated, in real time, for ever. */
+/* A simulated robot in real time: the real driver on simulated chips (sim_chips.h), which measure a scenario of
+ * model/sim/signal with the errors of model/sim/sensor, calibrated unless requested otherwise. */
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>
@@ -12,7 +12,7 @@ static const char PRESET[] = "lsm303dlhc_l3gd20", BOARD[] = "v3";
 enum { SEED = 1 };
 /* from the robot's reference point to the sensor: the seed's 5 cm */
 static const struct vec3 LEVER_ARM_B_M = {0.05, 0, 0};
-/* oscillators as real ones are: not quite right, and not alike */
+/* relative errors of the oscillators */
 static const double RATE_ERROR[] = {[IMU_CHIP_GYRO] = 0.004, [IMU_CHIP_ACCEL] = -0.006, [IMU_CHIP_MAG] = 0.01};
 
 static void scenarios(char *text, size_t size)
@@ -58,7 +58,9 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	while ((option = strsep(&rest, ",")))
 		if (parse_option(option, &config, &driver, &uncalibrated) < 0) {
 			snprintf(error, error_size,
-				"sim: '%.40s': use rate=HZ or board=v0, v1, v2, v3, v5, v6, or uncalibrated", option);
+				"sim: unknown option '%.40s': use rate=HZ, board=v0, v1, v2, v3, v5 or v6, or "
+				"uncalibrated",
+				option);
 			return -EINVAL;
 		}
 	if (!uncalibrated)
@@ -68,7 +70,7 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	snprintf(name, sizeof name, "sim:%s", config.signal->name);
 	result = sim_board_open(&config, &board);
 	if (result < 0) {
-		snprintf(error, error_size, "sim: no board '%.10s': use v0, v1, v2, v3, v5 or v6", config.board);
+		snprintf(error, error_size, "sim: unknown board '%.10s': use v0, v1, v2, v3, v5 or v6", config.board);
 		return result;
 	}
 	return i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);

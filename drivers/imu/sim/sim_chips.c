@@ -40,14 +40,14 @@ static const struct {
 };
 
 struct sim_triad {
-	enum imu_chip what; /* 0: not there */
+	enum imu_chip what; /* 0: none */
 	double rate_hz;	    /* 0: off */
 	double rate_error;
 	double lsb[3]; /* of the axes x, y, z */
-	double grain;  /* of a word */
+	double grain;  /* step of the word, in digits of lsb */
 	struct vec3 self_test;
 	bool axis_on[3];
-	uint8_t out, status; /* registers: first of the data, status */
+	uint8_t out, status; /* registers: first data register, status */
 	uint8_t order[3];    /* register pair of x, y, z */
 	struct sensor sensor;
 	double epoch_ns;
@@ -65,10 +65,10 @@ struct sim_chip {
 	bool silent;
 	/* FIFO: bytes of sets, words or tagged entries, oldest first */
 	uint8_t fifo[WORDS * 2];
-	size_t fifo_first, fifo_used, fifo_size, entry; /* in entries; bytes of one */
+	size_t fifo_first, fifo_used, fifo_size, entry; /* in entries; entry: bytes of one */
 	bool fifo_on, fifo_overrun;
-	unsigned word_phase; /* LSM6DS33: which word of the set comes next */
-	size_t entry_byte;   /* of the oldest entry, read next */
+	unsigned word_phase; /* LSM6DS33: position of the next word in its set */
+	size_t entry_byte;   /* of the oldest entry, to be read next */
 	unsigned tag_count;
 };
 
@@ -80,7 +80,7 @@ struct sim_board {
 	unsigned long accesses;
 };
 
-/* ---- registers to effects ---------------------------------------------------------------------------------------- */
+/* ---- effects of the registers ---------------------------------------------------------------------------------------- */
 
 static bool is_l3g(enum kind kind)
 {
@@ -355,7 +355,7 @@ static double period_ns(const struct sim_triad *t)
 	return 1e9 / (t->rate_hz * (1 + t->rate_error));
 }
 
-/* A changed rate begins anew; the sensor's errors stay those of its seed. */
+/* A change of the rate restarts the sampling; the sensor's errors depend on the seed only. */
 static int restart(struct sim_board *b, struct sim_triad *t, double now_ns)
 {
 	struct sensor_config config = b->config.sensor;
@@ -367,7 +367,7 @@ static int restart(struct sim_board *b, struct sim_triad *t, double now_ns)
 	config.rate_hz = t->rate_hz > 0 ? t->rate_hz : 100;
 	config.mag_rate_hz = 0;
 	for (int i = 0; i < 3; i++)
-		all[i]->step = all[i]->range = 0; /* the chip's own */
+		all[i]->step = all[i]->range = 0; /* quantised by the chip */
 	return sensor_init(&t->sensor, &config, b->config.seed + (uint64_t)t->what);
 }
 
@@ -383,7 +383,7 @@ static void push(struct sim_chip *c, const uint8_t *entry)
 	c->fifo_used++;
 }
 
-/* The new sample of a triad, as it stands in its registers. */
+/* Copies the new sample of a triad from its registers to the FIFO. */
 static void push_triad(struct sim_chip *c, const struct sim_triad *t)
 {
 	uint8_t bytes[ENTRY];
@@ -473,7 +473,7 @@ static void show_fifo(struct sim_chip *c)
 		c->regs[0x3C] = (uint8_t)c->word_phase;
 }
 
-/* The two triads of an LSM6 sample together: one after the other here. */
+/* The two triads of an LSM6 sample at the same time. */
 static void advance(struct sim_board *b, struct sim_chip *c)
 {
 	double now_ns = (double)b->config.now_ns(b->config.clock);
@@ -540,8 +540,8 @@ static void pop(struct sim_chip *c)
 	c->word_phase = (c->word_phase + 1) % 6;
 }
 
-/* Reading the last data register of a triad says that it was taken. */
-static void taken_out(struct sim_chip *c, uint8_t reg)
+/* Reading the last data register of a triad clears its status. */
+static void clear_status(struct sim_chip *c, uint8_t reg)
 {
 	for (int i = 0; i < 2 && c->triads[i].what; i++)
 		if (reg == c->triads[i].out + 5)
@@ -554,7 +554,7 @@ static uint8_t read_register(struct sim_chip *c, uint8_t reg)
 	const bool inside = reg >= window && reg < window + c->entry && c->fifo_on && c->fifo_used > 0;
 	uint8_t value = inside ? c->fifo[c->fifo_first * c->entry + reg - window] : c->regs[reg];
 
-	taken_out(c, reg);
+	clear_status(c, reg);
 	if (inside && (size_t)(reg - window) == c->entry - 1)
 		pop(c);
 	show_status(c);
@@ -562,7 +562,7 @@ static uint8_t read_register(struct sim_chip *c, uint8_t reg)
 	return value;
 }
 
-/* The sub-address without the bit that asks for more. */
+/* The sub-address without the auto-increment bit. */
 static uint8_t plain(const struct sim_chip *c, uint8_t sub)
 {
 	return is_lsm6(c->kind) || is_old_mag(c->kind) ? sub : sub & 0x7F;
@@ -590,7 +590,7 @@ static void write_register(struct sim_board *b, struct sim_chip *c, uint8_t reg,
 	for (int i = 0; i < 2 && c->triads[i].what; i++)
 		if (c->triads[i].rate_hz != rates[i])
 			restart(b, &c->triads[i], now_ns);
-	if (is_lsm6(c->kind)) /* one oscillator, one phase */
+	if (is_lsm6(c->kind)) /* one oscillator */
 		c->triads[1].epoch_ns = c->triads[0].epoch_ns;
 	if (c->fifo_on != fifo_was_on || !c->fifo_on)
 		clear_fifo(c);
@@ -695,7 +695,7 @@ struct i2c_bus *sim_board_bus(struct sim_board *b)
 	return &b->bus;
 }
 
-/* ---- faults, and a look inside ----------------------------------------------------------------------------------- */
+/* ---- faults, and access for tests ----------------------------------------------------------------------------------- */
 
 static struct sim_chip *chip_of(struct sim_board *b, enum imu_chip what, struct sim_triad **triad)
 {
