@@ -194,6 +194,17 @@ eds-revision: ## raise the revision of the EDS after a change, 1018h:3 too (MAJO
 check-eds: ## fail when the EDS changed and its revision did not
 	@tools/eds/eds-revision eds/imu9-gateway.eds check
 
+DRIVERS_README = drivers/readme-tables $(BUILD)/imu9-gateway drivers/README.md
+.PHONY: drivers-readme check-drivers-readme
+readme: drivers-readme
+check-readme: check-drivers-readme
+drivers-readme: $(BUILD)/imu9-gateway ## bring the tables of sensors and buses in drivers/README.md up to date
+	@$(DRIVERS_README) >$(BUILD)/drivers-README.md && cp $(BUILD)/drivers-README.md drivers/README.md
+
+check-drivers-readme: $(BUILD)/imu9-gateway ## fail when these tables are not those of --help
+	@$(DRIVERS_README) | cmp -s - drivers/README.md || \
+		{ echo "drivers/README.md: the tables are out of date: make readme" >&2; exit 1; }
+
 # one place for all tests on recorded trials: they read IMU9_BROAD
 BROAD ?= $(or $(IMU9_BROAD),../shared/data/broad)
 export IMU9_BROAD := $(abspath $(BROAD))
