@@ -517,6 +517,54 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 	}
 }
 
+/* Rates and the control registers for them, from the tables of the data sheets: the gyro's (with its widest bandwidth) and
+ * the accelerometer's, which samples at least twice as fast where it can. */
+static void test_each_rate_has_the_registers_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		double wanted_hz, hz;
+		uint8_t gyro_at, gyro, accel_at, accel;
+	} rates[] = {
+		{"v0", 100, 100, 0x20, 0x1F, 0x20, 0x37}, /* DR, BW, PD, axes; 400 Hz */
+		{"v0", 200, 200, 0x20, 0x7F, 0x20, 0x37},
+		{"v0", 400, 400, 0x20, 0xBF, 0x20, 0x3F}, /* 1000 Hz */
+		{"v0", 800, 800, 0x20, 0xFF, 0x20, 0x3F},
+		{"v2", 100, 95, 0x20, 0x1F, 0x20, 0x77}, /* 400 Hz */
+		{"v2", 200, 190, 0x20, 0x7F, 0x20, 0x77},
+		{"v2", 400, 380, 0x20, 0xBF, 0x20, 0x97}, /* 1344 Hz */
+		{"v2", 800, 760, 0x20, 0xFF, 0x20, 0x97},
+		{"v3", 100, 100, 0x20, 0x1F, 0x20, 0x8F}, /* 400 Hz */
+		{"v3", 200, 200, 0x20, 0x7F, 0x20, 0x8F},
+		{"v3", 400, 400, 0x20, 0xBF, 0x20, 0x9F}, /* 800 Hz */
+		{"v3", 800, 800, 0x20, 0xFF, 0x20, 0xAF}, /* 1600 Hz */
+		{"v5", 100, 104, 0x11, 0x4C, 0x10, 0x4C}, /* one oscillator */
+		{"v5", 200, 208, 0x11, 0x5C, 0x10, 0x5C},
+		{"v5", 400, 416, 0x11, 0x6C, 0x10, 0x6C},
+		{"v5", 800, 833, 0x11, 0x7C, 0x10, 0x7C},
+		{"v6", 1600, 1660, 0x11, 0x8C, 0x10, 0x8C},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof rates / sizeof *rates; i++) {
+		struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+		struct world *w = world_make(rates[i].board, "rest", false);
+		struct board_plan plan;
+		char why[200];
+
+		settings.rate_hz = rates[i].wanted_hz;
+		world_detect(w);
+		assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
+		assert_true(plan.rate_hz == rates[i].hz);
+		board_apply(&w->board, &plan);
+		world_run(w, 50000);
+		assert_int_equal(sim_board_registers(w->sim, IMU_CHIP_GYRO)[rates[i].gyro_at], rates[i].gyro);
+		assert_int_equal(sim_board_registers(w->sim, IMU_CHIP_ACCEL)[rates[i].accel_at], rates[i].accel);
+		assert_int_equal(w->board.health.fault, 0);
+		world_free(w);
+	}
+}
+
 /* ---- self-test ---------------------------------------------------------------------------------------------------- */
 
 static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
@@ -588,6 +636,7 @@ int main(void)
 		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
 		cmocka_unit_test(test_a_self_test_passes_in_any_range),
 		cmocka_unit_test(test_a_self_test_without_effect_has_failed),
