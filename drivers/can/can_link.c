@@ -14,7 +14,7 @@
 
 enum { ANSWER_MAX = 16384 };
 
-/* ---- netlink: one request, one answer------------------------------------------------------------------------------- */
+/* ---- netlink: one request, one answer ---------------------------------------------------------------------------- */
 
 struct request {
 	struct nlmsghdr header;
@@ -77,7 +77,7 @@ static int change(const struct request *r)
 	return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
 }
 
-/* ---- reading ----------------------------------------------------------------------------------------------- */
+/* ---- reading ----------------------------------------------------------------------------------------------------- */
 
 /* The first attribute of this type in `size` bytes of attributes, or NULL. */
 static const struct rtattr *find(const void *first, size_t size, unsigned short type)
@@ -172,7 +172,7 @@ int can_link_look(int interface, struct can_link *link)
 	return 0;
 }
 
-/* ---- changing ----------------------------------------------------------------------------------------- */
+/* ---- changing ---------------------------------------------------------------------------------------------------- */
 
 static bool permitted(void)
 {

@@ -1,6 +1,6 @@
 /* drivers/can/can_link.h
- * The controller behind a SocketCAN interface, by netlink: bit rate, state, error counters, statistics. Changing it needs
- * CAP_NET_ADMIN. vcan has none. (libsocketcan needs a request for each value and writes to stderr.) */
+ * The controller behind a SocketCAN interface, by netlink: bit rate, state, error counters, statistics. Changing it
+ * needs CAP_NET_ADMIN. vcan has none. (libsocketcan needs a request for each value and writes to stderr.) */
 #ifndef DRIVERS_CAN_CAN_LINK_H
 #define DRIVERS_CAN_CAN_LINK_H
 

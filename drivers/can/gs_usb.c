@@ -115,7 +115,7 @@ static int errno_of(int usb_error)
 	}
 }
 
-/* ---- libusb's descriptors in the port's --------------------------------------------------------------------------------- */
+/* ---- libusb's descriptors in the port's -------------------------------------------------------------------------- */
 
 static void LIBUSB_CALL add_descriptor(int fd, short events, void *user_data)
 {
@@ -157,7 +157,7 @@ static void wait_for_events(struct gs_usb *can, long ms)
 	(void)libusb_handle_events_timeout_completed(can->usb, &time, NULL);
 }
 
-/* ---- transfers ---------------------------------------------------------------------------------------------------- */
+/* ---- transfers --------------------------------------------------------------------------------------------------- */
 
 static bool submit(struct gs_usb *can, struct libusb_transfer *transfer)
 {
@@ -220,7 +220,7 @@ static void free_slots(struct gs_usb *can)
 	can->full_since_us = 0;
 }
 
-/* ---- setting the adapter up --------------------------------------------------------------------------------------- */
+/* ---- setting the adapter up -------------------------------------------------------------------------------------- */
 
 static uint32_t mode_flags(const struct gs_usb *can)
 {
@@ -336,7 +336,7 @@ static void restart(struct gs_usb *can)
 		can->step = STEP_RESET;
 }
 
-/* ---- attaching and detaching ---------------------------------------------------------------------------------------- */
+/* ---- attaching and detaching ------------------------------------------------------------------------------------- */
 
 /* The CAN interface has a bulk endpoint in each direction; candleLight has another one for firmware updates. */
 static bool use_interface(struct gs_usb *can, const struct libusb_interface_descriptor *interface)
@@ -465,7 +465,7 @@ static void detach(struct gs_usb *can)
 		close_handle(can);
 }
 
-/* ---- the port ------------------------------------------------------------------------------------------------------ */
+/* ---- the port ---------------------------------------------------------------------------------------------------- */
 
 static int gs_usb_send(struct can_port *port, const struct can_msg *msg)
 {
@@ -671,7 +671,7 @@ static const struct can_ops gs_usb_ops = {
 	.close = gs_usb_close,
 };
 
-/* ---- opening ------------------------------------------------------------------------------------------------------- */
+/* ---- opening ----------------------------------------------------------------------------------------------------- */
 
 static bool allocate_transfers(struct gs_usb *can)
 {

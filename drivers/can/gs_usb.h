@@ -12,11 +12,11 @@
 
 #define CAN_GS_USB_SYNTAX "gs_usb[:SERIAL[:CHANNEL]][,bitrate=B][,sample-point=P][,listen-only]"
 
-/** `address` is [SERIAL[:CHANNEL]][,OPTION...] (bus_options.h); instead of the serial number, the USB port is accepted, e.g.
- * 3-1.2. Otherwise as can_open(). The adapter goes on the bus with the first can_service(), so a bit rate set
- * right after opening is used from the start.
- * -ENODEV: no such adapter; -ENOTUNIQ: several; -EACCES: no permission; -EBUSY: another program uses it; -EOPNOTSUPP: it
- * does not support the bit rate or listen-only mode; -ECHRNG: no such channel. */
+/** `address` is [SERIAL[:CHANNEL]][,OPTION...] (bus_options.h); instead of the serial number, the USB port is accepted,
+ * e.g. 3-1.2. Otherwise as can_open(). The adapter goes on the bus with the first can_service(), so a bit rate set
+ * right after opening is used from the start. -ENODEV: no such adapter; -ENOTUNIQ: several; -EACCES: no permission;
+ * -EBUSY: another program uses it; -EOPNOTSUPP: it does not support the bit rate or listen-only mode; -ECHRNG: no such
+ * channel. */
 int can_gs_usb_open(const char *address, struct can_port **port, char *error, size_t error_size);
 
 #endif

@@ -63,13 +63,13 @@ void gs_usb_put_frame(const struct can_msg *msg, uint32_t slot, uint8_t channel,
 int gs_usb_get_limits(const uint8_t *in, size_t size, struct gs_usb_limits *limits);
 /** The number of channels, or -EBADMSG. */
 int gs_usb_get_channels(const uint8_t *in, size_t size);
-/** One packet is one frame; the rest of it is padding. 0; -EBADMSG: too short, too long a DLC, an echo of a slot that does not exist;
- * -ENOTSUP: CAN FD. */
+/** One packet is one frame; the rest of it is padding. 0; -EBADMSG: too short, too long a DLC, an echo of a slot that
+ * does not exist; -ENOTSUP: CAN FD. */
 int gs_usb_get_frame(const uint8_t *in, size_t size, bool stamped, struct gs_usb_frame *frame);
 
 /** Maps the adapter's 32-bit microsecond clock to CLOCK_MONOTONIC. No frame arrives before it was on the bus, and the
- * fastest one has hardly any delay: the offset between the clocks is the smallest seen. It increases by 200 ppm, more than
- * two crystals differ, so that a drift in either direction is followed. */
+ * fastest one has hardly any delay: the offset between the clocks is the smallest seen. It increases by 200 ppm, more
+ * than two crystals differ, so that a drift in either direction is followed. */
 struct gs_usb_clock {
 	bool running;
 	uint32_t last_stamp_us;

@@ -13,7 +13,8 @@
 /* The USB IDs of Linux's gs_usb driver. */
 static const char *const known_ids[] = {"1d50:606f", "1209:2323", "1cd2:606f", "16d0:10b8", "16d0:0f30", "1209:ca01"};
 
-/* Reads the first line of a file; control characters are replaced, since the text goes to terminals. False: no such file. */
+/* Reads the first line of a file; control characters are replaced, since the text goes to terminals. False: no such
+ * file. */
 static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 {
 	int fd = openat(dir, file, O_RDONLY | O_CLOEXEC);

@@ -1,6 +1,6 @@
 /* drivers/can/more.h
- * A port's epoll descriptor, and an eventfd in it that keeps it readable while received frames wait in the driver itself.
- * A system call is made only when that changes. */
+ * A port's epoll descriptor, and an eventfd in it that keeps it readable while received frames wait in the driver
+ * itself. A system call is made only when that changes. */
 #ifndef DRIVERS_CAN_MORE_H
 #define DRIVERS_CAN_MORE_H
 

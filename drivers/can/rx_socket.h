@@ -1,6 +1,6 @@
 /* drivers/can/rx_socket.h
- * A datagram socket that reports when the kernel received each datagram and how many the kernel dropped. It fetches up to
- * a batch of datagrams with one system call. */
+ * A datagram socket that reports when the kernel received each datagram and how many the kernel dropped. It fetches up
+ * to a batch of datagrams with one system call. */
 #ifndef DRIVERS_CAN_RX_SOCKET_H
 #define DRIVERS_CAN_RX_SOCKET_H
 
@@ -29,8 +29,8 @@ struct rx_socket { /* start from {.fd = fd} */
 int rx_socket_prepare(int fd);
 
 /** 1 and a datagram, valid until the next call; 0: none now; -errno. Adds the datagrams that the kernel dropped to
- * *dropped. now_us: CLOCK_MONOTONIC, now or a little earlier. Call it until it returns 0: the descriptor is not readable
- * for datagrams of a batch that has been fetched. */
+ * *dropped. now_us: CLOCK_MONOTONIC, now or a little earlier. Call it until it returns 0: the descriptor is not
+ * readable for datagrams of a batch that has been fetched. */
 int rx_socket_receive(struct rx_socket *rx, const struct rx_datagram **datagram, uint64_t now_us, uint32_t *dropped);
 
 #endif

@@ -52,7 +52,7 @@ static struct slcan *of(struct can_port *port)
 	return (struct slcan *)(void *)port;
 }
 
-/* ---- the serial line ---------------------------------------------------------------------------------------------- */
+/* ---- the serial line --------------------------------------------------------------------------------------------- */
 
 static bool find_baud(unsigned long baud, speed_t *speed)
 {
@@ -152,7 +152,7 @@ static int write_line(struct slcan *can, size_t length)
 	return -EAGAIN;
 }
 
-/* ---- answers of the adapter ---------------------------------------------------------------------------------------- */
+/* ---- answers of the adapter -------------------------------------------------------------------------------------- */
 
 static void handle_status(struct slcan *can, uint8_t flags)
 {
@@ -218,7 +218,7 @@ static bool read_more(struct slcan *can)
 	return can->in_length > 0;
 }
 
-/* ---- the port ----------------------------------------------------------------------------------------------------- */
+/* ---- the port ---------------------------------------------------------------------------------------------------- */
 
 static int slcan_send(struct can_port *port, const struct can_msg *msg)
 {

@@ -170,8 +170,8 @@ static int reopen(struct socketcan *can)
 	return 0;
 }
 
-/* Error frames report a change of state at once; this covers the state before the socket was opened, and drivers without
- * error frames. service() handles an interface that is down. */
+/* Error frames report a change of state at once; this covers the state before the socket was opened, and drivers
+ * without error frames. service() handles an interface that is down. */
 static void socketcan_look(struct can_port *port)
 {
 	struct can_link link;

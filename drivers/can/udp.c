@@ -202,9 +202,9 @@ static int open_sender(const union address *group)
 	return result;
 }
 
-/* Attaches a filter that truncates own datagrams to the UDP header, so that they are received empty. (Rejected ones would
- * be counted as dropped in SO_RXQ_OVFL.) Own datagrams have the source port of `sender` and were sent by this host: they
- * are looped back (PACKET_LOOPBACK) or were received through the loopback interface. */
+/* Attaches a filter that truncates own datagrams to the UDP header, so that they are received empty. (Rejected ones
+ * would be counted as dropped in SO_RXQ_OVFL.) Own datagrams have the source port of `sender` and were sent by this
+ * host: they are looped back (PACKET_LOOPBACK) or were received through the loopback interface. */
 static int truncate_own(int fd, int sender)
 {
 	union address own = {0};

@@ -1,10 +1,10 @@
 /* drivers/imu/frozen.h
  * Detects a sensor that delivers the same raw values again and again (frozen), and distinguishes it from one at rest.
  *
- * Where the noise exceeds one digit, equal raw values repeat only a few times. The longest run so far is measured; a run
- * ten times as long is a fault. Where the noise is below one digit, the values at rest may stay equal for any time, and a
- * run means nothing. Which of the two holds is determined from stretches in which the values stay within two neighbouring
- * digits: with noise above a digit they are short. */
+ * Where the noise exceeds one digit, equal raw values repeat only a few times. The longest run so far is measured; a
+ * run ten times as long is a fault. Where the noise is below one digit, the values at rest may stay equal for any time,
+ * and a run means nothing. Which of the two holds is determined from stretches in which the values stay within two
+ * neighbouring digits: with noise above a digit they are short. */
 #ifndef DRIVERS_IMU_FROZEN_H
 #define DRIVERS_IMU_FROZEN_H
 

@@ -1,5 +1,6 @@
-/* iio[:DEVICE[,DEVICE]...]: sensors of the kernel's IIO drivers, through libiio. Samples are captured in buffers, triggered
- * by the devices (data ready) or by a timer trigger; where neither is possible, they are polled through sysfs. */
+/* iio[:DEVICE[,DEVICE]...]: sensors of the kernel's IIO drivers, through libiio. Samples are captured in buffers,
+ * triggered by the devices (data ready) or by a timer trigger; where neither is possible, they are polled through
+ * sysfs. */
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
@@ -170,7 +171,8 @@ static bool read_raw(const struct triad *t, double raw[AXES])
 	return true;
 }
 
-/* Reads each sensor through sysfs; the time of a reading is the middle of the read. False: gyro or accelerometer failed. */
+/* Reads each sensor through sysfs; the time of a reading is the middle of the read. False: gyro or accelerometer
+ * failed. */
 static bool read_polled(struct iio_imu *imu)
 {
 	for (int kind = 0; kind < TRIADS; kind++) {

@@ -11,7 +11,8 @@
 #include "drivers/imu/merge.h"
 
 enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256 };
-/* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, default 2): a separate magnetometer has its own timer. */
+/* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, default 2): a separate magnetometer has its own
+ * timer. */
 enum { TIMER_MOTION, TIMER_MAG, TIMERS };
 
 struct iio_kind {

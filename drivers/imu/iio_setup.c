@@ -146,7 +146,8 @@ static double wanted_range(const struct imu_settings *settings, int kind)
 			       : settings->mag_range_uT / UT_PER_GAUSS;
 }
 
-/* A timer trigger reads the chip's newest sample: the chip must sample faster than the timer, or some are read twice. */
+/* A timer trigger reads the chip's newest sample: the chip must sample faster than the timer, or some are read
+ * twice. */
 static double wanted_rate(const struct imu_settings *settings, const struct choice *choice)
 {
 	return choice->by_timer ? 2 * settings->rate_hz : settings->rate_hz;

@@ -11,8 +11,8 @@
  * in. 0; -EINVAL: not a matrix or not a rotation; `rows` is unchanged. */
 int iio_parse_mount_matrix(const char *text, struct vec3 rows[3]);
 
-/** Chooses from *_available, a list or "[FIRST STEP LAST]", the smallest value that is at least `wanted`; `token` is its
- * text in the list. 0; -ERANGE: all are smaller, `token` is the largest; -EINVAL: no values. */
+/** Chooses from *_available, a list or "[FIRST STEP LAST]", the smallest value that is at least `wanted`; `token` is
+ * its text in the list. 0; -ERANGE: all are smaller, `token` is the largest; -EINVAL: no values. */
 int iio_choose(const char *available, double wanted, char *token, size_t size);
 
 #endif

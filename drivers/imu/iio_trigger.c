@@ -1,5 +1,5 @@
-/* Triggers and buffers of IIO devices. A device is triggered by its own trigger (data ready), or by a timer trigger that is
- * created through configfs. */
+/* Triggers and buffers of IIO devices. A device is triggered by its own trigger (data ready), or by a timer trigger
+ * that is created through configfs. */
 #include <errno.h>
 #include <stdio.h>
 #include <string.h>

@@ -1,9 +1,9 @@
 /* drivers/imu/imu_log.h
- * Reads an IMU log. Header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; units s, rad/s, m/s^2, uT; the three magnetometer fields of a
- * row may be empty. Optional columns: `temperature`, degC, and `ref_al,ref_as,ref_at`, the acceleration of the reference
- * point measured by another device (m/s^2, object frame, without gravity); they may be empty, too. Other columns are
- * ignored; the columns may have any order. Bad rows (wrong number of fields, not a number, NaN or infinity, time not
- * increasing) are skipped and counted; a bad header is an error. */
+ * Reads an IMU log. Header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; units s, rad/s, m/s^2, uT; the three magnetometer fields of
+ * a row may be empty. Optional columns: `temperature`, degC, and `ref_al,ref_as,ref_at`, the acceleration of the
+ * reference point measured by another device (m/s^2, object frame, without gravity); they may be empty, too. Other
+ * columns are ignored; the columns may have any order. Bad rows (wrong number of fields, not a number, NaN or infinity,
+ * time not increasing) are skipped and counted; a bad header is an error. */
 #ifndef DRIVERS_IMU_IMU_LOG_H
 #define DRIVERS_IMU_IMU_LOG_H
 
@@ -30,7 +30,8 @@ struct imu_log {
 	int head_count, head_next;
 };
 
-/** "-" is standard input. 0, or -errno and one line in `error` with file:line; fewer than two valid rows are an error. */
+/** "-" is standard input. 0, or -errno and one line in `error` with file:line; fewer than two valid rows are an
+ * error. */
 int imu_log_open(struct imu_log *log, const char *path, char *error, size_t error_size);
 /** 1 and a sample, 0 at the end of the file, -EIO when reading fails. */
 int imu_log_next(struct imu_log *log, struct imu_sample *sample);

@@ -1,6 +1,6 @@
 /* drivers/imu/imu_thread.h
- * For sensors with blocking transfers: a thread of the driver makes them, and passes samples and the sensor's health to the
- * port through a bounded lock-free queue and an eventfd. One thread writes, one reads. */
+ * For sensors with blocking transfers: a thread of the driver makes them, and passes samples and the sensor's health to
+ * the port through a bounded lock-free queue and an eventfd. One thread writes, one reads. */
 #ifndef DRIVERS_IMU_IMU_THREAD_H
 #define DRIVERS_IMU_IMU_THREAD_H
 
@@ -41,8 +41,8 @@ int64_t imu_thread_now_ns(void);
 
 /** Opens the descriptors; the rest of `t` must be zero. 0 or -errno; imu_thread_release() closes them. */
 int imu_thread_init(struct imu_thread *t);
-/** Starts the thread. `name` (static) is shown by ps; `realtime` as in struct imu_settings, ignored where not permitted.
- * 0 or -errno. */
+/** Starts the thread. `name` (static) is shown by ps; `realtime` as in struct imu_settings, ignored where not
+ * permitted. 0 or -errno. */
 int imu_thread_start(struct imu_thread *t, const char *name, int realtime, void (*run)(struct imu_thread *t));
 /** Requests run() to return and waits for it. */
 void imu_thread_stop(struct imu_thread *t);

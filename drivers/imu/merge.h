@@ -1,6 +1,6 @@
 /* drivers/imu/merge.h
- * Makes samples from a gyro, an accelerometer and a magnetometer that measure at different times. A sample has the time of
- * a gyro reading; the acceleration is interpolated to it, the magnetic field is rotated to it. Pure. */
+ * Makes samples from a gyro, an accelerometer and a magnetometer that measure at different times. A sample has the time
+ * of a gyro reading; the acceleration is interpolated to it, the magnetic field is rotated to it. Pure. */
 #ifndef DRIVERS_IMU_MERGE_H
 #define DRIVERS_IMU_MERGE_H
 

@@ -12,7 +12,8 @@ struct pace {
 
 /** Starts the time. 0 or -errno. */
 int pace_start(struct pace *pace);
-/** The time since `due_ns` after the start [ns]. Negative: it is in the future, and the descriptor becomes readable then. */
+/** The time since `due_ns` after the start [ns]. Negative: it is in the future, and the descriptor becomes readable
+ * then. */
 int64_t pace_since(const struct pace *pace, int64_t due_ns);
 void pace_stop(struct pace *pace);
 

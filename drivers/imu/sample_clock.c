@@ -78,8 +78,9 @@ static void advance(struct sample_clock *c, int64_t newest)
 	clamp_period(c);
 }
 
-/* The bracket and this read contradict each other: the period has left its bounds, or samples are uneven. Below a quarter of
- * the period, the bracket becomes the end of the read's that is nearest to it; otherwise the read's bracket replaces it. */
+/* The bracket and this read contradict each other: the period has left its bounds, or samples are uneven. Below a
+ * quarter of the period, the bracket becomes the end of the read's that is nearest to it; otherwise the read's bracket
+ * replaces it. */
 static void reconcile(struct sample_clock *c, double lo_ns, double hi_ns)
 {
 	const double little_ns = c->nominal_ns / 4, taken_ns = c->taken_ns;

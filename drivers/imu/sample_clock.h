@@ -3,9 +3,9 @@
  * times.
  *
  * A read between t_a and t_b that found `count` samples gives two bounds: sample count - 1 was taken before t_b, sample
- * count after t_a. Both bounds are extrapolated with the period, for which a lower and an upper bound are known, too. Each
- * read narrows all of them. A late read does no harm, and the error is at most half of the bracket. sample_clock_due()
- * schedules reads so that the bracket stays small. All times in ns. */
+ * count after t_a. Both bounds are extrapolated with the period, for which a lower and an upper bound are known, too.
+ * Each read narrows all of them. A late read does no harm, and the error is at most half of the bracket.
+ * sample_clock_due() schedules reads so that the bracket stays small. All times in ns. */
 #ifndef DRIVERS_IMU_SAMPLE_CLOCK_H
 #define DRIVERS_IMU_SAMPLE_CLOCK_H
 
@@ -30,8 +30,8 @@ void sample_clock_start(struct sample_clock *clock, double period_ns, double tol
 /** At some time between from_ns and to_ns, `count` samples had been taken since the start. */
 void sample_clock_read(struct sample_clock *clock, int64_t count, double from_ns, double to_ns);
 
-/** A sample was taken between from_ns and to_ns (a data-ready edge): the one expected nearest to it. Without effect before
- * the first read. */
+/** A sample was taken between from_ns and to_ns (a data-ready edge): the one expected nearest to it. Without effect
+ * before the first read. */
 void sample_clock_edge(struct sample_clock *clock, double from_ns, double to_ns);
 
 /** The estimated time of sample `index`, past or future. */
@@ -40,7 +40,8 @@ double sample_clock_at(const struct sample_clock *clock, int64_t index);
 /** When to read next: sample `index` is there, or, while the bracket is wide, the read halves it. */
 double sample_clock_due(const struct sample_clock *clock, int64_t index);
 
-/** Whether the bracket of sample `index` is wider than 1/16 period, so that a read at sample_clock_due() is to narrow it. */
+/** Whether the bracket of sample `index` is wider than 1/16 period, so that a read at sample_clock_due() is to narrow
+ * it. */
 bool sample_clock_is_wide(const struct sample_clock *clock, int64_t index);
 
 double sample_clock_period(const struct sample_clock *clock);

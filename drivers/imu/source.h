@@ -1,6 +1,6 @@
 /* drivers/imu/source.h
- * The sources of imu_open(). `args` is the text after the colon of SRC, NULL without a colon, and is modified. Results as
- * those of imu_open(). */
+ * The sources of imu_open(). `args` is the text after the colon of SRC, NULL without a colon, and is modified. Results
+ * as those of imu_open(). */
 #ifndef DRIVERS_IMU_SOURCE_H
 #define DRIVERS_IMU_SOURCE_H
 

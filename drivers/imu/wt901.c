@@ -1,5 +1,6 @@
 /* WitMotion WT901C-485: Modbus RTU, one read of all measurements per cycle. Registers and scales: WitMotion's protocol
- * description ("WIT Standard Modbus") and its SDK for this sensor (github.com/WITMOTION/WitStandardModbus_WT901C485). */
+ * description ("WIT Standard Modbus") and its SDK for this sensor
+ * (github.com/WITMOTION/WitStandardModbus_WT901C485). */
 #include <errno.h>
 #include <math.h>
 #include <modbus/modbus.h>
@@ -127,7 +128,8 @@ static int read_registers(struct wt901 *w, int at, int n, uint16_t *words)
 	return -error;
 }
 
-/* Not saved: it is written at each start, which spares the sensor's flash. A sensor that rejects it keeps its setting. */
+/* Not saved: it is written at each start, which spares the sensor's flash. A sensor that rejects it keeps its
+ * setting. */
 static void write_bandwidth(struct wt901 *w)
 {
 	pause_ns(w, w->silence_ns);

@@ -1,5 +1,5 @@
-/* Arbitrary packets and limits: no byte beyond them is read, an accepted packet is a valid frame that encodes to the same
- * bytes, a bit timing is within the limits, a time is never in the future. */
+/* Arbitrary packets and limits: no byte beyond them is read, an accepted packet is a valid frame that encodes to the
+ * same bytes, a bit timing is within the limits, a time is never in the future. */
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>

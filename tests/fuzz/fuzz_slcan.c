@@ -1,5 +1,5 @@
-/* Arbitrary bytes from a serial line: the reader stays within its buffer, and a frame it accepts is decoded equally after
- * encoding. */
+/* Arbitrary bytes from a serial line: the reader stays within its buffer, and a frame it accepts is decoded equally
+ * after encoding. */
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>

@@ -1,8 +1,8 @@
 /* can_exchange BUS SEND-ID RECEIVE-ID COUNT
  *
- * Sends COUNT numbered frames through the driver of BUS at the rate of a full bus of 500 kbit/s and receives COUNT frames
- * at the same time. Run it on both ends of a bus; it starts when it has received from the other end. Status 0: all frames
- * were received once and in order, and none was lost in sending. */
+ * Sends COUNT numbered frames through the driver of BUS at the rate of a full bus of 500 kbit/s and receives COUNT
+ * frames at the same time. Run it on both ends of a bus; it starts when it has received from the other end. Status 0:
+ * all frames were received once and in order, and none was lost in sending. */
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>

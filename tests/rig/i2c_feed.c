@@ -3,8 +3,8 @@
  *
  * Every millisecond, registers that the driver has written to the stub are copied to the simulated chips
  * (drivers/imu/sim/sim_chips.h), and their changed registers to the stub: at the register and, since a stub ignores the
- * auto-increment bit, also at the register with bit 7 set. A stub does not know that a register was read: data-ready bits
- * stay set and FIFOs do not empty, which the option `stub` tells the driver (i2c:BUS,stub).
+ * auto-increment bit, also at the register with bit 7 set. A stub does not know that a register was read: data-ready
+ * bits stay set and FIFOs do not empty, which the option `stub` tells the driver (i2c:BUS,stub).
  *
  * -n: without noise. When the registers are written, prints "start US", the start of the scenario in CLOCK_MONOTONIC.
  * Lines on stdin: brownout|freeze|stop|saturate gyro|accel|mag [0|1]. Ends with stdin's "quit" or a signal. */

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # rig: -k -V -I 0x19,0x1d,0x1e,0x6b
-"""The gateway on chips in an i2c-stub that measure a known motion, through /dev/i2c and through the kernel's IIO drivers:
-its PDOs are compared with the replay of that motion, and faults are injected."""
+"""The gateway on chips in an i2c-stub that measure a known motion, through /dev/i2c and through the kernel's IIO
+drivers: its PDOs are compared with the replay of that motion, and faults are injected."""
 import os
 import pathlib
 import subprocess
@@ -115,7 +115,7 @@ class Sensor(unittest.TestCase):
         return 0x190 + (number - 5) * 0x100 + NODE  # 190h, 290h, 390h + node: not used otherwise here
 
     def record(self):
-        """Times of the motion [s], force and rate, angles [deg]; one row for each sample whose PDOs were all received."""
+        """Times of the motion [s], force and rate, angles [deg]; one row for each sample with all its PDOs."""
         self.map()
         self.master.nmt(canopen.START, NODE)
         dump = subprocess.run(["timeout", str(SECONDS), "candump", "-L", rig.BUS], capture_output=True,
@@ -183,7 +183,7 @@ class I2cOf16Bits(I2cOf12Bits):
 
 class Iio(Sensor):
     board, source = "v2", "iio"
-    force_digit, rate_digit = 4 * LSM303DLHC_DIGIT, L3GD20_DIGIT  # the kernel's driver uses 10 bits of the accelerometer
+    force_digit, rate_digit = 4 * LSM303DLHC_DIGIT, L3GD20_DIGIT  # the kernel's driver uses 10 bits
     chips = {"l3gd20": "0x6b", "lsm303dlhc_accel": "0x19", "lsm303dlhc_magn": "0x1e"}
 
     def bind(self):

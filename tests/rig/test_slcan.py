@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # rig: -k
-"""The gateway's slcan driver against the kernel's: two connected pseudo terminals, one of them with the kernel's slcan line
-discipline, which makes it a CAN interface."""
+"""The gateway's slcan driver against the kernel's: two connected pseudo terminals, one of them with the kernel's slcan
+line discipline, which makes it a CAN interface."""
 import os
 import select
 import subprocess

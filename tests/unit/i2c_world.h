@@ -1,6 +1,6 @@
 /* tests/unit/i2c_world.h
- * A simulated board and its driver in simulated time. Each transfer takes as long as at 400 kHz; wake-ups may be late by a
- * random time. */
+ * A simulated board and its driver in simulated time. Each transfer takes as long as at 400 kHz; wake-ups may be late
+ * by a random time. */
 #ifndef TESTS_UNIT_I2C_WORLD_H
 #define TESTS_UNIT_I2C_WORLD_H
 

@@ -1,5 +1,5 @@
-/* Bit timing, protocol and clock of gs_usb adapters. Oracles: the bytes that candleLight adapters send, the bit timings of
- * CiA 301, and what `ip -details link show` prints for the kernel's gs_usb driver. */
+/* Bit timing, protocol and clock of gs_usb adapters. Oracles: the bytes that candleLight adapters send, the bit timings
+ * of CiA 301, and what `ip -details link show` prints for the kernel's gs_usb driver. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

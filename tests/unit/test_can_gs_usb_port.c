@@ -1,6 +1,6 @@
-/* The gs_usb bus on an adapter that is simulated behind libusb's functions, which are defined here. Every byte the adapter
- * sends or expects is written out from the protocol (candleLight firmware, gs_usb.h of the kernel), none of them by the
- * driver's codec. */
+/* The gs_usb bus on an adapter that is simulated behind libusb's functions, which are defined here. Every byte the
+ * adapter sends or expects is written out from the protocol (candleLight firmware, gs_usb.h of the kernel), none of
+ * them by the driver's codec. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

@@ -1,4 +1,5 @@
-/* The slcan driver on a pseudo terminal whose other end is the adapter. Oracle: the lines of Lawicel's CANUSB manual. */
+/* The slcan driver on a pseudo terminal whose other end is the adapter. Oracle: the lines of Lawicel's CANUSB
+ * manual. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

@@ -1,6 +1,6 @@
-/* The SocketCAN bus on a kernel that is simulated at its system calls, which are defined here: one CAN interface, its raw
- * socket and its netlink messages. tests/interop/test_socketcan.c runs the same driver on a real vcan. Oracles: struct
- * can_frame of linux/can.h and the messages of linux/rtnetlink.h, laid out by hand. */
+/* The SocketCAN bus on a kernel that is simulated at its system calls, which are defined here: one CAN interface, its
+ * raw socket and its netlink messages. tests/interop/test_socketcan.c runs the same driver on a real vcan. Oracles:
+ * struct can_frame of linux/can.h and the messages of linux/rtnetlink.h, laid out by hand. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -537,7 +537,8 @@ static void test_without_a_filter_all_frames_and_all_errors_pass(void **state)
 	assert_int_equal(k.error_mask, 0x1FFFFFFF);
 }
 
-/* A frame passes when its identifier and the mask are those of the filter: 11 bits, and not extended; RTR is not in it. */
+/* A frame passes when its identifier and the mask are those of the filter: 11 bits, and not extended; RTR is not in
+ * it. */
 static void test_a_filter_is_one_of_the_kernel_s_for_each_identifier(void **state)
 {
 	uint32_t many[513] = {0};
@@ -554,7 +555,7 @@ static void test_a_filter_is_one_of_the_kernel_s_for_each_identifier(void **stat
 	assert_int_equal(k.filter_count, 512);
 }
 
-/* ---- the interface goes and comes --------------------------------------------------------------------------------- */
+/* ---- the interface goes and comes -------------------------------------------------------------------------------- */
 
 static void test_down_and_up_again_the_same_socket_goes_on(void **state)
 {
@@ -631,7 +632,7 @@ static void test_an_interface_that_cannot_be_used_is_refused_with_what_to_do(voi
 	assert_refused(-ENODEV, "ip link add dev can7 type vcan");
 }
 
-/* ---- the controller ----------------------------------------------------------------------------------------------- */
+/* ---- the controller ---------------------------------------------------------------------------------------------- */
 
 static void test_a_controller_s_properties_are_read(void **state)
 {

@@ -1,5 +1,5 @@
-/* Detection of frozen sensors (drivers/imu/frozen.h): raw values of a gyro with noise below and above a digit, at rest and
- * in motion. */
+/* Detection of frozen sensors (drivers/imu/frozen.h): raw values of a gyro with noise below and above a digit, at rest
+ * and in motion. */
 #include <math.h>
 #include <stdarg.h>
 #include <stdbool.h>

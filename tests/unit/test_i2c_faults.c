@@ -299,7 +299,7 @@ static void test_a_tenth_of_all_transfers_may_fail(void **state)
 	}
 }
 
-/* ---- every access of the start and of the first reads, one run each ------------------------------------------------ */
+/* ---- every access of the start and of the first reads, one run each ---------------------------------------------- */
 
 enum { ALL_FOLLOWING = 1000000 };
 
@@ -386,8 +386,8 @@ static void assert_recovers_from_one(int (*before)(struct world *, const struct 
 		}
 }
 
-/* All accesses from one on are disturbed: the start fails, or a fault is detected within 100 ms. Without the disturbance
- * the driver recovers. */
+/* All accesses from one on are disturbed: the start fails, or a fault is detected within 100 ms. Without the
+ * disturbance the driver recovers. */
 static void assert_all_from_there_are_detected(int (*before)(struct world *, const struct sim_access *),
 	void (*after)(struct world *, const struct sim_access *))
 {

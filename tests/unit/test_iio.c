@@ -1,5 +1,5 @@
-/* Parsing of IIO attributes and merging of readings. test_imu_iio.c tests the driver; tests/rig/test_sensors.py runs it on
- * the kernel's IIO drivers. */
+/* Parsing of IIO attributes and merging of readings. test_imu_iio.c tests the driver; tests/rig/test_sensors.py runs it
+ * on the kernel's IIO drivers. */
 #include <errno.h>
 #include <math.h>
 #include <stdarg.h>

@@ -1,5 +1,5 @@
-/* The IIO sensor on devices that are simulated behind libiio's functions, which are defined here. The driver's thread runs
- * within run(), step by step, in a time that moves only here. Units: Documentation/ABI/testing/sysfs-bus-iio. */
+/* The IIO sensor on devices that are simulated behind libiio's functions, which are defined here. The driver's thread
+ * runs within run(), step by step, in a time that moves only here. Units: Documentation/ABI/testing/sysfs-bus-iio. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

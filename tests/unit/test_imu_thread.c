@@ -1,4 +1,5 @@
-/* The queue between a sensor's thread and its port (drivers/imu/imu_thread.h). The test is the thread and the reader. */
+/* The queue between a sensor's thread and its port (drivers/imu/imu_thread.h). The test is the thread and the
+ * reader. */
 #include <errno.h>
 #include <poll.h>
 #include <stdarg.h>

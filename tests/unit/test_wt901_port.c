@@ -1,5 +1,6 @@
-/* The WT901C-485 with libmodbus simulated: its functions are defined here. The driver's thread runs within run(), in a time
- * that moves only here: with each wait, and with each transfer by what it takes on the line. test_wt901.c has the bytes. */
+/* The WT901C-485 with libmodbus simulated: its functions are defined here. The driver's thread runs within run(), in a
+ * time that moves only here: with each wait, and with each transfer by what it takes on the line. test_wt901.c has the
+ * bytes. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -250,7 +251,8 @@ static void assert_near(double value, double expected, double tolerance)
 
 /* ---- the line ---------------------------------------------------------------------------------------------------- */
 
-/* Timeouts: 8 characters of the request, 3 ms until the sensor answers, 40 ms for a USB adapter; 3.5 characters, 40 ms. */
+/* Timeouts: 8 characters of the request, 3 ms until the sensor answers, 40 ms for a USB adapter; 3.5 characters, 40
+ * ms. */
 static void test_address_baud_rate_and_timeouts_of_the_line(void **state)
 {
 	(void)state;

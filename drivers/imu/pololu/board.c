@@ -54,7 +54,7 @@ void board_update_health(struct board *b)
 	h->rate_hz = b->gyro->state == STREAM_UP && period_ns > 0 ? (float)(1e9 / period_ns) : 0;
 }
 
-/* ---- schedule of the reads ------------------------------------------------------------------------------------------- */
+/* ---- schedule of the reads --------------------------------------------------------------------------------------- */
 
 static const struct reading *peek(const struct stream *s, size_t i)
 {

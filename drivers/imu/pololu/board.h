@@ -1,17 +1,17 @@
 /* drivers/imu/pololu/board.h
- * A Pololu IMU 9 of any version on an I2C bus: detects its chips, sets them up, reads them, and estimates when each sample
- * was taken. Passive: clock and sleep are injected, so that tests run in simulated time. Not thread-safe; transfers block,
- * so that it runs in its own thread (i2c_imu.c).
+ * A Pololu IMU 9 of any version on an I2C bus: detects its chips, sets them up, reads them, and estimates when each
+ * sample was taken. Passive: clock and sleep are injected, so that tests run in simulated time. Not thread-safe;
+ * transfers block, so that it runs in its own thread (i2c_imu.c).
  *
  * Each chip samples by its own oscillator (sample_clock.h). A sample of the board has the time of a gyro sample; the
  * acceleration is interpolated to it.
  *
- * A fault of a chip is detected within 100 ms: it does not answer (20 ms), has no new samples (50 ms), is at the end of its
- * range (60 ms), or a register differs from what was written (each chip's registers are read back in turn, one in 10 ms).
- * Equal raw values are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms, for the
- * magnetometers of LSM303DLH, DLM and DLHC 140 ms, for the L3GD20H 320 ms; never in ranges with digits coarser than the
- * noise. Faults are derived from the data that reads return, not from how long they take: a slow machine is not a fault. A
- * faulty chip is initialised again after a back-off of 10 ms, 20 ms, ... 1 s. */
+ * A fault of a chip is detected within 100 ms: it does not answer (20 ms), has no new samples (50 ms), is at the end of
+ * its range (60 ms), or a register differs from what was written (each chip's registers are read back in turn, one in
+ * 10 ms). Equal raw values are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms,
+ * for the magnetometers of LSM303DLH, DLM and DLHC 140 ms, for the L3GD20H 320 ms; never in ranges with digits coarser
+ * than the noise. Faults are derived from the data that reads return, not from how long they take: a slow machine is
+ * not a fault. A faulty chip is initialised again after a back-off of 10 ms, 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_H
 #define DRIVERS_IMU_POLOLU_BOARD_H
 
@@ -90,9 +90,9 @@ struct board_plan {
 int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 
-/** Chooses the chips' rates, ranges and bandwidths for `settings`. Uses only the result of the detection, so that it may be
- * called while another thread runs board_step(). `stub`: the bus is an i2c-stub: ready bits stay set, FIFOs stay full, and
- * register values may be 2 ms old. 0; -EINVAL: not possible, one line in `error`. */
+/** Chooses the chips' rates, ranges and bandwidths for `settings`. Uses only the result of the detection, so that it
+ * may be called while another thread runs board_step(). `stub`: the bus is an i2c-stub: ready bits stay set, FIFOs stay
+ * full, and register values may be 2 ms old. 0; -EINVAL: not possible, one line in `error`. */
 int board_plan(const struct board *board, const struct imu_settings *settings, bool stub, bool data_ready,
 	struct board_plan *plan, char *error, size_t error_size);
 

@@ -1,7 +1,7 @@
 /* drivers/imu/pololu/chips.h
  * Descriptions of the chips: identity, settings and the registers for them, address and format of the data. Source: the
- * data sheets of STMicroelectronics. A device with one oscillator is one struct chip; the LSM303D, whose accelerometer and
- * magnetometer sample independently, is two. */
+ * data sheets of STMicroelectronics. A device with one oscillator is one struct chip; the LSM303D, whose accelerometer
+ * and magnetometer sample independently, is two. */
 #ifndef DRIVERS_IMU_POLOLU_CHIPS_H
 #define DRIVERS_IMU_POLOLU_CHIPS_H
 

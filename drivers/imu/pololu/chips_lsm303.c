@@ -3,7 +3,7 @@
 #include "drivers/imu/pololu/chips.h"
 #include "model/math/units.h"
 
-/* ---- accelerometer of DLH and DLM: 12 bits, left-justified: one digit of the data sheet is 16 of the word --------- */
+/* ---- accelerometer of DLH and DLM: 12 bits, left-justified, a digit of the data sheet is 16 of the word ---------- */
 
 static const struct chip_range DLH_RANGES[] = {{2, 1 * M_S2_PER_MG / 16, 0, 0}, {4, 2 * M_S2_PER_MG / 16, 0, 1},
 	{8, 3.9 * M_S2_PER_MG / 16, 0, 3}, {.full_scale = 0}};
@@ -36,7 +36,7 @@ const struct chip CHIP_LSM303DLH_ACCEL = {.name = "LSM303DLH",
 	.triad_count = 1,
 	.registers = dlh_accel};
 
-/* ---- accelerometer of the DLHC: 12 bits in its high-resolution mode ----------------------------------------------- */
+/* ---- accelerometer of the DLHC: 12 bits in its high-resolution mode ---------------------------------------------- */
 
 static const struct chip_range DLHC_RANGES[] = {{2, 1 * M_S2_PER_MG / 16, 0, 0}, {4, 2 * M_S2_PER_MG / 16, 0, 1},
 	{8, 4 * M_S2_PER_MG / 16, 0, 2}, {16, 12 * M_S2_PER_MG / 16, 0, 3}, {.full_scale = 0}};
@@ -72,7 +72,7 @@ const struct chip CHIP_LSM303DLHC_ACCEL = {.name = "LSM303DLHC",
 	.triad_count = 1,
 	.registers = dlhc_accel};
 
-/* ---- magnetometers of the three: big-endian, address auto-increment ---------------------- */
+/* ---- magnetometers of the three: big-endian, address auto-increment ---------------------------------------------- */
 
 /* full scale [gauss], digits per gauss in x and y, in z, GN */
 #define GAUSS(full_scale, xy, z, gain)                                                            \
@@ -122,7 +122,7 @@ const struct chip CHIP_LSM303DLH_MAG = LSM303_MAG("LSM303DLH", 0x0A, H43, 3, DLH
 const struct chip CHIP_LSM303DLM_MAG = LSM303_MAG("LSM303DLM", 0x0F, WHO_DLM, 1, DLHC_FIELD, 0.033, 2, 1);
 const struct chip CHIP_LSM303DLHC_MAG = LSM303_MAG("LSM303DLHC", 0x0A, H43, 3, DLHC_FIELD, 0.033, 2, 1);
 
-/* ---- LSM303D: one address, 16 bits; accelerometer and magnetometer sample independently --------------------------------------------- */
+/* ---- LSM303D: one address, 16 bits; accelerometer and magnetometer sample independently -------------------------- */
 
 static const struct chip_range D_RANGES[] = {{2, 0.061 * M_S2_PER_MG, 0, 0}, {4, 0.122 * M_S2_PER_MG, 0, 1},
 	{6, 0.183 * M_S2_PER_MG, 0, 2}, {8, 0.244 * M_S2_PER_MG, 0, 3}, {16, 0.732 * M_S2_PER_MG, 0, 4},

@@ -114,8 +114,8 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 	return board_plan(&imu->board, &wanted, imu->config.stub, imu->drdy != NULL, plan, error, error_size);
 }
 
-/* The thread reports faults of the bus itself. The port's silence is the limit for a hanging thread, and tolerates a slow
- * machine. */
+/* The thread reports faults of the bus itself. The port's silence is the limit for a hanging thread, and tolerates a
+ * slow machine. */
 static void use_rate(struct i2c_imu *imu, double rate_hz)
 {
 	uint64_t hangs_us = imu->config.simulated ? SIMULATED_US : HANGS_US;

@@ -17,8 +17,8 @@ struct i2c_imu_config {
 	unsigned drdy_line;
 };
 
-/** Detects the board and starts reading it. Owns the bus, also on failure. The times of the samples are CLOCK_MONOTONIC.
- * 0, or -errno and one line in `error`. */
+/** Detects the board and starts reading it. Owns the bus, also on failure. The times of the samples are
+ * CLOCK_MONOTONIC. 0, or -errno and one line in `error`. */
 int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, const struct imu_settings *settings,
 	struct imu_port **port, char *error, size_t error_size);
 

@@ -11,8 +11,8 @@ enum {
 	LAST_BACKOFF_MS = 1000,
 	STABLE_MS = 1000, /* after this time without a fault, the back-off is reset */
 	STUB_LATE_MS = 2, /* age of the register values of a stub */
-	/* Samples are delivered when the sample clock is locked, or after this number of samples on a machine that reads
-	 * too unevenly for that. */
+	/* Samples are delivered when the sample clock is locked, or after this number of samples on a machine that
+	 * reads too unevenly for that. */
 	SETTLE_SAMPLES = 16,
 	SATURATED_WORD = 32752, /* the end of the range of left-justified 12 bits */
 	FIFO_SOURCE = 0x2F,
@@ -184,8 +184,8 @@ static void add_sample(struct board *b, struct stream *s, const uint8_t *set)
 
 enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
 
-/* Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were lost
- * before it is derived from the sample clock. */
+/* Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were
+ * lost before it is derived from the sample clock. */
 static void observe(
 	struct board *b, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns)
 {

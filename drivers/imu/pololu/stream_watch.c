@@ -6,8 +6,8 @@
 
 /* Noise of a quiet chip, as a share of the typical value in its data sheet. */
 #define LEAST_NOISE 0.6
-/* Probability of a false alarm per sample: equal samples by noise alone. At 400 Hz, in the worst case for all axes, this
- * is once in 80 years. */
+/* Probability of a false alarm per sample: equal samples by noise alone. At 400 Hz, in the worst case for all axes,
+ * this is once in 80 years. */
 #define FROZEN_CHANCE 1e-12
 
 enum {

@@ -80,7 +80,7 @@ struct sim_board {
 	unsigned long accesses;
 };
 
-/* ---- effects of the registers ---------------------------------------------------------------------------------------- */
+/* ---- effects of the registers ------------------------------------------------------------------------------------ */
 
 static bool is_l3g(enum kind kind)
 {
@@ -695,7 +695,7 @@ struct i2c_bus *sim_board_bus(struct sim_board *b)
 	return &b->bus;
 }
 
-/* ---- faults, and access for tests ----------------------------------------------------------------------------------- */
+/* ---- faults, and access for tests -------------------------------------------------------------------------------- */
 
 static struct sim_chip *chip_of(struct sim_board *b, enum imu_chip what, struct sim_triad **triad)
 {

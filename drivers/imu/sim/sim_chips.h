@@ -1,7 +1,7 @@
 /* drivers/imu/sim/sim_chips.h
- * The boards of board.h simulated at the level of their registers, behind an I2C bus. Registers that the driver writes have
- * their effect (rates, ranges, axes, FIFO, self-test); it reads what the chips would measure of a motion. Written from the
- * data sheets independently of chips.h, without common tables, so that the tests detect a mistake in either.
+ * The boards of board.h simulated at the level of their registers, behind an I2C bus. Registers that the driver writes
+ * have their effect (rates, ranges, axes, FIFO, self-test); it reads what the chips would measure of a motion. Written
+ * from the data sheets independently of chips.h, without common tables, so that the tests detect a mistake in either.
  *
  * The clock is injected. Tests can inject faults. */
 #ifndef DRIVERS_IMU_SIM_SIM_CHIPS_H
@@ -32,8 +32,8 @@ struct sim_config {
 	void *clock;
 	int64_t (*now_ns)(void *clock);
 
-	/* for tests; may be NULL. before(): 0 continues, -errno is the result of the access, 1: the write has no effect.
-	 * after() may change the bytes read. */
+	/* for tests; may be NULL. before(): 0 continues, -errno is the result of the access, 1: the write has no
+	 * effect. after() may change the bytes read. */
 	void *hook;
 	int (*before)(void *hook, const struct sim_access *access);
 	void (*after)(void *hook, const struct sim_access *access);
