@@ -291,6 +291,50 @@ static void test_queued_frames_are_dropped_and_counted_when_the_bus_goes_down(vo
 	assert_int_equal(fake.port.counters.tx_dropped, 5);
 }
 
+static int receive_a_frame(struct can_port *port, struct can_msg *msg, uint64_t now_us)
+{
+	(void)port, (void)now_us;
+	*msg = (struct can_msg){.id = 5, .len = 3};
+	return 1;
+}
+
+static void look_at_nothing(struct can_port *port)
+{
+	(void)port;
+}
+
+static void test_the_traffic_is_frames_and_data_bytes_of_both_directions(void **state)
+{
+	static const struct can_ops ops = {.send = fake_send, .receive = receive_a_frame};
+	const struct can_msg data = {.id = 1, .len = 8}, remote = {.id = 2, .remote = true, .len = 4};
+	struct fake fake;
+	struct can_msg msg;
+
+	(void)state;
+	fake_init(&fake, 2);
+	fake.port.ops = &ops;
+	can_send(&fake.port, &data, 0);
+	can_send(&fake.port, &remote, 0); /* has a length and no data */
+	can_send(&fake.port, &data, 0);	  /* queued: not on the bus */
+	assert_int_equal(can_receive(&fake.port, &msg, 0), 1);
+	assert_int_equal(fake.port.traffic.frames, 3);
+	assert_int_equal(fake.port.traffic.bytes, 8 + 3);
+	assert_int_equal(fake.port.counters.tx, 2);
+	assert_int_equal(fake.port.counters.rx, 1);
+}
+
+static void test_a_driver_that_knows_the_traffic_of_the_bus_counts_it_itself(void **state)
+{
+	static const struct can_ops ops = {.send = fake_send, .receive = receive_a_frame, .look = look_at_nothing};
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 1);
+	fake.port.ops = &ops;
+	send_id(&fake, 1, 0);
+	assert_int_equal(fake.port.traffic.frames, 0);
+}
+
 static uint64_t service_in_a_second(struct can_port *port, uint64_t now_us)
 {
 	(void)port;
@@ -366,6 +410,8 @@ int main(void)
 		cmocka_unit_test(test_a_frame_that_the_bus_cannot_send_is_reported_and_counted),
 		cmocka_unit_test(test_queued_frames_are_dropped_and_counted_when_the_bus_goes_down),
 		cmocka_unit_test(test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_queues),
+		cmocka_unit_test(test_the_traffic_is_frames_and_data_bytes_of_both_directions),
+		cmocka_unit_test(test_a_driver_that_knows_the_traffic_of_the_bus_counts_it_itself),
 		cmocka_unit_test(test_an_unknown_kind_of_bus_is_refused_with_the_known_kinds),
 		cmocka_unit_test(test_an_interface_that_does_not_exist_is_refused),
 		cmocka_unit_test(test_a_name_that_is_too_long_for_an_interface_is_refused),

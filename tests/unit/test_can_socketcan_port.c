@@ -54,7 +54,7 @@ static struct kernel {
 	/* netlink */
 	uint8_t orders[ORDERS][256]; /* what changes something */
 	size_t order_count;
-	int order_result;
+	int order_result, up_result; /* of the last, which brings the interface up */
 	uint8_t link[1024];
 	size_t link_size;
 	bool asked;
@@ -247,7 +247,7 @@ ssize_t recv(int fd, void *bytes, size_t size, int flags)
 {
 	(void)fd, (void)size, (void)flags;
 	if (!k.asked)
-		return (ssize_t)put_error(bytes, k.order_result);
+		return (ssize_t)put_error(bytes, k.order_count == 3 ? k.up_result : k.order_result);
 	if (!k.exists)
 		return (ssize_t)put_error(bytes, -ENODEV);
 	memcpy(bytes, k.link, k.link_size);
@@ -790,6 +790,15 @@ static void test_a_bit_rate_that_cannot_be_set_is_refused(void **state)
 	assert_int_equal(can_bit_rate(port, 125000, true), 0);
 }
 
+static void test_an_interface_that_does_not_come_up_again_is_reported(void **state)
+{
+	(void)state;
+	open_bus();
+	k.up_result = -ENODEV;
+	assert_int_equal(can_bit_rate(port, 500000, false), -ENODEV);
+	assert_int_equal(port->bit_s, 250000);
+}
+
 static void test_bus_off_is_ended_where_the_kernel_does_not_do_it(void **state)
 {
 	(void)state;
@@ -832,6 +841,7 @@ int main(void)
 		KERNEL_TEST(test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_controller),
 		KERNEL_TEST(test_a_bit_rate_is_set_with_the_interface_down),
 		KERNEL_TEST(test_a_bit_rate_that_cannot_be_set_is_refused),
+		KERNEL_TEST(test_an_interface_that_does_not_come_up_again_is_reported),
 		KERNEL_TEST(test_bus_off_is_ended_where_the_kernel_does_not_do_it),
 	};
 

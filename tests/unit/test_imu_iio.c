@@ -125,12 +125,12 @@ int mkdir(const char *path, mode_t mode)
 	struct iio_device *timer = &w.devices[w.device_count];
 
 	(void)mode;
-	errno = w.no_configfs ? ENOENT : EEXIST;
-	if (w.no_configfs)
-		return -1;
+	errno = w.no_configfs ? ENOENT : 0;
 	for (unsigned i = 0; i < w.device_count; i++)
 		if (strcmp(w.devices[i].name, strrchr(path, '/') + 1) == 0)
-			return -1;
+			errno = EEXIST;
+	if (errno)
+		return -1;
 	snprintf(w.made[w.made_count++ % TIMERS], sizeof(w.made[0]), "%s", path);
 	*timer = (struct iio_device){.is_trigger = true};
 	snprintf(timer->id, sizeof(timer->id), "trigger%u", w.device_count);
