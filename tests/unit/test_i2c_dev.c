@@ -6,6 +6,7 @@
 #include <stdint.h>
 #include <cmocka.h>
 
+#include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <linux/i2c-dev.h>
@@ -43,7 +44,12 @@ static int failed(int error)
 
 int open(const char *path, int flags, ...)
 {
-	assert_string_equal(path, "/dev/i2c-7");
+	if (strcmp(path, "/dev/i2c-7") != 0) { /* gcov's */
+		int (*real)(const char *, int, ...);
+
+		*(void **)&real = dlsym(RTLD_NEXT, "open");
+		return real(path, flags, 0600);
+	}
 	assert_int_equal(flags & O_ACCMODE, O_RDWR);
 	return k.open_error ? failed(k.open_error) : eventfd(0, EFD_CLOEXEC);
 }
