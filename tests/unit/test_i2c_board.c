@@ -486,6 +486,8 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 		{"v0", IMU_CHIP_MAG, 0x00, 0x18},   /* 75 Hz */
 		{"v0", IMU_CHIP_MAG, 0x01, 0x20},   /* 1.3 gauss */
 		{"v0", IMU_CHIP_MAG, 0x02, 0x00},
+		{"v0", IMU_CHIP_GYRO, 0x21, 0x00},  /* no high-pass */
+		{"v0", IMU_CHIP_GYRO, 0x24, 0x42},  /* FIFO, output behind LPF2 */
 		{"v2", IMU_CHIP_ACCEL, 0x20, 0x77}, /* 400 Hz */
 		{"v2", IMU_CHIP_ACCEL, 0x23, 0xA8}, /* BDU, 8 g, high resolution */
 		{"v2", IMU_CHIP_ACCEL, 0x24, 0x40},
@@ -497,6 +499,19 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 		{"v3", IMU_CHIP_MAG, 0x25, 0x00},
 		{"v5", IMU_CHIP_GYRO, 0x11, 0x4C}, /* 104 Hz, 2000 deg/s */
 		{"v5", IMU_CHIP_GYRO, 0x10, 0x4C}, /* 104 Hz, 8 g */
+		{"v3", IMU_CHIP_GYRO, 0x24, 0x42},
+		{"v3", IMU_CHIP_GYRO, 0x2E, 0x40},
+		{"v3", IMU_CHIP_ACCEL, 0x1F, 0x40}, /* FIFO */
+		{"v3", IMU_CHIP_ACCEL, 0x2E, 0x40},
+		{"v3", IMU_CHIP_MAG, 0x26, 0x00},  /* continuous */
+		{"v5", IMU_CHIP_GYRO, 0x12, 0x44}, /* BDU, auto-increment, no reset */
+		{"v5", IMU_CHIP_GYRO, 0x14, 0x00}, /* no self-test */
+		{"v5", IMU_CHIP_GYRO, 0x0D, 0x00}, /* no interrupt */
+		{"v5", IMU_CHIP_MAG, 0x21, 0x00},  /* 4 gauss */
+		{"v5", IMU_CHIP_MAG, 0x22, 0x00},  /* continuous */
+		{"v5", IMU_CHIP_MAG, 0x23, 0x0C},
+		{"v5", IMU_CHIP_MAG, 0x24, 0x40}, /* BDU */
+		{"v6", IMU_CHIP_GYRO, 0x12, 0x44},
 		{"v5", IMU_CHIP_GYRO, 0x08, 0x09},
 		{"v5", IMU_CHIP_GYRO, 0x0A, 0x26},
 		{"v5", IMU_CHIP_MAG, 0x20, 0xFC}, /* 80 Hz, ultra-high performance */
@@ -588,6 +603,47 @@ static void test_a_self_test_at_rest_passes_where_there_is_one(void **state)
 	}
 }
 
+/* For each sensor 0.2 s until the settings are settled and as much for the test signal, and twice 16 samples. */
+static void test_a_self_test_takes_as_long_as_its_samples(void **state)
+{
+	struct world *w = world_new("v3", "rest", false);
+	int64_t begun_ns;
+
+	(void)state;
+	world_run(w, 100000);
+	begun_ns = w->now_ns;
+	board_self_test(&w->board);
+	/* gyro: 0.4 + 30 / 100 s, accelerometer: 0.4 + 30 / 400 s, and the transfers */
+	assert_in_range((w->now_ns - begun_ns) / 1000000, 1175, 1300);
+	world_free(w);
+}
+
+/* A FIFO is read every 2.5 ms at most, its level and then its samples, and the accelerometer's together with the gyro's.
+ * With the magnetometer and the registers that are read back, that is 731 transfers a second at 100 Hz, 1600 at 800 Hz. */
+static void test_a_fifo_is_read_in_batches(void **state)
+{
+	static const struct {
+		double hz;
+		unsigned long most;
+	} rates[] = {{100, 900}, {800, 2000}};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+		struct world *w = world_make("v3", "rest", false);
+		unsigned long before;
+
+		settings.rate_hz = rates[i].hz;
+		world_detect(w);
+		world_set_up(w, &settings, true);
+		world_run(w, 3000000);
+		before = w->accesses;
+		world_run(w, 1000000);
+		assert_true(w->accesses - before < rates[i].most);
+		world_free(w);
+	}
+}
+
 static void test_a_self_test_passes_in_any_range(void **state)
 {
 	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
@@ -639,6 +695,8 @@ int main(void)
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
+		cmocka_unit_test(test_a_fifo_is_read_in_batches),
+		cmocka_unit_test(test_a_self_test_takes_as_long_as_its_samples),
 		cmocka_unit_test(test_a_self_test_passes_in_any_range),
 		cmocka_unit_test(test_a_self_test_without_effect_has_failed),
 	};

@@ -4,6 +4,7 @@
 #include <stdint.h>
 #include <cmocka.h>
 #include <errno.h>
+#include <math.h>
 #include <poll.h>
 #include <string.h>
 #include <time.h>
@@ -86,6 +87,26 @@ static void test_at_rest_the_sensor_measures_gravity_and_its_noise(void **state)
 	imu_close(port);
 }
 
+/* The centripetal acceleration of a sensor 5 cm ahead of the axis points back: -omega^2 * 0.05 m. */
+static void test_the_sensor_is_5_cm_ahead_of_the_reference_point(void **state)
+{
+	struct imu_port *port = opened("sim:turntable,rate=800");
+	struct vec3 accel = {0, 0, 0};
+	struct imu_sample sample;
+	double omega_rad_s = 0;
+
+	(void)state;
+	for (int i = 0; i < 100; i++) {
+		wait_and_read(port, &sample);
+		omega_rad_s += 0.01 * sample.gyro_rad_s.z;
+		accel = vec3_add(accel, vec3_scale(0.01, sample.accel_m_s2));
+	}
+	assert_true(fabs(omega_rad_s) > 3);
+	assert_true(fabs(accel.x + 0.05 * omega_rad_s * omega_rad_s) < 0.1);
+	assert_true(fabs(accel.y) < 0.1);
+	imu_close(port);
+}
+
 static void test_an_unknown_scenario_or_option_is_refused_with_what_to_use(void **state)
 {
 	const char *const bad[][2] = {{"sim:circle", "use one of square, boat, roll_step, rest"},
@@ -165,6 +186,7 @@ int main(void)
 		cmocka_unit_test(test_settings_can_be_changed_while_it_runs),
 		cmocka_unit_test(test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay),
 		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
+		cmocka_unit_test(test_the_sensor_is_5_cm_ahead_of_the_reference_point),
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};
 

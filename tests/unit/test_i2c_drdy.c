@@ -1,0 +1,233 @@
+/* The data-ready line of a board on I2C, drdy=GPIOCHIP:LINE: libgpiod is simulated, its functions are defined here. The
+ * driver's thread runs within run(), on simulated chips, in a time that moves only here. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+
+#include <errno.h>
+#include <gpiod.h>
+#include <poll.h>
+#include <pthread.h>
+#include <string.h>
+#include <time.h>
+
+#include "drivers/imu/imu_thread.h"
+#include "drivers/imu/pololu/i2c_imu.h"
+#include "drivers/imu/sim/sim_chips.h"
+
+enum { LINE = 17, LINE_FD = 1000, LATENCY_NS = 20000 };
+
+struct gpiod_chip {
+	int unused;
+};
+struct gpiod_line {
+	int unused;
+};
+
+static struct world {
+	struct gpiod_chip chip;
+	struct gpiod_line line;
+	bool no_chip, no_line, busy;
+	unsigned open_chips, requests, events_read;
+
+	struct sim_board *sim;
+	int64_t now_ns, edge_ns;
+	void *(*thread)(void *);
+	void *thread_ctx;
+	unsigned waits;
+} w;
+
+static struct imu_port *port;
+
+/* ---- the system -------------------------------------------------------------------------------------------------- */
+
+int clock_gettime(clockid_t clock, struct timespec *t)
+{
+	(void)clock;
+	*t = (struct timespec){w.now_ns / 1000000000, w.now_ns % 1000000000};
+	return 0;
+}
+
+int pthread_create(
+	pthread_t *restrict thread, const pthread_attr_t *restrict attr, void *(*start)(void *), void *restrict ctx)
+{
+	(void)thread, (void)attr;
+	w.thread = start;
+	w.thread_ctx = ctx;
+	return 0;
+}
+
+int pthread_join(pthread_t thread, void **result)
+{
+	(void)thread, (void)result;
+	return 0;
+}
+
+/* Each sample of the gyro raises the line; 20 us later the thread wakes. */
+int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const sigset_t *mask)
+{
+	const int64_t end_ns = w.now_ns + timeout->tv_sec * 1000000000 + timeout->tv_nsec;
+	double newest_ns;
+
+	(void)mask;
+	if (w.waits-- == 0)
+		((struct imu_thread *)w.thread_ctx)->stop = true;
+	for (nfds_t i = 0; i < n; i++)
+		fds[i].revents = 0;
+	for (; w.now_ns < end_ns; w.now_ns += w.now_ns + 10000 < end_ns ? 10000 : end_ns - w.now_ns) {
+		sim_board_taken(w.sim, IMU_CHIP_GYRO, &newest_ns);
+		if (n == 1 || (int64_t)newest_ns <= w.edge_ns || w.now_ns < (int64_t)newest_ns + LATENCY_NS)
+			continue;
+		assert_int_equal(fds[1].fd, LINE_FD);
+		w.edge_ns = (int64_t)newest_ns;
+		fds[1].revents = POLLIN;
+		return 1;
+	}
+	return 0;
+}
+
+/* ---- libgpiod ---------------------------------------------------------------------------------------------------- */
+
+struct gpiod_chip *gpiod_chip_open_lookup(const char *name)
+{
+	assert_string_equal(name, "gpiochip3");
+	errno = ENOENT;
+	w.open_chips += !w.no_chip;
+	return w.no_chip ? NULL : &w.chip;
+}
+
+void gpiod_chip_close(struct gpiod_chip *chip)
+{
+	(void)chip;
+	w.open_chips--;
+}
+
+struct gpiod_line *gpiod_chip_get_line(struct gpiod_chip *chip, unsigned line)
+{
+	(void)chip;
+	assert_int_equal(line, LINE);
+	errno = EINVAL;
+	return w.no_line ? NULL : &w.line;
+}
+
+int gpiod_line_request_rising_edge_events(struct gpiod_line *line, const char *consumer)
+{
+	assert_non_null(line);
+	assert_string_equal(consumer, "imu9-gateway");
+	w.requests++;
+	errno = EBUSY;
+	return w.busy ? -1 : 0;
+}
+
+int gpiod_line_event_get_fd(struct gpiod_line *line)
+{
+	(void)line;
+	return LINE_FD;
+}
+
+int gpiod_line_event_read(struct gpiod_line *line, struct gpiod_line_event *event)
+{
+	const int64_t ns = w.edge_ns + LATENCY_NS;
+
+	(void)line;
+	w.events_read++;
+	*event = (struct gpiod_line_event){.ts = {ns / 1000000000, ns % 1000000000}};
+	return 0;
+}
+
+/* ---- the gateway's side ------------------------------------------------------------------------------------------ */
+
+static int start(char *error, size_t error_size)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	const struct i2c_imu_config driver = {.name = "i2c:test", .drdy_chip = "gpiochip3", .drdy_line = LINE};
+	struct sim_config config = {.board = "v3",
+		.signal = signal_find("rest"),
+		.sensor = *sensor_preset("lsm303dlhc_l3gd20"),
+		.now_ns = i2c_imu_now_ns};
+
+	w.now_ns = 1000000000;
+	assert_int_equal(sim_board_open(&config, &w.sim), 0);
+	return i2c_imu_start(sim_board_bus(w.sim), &driver, &settings, &port, error, error_size);
+}
+
+static void run(unsigned waits)
+{
+	w.waits = waits;
+	((struct imu_thread *)w.thread_ctx)->stop = false;
+	w.thread(w.thread_ctx);
+}
+
+static void test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro(void **state)
+{
+	char error[200];
+
+	(void)state;
+	w = (struct world){0};
+	assert_int_equal(start(error, sizeof(error)), 0);
+	assert_int_equal(w.requests, 1);
+	run(20);
+	assert_int_equal(sim_board_registers(w.sim, IMU_CHIP_GYRO)[0x22], 0x08); /* I2_DRDY */
+	imu_close(port);
+	assert_int_equal(w.open_chips, 0);
+}
+
+static void test_each_edge_is_read_and_times_its_sample(void **state)
+{
+	struct imu_sample sample;
+	char error[200];
+	uint64_t last_us = 0;
+	int n = 0;
+
+	(void)state;
+	w = (struct world){0};
+	assert_int_equal(start(error, sizeof(error)), 0);
+	run(2000);
+	while (imu_read(port, &sample) == 1) {
+		double newest_ns, periods;
+
+		sim_board_taken(w.sim, IMU_CHIP_GYRO, &newest_ns);
+		periods = (newest_ns - 1e3 * (double)sample.t_us) / 1e7; /* 100 Hz */
+		if (n++ < 50)
+			continue;
+		assert_true(periods - (double)(int64_t)(periods + 0.5) < 0.01);
+		assert_true(periods - (double)(int64_t)(periods + 0.5) > -0.01);
+		assert_true(last_us == 0 || sample.t_us - last_us < 10100);
+		last_us = sample.t_us;
+	}
+	assert_true(n > 100);
+	assert_true(w.events_read > 100);
+	imu_close(port);
+}
+
+static void assert_refused(struct world world, int result)
+{
+	char error[200] = "";
+
+	w = world;
+	assert_int_equal(start(error, sizeof(error)), result);
+	assert_non_null(strstr(error, "data-ready line gpiochip3:17"));
+	assert_non_null(strstr(error, "gpioinfo"));
+	assert_int_equal(w.open_chips, 0);
+}
+
+static void test_a_line_that_cannot_be_used_is_refused(void **state)
+{
+	(void)state;
+	assert_refused((struct world){.no_chip = true}, -ENOENT);
+	assert_refused((struct world){.no_line = true}, -EINVAL);
+	assert_refused((struct world){.busy = true}, -EBUSY);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro),
+		cmocka_unit_test(test_each_edge_is_read_and_times_its_sample),
+		cmocka_unit_test(test_a_line_that_cannot_be_used_is_refused),
+	};
+
+	return cmocka_run_group_tests_name("i2c_drdy", tests, NULL, NULL);
+}
