@@ -272,7 +272,7 @@ static size_t begin_nested(uint16_t type)
 {
 	size_t start = k.link_size;
 
-	put_attribute(type, NULL, 0);
+	put_attribute(type, "", 0);
 	return start;
 }
 
