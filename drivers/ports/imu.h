@@ -44,7 +44,7 @@ enum imu_chip { IMU_CHIP_GYRO = 1, IMU_CHIP_ACCEL = 2, IMU_CHIP_MAG = 3 };
 struct imu_counters {
 	uint32_t samples; /* delivered */
 	uint32_t skipped; /* not delivered: malformed, not finite, time not increasing */
-	uint32_t late;	  /* read more than two sampling intervals after their time */
+	uint32_t late;	  /* read late: two sampling intervals after their time, of a replay one */
 };
 
 /** Health of the chips, where the driver can determine it. */
