@@ -74,6 +74,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 		.accel_density_m_s2_sqrt_hz = (double)v->noise.accelerometer_density * 1e-6 * STANDARD_GRAVITY_M_S2,
 		.accel_bias_instability_m_s2 =
 			(double)v->noise.accelerometer_bias_instability * 1e-3 * STANDARD_GRAVITY_M_S2,
+		.mag_sigma_uT = (double)v->noise.magnetometer_sigma,
 	};
 
 	c.estimator.lever_arm_b_m =

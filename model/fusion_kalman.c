@@ -146,7 +146,7 @@ int fusion_kalman_check(const struct fusion_kalman_config *c)
 	return within(c->velocity_sigma_m_s, 0.01, 1000) && within(c->heading_sigma_rad, 0.001, 1) &&
 			       within(c->field_limit, 0.01, 1) && within(c->rejection_time_s, 0, 1e6) &&
 			       within(c->gyro_error, 0, 0.1) && within(c->bias_walk_rad_s_sqrt_s, 0, 0.1) &&
-			       within(c->gyro_scale_sigma, 0, 0.05)
+			       within(c->gyro_scale_sigma, 0, 0.05) && within(c->field_sigma_uT, 0, 1000)
 		       ? 0
 		       : -EINVAL;
 }
@@ -422,7 +422,7 @@ static bool measure_heading(
 	struct vec3 m = vec3_scale(1.0 / k->sums.fields, k->sums.field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
 	double factor, variance = squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0],
-		       pose_s, off;
+		       pose_s, white, off;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT))
 		return false;
@@ -446,7 +446,8 @@ static bool measure_heading(
 	if (k->aided_heading_s > 0 || is_heading_outlier(k, config, off, variance))
 		return false;
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
-	measure(k, error, HEADING, off, factor * 2 * pose_s / k->sums.time_s * variance);
+	white = squared(config->field_sigma_uT / f.horizontal_uT) / k->sums.fields;
+	measure(k, error, HEADING, off, factor * (2 * pose_s / k->sums.time_s * variance + white));
 	return true;
 }
 

@@ -67,13 +67,15 @@ struct fusion_kalman_config {
 	 * estimated. A smaller one trusts the calibration. A larger one is for a gyro whose scale was never
 	 * calibrated. The estimate stays within five of it. */
 	double gyro_scale_sigma;
+	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white. noise_config.mag_sigma_uT. */
+	double field_sigma_uT;
 };
 
 #define FUSION_KALMAN_DEFAULTS                                                                               \
 	{                                                                                                    \
 		.velocity_sigma_m_s = 1, .heading_sigma_rad = 2 * RAD_PER_DEG, .field_limit = 0.1,           \
 		.rejection_time_s = 60, .gyro_error = 0.001, .bias_walk_rad_s_sqrt_s = 0.0025 * RAD_PER_DEG, \
-		.gyro_scale_sigma = 0.002,                                                                   \
+		.gyro_scale_sigma = 0.002, .field_sigma_uT = 0.5,                                            \
 	}
 
 /** Estimated errors of the gyro: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes, which

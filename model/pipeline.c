@@ -32,6 +32,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.gyro_bias_instability_rad_s = 0.01 * RAD_PER_DEG,
 			.accel_density_m_s2_sqrt_hz = 220e-6 * STANDARD_GRAVITY_M_S2,
 			.accel_bias_instability_m_s2 = 0.1e-3 * STANDARD_GRAVITY_M_S2,
+			.mag_sigma_uT = 0.5,
 		},
 	.estimator =
 		{
@@ -101,6 +102,7 @@ static struct fusion_config fusion_config(const struct pipeline_config *config)
 
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
 	fusion.delay_s = config->latency.sensor_s;
+	fusion.kalman.field_sigma_uT = config->noise.mag_sigma_uT;
 	return fusion;
 }
 

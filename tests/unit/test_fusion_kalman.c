@@ -551,13 +551,40 @@ static void test_the_attitude_is_extrapolated_over_the_delay_by_the_rate(void **
 		quat_multiply(f.q_nb, quat_from_rotation_vector((struct vec3){0.01, 0, 0})), 1e-9);
 }
 
+/* 1 sigma of the heading after a second of fields, as their noise makes it. */
+static double heading_sigma(double field_sigma_uT)
+{
+	struct errors e = {.rate_hz = 100};
+	struct fusion_config config = NINE_AXES;
+	struct fusion f;
+
+	config.kalman.field_sigma_uT = field_sigma_uT;
+	f = fusion(config);
+	follow(&f, &e, 0, 1);
+	fusion_kalman_set_heading(&f.kalman, 1); /* unknown within a radian, */
+	f.kalman.aided_heading_s = 0;		 /* .. and the field points to its north */
+	follow(&f, &e, 0, 1);
+	return sqrt(f.kalman.covariance[KALMAN_HEADING][KALMAN_HEADING]);
+}
+
+static void test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_heading(void **state)
+{
+	double quiet = heading_sigma(0.5), noisy = heading_sigma(50);
+
+	(void)state;
+	/* 50 uT in 100 fields of 20 uT, horizontally: 0.25 rad beside what a quiet magnetometer leaves */
+	assert_true(noisy > 1.2 * quiet);
+	assert_true(noisy < hypot(quiet, 0.3));
+	assert_near(heading_sigma(0), quiet, 1e-3);
+}
+
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
-	struct fusion_config bad[9];
+	struct fusion_config bad[10];
 	struct fusion f;
 
 	(void)state;
-	for (int i = 0; i < 9; i++)
+	for (int i = 0; i < 10; i++)
 		bad[i] = NINE_AXES;
 	bad[0].kalman.velocity_sigma_m_s = 0;
 	bad[1].kalman.heading_sigma_rad = 2;
@@ -568,7 +595,8 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 	bad[6].delay_s = 0.2;
 	bad[7].lever_arm_b_m.x = NAN;
 	bad[8].algorithm = (enum fusion_algorithm)3;
-	for (int i = 0; i < 9; i++)
+	bad[9].kalman.field_sigma_uT = -1;
+	for (int i = 0; i < 10; i++)
 		assert_int_equal(fusion_init(&f, &bad[i]), -EINVAL);
 }
 
@@ -600,6 +628,7 @@ int main(void)
 		cmocka_unit_test(test_a_wrong_heading_is_corrected_after_the_rejection_time),
 		cmocka_unit_test(test_the_tilt_of_a_simulated_chip_is_within_half_a_degree_in_every_motion),
 		cmocka_unit_test(test_the_attitude_is_extrapolated_over_the_delay_by_the_rate),
+		cmocka_unit_test(test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_heading),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 	};
 

@@ -20,7 +20,7 @@ static struct navigation_config levelling(void)
 	struct navigation_config config = BARE;
 
 	config.levelling = 1;
-	config.noise = (struct noise_config){0.001, 0.03 * RAD_PER_DEG, 0.01 * RAD_PER_DEG, 220e-6 * G, 1e-4 * G};
+	config.noise = (struct noise_config){0.001, 0.03 * RAD_PER_DEG, 0.01 * RAD_PER_DEG, 220e-6 * G, 1e-4 * G, 0.5};
 	return config;
 }
 
