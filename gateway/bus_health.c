@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <string.h>
 
+#include "gateway/canopen/deadline.h"
 #include "gateway/status.h"
 #include "od_index.h"
 
@@ -260,5 +261,5 @@ uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 	publish(h);
 	next_poll_us = h->poll_us + POLL_US;
 	/* a restart that is due while the interface is down waits until it is up */
-	return h->restart_us > now_us && h->restart_us < next_poll_us ? h->restart_us : next_poll_us;
+	return h->restart_us > now_us ? earlier(h->restart_us, next_poll_us) : next_poll_us;
 }

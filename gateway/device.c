@@ -1,5 +1,6 @@
 #include "gateway/device.h"
 
+#include "gateway/canopen/deadline.h"
 #include "gateway/publish.h"
 #include "gateway/settings.h"
 #include "gateway/slope_range.h"
@@ -392,11 +393,6 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 
 /* ---- the bus ----------------------------------------------------------------------------------------------------- */
 
-static uint64_t earlier(uint64_t a, uint64_t b)
-{
-	return a < b ? a : b;
-}
-
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us)
 {
 	d->now_us = now_us;
@@ -425,6 +421,7 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	next = earlier(next, utc_tick(&d->utc, now_us));
 	next = earlier(next, canopen_tick(&d->canopen, now_us));
 	next = earlier(next, leds_tick(&d->leds, now_us));
-	uint64_t silent = d->last_sample_us + sensor_watch_silence_us(&d->sensor_watch);
-	return d->sensor_lost || next < silent ? next : silent;
+	if (!d->sensor_lost)
+		next = earlier(next, d->last_sample_us + sensor_watch_silence_us(&d->sensor_watch));
+	return next;
 }

@@ -5,6 +5,7 @@
 #include <stdio.h>
 #include <unistd.h>
 
+#include "gateway/canopen/deadline.h"
 #include "gateway/canopen/node.h"
 #include "gateway/status.h"
 
@@ -171,5 +172,5 @@ uint64_t leds_tick(struct leds *leds, uint64_t now_us)
 
 	leds->values->status_leds.run = (uint8_t)leds->run.state;
 	leds->values->status_leds.error = (uint8_t)leds->error.state;
-	return run < error ? run : error;
+	return earlier(run, error);
 }

@@ -9,6 +9,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "gateway/canopen/deadline.h"
 #include "gateway/log.h"
 
 /* Limits for each wake-up, so that no source starves the others; what is left is read at the next one. */
@@ -209,8 +210,7 @@ static void wake(struct loop *l)
 		device_away(l->device, l->now_us - slept_us, l->now_us);
 	read_host_clock(l, l->now_us);
 	uint64_t next_us = device_tick(l->device, l->now_us);
-	uint64_t bus_us = can_service(l->bus, l->now_us);
-	arm(l, bus_us < next_us ? bus_us : next_us);
+	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
 }
 
 static sigset_t stop_signals(void)

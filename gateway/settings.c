@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 #include "model/math/units.h"
 
 /* the three calibration records have the same members, but different generated types */

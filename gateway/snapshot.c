@@ -3,7 +3,7 @@
 #include <assert.h>
 #include <string.h>
 
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 #include "od_index.h"
 
 #define COB_ID_INVALID (1u << 31)

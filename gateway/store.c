@@ -10,7 +10,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 
 static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
 enum { VERSION = 3, VERSION_WITHOUT_REVISION = 2, VERSION_WITHOUT_LSS = 1 };

@@ -5,7 +5,7 @@
 #include <errno.h>
 #include <string.h>
 
-#include "od/wire.h"
+#include "od/little_endian.h"
 
 enum {
 	COUNT_SIZE = 4,
@@ -19,11 +19,11 @@ bool od_dcf_add(uint8_t *out, size_t capacity, size_t *used, const struct od_dcf
 	if (capacity < from || capacity - from < HEAD_SIZE || capacity - from - HEAD_SIZE < item->size)
 		return false;
 	if (!*used)
-		wire_put(out, 0, COUNT_SIZE);
-	wire_put(out, wire_get(out, COUNT_SIZE) + 1, COUNT_SIZE);
-	wire_put(out + from, item->index, 2);
-	wire_put(out + from + 2, item->sub, 1);
-	wire_put(out + from + 3, item->size, 4);
+		put_uint(out, 0, COUNT_SIZE);
+	put_uint(out, get_uint(out, COUNT_SIZE) + 1, COUNT_SIZE);
+	put_uint(out + from, item->index, 2);
+	put_uint(out + from + 2, item->sub, 1);
+	put_uint(out + from + 3, item->size, 4);
 	if (item->size)
 		memcpy(out + from + HEAD_SIZE, item->data, item->size);
 	*used = from + HEAD_SIZE + item->size;
@@ -38,7 +38,7 @@ long od_encode(const struct od *od, enum od_group group, const void *base, uint8
 
 	if (capacity < COUNT_SIZE)
 		return -ENOSPC;
-	wire_put(out, 0, COUNT_SIZE);
+	put_uint(out, 0, COUNT_SIZE);
 	for (size_t i = 0; i < od->table->count; i++) {
 		const struct od_entry *entry = &od->table->entries[i];
 		struct od_dcf_item item = {.index = entry->index, .sub = entry->sub, .data = value};
@@ -61,8 +61,8 @@ bool od_dcf_valid(const uint8_t *in, size_t size)
 
 	if (size < COUNT_SIZE)
 		return false;
-	for (count = wire_get(in, COUNT_SIZE); count && size - used >= HEAD_SIZE; count--) {
-		uint64_t length = wire_get(in + used + 3, 4);
+	for (count = get_uint(in, COUNT_SIZE); count && size - used >= HEAD_SIZE; count--) {
+		uint64_t length = get_uint(in + used + 3, 4);
 
 		used += HEAD_SIZE;
 		if (length > size - used)
@@ -78,9 +78,9 @@ bool od_dcf_next(const uint8_t *in, size_t size, size_t *used, struct od_dcf_ite
 
 	if (from >= size)
 		return false;
-	*item = (struct od_dcf_item){.index = (uint16_t)wire_get(in + from, 2),
+	*item = (struct od_dcf_item){.index = (uint16_t)get_uint(in + from, 2),
 		.sub = in[from + 2],
-		.size = (size_t)wire_get(in + from + 3, 4),
+		.size = (size_t)get_uint(in + from + 3, 4),
 		.data = in + from + HEAD_SIZE};
 	*used = from + HEAD_SIZE + item->size;
 	return true;

@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#include "od/wire.h"
+#include "od/little_endian.h"
 
 static bool is_string(const struct od_entry *entry)
 {
@@ -157,7 +157,7 @@ size_t od_get(const struct od *od, const struct od_entry *entry, void *wire, siz
 	if (is_string(entry))
 		memcpy(wire, from, size);
 	else
-		wire_put(wire, host_get(from, size), size);
+		put_uint(wire, host_get(from, size), size);
 	return size;
 }
 
@@ -190,7 +190,7 @@ double od_step(const struct od *od, const struct od_entry *entry)
 
 	if (!resolution)
 		return entry->factor;
-	return (double)wire_get(wire, od_get(od, resolution, wire, sizeof(wire))) * resolution->factor;
+	return (double)get_uint(wire, od_get(od, resolution, wire, sizeof(wire))) * resolution->factor;
 }
 
 const struct od_domain *od_find_domain(const struct od *od, uint16_t index, uint8_t sub)
@@ -246,7 +246,7 @@ enum od_status od_check(const struct od_entry *entry, const void *wire, size_t s
 		return OD_TOO_SHORT;
 	if (entry->type == OD_OCTET_STRING)
 		return OD_OK;
-	raw = wire_get(wire, size);
+	raw = get_uint(wire, size);
 	switch ((enum od_type)entry->type) {
 	case OD_REAL32:
 		low = (uint32_t)raw;
@@ -259,7 +259,7 @@ enum od_status od_check(const struct od_entry *entry, const void *wire, size_t s
 	case OD_INTEGER16:
 	case OD_INTEGER32:
 	case OD_INTEGER64:
-		value = wire_signed(raw, size);
+		value = sign_extend(raw, size);
 		below = value < entry->low.i;
 		above = value > entry->high.i;
 		return check_limits(entry, below, above);
@@ -277,7 +277,7 @@ static void set(struct od *od, const struct od_entry *entry, const void *wire, s
 	uint8_t *to = value_of(od, entry);
 
 	if (!is_string(entry)) {
-		host_put(to, wire_get(wire, size), size);
+		host_put(to, get_uint(wire, size), size);
 		return;
 	}
 	if (size)

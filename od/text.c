@@ -11,7 +11,7 @@
 #include <string.h>
 #include <strings.h>
 
-#include "od/wire.h"
+#include "od/little_endian.h"
 
 static bool is_name_character(char c)
 {
@@ -206,7 +206,7 @@ enum od_status od_parse(const struct od_entry *entry, const char *text, void *wi
 		if (status)
 			return status;
 		*size = entry->size;
-		wire_put(wire, value, entry->size);
+		put_uint(wire, value, entry->size);
 		return OD_OK;
 	}
 }
@@ -270,7 +270,7 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 		return print_string(entry, wire, size, text, capacity);
 	if (size != entry->size)
 		return -EINVAL;
-	raw = wire_get(wire, size);
+	raw = get_uint(wire, size);
 	switch (entry->type) {
 	case OD_REAL32:
 	case OD_REAL64:
@@ -280,7 +280,7 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 	case OD_INTEGER16:
 	case OD_INTEGER32:
 	case OD_INTEGER64:
-		snprintf(number, sizeof(number), "%lld", (long long)wire_signed(raw, size));
+		snprintf(number, sizeof(number), "%lld", (long long)sign_extend(raw, size));
 		break;
 	default:
 		snprintf(number, sizeof(number), "%llu", (unsigned long long)raw);

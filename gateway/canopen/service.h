@@ -5,8 +5,9 @@
 #ifndef GATEWAY_CANOPEN_SERVICE_H
 #define GATEWAY_CANOPEN_SERVICE_H
 
+#include "gateway/canopen/deadline.h"
 #include "gateway/canopen/node.h"
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 
 enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next */
 
@@ -184,15 +185,5 @@ void lss_receive(struct canopen_node *node, const struct can_msg *msg);
 /** The bit rate of the bus is being switched: nothing is sent, nothing heard, and time does not count. */
 bool lss_silent(const struct canopen_node *node);
 uint64_t lss_tick(struct canopen_node *node);
-
-static inline uint64_t earlier(uint64_t a, uint64_t b)
-{
-	return a < b ? a : b;
-}
-
-static inline uint64_t later(uint64_t a, uint64_t b)
-{
-	return a > b ? a : b;
-}
 
 #endif

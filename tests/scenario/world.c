@@ -3,7 +3,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 #include "gateway/config.h"
 
 static int take_frame(struct can_port *port, const struct can_msg *msg)

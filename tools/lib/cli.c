@@ -15,6 +15,8 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "gateway/canopen/deadline.h"
+
 /* Replaces control codes, which text quoted from a log or a device can contain. */
 __attribute__((format(printf, 1, 0))) static void print_error(const char *format, va_list args)
 {
@@ -166,8 +168,7 @@ struct can_port *cli_open_bus(const char *bus)
 bool cli_wait(struct can_port *bus, int signal_fd, uint64_t deadline_us)
 {
 	uint64_t now_us = cli_now_us();
-	uint64_t bus_us = can_service(bus, now_us);
-	uint64_t until_us = bus_us < deadline_us ? bus_us : deadline_us;
+	uint64_t until_us = earlier(can_service(bus, now_us), deadline_us);
 	uint64_t wait_us = until_us > now_us ? until_us - now_us : 0;
 	struct timespec timeout = {
 		.tv_sec = (time_t)(wait_us / 1000000),

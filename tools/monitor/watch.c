@@ -5,8 +5,10 @@
 #include <string.h>
 
 #include "gateway/canopen/canopen.h"
+#include "gateway/canopen/deadline.h"
 #include "gateway/status.h"
 #include "model/pipeline.h"
+#include "od/little_endian.h"
 #include "tools/lib/cli_value.h"
 #include "od_index.h"
 
@@ -288,7 +290,7 @@ static void on_heartbeat(struct watch *watch, const struct can_msg *msg, uint64_
 static void on_emcy(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
 {
 	count_frame(&watch->emcy, now_us);
-	watch->emcy_code = (uint16_t)(msg->data[0] | msg->data[1] << 8);
+	watch->emcy_code = get_u16(msg->data);
 	watch->emcy_register = msg->data[2];
 }
 
@@ -333,8 +335,7 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us)
 	}
 	if (now_us >= watch->retry_us)
 		start_reading(watch, now_us);
-	uint64_t answer_us = sdo_client_tick(&watch->sdo, now_us);
-	return answer_us < watch->retry_us ? answer_us : watch->retry_us;
+	return earlier(sdo_client_tick(&watch->sdo, now_us), watch->retry_us);
 }
 
 int watch_nmt_state(const struct watch *watch, uint64_t now_us)

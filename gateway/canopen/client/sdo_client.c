@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 
 enum { /* client command specifiers, in place */
 	CCS_DOWNLOAD_SEGMENT = 0 << 5,

@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/crc16.h"
-#include "gateway/canopen/little_endian.h"
+#include "od/little_endian.h"
 
 enum {
 	SEGMENT_BYTES = 7,
@@ -145,7 +145,7 @@ static void upload_end(struct sdo_client *client, const uint8_t *data, uint64_t 
 		give_up(client, SDO_ABORT_MEMORY, now_us);
 	else if (client->total != SIZE_MAX && client->size != client->total)
 		give_up(client, SDO_ABORT_LENGTH, now_us);
-	else if (client->block.crc && canopen_crc16(0, client->in, client->size) != (uint16_t)(data[1] | data[2] << 8))
+	else if (client->block.crc && canopen_crc16(0, client->in, client->size) != get_u16(data + 1))
 		give_up(client, SDO_ABORT_CRC, now_us);
 	else
 		sdo_client_send(client, CCS_UPLOAD_END, NULL, 0, now_us);
@@ -169,8 +169,9 @@ static bool ask_again(struct sdo_client *client, uint64_t now_us)
 void sdo_client_block_download(
 	struct sdo_client *client, uint16_t index, uint8_t sub, const void *data, size_t size, uint64_t now_us)
 {
-	const uint8_t tail[] = {(uint8_t)size, (uint8_t)(size >> 8), (uint8_t)(size >> 16), (uint8_t)(size >> 24)};
+	uint8_t tail[4];
 
+	put_u32(tail, (uint32_t)size);
 	begin(client, index, sub);
 	client->phase = SDO_BLOCK_DOWNLOAD_START;
 	client->out = data;
@@ -241,8 +242,9 @@ static void send_end(struct sdo_client *client, uint64_t now_us)
 {
 	size_t in_last = client->total ? (client->total - 1) % SEGMENT_BYTES + 1 : 0;
 	uint16_t crc = client->block.crc ? canopen_crc16(0, client->out, client->total) : 0;
-	const uint8_t payload[] = {(uint8_t)crc, (uint8_t)(crc >> 8)};
+	uint8_t payload[2];
 
+	put_u16(payload, crc);
 	client->phase = SDO_BLOCK_DOWNLOAD_END;
 	sdo_client_send(client, CCS_DOWNLOAD_END | (unsigned int)(SEGMENT_BYTES - in_last) << 2, payload,
 		sizeof(payload), now_us);
