@@ -4,10 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/deadline.h"
-#include "gateway/status.h"
 #include "od_index.h"
-
-enum { REGISTER_COMMUNICATION = 1 << 4 };
 
 enum {
 	POLL_US = 1000000,
@@ -167,7 +164,7 @@ static void came_back(struct bus_health *h)
 {
 	h->was_off = false;
 	h->restart_us = UINT64_MAX;
-	canopen_error_set(h->node, EMCY_BUS_OFF_OVER, REGISTER_COMMUNICATION, NULL, h->now_us);
+	canopen_error_set(h->node, EMCY_BUS_OFF_OVER, ERROR_COMMUNICATION, NULL, h->now_us);
 	canopen_error_clear(h->node, EMCY_BUS_OFF_OVER, h->now_us);
 }
 
@@ -182,7 +179,7 @@ static void watch_state(struct bus_health *h)
 	if (state == CAN_STATE_BUS_OFF)
 		went_off(h);
 	if (state == CAN_STATE_PASSIVE)
-		canopen_error_set(h->node, EMCY_ERROR_PASSIVE, REGISTER_COMMUNICATION, NULL, h->now_us);
+		canopen_error_set(h->node, EMCY_ERROR_PASSIVE, ERROR_COMMUNICATION, NULL, h->now_us);
 	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
 		canopen_error_clear(h->node, EMCY_ERROR_PASSIVE, h->now_us);
 	if (h->was_off && state != CAN_STATE_BUS_OFF && state != CAN_STATE_DOWN)
@@ -197,7 +194,7 @@ static void watch_lost_frames(struct bus_health *h)
 	if (dropped != h->dropped_seen && h->bus->state != CAN_STATE_DOWN) {
 		h->overrun = true;
 		h->overrun_us = h->now_us;
-		canopen_error_set(h->node, EMCY_CAN_OVERRUN, REGISTER_COMMUNICATION, NULL, h->now_us);
+		canopen_error_set(h->node, EMCY_CAN_OVERRUN, ERROR_COMMUNICATION, NULL, h->now_us);
 	} else if (h->overrun && h->now_us - h->overrun_us > OVERRUN_CLEAR_US) {
 		h->overrun = false;
 		canopen_error_clear(h->node, EMCY_CAN_OVERRUN, h->now_us);

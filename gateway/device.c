@@ -7,9 +7,6 @@
 #include "gateway/threshold.h"
 #include "od_index.h"
 
-/* ERROR REGISTER bits (1001h); the core adds the generic bit */
-enum { REGISTER_MANUFACTURER = 1 << 7 };
-
 /* ---- configuration: objects to pipeline -------------------------------------------------------------------------- */
 
 static void on_configuration_changed(void *ctx, const struct od_entry *entry)
@@ -35,7 +32,7 @@ static bool apply_configuration(struct device *d)
 static void apply_or_report(struct device *d)
 {
 	if (!apply_configuration(d))
-		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, REGISTER_MANUFACTURER, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_CONFIGURATION, ERROR_MANUFACTURER, NULL, d->now_us);
 }
 
 static bool on_snapshot_apply(void *ctx)
@@ -200,10 +197,10 @@ static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t i
 	struct device *d = ctx;
 
 	if (set)
-		event_log_add(&d->log, d->now_us, "error %04Xh, EMCY with %02X %02X %02X %02X %02X", code, info[0],
-			info[1], info[2], info[3], info[4]);
+		event_log_add(&d->log, d->now_us, "error %04Xh (%s), EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", code,
+			emcy_code_text(code), info[0], info[1], info[2], info[3], info[4]);
 	else
-		event_log_add(&d->log, d->now_us, "error %04Xh is over", code);
+		event_log_add(&d->log, d->now_us, "error %04Xh (%s) is over", code, emcy_code_text(code));
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
@@ -283,7 +280,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 		d->imu->name);
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
-		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, REGISTER_MANUFACTURER, NULL, now_us);
+		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, ERROR_MANUFACTURER, NULL, now_us);
 }
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
@@ -310,7 +307,7 @@ static void sensor_lost(struct device *d)
 		why, EMCY_SENSOR_LOST);
 	invalidate_outputs(d);
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
-	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, REGISTER_MANUFACTURER, info, d->now_us);
+	canopen_error_set(&d->canopen, EMCY_SENSOR_LOST, ERROR_MANUFACTURER, info, d->now_us);
 	canopen_sample(&d->canopen, d->now_us); /* the status word has changed */
 }
 
@@ -351,7 +348,7 @@ static void watch_uncertainty(struct device *d, unsigned status)
 	bool unsure = status & PIPELINE_UNSURE;
 
 	if (unsure && !d->position_unsure)
-		canopen_error_set(&d->canopen, EMCY_POSITION_UNSURE, REGISTER_MANUFACTURER, NULL, d->now_us);
+		canopen_error_set(&d->canopen, EMCY_POSITION_UNSURE, ERROR_MANUFACTURER, NULL, d->now_us);
 	if (!unsure && d->position_unsure)
 		canopen_error_clear(&d->canopen, EMCY_POSITION_UNSURE, d->now_us);
 	d->position_unsure = unsure;

@@ -6,13 +6,8 @@
 #include <unistd.h>
 
 #include "gateway/canopen/deadline.h"
-#include "gateway/canopen/node.h"
-#include "gateway/status.h"
 
 /* ---- states ------------------------------------------------------------------------------------------------------ */
-
-/* The wire knows these by their EMCY codes. */
-enum { DATA_SET = 0x6300, ERROR_CONTROL = 0x8130, SYNC_LATE = 0x8100, SYNC_LENGTH = 0x8240, EVENT_TIMER = 0x8250 };
 
 /* The green LED. */
 static enum led_state led_run(const struct canopen_node *node)
@@ -37,15 +32,15 @@ static enum led_state led_error(const struct canopen_node *node, enum can_state 
 {
 	if (bus == CAN_STATE_BUS_OFF)
 		return LED_ON;
-	if (canopen_error_stands(node, EVENT_TIMER))
+	if (canopen_error_stands(node, EMCY_PDO_TIMEOUT))
 		return LED_QUADRUPLE_FLASH;
-	if (canopen_error_stands(node, SYNC_LATE) || canopen_error_stands(node, SYNC_LENGTH))
+	if (canopen_error_stands(node, EMCY_SYNC_TIME) || canopen_error_stands(node, EMCY_SYNC_LENGTH))
 		return LED_TRIPLE_FLASH;
-	if (canopen_error_stands(node, ERROR_CONTROL))
+	if (canopen_error_stands(node, EMCY_HEARTBEAT))
 		return LED_DOUBLE_FLASH;
 	if (bus == CAN_STATE_WARNING || bus == CAN_STATE_PASSIVE)
 		return LED_SINGLE_FLASH;
-	if (canopen_error_stands(node, DATA_SET) || canopen_error_stands(node, EMCY_CONFIGURATION) ||
+	if (canopen_error_stands(node, EMCY_DATA_SET) || canopen_error_stands(node, EMCY_CONFIGURATION) ||
 		canopen_error_stands(node, EMCY_STORE_DAMAGED))
 		return LED_BLINKING;
 	return canopen_lss_active(node) ? LED_FLICKERING : LED_OFF;

@@ -6,7 +6,7 @@
 #include "gateway/status.h"
 #include "od_index.h"
 
-enum { REGISTER_MANUFACTURER = 1 << 7, SELF_TEST_US = 5000000 /* at most */ };
+enum { SELF_TEST_US = 5000000 /* at most */ };
 
 struct imu_settings sensor_settings(const struct od_values *v)
 {
@@ -170,7 +170,7 @@ static void report_degraded(struct sensor_watch *w, uint64_t now_us)
 		return;
 	event_log_line(w->log, now_us, "%s %s: EMCY %04Xh, samples continue", chip_text(w->degraded_chip),
 		fault_text(w->degraded), EMCY_SENSOR_DEGRADED);
-	canopen_error_set(w->canopen, EMCY_SENSOR_DEGRADED, REGISTER_MANUFACTURER,
+	canopen_error_set(w->canopen, EMCY_SENSOR_DEGRADED, ERROR_MANUFACTURER,
 		(const uint8_t[5]){w->degraded, w->degraded_chip}, now_us);
 }
 
@@ -179,7 +179,7 @@ void sensor_watch_tick(struct sensor_watch *w, uint64_t now_us)
 	publish(w);
 	report_degraded(w, now_us);
 	if (w->refused && !w->refusal_reported)
-		canopen_error_set(w->canopen, EMCY_SENSOR_SETTINGS, REGISTER_MANUFACTURER, NULL, now_us);
+		canopen_error_set(w->canopen, EMCY_SENSOR_SETTINGS, ERROR_MANUFACTURER, NULL, now_us);
 	if (!w->refused && w->refusal_reported)
 		canopen_error_clear(w->canopen, EMCY_SENSOR_SETTINGS, now_us);
 	w->refusal_reported = w->refused;

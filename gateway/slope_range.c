@@ -4,8 +4,6 @@
 
 #include "gateway/publish.h"
 
-enum { REGISTER_PROFILE = 1 << 5 }; /* 1001h: specific to the device profile */
-
 #define CLEAR_BELOW 0.98 /* of the range: hysteresis, so that a slope at the limit does not set and clear the error */
 
 static void check(
@@ -15,7 +13,7 @@ static void check(
 	bool within = range_deg == 0 || fabs(slope_deg) <= CLEAR_BELOW * range_deg;
 
 	if (clipped || beyond)
-		canopen_error_set(node, code, REGISTER_PROFILE, NULL, now_us);
+		canopen_error_set(node, code, ERROR_PROFILE, NULL, now_us);
 	else if (within)
 		canopen_error_clear(node, code, now_us);
 }

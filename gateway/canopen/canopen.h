@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #include "drivers/ports/can.h"
+#include "gateway/canopen/emcy_codes.h"
 #include "od/od.h"
 
 enum nmt_state { /* the values that the heartbeat carries */

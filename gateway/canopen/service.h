@@ -24,25 +24,6 @@ enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next *
 #define ABORT_SEQUENCE	 0x05040003u
 #define ABORT_CRC	 0x05040004u
 
-/* EMCY codes that the core itself raises (CiA 301, table 26). */
-enum {
-	EMCY_NO_ERROR = 0x0000,
-	EMCY_DATA_SET = 0x6300,	 /* a stored communication parameter is not usable; info: its index */
-	EMCY_HEARTBEAT = 0x8130, /* heartbeat or life guard; the first byte of info: the node that is silent, or 0 */
-	EMCY_SYNC_TIME = 0x8100, /* communication; info: 1007h: a SYNC was seen after its window; 1006h: none comes */
-	/* of an RPDO; info: its index, and .. */
-	EMCY_PDO_CONTENT = 0x8200, /* protocol: .. index and sub-index of the object that refuses its value */
-	EMCY_PDO_SHORT = 0x8210,   /* .. bytes that came, bytes that are mapped */
-	EMCY_PDO_LONG = 0x8220,	   /* the same; the first bytes were used */
-	EMCY_COLLISION = 0x8150,   /* info: the identifier */
-	EMCY_SYNC_LENGTH = 0x8240,
-	EMCY_PDO_TIMEOUT = 0x8250,
-};
-enum {
-	ERROR_GENERIC = 1 << 0,
-	ERROR_COMMUNICATION = 1 << 4,
-};
-
 /* node.c */
 void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len);
 /** The value in the dictionary, or zeros where an optional object is absent: its feature is off. */

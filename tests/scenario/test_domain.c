@@ -581,8 +581,8 @@ static void test_the_log_tells_errors_and_their_end(void **state)
 
 	canopen_error_set(&p->world.device.canopen, 0x8130, 0x10, (const uint8_t[5]){5}, p->world.now_us);
 	canopen_error_clear(&p->world.device.canopen, 0x8130, p->world.now_us);
-	assert_logged(p, "error 8130h, EMCY with 05 00 00 00 00\n");
-	assert_logged(p, "error 8130h is over\n");
+	assert_logged(p, "error 8130h (heartbeat or life guarding lost), EMCY bytes 3 to 7: 05 00 00 00 00\n");
+	assert_logged(p, "error 8130h (heartbeat or life guarding lost) is over\n");
 }
 
 static void test_the_log_tells_bus_states(void **state)

@@ -179,7 +179,7 @@ static void show_node(const struct monitor *m, uint64_t now_us)
 	end_line(m);
 	if (w->emcy.count)
 		printf("EMCY %04Xh: %s, error register %02Xh, %.1f s ago (%llu in all)", w->emcy_code,
-			watch_emcy_text(w->emcy_code), w->emcy_register, seconds_since(w->emcy.last_us, now_us),
+			emcy_code_text(w->emcy_code), w->emcy_register, seconds_since(w->emcy.last_us, now_us),
 			(unsigned long long)w->emcy.count);
 	else
 		fputs("EMCY none", stdout);
@@ -360,7 +360,7 @@ static void show_summary(const struct monitor *m, uint64_t now_us)
 	printf("NMT state %s; %llu heartbeats, %llu SYNC, %llu EMCY%s%s\n", watch_nmt_text(watch_nmt_state(w, now_us)),
 		(unsigned long long)w->heartbeat.count, (unsigned long long)w->sync.count,
 		(unsigned long long)w->emcy.count, w->emcy.count ? ", the last: " : "",
-		w->emcy.count ? watch_emcy_text(w->emcy_code) : "");
+		w->emcy.count ? emcy_code_text(w->emcy_code) : "");
 }
 
 /* ---- NMT master and SYNC producer ---- */

@@ -385,56 +385,6 @@ const char *watch_nmt_text(int nmt_state)
 	}
 }
 
-const char *watch_emcy_text(uint16_t code)
-{
-	static const struct {
-		uint16_t mask, code;
-		const char *text;
-	} texts[] = {
-		{0xFFFF, 0x5010, "longitudinal slope out of range"},
-		{0xFFFF, 0x5020, "lateral slope out of range"},
-		{0xFFFF, EMCY_SENSOR_LOST, "the IMU delivers no samples"},
-		{0xFFFF, EMCY_SENSOR_DEGRADED, "a chip of the IMU has a fault, samples go on without it (2124h)"},
-		{0xFFFF, EMCY_STORE_DAMAGED, "the stored values could not be read, defaults are in use"},
-		{0xFFFF, EMCY_CONFIGURATION, "the configuration objects contradict each other"},
-		{0xFFFF, EMCY_SENSOR_SETTINGS, "the IMU cannot do what 2058h asks for"},
-		{0xFFFF, EMCY_POSITION_UNSURE, "the position is less certain than position.sigma_limit"},
-		{0xFFFF, 0x8100, "SYNC missing (1006h), or seen after its window (1007h)"},
-		{0xFFFF, EMCY_CAN_OVERRUN, "CAN overrun: frames were lost"},
-		{0xFFFF, 0x8120, "CAN error-passive"},
-		{0xFFFF, 0x8130, "heartbeat of another node lost"},
-		{0xFFFF, 0x8140, "recovered from bus-off"},
-		{0xFFFF, 0x8150, "COB-ID collision"},
-		{0xFFFF, 0x8200, "a value in an RPDO is out of range"},
-		{0xFFFF, 0x8210, "PDO not processed: wrong length"},
-		{0xFFFF, 0x8220, "PDO longer than its mapping"},
-		{0xFFFF, 0x8240, "SYNC of unexpected length"},
-		{0xFFFF, 0x8250, "RPDO did not come in time"},
-		{0xFF00, 0x0000, "no error"},
-		{0xFF00, 0x6100, "internal software"},
-		{0xFF00, 0x6200, "user software"},
-		{0xFF00, 0x6300, "configuration data"},
-		{0xFF00, 0x8100, "communication"},
-		{0xFF00, 0x8200, "protocol"},
-		{0xFF00, 0xFF00, "device-specific"},
-		{0xF000, 0x1000, "generic error"},
-		{0xF000, 0x2000, "current"},
-		{0xF000, 0x3000, "voltage"},
-		{0xF000, 0x4000, "temperature"},
-		{0xF000, 0x5000, "device hardware"},
-		{0xF000, 0x6000, "device software"},
-		{0xF000, 0x7000, "additional modules"},
-		{0xF000, 0x8000, "monitoring"},
-		{0xF000, 0x9000, "external error"},
-		{0xF000, 0xF000, "additional functions"},
-	};
-
-	for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
-		if ((code & texts[i].mask) == texts[i].code)
-			return texts[i].text;
-	return "unknown error";
-}
-
 void watch_status_text(unsigned int status, char *text, size_t capacity)
 {
 	static const struct {

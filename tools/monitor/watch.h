@@ -94,8 +94,6 @@ void watch_field_text(const struct watch_field *field, char *text, size_t capaci
 int watch_nmt_state(const struct watch *watch, uint64_t now_us);
 /** "operational", .. */
 const char *watch_nmt_text(int nmt_state);
-/** What an emergency error code means (CiA 301 table 26 and the gateway's own). */
-const char *watch_emcy_text(uint16_t code);
 /** The bits of the status word (210Fh:3) as words, separated by commas; "none" for 0. */
 void watch_status_text(unsigned int status, char *text, size_t capacity);
 
