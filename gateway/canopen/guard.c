@@ -16,10 +16,15 @@ void guard_init(struct canopen_node *node)
 	node->guard.life_factor = node_value(node, OD_INDEX_LIFE_TIME_FACTOR, 0, sizeof(uint8_t));
 }
 
+void guard_pause(struct canopen_node *node)
+{
+	node->guard.alive = false;
+}
+
 void guard_reset(struct canopen_node *node)
 {
 	node->guard.toggle = 0;
-	node->guard.alive = false;
+	guard_pause(node);
 }
 
 void guard_receive(struct canopen_node *node)

@@ -123,7 +123,7 @@ bool lss_silent(const struct canopen_node *node)
 static void end_silence(struct canopen_node *node)
 {
 	node->lss.switching = SWITCH_NONE;
-	node->guard.alive = false;
+	guard_pause(node);
 	heartbeat_pause(node);
 	sync_pause(node);
 	pdo_pause(node);

@@ -60,12 +60,17 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 		sdo_server_stop(node);
 	if (old == NMT_STOPPED && nmt_communicates(node))
 		emcy_leave_stopped(node); /* before PDOs begin anew: that may end an error, and tell it */
-	if (state == NMT_OPERATIONAL)
+	if (state == NMT_OPERATIONAL) {
+		sync_start(node);
 		pdo_start(node);
+	}
 }
 
-void nmt_start_up(struct canopen_node *node)
+void nmt_boot_up(struct canopen_node *node)
 {
+	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
+	node->nmt.last_heartbeat_us = node->now_us;
+	nmt_enter(node, NMT_PRE_OPERATIONAL);
 	if (node->nmt.startup && !(*node->nmt.startup & STARTUP_BY_MASTER))
 		nmt_enter(node, NMT_OPERATIONAL);
 }

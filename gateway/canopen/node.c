@@ -135,12 +135,8 @@ void canopen_start(struct canopen_node *node, uint64_t now_us)
 {
 	node->now_us = now_us;
 	node->started = true;
-	if (node->id == CANOPEN_UNCONFIGURED)
-		return;
-	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
-	node->nmt.last_heartbeat_us = now_us;
-	nmt_enter(node, NMT_PRE_OPERATIONAL);
-	nmt_start_up(node);
+	if (node->id != CANOPEN_UNCONFIGURED)
+		nmt_boot_up(node);
 }
 
 void node_reset(struct canopen_node *node, enum od_group group)

@@ -246,7 +246,6 @@ void pdo_start(struct canopen_node *node)
 {
 	struct pdo *pdo;
 
-	node->sync.last_us = 0;
 	for (size_t i = 0; (pdo = nth(node, i)); i++)
 		restart(node, pdo);
 }

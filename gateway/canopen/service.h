@@ -1,7 +1,10 @@
 /* gateway/canopen/service.h
  * What the service files of the core call of one another. Nobody else includes this. Each service has X_init(), once,
  * which looks its objects up and attaches its hook; X_reset(), whenever the dictionary was brought back to its power-on
- * values; X_tick(), which does what is due and returns the next deadline. They take the time from node->now_us. */
+ * values; X_tick(), which does what is due and returns the next deadline. They take the time from node->now_us.
+ *
+ * The rule: a struct of struct canopen_node is written only by the files of its own service. The others read it, or call
+ * a function below. `make check-layers` holds that. */
 #ifndef GATEWAY_CANOPEN_SERVICE_H
 #define GATEWAY_CANOPEN_SERVICE_H
 
@@ -50,8 +53,8 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state);
 bool nmt_communicates(const struct canopen_node *node);
 /** A heartbeat or life guarding event, or bus-off: the state becomes what 1029h says. */
 void nmt_communication_error(struct canopen_node *node);
-/** After boot-up: 1F80h. */
-void nmt_start_up(struct canopen_node *node);
+/** Sends boot-up, enters pre-operational, and operational where 1F80h says so (CiA 302-2). */
+void nmt_boot_up(struct canopen_node *node);
 
 /* heartbeat.c */
 void heartbeat_init(struct canopen_node *node);
@@ -65,6 +68,8 @@ uint64_t heartbeat_tick(struct canopen_node *node);
 void guard_init(struct canopen_node *node);
 void guard_reset(struct canopen_node *node);
 void guard_receive(struct canopen_node *node); /* the master asked */
+/** Life guarding starts again with the next request: none could be received for a while. */
+void guard_pause(struct canopen_node *node);
 uint64_t guard_tick(struct canopen_node *node);
 
 /* sdo_server.c */
@@ -117,6 +122,8 @@ uint64_t pdo_tick(struct canopen_node *node);
 void sync_init(struct canopen_node *node);
 void sync_reset(struct canopen_node *node);
 void sync_receive(struct canopen_node *node, const struct can_msg *msg);
+/** Operational begins: no SYNC was received in it yet, so no synchronous window is closed. */
+void sync_start(struct canopen_node *node);
 /** Watching begins anew with the next SYNC: none could be heard for a while. */
 void sync_pause(struct canopen_node *node);
 /** Whether a synchronous RPDO came in time after the last SYNC. */

@@ -88,11 +88,16 @@ void sync_init(struct canopen_node *node)
 	od_attach(node->od, &sync->hook);
 }
 
+void sync_start(struct canopen_node *node)
+{
+	node->sync.last_us = 0;
+}
+
 void sync_reset(struct canopen_node *node)
 {
 	node->sync.running = false;
 	node->sync.counter = 0;
-	node->sync.last_us = 0;
+	sync_start(node);
 	sync_pause(node);
 	listen(node);
 	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_SYNC, 0, NULL))
