@@ -212,8 +212,9 @@ score: all ## replay the trials in BROAD=DIR and compare them with their optical
 	@DEPS=$(DEPS) tools/deps score
 	@BUILD=$(BUILD) tests/score $(BROAD)
 
-check-layers: $(MODEL_LIB) ## fail when a layer includes or needs what it must not
-	@tests/check-layers $(MODEL_LIB)
+PURE_LIBS := $(MODEL_LIB) $(BUILD)/libod.a $(BUILD)/libcanopen.a $(BUILD)/libgateway.a
+check-layers: $(PURE_LIBS) ## fail when a layer includes or needs what it must not
+	@tests/check-layers $(PURE_LIBS)
 
 check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
 	@tests/check-docs
