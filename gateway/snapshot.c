@@ -3,14 +3,12 @@
 #include <assert.h>
 #include <string.h>
 
+#include "gateway/canopen/cia301.h"
 #include "od/little_endian.h"
 #include "od_index.h"
 
-#define COB_ID_INVALID (1u << 31)
-#define SYNC_PRODUCER  (1u << 30)
 #define COB_ID_FOLLOWS (1u << 29) /* the node-ID is to be added */
-#define COB_ID_NUMBER  0x7FFu
-#define COB_ID_FLAGS   (COB_ID_INVALID | 1u << 30)
+#define COB_ID_FLAGS   (COB_ID_INVALID | COB_ID_NO_RTR)
 
 /* The order of the writes. */
 enum phase { SWITCH_OFF, SET, SET_COUNT, SWITCH_ON, SET_DATE, PHASES };
@@ -18,16 +16,6 @@ enum phase { SWITCH_OFF, SET, SET_COUNT, SWITCH_ON, SET_DATE, PHASES };
 static bool is_configuration(const struct od_entry *entry)
 {
 	return (entry->access & OD_STORED) && (entry->access & OD_WRITE);
-}
-
-static bool is_pdo_communication(uint16_t index)
-{
-	return (index >= 0x1400 && index < 0x1600) || (index >= 0x1800 && index < 0x1A00);
-}
-
-static bool is_mapping(uint16_t index)
-{
-	return (index >= 0x1600 && index < 0x1800) || (index >= 0x1A00 && index < 0x1C00);
 }
 
 static bool is_cob_id(const struct od_entry *entry)
@@ -47,7 +35,7 @@ static enum phase phase_of(const struct od_entry *entry)
 {
 	if (is_cob_id(entry) || is_sync(entry->index) || entry->index == OD_INDEX_CONSUMER_HEARTBEAT_TIME)
 		return SWITCH_ON;
-	if (is_mapping(entry->index) && entry->sub == 0)
+	if (is_pdo_mapping(entry->index) && entry->sub == 0)
 		return SET_COUNT;
 	return entry->index == OD_INDEX_VERIFY_CONFIGURATION ? SET_DATE : SET;
 }
@@ -72,7 +60,7 @@ static uint32_t value_u32(const struct od *od, const struct od_entry *entry)
 static void off_value(const struct od *od, const struct od_entry *entry, uint8_t wire[sizeof(uint32_t)])
 {
 	if (entry->index == OD_INDEX_COB_ID_SYNC)
-		put_u32(wire, value_u32(od, entry) & ~SYNC_PRODUCER);
+		put_u32(wire, value_u32(od, entry) & ~COB_ID_PRODUCES);
 	else
 		put_u32(wire, is_cob_id(entry) ? COB_ID_INVALID : 0);
 }
@@ -82,9 +70,9 @@ static uint32_t without_node_id(const struct od *od, const struct od_entry *entr
 	uint32_t base;
 
 	memcpy(&base, (const uint8_t *)od->table->defaults + entry->offset, sizeof(base));
-	if ((value & COB_ID_NUMBER) != ((base + node_id) & COB_ID_NUMBER))
+	if ((value & COB_ID_MASK) != ((base + node_id) & COB_ID_MASK))
 		return value;
-	return (value & COB_ID_FLAGS) | (base & COB_ID_NUMBER) | COB_ID_FOLLOWS;
+	return (value & COB_ID_FLAGS) | (base & COB_ID_MASK) | COB_ID_FOLLOWS;
 }
 
 static size_t value_of(const struct od *od, uint8_t node_id, const struct od_entry *entry, uint8_t wire[OD_VALUE_MAX])
@@ -101,7 +89,7 @@ static bool is_in_use(const struct od *od, const struct od_entry *entry)
 {
 	const uint8_t *count;
 
-	if (!is_mapping(entry->index) || entry->sub == 0)
+	if (!is_pdo_mapping(entry->index) || entry->sub == 0)
 		return true;
 	count = od_value(od, entry->index, 0, sizeof(*count));
 	return !count || entry->sub <= *count;

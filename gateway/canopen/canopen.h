@@ -98,7 +98,4 @@ bool canopen_error_stands(const struct canopen_node *node, uint16_t code);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 
-/** The SDO abort code of a dictionary status (CiA 301 table 22); 0 for OD_OK and OD_PENDING. */
-uint32_t canopen_abort_code(enum od_status status);
-
 #endif

@@ -9,7 +9,7 @@ size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS
 {
 	size_t n = 0;
 
-	ids[n++] = 0x700u + node->id;
+	ids[n++] = CAN_ID_ERROR_CONTROL + node->id;
 	if (node->emcy.cob_id && !(*node->emcy.cob_id & COB_ID_INVALID))
 		ids[n++] = *node->emcy.cob_id & COB_ID_MASK;
 	for (size_t i = 0; i < SDO_SERVERS; i++)

@@ -33,7 +33,8 @@ void guard_receive(struct canopen_node *node)
 
 	if (*node->nmt.heartbeat_ms)
 		return;
-	node_send(node, 0x700u + node->id, (const uint8_t[]){(uint8_t)(node->nmt.state | guard->toggle)}, 1);
+	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){(uint8_t)(node->nmt.state | guard->toggle)},
+		1);
 	guard->toggle ^= TOGGLE;
 	guard->alive = true;
 	guard->last_us = node->now_us;

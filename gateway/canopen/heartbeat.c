@@ -96,7 +96,7 @@ void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg)
 	for (size_t i = 0; i < heartbeat->count; i++) {
 		struct heartbeat_consumer *consumer = &heartbeat->consumer[i];
 
-		if (consumer->node_id == 0 || msg->id != 0x700u + consumer->node_id)
+		if (consumer->node_id == 0 || msg->id != CAN_ID_ERROR_CONTROL + consumer->node_id)
 			continue;
 		if (consumer->lost)
 			emcy_clear(node, EMCY_HEARTBEAT, consumer->node_id);

@@ -52,7 +52,7 @@ static void answer(struct canopen_node *node, uint8_t command, uint32_t value)
 	uint8_t data[8] = {command};
 
 	put_u32(data + 1, value);
-	node_send(node, LSS_ANSWER_ID, data, 8);
+	node_send(node, CAN_ID_LSS_RESPONSE, data, 8);
 }
 
 /* ---- node-ID ----------------------------------------------------------------------------------------------------- */

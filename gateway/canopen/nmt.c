@@ -68,7 +68,7 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 
 void nmt_boot_up(struct canopen_node *node)
 {
-	node_send(node, 0x700u + node->id, (const uint8_t[]){0x00}, 1);
+	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){0x00}, 1);
 	node->nmt.last_heartbeat_us = node->now_us;
 	nmt_enter(node, NMT_PRE_OPERATIONAL);
 	if (node->nmt.startup && !(*node->nmt.startup & STARTUP_BY_MASTER))
@@ -129,7 +129,7 @@ uint64_t nmt_tick(struct canopen_node *node)
 		return UINT64_MAX;
 	if (node->now_us < due_us)
 		return due_us;
-	node_send(node, 0x700u + node->id, (const uint8_t[]){(uint8_t)node->nmt.state}, 1);
+	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){(uint8_t)node->nmt.state}, 1);
 	/* keep the phase when a little late, start anew when periods were missed */
 	node->nmt.last_heartbeat_us = node->now_us - due_us < period_us ? due_us : node->now_us;
 	return node->nmt.last_heartbeat_us + period_us;

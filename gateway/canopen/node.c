@@ -22,14 +22,14 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[6 + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {LSS_REQUEST_ID};
+	uint32_t ids[6 + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {CAN_ID_LSS_REQUEST};
 	size_t n = 1;
 
 	if (node->id == CANOPEN_UNCONFIGURED) {
 		(void)can_filter(node->bus, ids, n);
 		return;
 	}
-	ids[n++] = 0x000;
+	ids[n++] = CAN_ID_NMT;
 	ids[n++] = node->sdo_servers[0].request_id;
 	if (node->sync.id != CAN_ID_NONE)
 		ids[n++] = node->sync.id;
@@ -39,7 +39,7 @@ void node_filter(struct canopen_node *node)
 		ids[n++] = node->sdo_servers[1].request_id;
 	for (size_t i = 0; i < node->heartbeat.count; i++)
 		if (node->heartbeat.consumer[i].node_id)
-			ids[n++] = 0x700u + node->heartbeat.consumer[i].node_id;
+			ids[n++] = CAN_ID_ERROR_CONTROL + node->heartbeat.consumer[i].node_id;
 	n += pdo_receive_ids(node, ids + n);
 	n += collision_ids(node, ids + n);   /* guarding and requests for PDOs come with them, too */
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
@@ -152,7 +152,7 @@ void node_reset(struct canopen_node *node, enum od_group group)
 
 static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
 {
-	if (msg->id == 0x700u + node->id)
+	if (msg->id == CAN_ID_ERROR_CONTROL + node->id)
 		guard_receive(node);
 	else
 		pdo_receive_remote(node, msg->id);
@@ -164,7 +164,7 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 	if (!node->started || lss_silent(node) || msg->extended || msg->len > 8)
 		return;
 	if (node->nmt.state == NMT_INITIALISING) { /* no node-ID */
-		if (msg->id == LSS_REQUEST_ID && !msg->remote)
+		if (msg->id == CAN_ID_LSS_REQUEST && !msg->remote)
 			lss_receive(node, msg);
 		return;
 	}
@@ -172,19 +172,19 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 		receive_remote(node, msg);
 		return;
 	}
-	if (msg->id == 0x000)
+	if (msg->id == CAN_ID_NMT)
 		nmt_receive(node, msg);
 	else if (msg->id == node->sync.id)
 		sync_receive(node, msg);
 	else if (msg->id == node->sdo_servers[0].request_id || msg->id == node->sdo_servers[1].request_id)
 		sdo_server_receive(node, msg);
-	else if (msg->id == LSS_REQUEST_ID)
+	else if (msg->id == CAN_ID_LSS_REQUEST)
 		lss_receive(node, msg);
 	else if (msg->id == node->time.id)
 		time_receive(node, msg);
 	else if (collision_receive(node, msg))
 		return;
-	else if (msg->id > 0x700)
+	else if (msg->id > CAN_ID_ERROR_CONTROL)
 		heartbeat_receive(node, msg);
 	else
 		pdo_receive(node, msg);

@@ -4,13 +4,11 @@
 
 #include <errno.h>
 
-enum { FIRST_RPDO = 0x1400, FIRST_TPDO = 0x1800, MAPPING = 0x200, PDO_INDICES = 0x200 };
-
 /* ---- parameters -------------------------------------------------------------------------------------------------- */
 
 static bool receives(const struct pdo *pdo)
 {
-	return pdo->index < FIRST_TPDO;
+	return pdo->index < PDO_FIRST_TPDO;
 }
 
 static bool valid(const struct pdo *pdo)
@@ -108,7 +106,7 @@ static struct pdo *of_entry(struct canopen_node *node, const struct od_entry *en
 	struct pdo *pdo;
 
 	for (size_t i = 0; (pdo = nth(node, i)); i++)
-		if (pdo->index == (entry->index & ~MAPPING))
+		if (pdo->index == (entry->index & ~PDO_MAPPING))
 			return pdo;
 	return NULL;
 }
@@ -166,7 +164,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	(void)size;
 	if (!pdo)
 		return OD_OK;
-	if (entry->index & MAPPING)
+	if (entry->index & PDO_MAPPING)
 		return before_mapping(node->od, pdo, entry->sub, wire);
 	return before_communication(node->od, pdo, entry->sub, wire);
 }
@@ -189,7 +187,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 
 static void look_up(struct canopen_node *node, struct pdo *pdo, uint16_t index)
 {
-	uint16_t mapping = index | MAPPING;
+	uint16_t mapping = index | PDO_MAPPING;
 
 	pdo->index = index;
 	pdo->cob_id = od_value(node->od, index, 1, sizeof(uint32_t));
@@ -207,7 +205,7 @@ int pdo_init(struct canopen_node *node)
 	struct pdos *pdos = &node->pdos;
 
 	for (uint16_t i = 0; i < PDO_INDICES; i++) {
-		uint16_t rpdo = (uint16_t)(FIRST_RPDO + i), tpdo = (uint16_t)(FIRST_TPDO + i);
+		uint16_t rpdo = (uint16_t)(PDO_FIRST_RPDO + i), tpdo = (uint16_t)(PDO_FIRST_TPDO + i);
 
 		if (od_value(node->od, rpdo, 1, sizeof(uint32_t))) {
 			if (pdos->rpdo_count == RPDO_MAX)
@@ -220,8 +218,11 @@ int pdo_init(struct canopen_node *node)
 			look_up(node, &pdos->tpdo[pdos->tpdo_count++].pdo, tpdo);
 		}
 	}
-	pdos->hook = (struct od_hook){
-		.first = FIRST_RPDO, .last = 0x1BFF, .before = before_write, .after = after_write, .ctx = node};
+	pdos->hook = (struct od_hook){.first = PDO_FIRST_RPDO,
+		.last = PDO_LAST_OBJECT,
+		.before = before_write,
+		.after = after_write,
+		.ctx = node};
 	od_attach(node->od, &pdos->hook);
 	return 0;
 }

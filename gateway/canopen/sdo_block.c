@@ -77,7 +77,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 	open_transfer(node->sdo, request);
 	status = sdo_open_download(node, request[0] & SIZE_INDICATED, get_u32(request + 4));
 	if (status != OD_OK) {
-		sdo_abort(node, canopen_abort_code(status));
+		sdo_abort(node, sdo_abort_code(status));
 		return;
 	}
 	expect_sub_block(node);
@@ -108,7 +108,7 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 	sdo->block.next_us = node->now_us + SILENCE_US;
 	if (sequence == sdo->block.sequence + 1) {
 		if (sdo->done > 0 && sdo->done >= sdo->size) {
-			sdo_abort(node, canopen_abort_code(OD_TOO_LONG));
+			sdo_abort(node, sdo_abort_code(OD_TOO_LONG));
 			return;
 		}
 		memcpy(sdo->buffer + sdo->done, request + 1, SEGMENT_BYTES);
@@ -127,11 +127,11 @@ static void end_download(struct canopen_node *node, const uint8_t request[8])
 
 	sdo->done -= request[0] >> 2 & 7;
 	if (sdo->done > sdo->size)
-		sdo_abort(node, canopen_abort_code(OD_TOO_LONG));
+		sdo_abort(node, sdo_abort_code(OD_TOO_LONG));
 	else if (sdo->size_indicated && sdo->done < sdo->size)
-		sdo_abort(node, canopen_abort_code(OD_TOO_SHORT));
+		sdo_abort(node, sdo_abort_code(OD_TOO_SHORT));
 	else if (sdo->block.crc_wanted && canopen_crc16(0, sdo->buffer, sdo->done) != get_u16(request + 1))
-		sdo_abort(node, ABORT_CRC);
+		sdo_abort(node, SDO_ABORT_CRC);
 	else
 		sdo_write(node, response);
 }
@@ -161,9 +161,9 @@ static void initiate_upload(struct canopen_node *node, const uint8_t request[8])
 	sdo->block.size = request[4];
 	status = sdo_open_upload(node);
 	if (status != OD_OK) {
-		sdo_abort(node, canopen_abort_code(status));
+		sdo_abort(node, sdo_abort_code(status));
 	} else if (!block_size_allowed(sdo->block.size)) {
-		sdo_abort(node, ABORT_BLOCK_SIZE);
+		sdo_abort(node, SDO_ABORT_BLOCK_SIZE);
 	} else if (switch_threshold && sdo->size <= switch_threshold) {
 		sdo_start_upload(node);
 	} else {
@@ -227,11 +227,11 @@ static void acknowledged(struct canopen_node *node, uint8_t sequence, uint8_t ne
 	bool all = sequence > 0 && sdo->done + bytes == sdo->size;
 
 	if (sequence > sdo->block.sequence) {
-		sdo_abort(node, ABORT_SEQUENCE);
+		sdo_abort(node, SDO_ABORT_SEQUENCE);
 		return;
 	}
 	if (!all && !block_size_allowed(next_size)) {
-		sdo_abort(node, ABORT_BLOCK_SIZE);
+		sdo_abort(node, SDO_ABORT_BLOCK_SIZE);
 		return;
 	}
 	sdo->block.crc = canopen_crc16(sdo->block.crc, sdo->data + sdo->done, bytes);
@@ -290,7 +290,7 @@ bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8])
 
 	if (node->sdo->state == SDO_SERVER_BLOCK_DOWNLOAD && request[0] != ABORT && sequence <= DOWNLOAD_BLOCK_SIZE) {
 		if (sequence == 0)
-			sdo_abort(node, ABORT_SEQUENCE);
+			sdo_abort(node, SDO_ABORT_SEQUENCE);
 		else
 			download_segment(node, request);
 		return true;

@@ -87,8 +87,8 @@ void sdo_server_stop(struct canopen_node *node)
 void sdo_server_reset(struct canopen_node *node)
 {
 	sdo_server_stop(node);
-	node->sdo_servers[0].request_id = 0x600u + node->id;
-	node->sdo_servers[0].response_id = 0x580u + node->id;
+	node->sdo_servers[0].request_id = CAN_ID_SDO_REQUEST + node->id;
+	node->sdo_servers[0].response_id = CAN_ID_SDO_RESPONSE + node->id;
 	open_second(node);
 	for (size_t i = 0; i < 2; i++)
 		if (node->second_sdo.cob_id[i] && !(*node->second_sdo.cob_id[i] & COB_ID_INVALID) &&
@@ -139,7 +139,7 @@ static void finish_write(struct canopen_node *node, enum od_status status, const
 	if (status == OD_OK)
 		sdo_send(node, response);
 	else
-		sdo_abort(node, canopen_abort_code(status));
+		sdo_abort(node, sdo_abort_code(status));
 }
 
 void sdo_write(struct canopen_node *node, const uint8_t response[8])
@@ -210,7 +210,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 	uint8_t response[8];
 
 	if (status != OD_OK) {
-		sdo_abort(node, canopen_abort_code(status));
+		sdo_abort(node, sdo_abort_code(status));
 		return;
 	}
 	fill(sdo, response, SCS_DOWNLOAD, 0);
@@ -232,7 +232,7 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 	const uint8_t response[8] = {(uint8_t)(SCS_DOWNLOAD_SEGMENT | sdo->toggle)};
 
 	if (n > sdo->size - sdo->done) {
-		sdo_abort(node, canopen_abort_code(OD_TOO_LONG));
+		sdo_abort(node, sdo_abort_code(OD_TOO_LONG));
 		return;
 	}
 	memcpy(sdo->buffer + sdo->done, request + 1, n);
@@ -242,7 +242,7 @@ static void download_segment(struct canopen_node *node, const uint8_t request[8]
 		sdo_wait(node, SDO_SERVER_DOWNLOAD);
 		sdo_send(node, response);
 	} else if (sdo->size_indicated && sdo->done < sdo->size) {
-		sdo_abort(node, canopen_abort_code(OD_TOO_SHORT));
+		sdo_abort(node, sdo_abort_code(OD_TOO_SHORT));
 	} else {
 		sdo_write(node, response);
 	}
@@ -302,7 +302,7 @@ static void initiate_upload(struct canopen_node *node)
 	if (status == OD_OK)
 		sdo_start_upload(node);
 	else
-		sdo_abort(node, canopen_abort_code(status));
+		sdo_abort(node, sdo_abort_code(status));
 }
 
 static void upload_segment(struct canopen_node *node)
@@ -341,7 +341,7 @@ static void initiate(struct canopen_node *node, const uint8_t request[8])
 static void segment(struct canopen_node *node, const uint8_t request[8])
 {
 	if ((request[0] & TOGGLE) != node->sdo->toggle)
-		sdo_abort(node, ABORT_TOGGLE);
+		sdo_abort(node, SDO_ABORT_TOGGLE);
 	else if (node->sdo->state == SDO_SERVER_DOWNLOAD)
 		download_segment(node, request);
 	else
@@ -355,7 +355,7 @@ static void refuse(struct canopen_node *node, const uint8_t request[8])
 		node->sdo->index = get_u16(request + 1);
 		node->sdo->sub = request[3];
 	}
-	sdo_abort(node, ABORT_COMMAND);
+	sdo_abort(node, SDO_ABORT_COMMAND);
 }
 
 void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
@@ -386,7 +386,7 @@ static uint64_t tick(struct canopen_node *node)
 		return UINT64_MAX;
 	if (node->now_us < sdo->deadline_us)
 		return earlier(deadline_us, sdo->deadline_us);
-	sdo_abort(node, ABORT_TIMEOUT);
+	sdo_abort(node, SDO_ABORT_TIMEOUT);
 	return UINT64_MAX;
 }
 

@@ -8,24 +8,15 @@
 #ifndef GATEWAY_CANOPEN_SERVICE_H
 #define GATEWAY_CANOPEN_SERVICE_H
 
+#include "gateway/canopen/cia301.h"
 #include "gateway/canopen/deadline.h"
 #include "gateway/canopen/node.h"
+#include "gateway/canopen/sdo_abort.h"
 #include "od/little_endian.h"
 
 enum { SDO_TIMEOUT_US = 1000000 }; /* from one frame of a transfer to the next */
 
-#define COB_ID_MASK    0x7FFu
-#define COB_ID_INVALID (1u << 31)
-#define COB_ID_NO_RTR  (1u << 30)
-#define CAN_ID_NONE    0xFFFFFFFFu /* no frame has it */
-
-/* SDO abort codes that no dictionary status stands for (CiA 301, table 22). */
-#define ABORT_TOGGLE	 0x05030000u
-#define ABORT_TIMEOUT	 0x05040000u
-#define ABORT_COMMAND	 0x05040001u
-#define ABORT_BLOCK_SIZE 0x05040002u
-#define ABORT_SEQUENCE	 0x05040003u
-#define ABORT_CRC	 0x05040004u
+#define CAN_ID_NONE 0xFFFFFFFFu /* no frame has it */
 
 /* node.c */
 void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len);
@@ -165,7 +156,6 @@ void collision_reset(struct canopen_node *node);
 uint64_t collision_tick(struct canopen_node *node);
 
 /* lss.c */
-enum { LSS_REQUEST_ID = 0x7E5, LSS_ANSWER_ID = 0x7E4 };
 void lss_init(struct canopen_node *node);
 /** Takes the node-ID that holds from this reset on, after the dictionary was reset. */
 void lss_reset(struct canopen_node *node, enum od_group group);

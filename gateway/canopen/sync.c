@@ -3,8 +3,6 @@
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
-#define SYNC_PRODUCER (1u << 30)
-
 enum {
 	PERIOD_MIN_US = 1000,
 	COUNTER_MAX = 240,
@@ -14,7 +12,7 @@ enum {
 /* The identifier does not change while SYNC is produced. */
 static enum od_status before_cob_id(uint32_t old, uint32_t value)
 {
-	if (!cob_id_usable(value) || (old & SYNC_PRODUCER && (old ^ value) & COB_ID_MASK))
+	if (!cob_id_usable(value) || (old & COB_ID_PRODUCES && (old ^ value) & COB_ID_MASK))
 		return OD_BAD_VALUE;
 	return OD_OK;
 }
@@ -46,7 +44,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 
 static void listen(struct canopen_node *node)
 {
-	bool consumer = cob_id_usable(*node->sync.cob_id) && !(*node->sync.cob_id & SYNC_PRODUCER);
+	bool consumer = cob_id_usable(*node->sync.cob_id) && !(*node->sync.cob_id & COB_ID_PRODUCES);
 
 	node->sync.id = consumer ? *node->sync.cob_id & COB_ID_MASK : CAN_ID_NONE;
 }
@@ -175,7 +173,7 @@ static bool produces(const struct canopen_node *node)
 {
 	const struct sync *sync = &node->sync;
 
-	return *sync->cob_id & SYNC_PRODUCER && cob_id_usable(*sync->cob_id) && *sync->period_us >= PERIOD_MIN_US &&
+	return *sync->cob_id & COB_ID_PRODUCES && cob_id_usable(*sync->cob_id) && *sync->period_us >= PERIOD_MIN_US &&
 	       nmt_communicates(node);
 }
 

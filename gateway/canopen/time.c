@@ -3,9 +3,6 @@
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
-#define TIME_CONSUMER (1u << 31)
-#define TIME_PRODUCER (1u << 30)
-
 enum { TIME_SIZE = 6, MS_PER_DAY = 86400000 };
 
 /* The identifier does not change while TIME is consumed or produced. */
@@ -15,7 +12,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 
 	(void)entry;
 	(void)size;
-	if (!cob_id_usable(value) || (old & (TIME_CONSUMER | TIME_PRODUCER) && (old ^ value) & COB_ID_MASK))
+	if (!cob_id_usable(value) || (old & (COB_ID_CONSUMES | COB_ID_PRODUCES) && (old ^ value) & COB_ID_MASK))
 		return OD_BAD_VALUE;
 	return OD_OK;
 }
@@ -24,7 +21,7 @@ static void listen(struct canopen_node *node)
 {
 	uint32_t cob_id = *node->time.cob_id;
 
-	node->time.id = cob_id & TIME_CONSUMER && cob_id_usable(cob_id) ? cob_id & COB_ID_MASK : CAN_ID_NONE;
+	node->time.id = cob_id & COB_ID_CONSUMES && cob_id_usable(cob_id) ? cob_id & COB_ID_MASK : CAN_ID_NONE;
 }
 
 static void after_write(void *ctx, const struct od_entry *entry)
@@ -69,7 +66,7 @@ bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uin
 	uint8_t data[TIME_SIZE];
 
 	node->now_us = now_us;
-	if (!(cob_id & TIME_PRODUCER) || !cob_id_usable(cob_id) || !nmt_communicates(node) || lss_silent(node))
+	if (!(cob_id & COB_ID_PRODUCES) || !cob_id_usable(cob_id) || !nmt_communicates(node) || lss_silent(node))
 		return false;
 	put_u32(data, ms);
 	put_u16(data + 4, day);

@@ -1,4 +1,5 @@
 /* SDO server: CiA 301, 7.2.4. Every abort code is in the frame: "80", index, sub-index, code, little-endian. */
+#include "gateway/canopen/sdo_abort.h"
 #include "tests/scenario/bus.h"
 
 #include <string.h>
@@ -452,7 +453,7 @@ static void test_every_status_of_the_dictionary_has_its_abort_code(void **state)
 	};
 
 	for (int status = 0; status < OD_STATUS_COUNT; status++)
-		assert_int_equal(canopen_abort_code((enum od_status)status), codes[status]);
+		assert_int_equal(sdo_abort_code((enum od_status)status), codes[status]);
 	(void)state;
 }
 

@@ -127,7 +127,7 @@ static void test_what_the_dictionary_refuses_to_read_is_aborted_for_the_same_rea
 		if (status == OD_OK || entry->type == OD_DOMAIN)
 			continue;
 		assert_int_equal(read_object(pair, entry->index, entry->sub), SDO_ABORTED);
-		assert_int_equal(pair->client.abort_code, canopen_abort_code(status));
+		assert_int_equal(pair->client.abort_code, sdo_abort_code(status));
 		refused++;
 	}
 	assert_true(refused > 0);

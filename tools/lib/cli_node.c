@@ -4,6 +4,7 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "gateway/canopen/cia301.h"
 #include "tools/lib/cli_value.h"
 
 enum {
@@ -15,7 +16,7 @@ enum {
 void cli_node_use(
 	struct cli_node *node, struct can_port *bus, const char *bus_name, uint8_t id, unsigned int timeout_ms)
 {
-	uint32_t answers = 0x580u + id;
+	uint32_t answers = CAN_ID_SDO_RESPONSE + id;
 
 	*node = (struct cli_node){.bus = bus, .bus_name = bus_name, .id = id, .timeout_ms = timeout_ms};
 	can_filter(node->bus, &answers, 1);
@@ -114,7 +115,7 @@ static bool finish_large(struct cli_node *node)
 static bool lacks_block_transfer(const struct cli_node *node)
 {
 	return node->blocks != CLI_BLOCKS_ALWAYS && node->sdo.result == SDO_ABORTED && node->sdo.aborted_by_server &&
-	       (node->sdo.abort_code == SDO_ABORT_COMMAND || node->sdo.abort_code == 0x06010000);
+	       (node->sdo.abort_code == SDO_ABORT_COMMAND || node->sdo.abort_code == SDO_ABORT_UNSUPPORTED_ACCESS);
 }
 
 bool cli_node_read_large(struct cli_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity)

@@ -8,6 +8,7 @@
 #include <unistd.h>
 
 #include "gateway/canopen/canopen.h"
+#include "gateway/canopen/cia301.h"
 #include "od_values.h"
 #include "tools/lib/cli.h"
 #include "tools/monitor/watch.h"
@@ -377,7 +378,7 @@ static void send_sync(struct monitor *m, uint64_t now_us)
 {
 	uint64_t period_us = (uint64_t)(1e6 / m->sync_hz);
 	uint32_t counter_overflow = watch_object(&m->watch, OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE, 0);
-	struct can_msg msg = {.id = watch_object(&m->watch, OD_INDEX_COB_ID_SYNC, 0) & 0x7FF};
+	struct can_msg msg = {.id = watch_object(&m->watch, OD_INDEX_COB_ID_SYNC, 0) & COB_ID_MASK};
 
 	if (counter_overflow >= 2) {
 		m->sync_counter = (uint8_t)(m->sync_counter % counter_overflow + 1);

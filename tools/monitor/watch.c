@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "gateway/canopen/canopen.h"
+#include "gateway/canopen/cia301.h"
 #include "gateway/canopen/deadline.h"
 #include "gateway/status.h"
 #include "model/pipeline.h"
@@ -19,8 +20,6 @@ enum {
 	SAMPLE_COUNTER = 1,
 };
 
-#define COB_ID_INVALID (1u << 31)
-
 /* ---- the mapping ---- */
 
 /* Objects that are needed to decode the frames of the node. */
@@ -28,12 +27,12 @@ static bool is_needed(const struct od_entry *entry)
 {
 	uint16_t index = entry->index;
 
-	if (index >= 0x1800 && index < 0x1800 + WATCH_PDOS)
-		return entry->sub == 1 || entry->sub == 2;
-	return (index >= 0x1A00 && index < 0x1A00 + WATCH_PDOS) || index == OD_INDEX_COB_ID_SYNC ||
-	       index == OD_INDEX_COB_ID_EMCY || index == OD_INDEX_PRODUCER_HEARTBEAT_TIME ||
-	       index == OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE || index == OD_INDEX_RESOLUTION ||
-	       index == OD_INDEX_ANGLE_RESOLUTION;
+	if (index >= PDO_FIRST_TPDO && is_pdo_object(index))
+		return index % PDO_INDICES < WATCH_PDOS &&
+		       (is_pdo_mapping(index) || entry->sub == 1 || entry->sub == 2);
+	return index == OD_INDEX_COB_ID_SYNC || index == OD_INDEX_COB_ID_EMCY ||
+	       index == OD_INDEX_PRODUCER_HEARTBEAT_TIME || index == OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE ||
+	       index == OD_INDEX_RESOLUTION || index == OD_INDEX_ANGLE_RESOLUTION;
 }
 
 static double mirrored(const struct watch *watch, const struct od_entry *entry)
@@ -53,14 +52,15 @@ uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub)
 
 static void set_up_pdo(struct watch *watch, struct watch_pdo *pdo, unsigned int number)
 {
-	uint16_t parameter = (uint16_t)(0x1800 + number), mapping = (uint16_t)(0x1A00 + number);
+	uint16_t parameter = (uint16_t)(PDO_FIRST_TPDO + number),
+		 mapping = (uint16_t)(PDO_FIRST_TPDO + PDO_MAPPING + number);
 	uint32_t cob_id = watch_object(watch, parameter, 1);
 	uint32_t count = watch_object(watch, mapping, 0);
 	unsigned int bit = 0;
 	bool changed = false;
 
 	pdo->enabled = !(cob_id & COB_ID_INVALID) && count > 0;
-	pdo->id = cob_id & 0x7FF; /* the gateway supports 11-bit identifiers only */
+	pdo->id = cob_id & COB_ID_MASK; /* the gateway supports 11-bit identifiers only */
 	pdo->type = (uint8_t)watch_object(watch, parameter, 2);
 	pdo->field_count = 0;
 	for (uint8_t sub = 1; sub <= count && pdo->field_count < WATCH_FIELDS; sub++) {
@@ -99,7 +99,7 @@ static void set_up(struct watch *watch, enum watch_mapping mapping)
 	for (watch->pdo_count = 0; watch->pdo_count < WATCH_PDOS; watch->pdo_count++) {
 		unsigned int number = (unsigned int)watch->pdo_count;
 
-		if (!od_find(table, (uint16_t)(0x1800 + number), 1, NULL))
+		if (!od_find(table, (uint16_t)(PDO_FIRST_TPDO + number), 1, NULL))
 			break;
 		set_up_pdo(watch, &watch->pdos[number], number);
 	}
@@ -308,17 +308,17 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 
 	if (msg->remote || msg->extended)
 		return;
-	if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_SYNC, 0) & 0x7FF)) {
+	if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_SYNC, 0) & COB_ID_MASK)) {
 		count_frame(&watch->sync, now_us);
 		return;
 	}
 	if (pdo)
 		on_pdo(watch, pdo, msg, now_us);
-	else if (msg->id == 0x700u + watch->node_id && msg->len == 1)
+	else if (msg->id == CAN_ID_ERROR_CONTROL + watch->node_id && msg->len == 1)
 		on_heartbeat(watch, msg, now_us);
-	else if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_EMCY, 0) & 0x7FF) && msg->len == 8)
+	else if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_EMCY, 0) & COB_ID_MASK) && msg->len == 8)
 		on_emcy(watch, msg, now_us);
-	else if (msg->id != 0x580u + watch->node_id)
+	else if (msg->id != CAN_ID_SDO_RESPONSE + watch->node_id)
 		return; /* from another node */
 	watch->heard_us = now_us;
 	if (watch->sdo.result == SDO_RUNNING) {

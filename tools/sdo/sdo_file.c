@@ -6,6 +6,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "gateway/canopen/cia301.h"
 #include "tools/lib/cli_value.h"
 #include "tools/sdo/sdo_load.h"
 
@@ -48,7 +49,7 @@ static bool save_objects(struct session *s, FILE *out, int *saved, int *failed)
 			mapped = UINT64_MAX; /* until sub-index 0 was read */
 			fprintf(out, "\n# %04Xh\n", index);
 		}
-		if (sdo_is_mapping(index) && entry->sub > mapped)
+		if (is_pdo_mapping(index) && entry->sub > mapped)
 			continue; /* not in use */
 		if (!cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
 			cli_node_explain(&s->node, entry);

@@ -3,16 +3,9 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "gateway/canopen/cia301.h"
 #include "tools/lib/cli_value.h"
 #include "od_index.h"
-
-#define COB_ID_INVALID (1u << 31)
-#define SYNC_PRODUCER  (1u << 30)
-
-static bool is_pdo_parameter(uint16_t index)
-{
-	return index >= 0x1400 && index < 0x1C00;
-}
 
 /* COB-IDs that have the default for the node of the file get the default for this node. */
 static void move_to_node(struct settings *settings, long node_id)
@@ -127,7 +120,7 @@ static bool write_sync(struct load *load, const struct setting *setting)
 
 	if (!load_read_u32(load, setting->entry, &old))
 		return false;
-	if ((old & SYNC_PRODUCER) && !write_cob_id(load, setting->entry, old & ~SYNC_PRODUCER))
+	if ((old & COB_ID_PRODUCES) && !write_cob_id(load, setting->entry, old & ~COB_ID_PRODUCES))
 		return false;
 	return load_write(load, setting->entry, setting->wire, setting->size);
 }
@@ -272,10 +265,10 @@ static void load_all(struct load *load)
 		const struct od_entry *entry = &load->session->table->entries[i];
 		const struct setting *setting = find_setting(load->settings, entry->index, entry->sub);
 
-		if (!is_pdo_parameter(entry->index)) {
+		if (!is_pdo_object(entry->index)) {
 			if (setting && entry->index != OD_INDEX_VERIFY_CONFIGURATION)
 				load_plain(load, setting);
-		} else if (!sdo_is_mapping(entry->index) && entry->index != index) {
+		} else if (!is_pdo_mapping(entry->index) && entry->index != index) {
 			index = entry->index;
 			load_pdo(load, index);
 		}

@@ -2,12 +2,11 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "gateway/canopen/cia301.h"
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
 
 enum {
-	REQUEST_ID = 0x7E5,
-	ANSWER_ID = 0x7E4,
 	ANSWER_MS = 50,	 /* no answer within this time means no; changed by -t */
 	STORE_MS = 5000, /* storing waits for the disk */
 	BOOT_UP_MS = 1000,
@@ -46,7 +45,7 @@ struct lss {
 
 static void send_command(struct lss *lss, uint8_t command, uint32_t value, const uint8_t tail[3])
 {
-	struct can_msg msg = {.id = REQUEST_ID, .len = 8, .data = {command}};
+	struct can_msg msg = {.id = CAN_ID_LSS_REQUEST, .len = 8, .data = {command}};
 
 	sdo_put_u32(&msg.data[1], value);
 	if (tail)
@@ -64,7 +63,7 @@ static bool await(struct lss *lss, uint32_t id, uint8_t command, unsigned int ms
 		cli_wait(lss->bus, -1, until_us);
 		while (can_receive(lss->bus, msg, cli_now_us()) > 0)
 			if (msg->id == id && !msg->extended && !msg->remote &&
-				(id != ANSWER_ID || msg->data[0] == command))
+				(id != CAN_ID_LSS_RESPONSE || msg->data[0] == command))
 				return true;
 	}
 	return false;
@@ -75,7 +74,7 @@ static bool request(struct lss *lss, uint8_t command, uint32_t value, unsigned i
 	struct can_msg msg;
 
 	send_command(lss, command, value, NULL);
-	if (!await(lss, ANSWER_ID, command, ms, &msg))
+	if (!await(lss, CAN_ID_LSS_RESPONSE, command, ms, &msg))
 		return false;
 	*answer = (uint32_t)sdo_number(&msg.data[1], 4);
 	return true;
@@ -88,7 +87,7 @@ static bool fastscan_step(struct lss *lss, uint32_t value, uint8_t bit, uint8_t 
 	struct can_msg msg;
 
 	send_command(lss, FASTSCAN, value, (const uint8_t[3]){bit, number, next});
-	return await(lss, ANSWER_ID, IDENTIFIED, lss->answer_ms, &msg);
+	return await(lss, CAN_ID_LSS_RESPONSE, IDENTIFIED, lss->answer_ms, &msg);
 }
 
 /* Finds one node without a node-ID bit by bit (CiA 305, fastscan); it is then in LSS configuration state. False: there
@@ -116,7 +115,7 @@ static bool select_by_identity(struct lss *lss)
 
 	for (uint8_t i = 0; i < NUMBERS; i++)
 		send_command(lss, (uint8_t)(SWITCH_SELECTIVE + i), lss->wanted[i], NULL);
-	if (await(lss, ANSWER_ID, SWITCHED, lss->answer_ms, &msg))
+	if (await(lss, CAN_ID_LSS_RESPONSE, SWITCHED, lss->answer_ms, &msg))
 		return true;
 	cli_error(
 		"no node with vendor %08Xh, product %08Xh, revision %08Xh, serial %08Xh on %s: 'imu9-sdo lss scan' and "
@@ -225,7 +224,7 @@ static int assign(struct lss *lss, const char *text, bool with_store)
 	if (!done)
 		return CLI_FAILED;
 	print_identity(lss->selective ? lss->wanted : identity);
-	if (!await(lss, 0x700u + id, 0, BOOT_UP_MS, &msg)) {
+	if (!await(lss, CAN_ID_ERROR_CONTROL + id, 0, BOOT_UP_MS, &msg)) {
 		cli_error("the node accepted node-ID %u, but did not boot up with it: if it had another one, use "
 			  "'imu9-sdo -n OLD nmt reset-comm'",
 			id);

@@ -8,8 +8,6 @@
 
 enum { STRING_MAX = 1024 }; /* longest string of other devices */
 
-#define ABORT_NO_DATA 0x08000024
-
 /* ---- read, log --------------------------------------------------------------------------------------------------- */
 
 static void print_value(struct session *s, const struct target *target, const uint8_t *wire)
@@ -192,7 +190,7 @@ int sdo_command_dump(struct session *s, int argc, char **argv)
 		} else if (cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
 			sdo_value_text(s, &target, wire, s->node.sdo.size, text, sizeof(text));
 		} else if (s->node.sdo.result == SDO_ABORTED) {
-			failed += s->node.sdo.abort_code != ABORT_NO_DATA;
+			failed += s->node.sdo.abort_code != SDO_ABORT_NO_DATA;
 			snprintf(text, sizeof(text), "(%s, abort %08Xh)", sdo_abort_text(s->node.sdo.abort_code),
 				s->node.sdo.abort_code);
 		} else {

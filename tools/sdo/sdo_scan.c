@@ -1,6 +1,7 @@
 /* imu9-sdo scan: the nodes on the bus. Requests the device type from each node-ID and listens for heartbeats. */
 #include <stdio.h>
 
+#include "gateway/canopen/cia301.h"
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
 
@@ -17,9 +18,9 @@ static void on_frame(struct seen nodes[NODES], const struct can_msg *msg)
 
 	if (msg->extended || msg->remote || id == 0)
 		return;
-	if (function == 0x580 && msg->len == 8)
+	if (function == CAN_ID_SDO_RESPONSE && msg->len == 8)
 		nodes[id].answers = true;
-	if (function == 0x700 && msg->len == 1)
+	if (function == CAN_ID_ERROR_CONTROL && msg->len == 1)
 		nodes[id].state = msg->data[0] & 0x7F;
 }
 
@@ -37,7 +38,7 @@ static void listen(struct can_port *bus, struct seen nodes[NODES], uint64_t unti
 static bool request_all(struct session *s, struct can_port *bus, struct seen nodes[NODES])
 {
 	for (uint32_t id = 1; id < NODES; id++) {
-		const struct can_msg msg = {.id = 0x600 + id, .len = 8, .data = {0x40, 0x00, 0x10}};
+		const struct can_msg msg = {.id = CAN_ID_SDO_REQUEST + id, .len = 8, .data = {0x40, 0x00, 0x10}};
 
 		if (!sdo_send(s, bus, &msg))
 			return false;

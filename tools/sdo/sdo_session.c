@@ -183,11 +183,6 @@ bool sdo_is_configuration(const struct od_entry *entry)
 	return (entry->access & OD_STORED) && (entry->access & OD_WRITE);
 }
 
-bool sdo_is_mapping(uint16_t index)
-{
-	return index >= 0x1400 && index < 0x1C00 && (index & 0x200);
-}
-
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
 /* Control codes from another device must not reach a terminal. */

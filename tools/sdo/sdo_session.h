@@ -51,7 +51,6 @@ const char *sdo_extract_value(int *argc, char **argv, const char *option);
 
 /** Whether an entry can be copied to another node: stored and writable. */
 bool sdo_is_configuration(const struct od_entry *entry);
-bool sdo_is_mapping(uint16_t index);
 
 uint64_t sdo_number(const uint8_t *wire, size_t size);
 void sdo_put_u32(uint8_t *wire, uint32_t value);

@@ -5,6 +5,7 @@
 
 #include <string.h>
 
+#include "gateway/canopen/cia301.h"
 #include "od/little_endian.h"
 
 enum { /* client command specifiers, in place */
@@ -44,7 +45,7 @@ void sdo_client_init(struct sdo_client *client, struct can_port *bus, uint8_t no
 void sdo_client_send(
 	struct sdo_client *client, unsigned int command, const uint8_t *payload, size_t size, uint64_t now_us)
 {
-	struct can_msg msg = {.id = 0x600u + client->node_id, .len = 8};
+	struct can_msg msg = {.id = CAN_ID_SDO_REQUEST + client->node_id, .len = 8};
 
 	msg.data[0] = (uint8_t)command;
 	if (size)
@@ -224,8 +225,8 @@ static void download_segment(struct sdo_client *client, uint64_t now_us)
 
 static bool is_answer(const struct sdo_client *client, const struct can_msg *msg)
 {
-	return client->result == SDO_RUNNING && msg->id == 0x580u + client->node_id && !msg->extended && !msg->remote &&
-	       msg->len == 8;
+	return client->result == SDO_RUNNING && msg->id == CAN_ID_SDO_RESPONSE + client->node_id && !msg->extended &&
+	       !msg->remote && msg->len == 8;
 }
 
 static bool names_our_object(const struct sdo_client *client, const uint8_t *data)
@@ -297,49 +298,4 @@ uint64_t sdo_client_tick(struct sdo_client *client, uint64_t now_us)
 		return client->deadline_us;
 	sdo_client_abort(client, SDO_TIMEOUT, SDO_ABORT_TIMEOUT, now_us);
 	return UINT64_MAX;
-}
-
-const char *sdo_abort_text(uint32_t abort_code)
-{
-	static const struct {
-		uint32_t code;
-		const char *text;
-	} texts[] = {
-		{0x05030000, "the toggle bit did not alternate"},
-		{0x05040000, "the SDO transfer timed out"},
-		{0x05040001, "unknown SDO command"},
-		{0x05040002, "wrong block size"},
-		{0x05040003, "wrong sequence number in a block"},
-		{0x05040004, "wrong CRC of a block transfer"},
-		{0x05040005, "out of memory: the value is too large"},
-		{0x06010000, "this kind of access is not supported"},
-		{0x06010001, "the object can only be written"},
-		{0x06010002, "the object can only be read"},
-		{0x06020000, "no such object in the node"},
-		{0x06040041, "the object cannot be mapped into a PDO"},
-		{0x06040042, "the mapped objects are longer than a PDO"},
-		{0x06040043, "the parameters do not fit together"},
-		{0x06040047, "incompatible inside the device"},
-		{0x06060000, "hardware error"},
-		{0x06070010, "the length does not match the type of the object"},
-		{0x06070012, "the value is too long for the type of the object"},
-		{0x06070013, "the value is too short for the type of the object"},
-		{0x06090011, "the object has no such sub-index"},
-		{0x06090030, "this value is not allowed"},
-		{0x06090031, "the value is above the high limit"},
-		{0x06090032, "the value is below the low limit"},
-		{0x06090036, "the maximum is below the minimum"},
-		{0x060A0023, "the SDO connection is not available"},
-		{0x08000000, "general error"},
-		{0x08000020, "the data cannot be transferred or stored"},
-		{0x08000021, "the data cannot be transferred or stored: local control"},
-		{0x08000022, "not in the present state of the device"},
-		{0x08000023, "the node has no object dictionary, or could not build it"},
-		{0x08000024, "no data available"},
-	};
-
-	for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++)
-		if (texts[i].code == abort_code)
-			return texts[i].text;
-	return "unknown abort code";
 }

@@ -14,18 +14,7 @@
 #include <stdint.h>
 
 #include "drivers/ports/can.h"
-
-/** The abort codes that this client sends itself (CiA 301, table 22). */
-enum {
-	SDO_ABORT_TOGGLE = 0x05030000,
-	SDO_ABORT_TIMEOUT = 0x05040000,
-	SDO_ABORT_COMMAND = 0x05040001,
-	SDO_ABORT_BLOCK_SIZE = 0x05040002,
-	SDO_ABORT_SEQUENCE = 0x05040003,
-	SDO_ABORT_CRC = 0x05040004,
-	SDO_ABORT_MEMORY = 0x05040005,
-	SDO_ABORT_LENGTH = 0x06070010,
-};
+#include "gateway/canopen/sdo_abort.h"
 
 /** What became of the last transfer. */
 enum sdo_result {
@@ -100,8 +89,5 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 
 /** Returns when it must be called again at the latest (UINT64_MAX: never). */
 uint64_t sdo_client_tick(struct sdo_client *client, uint64_t now_us);
-
-/** One line for people, for every code of CiA 301; "unknown abort code" for others. */
-const char *sdo_abort_text(uint32_t abort_code);
 
 #endif

@@ -1,0 +1,51 @@
+/* gateway/canopen/sdo_abort.h
+ * The SDO abort codes (CiA 301, 7.2.4.3.17, table 22), for the server, the client and the tools. */
+#ifndef GATEWAY_CANOPEN_SDO_ABORT_H
+#define GATEWAY_CANOPEN_SDO_ABORT_H
+
+#include <stdint.h>
+
+#include "od/od.h"
+
+enum sdo_abort {
+	SDO_ABORT_TOGGLE = 0x05030000,
+	SDO_ABORT_TIMEOUT = 0x05040000,
+	SDO_ABORT_COMMAND = 0x05040001,
+	SDO_ABORT_BLOCK_SIZE = 0x05040002,
+	SDO_ABORT_SEQUENCE = 0x05040003,
+	SDO_ABORT_CRC = 0x05040004,
+	SDO_ABORT_MEMORY = 0x05040005,
+	SDO_ABORT_UNSUPPORTED_ACCESS = 0x06010000,
+	SDO_ABORT_WRITE_ONLY = 0x06010001,
+	SDO_ABORT_READ_ONLY = 0x06010002,
+	SDO_ABORT_NO_OBJECT = 0x06020000,
+	SDO_ABORT_NOT_MAPPABLE = 0x06040041,
+	SDO_ABORT_PDO_LENGTH = 0x06040042,
+	SDO_ABORT_INCOMPATIBLE = 0x06040043,
+	SDO_ABORT_INTERNAL_INCOMPATIBILITY = 0x06040047,
+	SDO_ABORT_HARDWARE = 0x06060000,
+	SDO_ABORT_LENGTH = 0x06070010,
+	SDO_ABORT_TOO_LONG = 0x06070012,
+	SDO_ABORT_TOO_SHORT = 0x06070013,
+	SDO_ABORT_NO_SUBINDEX = 0x06090011,
+	SDO_ABORT_BAD_VALUE = 0x06090030,
+	SDO_ABORT_TOO_HIGH = 0x06090031,
+	SDO_ABORT_TOO_LOW = 0x06090032,
+	SDO_ABORT_MAXIMUM_BELOW_MINIMUM = 0x06090036,
+	SDO_ABORT_NO_CONNECTION = 0x060A0023,
+	SDO_ABORT_GENERAL = 0x08000000,
+	SDO_ABORT_CANNOT_STORE = 0x08000020,
+	SDO_ABORT_LOCAL_CONTROL = 0x08000021,
+	SDO_ABORT_DEVICE_STATE = 0x08000022,
+	SDO_ABORT_NO_DICTIONARY = 0x08000023,
+	SDO_ABORT_NO_DATA = 0x08000024,
+};
+
+/** The abort code that a server answers a status of the dictionary with. 0 for the statuses that are not failures:
+ * OD_OK, OD_CONSUMED and OD_PENDING. Any thread may call this. */
+uint32_t sdo_abort_code(enum od_status status);
+/** One phrase for people, for each code of the table; "unknown abort code" for others. The string is static; any thread
+ * may call this. */
+const char *sdo_abort_text(uint32_t abort_code);
+
+#endif
