@@ -55,6 +55,7 @@ void world_power_on(struct world *w, const char *const *settings)
 		assert_int_equal(config_set(&config, *settings, why), 0);
 	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
 	config_apply(&config, &w->device.od);
+	w->device.values.identity.serial_number = w->serial;
 	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, node_id), 0);
 	device_start(&w->device, false, w->now_us);
 }

@@ -32,6 +32,7 @@ struct world {
 	struct store_image disk; /* what the storage holds */
 	int disk_answer;	 /* 0, or an errno of the storage */
 	uint8_t node_id;	 /* of the command line; one that LSS stored wins over it */
+	uint32_t serial;	 /* 1018h:4, of the command line */
 	uint64_t now_us, interval_us;
 };
 
