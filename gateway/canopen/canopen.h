@@ -1,11 +1,16 @@
 /* gateway/canopen/canopen.h
- * A CANopen device (CiA 301 V4.2) as a passive core: frames and time go in, frames come out through the CAN port. It
- * never reads a clock, sleeps, allocates or touches a file, so the same code runs in the daemon and, in simulated time,
- * in the scenario tests. One file a service: nmt.c, heartbeat.c (1016h), guard.c, sdo_server.c, pdo.c, tpdo.c, rpdo.c, sync.c, emcy.c,
- * store.c (1010h/1011h), lss.c (CiA 305).
+ * A CANopen device (CiA 301 V4.2, LSS slave of CiA 305) as a passive core: frames and time go in, frames come out
+ * through the CAN port. The core reads no clock, does not block, allocates nothing and touches no file, so that the
+ * daemon and the scenario tests in simulated time run the same code. There is one file for each service: nmt.c,
+ * heartbeat.c, guard.c, sdo_server.c and sdo_block.c, pdo.c, tpdo.c and rpdo.c, sync.c, time.c, emcy.c, collision.c,
+ * store.c, lss.c.
  *
- * Use: canopen_init(), canopen_start(), then canopen_receive() for each frame, canopen_tick() whenever the deadline it
- * returned has come, canopen_sample() after each new sample was published in the dictionary. */
+ * Use: canopen_init(), canopen_start(); then canopen_receive() for each frame, canopen_sample() after each sample that
+ * was published in the dictionary, and canopen_tick() at the deadline it returned and after every other call.
+ *
+ * Threads: none of its own. All calls for one node, and all access to its dictionary, come from one thread; nodes share
+ * nothing. Callbacks are called from within these functions and must not call them for the same node, except
+ * canopen_error_set() and canopen_error_clear(). Times are us of one monotonic clock, the one of can_msg.t_us. */
 #ifndef GATEWAY_CANOPEN_CANOPEN_H
 #define GATEWAY_CANOPEN_CANOPEN_H
 
@@ -17,84 +22,92 @@
 #include "gateway/canopen/emcy_codes.h"
 #include "od/od.h"
 
-enum nmt_state { /* the values that the heartbeat carries */
+/** NMT states, as the heartbeat carries them (CiA 301, 7.2.8.3.2.2). */
+enum nmt_state {
 	NMT_INITIALISING = 0x00,
 	NMT_STOPPED = 0x04,
 	NMT_OPERATIONAL = 0x05,
 	NMT_PRE_OPERATIONAL = 0x7F,
 };
 
-enum { CANOPEN_UNCONFIGURED = 255 }; /* the node-ID of a node that waits for one by LSS */
+enum { CANOPEN_UNCONFIGURED = 255 }; /* the node-ID of a node that waits for one by LSS (CiA 305) */
 
-/** What the core asks of the device around it. All may be NULL in tests that do not need them. */
+/** What the core asks of the device around it. Each callback may be NULL; what the core does then is said below. */
 struct canopen_device {
 	void *ctx;
-	/** 1010h: keep one group (or OD_GROUP_ALL) for good. OD_OK: kept; OD_PENDING: canopen_store_done() will tell,
-	 * the SDO answer waits for it; OD_CANNOT_STORE. */
+	/** 1010h: stores one group, or OD_GROUP_ALL, permanently. OD_OK: stored. OD_PENDING: canopen_store_done()
+	 * follows, and the SDO response is sent then. Any other status becomes the SDO abort code. NULL:
+	 * OD_CANNOT_STORE. */
 	enum od_status (*store)(void *ctx, enum od_group group);
-	/** 1011h: forget what was kept of a group; the defaults hold after the next reset. Same answers. */
+	/** 1011h: discards the stored values of a group; the defaults hold from the next reset on. Status as for
+	 * store(). */
 	enum od_status (*restore)(void *ctx, enum od_group group);
-	/** NMT reset: bring the dictionary back to its power-on values (defaults, then what was stored) for the
-	 * communication group (reset communication) or for all (reset node, which also restarts the application). */
+	/** NMT reset: brings the dictionary back to its power-on values, that is defaults and then stored values, for
+	 * OD_GROUP_COMMUNICATION (reset communication) or OD_GROUP_ALL (reset node, which also restarts the
+	 * application). */
 	void (*reset)(void *ctx, enum od_group group);
-	/** LSS: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate (0: as it was kept) for the next start. OD_OK;
-	 * OD_PENDING: canopen_lss_stored() will tell, the answer to the master waits for it; else it failed. NULL: the
-	 * master is told that this is not supported. */
+	/** LSS store: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate in bit/s (0: unchanged) for the next start.
+	 * OD_OK; OD_PENDING: canopen_lss_stored() follows, and the LSS response is sent then; any other status: failed.
+	 * NULL: the master receives "not supported". */
 	enum od_status (*store_lss)(void *ctx, uint8_t node_id, uint32_t bit_s);
-	/** LSS: whether the bus can be given this bit rate, and the order to do so now. The core keeps the two switch
-	 * delays, and is silent for them. NULL: the bit rate cannot be changed from here. */
+	/** LSS: whether the bus supports this bit rate, and the order to switch to it now. The core observes both
+	 * switch delays and sends nothing during them. NULL: the bit rate cannot be changed by LSS. */
 	bool (*bit_rate_possible)(void *ctx, uint32_t bit_s);
 	void (*set_bit_rate)(void *ctx, uint32_t bit_s);
-	/** By how many steps of the mapped integer, or by how much of the mapped real, a value has to move for a TPDO to be
-	 * sent by event (more than that). 0: any change counts; INFINITY: none does. NULL: every sample is an event. */
+	/** The change of a mapped value, in steps of an integer or in the unit of a real, above which an event-driven
+	 * TPDO is sent. 0: any change; INFINITY: this value never triggers. NULL: every sample is an event. */
 	double (*change_threshold)(void *ctx, const struct od_entry *entry);
-	/** TIME came (1012h bit 31): days since 1984-01-01 and ms since midnight, at `t_us`. */
+	/** TIME was received (1012h bit 31): days since 1984-01-01 and ms since midnight, received at `t_us`. */
 	void (*time)(void *ctx, uint16_t day, uint32_t ms, uint64_t t_us);
-	/** Another node sends with `id`, an identifier of this one (EMCY 8150h). For the log. */
+	/** Another node sends with `id`, an identifier of this node (EMCY 8150h was raised). For the log. */
 	void (*collision)(void *ctx, uint32_t id);
-	/** For the log. */
+	/** The NMT state has changed; an error was raised or has ended. For the log. */
 	void (*nmt_changed)(void *ctx, enum nmt_state state);
 	void (*error_changed)(void *ctx, uint16_t code, bool set, const uint8_t info[5]);
 };
 
-struct canopen_node; /* defined in gateway/canopen/node.h: caller-owned, the fields are the core's */
+struct canopen_node; /* gateway/canopen/node.h: owned by the caller, its fields are written by the core alone */
 
-/** Attaches to the dictionary and checks its communication objects. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory
- * object is missing from the dictionary, -ENOSPC: it has more TPDOs than the core (faults of the EDS). A node without
- * a node-ID (CANOPEN_UNCONFIGURED, and so od_init()) waits for one by LSS, silent; LSS may change it later. */
+/** Attaches the node to the dictionary, checks its communication objects and sets the receive filter; sends nothing.
+ * `od` and `bus` must outlive the node; `device` (NULL: no callbacks) is copied. `node_id` is 1 to 127, or
+ * CANOPEN_UNCONFIGURED, and the same that od_init() had. 0; -EINVAL: bad node-ID; -ENOENT: a mandatory object is
+ * missing, -ENOSPC: more PDOs than RPDO_MAX or TPDO_MAX (both are faults of the EDS). */
 int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus, const struct canopen_device *device,
 	uint8_t node_id);
-/** Sends boot-up and enters pre-operational, or waits for a node-ID. */
+/** Sends boot-up and enters pre-operational, and operational where 1F80h says so (CiA 301, 7.3.2; CiA 302-2). A node
+ * without a node-ID sends nothing and waits for LSS. */
 void canopen_start(struct canopen_node *node, uint64_t now_us);
+/** Processes one received frame. A frame that is malformed or for nobody here is ignored. */
 void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint64_t now_us);
-/** Returns when it must be called again at the latest (UINT64_MAX: never). Any other call here, and a write to the
- * dictionary, may bring that forward: call it after them, too. */
+/** Does what is due by now. Returns the time of the next call at the latest (UINT64_MAX: none is needed). Any other
+ * call of the core, and a write to the dictionary, may bring it forward. */
 uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us);
-/** A new sample stands in the dictionary: event-driven TPDOs may go out. */
+/** A new sample was published in the dictionary: event-driven TPDOs may be sent (CiA 301, 7.2.2.2). */
 void canopen_sample(struct canopen_node *node, uint64_t now_us);
 
-/** Raises an error: EMCY with `code`, the error register's bits (1001h; bit 0 is added), manufacturer field `info`
- * (5 bytes, or NULL for zeros). An error that stands already is not sent again. */
+/** Raises an error (CiA 301, 7.2.7): sends EMCY with `code`, `register_bits` (enum error_register; ERROR_GENERIC is
+ * added) and the manufacturer-specific field `info` (5 bytes; NULL: zeros), and records it in 1003h. An error that is
+ * active already is not sent again. More than EMCY_ERRORS active errors are counted and otherwise ignored. */
 void canopen_error_set(
 	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us);
-/** The error is over: when it was the last, EMCY 0000h. */
+/** The error has ended. Sends EMCY 0000h when no other error is active. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
+/** Whether an error with this code is active, from any source. */
+bool canopen_error_stands(const struct canopen_node *node, uint16_t code);
 
-/** The bus went off: NMT acts as 1029h says. EMCY 8140h is the device's to raise when it is back. */
+/** The controller went bus-off: NMT follows 1029h:1 (CiA 301, 7.5.2.32). The device raises EMCY 8140h on recovery. */
 void canopen_bus_off(struct canopen_node *node, uint64_t now_us);
 
-/** Ends a store or restore that answered OD_PENDING. */
+/** Ends a store() or restore() that returned OD_PENDING, and sends the SDO response. */
 void canopen_store_done(struct canopen_node *node, enum od_status status, uint64_t now_us);
-/** Ends a store_lss() that answered OD_PENDING. */
+/** Ends a store_lss() that returned OD_PENDING, and sends the LSS response. */
 void canopen_lss_stored(struct canopen_node *node, enum od_status status, uint64_t now_us);
-/** A master configures this node by LSS, or the node waits for one to do so. */
+/** Whether the node is in LSS configuration state, or waits for a node-ID. */
 bool canopen_lss_active(const struct canopen_node *node);
 
-/** Sends TIME, where 1012h bit 30 and the NMT state want it: true. */
+/** Sends TIME (CiA 301, 7.2.6): days since 1984-01-01, ms since midnight. False: nothing was sent, because 1012h bit 30
+ * is not set or the NMT state does not allow it. */
 bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uint64_t now_us);
-
-/** Whether this error stands, from any source. */
-bool canopen_error_stands(const struct canopen_node *node, uint16_t code);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 

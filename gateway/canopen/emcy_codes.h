@@ -1,7 +1,7 @@
 /* gateway/canopen/emcy_codes.h
  * Every emergency error code that this device sends, and the bits of the error register: the one list for the core, the
- * device, the LEDs, the event log and the tools. gateway/README.md says what to do about each; `make check-layers` holds
- * its table to this list.
+ * device, the LEDs, the event log and the tools. gateway/README.md says what to do about each; `make check-layers`
+ * holds its table to this list.
  *
  * Codes of CiA 301 (V4.2, table 26) and of CiA 410 have the meaning that those documents give them; "this device" marks
  * its own codes within the classes of that table. "info" is the manufacturer-specific field, bytes 3 to 7 of the EMCY

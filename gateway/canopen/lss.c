@@ -101,7 +101,8 @@ static void configure_bit_timing(struct canopen_node *node, uint8_t table, uint8
 	answer(node, CONFIGURE_BIT_TIMING, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
-/* All nodes get this at once, and switch together: silent at the old bit rate, then at the new one, each for the delay. */
+/* All nodes get this at once, and switch together: silent at the old bit rate, then at the new one, each for the delay.
+ */
 static void activate_bit_timing(struct canopen_node *node, uint16_t delay_ms)
 {
 	struct lss *lss = &node->lss;

@@ -140,8 +140,8 @@ static enum od_status before_communication(
 	}
 }
 
-/* The mapping procedure (CiA 301, 7.5.2.36 and 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number of
- * them. An entry of 0 is an empty place, as masters write it. */
+/* The mapping procedure (CiA 301, 7.5.2.36 and 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number
+ * of them. An entry of 0 is an empty place, as masters write it. */
 static enum od_status before_mapping(const struct od *od, const struct pdo *pdo, uint8_t sub, const uint8_t *bytes)
 {
 	const struct od_entry *mapped[PDO_MAP_MAX];

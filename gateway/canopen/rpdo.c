@@ -1,5 +1,6 @@
-/* Receive PDOs (CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36). A PDO goes into the dictionary as a whole: every value is checked
- * before the first is written, and each passes the same checks as an SDO. Synchronous PDOs wait for the next SYNC. */
+/* Receive PDOs (CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36). A PDO goes into the dictionary as a whole: every value is
+ * checked before the first is written, and each passes the same checks as an SDO. Synchronous PDOs wait for the next
+ * SYNC. */
 #include "gateway/canopen/pdo.h"
 
 #include <string.h>

@@ -1,5 +1,5 @@
-/* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. What the time is and when it is sent is
- * the device's business. */
+/* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. What the time is and when it is sent
+ * is the device's business. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 

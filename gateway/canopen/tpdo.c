@@ -1,5 +1,5 @@
-/* Transmit PDOs (CiA 301, 7.2.2). A PDO is packed from the dictionary at the moment it is sent, and all PDOs of one SYNC
- * in one go, so that they carry one sample. */
+/* Transmit PDOs (CiA 301, 7.2.2). A PDO is packed from the dictionary at the moment it is sent, and all PDOs of one
+ * SYNC in one go, so that they carry one sample. */
 #include "gateway/canopen/pdo.h"
 
 #include <math.h>

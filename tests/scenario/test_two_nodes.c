@@ -119,8 +119,10 @@ static void test_one_sync_makes_both_nodes_send_the_pdos_of_their_own_sensors(vo
 	}
 	assert_true(p->node[A].device.values.sample.status & PIPELINE_REST);
 	assert_false(p->node[B].device.values.sample.status & PIPELINE_REST);
-	assert_int_equal(get_u16(world_last(&p->node[A], 0x480 + NODE_A)->data), p->node[A].device.values.sample.status);
-	assert_int_equal(get_u16(world_last(&p->node[B], 0x480 + NODE_B)->data), p->node[B].device.values.sample.status);
+	assert_int_equal(
+		get_u16(world_last(&p->node[A], 0x480 + NODE_A)->data), p->node[A].device.values.sample.status);
+	assert_int_equal(
+		get_u16(world_last(&p->node[B], 0x480 + NODE_B)->data), p->node[B].device.values.sample.status);
 }
 
 static void test_a_node_computes_the_same_beside_another_one_as_alone(void **state)

@@ -154,7 +154,8 @@ static void upload_end(struct sdo_client *client, const uint8_t *data, uint64_t 
 }
 
 /* The server fell silent in mid sub-block: what came so far is acknowledged, so that it repeats the rest. When nothing
- * of the sub-block came, the server may not have the last acknowledgement, and a second one would say something else. */
+ * of the sub-block came, the server may not have the last acknowledgement, and a second one would say something else.
+ */
 static bool ask_again(struct sdo_client *client, uint64_t now_us)
 {
 	if (client->phase != SDO_BLOCK_UPLOAD || client->block.sequence == 0 || client->block.in_vain)
