@@ -40,7 +40,7 @@ static void poll_bus(struct bus_health *h)
 {
 	if (h->poll_us > 0 && h->now_us - h->poll_us < POLL_US)
 		return;
-	can_look(h->bus);
+	can_refresh(h->bus);
 	if (h->poll_us > 0)
 		publish_load(h, h->now_us - h->poll_us);
 	h->traffic = h->bus->traffic;

@@ -32,16 +32,16 @@ static enum led_state led_error(const struct canopen_node *node, enum can_state 
 {
 	if (bus == CAN_STATE_BUS_OFF)
 		return LED_ON;
-	if (canopen_error_stands(node, EMCY_PDO_TIMEOUT))
+	if (canopen_error_active(node, EMCY_PDO_TIMEOUT))
 		return LED_QUADRUPLE_FLASH;
-	if (canopen_error_stands(node, EMCY_SYNC_TIME) || canopen_error_stands(node, EMCY_SYNC_LENGTH))
+	if (canopen_error_active(node, EMCY_SYNC_TIME) || canopen_error_active(node, EMCY_SYNC_LENGTH))
 		return LED_TRIPLE_FLASH;
-	if (canopen_error_stands(node, EMCY_HEARTBEAT))
+	if (canopen_error_active(node, EMCY_HEARTBEAT))
 		return LED_DOUBLE_FLASH;
 	if (bus == CAN_STATE_WARNING || bus == CAN_STATE_PASSIVE)
 		return LED_SINGLE_FLASH;
-	if (canopen_error_stands(node, EMCY_DATA_SET) || canopen_error_stands(node, EMCY_CONFIGURATION) ||
-		canopen_error_stands(node, EMCY_STORE_DAMAGED))
+	if (canopen_error_active(node, EMCY_DATA_SET) || canopen_error_active(node, EMCY_CONFIGURATION) ||
+		canopen_error_active(node, EMCY_STORE_DAMAGED))
 		return LED_BLINKING;
 	return canopen_lss_active(node) ? LED_FLICKERING : LED_OFF;
 }

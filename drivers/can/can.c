@@ -77,7 +77,7 @@ void can_close(struct can_port *port)
 
 static void count_traffic(struct can_port *port, const struct can_msg *msg)
 {
-	if (port->ops->look)
+	if (port->ops->refresh)
 		return;
 	port->traffic.frames++;
 	port->traffic.bytes += msg->remote ? 0 : msg->len;
@@ -192,10 +192,10 @@ int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 	return port->ops->bit_rate ? port->ops->bit_rate(port, bit_s, dry_run) : -EOPNOTSUPP;
 }
 
-void can_look(struct can_port *port)
+void can_refresh(struct can_port *port)
 {
-	if (port->ops->look)
-		port->ops->look(port);
+	if (port->ops->refresh)
+		port->ops->refresh(port);
 }
 
 int can_restart(struct can_port *port)

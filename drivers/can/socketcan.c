@@ -172,7 +172,7 @@ static int reopen(struct socketcan *can)
 
 /* Error frames report a change of state at once; this covers the state before the socket was opened, and drivers
  * without error frames. service() handles an interface that is down. */
-static void socketcan_look(struct can_port *port)
+static void socketcan_refresh(struct can_port *port)
 {
 	struct can_link link;
 
@@ -201,7 +201,7 @@ static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 		can->look_at_us = now_us + LOOK_AGAIN_US;
 		if (find_interface(port->name, can->rx.fd) == can->interface || reopen(can) == 0) {
 			port->state = CAN_STATE_ACTIVE;
-			socketcan_look(port);
+			socketcan_refresh(port);
 			return UINT64_MAX;
 		}
 	}
@@ -248,7 +248,7 @@ static const struct can_ops socketcan_ops = {
 	.filter = socketcan_filter,
 	.service = socketcan_service,
 	.bit_rate = socketcan_bit_rate,
-	.look = socketcan_look,
+	.refresh = socketcan_refresh,
 	.restart = socketcan_restart,
 	.close = socketcan_close,
 };
@@ -306,7 +306,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 		socketcan_close(&can->port);
 		return result;
 	}
-	socketcan_look(&can->port); /* the controller may be passive already, which no error frame reports */
+	socketcan_refresh(&can->port); /* the controller may be passive already, which no error frame reports */
 	*port = &can->port;
 	return 0;
 }

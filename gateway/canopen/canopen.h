@@ -93,7 +93,7 @@ void canopen_error_set(
 /** The error has ended. Sends EMCY 0000h when no other error is active. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
 /** Whether an error with this code is active, from any source. */
-bool canopen_error_stands(const struct canopen_node *node, uint16_t code);
+bool canopen_error_active(const struct canopen_node *node, uint16_t code);
 
 /** The controller went bus-off: NMT follows 1029h:1 (CiA 301, 7.5.2.32). The device raises EMCY 8140h on recovery. */
 void canopen_bus_off(struct canopen_node *node, uint64_t now_us);

@@ -1,9 +1,9 @@
-/* Two nodes with one node-ID, or one identifier given to two PDOs: a data frame with an identifier that only this node
- * sends with, from another (EMCY 8150h). The port does not give a node its own frames back. NMT stays as it is: the
- * frames of both are on the bus either way, and which of the two should be silent is the master's to say. */
+/* COB-ID collision (EMCY 8150h): a data frame of another node with an identifier that only this node may send with. Two
+ * nodes have the same node-ID, or two PDOs the same identifier. The port does not return a node's own frames. The NMT
+ * state stays: both nodes have sent already, and the master decides which of them to stop. */
 #include "gateway/canopen/service.h"
 
-enum { QUIET_US = 10000000 }; /* no such frame for so long: it is over */
+enum { QUIET_US = 10000000 }; /* the error ends after so long without such a frame */
 
 size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX])
 {
@@ -21,7 +21,7 @@ size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS
 	return n;
 }
 
-static bool is_ours(const struct canopen_node *node, uint32_t id)
+static bool is_own_id(const struct canopen_node *node, uint32_t id)
 {
 	uint32_t ids[COLLISION_IDS_MAX];
 	size_t n = collision_ids(node, ids);
@@ -37,12 +37,12 @@ bool collision_receive(struct canopen_node *node, const struct can_msg *msg)
 	struct collision *collision = &node->collision;
 	uint8_t info[5] = {0};
 
-	if (!is_ours(node, msg->id))
+	if (!is_own_id(node, msg->id))
 		return false;
 	collision->over_us = node->now_us + QUIET_US;
-	if (collision->stands)
+	if (collision->active)
 		return true;
-	collision->stands = true;
+	collision->active = true;
 	put_u16(info, (uint16_t)msg->id);
 	canopen_error_set(node, EMCY_COLLISION, ERROR_COMMUNICATION, info, node->now_us);
 	if (node->device.collision)
@@ -52,18 +52,18 @@ bool collision_receive(struct canopen_node *node, const struct can_msg *msg)
 
 void collision_reset(struct canopen_node *node)
 {
-	node->collision.stands = false; /* the error went with the reset */
+	node->collision.active = false; /* emcy_reset() has ended the error */
 }
 
 uint64_t collision_tick(struct canopen_node *node)
 {
 	struct collision *collision = &node->collision;
 
-	if (!collision->stands)
+	if (!collision->active)
 		return UINT64_MAX;
 	if (node->now_us < collision->over_us)
 		return collision->over_us;
-	collision->stands = false;
+	collision->active = false;
 	emcy_clear(node, EMCY_COLLISION, EMCY_NO_SOURCE);
 	return UINT64_MAX;
 }

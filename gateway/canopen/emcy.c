@@ -1,4 +1,4 @@
-/* Emergency: error register 1001h, history 1003h, COB-ID 1014h, inhibit time 1015h (CiA 301, 7.2.7). */
+/* EMCY (CiA 301, 7.2.7): error register 1001h, error history 1003h, COB-ID 1014h, inhibit time 1015h. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
@@ -22,7 +22,7 @@ static void after_cob_id(void *ctx, const struct od_entry *entry)
 	node_filter(ctx);
 }
 
-/* Sub-index 0 takes only 0, which clears the history; the others are read-only. */
+/* Only 0 may be written to sub-index 0, which clears the history; the others are read-only. */
 static enum od_status before_history(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	(void)ctx;
@@ -88,7 +88,7 @@ static void update_register(struct emcy *emcy)
 	*emcy->error_register = bits;
 }
 
-/* Index of a standing error, or error_count. */
+/* The index of an active error, or error_count. */
 static size_t find_error(const struct emcy *emcy, uint16_t code, uint8_t source)
 {
 	size_t i = 0;
@@ -98,7 +98,7 @@ static size_t find_error(const struct emcy *emcy, uint16_t code, uint8_t source)
 	return i;
 }
 
-bool canopen_error_stands(const struct canopen_node *node, uint16_t code)
+bool canopen_error_active(const struct canopen_node *node, uint16_t code)
 {
 	for (size_t i = 0; i < node->emcy.error_count; i++)
 		if (node->emcy.errors[i].code == code)
@@ -118,14 +118,14 @@ static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
 	return true;
 }
 
-/* Reset communication ends only the errors that the core found itself; the others are the application's to end. */
+/* Reset communication ends the errors that the core raises itself; the application ends its own. */
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
 	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_TIME,
 		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT, EMCY_COLLISION};
 	struct emcy *emcy = &node->emcy;
 
-	if (node->id != CANOPEN_UNCONFIGURED) /* or else nobody could hear them yet */
+	if (node->id != CANOPEN_UNCONFIGURED) /* else nothing could be sent yet: the messages stay */
 		emcy->queue_count = 0;
 	emcy->inhibited_until_us = 0;
 	if (group == OD_GROUP_ALL) {
@@ -198,19 +198,19 @@ uint64_t emcy_tick(struct canopen_node *node)
 	return UINT64_MAX;
 }
 
-static bool stands(const struct emcy *emcy, const struct emcy_message *message)
+static bool is_active(const struct emcy *emcy, const struct emcy_message *message)
 {
 	return find_error(emcy, message->code, message->source) < emcy->error_count;
 }
 
-/* Of what came up in NMT stopped "the most recent active EMCY reason" goes out afterwards (CiA 301, 7.3.2.2.4); or,
- * when no error stands any more, that all is over. */
+/* Of the errors raised in NMT stopped the most recent one that is still active is sent afterwards (CiA 301, 7.3.2.2.4),
+ * or "no error" when none is active any more. */
 void emcy_leave_stopped(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;
 	size_t i = emcy->queue_count;
 
-	while (i > 0 && !stands(emcy, &emcy->queue[i - 1]))
+	while (i > 0 && !is_active(emcy, &emcy->queue[i - 1]))
 		i--;
 	if (i == 0 && emcy->error_count == 0)
 		i = emcy->queue_count;
@@ -219,7 +219,7 @@ void emcy_leave_stopped(struct canopen_node *node)
 	emcy->queue_count = i > 0 ? 1 : 0;
 }
 
-static void tell(const struct canopen_node *node, uint16_t code, bool set, const uint8_t info[5])
+static void notify(const struct canopen_node *node, uint16_t code, bool set, const uint8_t info[5])
 {
 	if (node->device.error_changed)
 		node->device.error_changed(node->device.ctx, code, set, info);
@@ -241,7 +241,7 @@ void emcy_set_info(
 	emcy->errors[emcy->error_count].bits = register_bits;
 	emcy->error_count++;
 	update_register(emcy);
-	tell(node, code, true, info);
+	notify(node, code, true, info);
 	record(emcy, code, info);
 	enqueue(emcy, code, source, info);
 	emcy_tick(node);
@@ -258,7 +258,7 @@ void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
 
 	if (!remove_error(&node->emcy, code, source))
 		return;
-	tell(node, code, false, no_info);
+	notify(node, code, false, no_info);
 	if (node->emcy.error_count)
 		return;
 	enqueue(&node->emcy, EMCY_NO_ERROR, EMCY_NO_SOURCE, no_info);

@@ -1,5 +1,5 @@
-/* Node guarding as a slave (CiA 301, 7.2.8.3.2.1): the master asks by remote frame, the answer carries the NMT state
- * and a toggle bit. Life guarding (100Ch, 100Dh) begins with the first question. A heartbeat (1017h) switches both off.
+/* Node guarding, slave (CiA 301, 7.2.8.3.2.1): the response to the master's remote request carries the NMT state and a
+ * toggle bit. Life guarding (100Ch, 100Dh) starts with the first request. A heartbeat producer (1017h) disables both.
  */
 #include "gateway/canopen/service.h"
 #include "od_index.h"

@@ -1,6 +1,6 @@
-/* Heartbeat consumer (CiA 301, 7.2.8.3.2.2): 1016h names up to HEARTBEAT_CONSUMERS nodes and how long each may be
- * silent. Watching begins with the first heartbeat of a node, boot-up included; a lost node is watched again from its
- * next one. */
+/* Heartbeat consumer (CiA 301, 7.2.8.3.2.2): 1016h has up to HEARTBEAT_CONSUMERS producers with the consumer time of
+ * each. A consumer starts with the first heartbeat of its producer, boot-up included, and after a heartbeat event with
+ * the next one. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
@@ -9,7 +9,7 @@ static uint8_t node_of(uint32_t value)
 	return (uint8_t)(value >> 16);
 }
 
-/* An entry without a node or a time is not in use. */
+/* An entry without a node-ID or a time is not in use. */
 static bool in_use(uint32_t value)
 {
 	return node_of(value) >= 1 && node_of(value) <= 127 && (value & 0xFFFF);
@@ -69,7 +69,7 @@ void heartbeat_init(struct canopen_node *node)
 	od_attach(node->od, &heartbeat->hook);
 }
 
-/* Stored values did not pass the hook: of two entries for one node the first holds. */
+/* Stored values did not pass the hook: of two entries for one producer the first is used. */
 void heartbeat_reset(struct canopen_node *node)
 {
 	struct heartbeat *heartbeat = &node->heartbeat;
@@ -77,7 +77,7 @@ void heartbeat_reset(struct canopen_node *node)
 	for (size_t i = 0; i < heartbeat->count; i++) {
 		struct heartbeat_consumer *consumer = &heartbeat->consumer[i];
 
-		consumer->lost = false; /* that error went with the reset */
+		consumer->lost = false; /* emcy_reset() has ended the error */
 		forget(node, consumer);
 		for (size_t k = 0; consumer->node_id && k < i; k++)
 			if (heartbeat->consumer[k].node_id == consumer->node_id) {

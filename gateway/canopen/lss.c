@@ -1,6 +1,6 @@
-/* LSS slave (CiA 305): a master without any configuration finds this node by its identity (1018h) and gives it a
- * node-ID. Two states, waiting and configuring; LSS works in every NMT state, and it is all that a node without a
- * node-ID does. */
+/* LSS slave (CiA 305): a master finds this node by its LSS address, the identity of 1018h, and configures node-ID and
+ * bit rate. There are two states, waiting and configuration. LSS is available in every NMT state, and is the only
+ * service of a node without a node-ID. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
@@ -12,9 +12,9 @@ enum command {
 	CONFIGURE_BIT_TIMING = 0x13,
 	ACTIVATE_BIT_TIMING = 0x15,
 	STORE = 0x17,
-	SWITCH_SELECTIVE = 0x40, /* to 43h: vendor, product, revision, serial */
+	SWITCH_SELECTIVE = 0x40, /* to 43h: vendor-ID, product code, revision, serial number */
 	SWITCHED = 0x44,
-	IDENTIFY = 0x46, /* to 4Bh: vendor, product, revision from, to, serial from, to */
+	IDENTIFY = 0x46, /* to 4Bh: vendor-ID, product code, lowest and highest revision, serial number */
 	IDENTIFY_UNCONFIGURED = 0x4C,
 	IDENTIFIED = 0x4F,
 	IDENTIFIED_UNCONFIGURED = 0x50,
@@ -73,16 +73,16 @@ void lss_reset(struct canopen_node *node, enum od_group group)
 
 static void configure_node_id(struct canopen_node *node, uint8_t node_id)
 {
-	bool right = (node_id >= 1 && node_id <= 127) || node_id == CANOPEN_UNCONFIGURED;
+	bool valid = (node_id >= 1 && node_id <= 127) || node_id == CANOPEN_UNCONFIGURED;
 
-	if (right)
+	if (valid)
 		node->lss.node_id = node_id;
-	answer(node, CONFIGURE_NODE_ID, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+	answer(node, CONFIGURE_NODE_ID, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
-/* ---- bit timing and storage, as far as the device has them ------------------------------------------------------- */
+/* ---- bit timing and storage, where the device supports them ------------------------------------------------------ */
 
-/* CiA 301, table 1, by index; 0: reserved */
+/* CiA 305, the standard table of bit timings, by index; 0: reserved */
 static uint32_t bit_rate_of(uint8_t table, uint8_t index)
 {
 	static const uint32_t rates[] = {1000000, 800000, 500000, 250000, 125000, 0, 50000, 20000, 10000};
@@ -94,15 +94,15 @@ static void configure_bit_timing(struct canopen_node *node, uint8_t table, uint8
 {
 	const struct canopen_device *device = &node->device;
 	uint32_t bit_s = bit_rate_of(table, index);
-	bool right = bit_s && device->bit_rate_possible && device->bit_rate_possible(device->ctx, bit_s);
+	bool valid = bit_s && device->bit_rate_possible && device->bit_rate_possible(device->ctx, bit_s);
 
-	if (right)
+	if (valid)
 		node->lss.bit_s = bit_s;
-	answer(node, CONFIGURE_BIT_TIMING, right ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+	answer(node, CONFIGURE_BIT_TIMING, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
-/* All nodes get this at once, and switch together: silent at the old bit rate, then at the new one, each for the delay.
- */
+/* All nodes receive this at once and switch together: each sends nothing for one delay at the old bit rate and for one
+ * delay at the new one. */
 static void activate_bit_timing(struct canopen_node *node, uint16_t delay_ms)
 {
 	struct lss *lss = &node->lss;
@@ -120,7 +120,7 @@ bool lss_silent(const struct canopen_node *node)
 	return node->lss.switching != SWITCH_NONE;
 }
 
-/* Nobody could be heard: those who watch one another begin anew. */
+/* Nothing was received meanwhile: every supervision restarts. */
 static void end_silence(struct canopen_node *node)
 {
 	node->lss.switching = SWITCH_NONE;
@@ -187,9 +187,9 @@ bool canopen_lss_active(const struct canopen_node *node)
 	return node->lss.configuring || node->id == CANOPEN_UNCONFIGURED;
 }
 
-/* ---- who is meant, who is there ---------------------------------------------------------------------------------- */
+/* ---- switching and identification -------------------------------------------------------------------------------- */
 
-/* A node that had none goes on the bus with its new node-ID. */
+/* A node that had no node-ID boots up with its new one. */
 static void switch_global(struct canopen_node *node, uint8_t mode)
 {
 	struct lss *lss = &node->lss;
@@ -202,14 +202,14 @@ static void switch_global(struct canopen_node *node, uint8_t mode)
 		node_reset(node, OD_GROUP_COMMUNICATION);
 }
 
-/* The four numbers come one by one; the node that all of them name is switched. */
+/* The four numbers of the LSS address are received one by one; the node that matches all of them is switched. */
 static void switch_selective(struct canopen_node *node, unsigned number, uint32_t value)
 {
 	struct lss *lss = &node->lss;
-	bool right =
+	bool match =
 		!lss->configuring && (number == VENDOR || number == lss->selected) && *lss->identity[number] == value;
 
-	lss->selected = right ? (uint8_t)(number + 1) : 0;
+	lss->selected = match ? (uint8_t)(number + 1) : 0;
 	if (lss->selected < LSS_NUMBERS)
 		return;
 	lss->selected = 0;
@@ -217,7 +217,7 @@ static void switch_selective(struct canopen_node *node, unsigned number, uint32_
 	answer(node, SWITCHED, 0);
 }
 
-/* Vendor, product, and ranges of revision and serial number. */
+/* Steps 0 to 5: vendor, product, lowest and highest revision, lowest and highest serial number. */
 static bool within(const struct lss *lss, unsigned step, uint32_t value)
 {
 	switch (step) {
@@ -237,23 +237,24 @@ static bool within(const struct lss *lss, unsigned step, uint32_t value)
 static void identify(struct canopen_node *node, unsigned step, uint32_t value)
 {
 	struct lss *lss = &node->lss;
-	bool right = (step == 0 || step == lss->identified) && within(lss, step, value);
+	bool match = (step == 0 || step == lss->identified) && within(lss, step, value);
 
-	lss->identified = right ? (uint8_t)(step + 1) : 0;
+	lss->identified = match ? (uint8_t)(step + 1) : 0;
 	if (lss->identified < 6)
 		return;
 	lss->identified = 0;
 	answer(node, IDENTIFIED, 0);
 }
 
-/* Whether a node-ID neither is nor will be there. */
+/* Neither an active nor a pending node-ID. */
 static bool unconfigured(const struct canopen_node *node)
 {
 	return node->id == CANOPEN_UNCONFIGURED && node->lss.node_id == CANOPEN_UNCONFIGURED;
 }
 
-/* The master finds the identity bit by bit: all that agree down to bit `bit` answer. After the last bit of a number
- * `next` tells which one follows; after the last number it is a smaller one, and the node is switched. */
+/* The master determines the LSS address bit by bit: nodes whose number matches from bit 31 down to `bit` respond. After
+ * bit 0 of a number, `next` is the number that follows; after the last number it is a smaller one, and the node enters
+ * configuration state. */
 static void fastscan(struct canopen_node *node, const uint8_t data[8])
 {
 	struct lss *lss = &node->lss;
@@ -275,9 +276,9 @@ static void fastscan(struct canopen_node *node, const uint8_t data[8])
 	answer(node, IDENTIFIED, 0);
 }
 
-/* ---- the frames of the master ------------------------------------------------------------------------------------ */
+/* ---- requests of the master -------------------------------------------------------------------------------------- */
 
-/* In waiting state only the services that switch and identify are there. */
+/* Services of configuration state only. */
 static void receive_configuration(struct canopen_node *node, const uint8_t data[8])
 {
 	switch (data[0]) {

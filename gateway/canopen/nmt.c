@@ -16,7 +16,7 @@ enum { STARTUP_BY_MASTER = 1 << 2 };
 /* Values of 1029h:1. */
 enum { ON_ERROR_PRE_OPERATIONAL = 0, ON_ERROR_STOP = 2 };
 
-/* The other bits of 1F80h are those of a master. */
+/* The other bits of 1F80h are those of an NMT master, which this node is not. */
 static enum od_status before_startup(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	(void)ctx;
@@ -59,7 +59,7 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 	if (state == NMT_STOPPED)
 		sdo_server_stop(node);
 	if (old == NMT_STOPPED && nmt_communicates(node))
-		emcy_leave_stopped(node); /* before PDOs begin anew: that may end an error, and tell it */
+		emcy_leave_stopped(node); /* before the PDOs restart, which may end an error and send EMCY */
 	if (state == NMT_OPERATIONAL) {
 		sync_start(node);
 		pdo_start(node);
@@ -118,8 +118,7 @@ void nmt_receive(struct canopen_node *node, const struct can_msg *msg)
 	}
 }
 
-/* A new 1017h holds at once: the next heartbeat is due one new period after the last one, or now.
- */
+/* A new 1017h is used at once: the next heartbeat is due one new period after the last one, or now. */
 uint64_t nmt_tick(struct canopen_node *node)
 {
 	uint64_t period_us = *node->nmt.heartbeat_ms * 1000u;
@@ -130,7 +129,7 @@ uint64_t nmt_tick(struct canopen_node *node)
 	if (node->now_us < due_us)
 		return due_us;
 	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){(uint8_t)node->nmt.state}, 1);
-	/* keep the phase when a little late, start anew when periods were missed */
+	/* keep the phase after a small delay, restart it when whole periods were missed */
 	node->nmt.last_heartbeat_us = node->now_us - due_us < period_us ? due_us : node->now_us;
 	return node->nmt.last_heartbeat_us + period_us;
 }

@@ -9,7 +9,7 @@ void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint
 	struct can_msg msg = {.id = id, .len = len};
 
 	memcpy(msg.data, data, len);
-	(void)can_send(node->bus, &msg, node->now_us); /* a frame that is lost there is counted there */
+	(void)can_send(node->bus, &msg, node->now_us); /* the port counts a frame that it drops */
 }
 
 const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t sub, size_t size)
@@ -41,8 +41,8 @@ void node_filter(struct canopen_node *node)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = CAN_ID_ERROR_CONTROL + node->heartbeat.consumer[i].node_id;
 	n += pdo_receive_ids(node, ids + n);
-	n += collision_ids(node, ids + n);   /* guarding and requests for PDOs come with them, too */
-	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() looks at the identifier again */
+	n += collision_ids(node, ids + n);   /* node guarding and remote requests of PDOs use them, too */
+	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() checks the identifier again */
 }
 
 bool cob_id_usable(uint32_t cob_id)
@@ -81,7 +81,7 @@ void node_bad_data(struct canopen_node *node, uint16_t index)
 	canopen_error_set(node, EMCY_DATA_SET, 0, info, node->now_us);
 }
 
-/* Brings every service in line with the dictionary's values. */
+/* Applies the values of the dictionary to every service. */
 static void reset_services(struct canopen_node *node)
 {
 	collision_reset(node);
@@ -163,7 +163,7 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 	node->now_us = now_us;
 	if (!node->started || lss_silent(node) || msg->extended || msg->len > 8)
 		return;
-	if (node->nmt.state == NMT_INITIALISING) { /* no node-ID */
+	if (node->nmt.state == NMT_INITIALISING) { /* without a node-ID */
 		if (msg->id == CAN_ID_LSS_REQUEST && !msg->remote)
 			lss_receive(node, msg);
 		return;
@@ -198,7 +198,7 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	deadline = lss_tick(node);
 	if (lss_silent(node))
 		return deadline;
-	deadline = earlier(heartbeat_tick(node), guard_tick(node)); /* before PDOs: they may end operational */
+	deadline = earlier(heartbeat_tick(node), guard_tick(node)); /* before the PDOs: they may leave operational */
 	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, sync_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));

@@ -199,7 +199,7 @@ struct time {
 };
 
 struct collision {
-	bool stands;
+	bool active;
 	uint64_t over_us; /* the error ends here unless such a frame is received again */
 };
 

@@ -1,5 +1,5 @@
-/* What RPDOs and TPDOs have in common (CiA 301, 7.2.2 and 7.5.2.35 to 7.5.2.38): communication parameters 1400h and
- * 1800h, mapping 1600h and 1A00h, and the checks of both. */
+/* What RPDOs and TPDOs have in common (CiA 301, 7.2.2 and 7.5.2.35 to 7.5.2.38): communication parameters (1400h,
+ * 1800h), mapping (1600h, 1A00h), and the checks of writes to both. */
 #include "gateway/canopen/pdo.h"
 
 #include <errno.h>
@@ -21,7 +21,7 @@ static bool type_supported(const struct pdo *pdo, uint8_t type)
 	return type <= TYPE_SYNC_MAX || type >= (receives(pdo) ? TYPE_EVENT : TYPE_RTR_SYNC);
 }
 
-/* Of the data types those that [DummyUsage] of the EDS allows: INTEGER8 to UNSIGNED32. */
+/* The data types that [DummyUsage] of the EDS allows: INTEGER8 to UNSIGNED32. */
 static const struct od_entry *find_dummy(uint32_t mapping)
 {
 	static const struct od_entry dummies[] = {{.index = OD_INTEGER8, .size = 1}, {.index = OD_INTEGER16, .size = 2},
@@ -48,7 +48,7 @@ static enum od_status find_mapped(
 	return (mapping & 0xFF) == (*entry)->size * 8u ? OD_OK : OD_NOT_MAPPABLE;
 }
 
-/* The first `count` mapping entries, and how many bytes they are. */
+/* Looks up the first `count` mapping entries and sums up their bytes. */
 static enum od_status find_mapping(const struct od *od, const struct pdo *pdo, size_t count,
 	const struct od_entry *mapped[PDO_MAP_MAX], size_t *bytes)
 {
@@ -64,7 +64,7 @@ static enum od_status find_mapping(const struct od *od, const struct pdo *pdo, s
 	return *bytes > PDO_BYTES ? OD_PDO_LENGTH : OD_OK;
 }
 
-/* Whether the PDO could be valid with what stands in the dictionary. */
+/* Whether the PDO may become valid with its parameters in the dictionary. */
 static enum od_status check(const struct od *od, const struct pdo *pdo, uint32_t cob_id)
 {
 	const struct od_entry *mapped[PDO_MAP_MAX];
@@ -90,7 +90,7 @@ static void restart(struct canopen_node *node, struct pdo *pdo)
 		tpdo_restart(node, (struct tpdo *)pdo);
 }
 
-/* RPDOs, then TPDOs; NULL: no more. */
+/* RPDOs first, then TPDOs; NULL after the last one. */
 static struct pdo *nth(struct canopen_node *node, size_t n)
 {
 	struct pdos *pdos = &node->pdos;
@@ -122,7 +122,7 @@ static enum od_status before_cob_id(const struct od *od, const struct pdo *pdo, 
 	return check(od, pdo, value);
 }
 
-/* Sub-indices 3 and 6 are those of TPDOs. */
+/* Only TPDOs have sub-indices 3 and 6. */
 static enum od_status before_communication(
 	const struct od *od, const struct pdo *pdo, uint8_t sub, const uint8_t *bytes)
 {
@@ -140,8 +140,8 @@ static enum od_status before_communication(
 	}
 }
 
-/* The mapping procedure (CiA 301, 7.5.2.36 and 7.5.2.38): PDO invalid, sub-index 0 = 0, entries, sub-index 0 = number
- * of them. An entry of 0 is an empty place, as masters write it. */
+/* The mapping procedure (CiA 301, 7.5.2.36 and 7.5.2.38): PDO invalid, sub-index 0 = 0, the entries, sub-index 0 =
+ * their number. Masters write 0 to entries that they do not use, so 0 is accepted. */
 static enum od_status before_mapping(const struct od *od, const struct pdo *pdo, uint8_t sub, const uint8_t *bytes)
 {
 	const struct od_entry *mapped[PDO_MAP_MAX];
@@ -176,7 +176,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 
 	if (!pdo)
 		return;
-	if (entry->index == pdo->index && entry->sub == 5) { /* may change while the PDO is in use */
+	if (entry->index == pdo->index && entry->sub == 5) { /* may be written while the PDO is valid */
 		if (receives(pdo))
 			rpdo_stop_timer(node, (struct rpdo *)pdo);
 		return;
@@ -227,7 +227,8 @@ int pdo_init(struct canopen_node *node)
 	return 0;
 }
 
-/* Stored values did not pass the hooks. A PDO that cannot be as they say is invalid, for all to see in its COB-ID. */
+/* Stored values did not pass the hooks. A PDO with unusable parameters is made invalid in its COB-ID, where a master
+ * can read it. */
 void pdo_reset(struct canopen_node *node)
 {
 	struct pdo *pdo;
@@ -241,7 +242,7 @@ void pdo_reset(struct canopen_node *node)
 	}
 }
 
-/* ---- life -------------------------------------------------------------------------------------------------------- */
+/* ---- operation --------------------------------------------------------------------------------------------------- */
 
 void pdo_start(struct canopen_node *node)
 {
@@ -251,7 +252,7 @@ void pdo_start(struct canopen_node *node)
 		restart(node, pdo);
 }
 
-/* What goes out is as it was at the SYNC; what came in before it holds from now on. */
+/* TPDOs first: they carry the values as they were at the SYNC, before the RPDOs of the last cycle are applied. */
 void pdo_sync(struct canopen_node *node, uint8_t counter, bool late)
 {
 	tpdo_sync(node, counter, late);

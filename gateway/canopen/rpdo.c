@@ -1,22 +1,22 @@
-/* Receive PDOs (CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36). A PDO goes into the dictionary as a whole: every value is
- * checked before the first is written, and each passes the same checks as an SDO. Synchronous PDOs wait for the next
- * SYNC. */
+/* Receive PDOs (CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36). A PDO is written to the dictionary as a whole: all values are
+ * checked before the first is written, each with the checks of an SDO. Synchronous PDOs are applied at the next SYNC.
+ */
 #include "gateway/canopen/pdo.h"
 
 #include <string.h>
 
-/* ---- errors, each told once and over with a PDO that is right ---------------------------------------------------- */
+/* ---- errors: each is sent once, and ends with a correct PDO ------------------------------------------------------ */
 
 static const uint16_t codes[] = {EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT};
 enum fault { FAULT_CONTENT, FAULT_SHORT, FAULT_LONG, FAULT_TIMEOUT };
 
-/* Which of the PDOs; 0 means none. */
+/* The source of the EMCY: 1 for the first RPDO; 0 would mean none. */
 static uint8_t source(const struct canopen_node *node, const struct rpdo *rpdo)
 {
 	return (uint8_t)(rpdo - node->pdos.rpdo + 1);
 }
 
-/* The manufacturer field: index of the PDO, then `detail`. */
+/* The manufacturer-specific field: index of the PDO, then `detail`. */
 static void set_fault(struct canopen_node *node, struct rpdo *rpdo, enum fault fault, const uint8_t detail[3])
 {
 	uint8_t info[5] = {0};
@@ -35,7 +35,7 @@ static void clear_fault(struct canopen_node *node, struct rpdo *rpdo, enum fault
 	emcy_clear(node, codes[fault], source(node, rpdo));
 }
 
-/* ---- life -------------------------------------------------------------------------------------------------------- */
+/* ---- operation --------------------------------------------------------------------------------------------------- */
 
 void rpdo_restart(struct canopen_node *node, struct rpdo *rpdo)
 {
@@ -98,7 +98,7 @@ static const struct od_entry *for_each_value(struct od *od, const struct rpdo *r
 	return refuses;
 }
 
-static void take(struct canopen_node *node, struct rpdo *rpdo)
+static void write_values(struct canopen_node *node, struct rpdo *rpdo)
 {
 	const struct od_entry *refuses = for_each_value(node->od, rpdo, check_one);
 
@@ -119,14 +119,14 @@ void rpdo_sync(struct canopen_node *node)
 		if (!rpdo->waits)
 			continue;
 		rpdo->waits = false;
-		take(node, rpdo);
+		write_values(node, rpdo);
 	}
 }
 
 /* ---- reception --------------------------------------------------------------------------------------------------- */
 
-/* A PDO that is too long is used as far as it is mapped, one that is too short not at all (CiA 301, 7.5.2.36). */
-static bool length_right(struct canopen_node *node, struct rpdo *rpdo, uint8_t len)
+/* Of a PDO that is too long the mapped bytes are used; one that is too short is not used (CiA 301, 7.5.2.36). */
+static bool length_fits(struct canopen_node *node, struct rpdo *rpdo, uint8_t len)
 {
 	const uint8_t detail[3] = {len, rpdo->pdo.bytes};
 
@@ -150,7 +150,7 @@ static void receive(struct canopen_node *node, struct rpdo *rpdo, const struct c
 		node->pdos.late++;
 		return;
 	}
-	if (!length_right(node, rpdo, msg->len))
+	if (!length_fits(node, rpdo, msg->len))
 		return;
 	rpdo->monitored = *rpdo->pdo.event_ms != 0;
 	rpdo->deadline_us = node->now_us + *rpdo->pdo.event_ms * 1000u;
@@ -158,7 +158,7 @@ static void receive(struct canopen_node *node, struct rpdo *rpdo, const struct c
 	memcpy(rpdo->data, msg->data, rpdo->pdo.bytes);
 	rpdo->waits = synchronous;
 	if (!synchronous)
-		take(node, rpdo);
+		write_values(node, rpdo);
 }
 
 void pdo_receive(struct canopen_node *node, const struct can_msg *msg)
@@ -173,7 +173,7 @@ void pdo_receive(struct canopen_node *node, const struct can_msg *msg)
 	}
 }
 
-/* Event timer: the PDO has to come again within it. */
+/* Event timer (sub-index 5): the next PDO must be received within it. */
 uint64_t rpdo_tick(struct canopen_node *node)
 {
 	uint64_t deadline_us = UINT64_MAX;

@@ -1,4 +1,4 @@
-/* SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.16), the server's side. */
+/* SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.16), server. */
 #include "gateway/canopen/service.h"
 
 #include <string.h>
@@ -8,14 +8,14 @@
 enum {
 	SEGMENT_BYTES = 7,
 	BLOCK_SIZE_MAX = 127,
-	/* Segments in a sub-block of a download. Up to 31 the number of a segment cannot be taken for a command, so
-	 * that a new request in the midst of a block is known as such; the cost is one answer in 31 frames. */
+	/* Segments in a sub-block of a download. Up to 31 a sequence number differs from every command specifier, so
+	 * that a new request within a sub-block is recognised; the cost is one response for 31 frames. */
 	DOWNLOAD_BLOCK_SIZE = 31,
-	/* An upload sends so many segments and then lets others have their turn: PDOs must not wait for a sub-block. */
+	/* An upload sends so many segments per call, so that PDOs do not wait for a whole sub-block. */
 	BURST = 16,
 	BURST_PAUSE_US = 1,
 	BUS_FULL_PAUSE_US = 1000,
-	/* No segment for so long: something was lost. Asked for again before the client gives up. */
+	/* No segment for so long means that one was lost: request it again before the client times out. */
 	SILENCE_US = SDO_TIMEOUT_US / 2,
 };
 
@@ -23,13 +23,13 @@ enum {
 enum {
 	CCS_BLOCK_UPLOAD = 5,
 	CCS_BLOCK_DOWNLOAD = 6,
-	SUB_INITIATE = 0, /* both; of downloads bit 0 alone counts */
+	SUB_INITIATE = 0, /* both; of a download only bit 0 is valid */
 	SUB_END = 1,	  /* both */
 	SUB_ACKNOWLEDGE = 2,
 	SUB_START = 3,
 };
 
-/* First bytes of what the server says. */
+/* First bytes of the responses. */
 enum {
 	SCS_DOWNLOAD_INITIATE = 0xA0,
 	SCS_DOWNLOAD_END = 0xA1,
@@ -61,7 +61,7 @@ static void open_transfer(struct sdo_server *sdo, const uint8_t request[8])
 
 /* ---- download: the client writes --------------------------------------------------------------------------------- */
 
-/* The next sub-block may come. */
+/* Ready for the next sub-block. */
 static void expect_sub_block(struct canopen_node *node)
 {
 	struct sdo_server *sdo = node->sdo;
@@ -85,7 +85,7 @@ static void initiate_download(struct canopen_node *node, const uint8_t request[8
 	sdo_answer(node, SCS_DOWNLOAD_INITIATE | CRC, DOWNLOAD_BLOCK_SIZE);
 }
 
-/* Says which segment was the last in order; the client goes on from there. */
+/* Acknowledges the last segment in order; the client continues with the one after it. */
 static void acknowledge(struct canopen_node *node)
 {
 	struct sdo_server *sdo = node->sdo;
@@ -97,7 +97,7 @@ static void acknowledge(struct canopen_node *node)
 	sdo_send(node, response);
 }
 
-/* A segment out of order is dropped: one before it was lost, and the client will repeat from there. */
+/* A segment out of order is dropped: one before it was lost, and the client repeats from there. */
 static void download_segment(struct canopen_node *node, const uint8_t request[8])
 {
 	struct sdo_server *sdo = node->sdo;
@@ -138,7 +138,7 @@ static void end_download(struct canopen_node *node, const uint8_t request[8])
 
 /* ---- upload: the client reads ------------------------------------------------------------------------------------ */
 
-/* Segments in the present sub-block. An empty value takes one, too. */
+/* Segments in this sub-block. An empty value has one, too. */
 static size_t sub_block_segments(const struct sdo_server *sdo)
 {
 	size_t left = (sdo->size - sdo->done + SEGMENT_BYTES - 1) / SEGMENT_BYTES;
@@ -154,7 +154,7 @@ static bool block_size_allowed(uint8_t size)
 static void initiate_upload(struct canopen_node *node, const uint8_t request[8])
 {
 	struct sdo_server *sdo = node->sdo;
-	uint8_t switch_threshold = request[5]; /* bytes; up to there the client would rather have no block */
+	uint8_t switch_threshold = request[5]; /* bytes; up to that size the client prefers another protocol */
 	enum od_status status;
 
 	open_transfer(sdo, request);
@@ -190,7 +190,7 @@ static void send_segment(struct canopen_node *node)
 	sdo_send(node, segment);
 }
 
-/* A bus that is full gets no more until it has taken what waits: a PDO would have to stand in line. */
+/* Nothing is added to the queue of a full bus: PDOs would have to wait behind it. */
 static uint64_t send_burst(struct canopen_node *node)
 {
 	struct sdo_server *sdo = node->sdo;
@@ -219,7 +219,7 @@ static void send_end(struct canopen_node *node)
 	sdo_send(node, response);
 }
 
-/* The client has the segments up to this one. The next sub-block begins with the one after it. */
+/* The client has received the segments up to `sequence`; the next sub-block starts after it. */
 static void acknowledged(struct canopen_node *node, uint8_t sequence, uint8_t next_size)
 {
 	struct sdo_server *sdo = node->sdo;
@@ -245,7 +245,7 @@ static void acknowledged(struct canopen_node *node, uint8_t sequence, uint8_t ne
 		send_burst(node);
 }
 
-/* ---- the frames of the client ------------------------------------------------------------------------------------ */
+/* ---- requests of the client -------------------------------------------------------------------------------------- */
 
 static bool receive_upload(struct canopen_node *node, const uint8_t request[8])
 {
@@ -316,7 +316,7 @@ uint64_t sdo_block_tick(struct canopen_node *node)
 		if (node->now_us < sdo->block.next_us)
 			return sdo->block.next_us;
 		acknowledge(node);
-		sdo->block.next_us = UINT64_MAX; /* once: then the client has to come */
+		sdo->block.next_us = UINT64_MAX; /* only once: then the client's timeout decides */
 		return UINT64_MAX;
 	default:
 		return UINT64_MAX;

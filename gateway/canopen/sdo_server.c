@@ -15,7 +15,7 @@ enum {
 	CCS_ABORT = 4,
 };
 
-/* First bytes of what the server says. */
+/* First bytes of the responses. */
 enum {
 	SCS_UPLOAD_SEGMENT = 0x00,
 	SCS_DOWNLOAD_SEGMENT = 0x20,
@@ -25,13 +25,13 @@ enum {
 };
 
 enum {
-	INDICATED = 1 << 0, /* initiate: the size is said */
+	INDICATED = 1 << 0, /* initiate: the size is indicated */
 	EXPEDITED = 1 << 1, /* initiate: the data are in this frame */
 	LAST = 1 << 0,	    /* segment */
 	TOGGLE = 1 << 4,    /* segment */
 };
 
-/* ---- channels: the default one, and that of 1201h ---------------------------------------------------------------- */
+/* ---- channels: the default one, and 1201h ------------------------------------------------------------------------ */
 
 static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
@@ -41,7 +41,7 @@ static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, con
 	return cob_id_change(*node->second_sdo.cob_id[entry->sub - 1], get_u32(wire));
 }
 
-/* The identifiers stay when the channel ends: whoever ends it by itself has its answer. */
+/* response_id stays when the channel is closed: a client that closes its own channel still receives the response. */
 static void open_second(struct canopen_node *node)
 {
 	struct sdo_server *sdo = &node->sdo_servers[1];
@@ -96,7 +96,7 @@ void sdo_server_reset(struct canopen_node *node)
 			node_bad_data(node, OD_INDEX_SECOND_SDO_SERVER_PARAMETER);
 }
 
-/* ---- answers ----------------------------------------------------------------------------------------------------- */
+/* ---- responses --------------------------------------------------------------------------------------------------- */
 
 void sdo_send(struct canopen_node *node, const uint8_t data[8])
 {
@@ -324,9 +324,9 @@ static void upload_segment(struct canopen_node *node)
 	sdo_send(node, response);
 }
 
-/* ---- the frames of the client ------------------------------------------------------------------------------------ */
+/* ---- requests of the client -------------------------------------------------------------------------------------- */
 
-/* A new request ends what was under way, without a word: its client has given up on it. */
+/* A new request ends the transfer under way without an abort: its client has given it up. */
 static void initiate(struct canopen_node *node, const uint8_t request[8])
 {
 	node->sdo->state = SDO_SERVER_IDLE;
@@ -348,7 +348,7 @@ static void segment(struct canopen_node *node, const uint8_t request[8])
 		upload_segment(node);
 }
 
-/* Not a command that this server knows, or not one that it expects now. */
+/* An unknown command, or one that is not expected in this state. */
 static void refuse(struct canopen_node *node, const uint8_t request[8])
 {
 	if (node->sdo->state == SDO_SERVER_IDLE) {

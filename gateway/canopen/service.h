@@ -18,7 +18,7 @@ enum { SDO_TIMEOUT_US = 1000000 }; /* server: from one frame of a transfer to th
 
 #define CAN_ID_NONE 0xFFFFFFFFu /* "not in use": no frame has this identifier */
 
-/* ---- node.c ---- */
+/* ---- node.c ------------------------------------------------------------------------------------------------------ */
 /** Sends a data frame. A frame that the port drops is counted there. */
 void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len);
 /** The value in the dictionary; where the optional object is absent, a zero, which switches its feature off. */
@@ -36,7 +36,7 @@ bool cob_id_in_use(uint32_t cob_id);
 /** For EMCY and SDO: the status of writing `value` over `old`. The identifier cannot change while it is in use. */
 enum od_status cob_id_change(uint32_t old, uint32_t value);
 
-/* ---- nmt.c ---- */
+/* ---- nmt.c ------------------------------------------------------------------------------------------------------- */
 void nmt_init(struct canopen_node *node);
 void nmt_receive(struct canopen_node *node, const struct can_msg *msg);
 uint64_t nmt_tick(struct canopen_node *node);
@@ -48,7 +48,7 @@ void nmt_communication_error(struct canopen_node *node);
 /** Sends boot-up, enters pre-operational, and operational where 1F80h says so (CiA 302-2). */
 void nmt_boot_up(struct canopen_node *node);
 
-/* ---- heartbeat.c ---- */
+/* ---- heartbeat.c ------------------------------------------------------------------------------------------------- */
 void heartbeat_init(struct canopen_node *node);
 void heartbeat_reset(struct canopen_node *node);
 void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg);
@@ -56,7 +56,7 @@ void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg);
 void heartbeat_pause(struct canopen_node *node);
 uint64_t heartbeat_tick(struct canopen_node *node);
 
-/* ---- guard.c ---- */
+/* ---- guard.c ----------------------------------------------------------------------------------------------------- */
 void guard_init(struct canopen_node *node);
 void guard_reset(struct canopen_node *node);
 /** The master's remote request was received. */
@@ -65,7 +65,7 @@ void guard_receive(struct canopen_node *node);
 void guard_pause(struct canopen_node *node);
 uint64_t guard_tick(struct canopen_node *node);
 
-/* ---- sdo_server.c ---- */
+/* ---- sdo_server.c ------------------------------------------------------------------------------------------------ */
 void sdo_server_init(struct canopen_node *node);
 void sdo_server_reset(struct canopen_node *node);
 /** Ends the transfers without an abort message. */
@@ -75,7 +75,7 @@ uint64_t sdo_server_tick(struct canopen_node *node);
 /** Sends the response that waited for the device (OD_PENDING). */
 void sdo_server_done(struct canopen_node *node, enum od_status status);
 
-/* ---- sdo_server.c, for sdo_block.c; all work on the channel node->sdo and its index and sub-index ---- */
+/* ---- sdo_server.c, for sdo_block.c; all work on the channel node->sdo and its index and sub-index ---------------- */
 void sdo_send(struct canopen_node *node, const uint8_t data[8]);
 /** Sends command, index, sub-index and a 4-byte value. */
 void sdo_answer(struct canopen_node *node, uint8_t command, uint32_t value);
@@ -91,12 +91,12 @@ enum od_status sdo_open_upload(struct canopen_node *node);
 /** Sends an opened upload expedited, or its size as the start of a segmented transfer. */
 void sdo_start_upload(struct canopen_node *node);
 
-/* ---- sdo_block.c ---- */
+/* ---- sdo_block.c ------------------------------------------------------------------------------------------------- */
 /** False: the frame neither belongs to a block transfer under way nor starts one. */
 bool sdo_block_receive(struct canopen_node *node, const uint8_t request[8]);
 uint64_t sdo_block_tick(struct canopen_node *node);
 
-/* ---- pdo.c, tpdo.c, rpdo.c ---- */
+/* ---- pdo.c, tpdo.c, rpdo.c --------------------------------------------------------------------------------------- */
 /** 0, or -ENOSPC: the dictionary has more PDOs than the core. */
 int pdo_init(struct canopen_node *node);
 void pdo_reset(struct canopen_node *node);
@@ -114,7 +114,7 @@ size_t pdo_receive_ids(const struct canopen_node *node, uint32_t ids[RPDO_MAX]);
 void pdo_pause(struct canopen_node *node);
 uint64_t pdo_tick(struct canopen_node *node);
 
-/* ---- sync.c ---- */
+/* ---- sync.c ------------------------------------------------------------------------------------------------------ */
 void sync_init(struct canopen_node *node);
 void sync_reset(struct canopen_node *node);
 void sync_receive(struct canopen_node *node, const struct can_msg *msg);
@@ -126,7 +126,7 @@ void sync_pause(struct canopen_node *node);
 bool sync_window_open(const struct canopen_node *node, const struct can_msg *msg);
 uint64_t sync_tick(struct canopen_node *node);
 
-/* ---- emcy.c ---- */
+/* ---- emcy.c ------------------------------------------------------------------------------------------------------ */
 void emcy_init(struct canopen_node *node);
 /** Before the dictionary is reset, which may raise errors itself. */
 void emcy_reset(struct canopen_node *node, enum od_group group);
@@ -146,15 +146,15 @@ void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source);
 /** Whether this is a sub-index of 1003h that has no record yet. */
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);
 
-/* ---- store.c ---- */
+/* ---- store.c ----------------------------------------------------------------------------------------------------- */
 void store_init(struct canopen_node *node);
 
-/* ---- time.c ---- */
+/* ---- time.c ------------------------------------------------------------------------------------------------------ */
 void time_init(struct canopen_node *node);
 void time_reset(struct canopen_node *node);
 void time_receive(struct canopen_node *node, const struct can_msg *msg);
 
-/* ---- collision.c ---- */
+/* ---- collision.c ------------------------------------------------------------------------------------------------- */
 enum { COLLISION_IDS_MAX = 2 + SDO_SERVERS + TPDO_MAX };
 /** The identifiers that only this node may send with; returns how many. */
 size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX]);
@@ -163,7 +163,7 @@ bool collision_receive(struct canopen_node *node, const struct can_msg *msg);
 void collision_reset(struct canopen_node *node);
 uint64_t collision_tick(struct canopen_node *node);
 
-/* ---- lss.c ---- */
+/* ---- lss.c ------------------------------------------------------------------------------------------------------- */
 void lss_init(struct canopen_node *node);
 /** After the dictionary was reset: applies the node-ID that holds from this reset on. */
 void lss_reset(struct canopen_node *node, enum od_group group);

@@ -1,4 +1,5 @@
-/* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14; date of the configuration (1020h). */
+/* Store (1010h) and restore (1011h) parameters: CiA 301, 7.5.2.13 and 7.5.2.14; verify configuration (1020h): 7.5.2.23.
+ */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
@@ -21,7 +22,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	return status == OD_OK ? OD_CONSUMED : status;
 }
 
-/* What was configured is no longer what the tool wrote at that date. */
+/* A changed configuration is no longer the one that the tool wrote at the date of 1020h. */
 static void after_any_write(void *ctx, const struct od_entry *entry)
 {
 	struct store *store = &((struct canopen_node *)ctx)->store;

@@ -1,15 +1,16 @@
 /* SYNC consumer and producer (CiA 301, 7.2.5): COB-ID 1005h, period 1006h, synchronous window 1007h, counter 1019h. A
- * producer is its own consumer. A consumer that has a period misses the SYNC (CiA 303-3 has a LED for that). */
+ * producer is its own consumer. A consumer that has a period reports a missing SYNC (EMCY 8100h, and the LED of CiA
+ * 303-3). */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
 enum {
 	PERIOD_MIN_US = 1000,
 	COUNTER_MAX = 240,
-	SOURCE_MISSING = 0x06, /* of EMCY_SYNC_TIME: of the info 1006h the first byte */
+	SOURCE_MISSING = 0x06, /* of EMCY_SYNC_TIME: the first byte of its info 1006h */
 };
 
-/* The identifier does not change while SYNC is produced. */
+/* The identifier cannot change while SYNC is produced. */
 static enum od_status before_cob_id(uint32_t old, uint32_t value)
 {
 	if (!cob_id_usable(value) || (old & COB_ID_PRODUCES && (old ^ value) & COB_ID_MASK))
@@ -17,7 +18,7 @@ static enum od_status before_cob_id(uint32_t old, uint32_t value)
 	return OD_OK;
 }
 
-/* Nor does the counter's range while there is a period. */
+/* Nor the counter overflow value while there is a period. */
 static enum od_status before_counter(const struct sync *sync, uint8_t value)
 {
 	if (value == 1 || value > COUNTER_MAX)
@@ -31,7 +32,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 
 	(void)size;
 	switch (entry->index) {
-	case OD_INDEX_COB_ID_SYNC: /* bit 31 means nothing */
+	case OD_INDEX_COB_ID_SYNC: /* bit 31 has no meaning */
 		return before_cob_id(*sync->cob_id, get_u32(wire));
 	case OD_INDEX_COMMUNICATION_CYCLE_PERIOD:
 		return get_u32(wire) && get_u32(wire) < PERIOD_MIN_US ? OD_BAD_VALUE : OD_OK;
@@ -42,7 +43,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	}
 }
 
-static void listen(struct canopen_node *node)
+static void update_id(struct canopen_node *node)
 {
 	bool consumer = cob_id_usable(*node->sync.cob_id) && !(*node->sync.cob_id & COB_ID_PRODUCES);
 
@@ -66,7 +67,7 @@ static void after_write(void *ctx, const struct od_entry *entry)
 		node->sync.running = false;
 	if (entry->index != OD_INDEX_COB_ID_SYNC)
 		return;
-	listen(node);
+	update_id(node);
 	node_filter(node);
 }
 
@@ -97,7 +98,7 @@ void sync_reset(struct canopen_node *node)
 	node->sync.counter = 0;
 	sync_start(node);
 	sync_pause(node);
-	listen(node);
+	update_id(node);
 	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_SYNC, 0, NULL))
 		node_bad_data(node, OD_INDEX_COB_ID_SYNC);
 }
@@ -115,8 +116,8 @@ bool sync_window_open(const struct canopen_node *node, const struct can_msg *msg
 	       received_us(node, msg) <= sync->last_us + *sync->window_us;
 }
 
-/* 1007h: how long after the SYNC its PDOs may still be sent. The core sends them as soon as it sees the SYNC, so
- * they are late only when the SYNC itself was seen late. That is told by EMCY, as CiA 301, 7.5.2.7 allows. */
+/* 1007h: for how long after the SYNC its PDOs may be sent. The core sends them when it processes the SYNC, so they are
+ * late only when the SYNC was processed late. That raises an EMCY, as CiA 301, 7.5.2.7 permits. */
 static bool window_passed(struct canopen_node *node)
 {
 	struct sync *sync = &node->sync;
@@ -152,7 +153,7 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg)
 	pdo_sync(node, counted ? msg->data[0] : 0, window_passed(node));
 }
 
-/* From the first SYNC in operational on, as others do it: the consumers may well be there before the producer. */
+/* The timeout starts with the first SYNC in operational: the producer may start after its consumers. */
 static uint64_t watch(struct canopen_node *node)
 {
 	uint8_t info[5] = {0};
@@ -207,7 +208,7 @@ uint64_t sync_tick(struct canopen_node *node)
 	if (node->now_us < sync->next_us)
 		return sync->next_us;
 	produce(node);
-	/* keep the phase when a little late, start anew when periods were missed */
+	/* keep the phase after a small delay, restart it when whole periods were missed */
 	if (node->now_us - sync->next_us >= *sync->period_us)
 		sync->next_us = node->now_us;
 	sync->next_us += *sync->period_us;

@@ -1,11 +1,11 @@
-/* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. What the time is and when it is sent
- * is the device's business. */
+/* TIME (CiA 301, 7.2.6): consumer and producer of the time of day, COB-ID 1012h. The device has the time, and decides
+ * when to send it. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
 enum { TIME_SIZE = 6, MS_PER_DAY = 86400000 };
 
-/* The identifier does not change while TIME is consumed or produced. */
+/* The identifier cannot change while TIME is consumed or produced. */
 static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	uint32_t old = *((struct canopen_node *)ctx)->time.cob_id, value = get_u32(wire);
@@ -17,7 +17,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	return OD_OK;
 }
 
-static void listen(struct canopen_node *node)
+static void update_id(struct canopen_node *node)
 {
 	uint32_t cob_id = *node->time.cob_id;
 
@@ -27,7 +27,7 @@ static void listen(struct canopen_node *node)
 static void after_write(void *ctx, const struct od_entry *entry)
 {
 	(void)entry;
-	listen(ctx);
+	update_id(ctx);
 	node_filter(ctx);
 }
 
@@ -46,7 +46,7 @@ void time_init(struct canopen_node *node)
 
 void time_reset(struct canopen_node *node)
 {
-	listen(node);
+	update_id(node);
 	if (!cob_id_usable(*node->time.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_TIME, 0, NULL))
 		node_bad_data(node, OD_INDEX_COB_ID_TIME);
 }

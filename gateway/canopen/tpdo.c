@@ -1,5 +1,5 @@
-/* Transmit PDOs (CiA 301, 7.2.2). A PDO is packed from the dictionary at the moment it is sent, and all PDOs of one
- * SYNC in one go, so that they carry one sample. */
+/* Transmit PDOs (CiA 301, 7.2.2). A PDO is packed from the dictionary when it is sent. All PDOs of one SYNC are packed
+ * within one call, so that they carry one sample. */
 #include "gateway/canopen/pdo.h"
 
 #include <math.h>
@@ -58,7 +58,7 @@ static double number(const struct od_entry *entry, const uint8_t *wire)
 	}
 }
 
-/* From one value to another; of what is longer than 4 bytes only whether they differ. */
+/* Of two values of one object; of one longer than 4 bytes, INFINITY where they differ. */
 static double distance(const struct od_entry *entry, const uint8_t *a, const uint8_t *b)
 {
 	if (entry->size == 1 || entry->size == 2 || entry->size == 4)
@@ -66,12 +66,12 @@ static double distance(const struct od_entry *entry, const uint8_t *a, const uin
 	return memcmp(a, b, entry->size) ? INFINITY : 0;
 }
 
-/* A sample is news when a value has moved by more than its threshold since the PDO was last sent. Where nothing has a
- * threshold every sample is. */
-static bool is_news(const struct canopen_node *node, const struct tpdo *tpdo)
+/* A sample is an event when a mapped value has changed by more than its threshold since the last transmission; without
+ * any threshold every sample is. */
+static bool is_event(const struct canopen_node *node, const struct tpdo *tpdo)
 {
 	const struct canopen_device *device = &node->device;
-	bool thresholds = false, moved = false;
+	bool thresholds = false, changed = false;
 	uint8_t data[PDO_BYTES];
 	size_t at = 0;
 
@@ -83,13 +83,13 @@ static bool is_news(const struct canopen_node *node, const struct tpdo *tpdo)
 		double threshold = device->change_threshold(device->ctx, entry);
 
 		thresholds = thresholds || (threshold > 0 && threshold < INFINITY);
-		moved = moved || distance(entry, data + at, tpdo->sent + at) > threshold;
+		changed = changed || distance(entry, data + at, tpdo->sent + at) > threshold;
 		at += entry->size;
 	}
-	return moved || !thresholds;
+	return changed || !thresholds;
 }
 
-static bool waits_for_news(const struct tpdo *tpdo)
+static bool waits_for_event(const struct tpdo *tpdo)
 {
 	return tpdo->pdo.mapped_count && !tpdo->event &&
 	       (pdo_event_driven(&tpdo->pdo) || *tpdo->pdo.type == TYPE_SYNC_ACYCLIC);
@@ -102,14 +102,14 @@ void pdo_sample(struct canopen_node *node)
 	if (node->nmt.state != NMT_OPERATIONAL)
 		return;
 	for (size_t i = 0; i < pdos->tpdo_count; i++)
-		if (waits_for_news(&pdos->tpdo[i]))
-			pdos->tpdo[i].event = is_news(node, &pdos->tpdo[i]);
+		if (waits_for_event(&pdos->tpdo[i]))
+			pdos->tpdo[i].event = is_event(node, &pdos->tpdo[i]);
 	tpdo_tick(node);
 }
 
 /* ---- SYNC -------------------------------------------------------------------------------------------------------- */
 
-/* The SYNC with the start value counts as the first one received; without a counter every PDO has started. */
+/* The SYNC with the start value (sub-index 6) is the first one that counts; without a counter, any SYNC is. */
 static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
 {
 	const struct pdo *pdo = &tpdo->pdo;
@@ -151,7 +151,7 @@ static bool answers_rtr(const struct tpdo *tpdo)
 static void request(struct canopen_node *node, struct tpdo *tpdo)
 {
 	if (pdo_event_driven(&tpdo->pdo))
-		tpdo->event = true; /* which waits for the inhibit time */
+		tpdo->event = true; /* sent by tpdo_tick(), after the inhibit time */
 	else if (*tpdo->pdo.type == TYPE_RTR)
 		transmit(node, tpdo);
 	else if (tpdo->sampled_len)

@@ -99,7 +99,7 @@ static void run(struct world *w, uint64_t us)
 static int set_up(void **state)
 {
 	static const struct can_ops ops = {
-		.send = take_frame, .filter = take_filter, .look = look, .restart = restart, .bit_rate = bit_rate};
+		.send = take_frame, .filter = take_filter, .refresh = look, .restart = restart, .bit_rate = bit_rate};
 	struct world *w = calloc(1, sizeof(*w));
 
 	assert_non_null(w);

@@ -298,7 +298,7 @@ static int receive_a_frame(struct can_port *port, struct can_msg *msg, uint64_t 
 	return 1;
 }
 
-static void look_at_nothing(struct can_port *port)
+static void refresh_nothing(struct can_port *port)
 {
 	(void)port;
 }
@@ -325,7 +325,7 @@ static void test_the_traffic_is_frames_and_data_bytes_of_both_directions(void **
 
 static void test_a_driver_that_knows_the_traffic_of_the_bus_counts_it_itself(void **state)
 {
-	static const struct can_ops ops = {.send = fake_send, .receive = receive_a_frame, .look = look_at_nothing};
+	static const struct can_ops ops = {.send = fake_send, .receive = receive_a_frame, .refresh = refresh_nothing};
 	struct fake fake;
 
 	(void)state;

@@ -712,12 +712,12 @@ static void test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_con
 	assert_int_equal(port->traffic.frames, 120);
 	assert_int_equal(port->traffic.bytes, 960);
 	put_controller(3, 0, NULL, 0);
-	can_look(port);
-	can_look(port);
+	can_refresh(port);
+	can_refresh(port);
 	assert_int_equal(port->state, CAN_STATE_BUS_OFF);
 	assert_int_equal(port->counters.bus_off, 1);
 	put_controller(4, 0, NULL, 0); /* stopped */
-	can_look(port);
+	can_refresh(port);
 	assert_int_equal(port->state, CAN_STATE_BUS_OFF);
 }
 

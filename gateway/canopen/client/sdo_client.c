@@ -1,5 +1,5 @@
-/* The command byte of each frame: CiA 301, 7.2.4.3.3-7.2.4.3.17; bits 7..5 are the command
- * specifier. */
+/* Expedited and segmented transfers (CiA 301, 7.2.4.3.3 to 7.2.4.3.8 and 7.2.4.3.17). Bits 5 to 7 of the first byte of
+ * each frame are the command specifier. */
 #include "gateway/canopen/client/sdo_client.h"
 #include "gateway/canopen/client/sdo_client_private.h"
 
@@ -8,7 +8,7 @@
 #include "gateway/canopen/cia301.h"
 #include "od/little_endian.h"
 
-enum { /* client command specifiers, in place */
+enum { /* client command specifiers, shifted */
 	CCS_DOWNLOAD_SEGMENT = 0 << 5,
 	CCS_DOWNLOAD = 1 << 5,
 	CCS_UPLOAD = 2 << 5,
@@ -16,7 +16,7 @@ enum { /* client command specifiers, in place */
 	CS_ABORT = 4 << 5,
 };
 
-enum { /* server command specifiers, in place */
+enum { /* server command specifiers, shifted */
 	SCS_UPLOAD_SEGMENT = 0 << 5,
 	SCS_DOWNLOAD_SEGMENT = 1 << 5,
 	SCS_UPLOAD = 2 << 5,
@@ -140,8 +140,8 @@ static void send_segment(struct sdo_client *client, uint64_t now_us)
 	sdo_client_send(client, command, n ? client->out + client->size : NULL, n, now_us);
 }
 
-/* False, and the transfer is aborted, when more comes than was announced or than fits. */
-static bool take(struct sdo_client *client, const uint8_t *data, size_t n, uint64_t now_us)
+/* False, and the transfer is aborted: more bytes than were indicated, or than fit. */
+static bool append(struct sdo_client *client, const uint8_t *data, size_t n, uint64_t now_us)
 {
 	if (n > client->total - client->size) {
 		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_LENGTH, now_us);
@@ -164,7 +164,7 @@ void sdo_client_upload_started(struct sdo_client *client, const uint8_t *data, u
 	if (data[0] & EXPEDITED) {
 		size_t unused = sized ? data[0] >> 2 & 3 : 0;
 
-		if (take(client, &data[4], EXPEDITED_BYTES - unused, now_us))
+		if (append(client, &data[4], EXPEDITED_BYTES - unused, now_us))
 			client->result = SDO_DONE;
 		return;
 	}
@@ -183,11 +183,11 @@ static void upload_segment(struct sdo_client *client, const uint8_t *data, uint6
 	size_t unused = data[0] >> 1 & 7;
 	bool last = data[0] & LAST_SEGMENT;
 
-	if (unused == SEGMENT_BYTES && !last) { /* it could go on like that for ever */
+	if (unused == SEGMENT_BYTES && !last) { /* it might never end */
 		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
 		return;
 	}
-	if (!take(client, &data[1], SEGMENT_BYTES - unused, now_us))
+	if (!append(client, &data[1], SEGMENT_BYTES - unused, now_us))
 		return;
 	if (!last) {
 		client->toggle = !client->toggle;
@@ -203,7 +203,7 @@ static void upload_segment(struct sdo_client *client, const uint8_t *data, uint6
 
 static void download_started(struct sdo_client *client, uint64_t now_us)
 {
-	if (client->segment) { /* expedited: all was in the request */
+	if (client->segment) { /* expedited: the request had all bytes */
 		client->size = client->segment;
 		client->result = SDO_DONE;
 		return;
@@ -223,13 +223,13 @@ static void download_segment(struct sdo_client *client, uint64_t now_us)
 	send_segment(client, now_us);
 }
 
-static bool is_answer(const struct sdo_client *client, const struct can_msg *msg)
+static bool is_response(const struct sdo_client *client, const struct can_msg *msg)
 {
 	return client->result == SDO_RUNNING && msg->id == CAN_ID_SDO_RESPONSE + client->node_id && !msg->extended &&
 	       !msg->remote && msg->len == 8;
 }
 
-static bool names_our_object(const struct sdo_client *client, const uint8_t *data)
+static bool names_object(const struct sdo_client *client, const uint8_t *data)
 {
 	return data[1] == (uint8_t)client->index && data[2] == client->index >> 8 && data[3] == client->sub;
 }
@@ -245,13 +245,13 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 	const uint8_t *data = msg->data;
 	bool starting = client->phase == SDO_UPLOAD_START || client->phase == SDO_DOWNLOAD_START ||
 			client->phase == SDO_BLOCK_UPLOAD_START || client->phase == SDO_BLOCK_DOWNLOAD_START;
-	/* a segment of a block begins with its number */
+	/* the first byte of a segment of a block is its sequence number */
 	bool aborted = client->phase == SDO_BLOCK_UPLOAD ? data[0] == CS_ABORT : (data[0] & CS_MASK) == CS_ABORT;
 
-	if (!is_answer(client, msg))
+	if (!is_response(client, msg))
 		return;
-	if ((starting || aborted) && !names_our_object(client, data))
-		return; /* a late answer to a request that timed out, or to another client */
+	if ((starting || aborted) && !names_object(client, data))
+		return; /* a late response to a request that timed out, or a response to another client */
 	if (aborted) {
 		client->result = SDO_ABORTED;
 		client->abort_code = get_u32(&data[4]);

@@ -1,4 +1,4 @@
-/* SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.16), the client's side. */
+/* SDO block transfer (CiA 301, 7.2.4.3.9 to 7.2.4.3.16), client. */
 #include "gateway/canopen/client/sdo_client_private.h"
 
 #include <string.h>
@@ -9,12 +9,12 @@
 enum {
 	SEGMENT_BYTES = 7,
 	BLOCK_SIZE_MAX = 127,
-	BURST = 16, /* segments before frames that came are looked at */
+	BURST = 16, /* segments per call, so that received frames are processed in between */
 	BUS_FULL_PAUSE_US = 1000,
-	TRIES = 3,
+	RETRIES_MAX = 3,
 };
 
-enum { /* client command specifiers with their subcommands, in place */
+enum { /* client command specifiers with their subcommands, shifted */
 	CCS_UPLOAD = 0xA0,
 	CCS_UPLOAD_END = 0xA1,
 	CCS_UPLOAD_ACKNOWLEDGE = 0xA2,
@@ -97,8 +97,8 @@ static void acknowledge(struct sdo_client *client, uint64_t now_us)
 	sdo_client_send(client, CCS_UPLOAD_ACKNOWLEDGE, payload, sizeof(payload), now_us);
 }
 
-/* `size` counts whole segments until the end tells how much of the last one is filling. */
-static bool take(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
+/* `size` counts whole segments, until the end frame says how many bytes of the last one are padding. */
+static bool append(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
 {
 	if (client->size && client->size >= client->total) {
 		give_up(client, SDO_ABORT_LENGTH, now_us);
@@ -113,18 +113,18 @@ static bool take(struct sdo_client *client, const uint8_t *data, uint64_t now_us
 		memcpy(client->in + client->size, data, n);
 	client->size += SEGMENT_BYTES;
 	client->block.sequence++;
-	client->block.in_vain = 0;
+	client->block.retries = 0;
 	client->deadline_us = now_us + client->timeout_us;
 	return true;
 }
 
-/* A segment out of order is dropped: one before it was lost, and the acknowledgement makes the server repeat it. */
+/* A segment out of order is dropped: one before it was lost, and the server repeats it after the acknowledgement. */
 static void upload_segment(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
 {
 	uint8_t sequence = data[0] & 0x7F;
 	bool in_order = sequence == client->block.sequence + 1, last = data[0] & LAST;
 
-	if (in_order && !take(client, &data[1], now_us))
+	if (in_order && !append(client, &data[1], now_us))
 		return;
 	if (in_order && last)
 		client->phase = SDO_BLOCK_UPLOAD_END;
@@ -153,14 +153,13 @@ static void upload_end(struct sdo_client *client, const uint8_t *data, uint64_t 
 		client->result = SDO_DONE;
 }
 
-/* The server fell silent in mid sub-block: what came so far is acknowledged, so that it repeats the rest. When nothing
- * of the sub-block came, the server may not have the last acknowledgement, and a second one would say something else.
- */
-static bool ask_again(struct sdo_client *client, uint64_t now_us)
+/* Timeout within a sub-block: acknowledges the segments received so far, so that the server repeats the rest. When none
+ * was received, the server may have missed the last acknowledgement, and a second one would mean something else. */
+static bool acknowledge_partial(struct sdo_client *client, uint64_t now_us)
 {
-	if (client->phase != SDO_BLOCK_UPLOAD || client->block.sequence == 0 || client->block.in_vain)
+	if (client->phase != SDO_BLOCK_UPLOAD || client->block.sequence == 0 || client->block.retries)
 		return false;
-	client->block.in_vain++;
+	client->block.retries++;
 	acknowledge(client, now_us);
 	return true;
 }
@@ -180,7 +179,7 @@ void sdo_client_block_download(
 	sdo_client_send_start(client, CCS_DOWNLOAD | CRC | SIZE_INDICATED, tail, now_us);
 }
 
-static bool take_block_size(struct sdo_client *client, uint8_t size, uint64_t now_us)
+static bool set_block_size(struct sdo_client *client, uint8_t size, uint64_t now_us)
 {
 	client->block.size = size;
 	client->block.sequence = 0;
@@ -199,10 +198,10 @@ static void download_started(struct sdo_client *client, const uint8_t *data, uin
 	client->block.crc = data[0] & CRC;
 	client->phase = SDO_BLOCK_DOWNLOAD;
 	client->deadline_us = now_us + client->timeout_us;
-	take_block_size(client, data[4], now_us);
+	set_block_size(client, data[4], now_us);
 }
 
-/* Segments in the present sub-block. An empty value takes one, too. */
+/* Segments in this sub-block. An empty value has one, too. */
 static size_t segments(const struct sdo_client *client)
 {
 	size_t left = (client->total - client->size + SEGMENT_BYTES - 1) / SEGMENT_BYTES;
@@ -221,11 +220,11 @@ static void send_segment(struct sdo_client *client, uint64_t now_us)
 	sdo_client_send(client, command, left ? client->out + from : NULL, smaller(left, SEGMENT_BYTES), now_us);
 }
 
-/* True: there is more to be sent, at *next_us. */
+/* True: more is to be sent, at *next_us. */
 static bool send_burst(struct sdo_client *client, uint64_t now_us, uint64_t *next_us)
 {
 	for (int i = 0; i < BURST && client->block.sequence < segments(client); i++) {
-		if (client->bus->queue_count > 0) { /* waiting for the bus is no silence of the server */
+		if (client->bus->queue_count > 0) { /* the timeout is the server's, not that of a full bus */
 			if (now_us >= client->deadline_us)
 				return false;
 			*next_us = now_us + BUS_FULL_PAUSE_US;
@@ -251,7 +250,7 @@ static void send_end(struct sdo_client *client, uint64_t now_us)
 		sizeof(payload), now_us);
 }
 
-/* The server has the segments up to this one; what it lacks goes into the next sub-block. */
+/* The server has received the segments up to `sequence`; the next sub-block starts after it. */
 static void acknowledged(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
 {
 	uint8_t sequence = data[1];
@@ -261,8 +260,8 @@ static void acknowledged(struct sdo_client *client, const uint8_t *data, uint64_
 		give_up(client, SDO_ABORT_COMMAND, now_us);
 		return;
 	}
-	client->block.in_vain = sequence ? 0 : (uint8_t)(client->block.in_vain + 1);
-	if (sequence > client->block.sequence || client->block.in_vain > TRIES) {
+	client->block.retries = sequence ? 0 : (uint8_t)(client->block.retries + 1);
+	if (sequence > client->block.sequence || client->block.retries > RETRIES_MAX) {
 		give_up(client, SDO_ABORT_SEQUENCE, now_us);
 		return;
 	}
@@ -271,7 +270,7 @@ static void acknowledged(struct sdo_client *client, const uint8_t *data, uint64_
 	if (sequence && client->size == client->total)
 		send_end(client, now_us);
 	else
-		take_block_size(client, data[2], now_us);
+		set_block_size(client, data[2], now_us);
 }
 
 static void download_end(struct sdo_client *client, const uint8_t *data, uint64_t now_us)
@@ -318,7 +317,7 @@ bool sdo_client_block_tick(struct sdo_client *client, uint64_t now_us, uint64_t 
 		*next_us = UINT64_MAX;
 		return true;
 	}
-	if (now_us < client->deadline_us || !ask_again(client, now_us))
+	if (now_us < client->deadline_us || !acknowledge_partial(client, now_us))
 		return false;
 	*next_us = client->deadline_us;
 	return true;
