@@ -215,6 +215,7 @@ score: all ## replay the trials in BROAD=DIR and compare them with their optical
 PURE_LIBS := $(MODEL_LIB) $(BUILD)/libod.a $(BUILD)/libcanopen.a $(BUILD)/libgateway.a
 check-layers: $(PURE_LIBS) ## fail when a layer includes or needs what it must not
 	@tests/check-layers $(PURE_LIBS)
+	@tests/check-emcy
 
 check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
 	@tests/check-docs
