@@ -33,7 +33,7 @@ static void test_a_block_upload_gives_size_segments_and_crc(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_client_without_crc_gets_none(void **state)
+static void test_a_client_without_crc_receives_a_crc_of_0(void **state)
 {
 	struct bus *bus = *state;
 
@@ -76,7 +76,7 @@ static void test_segments_that_the_client_misses_are_sent_again(void **state)
 	bus_exchange(bus, "610 A2 01 7F 00 00 00 00 00", "590 C9 AF E8 00 00 00 00 00");
 }
 
-static void test_a_sub_block_of_which_nothing_came_is_sent_again(void **state)
+static void test_a_sub_block_without_an_acknowledged_segment_is_sent_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -90,7 +90,7 @@ static void test_a_sub_block_of_which_nothing_came_is_sent_again(void **state)
 	bus_exchange(bus, "610 A2 02 7F 00 00 00 00 00", "590 D5 C3 31 00 00 00 00 00");
 }
 
-static void test_small_and_empty_values_go_in_blocks_too(void **state)
+static void test_small_and_empty_values_are_uploaded_in_blocks_too(void **state)
 {
 	struct bus *bus = *state;
 	const struct od_entry *entry = od_find(bus->od.table, 0x1009, 0, NULL);
@@ -114,7 +114,7 @@ static void test_seven_bytes_fill_one_segment(void **state)
 	bus_exchange(bus, "610 A2 01 7F 00 00 00 00 00", "590 C1 00 00 00 00 00 00 00");
 }
 
-static void test_up_to_the_protocol_switch_threshold_the_upload_is_a_plain_one(void **state)
+static void test_up_to_the_protocol_switch_threshold_the_upload_is_not_a_block_upload(void **state)
 {
 	struct bus *bus = *state;
 
@@ -150,7 +150,7 @@ static void test_a_segment_that_was_never_sent_cannot_be_acknowledged(void **sta
 	bus_exchange(bus, "610 A2 03 7F 00 00 00 00 00", "590 80 21 10 00 03 00 04 05");
 }
 
-static void test_what_cannot_be_read_is_refused(void **state)
+static void test_an_object_that_cannot_be_read_is_refused(void **state)
 {
 	struct bus *bus = *state;
 
@@ -160,7 +160,7 @@ static void test_what_cannot_be_read_is_refused(void **state)
 	bus_exchange(bus, "610 A4 21 10 00 7F 00 00 00", "590 80 21 10 00 24 00 00 08");
 }
 
-static void test_an_upload_command_at_the_wrong_time_is_refused(void **state)
+static void test_an_upload_command_in_the_wrong_state_is_refused(void **state)
 {
 	struct bus *bus = *state;
 
@@ -175,7 +175,7 @@ static void test_an_upload_command_at_the_wrong_time_is_refused(void **state)
 	bus_exchange(bus, "610 A1 00 00 00 00 00 00 00", "590 80 21 10 00 01 00 04 05");
 }
 
-static void test_a_client_that_falls_silent_in_an_upload_gets_a_timeout(void **state)
+static void test_an_upload_without_a_response_of_the_client_times_out(void **state)
 {
 	struct bus *bus = *state;
 
@@ -223,7 +223,7 @@ static void test_an_abort_or_a_new_request_ends_an_upload(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_sub_block_lets_pdos_pass(void **state)
+static void test_pdos_are_sent_between_the_segments_of_a_sub_block(void **state)
 {
 	struct bus *bus = *state;
 	static uint8_t content[1000];
@@ -239,7 +239,7 @@ static void test_a_sub_block_lets_pdos_pass(void **state)
 	assert_int_equal(bus->sent[bus->sent_count - 1].msg.data[0], 127);
 }
 
-static void test_a_full_bus_holds_the_segments_back_and_none_is_lost(void **state)
+static void test_a_full_bus_delays_the_segments_and_none_is_lost(void **state)
 {
 	struct bus *bus = *state;
 	static uint8_t content[889]; /* 127 segments */
@@ -267,7 +267,7 @@ static void test_a_full_bus_holds_the_segments_back_and_none_is_lost(void **stat
 	bus_expect_nothing(bus);
 }
 
-static void test_a_slow_bus_does_not_time_a_sub_block_out(void **state)
+static void test_a_sub_block_does_not_time_out_on_a_slow_bus(void **state)
 {
 	struct bus *bus = *state;
 	static uint8_t content[889];
@@ -342,7 +342,7 @@ static uint8_t take_sub_block(struct bus *bus, uint32_t *seed, uint32_t odds, ui
 	return sequence;
 }
 
-static void test_a_large_upload_survives_any_loss(void **state)
+static void test_a_large_upload_completes_with_any_loss_of_segments(void **state)
 {
 	struct bus *bus = *state;
 	static uint8_t content[50000], got[50000 + 7];
@@ -419,7 +419,7 @@ static void test_every_block_size_from_1_to_127_gives_the_same_bytes(void **stat
 	}
 }
 
-static void test_bits_and_bytes_that_mean_nothing_are_ignored_in_blocks(void **state)
+static void test_reserved_bits_and_bytes_are_ignored_in_block_transfers(void **state)
 {
 	struct bus *bus = *state;
 
@@ -448,7 +448,7 @@ static void test_a_block_download_is_written_at_its_end(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_wrong_crc_is_refused_and_the_old_value_stands(void **state)
+static void test_a_wrong_crc_is_refused_and_the_old_value_stays(void **state)
 {
 	struct bus *bus = *state;
 
@@ -458,7 +458,7 @@ static void test_a_wrong_crc_is_refused_and_the_old_value_stands(void **state)
 	assert_true(bus->values.lever_arm.l == 0);
 }
 
-static void test_of_a_client_without_crc_none_is_checked(void **state)
+static void test_the_crc_of_a_client_without_crc_is_not_checked(void **state)
 {
 	struct bus *bus = *state;
 
@@ -468,7 +468,7 @@ static void test_of_a_client_without_crc_none_is_checked(void **state)
 	assert_true(bus->values.lever_arm.l == 1.0f);
 }
 
-static void test_a_block_download_needs_no_size(void **state)
+static void test_a_block_download_without_a_size_is_written(void **state)
 {
 	struct bus *bus = *state;
 
@@ -478,7 +478,7 @@ static void test_a_block_download_needs_no_size(void **state)
 	assert_true(bus->values.lever_arm.l == 1.0f);
 }
 
-static void test_a_download_of_several_segments_arrives(void **state)
+static void test_a_download_of_several_segments_is_written(void **state)
 {
 	struct bus *bus = *state;
 	const char *text = bus_writable_string(bus);
@@ -493,7 +493,7 @@ static void test_a_download_of_several_segments_arrives(void **state)
 	assert_string_equal(text, "ABCDEFGHIJKLMNOPQRSTUVWXYZ");
 }
 
-static void test_a_lost_segment_is_asked_for_at_the_end_of_the_sub_block(void **state)
+static void test_a_lost_segment_is_requested_at_the_end_of_the_sub_block(void **state)
 {
 	struct bus *bus = *state;
 	const char *text = bus_writable_string(bus);
@@ -509,7 +509,7 @@ static void test_a_lost_segment_is_asked_for_at_the_end_of_the_sub_block(void **
 	assert_string_equal(text, "ABCDEFGHIJKLMNOPQRSTUVWXYZ");
 }
 
-static void test_segment_31_ends_a_sub_block_whatever_was_lost(void **state)
+static void test_segment_31_ends_a_sub_block_even_if_segments_were_lost(void **state)
 {
 	struct bus *bus = *state;
 
@@ -519,7 +519,7 @@ static void test_segment_31_ends_a_sub_block_whatever_was_lost(void **state)
 	bus_exchange(bus, "610 1F 41 42 43 44 45 46 47", "590 A2 01 1F 00 00 00 00 00");
 }
 
-static void test_when_the_last_segment_is_lost_half_a_second_of_silence_asks_for_it(void **state)
+static void test_a_lost_last_segment_is_requested_after_half_a_second(void **state)
 {
 	struct bus *bus = *state;
 	const char *text = bus_writable_string(bus);
@@ -538,7 +538,7 @@ static void test_when_the_last_segment_is_lost_half_a_second_of_silence_asks_for
 	assert_string_equal(text, "ABCDEFGHIJKLMNOPQRSTUVWXYZ");
 }
 
-static void test_a_client_that_falls_silent_in_a_download_gets_a_timeout(void **state)
+static void test_a_download_without_segments_times_out(void **state)
 {
 	struct bus *bus = *state;
 
@@ -614,7 +614,7 @@ static void test_an_empty_string_is_one_empty_segment(void **state)
 	assert_string_equal(text, "");
 }
 
-static void test_the_limits_hold_in_a_block_download(void **state)
+static void test_the_limits_of_an_object_apply_to_a_block_download(void **state)
 {
 	struct bus *bus = *state;
 
@@ -633,7 +633,7 @@ static void test_segment_number_0_is_refused(void **state)
 	bus_exchange(bus, "610 00 00 00 80 3F 00 00 00", "590 80 00 20 01 03 00 04 05");
 }
 
-static void test_a_download_end_at_the_wrong_time_is_refused(void **state)
+static void test_a_download_end_in_the_wrong_state_is_refused(void **state)
 {
 	struct bus *bus = *state;
 
@@ -661,7 +661,7 @@ static void test_an_abort_or_any_new_request_ends_a_download(void **state)
 	bus_exchange(bus, "610 E0 00 00 00 00 00 00 00", "590 80 00 20 01 01 00 04 05");
 }
 
-static void test_a_save_in_a_block_is_answered_when_it_is_done(void **state)
+static void test_the_response_to_a_block_download_waits_for_the_storage(void **state)
 {
 	struct bus *bus = *state;
 
@@ -678,43 +678,43 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		PRE_OPERATIONAL(test_a_block_upload_gives_size_segments_and_crc),
-		PRE_OPERATIONAL(test_a_client_without_crc_gets_none),
+		PRE_OPERATIONAL(test_a_client_without_crc_receives_a_crc_of_0),
 		PRE_OPERATIONAL(test_the_client_sets_the_size_of_each_sub_block),
 		PRE_OPERATIONAL(test_segments_that_the_client_misses_are_sent_again),
-		PRE_OPERATIONAL(test_a_sub_block_of_which_nothing_came_is_sent_again),
-		PRE_OPERATIONAL(test_small_and_empty_values_go_in_blocks_too),
+		PRE_OPERATIONAL(test_a_sub_block_without_an_acknowledged_segment_is_sent_again),
+		PRE_OPERATIONAL(test_small_and_empty_values_are_uploaded_in_blocks_too),
 		PRE_OPERATIONAL(test_seven_bytes_fill_one_segment),
-		PRE_OPERATIONAL(test_up_to_the_protocol_switch_threshold_the_upload_is_a_plain_one),
+		PRE_OPERATIONAL(test_up_to_the_protocol_switch_threshold_the_upload_is_not_a_block_upload),
 		PRE_OPERATIONAL(test_a_block_size_of_0_or_above_127_is_refused),
 		PRE_OPERATIONAL(test_a_segment_that_was_never_sent_cannot_be_acknowledged),
-		PRE_OPERATIONAL(test_what_cannot_be_read_is_refused),
-		PRE_OPERATIONAL(test_an_upload_command_at_the_wrong_time_is_refused),
-		PRE_OPERATIONAL(test_a_client_that_falls_silent_in_an_upload_gets_a_timeout),
+		PRE_OPERATIONAL(test_an_object_that_cannot_be_read_is_refused),
+		PRE_OPERATIONAL(test_an_upload_command_in_the_wrong_state_is_refused),
+		PRE_OPERATIONAL(test_an_upload_without_a_response_of_the_client_times_out),
 		PRE_OPERATIONAL(test_an_abort_or_a_new_request_ends_an_upload),
-		OPERATIONAL(test_a_sub_block_lets_pdos_pass),
-		OPERATIONAL(test_a_full_bus_holds_the_segments_back_and_none_is_lost),
-		PRE_OPERATIONAL(test_a_slow_bus_does_not_time_a_sub_block_out),
+		OPERATIONAL(test_pdos_are_sent_between_the_segments_of_a_sub_block),
+		OPERATIONAL(test_a_full_bus_delays_the_segments_and_none_is_lost),
+		PRE_OPERATIONAL(test_a_sub_block_does_not_time_out_on_a_slow_bus),
 		PRE_OPERATIONAL(test_a_bus_that_stays_full_ends_the_upload),
-		PRE_OPERATIONAL(test_a_large_upload_survives_any_loss),
+		PRE_OPERATIONAL(test_a_large_upload_completes_with_any_loss_of_segments),
 		PRE_OPERATIONAL(test_every_block_size_from_1_to_127_gives_the_same_bytes),
-		PRE_OPERATIONAL(test_bits_and_bytes_that_mean_nothing_are_ignored_in_blocks),
+		PRE_OPERATIONAL(test_reserved_bits_and_bytes_are_ignored_in_block_transfers),
 		PRE_OPERATIONAL(test_a_block_download_is_written_at_its_end),
-		PRE_OPERATIONAL(test_a_wrong_crc_is_refused_and_the_old_value_stands),
-		PRE_OPERATIONAL(test_of_a_client_without_crc_none_is_checked),
-		PRE_OPERATIONAL(test_a_block_download_needs_no_size),
-		PRE_OPERATIONAL(test_a_download_of_several_segments_arrives),
-		PRE_OPERATIONAL(test_a_lost_segment_is_asked_for_at_the_end_of_the_sub_block),
-		PRE_OPERATIONAL(test_segment_31_ends_a_sub_block_whatever_was_lost),
-		PRE_OPERATIONAL(test_when_the_last_segment_is_lost_half_a_second_of_silence_asks_for_it),
-		PRE_OPERATIONAL(test_a_client_that_falls_silent_in_a_download_gets_a_timeout),
+		PRE_OPERATIONAL(test_a_wrong_crc_is_refused_and_the_old_value_stays),
+		PRE_OPERATIONAL(test_the_crc_of_a_client_without_crc_is_not_checked),
+		PRE_OPERATIONAL(test_a_block_download_without_a_size_is_written),
+		PRE_OPERATIONAL(test_a_download_of_several_segments_is_written),
+		PRE_OPERATIONAL(test_a_lost_segment_is_requested_at_the_end_of_the_sub_block),
+		PRE_OPERATIONAL(test_segment_31_ends_a_sub_block_even_if_segments_were_lost),
+		PRE_OPERATIONAL(test_a_lost_last_segment_is_requested_after_half_a_second),
+		PRE_OPERATIONAL(test_a_download_without_segments_times_out),
 		PRE_OPERATIONAL(test_a_wrong_size_is_refused_before_or_after_the_segments),
 		PRE_OPERATIONAL(test_a_segment_beyond_the_size_is_refused_at_once),
 		PRE_OPERATIONAL(test_an_empty_string_is_one_empty_segment),
-		PRE_OPERATIONAL(test_the_limits_hold_in_a_block_download),
+		PRE_OPERATIONAL(test_the_limits_of_an_object_apply_to_a_block_download),
 		PRE_OPERATIONAL(test_segment_number_0_is_refused),
-		PRE_OPERATIONAL(test_a_download_end_at_the_wrong_time_is_refused),
+		PRE_OPERATIONAL(test_a_download_end_in_the_wrong_state_is_refused),
 		PRE_OPERATIONAL(test_an_abort_or_any_new_request_ends_a_download),
-		PRE_OPERATIONAL(test_a_save_in_a_block_is_answered_when_it_is_done),
+		PRE_OPERATIONAL(test_the_response_to_a_block_download_waits_for_the_storage),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -3,27 +3,27 @@
 
 #define COLLISION_710 "090 50 81 11 10 07 00 00 00"
 
-static void test_a_boot_up_of_another_node_with_this_node_id_is_told(void **state)
+static void test_a_boot_up_of_another_node_with_this_node_id_is_reported(void **state)
 {
 	bus_exchange(*state, "710 00", COLLISION_710);
 }
 
-static void test_a_heartbeat_of_another_node_with_this_node_id_is_told(void **state)
+static void test_a_heartbeat_of_another_node_with_this_node_id_is_reported(void **state)
 {
 	bus_exchange(*state, "710 7F", COLLISION_710);
 }
 
-static void test_an_answer_of_another_sdo_server_with_this_identifier_is_told(void **state)
+static void test_a_response_of_another_sdo_server_with_this_identifier_is_reported(void **state)
 {
 	bus_exchange(*state, "590 60 00 20 01 00 00 00 00", "090 50 81 11 90 05 00 00 00");
 }
 
-static void test_an_emcy_with_this_identifier_is_told(void **state)
+static void test_an_emcy_with_this_identifier_is_reported(void **state)
 {
 	bus_exchange(*state, "090 00 00 00 00 00 00 00 00", "090 50 81 11 90 00 00 00 00");
 }
 
-static void test_a_pdo_with_the_identifier_of_a_tpdo_is_told_in_operational(void **state)
+static void test_a_pdo_with_the_identifier_of_a_tpdo_is_reported_in_operational(void **state)
 {
 	bus_send(*state, "000 01 10");
 	bus_exchange(*state, "390 00 00 00 00 00 00 00 00", "090 50 81 11 90 03 00 00 00");
@@ -39,7 +39,7 @@ static void test_an_invalid_tpdo_has_no_identifier_that_could_collide(void **sta
 	assert_false(bus_listens_to(bus, 0x390));
 }
 
-static void test_an_identifier_that_was_moved_is_watched_where_it_is(void **state)
+static void test_a_changed_identifier_collides_where_it_is_now(void **state)
 {
 	struct bus *bus = *state;
 
@@ -52,7 +52,7 @@ static void test_an_identifier_that_was_moved_is_watched_where_it_is(void **stat
 	bus_exchange(bus, "0AA 00 00 00 00 00 00 00 00", "0AA 50 81 11 AA 00 00 00 00");
 }
 
-static void test_a_request_for_a_heartbeat_or_a_pdo_is_no_collision(void **state)
+static void test_a_remote_request_is_not_a_collision(void **state)
 {
 	struct bus *bus = *state;
 
@@ -61,7 +61,7 @@ static void test_a_request_for_a_heartbeat_or_a_pdo_is_no_collision(void **state
 	bus_expect_nothing(bus);
 }
 
-static void test_frames_of_other_nodes_are_no_collision(void **state)
+static void test_frames_of_other_nodes_are_not_a_collision(void **state)
 {
 	bus_send(*state, "711 00");
 	bus_send(*state, "591 60 00 20 01 00 00 00 00");
@@ -70,7 +70,7 @@ static void test_frames_of_other_nodes_are_no_collision(void **state)
 	bus_expect_nothing(*state);
 }
 
-static void test_a_collision_that_goes_on_is_told_once(void **state)
+static void test_a_lasting_collision_is_reported_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -82,7 +82,7 @@ static void test_a_collision_that_goes_on_is_told_once(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_collision_is_over_after_ten_quiet_seconds(void **state)
+static void test_a_collision_ends_after_ten_seconds_without_such_a_frame(void **state)
 {
 	struct bus *bus = *state;
 
@@ -94,7 +94,7 @@ static void test_a_collision_is_over_after_ten_quiet_seconds(void **state)
 	bus_exchange(bus, "710 00", COLLISION_710);
 }
 
-static void test_a_collision_leaves_the_nmt_state(void **state)
+static void test_a_collision_does_not_change_the_nmt_state(void **state)
 {
 	struct bus *bus = *state;
 
@@ -103,7 +103,7 @@ static void test_a_collision_leaves_the_nmt_state(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
 }
 
-static void test_the_device_hears_of_a_collision_once(void **state)
+static void test_the_device_is_notified_of_a_collision_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -113,7 +113,7 @@ static void test_the_device_hears_of_a_collision_once(void **state)
 	assert_int_equal(bus->collision_id, 0x710);
 }
 
-static void test_after_reset_communication_a_collision_is_told_anew(void **state)
+static void test_after_reset_communication_a_collision_is_reported_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -122,7 +122,7 @@ static void test_after_reset_communication_a_collision_is_told_anew(void **state
 	bus_exchange(bus, "710 7F", COLLISION_710);
 }
 
-static void test_the_bus_is_asked_for_the_identifiers_of_this_node(void **state)
+static void test_the_receive_filter_has_the_identifiers_of_this_node(void **state)
 {
 	assert_true(bus_listens_to(*state, 0x710));
 	assert_true(bus_listens_to(*state, 0x590));
@@ -134,21 +134,21 @@ static void test_the_bus_is_asked_for_the_identifiers_of_this_node(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		PRE_OPERATIONAL(test_a_boot_up_of_another_node_with_this_node_id_is_told),
-		PRE_OPERATIONAL(test_a_heartbeat_of_another_node_with_this_node_id_is_told),
-		PRE_OPERATIONAL(test_an_answer_of_another_sdo_server_with_this_identifier_is_told),
-		PRE_OPERATIONAL(test_an_emcy_with_this_identifier_is_told),
-		PRE_OPERATIONAL(test_a_pdo_with_the_identifier_of_a_tpdo_is_told_in_operational),
+		PRE_OPERATIONAL(test_a_boot_up_of_another_node_with_this_node_id_is_reported),
+		PRE_OPERATIONAL(test_a_heartbeat_of_another_node_with_this_node_id_is_reported),
+		PRE_OPERATIONAL(test_a_response_of_another_sdo_server_with_this_identifier_is_reported),
+		PRE_OPERATIONAL(test_an_emcy_with_this_identifier_is_reported),
+		PRE_OPERATIONAL(test_a_pdo_with_the_identifier_of_a_tpdo_is_reported_in_operational),
 		PRE_OPERATIONAL(test_an_invalid_tpdo_has_no_identifier_that_could_collide),
-		PRE_OPERATIONAL(test_an_identifier_that_was_moved_is_watched_where_it_is),
-		PRE_OPERATIONAL(test_a_request_for_a_heartbeat_or_a_pdo_is_no_collision),
-		PRE_OPERATIONAL(test_frames_of_other_nodes_are_no_collision),
-		PRE_OPERATIONAL(test_a_collision_that_goes_on_is_told_once),
-		PRE_OPERATIONAL(test_a_collision_is_over_after_ten_quiet_seconds),
-		PRE_OPERATIONAL(test_a_collision_leaves_the_nmt_state),
-		PRE_OPERATIONAL(test_the_device_hears_of_a_collision_once),
-		PRE_OPERATIONAL(test_after_reset_communication_a_collision_is_told_anew),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_the_identifiers_of_this_node),
+		PRE_OPERATIONAL(test_a_changed_identifier_collides_where_it_is_now),
+		PRE_OPERATIONAL(test_a_remote_request_is_not_a_collision),
+		PRE_OPERATIONAL(test_frames_of_other_nodes_are_not_a_collision),
+		PRE_OPERATIONAL(test_a_lasting_collision_is_reported_once),
+		PRE_OPERATIONAL(test_a_collision_ends_after_ten_seconds_without_such_a_frame),
+		PRE_OPERATIONAL(test_a_collision_does_not_change_the_nmt_state),
+		PRE_OPERATIONAL(test_the_device_is_notified_of_a_collision_once),
+		PRE_OPERATIONAL(test_after_reset_communication_a_collision_is_reported_again),
+		PRE_OPERATIONAL(test_the_receive_filter_has_the_identifiers_of_this_node),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -134,7 +134,7 @@ static uint32_t value_u32(struct pair *p, uint16_t index, uint8_t sub)
 
 /* ---- EDS --------------------------------------------------------------------------------------------------------- */
 
-static void test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_plain(void **state)
+static void test_the_eds_is_read_at_1021h_by_segments_and_blocks_and_1022h_is_plain_text(void **state)
 {
 	struct pair *p = *state;
 	static uint8_t eds[1 << 18];
@@ -153,7 +153,7 @@ static void test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_p
 
 /* ---- snapshot: to read ------------------------------------------------------------------------------------------- */
 
-static void test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured(void **state)
+static void test_the_snapshot_is_a_concise_dcf_of_every_configuration_object(void **state)
 {
 	struct pair *p = *state;
 	struct od_dcf_item item;
@@ -179,7 +179,7 @@ static void test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured(voi
 	free(seen);
 }
 
-static void test_the_snapshot_comes_in_blocks_too(void **state)
+static void test_the_snapshot_is_uploaded_in_blocks_too(void **state)
 {
 	struct pair *p = *state;
 	uint8_t segmented[LARGE];
@@ -192,7 +192,7 @@ static void test_the_snapshot_comes_in_blocks_too(void **state)
 	assert_memory_equal(p->value, segmented, size);
 }
 
-static void test_a_cob_id_that_follows_the_node_id_says_so_in_bit_29(void **state)
+static void test_a_cob_id_that_follows_the_node_id_has_bit_29_set(void **state)
 {
 	struct pair *p = *state;
 	const uint8_t emcy[] = {0x14, 0x10, 0, 4, 0, 0, 0, 0x80, 0, 0, 0x20};
@@ -204,7 +204,7 @@ static void test_a_cob_id_that_follows_the_node_id_says_so_in_bit_29(void **stat
 }
 
 /* Anything that writes a snapshot entry by entry succeeds, as long as it adds the node-ID. */
-static void test_each_entry_of_the_snapshot_can_be_written_by_itself_in_its_order(void **state)
+static void test_the_entries_of_a_snapshot_can_be_written_one_by_one_in_their_order(void **state)
 {
 	struct pair *p = *state;
 	static uint8_t snapshot[LARGE];
@@ -305,7 +305,7 @@ static void test_cob_ids_that_follow_the_node_id_follow_that_of_the_other_node(v
 	free(other);
 }
 
-static void test_a_node_that_is_busy_takes_a_snapshot_too(void **state)
+static void test_a_snapshot_is_applied_to_a_node_with_active_pdos_and_sync(void **state)
 {
 	struct pair *p = *state, *other = new_pair(17);
 
@@ -321,7 +321,7 @@ static void test_a_node_that_is_busy_takes_a_snapshot_too(void **state)
 	free(other);
 }
 
-static void test_the_identity_and_the_measurements_stay(void **state)
+static void test_a_snapshot_leaves_identity_and_measurements(void **state)
 {
 	struct pair *p = *state, *other = new_pair(17);
 
@@ -332,7 +332,7 @@ static void test_the_identity_and_the_measurements_stay(void **state)
 	free(other);
 }
 
-static void test_the_date_of_the_configuration_comes_with_it(void **state)
+static void test_a_snapshot_has_the_configuration_date(void **state)
 {
 	struct pair *p = *state, *other = new_pair(17);
 
@@ -392,7 +392,7 @@ static void assert_refused(struct pair *p, const uint8_t *dcf, size_t size, uint
 		assert_refused(p, dcf, sizeof(dcf), code);                   \
 	} while (0)
 
-static void test_some_entries_alone_are_taken_over(void **state)
+static void test_a_snapshot_of_some_entries_is_applied(void **state)
 {
 	struct pair *p = *state;
 	const uint8_t dcf[] = {2, 0, 0, 0, GOOD_ENTRY, ENTRY_U8(0x2001, 0, 1)};
@@ -407,13 +407,13 @@ static void test_a_snapshot_without_entries_changes_nothing(void **state)
 	assert_int_equal(write_object(*state, 0x2130, 0, (const uint8_t[4]){0}, 4), 0);
 }
 
-static void test_an_entry_that_does_not_exist_refuses_the_whole(void **state)
+static void test_a_snapshot_with_an_unknown_object_is_refused(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06020000, ENTRY_U8(0x2FFF, 0, 1));
 	ASSERT_REFUSED(*state, 0x06090011, ENTRY_U32(0x2000, 9, 0));
 }
 
-static void test_what_is_no_configuration_refuses_the_whole(void **state)
+static void test_a_snapshot_with_an_object_that_is_not_configuration_is_refused(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06010002, ENTRY_U32(0x1018, 4, 1));	      /* identity */
 	ASSERT_REFUSED(*state, 0x06010000, ENTRY_U32(0x1010, 1, 0x65766173)); /* a command */
@@ -421,7 +421,7 @@ static void test_what_is_no_configuration_refuses_the_whole(void **state)
 	ASSERT_REFUSED(*state, 0x06010000, 0x30, 0x21, 0, 4, 0, 0, 0, 0, 0, 0, 0); /* itself */
 }
 
-static void test_a_value_of_the_wrong_size_or_beyond_its_limits_refuses_the_whole(void **state)
+static void test_a_snapshot_with_a_value_of_the_wrong_size_or_beyond_its_limits_is_refused(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06070012, ENTRY_U16(0x2001, 0, 1));
 	ASSERT_REFUSED(*state, 0x06070013, ENTRY_U8(0x1017, 0, 1));
@@ -429,18 +429,18 @@ static void test_a_value_of_the_wrong_size_or_beyond_its_limits_refuses_the_whol
 	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U32(0x2000, 1, 0x7FC00000)); /* not a number */
 }
 
-static void test_a_value_that_the_object_itself_refuses_takes_back_what_came_before(void **state)
+static void test_a_snapshot_is_rolled_back_when_an_object_refuses_its_value(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U16(0x6000, 0, 7));
 	ASSERT_REFUSED(*state, 0x06010000, ENTRY_U8(0x1A00, 0, 0)); /* the PDO is in use */
 }
 
-static void test_values_that_contradict_each_other_are_refused(void **state)
+static void test_a_snapshot_with_contradictory_values_is_refused(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06040043, ENTRY_U32(0x2050, 4, 0)); /* a singular matrix */
 }
 
-static void test_bytes_that_are_no_concise_dcf_are_refused(void **state)
+static void test_bytes_that_are_not_a_concise_dcf_are_refused(void **state)
 {
 	struct pair *p = *state;
 	const uint8_t dcf[] = {1, 0, 0, 0, GOOD_ENTRY, 0};
@@ -450,7 +450,7 @@ static void test_bytes_that_are_no_concise_dcf_are_refused(void **state)
 	assert_refused(p, dcf, sizeof(dcf), 0x06040043);     /* a byte too many */
 }
 
-static void test_a_snapshot_that_is_too_long_is_refused_before_it_comes(void **state)
+static void test_a_snapshot_that_is_too_long_is_refused_at_initiation(void **state)
 {
 	struct pair *p = *state;
 	static const uint8_t bytes[LARGE + 1];
@@ -474,7 +474,7 @@ static void assert_answer(const struct pair *p, const uint8_t data[8])
 }
 
 /* A client that does not say how much it has. */
-static void test_a_segmented_download_without_a_size_ends_where_the_buffer_does(void **state)
+static void test_a_segmented_download_without_a_size_is_limited_by_the_buffer(void **state)
 {
 	struct pair *p = *state;
 	uint8_t toggle = 0;
@@ -488,7 +488,7 @@ static void test_a_segmented_download_without_a_size_ends_where_the_buffer_does(
 	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
 }
 
-static void test_a_block_download_without_a_size_ends_where_the_buffer_does(void **state)
+static void test_a_block_download_without_a_size_is_limited_by_the_buffer(void **state)
 {
 	struct pair *p = *state;
 	size_t done = 0;
@@ -506,7 +506,7 @@ static void test_a_block_download_without_a_size_ends_where_the_buffer_does(void
 	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x12, 0x00, 0x07, 0x06});
 }
 
-static void test_four_bytes_are_a_domain_too(void **state)
+static void test_a_domain_can_be_written_expedited(void **state)
 {
 	struct pair *p = *state;
 
@@ -516,7 +516,7 @@ static void test_four_bytes_are_a_domain_too(void **state)
 	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x43, 0x00, 0x04, 0x06});
 }
 
-static void test_a_wrong_crc_takes_nothing_over(void **state)
+static void test_a_snapshot_with_a_wrong_crc_changes_nothing(void **state)
 {
 	struct pair *p = *state;
 
@@ -529,7 +529,7 @@ static void test_a_wrong_crc_takes_nothing_over(void **state)
 	assert_int_equal(value_u32(p, 0x1017, 0), 1000);
 }
 
-static void test_a_download_that_is_broken_off_leaves_nothing(void **state)
+static void test_an_aborted_download_of_a_snapshot_changes_nothing(void **state)
 {
 	struct pair *p = *state;
 	const uint8_t dcf[] = {2, 0, 0, 0, GOOD_ENTRY, ENTRY_U8(0x2001, 0, 1)};
@@ -544,7 +544,7 @@ static void test_a_download_that_is_broken_off_leaves_nothing(void **state)
 	assert_int_equal(value_u32(p, 0x2001, 0), 2);
 }
 
-static void test_a_domain_that_is_only_read_refuses_a_write(void **state)
+static void test_a_read_only_domain_refuses_a_write(void **state)
 {
 	assert_int_equal(write_object(*state, 0x2131, 0, "x", 1), 0x06010002);
 	assert_int_equal(write_object(*state, 0x1021, 0, "12345", 5), 0x06010002);
@@ -565,7 +565,7 @@ static void assert_logged(struct pair *p, const char *text)
 		fail_msg("'%s' is not in:\n%s", text, (const char *)p->value);
 }
 
-static void test_the_log_tells_the_start_and_each_change_of_the_nmt_state(void **state)
+static void test_the_log_has_the_start_and_each_change_of_the_nmt_state(void **state)
 {
 	struct pair *p = *state;
 
@@ -575,7 +575,7 @@ static void test_the_log_tells_the_start_and_each_change_of_the_nmt_state(void *
 	assert_logged(p, "      1.234567 NMT state: operational\n");
 }
 
-static void test_the_log_tells_errors_and_their_end(void **state)
+static void test_the_log_has_errors_and_their_end(void **state)
 {
 	struct pair *p = *state;
 
@@ -585,7 +585,7 @@ static void test_the_log_tells_errors_and_their_end(void **state)
 	assert_logged(p, "error 8130h (heartbeat or life guarding lost) is over\n");
 }
 
-static void test_the_log_tells_bus_states(void **state)
+static void test_the_log_has_bus_states(void **state)
 {
 	struct pair *p = *state;
 
@@ -597,7 +597,7 @@ static void test_the_log_tells_bus_states(void **state)
 	assert_logged(p, "vcan9: error active\n");
 }
 
-static void test_the_log_tells_that_the_sensor_is_lost_and_back(void **state)
+static void test_the_log_has_the_loss_and_the_return_of_the_sensor(void **state)
 {
 	struct pair *p = *state;
 	const struct imu_sample sample = {.t_us = 1000, .accel_m_s2 = {0, 0, 9.8}};
@@ -608,7 +608,7 @@ static void test_the_log_tells_that_the_sensor_is_lost_and_back(void **state)
 	assert_logged(p, "samples from none resumed\n");
 }
 
-static void test_the_log_tells_resets_and_configurations(void **state)
+static void test_the_log_has_resets_and_snapshots(void **state)
 {
 	struct pair *p = *state;
 	const uint8_t dcf[] = {1, 0, 0, 0, GOOD_ENTRY}, bad[] = {1, 0, 0, 0, ENTRY_U8(0x2001, 0, 99)};
@@ -623,7 +623,7 @@ static void test_the_log_tells_resets_and_configurations(void **state)
 	assert_logged(p, "reset node\n");
 }
 
-static void test_a_full_log_drops_its_oldest_lines_whole(void **state)
+static void test_a_full_log_drops_whole_lines_the_oldest_first(void **state)
 {
 	struct pair *p = *state;
 
@@ -646,7 +646,7 @@ static void test_a_full_log_drops_its_oldest_lines_whole(void **state)
 	assert_string_equal(text, "");
 }
 
-static void test_a_very_long_event_is_cut(void **state)
+static void test_a_very_long_event_is_truncated(void **state)
 {
 	struct pair *p = *state;
 	char text[1000];
@@ -658,7 +658,7 @@ static void test_a_very_long_event_is_cut(void **state)
 	assert_logged(p, "xxx\n      0.000000 next\n");
 }
 
-static void test_a_transfer_shows_the_log_of_its_beginning(void **state)
+static void test_a_transfer_reads_the_log_as_it_was_at_its_start(void **state)
 {
 	struct pair *p = *state;
 
@@ -698,40 +698,40 @@ static void test_both_sdo_channels_read_their_own_log_at_once(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		WITH_DEVICE(test_the_eds_is_read_at_1021h_either_way_and_1022h_says_that_it_is_plain),
-		WITH_DEVICE(test_the_snapshot_is_a_concise_dcf_of_all_that_can_be_configured),
-		WITH_DEVICE(test_the_snapshot_comes_in_blocks_too),
-		WITH_DEVICE(test_a_cob_id_that_follows_the_node_id_says_so_in_bit_29),
-		WITH_DEVICE(test_each_entry_of_the_snapshot_can_be_written_by_itself_in_its_order),
+		WITH_DEVICE(test_the_eds_is_read_at_1021h_by_segments_and_blocks_and_1022h_is_plain_text),
+		WITH_DEVICE(test_the_snapshot_is_a_concise_dcf_of_every_configuration_object),
+		WITH_DEVICE(test_the_snapshot_is_uploaded_in_blocks_too),
+		WITH_DEVICE(test_a_cob_id_that_follows_the_node_id_has_bit_29_set),
+		WITH_DEVICE(test_the_entries_of_a_snapshot_can_be_written_one_by_one_in_their_order),
 		WITH_DEVICE(test_a_snapshot_brings_another_node_to_the_same_configuration),
 		WITH_DEVICE(test_cob_ids_that_follow_the_node_id_follow_that_of_the_other_node),
-		WITH_DEVICE(test_a_node_that_is_busy_takes_a_snapshot_too),
-		WITH_DEVICE(test_the_identity_and_the_measurements_stay),
-		WITH_DEVICE(test_the_date_of_the_configuration_comes_with_it),
+		WITH_DEVICE(test_a_snapshot_is_applied_to_a_node_with_active_pdos_and_sync),
+		WITH_DEVICE(test_a_snapshot_leaves_identity_and_measurements),
+		WITH_DEVICE(test_a_snapshot_has_the_configuration_date),
 		WITH_DEVICE(test_a_snapshot_read_and_written_back_changes_nothing),
-		WITH_DEVICE(test_some_entries_alone_are_taken_over),
+		WITH_DEVICE(test_a_snapshot_of_some_entries_is_applied),
 		WITH_DEVICE(test_a_snapshot_without_entries_changes_nothing),
-		WITH_DEVICE(test_an_entry_that_does_not_exist_refuses_the_whole),
-		WITH_DEVICE(test_what_is_no_configuration_refuses_the_whole),
-		WITH_DEVICE(test_a_value_of_the_wrong_size_or_beyond_its_limits_refuses_the_whole),
-		WITH_DEVICE(test_a_value_that_the_object_itself_refuses_takes_back_what_came_before),
-		WITH_DEVICE(test_values_that_contradict_each_other_are_refused),
-		WITH_DEVICE(test_bytes_that_are_no_concise_dcf_are_refused),
-		WITH_DEVICE(test_a_snapshot_that_is_too_long_is_refused_before_it_comes),
-		WITH_DEVICE(test_a_segmented_download_without_a_size_ends_where_the_buffer_does),
-		WITH_DEVICE(test_a_block_download_without_a_size_ends_where_the_buffer_does),
-		WITH_DEVICE(test_four_bytes_are_a_domain_too),
-		WITH_DEVICE(test_a_wrong_crc_takes_nothing_over),
-		WITH_DEVICE(test_a_download_that_is_broken_off_leaves_nothing),
-		WITH_DEVICE(test_a_domain_that_is_only_read_refuses_a_write),
-		WITH_DEVICE(test_the_log_tells_the_start_and_each_change_of_the_nmt_state),
-		WITH_DEVICE(test_the_log_tells_errors_and_their_end),
-		WITH_DEVICE(test_the_log_tells_bus_states),
-		WITH_DEVICE(test_the_log_tells_that_the_sensor_is_lost_and_back),
-		WITH_DEVICE(test_the_log_tells_resets_and_configurations),
-		WITH_DEVICE(test_a_full_log_drops_its_oldest_lines_whole),
-		WITH_DEVICE(test_a_very_long_event_is_cut),
-		WITH_DEVICE(test_a_transfer_shows_the_log_of_its_beginning),
+		WITH_DEVICE(test_a_snapshot_with_an_unknown_object_is_refused),
+		WITH_DEVICE(test_a_snapshot_with_an_object_that_is_not_configuration_is_refused),
+		WITH_DEVICE(test_a_snapshot_with_a_value_of_the_wrong_size_or_beyond_its_limits_is_refused),
+		WITH_DEVICE(test_a_snapshot_is_rolled_back_when_an_object_refuses_its_value),
+		WITH_DEVICE(test_a_snapshot_with_contradictory_values_is_refused),
+		WITH_DEVICE(test_bytes_that_are_not_a_concise_dcf_are_refused),
+		WITH_DEVICE(test_a_snapshot_that_is_too_long_is_refused_at_initiation),
+		WITH_DEVICE(test_a_segmented_download_without_a_size_is_limited_by_the_buffer),
+		WITH_DEVICE(test_a_block_download_without_a_size_is_limited_by_the_buffer),
+		WITH_DEVICE(test_a_domain_can_be_written_expedited),
+		WITH_DEVICE(test_a_snapshot_with_a_wrong_crc_changes_nothing),
+		WITH_DEVICE(test_an_aborted_download_of_a_snapshot_changes_nothing),
+		WITH_DEVICE(test_a_read_only_domain_refuses_a_write),
+		WITH_DEVICE(test_the_log_has_the_start_and_each_change_of_the_nmt_state),
+		WITH_DEVICE(test_the_log_has_errors_and_their_end),
+		WITH_DEVICE(test_the_log_has_bus_states),
+		WITH_DEVICE(test_the_log_has_the_loss_and_the_return_of_the_sensor),
+		WITH_DEVICE(test_the_log_has_resets_and_snapshots),
+		WITH_DEVICE(test_a_full_log_drops_whole_lines_the_oldest_first),
+		WITH_DEVICE(test_a_very_long_event_is_truncated),
+		WITH_DEVICE(test_a_transfer_reads_the_log_as_it_was_at_its_start),
 		WITH_DEVICE(test_both_sdo_channels_read_their_own_log_at_once),
 	};
 

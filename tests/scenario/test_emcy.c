@@ -15,7 +15,7 @@ static void clear_error(struct bus *bus, uint16_t code)
 
 /* ---- errors come and go ------------------------------------------------------------------------------------------ */
 
-static void test_an_error_is_told_at_once_with_the_generic_bit(void **state)
+static void test_an_error_is_sent_at_once_with_the_generic_bit(void **state)
 {
 	struct bus *bus = *state;
 
@@ -36,7 +36,7 @@ static void test_the_message_carries_register_bits_and_manufacturer_bytes(void *
 	assert_int_equal(bus_read(bus, 0x1003, 1), 0xA2A18120);
 }
 
-static void test_an_error_is_told_in_operational_too(void **state)
+static void test_an_error_is_sent_in_operational_too(void **state)
 {
 	struct bus *bus = *state;
 
@@ -45,7 +45,7 @@ static void test_an_error_is_told_in_operational_too(void **state)
 	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
 }
 
-static void test_an_error_that_stands_is_not_told_again(void **state)
+static void test_an_active_error_is_not_sent_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -56,7 +56,7 @@ static void test_an_error_that_stands_is_not_told_again(void **state)
 	assert_int_equal(bus_read(bus, 0x1003, 0), 1);
 }
 
-static void test_an_error_that_went_and_came_back_is_told_again(void **state)
+static void test_an_error_that_ended_and_recurs_is_sent_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -69,7 +69,7 @@ static void test_an_error_that_went_and_came_back_is_told_again(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_register_joins_the_bits_of_all_errors_that_stand(void **state)
+static void test_the_error_register_has_the_bits_of_all_active_errors(void **state)
 {
 	struct bus *bus = *state;
 
@@ -84,7 +84,7 @@ static void test_the_register_joins_the_bits_of_all_errors_that_stand(void **sta
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x00);
 }
 
-static void test_the_error_reset_is_told_when_the_last_error_goes_and_not_before(void **state)
+static void test_the_error_reset_is_sent_when_the_last_error_ends_and_not_before(void **state)
 {
 	struct bus *bus = *state;
 
@@ -98,7 +98,7 @@ static void test_the_error_reset_is_told_when_the_last_error_goes_and_not_before
 	bus_expect_nothing(bus);
 }
 
-static void test_the_end_of_what_never_was_is_not_told(void **state)
+static void test_clearing_an_error_that_is_not_active_sends_nothing(void **state)
 {
 	struct bus *bus = *state;
 
@@ -136,7 +136,7 @@ static void test_the_history_has_the_newest_error_first(void **state)
 	assert_int_equal(bus_read(bus, 0x1003, 2), 0x5000);
 }
 
-static void test_an_empty_place_of_the_history_has_no_data(void **state)
+static void test_an_unused_entry_of_the_history_has_no_data(void **state)
 {
 	struct bus *bus = *state;
 
@@ -148,7 +148,7 @@ static void test_an_empty_place_of_the_history_has_no_data(void **state)
 	bus_exchange(bus, "610 40 03 10 09 00 00 00 00", "590 80 03 10 09 11 00 09 06");
 }
 
-static void test_the_ninth_error_pushes_the_first_out_of_the_history(void **state)
+static void test_the_ninth_error_removes_the_first_from_the_history(void **state)
 {
 	struct bus *bus = *state;
 
@@ -261,7 +261,7 @@ static void test_within_the_inhibit_time_messages_wait_and_none_is_lost(void **s
 	bus_expect_nothing(bus);
 }
 
-static void test_after_the_inhibit_time_a_message_goes_out_at_once(void **state)
+static void test_after_the_inhibit_time_a_message_is_sent_at_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -296,7 +296,7 @@ static void test_when_too_many_wait_the_oldest_is_dropped_and_counted(void **sta
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_disabling_emcy_drops_what_waits(void **state)
+static void test_disabling_emcy_drops_the_messages_that_wait(void **state)
 {
 	struct bus *bus = *state;
 
@@ -313,7 +313,7 @@ static void test_disabling_emcy_drops_what_waits(void **state)
 
 /* ---- NMT states -------------------------------------------------------------------------------------------------- */
 
-static void test_errors_before_boot_up_are_told_after_it(void **state)
+static void test_errors_before_boot_up_are_sent_after_it(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -330,7 +330,7 @@ static void test_errors_before_boot_up_are_told_after_it(void **state)
 	(void)state;
 }
 
-static void test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_stands(void **state)
+static void test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_active_one(void **state)
 {
 	struct bus *bus = *state;
 
@@ -348,7 +348,7 @@ static void test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_
 	assert_int_equal(bus_read(bus, 0x1003, 0), 3); /* the history has them all */
 }
 
-static void test_an_error_that_ended_in_stopped_is_told_as_over_afterwards(void **state)
+static void test_an_error_that_ended_in_stopped_is_reset_afterwards(void **state)
 {
 	struct bus *bus = *state;
 
@@ -360,7 +360,7 @@ static void test_an_error_that_ended_in_stopped_is_told_as_over_afterwards(void 
 	bus_exchange(bus, "000 01 10", "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_what_came_and_went_in_stopped_is_not_told_while_another_error_stands(void **state)
+static void test_an_error_within_stopped_is_not_sent_while_another_is_active(void **state)
 {
 	struct bus *bus = *state;
 
@@ -374,7 +374,7 @@ static void test_what_came_and_went_in_stopped_is_not_told_while_another_error_s
 	bus_expect_nothing(bus);
 }
 
-static void test_what_came_and_went_in_stopped_is_told_as_over_once(void **state)
+static void test_an_error_within_stopped_is_followed_by_one_error_reset(void **state)
 {
 	struct bus *bus = *state;
 
@@ -386,7 +386,7 @@ static void test_what_came_and_went_in_stopped_is_told_as_over_once(void **state
 	bus_exchange(bus, "000 80 10", "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_what_ended_in_stopped_is_not_told_when_operational_ends_the_error_of_a_pdo(void **state)
+static void test_an_error_that_ended_in_stopped_is_not_sent_when_operational_ends_that_of_a_pdo(void **state)
 {
 	struct bus *bus = *state;
 
@@ -413,7 +413,7 @@ static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void 
 	bus_expect_nothing(bus);
 }
 
-static void test_an_error_told_before_stopped_is_not_told_again(void **state)
+static void test_an_error_sent_before_stopped_is_not_sent_again(void **state)
 {
 	struct bus *bus = *state;
 
@@ -425,7 +425,7 @@ static void test_an_error_told_before_stopped_is_not_told_again(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_reset_node_forgets_errors_and_history(void **state)
+static void test_reset_node_clears_errors_and_history(void **state)
 {
 	struct bus *bus = *state;
 
@@ -455,36 +455,36 @@ static void test_reset_communication_keeps_the_errors_of_the_application(void **
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		PRE_OPERATIONAL(test_an_error_is_told_at_once_with_the_generic_bit),
+		PRE_OPERATIONAL(test_an_error_is_sent_at_once_with_the_generic_bit),
 		PRE_OPERATIONAL(test_the_message_carries_register_bits_and_manufacturer_bytes),
-		PRE_OPERATIONAL(test_an_error_is_told_in_operational_too),
-		PRE_OPERATIONAL(test_an_error_that_stands_is_not_told_again),
-		PRE_OPERATIONAL(test_an_error_that_went_and_came_back_is_told_again),
-		PRE_OPERATIONAL(test_the_register_joins_the_bits_of_all_errors_that_stand),
-		PRE_OPERATIONAL(test_the_error_reset_is_told_when_the_last_error_goes_and_not_before),
-		PRE_OPERATIONAL(test_the_end_of_what_never_was_is_not_told),
+		PRE_OPERATIONAL(test_an_error_is_sent_in_operational_too),
+		PRE_OPERATIONAL(test_an_active_error_is_not_sent_again),
+		PRE_OPERATIONAL(test_an_error_that_ended_and_recurs_is_sent_again),
+		PRE_OPERATIONAL(test_the_error_register_has_the_bits_of_all_active_errors),
+		PRE_OPERATIONAL(test_the_error_reset_is_sent_when_the_last_error_ends_and_not_before),
+		PRE_OPERATIONAL(test_clearing_an_error_that_is_not_active_sends_nothing),
 		PRE_OPERATIONAL(test_one_error_too_many_is_counted_as_lost),
 		PRE_OPERATIONAL(test_the_history_has_the_newest_error_first),
-		PRE_OPERATIONAL(test_an_empty_place_of_the_history_has_no_data),
-		PRE_OPERATIONAL(test_the_ninth_error_pushes_the_first_out_of_the_history),
+		PRE_OPERATIONAL(test_an_unused_entry_of_the_history_has_no_data),
+		PRE_OPERATIONAL(test_the_ninth_error_removes_the_first_from_the_history),
 		PRE_OPERATIONAL(test_writing_0_clears_the_history_and_nothing_else_may_be_written),
 		PRE_OPERATIONAL(test_with_bit_31_no_emcy_is_sent_but_errors_are_recorded),
 		PRE_OPERATIONAL(test_the_emcy_identifier_changes_only_while_it_is_invalid),
 		PRE_OPERATIONAL(test_an_emcy_identifier_that_is_restricted_or_29_bits_long_is_refused),
 		cmocka_unit_test(test_a_stored_emcy_identifier_that_is_not_allowed_is_made_invalid),
 		PRE_OPERATIONAL(test_within_the_inhibit_time_messages_wait_and_none_is_lost),
-		PRE_OPERATIONAL(test_after_the_inhibit_time_a_message_goes_out_at_once),
+		PRE_OPERATIONAL(test_after_the_inhibit_time_a_message_is_sent_at_once),
 		PRE_OPERATIONAL(test_when_too_many_wait_the_oldest_is_dropped_and_counted),
-		PRE_OPERATIONAL(test_disabling_emcy_drops_what_waits),
-		cmocka_unit_test(test_errors_before_boot_up_are_told_after_it),
-		PRE_OPERATIONAL(test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_that_stands),
-		PRE_OPERATIONAL(test_an_error_that_ended_in_stopped_is_told_as_over_afterwards),
-		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_not_told_while_another_error_stands),
-		PRE_OPERATIONAL(test_what_came_and_went_in_stopped_is_told_as_over_once),
-		OPERATIONAL(test_what_ended_in_stopped_is_not_told_when_operational_ends_the_error_of_a_pdo),
+		PRE_OPERATIONAL(test_disabling_emcy_drops_the_messages_that_wait),
+		cmocka_unit_test(test_errors_before_boot_up_are_sent_after_it),
+		PRE_OPERATIONAL(test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_active_one),
+		PRE_OPERATIONAL(test_an_error_that_ended_in_stopped_is_reset_afterwards),
+		PRE_OPERATIONAL(test_an_error_within_stopped_is_not_sent_while_another_is_active),
+		PRE_OPERATIONAL(test_an_error_within_stopped_is_followed_by_one_error_reset),
+		OPERATIONAL(test_an_error_that_ended_in_stopped_is_not_sent_when_operational_ends_that_of_a_pdo),
 		PRE_OPERATIONAL(test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time),
-		PRE_OPERATIONAL(test_an_error_told_before_stopped_is_not_told_again),
-		PRE_OPERATIONAL(test_reset_node_forgets_errors_and_history),
+		PRE_OPERATIONAL(test_an_error_sent_before_stopped_is_not_sent_again),
+		PRE_OPERATIONAL(test_reset_node_clears_errors_and_history),
 		PRE_OPERATIONAL(test_reset_communication_keeps_the_errors_of_the_application),
 	};
 

@@ -10,7 +10,7 @@ static void watch(struct bus *bus)
 	bus_send(bus, "720 05");
 }
 
-static void test_a_node_that_falls_silent_is_told_by_its_number(void **state)
+static void test_a_heartbeat_event_reports_the_node_id_of_the_producer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -23,7 +23,7 @@ static void test_a_node_that_falls_silent_is_told_by_its_number(void **state)
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
 }
 
-static void test_watching_starts_with_the_first_heartbeat_and_not_before(void **state)
+static void test_a_consumer_starts_with_the_first_heartbeat_and_not_before(void **state)
 {
 	struct bus *bus = *state;
 
@@ -32,7 +32,7 @@ static void test_watching_starts_with_the_first_heartbeat_and_not_before(void **
 	bus_expect_nothing(bus);
 }
 
-static void test_boot_up_counts_as_a_heartbeat_of_the_watched_node(void **state)
+static void test_boot_up_counts_as_a_heartbeat_of_the_producer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -42,7 +42,7 @@ static void test_boot_up_counts_as_a_heartbeat_of_the_watched_node(void **state)
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 }
 
-static void test_each_heartbeat_gives_the_node_its_time_again(void **state)
+static void test_each_heartbeat_restarts_the_consumer_time(void **state)
 {
 	struct bus *bus = *state;
 
@@ -54,7 +54,7 @@ static void test_each_heartbeat_gives_the_node_its_time_again(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on(void **state)
+static void test_the_next_heartbeat_ends_the_error_and_restarts_the_consumer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -66,7 +66,7 @@ static void test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 }
 
-static void test_each_lost_node_is_told_and_all_must_be_back(void **state)
+static void test_each_lost_node_is_reported_and_the_last_one_that_returns_ends_the_error(void **state)
 {
 	struct bus *bus = *state;
 
@@ -81,7 +81,7 @@ static void test_each_lost_node_is_told_and_all_must_be_back(void **state)
 	bus_exchange(bus, "77F 05", "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_eight_nodes_are_watched_at_once(void **state)
+static void test_eight_producers_are_consumed_at_once(void **state)
 {
 	struct bus *bus = *state;
 	char frame[32];
@@ -100,7 +100,7 @@ static void test_eight_nodes_are_watched_at_once(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_lost_heartbeat_ends_operational(void **state)
+static void test_a_heartbeat_event_leaves_operational(void **state)
 {
 	struct bus *bus = *state;
 
@@ -109,7 +109,7 @@ static void test_a_lost_heartbeat_ends_operational(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
-static void test_a_lost_heartbeat_is_told_before_the_node_stops(void **state)
+static void test_a_heartbeat_event_is_sent_before_the_node_stops(void **state)
 {
 	struct bus *bus = *state;
 
@@ -120,7 +120,7 @@ static void test_a_lost_heartbeat_is_told_before_the_node_stops(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
 }
 
-static void test_in_stopped_the_watch_goes_on(void **state)
+static void test_in_stopped_the_consumer_continues(void **state)
 {
 	struct bus *bus = *state;
 
@@ -140,7 +140,7 @@ static void test_a_second_entry_for_the_same_node_is_refused(void **state)
 	assert_int_equal(bus_read(bus, 0x1016, 2), 0);
 }
 
-static void test_a_second_entry_that_is_not_in_use_may_name_the_same_node(void **state)
+static void test_a_second_entry_with_time_0_may_have_the_same_node_id(void **state)
 {
 	struct bus *bus = *state;
 
@@ -148,7 +148,7 @@ static void test_a_second_entry_that_is_not_in_use_may_name_the_same_node(void *
 	assert_int_equal(bus_write(bus, 0x1016, 2, 4, 0x00200000), 0);
 }
 
-static void test_the_same_entry_may_be_given_another_time(void **state)
+static void test_the_time_of_an_entry_may_change(void **state)
 {
 	struct bus *bus = *state;
 
@@ -169,7 +169,7 @@ static void test_reserved_bits_and_node_ids_above_127_are_refused(void **state)
 	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00800064), 0x06090030);
 }
 
-static void test_an_entry_set_to_0_ends_its_watch_and_its_error(void **state)
+static void test_an_entry_set_to_0_stops_its_consumer_and_ends_its_error(void **state)
 {
 	struct bus *bus = *state;
 
@@ -184,7 +184,7 @@ static void test_an_entry_set_to_0_ends_its_watch_and_its_error(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_bus_is_asked_for_the_watched_nodes(void **state)
+static void test_the_receive_filter_has_the_heartbeats_of_the_producers(void **state)
 {
 	struct bus *bus = *state;
 
@@ -193,7 +193,7 @@ static void test_the_bus_is_asked_for_the_watched_nodes(void **state)
 	assert_true(bus_listens_to(bus, 0x720));
 }
 
-static void test_reset_communication_ends_the_watch_and_the_error(void **state)
+static void test_reset_communication_stops_the_consumer_and_ends_the_error(void **state)
 {
 	struct bus *bus = *state;
 
@@ -207,7 +207,7 @@ static void test_reset_communication_ends_the_watch_and_the_error(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_of_two_stored_entries_for_one_node_the_first_holds(void **state)
+static void test_of_two_stored_entries_for_one_node_the_first_is_used(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -225,7 +225,7 @@ static void test_of_two_stored_entries_for_one_node_the_first_holds(void **state
 	(void)state;
 }
 
-static void test_a_heartbeat_of_wrong_length_is_none(void **state)
+static void test_a_heartbeat_of_wrong_length_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -282,7 +282,7 @@ static void guard_life(struct bus *bus)
 	assert_int_equal(bus_write(bus, 0x100D, 0, 1, 3), 0);
 }
 
-static void test_a_master_that_falls_silent_is_a_life_guarding_event(void **state)
+static void test_a_master_that_stops_its_requests_is_a_life_guarding_event(void **state)
 {
 	struct bus *bus = *state;
 
@@ -295,7 +295,7 @@ static void test_a_master_that_falls_silent_is_a_life_guarding_event(void **stat
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
-static void test_life_guarding_starts_with_the_first_question(void **state)
+static void test_life_guarding_starts_with_the_first_request(void **state)
 {
 	struct bus *bus = *state;
 
@@ -304,7 +304,7 @@ static void test_life_guarding_starts_with_the_first_question(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_life_guarding_is_over_with_the_next_question(void **state)
+static void test_the_next_request_ends_a_life_guarding_event(void **state)
 {
 	struct bus *bus = *state;
 
@@ -318,7 +318,7 @@ static void test_life_guarding_is_over_with_the_next_question(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_without_a_life_time_the_master_may_be_silent(void **state)
+static void test_without_a_life_time_there_is_no_life_guarding(void **state)
 {
 	struct bus *bus = *state;
 
@@ -328,7 +328,7 @@ static void test_without_a_life_time_the_master_may_be_silent(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_heartbeat_switched_on_ends_life_guarding(void **state)
+static void test_enabling_the_heartbeat_ends_life_guarding(void **state)
 {
 	struct bus *bus = *state;
 
@@ -339,7 +339,7 @@ static void test_a_heartbeat_switched_on_ends_life_guarding(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_heartbeat_switched_on_ends_the_error_of_life_guarding(void **state)
+static void test_enabling_the_heartbeat_ends_the_error_of_life_guarding(void **state)
 {
 	struct bus *bus = *state;
 
@@ -354,35 +354,35 @@ static void test_a_heartbeat_switched_on_ends_the_error_of_life_guarding(void **
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		PRE_OPERATIONAL(test_a_node_that_falls_silent_is_told_by_its_number),
-		PRE_OPERATIONAL(test_watching_starts_with_the_first_heartbeat_and_not_before),
-		PRE_OPERATIONAL(test_boot_up_counts_as_a_heartbeat_of_the_watched_node),
-		PRE_OPERATIONAL(test_each_heartbeat_gives_the_node_its_time_again),
-		PRE_OPERATIONAL(test_the_error_is_over_with_the_next_heartbeat_and_the_watch_goes_on),
-		PRE_OPERATIONAL(test_each_lost_node_is_told_and_all_must_be_back),
-		PRE_OPERATIONAL(test_eight_nodes_are_watched_at_once),
-		OPERATIONAL(test_a_lost_heartbeat_ends_operational),
-		OPERATIONAL(test_a_lost_heartbeat_is_told_before_the_node_stops),
-		PRE_OPERATIONAL(test_in_stopped_the_watch_goes_on),
+		PRE_OPERATIONAL(test_a_heartbeat_event_reports_the_node_id_of_the_producer),
+		PRE_OPERATIONAL(test_a_consumer_starts_with_the_first_heartbeat_and_not_before),
+		PRE_OPERATIONAL(test_boot_up_counts_as_a_heartbeat_of_the_producer),
+		PRE_OPERATIONAL(test_each_heartbeat_restarts_the_consumer_time),
+		PRE_OPERATIONAL(test_the_next_heartbeat_ends_the_error_and_restarts_the_consumer),
+		PRE_OPERATIONAL(test_each_lost_node_is_reported_and_the_last_one_that_returns_ends_the_error),
+		PRE_OPERATIONAL(test_eight_producers_are_consumed_at_once),
+		OPERATIONAL(test_a_heartbeat_event_leaves_operational),
+		OPERATIONAL(test_a_heartbeat_event_is_sent_before_the_node_stops),
+		PRE_OPERATIONAL(test_in_stopped_the_consumer_continues),
 		PRE_OPERATIONAL(test_a_second_entry_for_the_same_node_is_refused),
-		PRE_OPERATIONAL(test_a_second_entry_that_is_not_in_use_may_name_the_same_node),
-		PRE_OPERATIONAL(test_the_same_entry_may_be_given_another_time),
+		PRE_OPERATIONAL(test_a_second_entry_with_time_0_may_have_the_same_node_id),
+		PRE_OPERATIONAL(test_the_time_of_an_entry_may_change),
 		PRE_OPERATIONAL(test_reserved_bits_and_node_ids_above_127_are_refused),
-		PRE_OPERATIONAL(test_an_entry_set_to_0_ends_its_watch_and_its_error),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_the_watched_nodes),
-		PRE_OPERATIONAL(test_reset_communication_ends_the_watch_and_the_error),
-		cmocka_unit_test(test_of_two_stored_entries_for_one_node_the_first_holds),
-		PRE_OPERATIONAL(test_a_heartbeat_of_wrong_length_is_none),
+		PRE_OPERATIONAL(test_an_entry_set_to_0_stops_its_consumer_and_ends_its_error),
+		PRE_OPERATIONAL(test_the_receive_filter_has_the_heartbeats_of_the_producers),
+		PRE_OPERATIONAL(test_reset_communication_stops_the_consumer_and_ends_the_error),
+		cmocka_unit_test(test_of_two_stored_entries_for_one_node_the_first_is_used),
+		PRE_OPERATIONAL(test_a_heartbeat_of_wrong_length_is_ignored),
 		PRE_OPERATIONAL(test_guarding_is_answered_with_the_state_and_a_toggle_bit),
 		PRE_OPERATIONAL(test_reset_communication_clears_the_toggle_bit),
 		PRE_OPERATIONAL(test_guarding_of_another_node_is_not_answered),
 		PRE_OPERATIONAL(test_a_node_with_a_heartbeat_is_not_guarded),
-		OPERATIONAL(test_a_master_that_falls_silent_is_a_life_guarding_event),
-		PRE_OPERATIONAL(test_life_guarding_starts_with_the_first_question),
-		PRE_OPERATIONAL(test_life_guarding_is_over_with_the_next_question),
-		PRE_OPERATIONAL(test_without_a_life_time_the_master_may_be_silent),
-		PRE_OPERATIONAL(test_a_heartbeat_switched_on_ends_life_guarding),
-		PRE_OPERATIONAL(test_a_heartbeat_switched_on_ends_the_error_of_life_guarding),
+		OPERATIONAL(test_a_master_that_stops_its_requests_is_a_life_guarding_event),
+		PRE_OPERATIONAL(test_life_guarding_starts_with_the_first_request),
+		PRE_OPERATIONAL(test_the_next_request_ends_a_life_guarding_event),
+		PRE_OPERATIONAL(test_without_a_life_time_there_is_no_life_guarding),
+		PRE_OPERATIONAL(test_enabling_the_heartbeat_ends_life_guarding),
+		PRE_OPERATIONAL(test_enabling_the_heartbeat_ends_the_error_of_life_guarding),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

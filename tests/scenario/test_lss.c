@@ -30,13 +30,13 @@ static void configure(struct bus *bus)
 
 /* ---- switching --------------------------------------------------------------------------------------------------- */
 
-static void test_switch_global_is_not_answered_but_opens_the_configuration(void **state)
+static void test_switch_global_has_no_response_and_enters_configuration_state(void **state)
 {
 	configure(*state);
 	bus_exchange(*state, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
 }
 
-static void test_in_waiting_state_nothing_is_configured_or_told(void **state)
+static void test_in_waiting_state_configuration_and_inquiry_are_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -48,7 +48,7 @@ static void test_in_waiting_state_nothing_is_configured_or_told(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_switch_global_0_closes_the_configuration(void **state)
+static void test_switch_global_0_leaves_configuration_state(void **state)
 {
 	configure(*state);
 	bus_send(*state, "7E5 04 00 00 00 00 00 00 00");
@@ -56,7 +56,7 @@ static void test_switch_global_0_closes_the_configuration(void **state)
 	bus_expect_nothing(*state);
 }
 
-static void test_the_node_whose_four_numbers_are_right_is_switched_and_says_so(void **state)
+static void test_the_node_that_matches_all_four_numbers_is_switched_and_responds(void **state)
 {
 	struct bus *bus = *state;
 
@@ -69,7 +69,7 @@ static void test_the_node_whose_four_numbers_are_right_is_switched_and_says_so(v
 	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
 }
 
-static void test_one_wrong_number_and_the_node_is_not_switched(void **state)
+static void test_a_node_with_one_number_that_differs_is_not_switched(void **state)
 {
 	struct bus *bus = *state;
 
@@ -97,7 +97,7 @@ static void test_lss_frames_of_another_length_are_ignored(void **state)
 	bus_expect_nothing(*state);
 }
 
-static void test_lss_is_there_in_operational_and_stopped(void **state)
+static void test_lss_is_available_in_operational_and_stopped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -108,7 +108,7 @@ static void test_lss_is_there_in_operational_and_stopped(void **state)
 	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
 }
 
-static void test_a_reset_ends_the_configuration(void **state)
+static void test_a_reset_leaves_configuration_state(void **state)
 {
 	configure(*state);
 	bus_exchange(*state, "000 82 10", "710 00");
@@ -118,7 +118,7 @@ static void test_a_reset_ends_the_configuration(void **state)
 
 /* ---- node-ID ----------------------------------------------------------------------------------------------------- */
 
-static void test_a_node_id_is_taken_at_once_and_holds_from_reset_communication_on(void **state)
+static void test_a_configured_node_id_is_active_from_reset_communication_on(void **state)
 {
 	struct bus *bus = *state;
 
@@ -150,7 +150,7 @@ static void test_identifiers_that_follow_the_node_id_follow_it(void **state)
 	bus_expect(bus, "1A0 00 00 00 00 00 00 00 00");
 }
 
-static void test_identifiers_that_were_configured_otherwise_stay(void **state)
+static void test_identifiers_that_were_configured_do_not_follow_the_node_id(void **state)
 {
 	struct bus *bus = *state;
 
@@ -188,7 +188,7 @@ static void test_a_node_id_of_0_or_128_to_254_is_refused(void **state)
 	bus_exchange(*state, "7E5 11 7F 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
 }
 
-static void test_reset_node_brings_the_stored_node_id_back(void **state)
+static void test_reset_node_restores_the_stored_node_id(void **state)
 {
 	struct bus *bus = *state;
 
@@ -199,7 +199,7 @@ static void test_reset_node_brings_the_stored_node_id_back(void **state)
 	assert_int_equal(bus_read(bus, 0x1014, 0), 0x90);
 }
 
-static void test_a_stored_node_id_outlives_reset_node(void **state)
+static void test_a_stored_node_id_is_active_after_reset_node(void **state)
 {
 	struct bus *bus = *state;
 
@@ -210,7 +210,7 @@ static void test_a_stored_node_id_outlives_reset_node(void **state)
 	bus_exchange(bus, "000 81 10", "720 00");
 }
 
-static void test_a_storage_that_fails_is_told(void **state)
+static void test_a_failure_of_the_storage_is_reported(void **state)
 {
 	struct bus *bus = *state;
 
@@ -225,7 +225,7 @@ static void stored(struct bus *bus, enum od_status status)
 	bus_tick(bus);
 }
 
-static void test_the_answer_to_a_store_waits_for_the_disk(void **state)
+static void test_the_response_to_a_store_waits_for_the_storage(void **state)
 {
 	struct bus *bus = *state;
 
@@ -240,7 +240,7 @@ static void test_the_answer_to_a_store_waits_for_the_disk(void **state)
 	bus_exchange(bus, "000 81 10", "720 00");
 }
 
-static void test_a_disk_that_fails_in_the_end_is_told_and_the_old_node_id_stays(void **state)
+static void test_a_late_failure_of_the_storage_is_reported_and_the_old_node_id_stays(void **state)
 {
 	struct bus *bus = *state;
 
@@ -266,7 +266,7 @@ static void test_a_second_store_while_one_is_under_way_fails(void **state)
 	bus_expect(bus, "7E4 17 00 00 00 00 00 00 00");
 }
 
-static void test_a_store_that_ends_after_the_configuration_is_not_answered(void **state)
+static void test_a_store_that_ends_in_waiting_state_has_no_response(void **state)
 {
 	struct bus *bus = *state;
 
@@ -280,7 +280,7 @@ static void test_a_store_that_ends_after_the_configuration_is_not_answered(void 
 	bus_exchange(bus, "000 81 10", "720 00"); /* kept all the same */
 }
 
-static void test_what_is_configured_while_the_disk_works_is_not_taken_for_stored(void **state)
+static void test_a_node_id_configured_during_a_store_is_not_the_stored_one(void **state)
 {
 	struct bus *bus = *state;
 
@@ -294,7 +294,7 @@ static void test_what_is_configured_while_the_disk_works_is_not_taken_for_stored
 	bus_exchange(bus, "000 81 10", "720 00");
 }
 
-static void test_a_device_that_cannot_store_says_so(void **state)
+static void test_a_device_without_storage_responds_not_supported(void **state)
 {
 	struct bus *bus = *state;
 
@@ -303,7 +303,7 @@ static void test_a_device_that_cannot_store_says_so(void **state)
 	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 01 00 00 00 00 00 00");
 }
 
-static void test_the_node_id_255_makes_the_node_silent_from_reset_communication_on(void **state)
+static void test_with_node_id_255_the_node_sends_nothing_from_reset_communication_on(void **state)
 {
 	struct bus *bus = *state;
 
@@ -319,7 +319,7 @@ static void test_the_node_id_255_makes_the_node_silent_from_reset_communication_
 
 /* ---- a node without a node-ID ------------------------------------------------------------------------------------ */
 
-static void test_a_node_without_a_node_id_says_nothing_and_hears_lss_only(void **state)
+static void test_a_node_without_a_node_id_sends_nothing_and_receives_lss_only(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -334,7 +334,7 @@ static void test_a_node_without_a_node_id_says_nothing_and_hears_lss_only(void *
 	(void)state;
 }
 
-static void test_a_node_without_a_node_id_watches_nobody(void **state)
+static void test_a_node_without_a_node_id_has_no_heartbeat_consumer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -351,7 +351,7 @@ static void test_a_node_without_a_node_id_watches_nobody(void **state)
 	assert_int_equal(bus->values.error_register, 0);
 }
 
-static void test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given(void **state)
+static void test_a_node_without_a_node_id_boots_up_with_the_configured_one(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -367,7 +367,7 @@ static void test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given(voi
 	(void)state;
 }
 
-static void test_an_error_of_the_time_without_a_node_id_is_told_after_boot_up(void **state)
+static void test_an_error_raised_without_a_node_id_is_sent_after_boot_up(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -381,7 +381,7 @@ static void test_an_error_of_the_time_without_a_node_id_is_told_after_boot_up(vo
 	(void)state;
 }
 
-static void test_a_node_without_a_node_id_identifies_itself_as_such(void **state)
+static void test_a_node_without_a_node_id_responds_to_identify_non_configured(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -390,7 +390,7 @@ static void test_a_node_without_a_node_id_identifies_itself_as_such(void **state
 	(void)state;
 }
 
-static void test_a_node_with_a_node_id_does_not(void **state)
+static void test_a_node_with_a_node_id_does_not_respond_to_identify_non_configured(void **state)
 {
 	bus_send(*state, "7E5 4C 00 00 00 00 00 00 00");
 	bus_expect_nothing(*state);
@@ -398,7 +398,7 @@ static void test_a_node_with_a_node_id_does_not(void **state)
 
 /* ---- bit timing -------------------------------------------------------------------------------------------------- */
 
-static void test_a_bit_rate_is_taken_and_activated_after_the_switch_delay(void **state)
+static void test_a_configured_bit_rate_is_activated_after_the_switch_delay(void **state)
 {
 	struct bus *bus = *state;
 
@@ -423,7 +423,7 @@ static void switch_bit_rate(struct bus *bus)
 	bus_send(bus, "7E5 15 F4 01 00 00 00 00 00");
 }
 
-static void test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over(void **state)
+static void test_the_node_neither_sends_nor_receives_until_both_switch_delays_have_passed(void **state)
 {
 	struct bus *bus = *state;
 
@@ -443,7 +443,7 @@ static void test_the_node_says_and_hears_nothing_until_both_switch_delays_are_ov
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
-static void test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told(void **state)
+static void test_after_the_switch_the_heartbeat_continues_and_errors_raised_meanwhile_are_sent(void **state)
 {
 	struct bus *bus = *state;
 
@@ -458,7 +458,7 @@ static void test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silenc
 	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
 }
 
-static void test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched(void **state)
+static void test_heartbeat_consumers_are_suspended_while_the_bit_rate_is_switched(void **state)
 {
 	struct bus *bus = *state;
 
@@ -472,7 +472,7 @@ static void test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched(voi
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 }
 
-static void test_a_sync_that_is_awaited_may_stay_away_while_the_bit_rate_is_switched(void **state)
+static void test_the_timeout_of_sync_is_suspended_while_the_bit_rate_is_switched(void **state)
 {
 	struct bus *bus = *state;
 
@@ -484,7 +484,7 @@ static void test_a_sync_that_is_awaited_may_stay_away_while_the_bit_rate_is_swit
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
-static void test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched(void **state)
+static void test_the_event_timer_of_an_rpdo_is_suspended_while_the_bit_rate_is_switched(void **state)
 {
 	struct bus *bus = *state;
 
@@ -521,7 +521,7 @@ static void test_without_a_bit_rate_configured_activation_does_nothing(void **st
 	assert_int_equal(bus->active_bit_s, 0);
 }
 
-static void test_every_bit_rate_of_the_table_goes_by_its_index(void **state)
+static void test_every_bit_rate_of_the_table_has_its_index(void **state)
 {
 	static const struct {
 		const char *request;
@@ -540,7 +540,7 @@ static void test_every_bit_rate_of_the_table_goes_by_its_index(void **state)
 	}
 }
 
-static void test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused(void **state)
+static void test_a_bit_rate_of_another_table_a_reserved_or_an_unsupported_one_is_refused(void **state)
 {
 	configure(*state);
 	bus_exchange(*state, "7E5 13 01 02 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
@@ -549,7 +549,7 @@ static void test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_n
 	bus_exchange(*state, "7E5 13 00 01 00 00 00 00 00", "7E4 13 01 00 00 00 00 00 00");
 }
 
-static void test_where_the_bus_cannot_be_switched_no_bit_rate_is_taken(void **state)
+static void test_without_a_bus_that_can_be_switched_no_bit_rate_is_accepted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -573,7 +573,7 @@ static void test_the_bit_rate_is_stored_with_the_node_id(void **state)
 
 /* ---- inquiry and identification ---------------------------------------------------------------------------------- */
 
-static void test_each_number_of_the_identity_can_be_asked_for(void **state)
+static void test_each_number_of_the_lss_address_can_be_inquired(void **state)
 {
 	set_identity(*state);
 	configure(*state);
@@ -595,20 +595,20 @@ static void identify(struct bus *bus, const char *serial_from, const char *seria
 	bus_send(bus, serial_to);
 }
 
-static void test_a_node_within_the_ranges_identifies_itself(void **state)
+static void test_a_node_within_the_ranges_responds_to_identify(void **state)
 {
 	identify(*state, "7E5 4A 78 56 34 12 00 00 00", "7E5 4B 78 56 34 12 00 00 00");
 	bus_expect(*state, "7E4 4F 00 00 00 00 00 00 00");
 	bus_expect_nothing(*state);
 }
 
-static void test_a_node_below_the_range_does_not(void **state)
+static void test_a_node_below_the_range_does_not_respond_to_identify(void **state)
 {
 	identify(*state, "7E5 4A 79 56 34 12 00 00 00", "7E5 4B FF FF FF FF 00 00 00");
 	bus_expect_nothing(*state);
 }
 
-static void test_a_node_above_the_range_does_not(void **state)
+static void test_a_node_above_the_range_does_not_respond_to_identify(void **state)
 {
 	identify(*state, "7E5 4A 00 00 00 00 00 00 00", "7E5 4B 77 56 34 12 00 00 00");
 	bus_expect_nothing(*state);
@@ -642,7 +642,7 @@ static uint32_t find_number(struct bus *bus, uint8_t number)
 	return value;
 }
 
-static void test_fastscan_finds_the_identity_and_switches_the_node(void **state)
+static void test_fastscan_determines_the_lss_address_and_switches_the_node(void **state)
 {
 	static const uint32_t identity[] = {0x00494D55, 9, 0x00010000, 0x12345678};
 	struct bus *bus = unconfigured();
@@ -658,7 +658,7 @@ static void test_fastscan_finds_the_identity_and_switches_the_node(void **state)
 	(void)state;
 }
 
-static void test_fastscan_asks_for_one_number_at_a_time(void **state)
+static void test_fastscan_matches_one_number_at_a_time(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -668,7 +668,7 @@ static void test_fastscan_asks_for_one_number_at_a_time(void **state)
 	(void)state;
 }
 
-static void test_fastscan_begins_anew_with_a_reset(void **state)
+static void test_fastscan_restarts_with_a_reset(void **state)
 {
 	struct bus *bus = unconfigured();
 
@@ -692,7 +692,7 @@ static void test_fastscan_with_numbers_that_do_not_exist_is_ignored(void **state
 	(void)state;
 }
 
-static void test_a_node_with_a_node_id_does_not_answer_a_fastscan(void **state)
+static void test_a_node_with_a_node_id_does_not_respond_to_fastscan(void **state)
 {
 	assert_false(scan(*state, 0, 0x80, 0, 0));
 }
@@ -700,57 +700,57 @@ static void test_a_node_with_a_node_id_does_not_answer_a_fastscan(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		PRE_OPERATIONAL(test_switch_global_is_not_answered_but_opens_the_configuration),
-		PRE_OPERATIONAL(test_in_waiting_state_nothing_is_configured_or_told),
-		PRE_OPERATIONAL(test_switch_global_0_closes_the_configuration),
-		PRE_OPERATIONAL(test_the_node_whose_four_numbers_are_right_is_switched_and_says_so),
-		PRE_OPERATIONAL(test_one_wrong_number_and_the_node_is_not_switched),
+		PRE_OPERATIONAL(test_switch_global_has_no_response_and_enters_configuration_state),
+		PRE_OPERATIONAL(test_in_waiting_state_configuration_and_inquiry_are_ignored),
+		PRE_OPERATIONAL(test_switch_global_0_leaves_configuration_state),
+		PRE_OPERATIONAL(test_the_node_that_matches_all_four_numbers_is_switched_and_responds),
+		PRE_OPERATIONAL(test_a_node_with_one_number_that_differs_is_not_switched),
 		PRE_OPERATIONAL(test_the_last_number_alone_does_not_switch),
 		PRE_OPERATIONAL(test_lss_frames_of_another_length_are_ignored),
-		PRE_OPERATIONAL(test_lss_is_there_in_operational_and_stopped),
-		PRE_OPERATIONAL(test_a_reset_ends_the_configuration),
-		PRE_OPERATIONAL(test_a_node_id_is_taken_at_once_and_holds_from_reset_communication_on),
+		PRE_OPERATIONAL(test_lss_is_available_in_operational_and_stopped),
+		PRE_OPERATIONAL(test_a_reset_leaves_configuration_state),
+		PRE_OPERATIONAL(test_a_configured_node_id_is_active_from_reset_communication_on),
 		PRE_OPERATIONAL(test_identifiers_that_follow_the_node_id_follow_it),
-		PRE_OPERATIONAL(test_identifiers_that_were_configured_otherwise_stay),
+		PRE_OPERATIONAL(test_identifiers_that_were_configured_do_not_follow_the_node_id),
 		PRE_OPERATIONAL(test_a_node_id_may_change_and_change_back),
 		PRE_OPERATIONAL(test_a_node_id_of_0_or_128_to_254_is_refused),
-		PRE_OPERATIONAL(test_reset_node_brings_the_stored_node_id_back),
-		PRE_OPERATIONAL(test_a_stored_node_id_outlives_reset_node),
-		PRE_OPERATIONAL(test_a_storage_that_fails_is_told),
-		PRE_OPERATIONAL(test_the_answer_to_a_store_waits_for_the_disk),
-		PRE_OPERATIONAL(test_a_disk_that_fails_in_the_end_is_told_and_the_old_node_id_stays),
+		PRE_OPERATIONAL(test_reset_node_restores_the_stored_node_id),
+		PRE_OPERATIONAL(test_a_stored_node_id_is_active_after_reset_node),
+		PRE_OPERATIONAL(test_a_failure_of_the_storage_is_reported),
+		PRE_OPERATIONAL(test_the_response_to_a_store_waits_for_the_storage),
+		PRE_OPERATIONAL(test_a_late_failure_of_the_storage_is_reported_and_the_old_node_id_stays),
 		PRE_OPERATIONAL(test_a_second_store_while_one_is_under_way_fails),
-		PRE_OPERATIONAL(test_a_store_that_ends_after_the_configuration_is_not_answered),
-		PRE_OPERATIONAL(test_what_is_configured_while_the_disk_works_is_not_taken_for_stored),
-		PRE_OPERATIONAL(test_a_device_that_cannot_store_says_so),
-		PRE_OPERATIONAL(test_a_node_without_a_node_id_watches_nobody),
-		PRE_OPERATIONAL(test_the_node_id_255_makes_the_node_silent_from_reset_communication_on),
-		cmocka_unit_test(test_a_node_without_a_node_id_says_nothing_and_hears_lss_only),
-		cmocka_unit_test(test_a_node_without_a_node_id_boots_up_with_the_one_it_was_given),
-		cmocka_unit_test(test_an_error_of_the_time_without_a_node_id_is_told_after_boot_up),
-		cmocka_unit_test(test_a_node_without_a_node_id_identifies_itself_as_such),
-		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not),
-		PRE_OPERATIONAL(test_a_bit_rate_is_taken_and_activated_after_the_switch_delay),
-		PRE_OPERATIONAL(test_the_node_says_and_hears_nothing_until_both_switch_delays_are_over),
-		PRE_OPERATIONAL(test_after_the_switch_the_heartbeat_goes_on_and_errors_of_the_silence_are_told),
-		PRE_OPERATIONAL(test_a_watched_node_may_be_silent_while_the_bit_rate_is_switched),
-		OPERATIONAL(test_a_sync_that_is_awaited_may_stay_away_while_the_bit_rate_is_switched),
-		OPERATIONAL(test_an_rpdo_that_is_monitored_may_stay_away_while_the_bit_rate_is_switched),
+		PRE_OPERATIONAL(test_a_store_that_ends_in_waiting_state_has_no_response),
+		PRE_OPERATIONAL(test_a_node_id_configured_during_a_store_is_not_the_stored_one),
+		PRE_OPERATIONAL(test_a_device_without_storage_responds_not_supported),
+		PRE_OPERATIONAL(test_a_node_without_a_node_id_has_no_heartbeat_consumer),
+		PRE_OPERATIONAL(test_with_node_id_255_the_node_sends_nothing_from_reset_communication_on),
+		cmocka_unit_test(test_a_node_without_a_node_id_sends_nothing_and_receives_lss_only),
+		cmocka_unit_test(test_a_node_without_a_node_id_boots_up_with_the_configured_one),
+		cmocka_unit_test(test_an_error_raised_without_a_node_id_is_sent_after_boot_up),
+		cmocka_unit_test(test_a_node_without_a_node_id_responds_to_identify_non_configured),
+		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_respond_to_identify_non_configured),
+		PRE_OPERATIONAL(test_a_configured_bit_rate_is_activated_after_the_switch_delay),
+		PRE_OPERATIONAL(test_the_node_neither_sends_nor_receives_until_both_switch_delays_have_passed),
+		PRE_OPERATIONAL(test_after_the_switch_the_heartbeat_continues_and_errors_raised_meanwhile_are_sent),
+		PRE_OPERATIONAL(test_heartbeat_consumers_are_suspended_while_the_bit_rate_is_switched),
+		OPERATIONAL(test_the_timeout_of_sync_is_suspended_while_the_bit_rate_is_switched),
+		OPERATIONAL(test_the_event_timer_of_an_rpdo_is_suspended_while_the_bit_rate_is_switched),
 		PRE_OPERATIONAL(test_a_switch_delay_of_0_switches_at_once),
 		PRE_OPERATIONAL(test_without_a_bit_rate_configured_activation_does_nothing),
-		PRE_OPERATIONAL(test_every_bit_rate_of_the_table_goes_by_its_index),
-		PRE_OPERATIONAL(test_a_bit_rate_of_another_table_a_reserved_one_or_one_the_bus_has_not_is_refused),
-		PRE_OPERATIONAL(test_where_the_bus_cannot_be_switched_no_bit_rate_is_taken),
+		PRE_OPERATIONAL(test_every_bit_rate_of_the_table_has_its_index),
+		PRE_OPERATIONAL(test_a_bit_rate_of_another_table_a_reserved_or_an_unsupported_one_is_refused),
+		PRE_OPERATIONAL(test_without_a_bus_that_can_be_switched_no_bit_rate_is_accepted),
 		PRE_OPERATIONAL(test_the_bit_rate_is_stored_with_the_node_id),
-		PRE_OPERATIONAL(test_each_number_of_the_identity_can_be_asked_for),
-		PRE_OPERATIONAL(test_a_node_within_the_ranges_identifies_itself),
-		PRE_OPERATIONAL(test_a_node_below_the_range_does_not),
-		PRE_OPERATIONAL(test_a_node_above_the_range_does_not),
-		cmocka_unit_test(test_fastscan_finds_the_identity_and_switches_the_node),
-		cmocka_unit_test(test_fastscan_asks_for_one_number_at_a_time),
-		cmocka_unit_test(test_fastscan_begins_anew_with_a_reset),
+		PRE_OPERATIONAL(test_each_number_of_the_lss_address_can_be_inquired),
+		PRE_OPERATIONAL(test_a_node_within_the_ranges_responds_to_identify),
+		PRE_OPERATIONAL(test_a_node_below_the_range_does_not_respond_to_identify),
+		PRE_OPERATIONAL(test_a_node_above_the_range_does_not_respond_to_identify),
+		cmocka_unit_test(test_fastscan_determines_the_lss_address_and_switches_the_node),
+		cmocka_unit_test(test_fastscan_matches_one_number_at_a_time),
+		cmocka_unit_test(test_fastscan_restarts_with_a_reset),
 		cmocka_unit_test(test_fastscan_with_numbers_that_do_not_exist_is_ignored),
-		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_answer_a_fastscan),
+		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_respond_to_fastscan),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -4,7 +4,7 @@
 #include <errno.h>
 #include <string.h>
 
-static void test_the_node_boots_up_with_one_zero_byte_and_is_pre_operational(void **state)
+static void test_boot_up_is_one_zero_byte_and_the_node_is_pre_operational(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -18,7 +18,7 @@ static void test_the_node_boots_up_with_one_zero_byte_and_is_pre_operational(voi
 	(void)state;
 }
 
-static void test_before_boot_up_the_node_says_and_hears_nothing(void **state)
+static void test_before_boot_up_the_node_neither_sends_nor_receives(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -67,7 +67,7 @@ static void test_a_dictionary_without_a_mandatory_object_is_refused(void **state
 	(void)state;
 }
 
-static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only(void **state)
+static void test_the_receive_filter_has_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only(void **state)
 {
 	struct bus *bus = *state;
 
@@ -81,7 +81,7 @@ static void test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_rpdos_and_its_ow
 		assert_true(bus_listens_to(bus, id));
 }
 
-static void test_the_master_starts_stops_and_readies_the_node(void **state)
+static void test_the_master_starts_and_stops_the_node_and_enters_pre_operational(void **state)
 {
 	struct bus *bus = *state;
 
@@ -99,7 +99,7 @@ static void test_the_master_starts_stops_and_readies_the_node(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_command_to_node_0_is_for_all(void **state)
+static void test_a_command_to_node_0_is_for_every_node(void **state)
 {
 	struct bus *bus = *state;
 
@@ -107,7 +107,7 @@ static void test_a_command_to_node_0_is_for_all(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
 }
 
-static void test_a_command_to_another_node_is_not_for_this_one(void **state)
+static void test_a_command_to_another_node_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -144,7 +144,7 @@ static void test_an_unknown_nmt_command_is_ignored(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_extended_and_remote_frames_are_not_nmt(void **state)
+static void test_extended_and_remote_frames_are_not_nmt_commands(void **state)
 {
 	struct bus *bus = *state;
 	struct can_msg start = {.len = 2, .data = {0x01, 0x10}};
@@ -201,7 +201,7 @@ static void test_a_reset_works_from_stopped_too(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
-static void test_the_device_hears_of_each_state_once(void **state)
+static void test_the_device_is_notified_of_each_state_once(void **state)
 {
 	struct bus *bus = *state;
 	const enum nmt_state expected[] = {
@@ -216,7 +216,7 @@ static void test_the_device_hears_of_each_state_once(void **state)
 	assert_memory_equal(bus->states, expected, sizeof(expected));
 }
 
-static void test_sdo_answers_in_pre_operational_and_operational_but_not_in_stopped(void **state)
+static void test_sdo_is_available_in_pre_operational_and_operational_but_not_in_stopped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -230,7 +230,7 @@ static void test_sdo_answers_in_pre_operational_and_operational_but_not_in_stopp
 	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
 }
 
-static void test_a_stop_drops_the_sdo_transfer_without_a_word(void **state)
+static void test_a_stop_ends_the_sdo_transfer_without_an_abort(void **state)
 {
 	struct bus *bus = *state;
 
@@ -243,7 +243,7 @@ static void test_a_stop_drops_the_sdo_transfer_without_a_word(void **state)
 	bus_expect(bus, "590 80 00 00 00 01 00 04 05");
 }
 
-static void test_a_reset_drops_the_sdo_transfer(void **state)
+static void test_a_reset_ends_the_sdo_transfer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -253,7 +253,7 @@ static void test_a_reset_drops_the_sdo_transfer(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_reset_puts_the_sync_identifier_back(void **state)
+static void test_a_reset_restores_the_sync_identifier(void **state)
 {
 	struct bus *bus = *state;
 
@@ -265,7 +265,7 @@ static void test_a_reset_puts_the_sync_identifier_back(void **state)
 
 /* ---- start-up ---------------------------------------------------------------------------------------------------- */
 
-static void test_with_bit_2_of_the_startup_object_clear_the_node_starts_itself(void **state)
+static void test_with_bit_2_of_1F80h_clear_the_node_enters_operational_by_itself(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -278,7 +278,7 @@ static void test_with_bit_2_of_the_startup_object_clear_the_node_starts_itself(v
 	(void)state;
 }
 
-static void test_a_node_that_starts_itself_passes_through_pre_operational(void **state)
+static void test_a_node_that_starts_by_itself_passes_through_pre_operational(void **state)
 {
 	struct bus *bus = bus_new();
 	const enum nmt_state expected[] = {NMT_PRE_OPERATIONAL, NMT_OPERATIONAL};
@@ -291,7 +291,7 @@ static void test_a_node_that_starts_itself_passes_through_pre_operational(void *
 	(void)state;
 }
 
-static void test_the_startup_object_acts_at_boot_up_not_when_it_is_written(void **state)
+static void test_1F80h_acts_at_boot_up_not_when_it_is_written(void **state)
 {
 	struct bus *bus = *state;
 
@@ -302,7 +302,7 @@ static void test_the_startup_object_acts_at_boot_up_not_when_it_is_written(void 
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
 }
 
-static void test_the_bits_of_a_master_are_refused_in_the_startup_object(void **state)
+static void test_the_bits_of_an_nmt_master_are_refused_in_1F80h(void **state)
 {
 	struct bus *bus = *state;
 
@@ -319,7 +319,7 @@ static void bus_off(struct bus *bus)
 	bus_tick(bus);
 }
 
-static void test_bus_off_ends_operational(void **state)
+static void test_bus_off_leaves_operational(void **state)
 {
 	struct bus *bus = *state;
 
@@ -327,7 +327,7 @@ static void test_bus_off_ends_operational(void **state)
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
-static void test_bus_off_leaves_the_state_when_the_error_behaviour_is_1(void **state)
+static void test_bus_off_does_not_change_the_state_when_the_error_behaviour_is_1(void **state)
 {
 	struct bus *bus = *state;
 
@@ -345,7 +345,7 @@ static void test_bus_off_stops_the_node_when_the_error_behaviour_is_2(void **sta
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
 }
 
-static void test_bus_off_does_not_ready_a_stopped_node(void **state)
+static void test_bus_off_leaves_a_stopped_node_stopped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -395,7 +395,7 @@ static void test_the_heartbeat_carries_the_state_in_every_state(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_heartbeat_time_of_0_is_silence(void **state)
+static void test_a_heartbeat_time_of_0_disables_the_heartbeat(void **state)
 {
 	struct bus *bus = *state;
 
@@ -404,7 +404,7 @@ static void test_a_heartbeat_time_of_0_is_silence(void **state)
 	assert_true(bus->deadline_us == UINT64_MAX);
 }
 
-static void test_a_heartbeat_switched_on_starts_at_once(void **state)
+static void test_an_enabled_heartbeat_starts_at_once(void **state)
 {
 	struct bus *bus = *state;
 	uint64_t start_us;
@@ -439,7 +439,7 @@ static void test_a_new_heartbeat_time_counts_from_the_last_heartbeat(void **stat
 	assert_int_equal(bus->seen_us, last_us + 300000);
 }
 
-static void test_a_heartbeat_switched_off_stops_at_once(void **state)
+static void test_a_disabled_heartbeat_stops_at_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -488,40 +488,41 @@ static void test_missed_heartbeats_are_not_sent_in_a_burst(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_the_node_boots_up_with_one_zero_byte_and_is_pre_operational),
-		cmocka_unit_test(test_before_boot_up_the_node_says_and_hears_nothing),
+		cmocka_unit_test(test_boot_up_is_one_zero_byte_and_the_node_is_pre_operational),
+		cmocka_unit_test(test_before_boot_up_the_node_neither_sends_nor_receives),
 		cmocka_unit_test(test_a_node_id_is_1_to_127),
 		cmocka_unit_test(test_a_dictionary_without_a_mandatory_object_is_refused),
-		PRE_OPERATIONAL(test_the_bus_is_asked_for_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only),
-		PRE_OPERATIONAL(test_the_master_starts_stops_and_readies_the_node),
-		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_all),
-		PRE_OPERATIONAL(test_a_command_to_another_node_is_not_for_this_one),
+		PRE_OPERATIONAL(
+			test_the_receive_filter_has_nmt_sdo_sync_guarding_lss_rpdos_and_its_own_identifiers_only),
+		PRE_OPERATIONAL(test_the_master_starts_and_stops_the_node_and_enters_pre_operational),
+		PRE_OPERATIONAL(test_a_command_to_node_0_is_for_every_node),
+		PRE_OPERATIONAL(test_a_command_to_another_node_is_ignored),
 		PRE_OPERATIONAL(test_an_nmt_frame_of_wrong_length_is_ignored),
 		PRE_OPERATIONAL(test_an_unknown_nmt_command_is_ignored),
-		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_nmt),
+		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_nmt_commands),
 		PRE_OPERATIONAL(test_reset_node_restores_every_value_and_boots_up_again),
 		PRE_OPERATIONAL(test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest),
 		PRE_OPERATIONAL(test_a_reset_works_from_stopped_too),
-		PRE_OPERATIONAL(test_the_device_hears_of_each_state_once),
-		PRE_OPERATIONAL(test_sdo_answers_in_pre_operational_and_operational_but_not_in_stopped),
-		PRE_OPERATIONAL(test_a_stop_drops_the_sdo_transfer_without_a_word),
-		PRE_OPERATIONAL(test_a_reset_drops_the_sdo_transfer),
-		PRE_OPERATIONAL(test_a_reset_puts_the_sync_identifier_back),
-		cmocka_unit_test(test_with_bit_2_of_the_startup_object_clear_the_node_starts_itself),
-		cmocka_unit_test(test_a_node_that_starts_itself_passes_through_pre_operational),
-		PRE_OPERATIONAL(test_the_startup_object_acts_at_boot_up_not_when_it_is_written),
-		PRE_OPERATIONAL(test_the_bits_of_a_master_are_refused_in_the_startup_object),
-		OPERATIONAL(test_bus_off_ends_operational),
-		OPERATIONAL(test_bus_off_leaves_the_state_when_the_error_behaviour_is_1),
+		PRE_OPERATIONAL(test_the_device_is_notified_of_each_state_once),
+		PRE_OPERATIONAL(test_sdo_is_available_in_pre_operational_and_operational_but_not_in_stopped),
+		PRE_OPERATIONAL(test_a_stop_ends_the_sdo_transfer_without_an_abort),
+		PRE_OPERATIONAL(test_a_reset_ends_the_sdo_transfer),
+		PRE_OPERATIONAL(test_a_reset_restores_the_sync_identifier),
+		cmocka_unit_test(test_with_bit_2_of_1F80h_clear_the_node_enters_operational_by_itself),
+		cmocka_unit_test(test_a_node_that_starts_by_itself_passes_through_pre_operational),
+		PRE_OPERATIONAL(test_1F80h_acts_at_boot_up_not_when_it_is_written),
+		PRE_OPERATIONAL(test_the_bits_of_an_nmt_master_are_refused_in_1F80h),
+		OPERATIONAL(test_bus_off_leaves_operational),
+		OPERATIONAL(test_bus_off_does_not_change_the_state_when_the_error_behaviour_is_1),
 		OPERATIONAL(test_bus_off_stops_the_node_when_the_error_behaviour_is_2),
-		OPERATIONAL(test_bus_off_does_not_ready_a_stopped_node),
+		OPERATIONAL(test_bus_off_leaves_a_stopped_node_stopped),
 		PRE_OPERATIONAL(test_an_error_behaviour_above_2_is_refused),
 		cmocka_unit_test(test_boot_up_is_the_first_heartbeat),
 		PRE_OPERATIONAL(test_the_heartbeat_carries_the_state_in_every_state),
-		PRE_OPERATIONAL(test_a_heartbeat_time_of_0_is_silence),
-		PRE_OPERATIONAL(test_a_heartbeat_switched_on_starts_at_once),
+		PRE_OPERATIONAL(test_a_heartbeat_time_of_0_disables_the_heartbeat),
+		PRE_OPERATIONAL(test_an_enabled_heartbeat_starts_at_once),
 		PRE_OPERATIONAL(test_a_new_heartbeat_time_counts_from_the_last_heartbeat),
-		PRE_OPERATIONAL(test_a_heartbeat_switched_off_stops_at_once),
+		PRE_OPERATIONAL(test_a_disabled_heartbeat_stops_at_once),
 		cmocka_unit_test(test_a_late_call_keeps_the_phase_of_the_heartbeat),
 		cmocka_unit_test(test_missed_heartbeats_are_not_sent_in_a_burst),
 	};

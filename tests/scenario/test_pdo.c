@@ -55,7 +55,7 @@ static void test_one_sync_sends_all_four_pdos_with_one_sample(void **state)
 	assert_int_equal(bus->seen_us, bus->now_us);
 }
 
-static void test_a_pdo_carries_the_values_of_the_moment_it_is_sent(void **state)
+static void test_a_pdo_carries_the_values_at_the_time_of_transmission(void **state)
 {
 	struct bus *bus = *state;
 
@@ -66,7 +66,7 @@ static void test_a_pdo_carries_the_values_of_the_moment_it_is_sent(void **state)
 	bus_exchange(bus, "080", "190 04 00 05 00 06 00 00 00");
 }
 
-static void test_a_mapping_changed_behind_the_cores_back_holds_from_the_next_reset(void **state)
+static void test_a_mapping_changed_without_its_hooks_is_used_from_the_next_reset_on(void **state)
 {
 	struct bus *bus = *state;
 
@@ -123,7 +123,7 @@ static void test_type_240_is_sent_with_every_240th_sync(void **state)
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_new_type_starts_the_count_of_syncs_anew(void **state)
+static void test_a_new_type_restarts_the_count_of_syncs(void **state)
 {
 	struct bus *bus = *state;
 
@@ -151,7 +151,7 @@ static void test_type_0_is_sent_with_the_sync_after_a_new_sample_and_only_then(v
 	bus_expect_nothing(bus);
 }
 
-static void test_operational_begins_with_no_sample_waiting(void **state)
+static void test_a_sample_before_operational_is_not_an_event(void **state)
 {
 	struct bus *bus = *state;
 
@@ -184,7 +184,7 @@ static void test_with_a_start_value_the_sync_that_has_it_counts_as_the_first(voi
 	bus_exchange(bus, "080 01", "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_start_value_is_waited_for_each_time_operational_begins(void **state)
+static void test_the_start_value_applies_each_time_operational_is_entered(void **state)
 {
 	struct bus *bus = *state;
 
@@ -200,7 +200,7 @@ static void test_a_start_value_is_waited_for_each_time_operational_begins(void *
 	bus_exchange(bus, "080 04", "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_without_a_sync_counter_the_start_value_means_nothing(void **state)
+static void test_without_a_sync_counter_the_start_value_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -242,7 +242,7 @@ static void test_one_sample_sends_every_event_driven_pdo_before_the_call_returns
 	bus_expect_nothing(bus);
 }
 
-static void test_a_pdo_made_valid_anew_has_no_inhibit_time_running(void **state)
+static void test_a_pdo_made_valid_again_has_no_inhibit_time_running(void **state)
 {
 	struct bus *bus = *state;
 
@@ -255,7 +255,7 @@ static void test_a_pdo_made_valid_anew_has_no_inhibit_time_running(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 02 00");
 }
 
-static void test_within_the_inhibit_time_an_event_waits_and_then_carries_the_values_of_then(void **state)
+static void test_within_the_inhibit_time_an_event_waits_and_then_carries_the_current_values(void **state)
 {
 	struct bus *bus = *state;
 
@@ -344,7 +344,7 @@ static void test_the_event_timer_may_change_while_the_pdo_is_valid(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_sync_pdo_knows_neither_event_timer_nor_inhibit_time(void **state)
+static void test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time(void **state)
 {
 	struct bus *bus = *state;
 
@@ -426,7 +426,7 @@ static void test_every_restricted_identifier_is_refused_and_every_other_is_not(v
 	}
 }
 
-static void test_every_type_is_taken_but_the_reserved_ones(void **state)
+static void test_every_type_but_the_reserved_ones_is_accepted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -522,7 +522,7 @@ static void test_more_than_eight_objects_are_too_many(void **state)
 	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 254), 0x06090031); /* no multiplexed PDO */
 }
 
-static void test_what_does_not_exist_cannot_be_mapped(void **state)
+static void test_an_unknown_object_cannot_be_mapped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -533,7 +533,7 @@ static void test_what_does_not_exist_cannot_be_mapped(void **state)
 	bus_exchange(bus, "610 23 00 1A 01 08 00 05 00", "590 80 00 1A 01 00 00 02 06"); /* a dummy */
 }
 
-static void test_what_is_not_for_pdos_cannot_be_mapped(void **state)
+static void test_an_object_that_is_not_mappable_cannot_be_mapped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -543,7 +543,7 @@ static void test_what_is_not_for_pdos_cannot_be_mapped(void **state)
 	bus_exchange(bus, "610 23 00 1A 01 20 01 00 20", "590 80 00 1A 01 41 00 04 06"); /* 2000h:1 */
 }
 
-static void test_an_object_is_mapped_whole(void **state)
+static void test_an_object_can_only_be_mapped_with_its_full_length(void **state)
 {
 	struct bus *bus = *state;
 
@@ -554,7 +554,7 @@ static void test_an_object_is_mapped_whole(void **state)
 	assert_int_equal(bus_write(bus, 0x1A00, 1, 4, 0x21000100), 0x06040041);
 }
 
-static void test_an_empty_place_may_be_written_but_not_counted(void **state)
+static void test_an_entry_may_be_0_unless_it_is_counted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -596,7 +596,7 @@ static void test_a_pdo_with_nothing_mapped_is_not_sent(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_reset_communication_brings_the_default_mapping_back(void **state)
+static void test_reset_communication_restores_the_default_mapping(void **state)
 {
 	struct bus *bus = *state;
 
@@ -624,7 +624,7 @@ static void expect_tpdo1_refused_at_start(struct bus *bus)
 	test_free(bus);
 }
 
-static void test_a_stored_mapping_of_what_does_not_exist_makes_the_pdo_invalid_and_raises_6300h(void **state)
+static void test_a_stored_mapping_of_an_unknown_object_makes_the_pdo_invalid_and_raises_6300h(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -633,7 +633,7 @@ static void test_a_stored_mapping_of_what_does_not_exist_makes_the_pdo_invalid_a
 	(void)state;
 }
 
-static void test_a_stored_mapping_that_is_too_long_does_the_same(void **state)
+static void test_a_stored_mapping_that_is_too_long_makes_the_pdo_invalid_and_raises_6300h(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -646,7 +646,7 @@ static void test_a_stored_mapping_that_is_too_long_does_the_same(void **state)
 	(void)state;
 }
 
-static void test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same(void **state)
+static void test_a_stored_identifier_or_type_that_is_not_allowed_makes_the_pdo_invalid_and_raises_6300h(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -658,7 +658,7 @@ static void test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same(v
 	(void)state;
 }
 
-static void test_the_error_of_a_stored_mapping_is_gone_after_a_reset_that_mends_it(void **state)
+static void test_the_error_of_a_stored_mapping_ends_with_a_reset_to_a_valid_one(void **state)
 {
 	struct bus *bus = bus_new();
 
@@ -699,7 +699,7 @@ static void requestable(struct bus *bus, uint8_t type)
 	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x190), 0);
 }
 
-static void test_type_253_is_sent_when_it_is_asked_for_with_the_values_of_then(void **state)
+static void test_type_253_is_sent_on_request_with_the_current_values(void **state)
 {
 	struct bus *bus = *state;
 
@@ -713,7 +713,7 @@ static void test_type_253_is_sent_when_it_is_asked_for_with_the_values_of_then(v
 	bus_exchange(bus, "190 R", "190 04 00 05 00 06 00 07 00");
 }
 
-static void test_type_252_is_sent_when_it_is_asked_for_with_the_values_of_the_last_sync(void **state)
+static void test_type_252_is_sent_on_request_with_the_values_of_the_last_sync(void **state)
 {
 	struct bus *bus = *state;
 
@@ -728,7 +728,7 @@ static void test_type_252_is_sent_when_it_is_asked_for_with_the_values_of_the_la
 	bus_exchange(bus, "190 R", "190 04 00 05 00 06 00 00 00");
 }
 
-static void test_type_252_has_nothing_to_say_before_the_first_sync(void **state)
+static void test_type_252_is_not_sent_before_the_first_sync(void **state)
 {
 	struct bus *bus = *state;
 
@@ -737,7 +737,7 @@ static void test_type_252_has_nothing_to_say_before_the_first_sync(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_type_252_forgets_its_sample_when_operational_begins(void **state)
+static void test_type_252_is_not_sent_before_a_sync_in_the_new_operational_state(void **state)
 {
 	struct bus *bus = *state;
 
@@ -749,7 +749,7 @@ static void test_type_252_forgets_its_sample_when_operational_begins(void **stat
 	bus_expect_nothing(bus);
 }
 
-static void test_an_event_driven_pdo_can_be_asked_for_too(void **state)
+static void test_an_event_driven_pdo_is_sent_on_request_too(void **state)
 {
 	struct bus *bus = *state;
 
@@ -773,7 +773,7 @@ static void test_a_request_within_the_inhibit_time_waits_for_it(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_synchronous_pdo_cannot_be_asked_for(void **state)
+static void test_a_synchronous_pdo_is_not_sent_on_request(void **state)
 {
 	struct bus *bus = *state;
 
@@ -782,7 +782,7 @@ static void test_a_synchronous_pdo_cannot_be_asked_for(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_with_the_no_rtr_bit_a_pdo_cannot_be_asked_for(void **state)
+static void test_with_the_no_rtr_bit_a_pdo_is_not_sent_on_request(void **state)
 {
 	struct bus *bus = *state;
 
@@ -791,7 +791,7 @@ static void test_with_the_no_rtr_bit_a_pdo_cannot_be_asked_for(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_pdos_can_be_asked_for_in_operational_only(void **state)
+static void test_pdos_are_sent_on_request_in_operational_only(void **state)
 {
 	struct bus *bus = *state;
 
@@ -803,7 +803,7 @@ static void test_pdos_can_be_asked_for_in_operational_only(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_bus_is_asked_for_the_requests(void **state)
+static void test_the_receive_filter_has_the_remote_requests(void **state)
 {
 	struct bus *bus = *state;
 
@@ -849,33 +849,33 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		OPERATIONAL(test_one_sync_sends_all_four_pdos_with_one_sample),
-		OPERATIONAL(test_a_pdo_carries_the_values_of_the_moment_it_is_sent),
-		OPERATIONAL(test_a_mapping_changed_behind_the_cores_back_holds_from_the_next_reset),
+		OPERATIONAL(test_a_pdo_carries_the_values_at_the_time_of_transmission),
+		OPERATIONAL(test_a_mapping_changed_without_its_hooks_is_used_from_the_next_reset_on),
 		PRE_OPERATIONAL(test_pdos_are_sent_in_operational_only),
 		OPERATIONAL(test_type_n_is_sent_with_every_nth_sync),
 		OPERATIONAL(test_type_240_is_sent_with_every_240th_sync),
-		OPERATIONAL(test_a_new_type_starts_the_count_of_syncs_anew),
+		OPERATIONAL(test_a_new_type_restarts_the_count_of_syncs),
 		OPERATIONAL(test_type_0_is_sent_with_the_sync_after_a_new_sample_and_only_then),
-		PRE_OPERATIONAL(test_operational_begins_with_no_sample_waiting),
+		PRE_OPERATIONAL(test_a_sample_before_operational_is_not_an_event),
 		PRE_OPERATIONAL(test_with_a_start_value_the_sync_that_has_it_counts_as_the_first),
-		PRE_OPERATIONAL(test_a_start_value_is_waited_for_each_time_operational_begins),
-		PRE_OPERATIONAL(test_without_a_sync_counter_the_start_value_means_nothing),
+		PRE_OPERATIONAL(test_the_start_value_applies_each_time_operational_is_entered),
+		PRE_OPERATIONAL(test_without_a_sync_counter_the_start_value_is_ignored),
 		OPERATIONAL(test_types_254_and_255_are_sent_with_each_new_sample),
 		OPERATIONAL(test_one_sample_sends_every_event_driven_pdo_before_the_call_returns),
-		OPERATIONAL(test_a_pdo_made_valid_anew_has_no_inhibit_time_running),
-		OPERATIONAL(test_within_the_inhibit_time_an_event_waits_and_then_carries_the_values_of_then),
+		OPERATIONAL(test_a_pdo_made_valid_again_has_no_inhibit_time_running),
+		OPERATIONAL(test_within_the_inhibit_time_an_event_waits_and_then_carries_the_current_values),
 		OPERATIONAL(test_after_the_inhibit_time_an_event_is_sent_at_once),
 		OPERATIONAL(test_the_event_timer_sends_without_an_event_and_counts_from_the_last_transmission),
 		OPERATIONAL(test_an_event_timer_below_the_inhibit_time_waits_for_it),
 		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid),
-		OPERATIONAL(test_a_sync_pdo_knows_neither_event_timer_nor_inhibit_time),
+		OPERATIONAL(test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time),
 		OPERATIONAL(test_an_invalid_pdo_is_not_sent),
 		OPERATIONAL(test_the_identifier_changes_only_while_the_pdo_is_invalid),
 		PRE_OPERATIONAL(test_the_identifier_may_change_together_with_the_valid_bit),
 		PRE_OPERATIONAL(test_the_no_rtr_bit_may_change_while_the_pdo_is_valid),
 		PRE_OPERATIONAL(test_29_bit_identifiers_are_refused),
 		PRE_OPERATIONAL(test_every_restricted_identifier_is_refused_and_every_other_is_not),
-		PRE_OPERATIONAL(test_every_type_is_taken_but_the_reserved_ones),
+		PRE_OPERATIONAL(test_every_type_but_the_reserved_ones_is_accepted),
 		PRE_OPERATIONAL(test_inhibit_time_and_start_value_do_not_change_while_the_pdo_is_valid),
 		PRE_OPERATIONAL(test_sub_index_4_does_not_exist),
 		OPERATIONAL(test_the_parameters_are_checked_in_operational_too),
@@ -883,29 +883,30 @@ int main(void)
 		PRE_OPERATIONAL(test_eight_bytes_may_be_mapped_and_nine_may_not),
 		OPERATIONAL(test_eight_objects_of_one_byte_may_be_mapped),
 		PRE_OPERATIONAL(test_more_than_eight_objects_are_too_many),
-		PRE_OPERATIONAL(test_what_does_not_exist_cannot_be_mapped),
-		PRE_OPERATIONAL(test_what_is_not_for_pdos_cannot_be_mapped),
-		PRE_OPERATIONAL(test_an_object_is_mapped_whole),
-		PRE_OPERATIONAL(test_an_empty_place_may_be_written_but_not_counted),
+		PRE_OPERATIONAL(test_an_unknown_object_cannot_be_mapped),
+		PRE_OPERATIONAL(test_an_object_that_is_not_mappable_cannot_be_mapped),
+		PRE_OPERATIONAL(test_an_object_can_only_be_mapped_with_its_full_length),
+		PRE_OPERATIONAL(test_an_entry_may_be_0_unless_it_is_counted),
 		PRE_OPERATIONAL(test_the_mapping_of_a_valid_pdo_cannot_be_written),
 		PRE_OPERATIONAL(test_an_entry_cannot_be_written_while_sub_index_0_is_not_0),
 		OPERATIONAL(test_a_pdo_with_nothing_mapped_is_not_sent),
-		PRE_OPERATIONAL(test_reset_communication_brings_the_default_mapping_back),
-		cmocka_unit_test(test_a_stored_mapping_of_what_does_not_exist_makes_the_pdo_invalid_and_raises_6300h),
-		cmocka_unit_test(test_a_stored_mapping_that_is_too_long_does_the_same),
-		cmocka_unit_test(test_a_stored_identifier_or_type_that_is_not_allowed_does_the_same),
-		cmocka_unit_test(test_the_error_of_a_stored_mapping_is_gone_after_a_reset_that_mends_it),
+		PRE_OPERATIONAL(test_reset_communication_restores_the_default_mapping),
+		cmocka_unit_test(test_a_stored_mapping_of_an_unknown_object_makes_the_pdo_invalid_and_raises_6300h),
+		cmocka_unit_test(test_a_stored_mapping_that_is_too_long_makes_the_pdo_invalid_and_raises_6300h),
+		cmocka_unit_test(
+			test_a_stored_identifier_or_type_that_is_not_allowed_makes_the_pdo_invalid_and_raises_6300h),
+		cmocka_unit_test(test_the_error_of_a_stored_mapping_ends_with_a_reset_to_a_valid_one),
 		cmocka_unit_test(test_a_pdo_with_a_bad_mapping_cannot_be_made_valid),
-		OPERATIONAL(test_type_253_is_sent_when_it_is_asked_for_with_the_values_of_then),
-		OPERATIONAL(test_type_252_is_sent_when_it_is_asked_for_with_the_values_of_the_last_sync),
-		OPERATIONAL(test_type_252_has_nothing_to_say_before_the_first_sync),
-		OPERATIONAL(test_type_252_forgets_its_sample_when_operational_begins),
-		OPERATIONAL(test_an_event_driven_pdo_can_be_asked_for_too),
+		OPERATIONAL(test_type_253_is_sent_on_request_with_the_current_values),
+		OPERATIONAL(test_type_252_is_sent_on_request_with_the_values_of_the_last_sync),
+		OPERATIONAL(test_type_252_is_not_sent_before_the_first_sync),
+		OPERATIONAL(test_type_252_is_not_sent_before_a_sync_in_the_new_operational_state),
+		OPERATIONAL(test_an_event_driven_pdo_is_sent_on_request_too),
 		OPERATIONAL(test_a_request_within_the_inhibit_time_waits_for_it),
-		OPERATIONAL(test_a_synchronous_pdo_cannot_be_asked_for),
-		OPERATIONAL(test_with_the_no_rtr_bit_a_pdo_cannot_be_asked_for),
-		OPERATIONAL(test_pdos_can_be_asked_for_in_operational_only),
-		OPERATIONAL(test_the_bus_is_asked_for_the_requests),
+		OPERATIONAL(test_a_synchronous_pdo_is_not_sent_on_request),
+		OPERATIONAL(test_with_the_no_rtr_bit_a_pdo_is_not_sent_on_request),
+		OPERATIONAL(test_pdos_are_sent_on_request_in_operational_only),
+		OPERATIONAL(test_the_receive_filter_has_the_remote_requests),
 		OPERATIONAL(test_tpdo_5_to_8_are_invalid_and_empty_until_configured),
 		OPERATIONAL(test_tpdo_8_can_be_configured_and_is_sent_after_the_others),
 		OPERATIONAL(test_a_pdo_is_not_made_valid_without_an_identifier),

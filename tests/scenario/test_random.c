@@ -195,7 +195,7 @@ static void wait_for_the_bit_rate(struct bus *bus)
 		bus_run(bus, bus->deadline_us - bus->now_us);
 }
 
-static void test_random_steps_neither_break_nor_jam_the_node(void **state)
+static void test_random_steps_neither_break_nor_block_the_node(void **state)
 {
 	struct bus *bus = *state;
 	uint32_t seed = 20261122;
@@ -1312,7 +1312,7 @@ static void run_seed(struct reference *r, uint32_t seed)
 	sequence_under_way = 0;
 }
 
-static void test_ten_thousand_sequences_of_legal_and_illegal_steps_do_what_the_model_says(void **state)
+static void test_ten_thousand_sequences_of_legal_and_illegal_steps_agree_with_the_model(void **state)
 {
 	struct reference *r = test_calloc(1, sizeof(*r));
 	const char *seed = getenv("IMU9_SEED"), *count = getenv("IMU9_SEQUENCES");
@@ -1333,8 +1333,8 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_teardown(
-			test_ten_thousand_sequences_of_legal_and_illegal_steps_do_what_the_model_says, say_where),
-		PRE_OPERATIONAL(test_random_steps_neither_break_nor_jam_the_node),
+			test_ten_thousand_sequences_of_legal_and_illegal_steps_agree_with_the_model, say_where),
+		PRE_OPERATIONAL(test_random_steps_neither_break_nor_block_the_node),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -80,7 +80,7 @@ static void test_pdos_are_received_in_operational_only(void **state)
 	expect_velocity(bus, 1, 1, 1, 1);
 }
 
-static void test_an_invalid_pdo_is_not_received_nor_asked_of_the_bus(void **state)
+static void test_an_invalid_pdo_is_neither_received_nor_in_the_receive_filter(void **state)
 {
 	struct bus *bus = *state;
 
@@ -103,7 +103,7 @@ static void test_a_pdo_with_nothing_mapped_is_not_received(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_another_identifier_is_listened_to_at_once(void **state)
+static void test_a_new_identifier_is_received_at_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -128,7 +128,7 @@ static void test_two_pdos_may_share_an_identifier(void **state)
 	assert_int_equal(bus->values.commands, 5);
 }
 
-static void test_remote_and_29_bit_frames_are_no_pdos(void **state)
+static void test_remote_and_29_bit_frames_are_not_pdos(void **state)
 {
 	struct bus *bus = *state;
 	const struct can_msg extended = {.id = 0x210, .len = 8, .extended = true, .data = {1, 1, 1, 1, 1, 1, 1, 1}};
@@ -139,7 +139,7 @@ static void test_remote_and_29_bit_frames_are_no_pdos(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_reset_communication_brings_the_default_parameters_back(void **state)
+static void test_reset_communication_restores_the_default_parameters(void **state)
 {
 	struct bus *bus = *state;
 
@@ -154,7 +154,7 @@ static void test_reset_communication_brings_the_default_parameters_back(void **s
 
 /* ---- synchronous ------------------------------------------------------------------------------------------------- */
 
-static void test_types_254_and_255_take_effect_at_once(void **state)
+static void test_types_254_and_255_are_applied_at_once(void **state)
 {
 	struct bus *bus = *state;
 
@@ -166,7 +166,7 @@ static void test_types_254_and_255_take_effect_at_once(void **state)
 	}
 }
 
-static void test_types_0_to_240_take_effect_with_the_next_sync_whatever_the_number(void **state)
+static void test_types_0_to_240_are_all_applied_at_the_next_sync(void **state)
 {
 	struct bus *bus = *state;
 	static const uint8_t types[] = {0, 1, 2, 239, 240};
@@ -183,7 +183,7 @@ static void test_types_0_to_240_take_effect_with_the_next_sync_whatever_the_numb
 	}
 }
 
-static void test_of_several_before_one_sync_the_last_counts(void **state)
+static void test_of_several_pdos_before_one_sync_the_last_is_applied(void **state)
 {
 	struct bus *bus = *state;
 
@@ -207,7 +207,7 @@ static void test_a_sync_without_a_pdo_before_it_changes_nothing(void **state)
 	assert_int_equal(bus->values.commands, 3);
 }
 
-static void test_what_waits_for_a_sync_is_forgotten_when_operational_begins_anew(void **state)
+static void test_a_pdo_that_waits_for_a_sync_is_dropped_when_operational_is_left(void **state)
 {
 	struct bus *bus = *state;
 
@@ -238,7 +238,7 @@ static void test_a_synchronous_pdo_after_the_window_is_discarded_until_the_next_
 	assert_int_equal(bus->values.commands, 5);
 }
 
-static void test_the_window_does_not_concern_a_pdo_that_takes_effect_at_once(void **state)
+static void test_the_window_does_not_apply_to_an_event_driven_pdo(void **state)
 {
 	struct bus *bus = *state;
 
@@ -249,7 +249,7 @@ static void test_the_window_does_not_concern_a_pdo_that_takes_effect_at_once(voi
 	assert_int_equal(bus->values.commands, 5);
 }
 
-static void test_with_a_sync_of_ones_own_the_window_holds_too(void **state)
+static void test_the_window_applies_to_the_sync_of_a_producer_too(void **state)
 {
 	struct bus *bus = *state;
 
@@ -269,7 +269,7 @@ static void test_with_a_sync_of_ones_own_the_window_holds_too(void **state)
 	assert_int_equal(bus->values.commands, 3);
 }
 
-static void test_at_a_sync_the_tpdos_go_out_before_what_was_received_takes_effect(void **state)
+static void test_at_a_sync_the_tpdos_are_sent_before_the_rpdos_are_applied(void **state)
 {
 	struct bus *bus = *state;
 
@@ -300,7 +300,7 @@ static void test_before_the_first_sync_there_is_no_window(void **state)
 
 /* ---- length ------------------------------------------------------------------------------------------------------ */
 
-static void test_a_pdo_that_is_too_short_is_not_used_and_told_once_by_8210h_until_one_is_right(void **state)
+static void test_a_pdo_that_is_too_short_is_not_used_and_raises_8210h_until_a_correct_one(void **state)
 {
 	struct bus *bus = *state;
 
@@ -314,7 +314,7 @@ static void test_a_pdo_that_is_too_short_is_not_used_and_told_once_by_8210h_unti
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
-static void test_a_pdo_that_is_too_long_is_used_as_far_as_mapped_and_told_by_8220h(void **state)
+static void test_of_a_pdo_that_is_too_long_the_mapped_bytes_are_used_and_it_raises_8220h(void **state)
 {
 	struct bus *bus = *state;
 
@@ -337,7 +337,7 @@ static void test_each_pdo_has_its_own_length_error(void **state)
 	bus_exchange(bus, "310 00 00 00 00 00 00 00 00", "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_the_length_of_a_synchronous_pdo_is_checked_when_it_comes(void **state)
+static void test_the_length_of_a_synchronous_pdo_is_checked_at_reception(void **state)
 {
 	struct bus *bus = *state;
 
@@ -358,7 +358,7 @@ static void test_a_length_error_ends_with_a_new_configuration_of_the_pdo(void **
 
 /* ---- event timer: deadline monitoring ---------------------------------------------------------------------------- */
 
-static void test_a_pdo_that_stays_away_for_its_event_timer_is_told_by_8250h_and_its_return_too(void **state)
+static void test_a_pdo_missing_for_its_event_time_raises_8250h_until_the_next_one(void **state)
 {
 	struct bus *bus = *state;
 	uint64_t received_us;
@@ -374,7 +374,7 @@ static void test_a_pdo_that_stays_away_for_its_event_timer_is_told_by_8250h_and_
 	bus_exchange(bus, "510 00 00", "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_the_monitoring_begins_with_the_first_reception(void **state)
+static void test_the_event_timer_starts_with_the_first_reception(void **state)
 {
 	struct bus *bus = *state;
 
@@ -383,7 +383,7 @@ static void test_the_monitoring_begins_with_the_first_reception(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_each_reception_starts_the_event_timer_anew(void **state)
+static void test_each_reception_restarts_the_event_timer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -407,7 +407,7 @@ static void test_a_pdo_that_is_not_used_does_not_count_as_received(void **state)
 	bus_expect(bus, "090 50 82 11 03 14 00 00 00");
 }
 
-static void test_the_event_timer_may_change_while_the_pdo_is_valid_and_holds_from_the_next_reception(void **state)
+static void test_the_event_timer_may_change_while_the_pdo_is_valid_and_starts_with_the_next_reception(void **state)
 {
 	struct bus *bus = *state;
 
@@ -423,7 +423,7 @@ static void test_the_event_timer_may_change_while_the_pdo_is_valid_and_holds_fro
 	bus_expect(bus, "090 50 82 11 03 14 00 00 00");
 }
 
-static void test_switching_the_event_timer_off_ends_the_error(void **state)
+static void test_disabling_the_event_timer_ends_the_error(void **state)
 {
 	struct bus *bus = *state;
 
@@ -435,7 +435,7 @@ static void test_switching_the_event_timer_off_ends_the_error(void **state)
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
 }
 
-static void test_nothing_is_monitored_outside_operational(void **state)
+static void test_the_event_timer_runs_in_operational_only(void **state)
 {
 	struct bus *bus = *state;
 
@@ -448,7 +448,7 @@ static void test_nothing_is_monitored_outside_operational(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_pdo_that_stays_away_leaves_the_node_operational(void **state)
+static void test_a_missing_pdo_leaves_the_node_operational(void **state)
 {
 	struct bus *bus = *state;
 
@@ -474,7 +474,7 @@ static void test_reset_communication_ends_the_errors_of_pdos(void **state)
 
 /* ---- content ----------------------------------------------------------------------------------------------------- */
 
-static void test_a_pdo_with_a_value_beyond_its_limits_is_not_used_at_all_and_names_the_object_by_8200h(void **state)
+static void test_a_pdo_with_a_value_beyond_its_limits_is_not_used_and_raises_8200h_with_the_object(void **state)
 {
 	struct bus *bus = *state;
 
@@ -501,7 +501,7 @@ static enum od_status refuse_yaw(void *ctx, const struct od_entry *entry, const 
 	return entry->sub == 1 ? OD_DEVICE_STATE : OD_OK;
 }
 
-static void test_a_value_that_the_device_refuses_is_told_the_same_way(void **state)
+static void test_a_value_that_the_device_refuses_raises_8200h(void **state)
 {
 	struct bus *bus = *state;
 	struct od_hook hook = {.first = 0x2071, .last = 0x2071, .before = refuse_yaw};
@@ -524,7 +524,7 @@ static void test_the_identifier_changes_only_while_the_pdo_is_invalid(void **sta
 	assert_int_equal(bus_read(bus, 0x1400, 1), 0x212);
 }
 
-static void test_bit_30_does_not_matter(void **state)
+static void test_bit_30_of_the_cob_id_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -557,7 +557,7 @@ static void test_types_241_to_253_are_refused(void **state)
 		assert_int_equal(bus_write(bus, 0x1400, 2, 1, type), type >= 241 && type <= 253 ? 0x06090030 : 0);
 }
 
-static void test_sub_indices_3_4_and_6_are_those_of_tpdos(void **state)
+static void test_sub_indices_3_4_and_6_do_not_exist(void **state)
 {
 	struct bus *bus = *state;
 
@@ -586,7 +586,7 @@ static void test_the_mapping_procedure_changes_what_is_received(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_dummies_take_their_place_and_go_nowhere(void **state)
+static void test_the_bytes_of_a_dummy_entry_are_skipped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -614,7 +614,7 @@ static void test_the_dummies_are_those_that_the_eds_allows(void **state)
 	assert_int_equal(bus_write(bus, 0x1600, 1, 4, 0x00050010), 0x06040041);
 }
 
-static void test_what_does_not_exist_cannot_be_mapped(void **state)
+static void test_an_unknown_object_cannot_be_mapped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -623,7 +623,7 @@ static void test_what_does_not_exist_cannot_be_mapped(void **state)
 	bus_exchange(bus, "610 23 00 16 01 10 0F 70 20", "590 80 00 16 01 00 00 02 06");
 }
 
-static void test_what_is_only_for_tpdos_or_for_no_pdo_cannot_be_mapped(void **state)
+static void test_an_object_that_is_not_for_rpdos_cannot_be_mapped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -641,7 +641,7 @@ static void test_an_object_for_rpdos_cannot_be_mapped_into_a_tpdo(void **state)
 	assert_int_equal(bus_write(bus, 0x1A04, 1, 4, 0x00050008), 0x06020000); /* nor a dummy */
 }
 
-static void test_an_object_is_mapped_whole(void **state)
+static void test_an_object_can_only_be_mapped_with_its_full_length(void **state)
 {
 	struct bus *bus = *state;
 
@@ -672,7 +672,7 @@ static void test_more_than_eight_objects_are_too_many(void **state)
 	assert_int_equal(bus_write(bus, 0x1600, 0, 1, 254), 0x06090031); /* no multiplexed PDO */
 }
 
-static void test_an_empty_place_may_be_written_but_not_counted(void **state)
+static void test_an_entry_may_be_0_unless_it_is_counted(void **state)
 {
 	struct bus *bus = *state;
 
@@ -746,54 +746,54 @@ int main(void)
 		OPERATIONAL(test_a_pdo_is_written_into_the_dictionary_little_endian_and_signed),
 		OPERATIONAL(test_real_values_are_received),
 		PRE_OPERATIONAL(test_pdos_are_received_in_operational_only),
-		OPERATIONAL(test_an_invalid_pdo_is_not_received_nor_asked_of_the_bus),
+		OPERATIONAL(test_an_invalid_pdo_is_neither_received_nor_in_the_receive_filter),
 		OPERATIONAL(test_a_pdo_with_nothing_mapped_is_not_received),
-		OPERATIONAL(test_another_identifier_is_listened_to_at_once),
+		OPERATIONAL(test_a_new_identifier_is_received_at_once),
 		OPERATIONAL(test_two_pdos_may_share_an_identifier),
-		OPERATIONAL(test_remote_and_29_bit_frames_are_no_pdos),
-		OPERATIONAL(test_reset_communication_brings_the_default_parameters_back),
-		OPERATIONAL(test_types_254_and_255_take_effect_at_once),
-		OPERATIONAL(test_types_0_to_240_take_effect_with_the_next_sync_whatever_the_number),
-		OPERATIONAL(test_of_several_before_one_sync_the_last_counts),
+		OPERATIONAL(test_remote_and_29_bit_frames_are_not_pdos),
+		OPERATIONAL(test_reset_communication_restores_the_default_parameters),
+		OPERATIONAL(test_types_254_and_255_are_applied_at_once),
+		OPERATIONAL(test_types_0_to_240_are_all_applied_at_the_next_sync),
+		OPERATIONAL(test_of_several_pdos_before_one_sync_the_last_is_applied),
 		OPERATIONAL(test_a_sync_without_a_pdo_before_it_changes_nothing),
-		OPERATIONAL(test_what_waits_for_a_sync_is_forgotten_when_operational_begins_anew),
+		OPERATIONAL(test_a_pdo_that_waits_for_a_sync_is_dropped_when_operational_is_left),
 		OPERATIONAL(test_a_synchronous_pdo_after_the_window_is_discarded_until_the_next_sync),
-		OPERATIONAL(test_the_window_does_not_concern_a_pdo_that_takes_effect_at_once),
-		OPERATIONAL(test_with_a_sync_of_ones_own_the_window_holds_too),
-		OPERATIONAL(test_at_a_sync_the_tpdos_go_out_before_what_was_received_takes_effect),
+		OPERATIONAL(test_the_window_does_not_apply_to_an_event_driven_pdo),
+		OPERATIONAL(test_the_window_applies_to_the_sync_of_a_producer_too),
+		OPERATIONAL(test_at_a_sync_the_tpdos_are_sent_before_the_rpdos_are_applied),
 		OPERATIONAL(test_before_the_first_sync_there_is_no_window),
-		OPERATIONAL(test_a_pdo_that_is_too_short_is_not_used_and_told_once_by_8210h_until_one_is_right),
-		OPERATIONAL(test_a_pdo_that_is_too_long_is_used_as_far_as_mapped_and_told_by_8220h),
+		OPERATIONAL(test_a_pdo_that_is_too_short_is_not_used_and_raises_8210h_until_a_correct_one),
+		OPERATIONAL(test_of_a_pdo_that_is_too_long_the_mapped_bytes_are_used_and_it_raises_8220h),
 		OPERATIONAL(test_each_pdo_has_its_own_length_error),
-		OPERATIONAL(test_the_length_of_a_synchronous_pdo_is_checked_when_it_comes),
+		OPERATIONAL(test_the_length_of_a_synchronous_pdo_is_checked_at_reception),
 		OPERATIONAL(test_a_length_error_ends_with_a_new_configuration_of_the_pdo),
-		OPERATIONAL(test_a_pdo_that_stays_away_for_its_event_timer_is_told_by_8250h_and_its_return_too),
-		OPERATIONAL(test_the_monitoring_begins_with_the_first_reception),
-		OPERATIONAL(test_each_reception_starts_the_event_timer_anew),
+		OPERATIONAL(test_a_pdo_missing_for_its_event_time_raises_8250h_until_the_next_one),
+		OPERATIONAL(test_the_event_timer_starts_with_the_first_reception),
+		OPERATIONAL(test_each_reception_restarts_the_event_timer),
 		OPERATIONAL(test_a_pdo_that_is_not_used_does_not_count_as_received),
-		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid_and_holds_from_the_next_reception),
-		OPERATIONAL(test_switching_the_event_timer_off_ends_the_error),
-		OPERATIONAL(test_nothing_is_monitored_outside_operational),
-		OPERATIONAL(test_a_pdo_that_stays_away_leaves_the_node_operational),
+		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid_and_starts_with_the_next_reception),
+		OPERATIONAL(test_disabling_the_event_timer_ends_the_error),
+		OPERATIONAL(test_the_event_timer_runs_in_operational_only),
+		OPERATIONAL(test_a_missing_pdo_leaves_the_node_operational),
 		OPERATIONAL(test_reset_communication_ends_the_errors_of_pdos),
-		OPERATIONAL(test_a_pdo_with_a_value_beyond_its_limits_is_not_used_at_all_and_names_the_object_by_8200h),
+		OPERATIONAL(test_a_pdo_with_a_value_beyond_its_limits_is_not_used_and_raises_8200h_with_the_object),
 		OPERATIONAL(test_not_a_number_is_refused),
-		OPERATIONAL(test_a_value_that_the_device_refuses_is_told_the_same_way),
+		OPERATIONAL(test_a_value_that_the_device_refuses_raises_8200h),
 		OPERATIONAL(test_the_identifier_changes_only_while_the_pdo_is_invalid),
-		OPERATIONAL(test_bit_30_does_not_matter),
+		OPERATIONAL(test_bit_30_of_the_cob_id_is_ignored),
 		PRE_OPERATIONAL(test_29_bit_and_restricted_identifiers_are_refused),
 		PRE_OPERATIONAL(test_types_241_to_253_are_refused),
-		OPERATIONAL(test_sub_indices_3_4_and_6_are_those_of_tpdos),
+		OPERATIONAL(test_sub_indices_3_4_and_6_do_not_exist),
 		PRE_OPERATIONAL(test_the_mapping_procedure_changes_what_is_received),
-		OPERATIONAL(test_dummies_take_their_place_and_go_nowhere),
+		OPERATIONAL(test_the_bytes_of_a_dummy_entry_are_skipped),
 		OPERATIONAL(test_the_dummies_are_those_that_the_eds_allows),
-		OPERATIONAL(test_what_does_not_exist_cannot_be_mapped),
-		OPERATIONAL(test_what_is_only_for_tpdos_or_for_no_pdo_cannot_be_mapped),
+		OPERATIONAL(test_an_unknown_object_cannot_be_mapped),
+		OPERATIONAL(test_an_object_that_is_not_for_rpdos_cannot_be_mapped),
 		OPERATIONAL(test_an_object_for_rpdos_cannot_be_mapped_into_a_tpdo),
-		OPERATIONAL(test_an_object_is_mapped_whole),
+		OPERATIONAL(test_an_object_can_only_be_mapped_with_its_full_length),
 		OPERATIONAL(test_eight_bytes_may_be_mapped_and_nine_may_not),
 		OPERATIONAL(test_more_than_eight_objects_are_too_many),
-		OPERATIONAL(test_an_empty_place_may_be_written_but_not_counted),
+		OPERATIONAL(test_an_entry_may_be_0_unless_it_is_counted),
 		OPERATIONAL(test_the_mapping_of_a_valid_pdo_cannot_be_written),
 		OPERATIONAL(test_an_entry_cannot_be_written_while_sub_index_0_is_not_0),
 		OPERATIONAL(test_the_checks_are_the_same_in_operational_and_pre_operational),

@@ -15,7 +15,7 @@ static void test_an_upload_of_1_2_and_4_bytes_is_expedited(void **state)
 	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
 }
 
-static void test_a_download_with_its_size_said_is_written(void **state)
+static void test_a_download_with_an_indicated_size_is_written(void **state)
 {
 	struct bus *bus = *state;
 
@@ -26,7 +26,7 @@ static void test_a_download_with_its_size_said_is_written(void **state)
 	bus_exchange(bus, "610 40 00 20 01 00 00 00 00", "590 43 00 20 01 00 00 80 3F");
 }
 
-static void test_a_download_without_its_size_takes_that_of_the_object(void **state)
+static void test_a_download_without_a_size_has_that_of_the_object(void **state)
 {
 	struct bus *bus = *state;
 
@@ -34,7 +34,7 @@ static void test_a_download_without_its_size_takes_that_of_the_object(void **sta
 	bus_exchange(bus, "610 40 01 20 00 00 00 00 00", "590 4F 01 20 00 01 00 00 00");
 }
 
-static void test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stands(void **state)
+static void test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stays(void **state)
 {
 	struct bus *bus = *state;
 
@@ -53,7 +53,7 @@ static void test_a_wrong_size_is_refused(void **state)
 	bus_exchange(bus, "610 2B 00 20 01 01 00 00 00", "590 80 00 20 01 13 00 07 06");
 }
 
-static void test_what_is_not_in_the_dictionary_is_refused(void **state)
+static void test_an_unknown_object_or_sub_index_is_refused(void **state)
 {
 	struct bus *bus = *state;
 
@@ -63,7 +63,7 @@ static void test_what_is_not_in_the_dictionary_is_refused(void **state)
 	bus_exchange(bus, "610 2F 00 20 04 00 00 00 00", "590 80 00 20 04 11 00 09 06");
 }
 
-static void test_access_rights_are_kept(void **state)
+static void test_access_rights_are_enforced(void **state)
 {
 	struct bus *bus = *state;
 
@@ -84,7 +84,7 @@ static void test_a_string_is_uploaded_in_segments_of_7_bytes(void **state)
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 03 61 74 65 77 61 79 00"); /* ateway */
 }
 
-static void test_after_the_last_segment_the_transfer_is_over(void **state)
+static void test_the_last_segment_ends_the_transfer(void **state)
 {
 	struct bus *bus = *state;
 
@@ -108,7 +108,7 @@ static void test_an_empty_string_is_uploaded_as_one_empty_segment(void **state)
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 0F 00 00 00 00 00 00 00");
 }
 
-static void test_a_segmented_upload_shows_the_value_of_its_beginning(void **state)
+static void test_a_segmented_upload_reads_the_value_as_it_was_at_its_start(void **state)
 {
 	struct bus *bus = *state;
 	const struct od_entry *entry = od_find(bus->od.table, 0x1009, 0, NULL);
@@ -171,7 +171,7 @@ static void test_a_segmented_download_is_written_with_its_last_segment(void **st
 	bus_expect_nothing(bus);
 }
 
-static void test_a_segmented_download_needs_no_size(void **state)
+static void test_a_segmented_download_without_a_size_is_written(void **state)
 {
 	struct bus *bus = *state;
 
@@ -198,7 +198,7 @@ static void test_access_is_refused_before_any_segment(void **state)
 	bus_exchange(bus, "610 21 00 20 09 04 00 00 00", "590 80 00 20 09 11 00 09 06");
 }
 
-static void test_more_than_the_size_said_is_too_long(void **state)
+static void test_more_bytes_than_the_indicated_size_are_too_long(void **state)
 {
 	struct bus *bus = *state;
 
@@ -207,7 +207,7 @@ static void test_more_than_the_size_said_is_too_long(void **state)
 	assert_true(bus->values.lever_arm.l == 0);
 }
 
-static void test_segments_that_together_exceed_the_size_said_are_too_long(void **state)
+static void test_segments_that_together_exceed_the_indicated_size_are_too_long(void **state)
 {
 	struct bus *bus = *state;
 
@@ -216,7 +216,7 @@ static void test_segments_that_together_exceed_the_size_said_are_too_long(void *
 	bus_exchange(bus, "610 18 80 3F 00 00 00 00 00", "590 80 00 20 01 12 00 07 06");
 }
 
-static void test_a_transfer_begun_anew_begins_at_the_beginning(void **state)
+static void test_a_restarted_transfer_starts_with_the_first_byte(void **state)
 {
 	struct bus *bus = *state;
 
@@ -231,7 +231,7 @@ static void test_a_transfer_begun_anew_begins_at_the_beginning(void **state)
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
 }
 
-static void test_less_than_the_size_said_is_too_short(void **state)
+static void test_fewer_bytes_than_the_indicated_size_are_too_short(void **state)
 {
 	struct bus *bus = *state;
 
@@ -240,7 +240,7 @@ static void test_less_than_the_size_said_is_too_short(void **state)
 	assert_true(bus->values.lever_arm.l == 0);
 }
 
-static void test_without_a_size_the_object_limits_the_download(void **state)
+static void test_a_download_without_a_size_is_limited_by_the_object(void **state)
 {
 	struct bus *bus = *state;
 
@@ -250,7 +250,7 @@ static void test_without_a_size_the_object_limits_the_download(void **state)
 	bus_exchange(bus, "610 09 00 00 80 00 00 00 00", "590 80 00 20 01 13 00 07 06");
 }
 
-static void test_a_string_may_be_shorter_than_its_place_but_not_than_the_size_said(void **state)
+static void test_a_string_may_be_shorter_than_its_object_but_not_than_the_indicated_size(void **state)
 {
 	struct bus *bus = *state;
 	const char *text = bus_writable_string(bus);
@@ -263,7 +263,7 @@ static void test_a_string_may_be_shorter_than_its_place_but_not_than_the_size_sa
 	bus_exchange(bus, "610 21 09 10 00 21 00 00 00", "590 80 09 10 00 12 00 07 06"); /* 33 */
 }
 
-static void test_the_limits_hold_in_a_segmented_download(void **state)
+static void test_the_limits_of_an_object_apply_to_a_segmented_download(void **state)
 {
 	struct bus *bus = *state;
 
@@ -326,7 +326,7 @@ static void test_an_upload_without_a_segment_for_a_second_times_out(void **state
 	bus_expect(bus, "590 80 08 10 00 00 00 04 05");
 }
 
-static void test_the_clients_abort_ends_the_transfer_without_an_answer(void **state)
+static void test_an_abort_of_the_client_ends_the_transfer_without_a_response(void **state)
 {
 	struct bus *bus = *state;
 
@@ -337,7 +337,7 @@ static void test_the_clients_abort_ends_the_transfer_without_an_answer(void **st
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 80 00 00 00 01 00 04 05");
 }
 
-static void test_an_abort_of_nothing_is_ignored(void **state)
+static void test_an_abort_without_a_transfer_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -345,7 +345,7 @@ static void test_an_abort_of_nothing_is_ignored(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_new_request_in_the_midst_of_a_transfer_is_served(void **state)
+static void test_a_new_request_during_a_transfer_is_served(void **state)
 {
 	struct bus *bus = *state;
 
@@ -394,7 +394,7 @@ static void test_a_request_of_wrong_length_is_ignored(void **state)
 	bus_exchange(bus, "610 60 00 00 00 00 00 00 00", "590 00 49 4D 55 39 20 43 41");
 }
 
-static void test_bits_and_bytes_that_mean_nothing_are_ignored(void **state)
+static void test_reserved_bits_and_bytes_are_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -407,7 +407,7 @@ static void test_bits_and_bytes_that_mean_nothing_are_ignored(void **state)
 	bus_exchange(bus, "610 7F EE EE EE EE EE EE EE", "590 10 4E 6F 70 65 6E 20 67");
 }
 
-static void test_a_request_to_another_node_is_not_answered(void **state)
+static void test_a_request_to_another_node_has_no_response(void **state)
 {
 	struct bus *bus = *state;
 
@@ -416,7 +416,7 @@ static void test_a_request_to_another_node_is_not_answered(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_extended_and_remote_frames_are_not_sdo(void **state)
+static void test_extended_and_remote_frames_are_not_sdo_requests(void **state)
 {
 	struct bus *bus = *state;
 	struct can_msg request = {.id = 0x610, .len = 8, .data = {0x40, 0x00, 0x10}};
@@ -457,7 +457,7 @@ static void test_every_status_of_the_dictionary_has_its_abort_code(void **state)
 	(void)state;
 }
 
-static void test_every_object_reads_back_over_sdo_what_the_dictionary_holds(void **state)
+static void test_every_object_reads_by_sdo_as_in_the_dictionary(void **state)
 {
 	struct bus *bus = *state;
 
@@ -496,7 +496,7 @@ static void test_the_second_channel_is_closed_until_configured(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_second_channel_answers_on_its_own_identifier(void **state)
+static void test_the_second_channel_responds_with_its_own_identifier(void **state)
 {
 	struct bus *bus = *state;
 
@@ -534,7 +534,7 @@ static void test_each_channel_has_its_own_timeout(void **state)
 	bus_expect(bus, "6A1 80 08 10 00 00 00 04 05");
 }
 
-static void test_the_second_channel_gets_the_answer_of_its_own_store(void **state)
+static void test_the_second_channel_receives_the_response_of_its_own_store(void **state)
 {
 	struct bus *bus = *state;
 
@@ -568,7 +568,7 @@ static void test_restricted_29_bit_and_dynamic_identifiers_of_the_second_channel
 	assert_int_equal(bus_write(bus, 0x1201, 2, 4, 0x591), 0x06090030);
 }
 
-static void test_a_channel_that_closes_itself_still_answers(void **state)
+static void test_a_client_that_closes_its_own_channel_receives_the_response(void **state)
 {
 	struct bus *bus = *state;
 
@@ -608,52 +608,52 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		PRE_OPERATIONAL(test_an_upload_of_1_2_and_4_bytes_is_expedited),
-		PRE_OPERATIONAL(test_a_download_with_its_size_said_is_written),
-		PRE_OPERATIONAL(test_a_download_without_its_size_takes_that_of_the_object),
-		PRE_OPERATIONAL(test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stands),
+		PRE_OPERATIONAL(test_a_download_with_an_indicated_size_is_written),
+		PRE_OPERATIONAL(test_a_download_without_a_size_has_that_of_the_object),
+		PRE_OPERATIONAL(test_a_value_below_or_above_its_limits_is_refused_and_the_old_one_stays),
 		PRE_OPERATIONAL(test_a_wrong_size_is_refused),
-		PRE_OPERATIONAL(test_what_is_not_in_the_dictionary_is_refused),
-		PRE_OPERATIONAL(test_access_rights_are_kept),
+		PRE_OPERATIONAL(test_an_unknown_object_or_sub_index_is_refused),
+		PRE_OPERATIONAL(test_access_rights_are_enforced),
 		PRE_OPERATIONAL(test_a_string_is_uploaded_in_segments_of_7_bytes),
-		PRE_OPERATIONAL(test_after_the_last_segment_the_transfer_is_over),
+		PRE_OPERATIONAL(test_the_last_segment_ends_the_transfer),
 		PRE_OPERATIONAL(test_an_empty_string_is_uploaded_as_one_empty_segment),
-		PRE_OPERATIONAL(test_a_segmented_upload_shows_the_value_of_its_beginning),
+		PRE_OPERATIONAL(test_a_segmented_upload_reads_the_value_as_it_was_at_its_start),
 		PRE_OPERATIONAL(test_a_domain_is_uploaded_from_its_memory),
 		PRE_OPERATIONAL(test_a_domain_that_is_read_only_cannot_be_written),
 		PRE_OPERATIONAL(test_a_segmented_download_is_written_with_its_last_segment),
-		PRE_OPERATIONAL(test_a_segmented_download_needs_no_size),
+		PRE_OPERATIONAL(test_a_segmented_download_without_a_size_is_written),
 		PRE_OPERATIONAL(test_a_wrong_size_is_refused_before_any_segment),
 		PRE_OPERATIONAL(test_access_is_refused_before_any_segment),
-		PRE_OPERATIONAL(test_more_than_the_size_said_is_too_long),
-		PRE_OPERATIONAL(test_segments_that_together_exceed_the_size_said_are_too_long),
-		PRE_OPERATIONAL(test_a_transfer_begun_anew_begins_at_the_beginning),
-		PRE_OPERATIONAL(test_less_than_the_size_said_is_too_short),
-		PRE_OPERATIONAL(test_without_a_size_the_object_limits_the_download),
-		PRE_OPERATIONAL(test_a_string_may_be_shorter_than_its_place_but_not_than_the_size_said),
-		PRE_OPERATIONAL(test_the_limits_hold_in_a_segmented_download),
+		PRE_OPERATIONAL(test_more_bytes_than_the_indicated_size_are_too_long),
+		PRE_OPERATIONAL(test_segments_that_together_exceed_the_indicated_size_are_too_long),
+		PRE_OPERATIONAL(test_a_restarted_transfer_starts_with_the_first_byte),
+		PRE_OPERATIONAL(test_fewer_bytes_than_the_indicated_size_are_too_short),
+		PRE_OPERATIONAL(test_a_download_without_a_size_is_limited_by_the_object),
+		PRE_OPERATIONAL(test_a_string_may_be_shorter_than_its_object_but_not_than_the_indicated_size),
+		PRE_OPERATIONAL(test_the_limits_of_an_object_apply_to_a_segmented_download),
 		PRE_OPERATIONAL(test_a_wrong_toggle_in_an_upload_aborts_it),
 		PRE_OPERATIONAL(test_a_wrong_toggle_in_a_download_aborts_it),
 		PRE_OPERATIONAL(test_a_download_without_a_segment_for_a_second_times_out),
 		PRE_OPERATIONAL(test_an_upload_without_a_segment_for_a_second_times_out),
-		PRE_OPERATIONAL(test_the_clients_abort_ends_the_transfer_without_an_answer),
-		PRE_OPERATIONAL(test_an_abort_of_nothing_is_ignored),
-		PRE_OPERATIONAL(test_a_new_request_in_the_midst_of_a_transfer_is_served),
+		PRE_OPERATIONAL(test_an_abort_of_the_client_ends_the_transfer_without_a_response),
+		PRE_OPERATIONAL(test_an_abort_without_a_transfer_is_ignored),
+		PRE_OPERATIONAL(test_a_new_request_during_a_transfer_is_served),
 		PRE_OPERATIONAL(test_an_unknown_command_is_refused_and_ends_the_transfer),
 		PRE_OPERATIONAL(test_a_segment_of_the_other_direction_is_refused),
 		PRE_OPERATIONAL(test_a_request_of_wrong_length_is_ignored),
-		PRE_OPERATIONAL(test_bits_and_bytes_that_mean_nothing_are_ignored),
-		PRE_OPERATIONAL(test_a_request_to_another_node_is_not_answered),
-		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo),
+		PRE_OPERATIONAL(test_reserved_bits_and_bytes_are_ignored),
+		PRE_OPERATIONAL(test_a_request_to_another_node_has_no_response),
+		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo_requests),
 		cmocka_unit_test(test_every_status_of_the_dictionary_has_its_abort_code),
-		PRE_OPERATIONAL(test_every_object_reads_back_over_sdo_what_the_dictionary_holds),
+		PRE_OPERATIONAL(test_every_object_reads_by_sdo_as_in_the_dictionary),
 		PRE_OPERATIONAL(test_the_second_channel_is_closed_until_configured),
-		PRE_OPERATIONAL(test_the_second_channel_answers_on_its_own_identifier),
+		PRE_OPERATIONAL(test_the_second_channel_responds_with_its_own_identifier),
 		PRE_OPERATIONAL(test_both_channels_transfer_at_the_same_time),
 		PRE_OPERATIONAL(test_each_channel_has_its_own_timeout),
-		PRE_OPERATIONAL(test_the_second_channel_gets_the_answer_of_its_own_store),
+		PRE_OPERATIONAL(test_the_second_channel_receives_the_response_of_its_own_store),
 		PRE_OPERATIONAL(test_an_identifier_of_the_second_channel_does_not_change_while_in_use),
 		PRE_OPERATIONAL(test_restricted_29_bit_and_dynamic_identifiers_of_the_second_channel_are_refused),
-		PRE_OPERATIONAL(test_a_channel_that_closes_itself_still_answers),
+		PRE_OPERATIONAL(test_a_client_that_closes_its_own_channel_receives_the_response),
 		PRE_OPERATIONAL(test_reset_communication_closes_the_second_channel),
 		cmocka_unit_test(test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_keeps_it_closed),
 	};

@@ -87,7 +87,7 @@ static uint8_t *set_domain(struct pair *pair, struct od_domain *domain)
 	return text;
 }
 
-static void test_every_readable_object_reads_as_the_dictionary_holds_it(void **state)
+static void test_the_client_reads_every_readable_object_as_in_the_dictionary(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -111,7 +111,7 @@ static void test_every_readable_object_reads_as_the_dictionary_holds_it(void **s
 	assert_true(compared > 100);
 }
 
-static void test_what_the_dictionary_refuses_to_read_is_aborted_for_the_same_reason(void **state)
+static void test_an_object_that_cannot_be_read_is_aborted_with_the_code_of_its_status(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -133,7 +133,7 @@ static void test_what_the_dictionary_refuses_to_read_is_aborted_for_the_same_rea
 	assert_true(refused > 0);
 }
 
-static void test_a_string_of_more_than_four_bytes_arrives_whole(void **state)
+static void test_a_string_of_more_than_four_bytes_is_read_completely(void **state)
 {
 	struct pair *pair = pair_new(*state);
 
@@ -142,7 +142,7 @@ static void test_a_string_of_more_than_four_bytes_arrives_whole(void **state)
 	assert_memory_equal(pair->value, "IMU9 CANopen gateway", pair->client.size);
 }
 
-static void test_a_long_domain_arrives_whole_seven_bytes_a_frame(void **state)
+static void test_a_long_domain_is_read_completely_with_seven_bytes_per_frame(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -156,7 +156,7 @@ static void test_a_long_domain_arrives_whole_seven_bytes_a_frame(void **state)
 	assert_int_equal(bus->sent_count - before, 1 + (DOMAIN_BYTES + 6) / 7);
 }
 
-static void test_a_long_domain_arrives_whole_in_blocks_whatever_segments_get_lost(void **state)
+static void test_a_long_domain_is_read_completely_in_blocks_with_any_segments_lost(void **state)
 {
 	struct bus *bus = *state;
 	struct od_domain domain;
@@ -185,7 +185,7 @@ static enum od_status keep(void *ctx, const uint8_t *data, size_t size)
 	return OD_OK;
 }
 
-static void test_a_long_domain_is_written_whole_in_blocks_whatever_segments_get_lost(void **state)
+static void test_a_long_domain_is_written_completely_in_blocks_with_any_segments_lost(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -207,7 +207,7 @@ static void test_a_long_domain_is_written_whole_in_blocks_whatever_segments_get_
 	}
 }
 
-static void test_a_written_value_stands_in_the_dictionary(void **state)
+static void test_a_written_value_is_in_the_dictionary(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -217,7 +217,7 @@ static void test_a_written_value_stands_in_the_dictionary(void **state)
 	assert_true(bus->values.lever_arm.l == lever_arm_l);
 }
 
-static void test_a_value_above_its_limit_is_aborted_and_the_old_one_stands(void **state)
+static void test_a_value_above_its_limit_is_aborted_and_the_old_one_stays(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -247,7 +247,7 @@ static void test_an_unknown_object_is_aborted(void **state)
 	assert_int_equal(pair->client.abort_code, 0x06090011);
 }
 
-static void test_a_lost_answer_ends_in_a_time_out_and_the_next_transfer_works(void **state)
+static void test_a_lost_response_is_a_timeout_and_the_next_transfer_succeeds(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -259,7 +259,7 @@ static void test_a_lost_answer_ends_in_a_time_out_and_the_next_transfer_works(vo
 	assert_int_equal(read_object(pair, 0x1000, 0), SDO_DONE);
 }
 
-static void test_a_segment_lost_in_mid_transfer_ends_in_a_time_out_and_the_next_transfer_works(void **state)
+static void test_a_lost_segment_is_a_timeout_and_the_next_transfer_succeeds(void **state)
 {
 	struct pair *pair = pair_new(*state);
 	struct od_domain domain;
@@ -272,7 +272,7 @@ static void test_a_segment_lost_in_mid_transfer_ends_in_a_time_out_and_the_next_
 	assert_int_equal(pair->client.size, DOMAIN_BYTES);
 }
 
-static void test_a_stopped_node_does_not_answer(void **state)
+static void test_a_stopped_node_does_not_respond(void **state)
 {
 	struct bus *bus = *state;
 	struct pair *pair = pair_new(bus);
@@ -284,19 +284,19 @@ static void test_a_stopped_node_does_not_answer(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		PRE_OPERATIONAL(test_every_readable_object_reads_as_the_dictionary_holds_it),
-		PRE_OPERATIONAL(test_what_the_dictionary_refuses_to_read_is_aborted_for_the_same_reason),
-		PRE_OPERATIONAL(test_a_string_of_more_than_four_bytes_arrives_whole),
-		PRE_OPERATIONAL(test_a_long_domain_arrives_whole_seven_bytes_a_frame),
-		PRE_OPERATIONAL(test_a_long_domain_arrives_whole_in_blocks_whatever_segments_get_lost),
-		PRE_OPERATIONAL(test_a_long_domain_is_written_whole_in_blocks_whatever_segments_get_lost),
-		PRE_OPERATIONAL(test_a_written_value_stands_in_the_dictionary),
-		PRE_OPERATIONAL(test_a_value_above_its_limit_is_aborted_and_the_old_one_stands),
+		PRE_OPERATIONAL(test_the_client_reads_every_readable_object_as_in_the_dictionary),
+		PRE_OPERATIONAL(test_an_object_that_cannot_be_read_is_aborted_with_the_code_of_its_status),
+		PRE_OPERATIONAL(test_a_string_of_more_than_four_bytes_is_read_completely),
+		PRE_OPERATIONAL(test_a_long_domain_is_read_completely_with_seven_bytes_per_frame),
+		PRE_OPERATIONAL(test_a_long_domain_is_read_completely_in_blocks_with_any_segments_lost),
+		PRE_OPERATIONAL(test_a_long_domain_is_written_completely_in_blocks_with_any_segments_lost),
+		PRE_OPERATIONAL(test_a_written_value_is_in_the_dictionary),
+		PRE_OPERATIONAL(test_a_value_above_its_limit_is_aborted_and_the_old_one_stays),
 		PRE_OPERATIONAL(test_a_value_of_too_many_bytes_is_aborted),
 		PRE_OPERATIONAL(test_an_unknown_object_is_aborted),
-		PRE_OPERATIONAL(test_a_lost_answer_ends_in_a_time_out_and_the_next_transfer_works),
-		PRE_OPERATIONAL(test_a_segment_lost_in_mid_transfer_ends_in_a_time_out_and_the_next_transfer_works),
-		PRE_OPERATIONAL(test_a_stopped_node_does_not_answer),
+		PRE_OPERATIONAL(test_a_lost_response_is_a_timeout_and_the_next_transfer_succeeds),
+		PRE_OPERATIONAL(test_a_lost_segment_is_a_timeout_and_the_next_transfer_succeeds),
+		PRE_OPERATIONAL(test_a_stopped_node_does_not_respond),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

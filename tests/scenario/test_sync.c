@@ -7,7 +7,7 @@ static void tpdo1_only(struct bus *bus)
 		assert_int_equal(bus_write(bus, index, 1, 4, 0x80000000), 0);
 }
 
-static void test_the_sync_identifier_can_be_moved(void **state)
+static void test_the_sync_identifier_can_change(void **state)
 {
 	struct bus *bus = *state;
 
@@ -32,7 +32,7 @@ static void test_a_sync_identifier_that_is_restricted_or_29_bits_long_is_refused
 	assert_int_equal(bus_read(bus, 0x1005, 0), 0x80);
 }
 
-static void test_bit_31_of_the_sync_identifier_means_nothing(void **state)
+static void test_bit_31_of_1005h_is_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -87,7 +87,7 @@ static void test_a_sync_of_the_right_length_ends_the_error(void **state)
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
-static void test_a_wrong_length_is_told_in_pre_operational_but_not_in_stopped(void **state)
+static void test_a_wrong_length_is_reported_in_pre_operational_but_not_in_stopped(void **state)
 {
 	struct bus *bus = *state;
 
@@ -141,7 +141,8 @@ static void test_within_the_synchronous_window_the_pdo_is_sent(void **state)
 	assert_int_equal(bus->node.sync.late, 0);
 }
 
-static void test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_told_until_a_sync_is_in_time(void **state)
+static void test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_reported_until_a_sync_is_in_time(
+	void **state)
 {
 	struct bus *bus = *state;
 
@@ -171,7 +172,7 @@ static void test_a_late_sync_still_counts_for_type_n(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_late_sync_leaves_the_sample_of_type_0_to_the_next(void **state)
+static void test_a_type_0_pdo_of_a_late_sync_is_sent_with_the_next_one(void **state)
 {
 	struct bus *bus = *state;
 
@@ -208,7 +209,7 @@ static void await_sync(struct bus *bus)
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_sync_missing_for_a_period_and_a_half_is_told_once_until_it_comes_again(void **state)
+static void test_a_sync_missing_for_a_period_and_a_half_is_reported_once_until_the_next_sync(void **state)
 {
 	struct bus *bus = *state;
 
@@ -247,7 +248,7 @@ static void test_without_a_period_no_sync_is_missing(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_sync_that_never_came_is_not_missing(void **state)
+static void test_before_the_first_sync_none_is_missing(void **state)
 {
 	struct bus *bus = *state;
 
@@ -256,7 +257,7 @@ static void test_a_sync_that_never_came_is_not_missing(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_only_in_operational_a_sync_is_missing(void **state)
+static void test_a_sync_is_missing_in_operational_only(void **state)
 {
 	struct bus *bus = *state;
 
@@ -270,7 +271,7 @@ static void test_only_in_operational_a_sync_is_missing(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_missing_sync_is_over_with_one_in_pre_operational_or_when_none_is_awaited(void **state)
+static void test_the_error_of_a_missing_sync_ends_with_one_in_pre_operational_or_without_a_period(void **state)
 {
 	struct bus *bus = *state;
 
@@ -291,7 +292,7 @@ static void test_a_missing_sync_is_over_with_one_in_pre_operational_or_when_none
 	bus_expect_nothing(bus);
 }
 
-static void test_who_begins_to_produce_sync_misses_none(void **state)
+static void test_a_node_that_becomes_the_producer_misses_no_sync(void **state)
 {
 	struct bus *bus = *state;
 
@@ -303,7 +304,7 @@ static void test_who_begins_to_produce_sync_misses_none(void **state)
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
-static void test_a_late_and_a_missing_sync_are_told_apart(void **state)
+static void test_a_late_and_a_missing_sync_are_separate_errors(void **state)
 {
 	struct bus *bus = *state;
 
@@ -321,7 +322,7 @@ static void test_a_late_and_a_missing_sync_are_told_apart(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 }
 
-static void test_a_missing_sync_goes_with_reset_communication(void **state)
+static void test_reset_communication_ends_the_error_of_a_missing_sync(void **state)
 {
 	struct bus *bus = *state;
 
@@ -387,7 +388,7 @@ static void test_the_pdos_of_a_producer_follow_its_own_sync(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_producer_does_not_follow_the_sync_of_another(void **state)
+static void test_a_producer_ignores_the_sync_of_another_node(void **state)
 {
 	struct bus *bus = *state;
 
@@ -410,7 +411,7 @@ static void test_a_producer_counts_from_1_to_the_overflow_value(void **state)
 	bus_expect(bus, "080 01");
 }
 
-static void test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_begins_with_1(void **state)
+static void test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_starts_at_1(void **state)
 {
 	struct bus *bus = *state;
 
@@ -426,7 +427,7 @@ static void test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_begins_wi
 	bus_expect(bus, "080 01");
 }
 
-static void test_the_start_value_holds_for_the_own_sync_too(void **state)
+static void test_the_start_value_applies_to_the_sync_of_a_producer_too(void **state)
 {
 	struct bus *bus = *state;
 
@@ -474,7 +475,7 @@ static void test_a_period_below_a_millisecond_is_refused(void **state)
 	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 1000), 0);
 }
 
-static void test_a_new_period_counts_from_now_and_0_ends_production(void **state)
+static void test_a_new_period_starts_now_and_0_ends_production(void **state)
 {
 	struct bus *bus = *state;
 
@@ -521,43 +522,43 @@ static void test_reset_communication_ends_production(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		OPERATIONAL(test_the_sync_identifier_can_be_moved),
+		OPERATIONAL(test_the_sync_identifier_can_change),
 		PRE_OPERATIONAL(test_a_sync_identifier_that_is_restricted_or_29_bits_long_is_refused),
-		OPERATIONAL(test_bit_31_of_the_sync_identifier_means_nothing),
+		OPERATIONAL(test_bit_31_of_1005h_is_ignored),
 		cmocka_unit_test(test_a_stored_sync_identifier_that_is_not_allowed_raises_6300h),
 		OPERATIONAL(test_a_sync_with_data_is_an_error_while_the_counter_is_off),
 		OPERATIONAL(test_a_sync_without_its_counter_is_an_error_while_the_counter_is_on),
 		OPERATIONAL(test_a_sync_of_the_right_length_ends_the_error),
-		PRE_OPERATIONAL(test_a_wrong_length_is_told_in_pre_operational_but_not_in_stopped),
+		PRE_OPERATIONAL(test_a_wrong_length_is_reported_in_pre_operational_but_not_in_stopped),
 		OPERATIONAL(test_a_counted_sync_sends_every_cyclic_pdo),
 		PRE_OPERATIONAL(test_the_counter_overflows_at_2_to_240),
 		OPERATIONAL(test_within_the_synchronous_window_the_pdo_is_sent),
 		OPERATIONAL(
-			test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_told_until_a_sync_is_in_time),
+			test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_reported_until_a_sync_is_in_time),
 		OPERATIONAL(test_a_late_sync_still_counts_for_type_n),
-		OPERATIONAL(test_a_late_sync_leaves_the_sample_of_type_0_to_the_next),
+		OPERATIONAL(test_a_type_0_pdo_of_a_late_sync_is_sent_with_the_next_one),
 		OPERATIONAL(test_without_a_window_no_sync_is_late),
-		OPERATIONAL(test_a_sync_missing_for_a_period_and_a_half_is_told_once_until_it_comes_again),
+		OPERATIONAL(test_a_sync_missing_for_a_period_and_a_half_is_reported_once_until_the_next_sync),
 		OPERATIONAL(test_a_sync_within_a_period_and_a_half_is_not_missing),
 		OPERATIONAL(test_without_a_period_no_sync_is_missing),
-		OPERATIONAL(test_a_sync_that_never_came_is_not_missing),
-		OPERATIONAL(test_only_in_operational_a_sync_is_missing),
-		OPERATIONAL(test_a_missing_sync_is_over_with_one_in_pre_operational_or_when_none_is_awaited),
-		OPERATIONAL(test_who_begins_to_produce_sync_misses_none),
-		OPERATIONAL(test_a_late_and_a_missing_sync_are_told_apart),
-		OPERATIONAL(test_a_missing_sync_goes_with_reset_communication),
+		OPERATIONAL(test_before_the_first_sync_none_is_missing),
+		OPERATIONAL(test_a_sync_is_missing_in_operational_only),
+		OPERATIONAL(test_the_error_of_a_missing_sync_ends_with_one_in_pre_operational_or_without_a_period),
+		OPERATIONAL(test_a_node_that_becomes_the_producer_misses_no_sync),
+		OPERATIONAL(test_a_late_and_a_missing_sync_are_separate_errors),
+		OPERATIONAL(test_reset_communication_ends_the_error_of_a_missing_sync),
 		PRE_OPERATIONAL(test_a_producer_sends_sync_each_period),
 		PRE_OPERATIONAL(test_a_producer_without_a_period_sends_nothing),
 		PRE_OPERATIONAL(test_a_consumer_with_a_period_sends_nothing),
 		OPERATIONAL(test_the_pdos_of_a_producer_follow_its_own_sync),
-		PRE_OPERATIONAL(test_a_producer_does_not_follow_the_sync_of_another),
+		PRE_OPERATIONAL(test_a_producer_ignores_the_sync_of_another_node),
 		PRE_OPERATIONAL(test_a_producer_counts_from_1_to_the_overflow_value),
-		PRE_OPERATIONAL(test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_begins_with_1),
-		OPERATIONAL(test_the_start_value_holds_for_the_own_sync_too),
+		PRE_OPERATIONAL(test_in_stopped_no_sync_is_sent_and_afterwards_the_counter_starts_at_1),
+		OPERATIONAL(test_the_start_value_applies_to_the_sync_of_a_producer_too),
 		PRE_OPERATIONAL(test_the_identifier_does_not_change_while_sync_is_produced),
 		PRE_OPERATIONAL(test_the_counter_does_not_change_while_there_is_a_period),
 		PRE_OPERATIONAL(test_a_period_below_a_millisecond_is_refused),
-		PRE_OPERATIONAL(test_a_new_period_counts_from_now_and_0_ends_production),
+		PRE_OPERATIONAL(test_a_new_period_starts_now_and_0_ends_production),
 		PRE_OPERATIONAL(test_missed_syncs_are_not_sent_in_a_burst_and_a_late_one_keeps_the_phase),
 		PRE_OPERATIONAL(test_reset_communication_ends_production),
 	};

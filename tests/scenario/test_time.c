@@ -16,7 +16,7 @@ static void test_time_is_neither_consumed_nor_produced_by_default(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_consumer_hears_the_day_and_the_time_of_day(void **state)
+static void test_a_consumer_receives_the_day_and_the_time_of_day(void **state)
 {
 	struct bus *bus = *state;
 
@@ -30,7 +30,7 @@ static void test_a_consumer_hears_the_day_and_the_time_of_day(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_the_reserved_bits_of_the_time_of_day_are_not_looked_at(void **state)
+static void test_the_reserved_bits_of_the_time_of_day_are_ignored(void **state)
 {
 	struct bus *bus = *state;
 
@@ -63,7 +63,7 @@ static void test_time_is_consumed_in_pre_operational_and_operational_but_not_in_
 	assert_int_equal(bus->times, 2);
 }
 
-static void test_a_producer_sends_what_it_is_told(void **state)
+static void test_a_producer_sends_the_given_time(void **state)
 {
 	struct bus *bus = *state;
 
@@ -72,7 +72,7 @@ static void test_a_producer_sends_what_it_is_told(void **state)
 	bus_expect(bus, "100 FF 5B 26 05 39 3D");
 }
 
-static void test_a_stopped_node_produces_no_time(void **state)
+static void test_a_stopped_node_does_not_produce_time(void **state)
 {
 	struct bus *bus = *state;
 
@@ -82,7 +82,7 @@ static void test_a_stopped_node_produces_no_time(void **state)
 	bus_expect_nothing(bus);
 }
 
-static void test_a_time_with_another_identifier_can_be_consumed(void **state)
+static void test_time_can_be_consumed_with_another_identifier(void **state)
 {
 	struct bus *bus = *state;
 
@@ -93,7 +93,7 @@ static void test_a_time_with_another_identifier_can_be_consumed(void **state)
 	assert_int_equal(bus->times, 1);
 }
 
-static void test_the_identifier_does_not_change_while_time_is_in_use(void **state)
+static void test_the_identifier_cannot_change_while_time_is_in_use(void **state)
 {
 	struct bus *bus = *state;
 
@@ -113,7 +113,7 @@ static void test_restricted_and_29_bit_identifiers_are_refused(void **state)
 	assert_int_equal(bus_read(bus, 0x1012, 0), 0x100);
 }
 
-static void test_reset_communication_brings_the_stored_value_back(void **state)
+static void test_reset_communication_restores_the_stored_value(void **state)
 {
 	struct bus *bus = *state;
 
@@ -127,16 +127,16 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		PRE_OPERATIONAL(test_time_is_neither_consumed_nor_produced_by_default),
-		PRE_OPERATIONAL(test_a_consumer_hears_the_day_and_the_time_of_day),
-		PRE_OPERATIONAL(test_the_reserved_bits_of_the_time_of_day_are_not_looked_at),
+		PRE_OPERATIONAL(test_a_consumer_receives_the_day_and_the_time_of_day),
+		PRE_OPERATIONAL(test_the_reserved_bits_of_the_time_of_day_are_ignored),
 		PRE_OPERATIONAL(test_a_time_of_another_length_or_beyond_midnight_is_ignored),
 		PRE_OPERATIONAL(test_time_is_consumed_in_pre_operational_and_operational_but_not_in_stopped),
-		PRE_OPERATIONAL(test_a_producer_sends_what_it_is_told),
-		PRE_OPERATIONAL(test_a_stopped_node_produces_no_time),
-		PRE_OPERATIONAL(test_a_time_with_another_identifier_can_be_consumed),
-		PRE_OPERATIONAL(test_the_identifier_does_not_change_while_time_is_in_use),
+		PRE_OPERATIONAL(test_a_producer_sends_the_given_time),
+		PRE_OPERATIONAL(test_a_stopped_node_does_not_produce_time),
+		PRE_OPERATIONAL(test_time_can_be_consumed_with_another_identifier),
+		PRE_OPERATIONAL(test_the_identifier_cannot_change_while_time_is_in_use),
 		PRE_OPERATIONAL(test_restricted_and_29_bit_identifiers_are_refused),
-		PRE_OPERATIONAL(test_reset_communication_brings_the_stored_value_back),
+		PRE_OPERATIONAL(test_reset_communication_restores_the_stored_value),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -58,7 +58,7 @@ static void answer_from(struct bench *bench, uint32_t id, const void *data, uint
 		assert_memory_equal((bench)->sent.data, ((const uint8_t[8]){__VA_ARGS__}), 8); \
 	} while (0)
 
-static void test_an_expedited_read_gives_the_bytes_that_the_size_bits_tell(void **state)
+static void test_an_expedited_read_has_the_bytes_that_its_size_bits_indicate(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -84,7 +84,7 @@ static void test_an_expedited_read_without_a_size_gives_four_bytes(void **state)
 	assert_int_equal(b->client.size, 4);
 }
 
-static void test_a_segmented_read_alternates_the_toggle_and_joins_the_segments(void **state)
+static void test_a_segmented_read_alternates_the_toggle_bit_and_concatenates_the_segments(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -252,7 +252,7 @@ static void test_a_value_of_unknown_size_never_overruns_the_buffer(void **state)
 	assert_int_equal(value[10], '.');
 }
 
-static void test_more_or_fewer_bytes_than_announced_are_aborted(void **state)
+static void test_more_or_fewer_bytes_than_indicated_are_aborted(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -269,7 +269,7 @@ static void test_more_or_fewer_bytes_than_announced_are_aborted(void **state)
 	assert_int_equal(b->client.abort_code, SDO_ABORT_LENGTH);
 }
 
-static void test_empty_segments_cannot_keep_a_read_going_for_ever(void **state)
+static void test_an_empty_segment_that_is_not_the_last_is_aborted(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -281,7 +281,7 @@ static void test_empty_segments_cannot_keep_a_read_going_for_ever(void **state)
 	assert_int_equal(b->client.result, SDO_ABORTED);
 }
 
-static void test_no_answer_within_the_time_out_aborts_and_says_so_to_the_server(void **state)
+static void test_no_response_within_the_timeout_sends_an_abort(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -296,7 +296,7 @@ static void test_no_answer_within_the_time_out_aborts_and_says_so_to_the_server(
 	assert_sent(b, 0x80, 0x08, 0x10, 0, 0x00, 0x00, 0x04, 0x05);
 }
 
-static void test_the_time_out_counts_from_the_last_request(void **state)
+static void test_the_timeout_restarts_with_each_request(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -307,7 +307,7 @@ static void test_the_time_out_counts_from_the_last_request(void **state)
 	assert_int_equal(sdo_client_tick(&b->client, 400000), 400000 + TIMEOUT_US);
 }
 
-static void test_a_late_answer_to_an_earlier_request_is_ignored(void **state)
+static void test_a_late_response_to_an_earlier_request_is_ignored(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -346,7 +346,7 @@ static void test_frames_of_other_nodes_and_malformed_ones_are_ignored(void **sta
 	assert_int_equal(b->client.result, SDO_DONE);
 }
 
-static void test_an_answer_after_the_end_changes_nothing(void **state)
+static void test_a_response_after_the_end_is_ignored(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -359,7 +359,7 @@ static void test_an_answer_after_the_end_changes_nothing(void **state)
 	assert_int_equal(b->sent_count, 1);
 }
 
-static void test_a_bus_that_takes_no_frame_ends_the_transfer(void **state)
+static void test_a_bus_that_accepts_no_frame_ends_the_transfer(void **state)
 {
 	(void)state;
 	struct bench *b = bench_reset();
@@ -391,9 +391,9 @@ static void test_every_abort_code_of_cia_301_has_its_own_text(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
-		cmocka_unit_test(test_an_expedited_read_gives_the_bytes_that_the_size_bits_tell),
+		cmocka_unit_test(test_an_expedited_read_has_the_bytes_that_its_size_bits_indicate),
 		cmocka_unit_test(test_an_expedited_read_without_a_size_gives_four_bytes),
-		cmocka_unit_test(test_a_segmented_read_alternates_the_toggle_and_joins_the_segments),
+		cmocka_unit_test(test_a_segmented_read_alternates_the_toggle_bit_and_concatenates_the_segments),
 		cmocka_unit_test(test_a_read_of_an_empty_value_gives_no_bytes),
 		cmocka_unit_test(test_a_value_of_one_to_four_bytes_is_written_in_one_frame),
 		cmocka_unit_test(test_a_longer_value_is_written_in_segments),
@@ -405,14 +405,14 @@ int main(void)
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 		cmocka_unit_test(test_a_value_larger_than_the_buffer_is_aborted_before_it_is_sent),
 		cmocka_unit_test(test_a_value_of_unknown_size_never_overruns_the_buffer),
-		cmocka_unit_test(test_more_or_fewer_bytes_than_announced_are_aborted),
-		cmocka_unit_test(test_empty_segments_cannot_keep_a_read_going_for_ever),
-		cmocka_unit_test(test_no_answer_within_the_time_out_aborts_and_says_so_to_the_server),
-		cmocka_unit_test(test_the_time_out_counts_from_the_last_request),
-		cmocka_unit_test(test_a_late_answer_to_an_earlier_request_is_ignored),
+		cmocka_unit_test(test_more_or_fewer_bytes_than_indicated_are_aborted),
+		cmocka_unit_test(test_an_empty_segment_that_is_not_the_last_is_aborted),
+		cmocka_unit_test(test_no_response_within_the_timeout_sends_an_abort),
+		cmocka_unit_test(test_the_timeout_restarts_with_each_request),
+		cmocka_unit_test(test_a_late_response_to_an_earlier_request_is_ignored),
 		cmocka_unit_test(test_frames_of_other_nodes_and_malformed_ones_are_ignored),
-		cmocka_unit_test(test_an_answer_after_the_end_changes_nothing),
-		cmocka_unit_test(test_a_bus_that_takes_no_frame_ends_the_transfer),
+		cmocka_unit_test(test_a_response_after_the_end_is_ignored),
+		cmocka_unit_test(test_a_bus_that_accepts_no_frame_ends_the_transfer),
 		cmocka_unit_test(test_every_abort_code_of_cia_301_has_its_own_text),
 	};
 

@@ -124,7 +124,7 @@ static void test_a_wrong_crc_is_aborted(void **state)
 	assert_aborted(bench, 0x1021, 0x05040004);
 }
 
-static void test_a_server_without_crc_is_believed(void **state)
+static void test_the_crc_of_a_server_without_crc_is_not_checked(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -151,7 +151,7 @@ static void test_after_a_lost_segment_the_last_one_in_order_is_acknowledged(void
 	assert_memory_equal(bench->value, "abcdefghijklmnop", 16);
 }
 
-static void test_when_the_last_segment_is_lost_silence_asks_for_it_once(void **state)
+static void test_a_lost_last_segment_is_requested_once_after_the_timeout(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -209,7 +209,7 @@ static void test_a_value_of_unknown_size_never_overruns_the_buffer(void **state)
 	assert_int_equal(bench->value[10], 0xEE);
 }
 
-static void test_more_or_less_than_announced_is_aborted(void **state)
+static void test_more_or_fewer_bytes_than_indicated_are_aborted(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -240,7 +240,7 @@ static void test_an_empty_value_is_one_empty_segment(void **state)
 	assert_int_equal(bench->client.size, 0);
 }
 
-static void test_a_server_that_would_rather_not_use_blocks_is_followed(void **state)
+static void test_a_server_that_prefers_a_segmented_upload_is_followed(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -256,7 +256,7 @@ static void test_a_server_that_would_rather_not_use_blocks_is_followed(void **st
 	assert_int_equal(bench->client.result, SDO_DONE);
 }
 
-static void test_an_abort_in_the_midst_of_the_segments_is_seen(void **state)
+static void test_an_abort_between_the_segments_ends_the_transfer(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -267,7 +267,7 @@ static void test_an_abort_in_the_midst_of_the_segments_is_seen(void **state)
 	assert_true(bench->client.aborted_by_server);
 }
 
-static void test_a_server_without_blocks_says_so(void **state)
+static void test_a_server_without_block_transfer_aborts(void **state)
 {
 	struct bench *bench = upload(100);
 
@@ -297,7 +297,7 @@ static void test_a_download_sends_the_segments_and_the_crc(void **state)
 	assert_int_equal(bench->client.size, 9);
 }
 
-static void test_a_server_without_crc_gets_none(void **state)
+static void test_a_server_without_crc_receives_a_crc_of_0(void **state)
 {
 	struct bench *bench = download("123456789");
 
@@ -328,7 +328,7 @@ static void test_the_server_sets_the_size_of_each_sub_block(void **state)
 	ASSERT_SENT(bench, 0x81, 'v', 'w', 'x', 'y', 'z');
 }
 
-static void test_what_the_server_lacks_is_sent_again(void **state)
+static void test_segments_that_the_server_misses_are_sent_again(void **state)
 {
 	struct bench *bench = download("abcdefghijklmnopqrstuvwxyz");
 
@@ -346,7 +346,7 @@ static void test_what_the_server_lacks_is_sent_again(void **state)
 	ASSERT_SENT(bench, 0xC9, 0xAC, 0x63);
 }
 
-static void test_a_server_that_never_gets_anything_is_given_up(void **state)
+static void test_a_server_that_acknowledges_nothing_ends_the_transfer(void **state)
 {
 	struct bench *bench = download("123456789");
 
@@ -360,7 +360,7 @@ static void test_a_server_that_never_gets_anything_is_given_up(void **state)
 	assert_aborted(bench, 0x2130, 0x05040003);
 }
 
-static void test_an_acknowledgement_of_what_was_not_sent_is_aborted(void **state)
+static void test_an_acknowledgement_of_segments_that_were_not_sent_is_aborted(void **state)
 {
 	struct bench *bench = download("123456789");
 
@@ -396,7 +396,7 @@ static void test_an_empty_value_is_sent_as_one_empty_segment(void **state)
 	ASSERT_SENT(bench, 0xDD, 0, 0);
 }
 
-static void test_a_full_bus_is_waited_for(void **state)
+static void test_a_full_bus_delays_the_segments(void **state)
 {
 	struct bench *bench = download("123456789");
 
@@ -410,7 +410,7 @@ static void test_a_full_bus_is_waited_for(void **state)
 	ASSERT_SENT(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
 }
 
-static void test_a_server_that_does_not_acknowledge_is_timed_out(void **state)
+static void test_a_server_that_does_not_acknowledge_is_a_timeout(void **state)
 {
 	struct bench *bench = download("123456789");
 
@@ -437,27 +437,27 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_an_upload_acknowledges_the_segments_and_checks_the_crc),
 		cmocka_unit_test(test_a_wrong_crc_is_aborted),
-		cmocka_unit_test(test_a_server_without_crc_is_believed),
+		cmocka_unit_test(test_the_crc_of_a_server_without_crc_is_not_checked),
 		cmocka_unit_test(test_after_a_lost_segment_the_last_one_in_order_is_acknowledged),
-		cmocka_unit_test(test_when_the_last_segment_is_lost_silence_asks_for_it_once),
+		cmocka_unit_test(test_a_lost_last_segment_is_requested_once_after_the_timeout),
 		cmocka_unit_test(test_segment_127_ends_a_sub_block),
 		cmocka_unit_test(test_a_value_larger_than_the_buffer_is_aborted_at_once),
 		cmocka_unit_test(test_a_value_of_unknown_size_never_overruns_the_buffer),
-		cmocka_unit_test(test_more_or_less_than_announced_is_aborted),
+		cmocka_unit_test(test_more_or_fewer_bytes_than_indicated_are_aborted),
 		cmocka_unit_test(test_an_empty_value_is_one_empty_segment),
-		cmocka_unit_test(test_a_server_that_would_rather_not_use_blocks_is_followed),
-		cmocka_unit_test(test_an_abort_in_the_midst_of_the_segments_is_seen),
-		cmocka_unit_test(test_a_server_without_blocks_says_so),
+		cmocka_unit_test(test_a_server_that_prefers_a_segmented_upload_is_followed),
+		cmocka_unit_test(test_an_abort_between_the_segments_ends_the_transfer),
+		cmocka_unit_test(test_a_server_without_block_transfer_aborts),
 		cmocka_unit_test(test_a_download_sends_the_segments_and_the_crc),
-		cmocka_unit_test(test_a_server_without_crc_gets_none),
+		cmocka_unit_test(test_a_server_without_crc_receives_a_crc_of_0),
 		cmocka_unit_test(test_the_server_sets_the_size_of_each_sub_block),
-		cmocka_unit_test(test_what_the_server_lacks_is_sent_again),
-		cmocka_unit_test(test_a_server_that_never_gets_anything_is_given_up),
-		cmocka_unit_test(test_an_acknowledgement_of_what_was_not_sent_is_aborted),
+		cmocka_unit_test(test_segments_that_the_server_misses_are_sent_again),
+		cmocka_unit_test(test_a_server_that_acknowledges_nothing_ends_the_transfer),
+		cmocka_unit_test(test_an_acknowledgement_of_segments_that_were_not_sent_is_aborted),
 		cmocka_unit_test(test_a_block_size_of_0_or_above_127_is_aborted),
 		cmocka_unit_test(test_an_empty_value_is_sent_as_one_empty_segment),
-		cmocka_unit_test(test_a_full_bus_is_waited_for),
-		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_timed_out),
+		cmocka_unit_test(test_a_full_bus_delays_the_segments),
+		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_a_timeout),
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 	};
 
