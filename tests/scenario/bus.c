@@ -249,7 +249,7 @@ void bus_exchange(struct bus *bus, const char *request, const char *response)
 	bus_expect_nothing(bus);
 }
 
-/* One deadline: a microsecond earlier nothing is due, and the node knows when it is. */
+/* Runs to the next deadline. A microsecond earlier nothing is due, and the deadline is the same. */
 static void run_to_deadline(struct bus *bus)
 {
 	uint64_t deadline_us = bus->deadline_us;

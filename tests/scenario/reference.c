@@ -259,7 +259,7 @@ uint32_t ref_check(const struct reference_object *o, const uint8_t *data, size_t
 	return value > o->high ? 0x06090031 : value < o->low ? 0x06090032 : 0;
 }
 
-/* CiA 301, 7.3.5, and no bit beyond the eleven of the identifier but 30 and 31. */
+/* CiA 301, 7.3.5: the eleven bits of the identifier, and bits 30 and 31. */
 bool ref_identifier_allowed(uint32_t cob_id)
 {
 	uint32_t id = cob_id & 0x3FFFFFFF;
@@ -270,7 +270,7 @@ bool ref_identifier_allowed(uint32_t cob_id)
 		 (id >= 0x6E0 && id <= 0x6FF) || id > 0x700);
 }
 
-/* ---- objects with a meaning -------------------------------------------------------------------------------------- */
+/* ---- objects with side effects ----------------------------------------------------------------------------------- */
 
 static uint32_t plain_cob_id(uint32_t old, uint32_t value)
 {
@@ -440,7 +440,7 @@ static uint64_t emcy_tick(struct reference *r)
 	return UINT64_MAX;
 }
 
-static bool stands(const struct reference *r, uint16_t code, uint8_t source)
+static bool is_active(const struct reference *r, uint16_t code, uint8_t source)
 {
 	for (size_t i = 0; i < r->error_count; i++)
 		if (r->errors[i].code == code && r->errors[i].source == source)
@@ -457,7 +457,7 @@ static void show_register(struct reference *r)
 	reference_find(r, 0x1001, 0)->value = bits;
 }
 
-static void tell(struct reference *r, uint16_t code, uint8_t source, const uint8_t info[5])
+static void notify(struct reference *r, uint16_t code, uint8_t source, const uint8_t info[5])
 {
 	struct reference_emcy *emcy;
 
@@ -473,7 +473,7 @@ static void tell(struct reference *r, uint16_t code, uint8_t source, const uint8
 
 void ref_error_set(struct reference *r, uint16_t code, uint8_t source, uint8_t bits, const uint8_t info[5])
 {
-	if (stands(r, code, source) || r->error_count == REF_ERRORS)
+	if (is_active(r, code, source) || r->error_count == REF_ERRORS)
 		return;
 	r->errors[r->error_count++] = (struct reference_error){code, source, bits};
 	show_register(r);
@@ -483,7 +483,7 @@ void ref_error_set(struct reference *r, uint16_t code, uint8_t source, uint8_t b
 	if (r->history_count < REF_HISTORY)
 		r->history_count++;
 	reference_find(r, 0x1003, 0)->value = r->history_count;
-	tell(r, code, source, info);
+	notify(r, code, source, info);
 }
 
 static bool remove_errors(struct reference *r, uint16_t code, int source)
@@ -506,15 +506,15 @@ static bool remove_errors(struct reference *r, uint16_t code, int source)
 void ref_error_clear(struct reference *r, uint16_t code, uint8_t source)
 {
 	if (remove_errors(r, code, source) && !r->error_count)
-		tell(r, 0, 0, (const uint8_t[5]){0});
+		notify(r, 0, 0, (const uint8_t[5]){0});
 }
 
-/* The most recent message about an error that stands; when none does, the last one. */
+/* The most recent message of an active error, or the last one if none is active. */
 static void leave_stopped(struct reference *r)
 {
 	size_t i = r->emcy_count;
 
-	while (i && !stands(r, r->emcy[i - 1].code, r->emcy[i - 1].source))
+	while (i && !is_active(r, r->emcy[i - 1].code, r->emcy[i - 1].source))
 		i--;
 	if (!i && !r->error_count)
 		i = r->emcy_count;
@@ -770,7 +770,7 @@ static void time_of_day(struct reference *r, const struct can_msg *msg)
 		r->times++;
 }
 
-static bool is_ours(struct reference *r, uint32_t id)
+static bool is_own_id(struct reference *r, uint32_t id)
 {
 	return id == 0x700u + r->node_id || id == ref_value(r, 0x1014, 0) || id == r->sdo[0].response ||
 	       (r->sdo[1].request && id == r->sdo[1].response) || ref_pdo_sends_with(r, id);
@@ -804,7 +804,7 @@ bool ref_lss_silent(const struct reference *r)
 	return r->lss.phase != 0;
 }
 
-static void lss_say(struct reference *r, uint8_t command, uint32_t value)
+static void lss_respond(struct reference *r, uint8_t command, uint32_t value)
 {
 	ref_send(r, 0x7E4,
 		(const uint8_t[8]){
@@ -812,7 +812,7 @@ static void lss_say(struct reference *r, uint8_t command, uint32_t value)
 		8);
 }
 
-static bool nameless(const struct reference *r)
+static bool unconfigured(const struct reference *r)
 {
 	return r->node_id == REF_UNCONFIGURED && r->lss.next_id == REF_UNCONFIGURED;
 }
@@ -826,7 +826,7 @@ static void lss_selective(struct reference *r, uint8_t n, uint32_t value)
 		return;
 	r->lss.selected = 0;
 	r->lss.configuring = true;
-	lss_say(r, 0x44, 0);
+	lss_respond(r, 0x44, 0);
 }
 
 static void lss_identify(struct reference *r, uint8_t step, uint32_t value)
@@ -839,18 +839,18 @@ static void lss_identify(struct reference *r, uint8_t step, uint32_t value)
 	if (r->lss.identified != 6)
 		return;
 	r->lss.identified = 0;
-	lss_say(r, 0x4F, 0);
+	lss_respond(r, 0x4F, 0);
 }
 
 static void lss_fastscan(struct reference *r, const uint8_t *f)
 {
 	uint8_t bit = f[5], number = f[6], next = f[7];
 
-	if (!nameless(r) || r->lss.configuring)
+	if (!unconfigured(r) || r->lss.configuring)
 		return;
 	if (bit == 0x80) {
 		r->lss.scanned = 0;
-		lss_say(r, 0x4F, 0);
+		lss_respond(r, 0x4F, 0);
 		return;
 	}
 	if (bit > 31 || number > 3 || next > 3 || number != r->lss.scanned)
@@ -858,7 +858,7 @@ static void lss_fastscan(struct reference *r, const uint8_t *f)
 	for (unsigned i = bit; i < 32; i++)
 		if ((ref_value(r, 0x1018, (uint8_t)(number + 1)) >> i & 1) != (ref_u32(f + 1) >> i & 1))
 			return;
-	lss_say(r, 0x4F, 0);
+	lss_respond(r, 0x4F, 0);
 	if (bit)
 		return;
 	r->lss.scanned = next;
@@ -869,11 +869,11 @@ static void lss_bit_timing(struct reference *r, uint8_t table, uint8_t index)
 {
 	static const uint32_t rates[] = {1000000, 800000, 500000, 250000, 125000, 0, 50000, 20000, 10000};
 	uint32_t bit_s = table == 0 && index < 9 ? rates[index] : 0;
-	bool right = bit_s && bit_s != 800000; /* which is what bus.c does not have */
+	bool right = bit_s && bit_s != 800000; /* bus.c does not support this one */
 
 	if (right)
 		r->lss.bit_s = bit_s;
-	lss_say(r, 0x13, right ? 0 : 1);
+	lss_respond(r, 0x13, right ? 0 : 1);
 }
 
 static void lss_kept(struct reference *r, bool stored)
@@ -881,13 +881,13 @@ static void lss_kept(struct reference *r, bool stored)
 	if (stored)
 		r->lss.stored_id = r->lss.storing_id;
 	if (r->lss.configuring && !ref_lss_silent(r))
-		lss_say(r, 0x17, stored ? 0 : 2);
+		lss_respond(r, 0x17, stored ? 0 : 2);
 }
 
 static void lss_store(struct reference *r)
 {
 	if (r->lss_storing) {
-		lss_say(r, 0x17, 2);
+		lss_respond(r, 0x17, 2);
 		return;
 	}
 	r->lss_stores++;
@@ -912,7 +912,7 @@ static void lss_configuration(struct reference *r, const uint8_t *f)
 	case 0x11:
 		if (right)
 			r->lss.next_id = f[1];
-		lss_say(r, 0x11, right ? 0 : 1);
+		lss_respond(r, 0x11, right ? 0 : 1);
 		break;
 	case 0x13:
 		lss_bit_timing(r, f[1], f[2]);
@@ -932,10 +932,10 @@ static void lss_configuration(struct reference *r, const uint8_t *f)
 	case 0x5B:
 	case 0x5C:
 	case 0x5D:
-		lss_say(r, f[0], ref_value(r, 0x1018, (uint8_t)(f[0] - 0x59)));
+		lss_respond(r, f[0], ref_value(r, 0x1018, (uint8_t)(f[0] - 0x59)));
 		break;
 	case 0x5E:
-		lss_say(r, 0x5E, r->node_id);
+		lss_respond(r, 0x5E, r->node_id);
 		break;
 	default:
 		break;
@@ -965,8 +965,8 @@ void ref_lss_receive(struct reference *r, const struct can_msg *msg)
 		lss_selective(r, f[0] - 0x3F, ref_u32(f + 1));
 	else if (f[0] >= 0x46 && f[0] <= 0x4B)
 		lss_identify(r, f[0] - 0x46, ref_u32(f + 1));
-	else if (f[0] == 0x4C && nameless(r))
-		lss_say(r, 0x50, 0);
+	else if (f[0] == 0x4C && unconfigured(r))
+		lss_respond(r, 0x50, 0);
 	else if (f[0] == 0x51)
 		lss_fastscan(r, f);
 	else if (r->lss.configuring)
@@ -992,7 +992,7 @@ uint64_t ref_lss_tick(struct reference *r)
 	return r->lss.phase ? r->lss.phase_end_us : UINT64_MAX;
 }
 
-/* ---- the whole --------------------------------------------------------------------------------------------------- */
+/* ---- the device -------------------------------------------------------------------------------------------------- */
 
 void reference_init(struct reference *r, uint8_t node_id, uint64_t now_us)
 {
@@ -1028,7 +1028,7 @@ static void dispatch(struct reference *r, const struct can_msg *msg)
 		ref_lss_receive(r, msg);
 	else if (ref_value(r, 0x1012, 0) & INVALID && (ref_value(r, 0x1012, 0) & 0x7FF) == msg->id)
 		time_of_day(r, msg);
-	else if (is_ours(r, msg->id))
+	else if (is_own_id(r, msg->id))
 		collide(r, msg->id);
 	else if (msg->id > 0x700)
 		heartbeat_of(r, msg);
@@ -1053,7 +1053,7 @@ void reference_receive(struct reference *r, const struct can_msg *msg)
 	reference_tick(r);
 }
 
-/* Who is missing is known before anything is sent; errors are told last. */
+/* Timeouts first, which may change the NMT state; errors last. */
 uint64_t reference_tick(struct reference *r)
 {
 	uint64_t next = ref_lss_tick(r);

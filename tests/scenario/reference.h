@@ -1,10 +1,10 @@
 /* tests/scenario/reference.h
- * What a CANopen device has to do, written down a second time: the model that test_random.c compares the core with. It
- * has its own dictionary, made by hand from CiA 301 and 305 and from what README and EDS promise, and shares no code with
- * the core. Where the standards leave a choice it makes that of the README (block size 31, one second of patience).
+ * A second, independent implementation of a CANopen device: the model that test_random.c compares the core with. It has
+ * its own dictionary, written by hand from CiA 301, CiA 305, gateway/README.md and the EDS, and shares no code with the
+ * core. Where the standards leave a choice it has that of gateway/README.md (block size 31, SDO timeout of 1 s).
  *
- * Use: reference_init(), reference_start(), then the same calls as the core gets. What has to be on the bus is in
- * `expected`. */
+ * Use: reference_init(), reference_start(), then the same calls as for the core. `expected` has the frames that must be
+ * on the bus. */
 #ifndef TESTS_SCENARIO_REFERENCE_H
 #define TESTS_SCENARIO_REFERENCE_H
 
@@ -17,7 +17,7 @@
 enum { /* enum reference_flags: of an object */
 	REF_READ = 1 << 0,
 	REF_WRITE = 1 << 1,
-	REF_KEPT = 1 << 2, /* goes back to its default at a reset of its range */
+	REF_KEPT = 1 << 2, /* restored by a reset of its range */
 	REF_TPDO = 1 << 3,
 	REF_RPDO = 1 << 4,
 	REF_NODE_ID = 1 << 5, /* the default follows the node-ID */
@@ -31,7 +31,7 @@ enum { /* enum reference_flags: of an object */
 enum {
 	REF_OBJECTS = 512,
 	REF_FRAMES = 4096,
-	REF_DOMAIN_MAX = 16384, /* bytes that one can be written with */
+	REF_DOMAIN_MAX = 16384, /* maximum size of a written domain */
 	REF_BLOCK_SIZE = 31,	/* segments in a sub-block of a download */
 	REF_ERRORS = 16,
 	REF_HISTORY = 8,
@@ -45,13 +45,13 @@ enum {
 struct reference_object {
 	uint16_t index;
 	uint8_t sub;
-	uint16_t size; /* of a string: the longest */
+	uint16_t size; /* of a string: the maximum */
 	uint16_t flags;
 	double low, high;
 	uint32_t base, value;
 };
 
-/** What the device around the node says. */
+/** The results of the callbacks of the device. */
 enum reference_storage { REF_STORED, REF_STORING, REF_NOT_STORED };
 
 struct reference_transfer {
@@ -66,7 +66,7 @@ struct reference_transfer {
 		REF_BLOCK_UPLOAD_END,
 		REF_PENDING
 	} state;
-	uint32_t request, response; /* identifiers; 0: closed */
+	uint32_t request, response; /* identifiers; 0: channel not valid */
 	uint16_t index;
 	uint8_t sub, toggle;
 	bool sized, crc, last;
@@ -74,7 +74,7 @@ struct reference_transfer {
 	uint8_t sequence, block_size;
 	uint64_t timeout_us, nudge_us;
 	uint8_t data[REF_DOMAIN_MAX + 7];
-	uint8_t answer[8]; /* when the store is done */
+	uint8_t answer[8]; /* sent when the store has finished */
 };
 
 struct reference_rpdo {
@@ -111,7 +111,7 @@ struct reference {
 	size_t expected_count;
 
 	uint8_t node_id, state;
-	uint64_t heartbeat_us; /* the last one */
+	uint64_t heartbeat_us; /* of the last one */
 	uint8_t guard_toggle;
 	bool guarded;
 	uint64_t guard_us;
@@ -125,7 +125,7 @@ struct reference {
 	struct reference_tpdo tpdo[REF_TPDOS];
 
 	bool sync_running;
-	uint64_t sync_due_us, sync_last_us, sync_missing_us; /* 0: none is awaited */
+	uint64_t sync_due_us, sync_last_us, sync_missing_us; /* 0: no timeout */
 	uint8_t sync_counter;
 
 	struct reference_error errors[REF_ERRORS];
@@ -150,7 +150,7 @@ struct reference {
 		bool configuring;
 		uint8_t selected, identified, scanned;
 		uint32_t bit_s, active_bit_s;
-		unsigned phase; /* of the switch of the bit rate: 0 none, 1 old rate, 2 new rate */
+		unsigned phase; /* of a bit rate switch: 0 none, 1 delay at the old rate, 2 delay at the new rate */
 		uint64_t phase_end_us, delay_us;
 	} lss;
 };
@@ -158,7 +158,7 @@ struct reference {
 void reference_init(struct reference *r, uint8_t node_id, uint64_t now_us);
 void reference_start(struct reference *r);
 void reference_receive(struct reference *r, const struct can_msg *msg);
-/** Does what is due; when something will be. */
+/** Does what is due; returns the next deadline. */
 uint64_t reference_tick(struct reference *r);
 /** Lets time pass. */
 void reference_run(struct reference *r, uint64_t us);
@@ -173,14 +173,14 @@ struct reference_object *reference_find(struct reference *r, uint16_t index, uin
 bool reference_knows(const struct reference *r, uint16_t index);
 uint16_t reference_crc(const uint8_t *data, size_t size);
 
-/* Between the files of the model. */
+/* What the files of the model call of each other. */
 uint32_t ref_value(struct reference *r, uint16_t index, uint8_t sub);
-bool ref_talks(const struct reference *r); /* SDO, SYNC, TIME and EMCY are there */
+bool ref_talks(const struct reference *r); /* SDO, SYNC, TIME and EMCY are available */
 void ref_send(struct reference *r, uint32_t id, const uint8_t *data, size_t len);
 bool ref_identifier_allowed(uint32_t cob_id);
 void ref_error_set(struct reference *r, uint16_t code, uint8_t source, uint8_t bits, const uint8_t info[5]);
 void ref_error_clear(struct reference *r, uint16_t code, uint8_t source);
-/** The abort code, 0, or REF_ABORT_LATER when the answer has to wait. */
+/** The abort code; 0; or REF_ABORT_LATER: the response has to wait. */
 enum { REF_ABORT_LATER = 1 };
 uint32_t ref_write(struct reference *r, uint16_t index, uint8_t sub, const uint8_t *data, size_t size);
 uint32_t ref_check(const struct reference_object *o, const uint8_t *data, size_t size);

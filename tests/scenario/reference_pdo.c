@@ -1,4 +1,5 @@
-/* The PDOs of the model (CiA 301, 7.2.2 and 7.5.2.35 to 7.5.2.38). What is mapped is read from the dictionary each time. */
+/* The PDOs of the model (CiA 301, 7.2.2 and 7.5.2.35 to 7.5.2.38). The mapping is read from the dictionary each time.
+ */
 #include <string.h>
 
 #include "tests/scenario/reference.h"
@@ -19,7 +20,7 @@ static bool type_exists(uint16_t comm, unsigned type)
 	return type <= 240 || type >= (comm >= 0x1800 ? 252 : 254);
 }
 
-/* Bytes that a mapping entry stands for, and the object (NULL: a dummy). */
+/* The bytes of a mapping entry, and its object (NULL: a dummy entry). */
 static uint32_t mapping_entry(
 	struct reference *r, uint16_t comm, uint32_t entry, size_t *bytes, struct reference_object **object)
 {
@@ -75,7 +76,7 @@ static struct reference_object *mapped(struct reference *r, uint16_t comm, unsig
 	return object;
 }
 
-/* ---- what may be written ----------------------------------------------------------------------------------------- */
+/* ---- checks of writes -------------------------------------------------------------------------------------------- */
 
 static uint32_t before_cob_id(struct reference *r, uint16_t comm, uint32_t value)
 {
@@ -136,12 +137,12 @@ static void fault(struct reference *r, unsigned n, uint16_t code, uint8_t a, uin
 	ref_error_set(r, code, (uint8_t)(n + 1), 0x10, (const uint8_t[5]){(uint8_t)n, 0x14, a, b, c});
 }
 
-static void right(struct reference *r, unsigned n, uint16_t code)
+static void clear_fault(struct reference *r, unsigned n, uint16_t code)
 {
 	ref_error_clear(r, code, (uint8_t)(n + 1));
 }
 
-/* ---- life -------------------------------------------------------------------------------------------------------- */
+/* ---- operation --------------------------------------------------------------------------------------------------- */
 
 static void restart(struct reference *r, uint16_t comm)
 {
@@ -152,10 +153,10 @@ static void restart(struct reference *r, uint16_t comm)
 		return;
 	}
 	r->rpdo[n].waits = r->rpdo[n].monitored = false;
-	right(r, n, CONTENT);
-	right(r, n, SHORT);
-	right(r, n, LONG);
-	right(r, n, ABSENT);
+	clear_fault(r, n, CONTENT);
+	clear_fault(r, n, SHORT);
+	clear_fault(r, n, LONG);
+	clear_fault(r, n, ABSENT);
 }
 
 void ref_pdo_after(struct reference *r, const struct reference_object *o)
@@ -166,7 +167,7 @@ void ref_pdo_after(struct reference *r, const struct reference_object *o)
 		restart(r, comm);
 	} else if (comm < 0x1800) {
 		r->rpdo[comm & 0x1FFu].monitored = false;
-		right(r, comm & 0x1FFu, ABSENT);
+		clear_fault(r, comm & 0x1FFu, ABSENT);
 	}
 }
 
@@ -181,7 +182,7 @@ void ref_pdo_start(struct reference *r)
 
 /* ---- RPDO -------------------------------------------------------------------------------------------------------- */
 
-static void take(struct reference *r, uint16_t comm, const uint8_t *data)
+static void apply(struct reference *r, uint16_t comm, const uint8_t *data)
 {
 	unsigned n = comm & 0x1FFu, count = ref_value(r, comm + 0x200u, 0);
 
@@ -201,7 +202,7 @@ static void take(struct reference *r, uint16_t comm, const uint8_t *data)
 			}
 		}
 	}
-	right(r, n, CONTENT);
+	clear_fault(r, n, CONTENT);
 }
 
 static void receive(struct reference *r, uint16_t comm, const struct can_msg *msg)
@@ -218,18 +219,18 @@ static void receive(struct reference *r, uint16_t comm, const struct can_msg *ms
 		fault(r, n, SHORT, msg->len, (uint8_t)length, 0);
 		return;
 	}
-	right(r, n, SHORT);
+	clear_fault(r, n, SHORT);
 	if (msg->len > length)
 		fault(r, n, LONG, msg->len, (uint8_t)length, 0);
 	else
-		right(r, n, LONG);
+		clear_fault(r, n, LONG);
 	rpdo->monitored = timer_ms;
 	rpdo->deadline_us = r->now_us + timer_ms * 1000u;
-	right(r, n, ABSENT);
+	clear_fault(r, n, ABSENT);
 	rpdo->waits = synchronous;
 	memcpy(rpdo->data, msg->data, 8);
 	if (!synchronous)
-		take(r, comm, msg->data);
+		apply(r, comm, msg->data);
 }
 
 void ref_pdo_receive(struct reference *r, const struct can_msg *msg)
@@ -298,7 +299,7 @@ void ref_pdo_sync(struct reference *r, uint8_t counter)
 	}
 	for (uint16_t n = 0; n < REF_RPDOS; n++) {
 		if (r->rpdo[n].waits)
-			take(r, 0x1400 + n, r->rpdo[n].data);
+			apply(r, 0x1400 + n, r->rpdo[n].data);
 		r->rpdo[n].waits = false;
 	}
 }
@@ -341,7 +342,7 @@ void reference_sample(struct reference *r, uint16_t counter, uint16_t accelerati
 	reference_tick(r);
 }
 
-/* When an event-driven PDO goes out. */
+/* The time at which an event-driven PDO is sent. */
 static uint64_t due_us(struct reference *r, uint16_t comm)
 {
 	const struct reference_tpdo *tpdo = &r->tpdo[comm & 0x1FFu];

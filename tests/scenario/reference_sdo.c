@@ -37,7 +37,7 @@ void ref_sdo_open_second(struct reference *r)
 		r->sdo[1].response = response;
 }
 
-static void say(struct reference *r, struct reference_transfer *t, uint8_t command, uint32_t value)
+static void respond(struct reference *r, struct reference_transfer *t, uint8_t command, uint32_t value)
 {
 	uint8_t data[8] = {command, (uint8_t)t->index, (uint8_t)(t->index >> 8), t->sub};
 
@@ -46,10 +46,10 @@ static void say(struct reference *r, struct reference_transfer *t, uint8_t comma
 	ref_send(r, t->response, data, 8);
 }
 
-static void refuse(struct reference *r, struct reference_transfer *t, uint32_t code)
+static void abort_with(struct reference *r, struct reference_transfer *t, uint32_t code)
 {
 	t->state = REF_IDLE;
-	say(r, t, 0x80, code);
+	respond(r, t, 0x80, code);
 }
 
 static void expect(struct reference *r, struct reference_transfer *t, enum reference_transfer_state state)
@@ -97,7 +97,7 @@ static uint32_t may_download(struct reference *r, struct reference_transfer *t, 
 	return 0;
 }
 
-static void take(struct reference *r, struct reference_transfer *t, const uint8_t answer[8])
+static void append(struct reference *r, struct reference_transfer *t, const uint8_t answer[8])
 {
 	uint32_t code = ref_write(r, t->index, t->sub, t->data, t->done);
 
@@ -106,7 +106,7 @@ static void take(struct reference *r, struct reference_transfer *t, const uint8_
 		t->state = REF_PENDING;
 		memcpy(t->answer, answer, 8);
 	} else if (code) {
-		refuse(r, t, code);
+		abort_with(r, t, code);
 	} else {
 		ref_send(r, t->response, answer, 8);
 	}
@@ -123,7 +123,7 @@ void ref_sdo_done(struct reference *r, bool stored)
 		if (stored)
 			ref_send(r, t->response, t->answer, 8);
 		else
-			refuse(r, t, 0x08000020);
+			abort_with(r, t, 0x08000020);
 	}
 }
 
@@ -136,11 +136,11 @@ static void download(struct reference *r, struct reference_transfer *t, const ui
 	begin(t, f);
 	code = may_download(r, t, sized, expedited ? 4u - (f[0] >> 2 & 3) : ref_u32(f + 4));
 	if (code) {
-		refuse(r, t, code);
+		abort_with(r, t, code);
 	} else if (expedited) {
 		t->done = t->size > 4 ? 4 : t->size;
 		memcpy(t->data, f + 4, 4);
-		take(r, t, answer);
+		append(r, t, answer);
 	} else {
 		expect(r, t, REF_DOWNLOAD);
 		ref_send(r, t->response, answer, 8);
@@ -153,7 +153,7 @@ static void download_segment(struct reference *r, struct reference_transfer *t, 
 	size_t n = 7u - (f[0] >> 1 & 7);
 
 	if (t->done + n > t->size) {
-		refuse(r, t, TOO_LONG);
+		abort_with(r, t, TOO_LONG);
 		return;
 	}
 	memcpy(t->data + t->done, f + 1, n);
@@ -163,9 +163,9 @@ static void download_segment(struct reference *r, struct reference_transfer *t, 
 		expect(r, t, REF_DOWNLOAD);
 		ref_send(r, t->response, answer, 8);
 	} else if (t->sized && t->done != t->size) {
-		refuse(r, t, TOO_SHORT);
+		abort_with(r, t, TOO_SHORT);
 	} else {
-		take(r, t, answer);
+		append(r, t, answer);
 	}
 }
 
@@ -177,12 +177,12 @@ static void block_download(struct reference *r, struct reference_transfer *t, co
 	t->crc = f[0] & 4;
 	code = may_download(r, t, f[0] & 2, ref_u32(f + 4));
 	if (code) {
-		refuse(r, t, code);
+		abort_with(r, t, code);
 		return;
 	}
 	expect(r, t, REF_BLOCK_DOWNLOAD);
 	t->nudge_us = r->now_us + NUDGE_US;
-	say(r, t, 0xA4, REF_BLOCK_SIZE);
+	respond(r, t, 0xA4, REF_BLOCK_SIZE);
 }
 
 static void acknowledge(struct reference *r, struct reference_transfer *t)
@@ -201,14 +201,14 @@ static void block_segment(struct reference *r, struct reference_transfer *t, con
 	unsigned sequence = f[0] & 127u;
 
 	if (sequence == 0) {
-		refuse(r, t, 0x05040003);
+		abort_with(r, t, 0x05040003);
 		return;
 	}
 	expect(r, t, REF_BLOCK_DOWNLOAD);
 	t->nudge_us = r->now_us + NUDGE_US;
 	if (sequence == t->sequence + 1u) {
 		if (t->done && t->done >= t->size) {
-			refuse(r, t, TOO_LONG);
+			abort_with(r, t, TOO_LONG);
 			return;
 		}
 		memcpy(t->data + t->done, f + 1, 7);
@@ -226,13 +226,13 @@ static void block_download_end(struct reference *r, struct reference_transfer *t
 
 	t->done -= f[0] >> 2 & 7u;
 	if (t->done > t->size)
-		refuse(r, t, TOO_LONG);
+		abort_with(r, t, TOO_LONG);
 	else if (t->sized && t->done < t->size)
-		refuse(r, t, TOO_SHORT);
+		abort_with(r, t, TOO_SHORT);
 	else if (t->crc && reference_crc(t->data, t->done) != (f[1] | f[2] << 8))
-		refuse(r, t, 0x05040004);
+		abort_with(r, t, 0x05040004);
 	else
-		take(r, t, answer);
+		append(r, t, answer);
 }
 
 /* ---- upload ------------------------------------------------------------------------------------------------------ */
@@ -271,11 +271,11 @@ static void start_upload(struct reference *r, struct reference_transfer *t)
 {
 	if (t->size == 0 || t->size > 4) {
 		expect(r, t, REF_UPLOAD);
-		say(r, t, 0x41, (uint32_t)t->size);
+		respond(r, t, 0x41, (uint32_t)t->size);
 		return;
 	}
 	memset(t->data + t->size, 0, 4 - t->size);
-	say(r, t, (uint8_t)(0x43 | (4 - t->size) << 2), ref_u32(t->data));
+	respond(r, t, (uint8_t)(0x43 | (4 - t->size) << 2), ref_u32(t->data));
 }
 
 static void upload(struct reference *r, struct reference_transfer *t, const uint8_t *f)
@@ -285,7 +285,7 @@ static void upload(struct reference *r, struct reference_transfer *t, const uint
 	begin(t, f);
 	code = may_upload(r, t);
 	if (code)
-		refuse(r, t, code);
+		abort_with(r, t, code);
 	else
 		start_upload(r, t);
 }
@@ -314,12 +314,12 @@ static void block_upload(struct reference *r, struct reference_transfer *t, cons
 	if (!code && (f[4] < 1 || f[4] > 127))
 		code = 0x05040002;
 	if (code) {
-		refuse(r, t, code);
+		abort_with(r, t, code);
 	} else if (f[5] && t->size <= f[5]) {
 		start_upload(r, t);
 	} else {
 		expect(r, t, REF_BLOCK_UPLOAD_START);
-		say(r, t, 0xC6, (uint32_t)t->size);
+		respond(r, t, 0xC6, (uint32_t)t->size);
 	}
 }
 
@@ -352,7 +352,7 @@ static void block_acknowledged(struct reference *r, struct reference_transfer *t
 	size_t in_last = t->size % 7 ? t->size % 7 : t->size ? 7 : 0;
 
 	if (sequence > t->sequence) {
-		refuse(r, t, 0x05040003);
+		abort_with(r, t, 0x05040003);
 		return;
 	}
 	if (sequence > 0 && bytes >= left) {
@@ -364,7 +364,7 @@ static void block_acknowledged(struct reference *r, struct reference_transfer *t
 		return;
 	}
 	if (next < 1 || next > 127) {
-		refuse(r, t, 0x05040002);
+		abort_with(r, t, 0x05040002);
 		return;
 	}
 	t->done += bytes;
@@ -400,7 +400,7 @@ static bool segment_frame(struct reference *r, struct reference_transfer *t, con
 	if (!up && !down)
 		return false;
 	if ((f[0] >> 4 & 1) != t->toggle)
-		refuse(r, t, 0x05030000);
+		abort_with(r, t, 0x05030000);
 	else if (up)
 		upload_segment(r, t);
 	else
@@ -429,7 +429,7 @@ static void frame(struct reference *r, struct reference_transfer *t, const uint8
 	default:
 		if (t->state == REF_IDLE)
 			begin(t, f);
-		refuse(r, t, 0x05040001);
+		abort_with(r, t, 0x05040001);
 	}
 }
 
@@ -459,7 +459,7 @@ uint64_t ref_sdo_tick(struct reference *r)
 			t->nudge_us = UINT64_MAX;
 		}
 		if (r->now_us >= t->timeout_us) {
-			refuse(r, t, 0x05040000);
+			abort_with(r, t, 0x05040000);
 			continue;
 		}
 		next = ref_earlier(next, t->timeout_us);

@@ -1,5 +1,5 @@
 /* SDO block transfer: CiA 301, 7.2.4.3.9 to 7.2.4.3.16. The CRC of "123456789" is 31C3h; the other CRCs were
- * computed outside, bit by bit. */
+ * computed by a bitwise implementation outside this project. */
 #include "tests/scenario/bus.h"
 
 #include <string.h>
@@ -8,7 +8,7 @@
 
 static struct od_domain domain;
 
-/* 1021h with this content. */
+/* Sets the content of 1021h. */
 static void set_domain(struct bus *bus, const void *data, size_t size)
 {
 	domain = (struct od_domain){.index = 0x1021, .data = data, .size = size};
@@ -72,7 +72,7 @@ static void test_segments_that_the_client_misses_are_sent_again(void **state)
 	bus_expect(bus, "590 02 4F 50 51 52 53 54 55");
 	bus_expect(bus, "590 83 56 57 58 59 5A 00 00");
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "610 A2 02 7F 00 00 00 00 00", "590 81 56 57 58 59 5A 00 00"); /* now the last */
+	bus_exchange(bus, "610 A2 02 7F 00 00 00 00 00", "590 81 56 57 58 59 5A 00 00"); /* the last one */
 	bus_exchange(bus, "610 A2 01 7F 00 00 00 00 00", "590 C9 AF E8 00 00 00 00 00");
 }
 
@@ -124,7 +124,7 @@ static void test_up_to_the_protocol_switch_threshold_the_upload_is_not_a_block_u
 	bus_exchange(bus, "610 A4 08 10 00 7F 13 00 00", "590 C6 08 10 00 14 00 00 00");
 	bus_exchange(bus, "610 A4 01 20 00 7F 04 00 00", "590 4F 01 20 00 02 00 00 00");
 	bus_run(bus, 5000000);
-	bus_expect_nothing(bus); /* the transfer before was ended */
+	bus_expect_nothing(bus); /* the previous transfer has ended */
 }
 
 static void test_a_block_size_of_0_or_above_127_is_refused(void **state)
@@ -275,7 +275,7 @@ static void test_a_sub_block_does_not_time_out_on_a_slow_bus(void **state)
 	set_domain(bus, content, sizeof(content));
 	bus_exchange(bus, "610 A0 21 10 00 7F 00 00 00", "590 C6 21 10 00 79 03 00 00");
 	bus_send(bus, "610 A3 00 00 00 00 00 00 00");
-	for (int i = 0; i < 10; i++) { /* a frame in 600 ms */
+	for (int i = 0; i < 10; i++) { /* one frame per 600 ms */
 		bus->full = true;
 		bus_run(bus, 600000);
 		assert_int_equal(bus->port.queue_count, 1);
@@ -323,8 +323,8 @@ static uint16_t crc_bit_by_bit(const uint8_t *data, size_t size)
 	return crc;
 }
 
-/* Takes the segments of one sub-block, of which each is lost with a chance of 1 in `odds`. The number of the last
- * one in order; *got grows, *last tells that it was the last of all. */
+/* Receives the segments of one sub-block, each of which is lost with a probability of 1 / `odds`. Returns the number of
+ * the last one in order; adds to *got, and sets *last after the last segment of the value. */
 static uint8_t take_sub_block(struct bus *bus, uint32_t *seed, uint32_t odds, uint8_t *got, size_t *size, bool *last)
 {
 	uint8_t sequence = 0;

@@ -1,4 +1,4 @@
-/* Frames with the identifiers of this node, from others: EMCY 8150h (CiA 301, table 26). The node is 10h. */
+/* COB-ID collision: frames of other nodes with identifiers of this node, 10h: EMCY 8150h (CiA 301, table 26). */
 #include "tests/scenario/bus.h"
 
 #define COLLISION_710 "090 50 81 11 10 07 00 00 00"

@@ -1,5 +1,5 @@
-/* Large objects of the whole device, over the SDO client in simulated time: the configuration snapshot (2130h) and the
- * event log (2131h). The bytes of a concise DCF are those of CiA 302-3, put together by hand here. */
+/* Large objects of a whole device, by the SDO client in simulated time: EDS (1021h), configuration snapshot (2130h) and
+ * event log (2131h). The bytes of a concise DCF (CiA 302-3) are written out here. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,12 +9,12 @@
 
 enum { TIMEOUT_US = 100000, ANSWERS = 256, LARGE = OD_DOMAIN_MAX };
 
-/* A device on a bus of its own, and its client. */
+/* A device and its SDO client. */
 struct pair {
 	struct world world;
-	struct can_port client_bus; /* what the client sends goes to the device at once */
+	struct can_port client_bus; /* frames of the client are received by the device at once */
 	struct sdo_client client;
-	struct can_msg answers[ANSWERS]; /* of the device, not looked at yet */
+	struct can_msg answers[ANSWERS]; /* responses of the device that the client has not received yet */
 	size_t answer_count;
 	uint8_t value[LARGE + 100];
 };
@@ -151,7 +151,7 @@ static void test_the_eds_is_read_at_1021h_by_segments_and_blocks_and_1022h_is_pl
 	}
 }
 
-/* ---- snapshot: to read ------------------------------------------------------------------------------------------- */
+/* ---- snapshot: upload -------------------------------------------------------------------------------------------- */
 
 static void test_the_snapshot_is_a_concise_dcf_of_every_configuration_object(void **state)
 {
@@ -203,7 +203,7 @@ static void test_a_cob_id_that_follows_the_node_id_has_bit_29_set(void **state)
 	assert_non_null(memmem(p->value, p->client.size, pdo, sizeof(pdo)));
 }
 
-/* Anything that writes a snapshot entry by entry succeeds, as long as it adds the node-ID. */
+/* A master may write a snapshot entry by entry, if it adds the node-ID where bit 29 is set. */
 static void test_the_entries_of_a_snapshot_can_be_written_one_by_one_in_their_order(void **state)
 {
 	struct pair *p = *state;
@@ -232,20 +232,20 @@ static void test_the_entries_of_a_snapshot_can_be_written_one_by_one_in_their_or
 	}
 }
 
-/* ---- snapshot: to another node ----------------------------------------------------------------------------------- */
+/* ---- snapshot: download to another node -------------------------------------------------------------------------- */
 
 static void configure(struct pair *p)
 {
 	const float l = 0.125f, beta = 0.25f;
 
-	must_write(p, 0x1801, 1, 4, 0xC0000290); /* TPDO2: four others, every third SYNC, another COB-ID */
+	must_write(p, 0x1801, 1, 4, 0xC0000290); /* TPDO2: four other objects, every third SYNC, another COB-ID */
 	must_write(p, 0x1A01, 0, 1, 0);
 	must_write(p, 0x1A01, 1, 4, 0x21030120);
 	must_write(p, 0x1A01, 2, 4, 0x21030220);
 	must_write(p, 0x1A01, 0, 1, 2);
 	must_write(p, 0x1801, 2, 1, 3);
 	must_write(p, 0x1801, 1, 4, 0x400002A5);
-	must_write(p, 0x1803, 1, 4, 0x80000490); /* TPDO4: off */
+	must_write(p, 0x1803, 1, 4, 0x80000490); /* TPDO4: invalid */
 	must_write(p, 0x1019, 0, 1, 10);
 	must_write(p, 0x1006, 0, 4, 20000);
 	must_write(p, 0x1005, 0, 4, 0x40000081);
@@ -275,7 +275,7 @@ static void assert_same_configuration(const struct pair *a, const struct pair *b
 	}
 }
 
-static void bring_over(struct pair *from, struct pair *to)
+static void copy_configuration(struct pair *from, struct pair *to)
 {
 	assert_int_equal(read_in_blocks(from, 0x2130, 0), SDO_DONE);
 	assert_int_equal(write_in_blocks(to, 0x2130, 0, from->value, from->client.size), 0);
@@ -286,7 +286,7 @@ static void test_a_snapshot_brings_another_node_to_the_same_configuration(void *
 	struct pair *p = *state, *other = new_pair(17);
 
 	configure(p);
-	bring_over(p, other);
+	copy_configuration(p, other);
 	assert_same_configuration(p, other);
 	free(other);
 }
@@ -297,10 +297,10 @@ static void test_cob_ids_that_follow_the_node_id_follow_that_of_the_other_node(v
 
 	configure(p);
 	must_write(other, 0x1014, 0, 4, 0x800000FF);
-	bring_over(p, other);
+	copy_configuration(p, other);
 	assert_int_equal(value_u32(other, 0x1014, 0), 0x91);
 	assert_int_equal(value_u32(other, 0x1800, 1), 0x40000191);
-	assert_int_equal(value_u32(other, 0x1801, 1), 0x400002A5); /* this one was chosen */
+	assert_int_equal(value_u32(other, 0x1801, 1), 0x400002A5); /* this one was configured */
 	assert_int_equal(value_u32(other, 0x1803, 1), 0x80000491);
 	free(other);
 }
@@ -309,12 +309,12 @@ static void test_a_snapshot_is_applied_to_a_node_with_active_pdos_and_sync(void 
 {
 	struct pair *p = *state, *other = new_pair(17);
 
-	configure(other); /* produces SYNC, maps and watches otherwise */
+	configure(other); /* another mapping, SYNC producer, heartbeat consumer */
 	must_write(other, 0x1005, 0, 4, 0x81);
 	must_write(other, 0x1005, 0, 4, 0x40000082);
 	must_write(other, 0x1016, 3, 4, 0x00070200);
 	world_nmt(&other->world, 1);
-	bring_over(p, other);
+	copy_configuration(p, other);
 	assert_same_configuration(p, other);
 	assert_int_equal(value_u32(other, 0x1801, 1), 0x40000291);
 	assert_int_equal(value_u32(other, 0x1005, 0), 0x80);
@@ -327,7 +327,7 @@ static void test_a_snapshot_leaves_identity_and_measurements(void **state)
 
 	p->world.device.values.identity.serial_number = 1111;
 	other->world.device.values.identity.serial_number = 2222;
-	bring_over(p, other);
+	copy_configuration(p, other);
 	assert_int_equal(value_u32(other, 0x1018, 4), 2222);
 	free(other);
 }
@@ -337,7 +337,7 @@ static void test_a_snapshot_has_the_configuration_date(void **state)
 	struct pair *p = *state, *other = new_pair(17);
 
 	configure(p);
-	bring_over(p, other);
+	copy_configuration(p, other);
 	assert_int_equal(value_u32(other, 0x1020, 1), 15000);
 	assert_int_equal(value_u32(other, 0x1020, 2), 12345678);
 	free(other);
@@ -368,7 +368,7 @@ static void test_a_snapshot_read_and_written_back_changes_nothing(void **state)
 		(uint8_t)((value) >> 16), (uint8_t)((uint32_t)(value) >> 24)
 #define GOOD_ENTRY ENTRY_U16(0x1017, 0, 777)
 
-/* Refused with this code, and not even the entry before took effect. */
+/* Refused with this code, and the valid entry before it is not applied either. */
 static void assert_refused(struct pair *p, const uint8_t *dcf, size_t size, uint32_t code)
 {
 	static struct od_values before;
@@ -426,13 +426,13 @@ static void test_a_snapshot_with_a_value_of_the_wrong_size_or_beyond_its_limits_
 	ASSERT_REFUSED(*state, 0x06070012, ENTRY_U16(0x2001, 0, 1));
 	ASSERT_REFUSED(*state, 0x06070013, ENTRY_U8(0x1017, 0, 1));
 	ASSERT_REFUSED(*state, 0x06090031, ENTRY_U8(0x2001, 0, 99));
-	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U32(0x2000, 1, 0x7FC00000)); /* not a number */
+	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U32(0x2000, 1, 0x7FC00000)); /* NaN */
 }
 
 static void test_a_snapshot_is_rolled_back_when_an_object_refuses_its_value(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U16(0x6000, 0, 7));
-	ASSERT_REFUSED(*state, 0x06010000, ENTRY_U8(0x1A00, 0, 0)); /* the PDO is in use */
+	ASSERT_REFUSED(*state, 0x06010000, ENTRY_U8(0x1A00, 0, 0)); /* the PDO is valid */
 }
 
 static void test_a_snapshot_with_contradictory_values_is_refused(void **state)
@@ -446,8 +446,8 @@ static void test_bytes_that_are_not_a_concise_dcf_are_refused(void **state)
 	const uint8_t dcf[] = {1, 0, 0, 0, GOOD_ENTRY, 0};
 
 	assert_refused(p, dcf, 3, 0x06040043);
-	assert_refused(p, dcf, sizeof(dcf) - 2, 0x06040043); /* cut */
-	assert_refused(p, dcf, sizeof(dcf), 0x06040043);     /* a byte too many */
+	assert_refused(p, dcf, sizeof(dcf) - 2, 0x06040043); /* truncated */
+	assert_refused(p, dcf, sizeof(dcf), 0x06040043);     /* one byte too many */
 }
 
 static void test_a_snapshot_that_is_too_long_is_refused_at_initiation(void **state)
@@ -473,7 +473,7 @@ static void assert_answer(const struct pair *p, const uint8_t data[8])
 	assert_memory_equal(p->answers[0].data, data, 8);
 }
 
-/* A client that does not say how much it has. */
+/* A client that does not indicate the size. */
 static void test_a_segmented_download_without_a_size_is_limited_by_the_buffer(void **state)
 {
 	struct pair *p = *state;
@@ -512,7 +512,7 @@ static void test_a_domain_can_be_written_expedited(void **state)
 
 	request(p, (const uint8_t[8]){0x23, 0x30, 0x21}); /* no entries */
 	assert_answer(p, (const uint8_t[8]){0x60, 0x30, 0x21});
-	request(p, (const uint8_t[8]){0x27, 0x30, 0x21}); /* three bytes are nothing */
+	request(p, (const uint8_t[8]){0x27, 0x30, 0x21}); /* three bytes are not a DCF */
 	assert_answer(p, (const uint8_t[8]){0x80, 0x30, 0x21, 0, 0x43, 0x00, 0x04, 0x06});
 }
 

@@ -1,4 +1,4 @@
-/* Emergency: CiA 301, 7.2.7, objects 1001h, 1003h, 1014h, 1015h. */
+/* EMCY: CiA 301, 7.2.7, objects 1001h, 1003h, 1014h, 1015h. */
 #include "tests/scenario/bus.h"
 
 static void set_error(struct bus *bus, uint16_t code, uint8_t register_bits)
@@ -13,7 +13,7 @@ static void clear_error(struct bus *bus, uint16_t code)
 	bus_tick(bus);
 }
 
-/* ---- errors come and go ------------------------------------------------------------------------------------------ */
+/* ---- raising and clearing ---------------------------------------------------------------------------------------- */
 
 static void test_an_error_is_sent_at_once_with_the_generic_bit(void **state)
 {
@@ -176,7 +176,7 @@ static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(vo
 	bus_exchange(bus, "610 40 03 10 01 00 00 00 00", "590 80 03 10 01 24 00 00 08");
 	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 1, 4), 0);
 	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 2, 4), 0);
-	assert_int_equal(bus_read(bus, 0x1001, 0), 1); /* the error itself stands */
+	assert_int_equal(bus_read(bus, 0x1001, 0), 1); /* the error is still active */
 }
 
 /* ---- COB-ID 1014h ------------------------------------------------------------------------------------------------ */
@@ -254,7 +254,7 @@ static void test_within_the_inhibit_time_messages_wait_and_none_is_lost(void **s
 	bus_run(bus, 9999);
 	bus_expect_nothing(bus);
 	bus_run(bus, 100000);
-	bus_expect(bus, "090 20 81 91 00 00 00 00 00"); /* the register as it was then */
+	bus_expect(bus, "090 20 81 91 00 00 00 00 00"); /* the register at the time of the error */
 	assert_int_equal(bus->seen_us, start_us + 10000);
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
 	assert_int_equal(bus->seen_us, start_us + 20000);
@@ -290,7 +290,7 @@ static void test_when_too_many_wait_the_oldest_is_dropped_and_counted(void **sta
 	clear_error(bus, 0xFF00);
 	assert_int_equal(bus->node.emcy.lost, 1);
 	bus_run_until_sent(bus, 100000);
-	bus_expect(bus, "090 81 FF 01 00 00 00 00 00"); /* FF01h is gone */
+	bus_expect(bus, "090 81 FF 01 00 00 00 00 00"); /* FF01h was dropped */
 	bus_run(bus, 1000000);
 	bus->seen = bus->sent_count - 1;
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
@@ -345,7 +345,7 @@ static void test_in_stopped_no_emcy_is_sent_and_afterwards_the_most_recent_activ
 	bus_expect(bus, "090 20 81 01 00 00 00 00 00");
 	bus_run(bus, 1000000);
 	bus_expect_nothing(bus);
-	assert_int_equal(bus_read(bus, 0x1003, 0), 3); /* the history has them all */
+	assert_int_equal(bus_read(bus, 0x1003, 0), 3); /* the history has all of them */
 }
 
 static void test_an_error_that_ended_in_stopped_is_reset_afterwards(void **state)
@@ -443,7 +443,7 @@ static void test_reset_communication_keeps_the_errors_of_the_application(void **
 	struct bus *bus = *state;
 
 	set_error(bus, 0x5000, 0x80);
-	bus_send(bus, "080 01"); /* wrong length: an error of the communication */
+	bus_send(bus, "080 01"); /* wrong length: an error of the core */
 	bus_forget(bus);
 	bus_exchange(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x81);

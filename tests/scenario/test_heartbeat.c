@@ -3,8 +3,8 @@
 
 #include <stdio.h>
 
-/* Watches node 20h with 100 ms and hears its first heartbeat. */
-static void watch(struct bus *bus)
+/* Consumes the heartbeat of node 20h with 100 ms, and receives the first one. */
+static void consume(struct bus *bus)
 {
 	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200064), 0);
 	bus_send(bus, "720 05");
@@ -14,7 +14,7 @@ static void test_a_heartbeat_event_reports_the_node_id_of_the_producer(void **st
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 99999);
 	bus_expect_nothing(bus);
 	bus_run(bus, 1);
@@ -46,7 +46,7 @@ static void test_each_heartbeat_restarts_the_consumer_time(void **state)
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	for (int i = 0; i < 10; i++) {
 		bus_run(bus, 99999);
 		bus_send(bus, "720 7F");
@@ -58,7 +58,7 @@ static void test_the_next_heartbeat_ends_the_error_and_restarts_the_consumer(voi
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 5000000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 	bus_exchange(bus, "720 05", "090 00 00 00 00 00 00 00 00");
@@ -70,7 +70,7 @@ static void test_each_lost_node_is_reported_and_the_last_one_that_returns_ends_t
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	assert_int_equal(bus_write(bus, 0x1016, 8, 4, 0x007F0064), 0);
 	bus_send(bus, "77F 05");
 	bus_run(bus, 100000);
@@ -104,7 +104,7 @@ static void test_a_heartbeat_event_leaves_operational(void **state)
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 100000);
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
@@ -114,7 +114,7 @@ static void test_a_heartbeat_event_is_sent_before_the_node_stops(void **state)
 	struct bus *bus = *state;
 
 	assert_int_equal(bus_write(bus, 0x1029, 1, 1, 2), 0);
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_STOPPED);
@@ -124,7 +124,7 @@ static void test_in_stopped_the_consumer_continues(void **state)
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_send(bus, "000 02 10");
 	bus_run(bus, 100000);
 	bus_expect_nothing(bus);
@@ -152,7 +152,7 @@ static void test_the_time_of_an_entry_may_change(void **state)
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x002000C8), 0);
 	bus_send(bus, "720 05");
 	bus_run(bus, 199999);
@@ -173,7 +173,7 @@ static void test_an_entry_set_to_0_stops_its_consumer_and_ends_its_error(void **
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 	bus_send(bus, "610 23 16 10 01 00 00 00 00");
@@ -188,7 +188,7 @@ static void test_the_receive_filter_has_the_heartbeats_of_the_producers(void **s
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	assert_int_equal(bus->filter_count, 16);
 	assert_true(bus_listens_to(bus, 0x720));
 }
@@ -197,7 +197,7 @@ static void test_reset_communication_stops_the_consumer_and_ends_the_error(void 
 {
 	struct bus *bus = *state;
 
-	watch(bus);
+	consume(bus);
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
 	bus_exchange(bus, "000 82 10", "710 00");
@@ -275,7 +275,7 @@ static void test_a_node_with_a_heartbeat_is_not_guarded(void **state)
 	bus_expect_nothing(bus);
 }
 
-/* 3 times 100 ms */
+/* Life time: 3 times 100 ms. */
 static void guard_life(struct bus *bus)
 {
 	assert_int_equal(bus_write(bus, 0x100C, 0, 2, 100), 0);

@@ -12,7 +12,7 @@ static void set_identity(struct bus *bus)
 	bus_put(bus, 0x1018, 4, 4, 0x12345678);
 }
 
-/* A node that has no node-ID. */
+/* A node without a node-ID. */
 static struct bus *unconfigured(void)
 {
 	struct bus *bus = bus_new_with_id(CANOPEN_UNCONFIGURED);
@@ -154,7 +154,7 @@ static void test_identifiers_that_were_configured_do_not_follow_the_node_id(void
 {
 	struct bus *bus = *state;
 
-	bus->power_on.cob_id_emcy = 0x0AA; /* as if stored */
+	bus->power_on.cob_id_emcy = 0x0AA; /* as a stored value */
 	configure(bus);
 	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
 	bus_send(bus, "000 82 10");
@@ -277,7 +277,7 @@ static void test_a_store_that_ends_in_waiting_state_has_no_response(void **state
 	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
 	stored(bus, OD_OK);
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "000 81 10", "720 00"); /* kept all the same */
+	bus_exchange(bus, "000 81 10", "720 00"); /* stored nevertheless */
 }
 
 static void test_a_node_id_configured_during_a_store_is_not_the_stored_one(void **state)
@@ -631,7 +631,7 @@ static bool scan(struct bus *bus, uint32_t value, uint8_t bit, uint8_t number, u
 	return true;
 }
 
-/* As a master does it: each bit is 0 where somebody answers. */
+/* As a master: a bit is 0 if at least one node responds. */
 static uint32_t find_number(struct bus *bus, uint8_t number)
 {
 	uint32_t value = 0;

@@ -297,7 +297,7 @@ static void test_1F80h_acts_at_boot_up_not_when_it_is_written(void **state)
 
 	assert_int_equal(bus_write(bus, 0x1F80, 0, 4, 0), 0);
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
-	bus->power_on = bus->values; /* as if stored */
+	bus->power_on = bus->values; /* as a stored value */
 	bus_exchange(bus, "000 82 10", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
 }

@@ -6,7 +6,7 @@
 #define NO_RTR	0x40000000u
 #define INVALID 0x80000000u
 
-/* TPDO1 alone, of this type; the others are switched off. */
+/* Only TPDO1, with this type; the others are invalid. */
 static void only_tpdo1(struct bus *bus, uint8_t type)
 {
 	for (uint16_t index = 0x1801; index <= 0x1803; index++)
@@ -14,7 +14,7 @@ static void only_tpdo1(struct bus *bus, uint8_t type)
 	assert_int_equal(bus_write(bus, 0x1800, 2, 1, type), 0);
 }
 
-/* A parameter that must not change while the PDO is valid. */
+/* Writes a parameter that cannot change while the PDO is valid. */
 static void set_tpdo1(struct bus *bus, uint8_t sub, size_t size, uint32_t value)
 {
 	assert_int_equal(bus_write(bus, 0x1800, 1, 4, INVALID | 0x190), 0);
@@ -530,7 +530,7 @@ static void test_an_unknown_object_cannot_be_mapped(void **state)
 	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 0), 0);
 	bus_exchange(bus, "610 23 00 1A 01 10 01 FF 2F", "590 80 00 1A 01 00 00 02 06");
 	bus_exchange(bus, "610 23 00 1A 01 10 09 00 21", "590 80 00 1A 01 00 00 02 06");
-	bus_exchange(bus, "610 23 00 1A 01 08 00 05 00", "590 80 00 1A 01 00 00 02 06"); /* a dummy */
+	bus_exchange(bus, "610 23 00 1A 01 08 00 05 00", "590 80 00 1A 01 00 00 02 06"); /* a dummy entry */
 }
 
 static void test_an_object_that_is_not_mappable_cannot_be_mapped(void **state)
@@ -610,7 +610,7 @@ static void test_reset_communication_restores_the_default_mapping(void **state)
 	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
 }
 
-/* ---- stored values that do not fit (a file of another version, a configuration by hand) -------------------------- */
+/* ---- unusable stored values (of another version, or of a hand-written file) -------------------------------------- */
 
 static void expect_tpdo1_refused_at_start(struct bus *bus)
 {
@@ -690,9 +690,9 @@ static void test_a_pdo_with_a_bad_mapping_cannot_be_made_valid(void **state)
 	(void)state;
 }
 
-/* ---- on request (RTR) -------------------------------------------------------------------------------------------- */
+/* ---- remote request (RTR) ---------------------------------------------------------------------------------------- */
 
-/* TPDO1 alone, of this type, that may be asked for. */
+/* Only TPDO1, with this type, and without the no-RTR bit. */
 static void requestable(struct bus *bus, uint8_t type)
 {
 	only_tpdo1(bus, type);
@@ -813,7 +813,7 @@ static void test_the_receive_filter_has_the_remote_requests(void **state)
 	assert_false(bus_listens_to(bus, 0x190));
 }
 
-/* ---- eight of them ----------------------------------------------------------------------------------------------- */
+/* ---- TPDO5 to TPDO8 ---------------------------------------------------------------------------------------------- */
 
 static void test_tpdo_5_to_8_are_invalid_and_empty_until_configured(void **state)
 {

@@ -1,9 +1,9 @@
-/* Random frames, time, samples, errors, storage. In ten thousand short sequences, made by a seeded generator that knows
- * what a master does and what it should not do, each frame of the core and each value of its dictionary is compared with
- * those of a model (reference.h), and afterwards the master gets the node back. In a hundred thousand steps of plain
- * garbage the node says only what its NMT state allows, knows its next deadline, and serves NMT and SDO afterwards.
+/* Random frames, time, samples, errors and storage. In ten thousand short sequences of a seeded generator, which makes
+ * legal and illegal requests of a master, each frame and each value of the core is compared with that of a model
+ * (reference.h), and the node serves NMT and SDO afterwards. In a hundred thousand steps of random bytes the node sends
+ * only what its NMT state allows, has a deadline in the future, and serves NMT and SDO afterwards.
  *
- * IMU9_SEED=N repeats one sequence, IMU9_SEQUENCES=N runs more or fewer of them. */
+ * IMU9_SEED=N repeats one sequence; IMU9_SEQUENCES=N sets their number. */
 #include "tests/scenario/bus.h"
 
 #include <stdio.h>
@@ -55,7 +55,7 @@ static struct can_msg nmt(uint32_t *seed)
 	return msg;
 }
 
-/* A request for an object that exists, mostly, of any kind, with a value that means something, mostly. */
+/* A request of any kind, mostly for an existing object and with a meaningful value. */
 static struct can_msg sdo(uint32_t *seed, const struct od_table *table)
 {
 	static const uint8_t commands[] = {0x40, 0x40, 0x23, 0x27, 0x2B, 0x2F, 0x22, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10,
@@ -65,7 +65,7 @@ static struct can_msg sdo(uint32_t *seed, const struct od_table *table)
 	const struct od_entry *entry = &table->entries[below(seed, (uint32_t)table->count)];
 	struct can_msg msg = {.id = 0x600 + BUS_NODE_ID, .len = 8};
 
-	while (below(seed, 2) && entry->index >= 0x2000) /* the core's own objects more often */
+	while (below(seed, 2) && entry->index >= 0x2000) /* objects of the core more often */
 		entry = &table->entries[below(seed, (uint32_t)table->count)];
 	fill(seed, msg.data);
 	if (below(seed, 4)) {
@@ -91,7 +91,7 @@ static struct can_msg sync(uint32_t *seed)
 	return msg;
 }
 
-/* Every service but the one that gives another node-ID: the end of this test talks to node 10h. */
+/* Every service but the one that changes the node-ID: the end of this test uses node 10h. */
 static struct can_msg lss(uint32_t *seed)
 {
 	static const uint8_t commands[] = {0x04, 0x04, 0x13, 0x15, 0x17, 0x40, 0x41, 0x42, 0x43, 0x46, 0x47, 0x48, 0x49,
@@ -111,7 +111,7 @@ static void run_a_while(struct bus *bus, uint32_t *seed)
 {
 	uint64_t end_us = bus->now_us + below(seed, 1u << below(seed, 22));
 
-	for (int i = 0; i < 100 && bus->deadline_us <= end_us; i++) /* short event timers: not all of them */
+	for (int i = 0; i < 100 && bus->deadline_us <= end_us; i++) /* event timers may be short: not every deadline */
 		bus_run(bus, bus->deadline_us - bus->now_us);
 	if (bus->deadline_us > end_us)
 		bus_run(bus, end_us - bus->now_us);
@@ -164,8 +164,8 @@ static void step(struct bus *bus, uint32_t *seed)
 	bus_send_msg(bus, &msg);
 }
 
-/* CiA 301, table 37. Nobody may move a PDO, SYNC or EMCY to one of these identifiers. */
-static void check_what_was_said(const struct bus *bus)
+/* CiA 301, table 37. PDO, SYNC and EMCY cannot have one of these identifiers. */
+static void check_sent_frames(const struct bus *bus)
 {
 	enum nmt_state now = canopen_nmt_state(&bus->node);
 
@@ -188,7 +188,7 @@ static void check_what_was_said(const struct bus *bus)
 	}
 }
 
-/* A bit rate that is being switched keeps the node silent for up to two minutes. */
+/* During a switch of the bit rate the node sends nothing for up to two minutes. */
 static void wait_for_the_bit_rate(struct bus *bus)
 {
 	while (bus->node.lss.switching)
@@ -203,7 +203,7 @@ static void test_random_steps_neither_break_nor_block_the_node(void **state)
 	for (int i = 0; i < STEPS; i++) {
 		step(bus, &seed);
 		assert_true(bus->deadline_us > bus->now_us);
-		check_what_was_said(bus);
+		check_sent_frames(bus);
 		bus->sent_count = bus->seen = 0;
 		if (below(&seed, 8) == 0)
 			wait_for_the_bit_rate(bus);
@@ -255,11 +255,11 @@ struct sequence {
 	char what[400]; /* the deviation */
 };
 
-/* The two devices side by side. */
+/* The core and the model side by side. */
 struct pair {
 	struct bus *bus;
 	struct reference *reference;
-	size_t seen; /* of what the model expects */
+	size_t seen; /* of the expected frames of the model */
 	uint8_t domain[OD_DOMAIN_MAX];
 	size_t domain_size;
 	struct od_domain long_domain, short_domain;
@@ -330,7 +330,7 @@ static void write_frame(char *text, size_t size, const struct can_msg *msg)
 		n += snprintf(text + n, size - (size_t)n, " %02X", msg->data[i]);
 }
 
-/* The segments of a sub-block are spread over some microseconds: how many is the core's business. */
+/* The core may spread the segments of a sub-block over some microseconds. */
 static bool same_time(const struct reference *r, uint64_t a, uint64_t b, uint32_t id)
 {
 	bool sdo = id == r->sdo[0].response || id == r->sdo[1].response;
@@ -351,7 +351,7 @@ static bool deviates(struct sequence *s, const char *why, const struct can_msg *
 	return false;
 }
 
-/* In the order of each identifier; what different services send at one instant may come in any order. */
+/* In order for each identifier; services may send in any order at one time. */
 static bool same_frames(struct pair *p, struct sequence *s)
 {
 	struct bus *bus = p->bus;
@@ -445,7 +445,7 @@ static bool compare(struct pair *p, struct sequence *s)
 	return same;
 }
 
-/* ---- doing ------------------------------------------------------------------------------------------------------- */
+/* ---- executing steps --------------------------------------------------------------------------------------------- */
 
 static void wait(struct pair *p, uint64_t us)
 {
@@ -453,7 +453,7 @@ static void wait(struct pair *p, uint64_t us)
 	reference_run(p->reference, us);
 }
 
-/* What the node did not ask the bus for, the kernel keeps from it. */
+/* The kernel discards what the receive filter does not have. */
 static void give(struct pair *p, struct can_msg msg)
 {
 	msg.t_us = p->bus->now_us;
@@ -515,11 +515,11 @@ static void do_step(struct pair *p, const struct random_step *step)
 	bus_tick(bus);
 }
 
-/* ---- making steps ------------------------------------------------------------------------------------------------ */
+/* ---- generating steps -------------------------------------------------------------------------------------------- */
 
 struct generator {
 	uint32_t seed;
-	struct random_step plan[PLAN_MAX]; /* of a client that knows what it does */
+	struct random_step plan[PLAN_MAX]; /* of a correct client */
 	size_t planned, done;
 	struct reference *reference;
 };
@@ -570,7 +570,7 @@ static void plan_write(struct generator *g, uint16_t index, uint8_t sub, uint32_
 	plan_sdo(g, request_id(g), (uint8_t)(0x23 | (4 - size) << 2), index, sub, value);
 }
 
-/* What an object of that kind is written with, right or nearly so. */
+/* A value for an object of that kind, valid or slightly wrong. */
 static uint32_t value_for(struct generator *g, const struct reference_object *o)
 {
 	static const uint32_t small[] = {0, 1, 2, 3, 4, 7, 8, 20, 100, 240, 241, 251, 252, 253, 254, 255, 1000, 65535};
@@ -607,7 +607,7 @@ static const struct reference_object *any_object(struct generator *g)
 	const struct reference *r = g->reference;
 	const struct reference_object *o = &r->objects[below(&g->seed, (uint32_t)r->object_count)];
 
-	while ((o->index >= 0x1400 && o->index < 0x1C00) && below(&g->seed, 8)) /* most of all objects */
+	while ((o->index >= 0x1400 && o->index < 0x1C00) && below(&g->seed, 8)) /* most objects are these */
 		o = &r->objects[below(&g->seed, (uint32_t)r->object_count)];
 	return o;
 }
@@ -638,7 +638,7 @@ static void plan_event(struct generator *g, struct random_step step)
 		g->plan[g->planned++] = step;
 }
 
-/* What makes a PDO go, or comes with its identifier. */
+/* A frame that triggers a PDO, or one with its identifier. */
 static void plan_use_of_pdo(struct generator *g, uint32_t id)
 {
 	struct can_msg msg = {.id = id, .len = (uint8_t)below(&g->seed, 9)};
@@ -666,7 +666,7 @@ static void plan_use_of_pdo(struct generator *g, uint32_t id)
 	}
 }
 
-/* The mapping procedure, then NMT start and what makes the PDO go. */
+/* The mapping procedure, NMT start, and frames that trigger the PDO. */
 static void plan_pdo(struct generator *g)
 {
 	static const uint32_t sent[] = {0x21000110, 0x21010210, 0x210F0110, 0x210F0220, 0x10010008, 0x21020420};
@@ -707,7 +707,7 @@ static void plan_time(struct generator *g)
 	plan_frame(g, msg);
 }
 
-/* The node as a producer, a consumer, a second SDO server, and what it does when something fails. */
+/* Producers, consumers, the second SDO server, and faults. */
 static void plan_service(struct generator *g)
 {
 	static const uint8_t overflows[] = {0, 0, 2, 3, 240, 1};
@@ -843,7 +843,7 @@ static void plan_error_control(struct generator *g)
 		plan_wait(g, below(&g->seed, 150000));
 }
 
-/* ---- SDO transfers as a client makes them ------------------------------------------------------------------------ */
+/* ---- SDO transfers of a client ----------------------------------------------------------------------------------- */
 
 static size_t any_text(struct generator *g, uint8_t *text, size_t longest)
 {
@@ -856,7 +856,7 @@ static size_t any_text(struct generator *g, uint8_t *text, size_t longest)
 	return size;
 }
 
-/* Where long values go: the text 1009h, of up to 32 bytes, the domain 2130h, and numbers. */
+/* Objects for long values: the text 1009h, of up to 32 bytes, the domain 2130h, and numbers. */
 static const struct reference_object *long_target(struct generator *g, uint8_t *data, size_t *size)
 {
 	const struct reference_object *o =
@@ -920,7 +920,7 @@ static void plan_block_download(struct generator *g)
 		uint8_t f[8] = {(uint8_t)(++sequence | (at + 7 >= size ? 0x80 : 0))};
 
 		memcpy(f + 1, data + at, 7);
-		if (below(&g->seed, 60)) /* or else it is lost */
+		if (below(&g->seed, 60)) /* else it is lost */
 			plan_bytes(g, id, f, 8);
 		sequence %= REF_BLOCK_SIZE;
 		at += 7;
@@ -948,7 +948,7 @@ static void plan_block_upload(struct generator *g)
 	plan_bytes(g, id, (const uint8_t[8]){0xA1}, 8);
 }
 
-/* Whatever is under way: the frame that would be right now, mostly. */
+/* Mostly the frame that the transfer under way expects. */
 static void plan_next_of_a_transfer(struct generator *g)
 {
 	const struct reference_transfer *t = &g->reference->sdo[below(&g->seed, 2)];
@@ -979,7 +979,7 @@ static void plan_next_of_a_transfer(struct generator *g)
 	}
 }
 
-static void plan_nonsense(struct generator *g)
+static void plan_random_frame(struct generator *g)
 {
 	struct can_msg msg = {.id = request_id(g), .len = 8};
 
@@ -1018,7 +1018,7 @@ static void plan_lss_identify(struct generator *g)
 		plan_lss(g, 0x46 + i, ref_value(g->reference, 0x1018, subs[i]) + (below(&g->seed, 20) == 0));
 }
 
-/* As a master does that knows the answer: of each number the bits from the highest, then the next number. */
+/* A master that knows the LSS address: the bits of each number from the highest, then the next number. */
 static void plan_lss_fastscan(struct generator *g)
 {
 	plan_bytes(g, 0x7E5, (const uint8_t[8]){0x51, 0, 0, 0, 0, 0x80}, 8);
@@ -1077,7 +1077,7 @@ static void make_plan(struct generator *g)
 	static void (*const plans[])(struct generator *) = {plan_any_write, plan_any_write, plan_any_read, plan_service,
 		plan_service, plan_service, plan_pdo, plan_pdo, plan_process_data, plan_process_data, plan_sync,
 		plan_sync, plan_nmt, plan_error_control, plan_time, plan_segmented_download, plan_segmented_upload,
-		plan_block_download, plan_block_upload, plan_next_of_a_transfer, plan_nonsense, plan_lss_selective,
+		plan_block_download, plan_block_upload, plan_next_of_a_transfer, plan_random_frame, plan_lss_selective,
 		plan_lss_identify, plan_lss_fastscan, plan_lss_node_id, plan_lss_bit_rate, plan_any_lss};
 
 	g->planned = g->done = 0;
@@ -1110,7 +1110,7 @@ static struct random_step any_event(struct generator *g)
 	return step;
 }
 
-static void bend(struct generator *g, struct can_msg *msg)
+static void corrupt(struct generator *g, struct can_msg *msg)
 {
 	switch (below(&g->seed, 6)) {
 	case 0:
@@ -1133,7 +1133,7 @@ static void bend(struct generator *g, struct can_msg *msg)
 	}
 }
 
-static bool only_the_core_knows(const struct pair *p, uint16_t index)
+static bool unknown_to_the_model(const struct pair *p, uint16_t index)
 {
 	enum od_status status;
 
@@ -1141,18 +1141,17 @@ static bool only_the_core_knows(const struct pair *p, uint16_t index)
 	return status != OD_NO_OBJECT && !reference_knows(p->reference, index);
 }
 
-/* A request for one of the objects that the model knows nothing of becomes one for an object that does not exist, and so does
- * a mapping of it. */
-static void keep_to_the_model(const struct pair *p, struct can_msg *msg)
+/* Replaces an object that the model does not have, in a request or a mapping entry, by one that does not exist. */
+static void replace_unknown_objects(const struct pair *p, struct can_msg *msg)
 {
 	uint16_t index = (uint16_t)(msg->data[1] | msg->data[2] << 8);
 	bool segment = (msg->data[0] >> 5 == 0 || msg->data[0] >> 5 == 3);
 
-	if (!segment && only_the_core_knows(p, index))
+	if (!segment && unknown_to_the_model(p, index))
 		index = 0x5FFF;
 	msg->data[1] = (uint8_t)index;
 	msg->data[2] = (uint8_t)(index >> 8);
-	if (only_the_core_knows(p, (uint16_t)(msg->data[6] | msg->data[7] << 8)))
+	if (unknown_to_the_model(p, (uint16_t)(msg->data[6] | msg->data[7] << 8)))
 		msg->data[7] = 0x5F;
 }
 
@@ -1168,9 +1167,9 @@ static struct random_step make_step(struct pair *p, struct generator *g)
 		return any_event(g);
 	step = g->plan[g->done++];
 	if (step.kind == SEND && below(&g->seed, 30) == 0)
-		bend(g, &step.msg);
+		corrupt(g, &step.msg);
 	if (step.kind == SEND)
-		keep_to_the_model(p, &step.msg);
+		replace_unknown_objects(p, &step.msg);
 	return step;
 }
 
@@ -1178,7 +1177,7 @@ static struct random_step make_step(struct pair *p, struct generator *g)
 
 static bool wait_and_compare(struct pair *p, struct sequence *s, uint64_t us)
 {
-	enum { SLICE_US = 50000 }; /* no more frames than there is room for */
+	enum { SLICE_US = 50000 }; /* limits the frames that are recorded */
 
 	for (; us > SLICE_US; us -= SLICE_US) {
 		wait(p, SLICE_US);
@@ -1196,7 +1195,7 @@ static bool run_step(struct pair *p, struct sequence *s, const struct random_ste
 	do_step(p, step);
 	for (int i = 0; i < REF_CHANNELS; i++)
 		if (p->reference->sdo[i].state == REF_BLOCK_UPLOAD)
-			wait(p, 20); /* until the sub-block is out */
+			wait(p, 20); /* until the sub-block is sent */
 	return compare(p, s);
 }
 
@@ -1209,7 +1208,7 @@ static bool run_frame(struct pair *p, struct sequence *s, uint32_t id, uint8_t l
 	return run_step(p, s, &step);
 }
 
-/* Whatever happened, the master gets the node back. What counts here is said without the model. */
+/* After any sequence the node serves NMT and SDO. Checked without the model. */
 static bool recovers(struct pair *p, struct sequence *s)
 {
 	const struct random_step stored = {.kind = STORE_DONE, .a = 1}, lss_stored = {.kind = LSS_STORED, .a = 1};
@@ -1235,7 +1234,7 @@ static bool recovers(struct pair *p, struct sequence *s)
 	return compare(p, s);
 }
 
-/* With make: `s` gets its steps; or else those that it has are done again. */
+/* With `make`, generates the steps of `s`; else executes those that it has. */
 static bool run_sequence(struct sequence *s, struct reference *r, bool make)
 {
 	struct pair p = {.reference = r};
@@ -1256,7 +1255,7 @@ static bool run_sequence(struct sequence *s, struct reference *r, bool make)
 	return same;
 }
 
-/* Leaves out every step that the deviation does not need. */
+/* Removes every step that the deviation does not depend on. */
 static void shorten(struct sequence *s, struct reference *r)
 {
 	for (size_t size = s->count; size > 0; size /= 2)
@@ -1279,7 +1278,7 @@ static void print_sequence(const struct sequence *s)
 		"send", "wait (us)", "sample", "raise", "clear", "storage", "stored", "LSS stored", "bus-off"};
 	char frame[40];
 
-	print_error("IMU9_SEED=%u: %s\nthe shortest sequence that shows it:\n", s->seed, s->what);
+	print_error("IMU9_SEED=%u: %s\nthe shortest sequence that deviates:\n", s->seed, s->what);
 	for (size_t i = 0; i < s->count; i++) {
 		write_frame(frame, sizeof(frame), &s->step[i].msg);
 		print_error("    %s %s%s\n", names[s->step[i].kind],
@@ -1288,9 +1287,9 @@ static void print_sequence(const struct sequence *s)
 	}
 }
 
-static uint32_t sequence_under_way; /* its seed: for an assertion in the midst of it */
+static uint32_t sequence_under_way; /* its seed, for the message of a failed assertion */
 
-static int say_where(void **state)
+static int print_location(void **state)
 {
 	(void)state;
 	if (sequence_under_way)
@@ -1333,7 +1332,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_teardown(
-			test_ten_thousand_sequences_of_legal_and_illegal_steps_agree_with_the_model, say_where),
+			test_ten_thousand_sequences_of_legal_and_illegal_steps_agree_with_the_model, print_location),
 		PRE_OPERATIONAL(test_random_steps_neither_break_nor_block_the_node),
 	};
 

@@ -1,6 +1,6 @@
-/* Receive PDOs: CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36. By default RPDO1 has velocity_aid.x16, y16, z16 and sigma16 (2070h:5
- * to 8), RPDO2 yaw_aid.yaw and sigma (2071h, REAL32), RPDO3 attitude_reset.roll16, pitch16, yaw16 and command (2072h:4 to
- * 7), RPDO4 commands (2073h). */
+/* Receive PDOs: CiA 301, 7.2.2, 7.5.2.35 and 7.5.2.36. By default RPDO1 has velocity_aid.x16, y16, z16 and sigma16
+ * (2070h:5 to 8), RPDO2 yaw_aid.yaw and sigma (2071h, REAL32), RPDO3 attitude_reset.roll16, pitch16, yaw16 and command
+ * (2072h:4 to 7), RPDO4 commands (2073h). */
 #include "tests/scenario/bus.h"
 
 #define INVALID 0x80000000u
@@ -13,7 +13,7 @@ static void expect_velocity(struct bus *bus, int x, int y, int z, unsigned sigma
 	assert_int_equal(bus->values.velocity_aid.sigma16, sigma);
 }
 
-/* RPDO1 anew: its parameter may not change while it is valid, or it is to be mapped. */
+/* Makes RPDO1 invalid, and valid again: some parameters cannot change while it is valid. */
 static void invalidate(struct bus *bus)
 {
 	assert_int_equal(bus_write(bus, 0x1400, 1, 4, INVALID | 0x210), 0);
@@ -121,8 +121,7 @@ static void test_two_pdos_may_share_an_identifier(void **state)
 
 	assert_int_equal(bus_write(bus, 0x1403, 1, 4, INVALID), 0);
 	assert_int_equal(bus_write(bus, 0x1403, 1, 4, 0x210), 0);
-	bus_send(
-		bus, "210 05 00 02 00 03 00 04 00"); /* RPDO4 takes the first two bytes, and says that there are more */
+	bus_send(bus, "210 05 00 02 00 03 00 04 00"); /* RPDO4 uses the first two bytes, and reports the rest */
 	bus_expect(bus, "090 20 82 11 03 14 08 02 00");
 	expect_velocity(bus, 5, 2, 3, 4);
 	assert_int_equal(bus->values.commands, 5);
@@ -274,7 +273,7 @@ static void test_at_a_sync_the_tpdos_are_sent_before_the_rpdos_are_applied(void 
 	struct bus *bus = *state;
 
 	assert_int_equal(bus_write(bus, 0x1402, 2, 1, 1), 0);
-	bus_send(bus, "410 00 00 00 00 00 00 02"); /* no such command */
+	bus_send(bus, "410 00 00 00 00 00 00 02"); /* not a valid command */
 	bus_send(bus, "080");
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
@@ -608,7 +607,8 @@ static void test_the_dummies_are_those_that_the_eds_allows(void **state)
 	begin_mapping(bus);
 	for (size_t i = 0; i < sizeof(dummies) / sizeof(dummies[0]); i++)
 		assert_int_equal(bus_write(bus, 0x1600, 1, 4, dummies[i]), 0);
-	assert_int_equal(bus_write(bus, 0x1600, 1, 4, 0x00010001), 0x06020000); /* no BOOLEAN: bytes at the least */
+	assert_int_equal(
+		bus_write(bus, 0x1600, 1, 4, 0x00010001), 0x06020000); /* not BOOLEAN, which has no whole bytes */
 	assert_int_equal(bus_write(bus, 0x1600, 1, 4, 0x00080020), 0x06020000);
 	assert_int_equal(bus_write(bus, 0x1600, 1, 4, 0x00050108), 0x06020000);
 	assert_int_equal(bus_write(bus, 0x1600, 1, 4, 0x00050010), 0x06040041);
@@ -638,7 +638,7 @@ static void test_an_object_for_rpdos_cannot_be_mapped_into_a_tpdo(void **state)
 	struct bus *bus = *state;
 
 	assert_int_equal(bus_write(bus, 0x1A04, 1, 4, 0x20730010), 0x06040041);
-	assert_int_equal(bus_write(bus, 0x1A04, 1, 4, 0x00050008), 0x06020000); /* nor a dummy */
+	assert_int_equal(bus_write(bus, 0x1A04, 1, 4, 0x00050008), 0x06020000); /* nor a dummy entry */
 }
 
 static void test_an_object_can_only_be_mapped_with_its_full_length(void **state)
@@ -711,7 +711,7 @@ static void test_the_checks_are_the_same_in_operational_and_pre_operational(void
 	}
 }
 
-/* ---- stored values that do not fit --------------------------------------------------------------------------------- */
+/* ---- unusable stored values -------------------------------------------------------------------------------------- */
 
 static void expect_rpdo1_refused_at_start(struct bus *bus)
 {

@@ -1,4 +1,4 @@
-/* SDO server: CiA 301, 7.2.4. Every abort code is in the frame: "80", index, sub-index, code, little-endian. */
+/* SDO server: CiA 301, 7.2.4. An abort is "80", index, sub-index and code, little-endian. */
 #include "gateway/canopen/sdo_abort.h"
 #include "tests/scenario/bus.h"
 
@@ -296,7 +296,7 @@ static void test_a_wrong_toggle_in_a_download_aborts_it(void **state)
 	assert_true(bus->values.lever_arm.l == 0);
 }
 
-/* ---- time-outs, aborts, what does not belong --------------------------------------------------------------------- */
+/* ---- timeouts, aborts, unexpected frames ------------------------------------------------------------------------- */
 
 static void test_a_download_without_a_segment_for_a_second_times_out(void **state)
 {

@@ -1,4 +1,4 @@
-/* The SDO client against the real SDO server, frame by frame in simulated time; some frames get lost on the way. */
+/* The SDO client against the real SDO server, frame by frame in simulated time; some frames are lost. */
 #include <string.h>
 
 #include "gateway/canopen/client/sdo_client.h"
@@ -7,12 +7,12 @@
 enum { TIMEOUT_US = 100000, DOMAIN_BYTES = 20000, NONE_LOST = -1 };
 
 struct pair {
-	struct can_port port; /* the client's; first: ops->send() gets it back */
+	struct can_port port; /* of the client; first, so that ops->send() can cast it */
 	struct bus *bus;
 	struct sdo_client client;
-	int lost_answer;		  /* the answer with this number gets lost */
-	unsigned lost_requests, requests; /* of a block download: one segment of so many gets lost; 0: none */
-	unsigned lost_segments, segments; /* of a block upload: one of so many gets lost; 0: none */
+	int lost_answer;		  /* the response with this number is lost */
+	unsigned lost_requests, requests; /* of a block download: one segment of this number is lost; 0: none */
+	unsigned lost_segments, segments; /* of a block upload: one segment of this number is lost; 0: none */
 	uint8_t value[DOMAIN_BYTES];
 };
 
@@ -102,7 +102,7 @@ static void test_the_client_reads_every_readable_object_as_in_the_dictionary(voi
 		if (od_read(&bus->od, entry->index, entry->sub, want, sizeof(want), &size) != OD_OK)
 			continue;
 		if (entry->index == 0x1003 && entry->sub > 0)
-			continue; /* no error has happened: there is nothing to be read */
+			continue; /* no error was recorded: no data */
 		assert_int_equal(read_object(pair, entry->index, entry->sub), SDO_DONE);
 		assert_int_equal(pair->client.size, size);
 		assert_memory_equal(pair->value, want, size);
@@ -199,7 +199,7 @@ static void test_a_long_domain_is_written_completely_in_blocks_with_any_segments
 		bus->sent_count = bus->seen = 0;
 		pair->segments = 0;
 		pair->lost_requests = lost;
-		pair->client.timeout_us = 2000000; /* the server is silent for half a second before it asks again */
+		pair->client.timeout_us = 2000000; /* the server requests lost segments after half a second */
 		sdo_client_block_download(&pair->client, 0x2130, 0, content, sizeof(content), bus->now_us);
 		assert_int_equal(finish(pair), SDO_DONE);
 		assert_int_equal(pair->segments, sizeof(content));

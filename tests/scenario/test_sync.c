@@ -60,7 +60,7 @@ static void test_a_sync_with_data_is_an_error_while_the_counter_is_off(void **st
 
 	bus_exchange(bus, "080 01", "090 40 82 11 00 00 00 00 00");
 	bus_send(bus, "080 01 02 03 04 05 06 07 08");
-	bus_expect_nothing(bus); /* told already, and no PDO */
+	bus_expect_nothing(bus); /* reported already, and no PDO */
 }
 
 static void test_a_sync_without_its_counter_is_an_error_while_the_counter_is_on(void **state)
@@ -141,8 +141,7 @@ static void test_within_the_synchronous_window_the_pdo_is_sent(void **state)
 	assert_int_equal(bus->node.sync.late, 0);
 }
 
-static void test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_reported_until_a_sync_is_in_time(
-	void **state)
+static void test_after_the_synchronous_window_pdos_are_dropped_and_it_is_reported_until_a_sync_in_time(void **state)
 {
 	struct bus *bus = *state;
 
@@ -196,12 +195,12 @@ static void test_without_a_window_no_sync_is_late(void **state)
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 }
 
-/* ---- a SYNC that stays away -------------------------------------------------------------------------------------- */
+/* ---- missing SYNC ------------------------------------------------------------------------------------------------ */
 
 #define MISSING	 "090 00 81 11 06 10 00 00 00" /* communication, 1006h */
 #define NO_ERROR "090 00 00 00 00 00 00 00 00"
 
-/* Awaits SYNC every 10 ms; the first one comes now. */
+/* A consumer with a period of 10 ms that receives the first SYNC now. */
 static void await_sync(struct bus *bus)
 {
 	tpdo1_only(bus);
@@ -264,7 +263,7 @@ static void test_a_sync_is_missing_in_operational_only(void **state)
 	await_sync(bus);
 	bus_send(bus, "000 80 10");
 	bus_run(bus, 1000000);
-	bus_send(bus, "080"); /* of no use in pre-operational */
+	bus_send(bus, "080"); /* not used in pre-operational */
 	bus_run(bus, 1000000);
 	bus_send(bus, "000 01 10");
 	bus_run(bus, 1000000);
@@ -315,7 +314,7 @@ static void test_a_late_and_a_missing_sync_are_separate_errors(void **state)
 	bus_run(bus, 15000);
 	bus_expect(bus, MISSING);
 	sync_seen_late(bus, 2001);
-	bus_expect_nothing(bus); /* one of the two still stands */
+	bus_expect_nothing(bus); /* one of the two is still active */
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
 	bus_send(bus, "080");
 	bus_expect(bus, NO_ERROR);
@@ -337,7 +336,7 @@ static void test_reset_communication_ends_the_error_of_a_missing_sync(void **sta
 
 enum { PRODUCER = 1 << 30 };
 
-/* Every 10 ms, from now. */
+/* Produces SYNC every 10 ms from now on. */
 static void produce(struct bus *bus)
 {
 	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 10000), 0);
@@ -533,8 +532,7 @@ int main(void)
 		OPERATIONAL(test_a_counted_sync_sends_every_cyclic_pdo),
 		PRE_OPERATIONAL(test_the_counter_overflows_at_2_to_240),
 		OPERATIONAL(test_within_the_synchronous_window_the_pdo_is_sent),
-		OPERATIONAL(
-			test_after_the_synchronous_window_the_pdo_is_dropped_counted_and_reported_until_a_sync_is_in_time),
+		OPERATIONAL(test_after_the_synchronous_window_pdos_are_dropped_and_it_is_reported_until_a_sync_in_time),
 		OPERATIONAL(test_a_late_sync_still_counts_for_type_n),
 		OPERATIONAL(test_a_type_0_pdo_of_a_late_sync_is_sent_with_the_next_one),
 		OPERATIONAL(test_without_a_window_no_sync_is_late),

@@ -1,4 +1,4 @@
-/* Two whole devices in one process, on one bus: node 5 stands still, node 6 sits on a turntable. Each receives every
+/* Two whole devices in one process, on one bus: node 5 stands still, node 6 is on a turntable. Each receives every
  * frame that the other or the master sends. */
 #include <stdlib.h>
 #include <string.h>
@@ -18,7 +18,7 @@ struct pair {
 	bool off[NODES];
 };
 
-/* ---- the bus between them ------------------------------------------------------------------------------------------ */
+/* ---- the bus between them ---------------------------------------------------------------------------------------- */
 
 static bool forward_one(struct pair *p, int from)
 {
@@ -91,7 +91,7 @@ static int set_up(void **state)
 	return 0;
 }
 
-/* ---- SDO, SYNC, NMT ------------------------------------------------------------------------------------------------ */
+/* ---- SDO, SYNC, NMT ---------------------------------------------------------------------------------------------- */
 
 static void test_each_node_answers_its_own_sdo_and_keeps_its_own_values(void **state)
 {
@@ -165,7 +165,7 @@ static void test_a_node_that_is_stopped_leaves_the_other_operational(void **stat
 	assert_int_equal(world_count(&p->node[B], 0x580 + NODE_B), 0);
 }
 
-/* ---- heartbeat, collision ------------------------------------------------------------------------------------------ */
+/* ---- heartbeat, collision ---------------------------------------------------------------------------------------- */
 
 static void write_u32(struct pair *p, int node, uint16_t index, uint8_t sub, uint32_t value)
 {
@@ -213,9 +213,9 @@ static void test_two_nodes_with_one_node_id_both_report_the_collision(void **sta
 	assert_int_equal(world_emcy_code(&p->node[B]), EMCY_COLLISION);
 }
 
-/* ---- LSS ----------------------------------------------------------------------------------------------------------- */
+/* ---- LSS --------------------------------------------------------------------------------------------------------- */
 
-/* True: at least one node answers. */
+/* True: at least one node responds. */
 static bool lss(struct pair *p, const uint8_t request[8])
 {
 	unsigned before = world_count(&p->node[A], LSS_RESPONSE) + world_count(&p->node[B], LSS_RESPONSE);

@@ -91,7 +91,7 @@ void world_nmt(struct world *w, uint8_t command)
 	world_receive(w, 0x000, 2, (const uint8_t[]){command, w->node_id});
 }
 
-/* Frame k is still there for k from this one on. */
+/* The first frame that is still recorded. */
 static size_t oldest(const struct world *w)
 {
 	return w->frame_count > WORLD_FRAMES ? w->frame_count - WORLD_FRAMES : 0;

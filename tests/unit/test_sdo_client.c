@@ -1,4 +1,4 @@
-/* The SDO client against scripted frames, byte for byte as CiA 301, 7.2.4.3 draws them. */
+/* The SDO client against scripted frames, byte for byte as in CiA 301, 7.2.4.3. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -12,7 +12,7 @@
 enum { NODE = 5, TIMEOUT_US = 500000 };
 
 struct bench {
-	struct can_port bus; /* first: ops->send() gets it back */
+	struct can_port bus; /* first, so that ops->send() can cast it */
 	struct sdo_client client;
 	struct can_msg sent;
 	unsigned int sent_count;

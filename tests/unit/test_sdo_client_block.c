@@ -1,4 +1,4 @@
-/* The SDO client's block transfers against scripted frames, byte for byte as CiA 301, 7.2.4.3.9 to 7.2.4.3.16 draw them.
+/* The SDO client's block transfers against scripted frames, byte for byte as in CiA 301, 7.2.4.3.9 to 7.2.4.3.16.
  * The CRC of "123456789" is 31C3h. */
 #include <stdarg.h>
 #include <stddef.h>
@@ -12,7 +12,7 @@
 enum { NODE = 5, TIMEOUT_US = 500000, SENT_MAX = 200, T0 = 1000 };
 
 struct bench {
-	struct can_port bus; /* first: ops->send() gets it back */
+	struct can_port bus; /* first, so that ops->send() can cast it */
 	struct sdo_client client;
 	struct can_msg sent[SENT_MAX];
 	size_t sent_count, seen;
@@ -84,7 +84,7 @@ static void assert_aborted(struct bench *bench, uint16_t index, uint32_t code)
 		(uint8_t)(code >> 16), (uint8_t)(code >> 24));
 }
 
-/* Sends until the client waits for the server. */
+/* Calls the client until it waits for the server. */
 static void let_it_send(struct bench *bench)
 {
 	while (sdo_client_tick(&bench->client, T0) <= T0)
