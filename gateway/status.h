@@ -1,6 +1,6 @@
 /* gateway/status.h
- * The bits of the status word 210Fh:3 that the device adds to those of the pipeline (PIPELINE_..., model/pipeline.h). The
- * tools use them, too. */
+ * The bits of the status word 210Fh:3 that the device adds to those of the pipeline (PIPELINE_..., model/pipeline.h).
+ * The tools use them, too. */
 #ifndef GATEWAY_STATUS_H
 #define GATEWAY_STATUS_H
 

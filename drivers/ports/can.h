@@ -97,7 +97,7 @@ void can_close(struct can_port *port);
 /** Sends, or queues when the bus is full or frames are queued already (the order is kept). 0, or -errno when the frame
  * was dropped, which is counted. */
 int can_send(struct can_port *port, const struct can_msg *msg, uint64_t now_us);
-/** As in struct can_ops, and -EOPNOTSUPP where the driver has no such function. */
+/** These call the driver, see struct can_ops; can_receive() counts the frames. */
 int can_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 int can_filter(struct can_port *port, const uint32_t *ids, size_t n);
 int can_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run);
