@@ -1,6 +1,7 @@
 /* Transmit PDOs: CiA 301, 7.2.2, 7.5.2.37 and 7.5.2.38. The default mapping of TPDO1 is 2100h:1-3 and 210Fh:1. */
 #include "tests/scenario/bus.h"
 
+#include <math.h>
 #include <string.h>
 
 #define NO_RTR	0x40000000u
@@ -355,6 +356,66 @@ static void test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time(void
 	bus_expect_nothing(bus);
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+}
+
+/* ---- change thresholds ------------------------------------------------------------------------------------------- */
+
+static double threshold_of_3(void *ctx, const struct od_entry *entry)
+{
+	(void)ctx;
+	return entry->index == 0x1001 ? INFINITY : 3;
+}
+
+/* TPDO1 by event, with 1001h, which never triggers, and behind it the object of this mapping entry. */
+static void map_behind_error_register(struct bus *bus, uint32_t mapping)
+{
+	only_tpdo1(bus, 254);
+	bus->node.device.change_threshold = threshold_of_3;
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, INVALID | 0x190), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 0), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 1, 4, 0x10010008), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 2, 4, mapping), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 2), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, NO_RTR | 0x190), 0);
+}
+
+/* Whether a sample in which the mapped object has this value is an event. */
+static bool is_sent(struct bus *bus, uint32_t mapping, uint32_t value)
+{
+	size_t before = bus->sent_count;
+
+	bus_put(bus, (uint16_t)(mapping >> 16), (uint8_t)(mapping >> 8), (mapping & 0xFF) / 8, value);
+	bus_sample(bus, 0);
+	return bus->sent_count > before;
+}
+
+static void test_with_a_threshold_a_pdo_is_sent_when_its_value_of_any_type_changes_by_more(void **state)
+{
+	static const struct {
+		uint32_t mapping, start, at_threshold, above, back_at_threshold, back_above;
+	} cases[] = {
+		{0x21230108, 100, 103, 104, 101, 100},					  /* UNSIGNED8 */
+		{0x210F0310, 40000, 40003, 40004, 40001, 40000},			  /* UNSIGNED16 */
+		{0x21000110, 0xFFFF, 2, 3, 0, 0xFFFF},					  /* INTEGER16: -1 */
+		{0x21020420, 0xFFFFFFFE, 1, 2, 0xFFFFFFFF, 0xFFFFFFFE},			  /* INTEGER32: -2 */
+		{0x21040120, 0xBF800000, 0x40000000, 0x40100000, 0xBF400000, 0xBF800000}, /* REAL32: -1 */
+	};
+
+	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+		struct bus *bus = bus_new();
+
+		bus_start(bus);
+		bus_forget(bus);
+		map_behind_error_register(bus, cases[i].mapping);
+		bus_send(bus, "000 01 10");
+		assert_true(is_sent(bus, cases[i].mapping, cases[i].start));
+		assert_false(is_sent(bus, cases[i].mapping, cases[i].at_threshold));
+		assert_true(is_sent(bus, cases[i].mapping, cases[i].above));
+		assert_false(is_sent(bus, cases[i].mapping, cases[i].back_at_threshold));
+		assert_true(is_sent(bus, cases[i].mapping, cases[i].back_above));
+		test_free(bus);
+	}
+	(void)state;
 }
 
 /* ---- communication parameters ------------------------------------------------------------------------------------ */
@@ -869,6 +930,7 @@ int main(void)
 		OPERATIONAL(test_an_event_timer_below_the_inhibit_time_waits_for_it),
 		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid),
 		OPERATIONAL(test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time),
+		cmocka_unit_test(test_with_a_threshold_a_pdo_is_sent_when_its_value_of_any_type_changes_by_more),
 		OPERATIONAL(test_an_invalid_pdo_is_not_sent),
 		OPERATIONAL(test_the_identifier_changes_only_while_the_pdo_is_invalid),
 		PRE_OPERATIONAL(test_the_identifier_may_change_together_with_the_valid_bit),

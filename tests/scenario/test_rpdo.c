@@ -115,6 +115,17 @@ static void test_a_new_identifier_is_received_at_once(void **state)
 	expect_velocity(bus, 1, 2, 3, 4);
 }
 
+/* CiA 301, 7.3.5 restricts 701h to 7FFh. */
+static void test_a_pdo_may_have_the_highest_identifier_that_is_not_restricted(void **state)
+{
+	struct bus *bus = *state;
+
+	invalidate(bus);
+	assert_int_equal(bus_write(bus, 0x1400, 1, 4, 0x700), 0);
+	bus_send(bus, "700 01 00 02 00 03 00 04 00");
+	expect_velocity(bus, 1, 2, 3, 4);
+}
+
 static void test_two_pdos_may_share_an_identifier(void **state)
 {
 	struct bus *bus = *state;
@@ -749,6 +760,7 @@ int main(void)
 		OPERATIONAL(test_an_invalid_pdo_is_neither_received_nor_in_the_receive_filter),
 		OPERATIONAL(test_a_pdo_with_nothing_mapped_is_not_received),
 		OPERATIONAL(test_a_new_identifier_is_received_at_once),
+		OPERATIONAL(test_a_pdo_may_have_the_highest_identifier_that_is_not_restricted),
 		OPERATIONAL(test_two_pdos_may_share_an_identifier),
 		OPERATIONAL(test_remote_and_29_bit_frames_are_not_pdos),
 		OPERATIONAL(test_reset_communication_restores_the_default_parameters),
