@@ -1,5 +1,6 @@
-/* The CANopen core under arbitrary frames, time, samples and errors. Input: a sequence of steps, each an operation
- * byte and its arguments. */
+/* The CANopen core with arbitrary frames, time, samples and errors. The input is a sequence of steps, each an
+ * operation byte and its arguments. Checked: the frames sent are valid for the node and its state, and time goes
+ * forward. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -18,7 +19,7 @@ struct input {
 static struct canopen_node node;
 static enum nmt_state state_before;
 
-static uint8_t take(struct input *in)
+static uint8_t read_byte(struct input *in)
 {
 	if (in->size == 0)
 		return 0;
@@ -36,7 +37,8 @@ static int port_send(struct can_port *port, const struct can_msg *msg)
 {
 	(void)port;
 	require(msg->id <= 0x7FF && msg->len <= 8 && !msg->extended && !msg->remote);
-	require(msg->id != 0 && (msg->id <= 0x600 || msg->id > 0x67F)); /* neither NMT nor an SDO request */
+	require(msg->id != 0 &&
+		(msg->id <= 0x600 || msg->id > 0x67F)); /* a server sends neither NMT commands nor SDO requests */
 	if (msg->id == 0x580 + NODE_ID)
 		require(msg->len == 8 && state_before != NMT_STOPPED);
 	return 0;
@@ -59,14 +61,14 @@ static int port_filter(struct can_port *port, const uint32_t *ids, size_t n)
 
 static enum od_status answer = OD_OK;
 
-static enum od_status device_keep(void *ctx, enum od_group group)
+static enum od_status device_store(void *ctx, enum od_group group)
 {
 	(void)ctx;
 	(void)group;
 	return answer;
 }
 
-static enum od_status device_keep_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
+static enum od_status device_store_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
 {
 	(void)ctx;
 	(void)bit_s;
@@ -92,39 +94,39 @@ static double device_change_threshold(void *ctx, const struct od_entry *entry)
 	return entry->sub & 1;
 }
 
-static struct can_msg take_frame(struct input *in)
+static struct can_msg read_frame(struct input *in)
 {
 	static const uint32_t ids[] = {0x000, 0x600 + NODE_ID, 0x600 + NODE_ID, 0x080};
 	static const uint32_t more[] = {0x7E5, 0x700 + NODE_ID, 0x720, 0x180 + NODE_ID};
-	uint8_t kind = take(in);
+	uint8_t kind = read_byte(in);
 	struct can_msg msg = {.id = (kind & 0x84) == 0x04 ? more[kind & 3] : ids[kind & 3],
 		.len = 8,
 		.extended = (kind & 0x84) == 0x84,
 		.remote = (kind & 0x88) == 0x88,
 		.t_us = (kind & 0x40) != 0};
 
-	if ((kind & 0x8C) == 0x0C) /* an RPDO */
+	if ((kind & 0x8C) == 0x0C) /* RPDO */
 		msg.id = 0x200u + NODE_ID + 0x100u * (kind & 3);
 	if (msg.id == 0x000)
 		msg.len = 2;
 	if (msg.id == 0x080)
 		msg.len = 0;
-	if (msg.id > 0x700 && msg.id < 0x7E5) /* guarding, heartbeat */
+	if (msg.id > 0x700 && msg.id < 0x7E5) /* node guarding and heartbeat */
 		msg.len = 1;
 	if (msg.id == 0x180 + NODE_ID || (msg.id == 0x700 + NODE_ID && kind & 0x40))
 		msg.remote = true;
 	if (kind & 0x20)
-		msg.len = take(in) % 9;
+		msg.len = read_byte(in) % 9;
 	if (kind & 0x10)
-		msg.id = (uint32_t)(take(in) << 8 | take(in)) & 0x7FF;
+		msg.id = (uint32_t)(read_byte(in) << 8 | read_byte(in)) & 0x7FF;
 	for (int i = 0; i < msg.len; i++)
-		msg.data[i] = take(in);
+		msg.data[i] = read_byte(in);
 	return msg;
 }
 
 static uint64_t pass_time(struct input *in, uint64_t now_us)
 {
-	uint64_t end_us = now_us + ((uint64_t)take(in) << (take(in) & 15));
+	uint64_t end_us = now_us + ((uint64_t)read_byte(in) << (read_byte(in) & 15));
 
 	for (int i = 0; i < MAX_TICKS && now_us <= end_us; i++) {
 		uint64_t deadline_us = canopen_tick(&node, now_us);
@@ -139,10 +141,10 @@ static uint64_t pass_time(struct input *in, uint64_t now_us)
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
 	static const struct can_ops ops = {.send = port_send, .receive = port_receive, .filter = port_filter};
-	static const struct canopen_device device = {.store = device_keep,
-		.restore = device_keep,
+	static const struct canopen_device device = {.store = device_store,
+		.restore = device_store,
 		.change_threshold = device_change_threshold,
-		.store_lss = device_keep_lss,
+		.store_lss = device_store_lss,
 		.bit_rate_possible = device_bit_rate_possible,
 		.set_bit_rate = device_set_bit_rate};
 	static const uint8_t eds[1000] = {1, 2, 3};
@@ -152,7 +154,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	struct od od;
 	struct input in = {data, size};
 	uint64_t now_us = 1000;
-	uint8_t node_id = take(&in) == 0xFF ? CANOPEN_UNCONFIGURED : NODE_ID;
+	uint8_t node_id = read_byte(&in) == 0xFF ? CANOPEN_UNCONFIGURED : NODE_ID;
 
 	port = (struct can_port){.ops = &ops};
 	domain = (struct od_domain){.index = 0x1021, .data = eds, .size = sizeof(eds)};
@@ -162,7 +164,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	require(canopen_init(&node, &od, &port, &device, node_id) == 0);
 	canopen_start(&node, now_us);
 	while (in.size > 0) {
-		uint8_t operation = take(&in);
+		uint8_t operation = read_byte(&in);
 		struct can_msg msg;
 
 		state_before = canopen_nmt_state(&node);
@@ -174,17 +176,17 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 			canopen_sample(&node, now_us);
 			break;
 		case 2:
-			canopen_error_set(&node, (uint16_t)(0xFF00 | take(&in)), take(&in), NULL, now_us);
+			canopen_error_set(&node, (uint16_t)(0xFF00 | read_byte(&in)), read_byte(&in), NULL, now_us);
 			break;
 		case 3:
-			canopen_error_clear(&node, (uint16_t)(0xFF00 | take(&in)), now_us);
+			canopen_error_clear(&node, (uint16_t)(0xFF00 | read_byte(&in)), now_us);
 			break;
 		case 4:
 			answer = operation & 8 ? OD_PENDING : OD_OK;
 			canopen_store_done(&node, operation & 16 ? OD_OK : OD_CANNOT_STORE, now_us);
 			break;
 		default:
-			msg = take_frame(&in);
+			msg = read_frame(&in);
 			canopen_receive(&node, &msg, now_us);
 			break;
 		}

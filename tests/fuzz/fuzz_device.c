@@ -1,5 +1,6 @@
-/* The whole device under arbitrary frames, writes, configuration snapshots, samples, clocks and power cuts. Input: a
- * sequence of steps, each an operation byte and its arguments. */
+/* The whole device with arbitrary frames, writes, configuration snapshots, samples, clock changes and power cycles.
+ * The input is a sequence of steps, each an operation byte and its arguments. Checked: frames and deadlines are
+ * valid, and at the end every value has the type and limits of its entry. */
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
@@ -24,7 +25,7 @@ static struct store_image disk;
 static int disk_answer;
 static uint64_t now_us;
 
-/* Instead of gateway/log.c: nobody reads that many lines. */
+/* Replaces gateway/log.c: the log lines are not checked and would slow the fuzzer down. */
 void log_line(const char *format, ...)
 {
 	(void)format;
@@ -36,7 +37,7 @@ static void require(int condition)
 		abort();
 }
 
-static uint8_t take(struct input *in)
+static uint8_t read_byte(struct input *in)
 {
 	if (in->size == 0)
 		return 0;
@@ -44,13 +45,13 @@ static uint8_t take(struct input *in)
 	return *in->data++;
 }
 
-static void take_bytes(struct input *in, void *out, size_t size)
+static void read_bytes(struct input *in, void *out, size_t size)
 {
 	for (size_t i = 0; i < size; i++)
-		((uint8_t *)out)[i] = take(in);
+		((uint8_t *)out)[i] = read_byte(in);
 }
 
-/* ---- around the device ------------------------------------------------------------------------------------------- */
+/* ---- bus, storage and power ------------------------------------------------------------------------------------- */
 
 static int port_send(struct can_port *port, const struct can_msg *msg)
 {
@@ -102,7 +103,7 @@ static void power_on(void)
 	device_start(&device, false, now_us);
 }
 
-/* Whatever was done to them, all values have the type and the limits of their entry. */
+/* All values have the type and the limits of their entry. */
 static void check_values(void)
 {
 	for (size_t i = 0; i < imu9_od_table.count; i++) {
@@ -123,7 +124,7 @@ static void tick(void)
 
 static void pass_time(struct input *in)
 {
-	uint64_t end_us = now_us + ((uint64_t)take(in) << (take(in) & 15));
+	uint64_t end_us = now_us + ((uint64_t)read_byte(in) << (read_byte(in) & 15));
 
 	for (int i = 0; i < MAX_TICKS && now_us < end_us; i++) {
 		uint64_t deadline_us = device_tick(&device, now_us);
@@ -133,34 +134,34 @@ static void pass_time(struct input *in)
 	}
 }
 
-static double take_number(struct input *in, uint8_t kind, double unit)
+static double read_number(struct input *in, uint8_t kind, double unit)
 {
 	int16_t steps;
 	double any;
 
 	if (kind & 0x80) {
-		take_bytes(in, &any, sizeof(any));
+		read_bytes(in, &any, sizeof(any));
 		return any;
 	}
-	take_bytes(in, &steps, sizeof(steps));
+	read_bytes(in, &steps, sizeof(steps));
 	return steps * unit;
 }
 
-static struct vec3 take_vector(struct input *in, uint8_t kind, double unit)
+static struct vec3 read_vector(struct input *in, uint8_t kind, double unit)
 {
-	return (struct vec3){take_number(in, kind, unit), take_number(in, kind, unit), take_number(in, kind, unit)};
+	return (struct vec3){read_number(in, kind, unit), read_number(in, kind, unit), read_number(in, kind, unit)};
 }
 
-/* One sample, and the same again and again, so that there is some rest. */
+/* One sample, repeated, so that the rest detector is reached. */
 static void samples(struct input *in)
 {
-	uint8_t kind = take(in), count = take(in) % BURST_MAX;
-	struct imu_sample s = {.flags = take(in) & 0x3F,
-		.gyro_rad_s = take_vector(in, kind, 0.001),
-		.accel_m_s2 = take_vector(in, kind, 0.01),
-		.mag_uT = take_vector(in, kind, 0.1),
-		.ref_accel_b_m_s2 = take_vector(in, kind, 0.01),
-		.temperature_degC = take_number(in, kind, 0.1)};
+	uint8_t kind = read_byte(in), count = read_byte(in) % BURST_MAX;
+	struct imu_sample s = {.flags = read_byte(in) & 0x3F,
+		.gyro_rad_s = read_vector(in, kind, 0.001),
+		.accel_m_s2 = read_vector(in, kind, 0.01),
+		.mag_uT = read_vector(in, kind, 0.1),
+		.ref_accel_b_m_s2 = read_vector(in, kind, 0.01),
+		.temperature_degC = read_number(in, kind, 0.1)};
 
 	for (int i = 0; i <= count; i++) {
 		now_us += INTERVAL_US;
@@ -170,16 +171,16 @@ static void samples(struct input *in)
 	}
 }
 
-/* A value for any object, as a client, another RPDO mapping or Modbus might write it. */
+/* A value for any object, as an SDO client, an RPDO or Modbus can write it. */
 static void write_object(struct input *in)
 {
-	uint16_t number = (uint16_t)(take(in) | take(in) << 8);
+	uint16_t number = (uint16_t)(read_byte(in) | read_byte(in) << 8);
 	const struct od_entry *entry = &imu9_od_table.entries[number % imu9_od_table.count];
 	uint8_t value[OD_VALUE_MAX];
 	float real;
 
-	take_bytes(in, value, entry->size);
-	if (entry->type == OD_REAL32 && value[3] & 1) { /* often one that means something */
+	read_bytes(in, value, entry->size);
+	if (entry->type == OD_REAL32 && value[3] & 1) { /* often a number of plausible size */
 		real = (float)(int16_t)(value[0] | value[1] << 8) / 256;
 		memcpy(value, &real, sizeof(real));
 	}
@@ -188,15 +189,15 @@ static void write_object(struct input *in)
 	(void)od_write(&device.od, entry->index, entry->sub, value, entry->size);
 }
 
-/* The configuration with some bytes changed: taken as a whole, or all is as it was. */
+/* A configuration snapshot with some bytes changed is applied completely or not at all. */
 static void write_snapshot(struct input *in)
 {
 	static uint8_t snapshot[OD_DOMAIN_MAX], before[OD_DOMAIN_MAX], after[OD_DOMAIN_MAX];
 	size_t size = snapshot_encode(&device.od, NODE_ID, snapshot);
 	size_t before_size = snapshot_encode(&device.od, NODE_ID, before);
 
-	for (int i = take(in) & 7; i > 0; i--)
-		snapshot[(size_t)(take(in) | take(in) << 8) % size] = take(in);
+	for (int i = read_byte(in) & 7; i > 0; i--)
+		snapshot[(size_t)(read_byte(in) | read_byte(in) << 8) % size] = read_byte(in);
 	if (od_write(&device.od, 0x2130, 0, snapshot, size) == OD_OK)
 		return;
 	require(snapshot_encode(&device.od, NODE_ID, after) == before_size);
@@ -208,21 +209,21 @@ static void receive(struct input *in)
 	static const uint32_t ids[] = {0x000, 0x080, 0x100, 0x7E5, 0x600 + NODE_ID, 0x600 + NODE_ID, 0x200 + NODE_ID,
 		0x300 + NODE_ID, 0x400 + NODE_ID, 0x500 + NODE_ID, 0x700 + NODE_ID, 0x720, 0x180 + NODE_ID};
 	static const uint8_t lengths[] = {2, 0, 6, 8, 8, 8, 8, 8, 8, 2, 1, 1, 8};
-	uint8_t kind = take(in), which = (kind & 0x0F) % (sizeof(ids) / sizeof(ids[0]));
+	uint8_t kind = read_byte(in), which = (kind & 0x0F) % (sizeof(ids) / sizeof(ids[0]));
 	struct can_msg msg = {.id = ids[which], .len = lengths[which], .remote = (kind & 0xC0) == 0xC0, .t_us = now_us};
 
 	if (kind & 0x20)
-		msg.len = take(in) % 9;
+		msg.len = read_byte(in) % 9;
 	if (kind & 0x10)
-		msg.id = (uint32_t)(take(in) << 8 | take(in)) & 0x7FF;
-	take_bytes(in, msg.data, msg.len);
+		msg.id = (uint32_t)(read_byte(in) << 8 | read_byte(in)) & 0x7FF;
+	read_bytes(in, msg.data, msg.len);
 	device_receive(&device, &msg, now_us);
 }
 
-static void misfortune(struct input *in)
+static void inject_fault(struct input *in)
 {
 	static const int answers[] = {0, -EINPROGRESS, -EIO};
-	uint8_t kind = take(in);
+	uint8_t kind = read_byte(in);
 
 	switch (kind & 7) {
 	case 0:
@@ -236,7 +237,7 @@ static void misfortune(struct input *in)
 		bus.traffic.frames += kind;
 		break;
 	case 3:
-		device_host_clock(&device, kind & 8, (int64_t)((uint64_t)take(in) << take(in) % 56));
+		device_host_clock(&device, kind & 8, (int64_t)((uint64_t)read_byte(in) << read_byte(in) % 56));
 		break;
 	case 4:
 		disk_answer = answers[(kind >> 3) % 3];
@@ -262,7 +263,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	now_us = 1000;
 	power_on();
 	while (in.size > 0) {
-		switch (take(&in) & 7) {
+		switch (read_byte(&in) & 7) {
 		case 0:
 			pass_time(&in);
 			break;
@@ -277,7 +278,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 			write_snapshot(&in);
 			break;
 		case 5:
-			misfortune(&in);
+			inject_fault(&in);
 			break;
 		default:
 			receive(&in);

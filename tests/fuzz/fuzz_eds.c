@@ -1,4 +1,5 @@
-/* Any bytes as an EDS, by both rules: an error text with a name in it, or a table on which od works. */
+/* Arbitrary bytes as an EDS, parsed by both sets of rules. The result is an error text that starts with the file
+ * name, or a table that the object dictionary can read, write and format. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -7,7 +8,7 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-static void use(const struct od_table *table)
+static void exercise(const struct od_table *table)
 {
 	uint8_t *values = malloc(table->values_size + 1), wire[OD_VALUE_MAX];
 	struct od od;
@@ -39,7 +40,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 			eds_parse(&eds, "f.eds", (const char *)data, size, (enum eds_rules)rules, error, sizeof(error));
 
 		if (result == 0)
-			use(&eds.table);
+			exercise(&eds.table);
 		else if (strncmp(error, "f.eds:", 6) != 0)
 			abort();
 		eds_free(&eds);

@@ -1,4 +1,5 @@
-/* Any bytes as a stored concise DCF: refused, or applied with every value still allowed. Then as text and names. */
+/* Arbitrary bytes as a stored concise DCF. It is refused with all values unchanged, or applied, and the result
+ * encodes and decodes to the same values. The same bytes are then parsed as the text of a value and as a name. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -6,7 +7,7 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
-static void check_that_what_stands_encodes_and_decodes(struct od *od, const void *base)
+static void check_round_trip(struct od *od, const void *base)
 {
 	static struct od_values again;
 	static uint8_t out[16384];
@@ -46,7 +47,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	od_init(&od, &imu9_od_table, &values, 1);
 	base = values;
 	if (od_decode(&od, data, size, &skipped) >= 0)
-		check_that_what_stands_encodes_and_decodes(&od, &base);
+		check_round_trip(&od, &base);
 	else if (memcmp(&values, &base, sizeof(base)))
 		abort();
 	check_text(data, size);
