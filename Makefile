@@ -11,6 +11,10 @@ PREFIX ?= /usr/local
 DEPS ?= yes
 WERROR ?= no
 FUZZ_SECONDS ?= 30
+COUNT ?= 40
+SEED ?= 1
+LAYERS ?= model,od,canopen
+JOBS ?= 1
 SAN ?=
 
 CFLAGS ?= -O2 -g
@@ -91,7 +95,7 @@ $(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
 	@mkdir -p $(@D)
-	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
+	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a %.so,$^) -lcmocka $(LDLIBS)
 
 $(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
 	@mkdir -p $(@D)
@@ -127,8 +131,8 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench score lint cov format check-format check-layers check-objects readme \
-	check-readme eds-revision check-eds
+.PHONY: tests check asan ubsan tsan fuzz bench score mutate lint cov format check-format check-layers check-objects \
+	readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
@@ -160,6 +164,9 @@ $(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c $(LIBS)
 bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done
 	@echo "== bench_bus"; BUILD=$(BUILD) tests/rig/vcan-run $(BUILD)/tests/bench/bench_bus
+
+mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
+	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
 lint: $(BUILD)/gen/od_values.h ## clang-tidy and cppcheck
 	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
