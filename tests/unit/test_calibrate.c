@@ -656,6 +656,220 @@ static void test_exact_points_of_an_ellipsoid_give_its_parameters(void **state)
 		assert_near(e.matrix.m[i / 3][i % 3], m.m[i / 3][i % 3], 1e-8);
 }
 
+/* ---- the ellipsoid ----------------------------------------------------------------------------------------------- */
+
+/* A soft-iron matrix; its inverse and its eigenvalues are numpy's. */
+static const struct mat3 IRON = {{{1.1, 0.05, -0.02}, {0.05, 0.9, 0.03}, {-0.02, 0.03, 1.2}}};
+static const struct mat3 IRON_INVERSE = {{{0.91171774009581, -0.0512001622183357, 0.0164752997237219},
+	{-0.0512001622183357, 1.11491310335505, -0.0287261636208484},
+	{0.0164752997237219, -0.0287261636208484, 0.834326075752583}}};
+static const double IRON_EIGENVALUES[3] = {0.8845683703123, 1.11013965293517, 1.20529197675253};
+
+/* A vector of that length, all directions equally likely. */
+static struct vec3 any_direction(struct rng *rng, double length)
+{
+	struct vec3 v;
+
+	v.x = rng_gauss(rng);
+	v.y = rng_gauss(rng);
+	v.z = rng_gauss(rng);
+	return vec3_scale(length / vec3_norm(v), v);
+}
+
+static void test_the_errors_of_an_ellipsoid_fit_are_those_that_it_states(void **state)
+{
+	enum { TRIALS = 100, POINTS = 60 };
+	const struct vec3 centre = {100, -20, 5};
+	const double radial_sigma = 0.5;
+	double variance = 0, centre_error = 0, stated = 0, largest = 0, matrix_variance[9] = {0};
+	struct rng rng;
+
+	(void)state;
+	rng_init(&rng, 1);
+	for (int trial = 0; trial < TRIALS; trial++) {
+		struct vec3 points[POINTS];
+		struct ellipsoid e;
+
+		for (int i = 0; i < POINTS; i++)
+			points[i] = vec3_add(centre,
+				mat3_apply(IRON_INVERSE, any_direction(&rng, 50 + radial_sigma * rng_gauss(&rng))));
+		assert_int_equal(ellipsoid_guess(points, POINTS, 50, &e), 0);
+		assert_int_equal(ellipsoid_fit(points, POINTS, 50, false, &e), 0);
+		variance += e.rms * e.rms / TRIALS;
+		centre_error += normalised(e.centre, centre, e.sigma) / TRIALS;
+		stated += e.matrix_sigma / TRIALS;
+		for (int i = 0; i < 9; i++)
+			matrix_variance[i] += square(e.matrix.m[i / 3][i % 3] - IRON.m[i / 3][i % 3], 1) / TRIALS;
+	}
+	for (int i = 0; i < 9; i++)
+		largest = fmax(largest, sqrt(matrix_variance[i]));
+	assert_near(sqrt(variance) / radial_sigma, 1, 0.03);
+	assert_near(centre_error, 1, 0.2);
+	assert_near(largest / stated, 1, 0.2);
+}
+
+static void test_the_coverage_of_an_ellipsoid_is_1_all_over_it_and_less_on_its_upper_half(void **state)
+{
+	struct vec3 whole[2000], upper[2000];
+	struct ellipsoid e;
+	struct rng rng;
+
+	(void)state;
+	rng_init(&rng, 2);
+	for (int i = 0; i < 2000; i++) {
+		struct vec3 u = any_direction(&rng, 50);
+
+		whole[i] = mat3_apply(IRON_INVERSE, u);
+		u.z = fabs(u.z);
+		upper[i] = mat3_apply(IRON_INVERSE, u);
+	}
+	assert_int_equal(ellipsoid_guess(upper, 2000, 50, &e), 0);
+	assert_true(e.coverage < 0.5);
+	assert_int_equal(ellipsoid_guess(whole, 2000, 50, &e), 0);
+	assert_near(e.coverage, 1, 0.05);
+	assert_near(e.least, IRON_EIGENVALUES[0], 1e-9);
+	assert_near(e.largest, IRON_EIGENVALUES[2], 1e-9);
+	assert_near(e.mean, pow(IRON_EIGENVALUES[0] * IRON_EIGENVALUES[1] * IRON_EIGENVALUES[2], 1 / 3.0), 1e-9);
+}
+
+/* Ellipsoids with different axes go through two parallel circles of a sphere. */
+static void test_points_that_many_ellipsoids_go_through_are_refused(void **state)
+{
+	const struct ellipsoid sphere = {.matrix = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}, .radius = 50, .rms = -1};
+	struct ellipsoid e = sphere;
+	struct vec3 points[40];
+
+	(void)state;
+	for (int i = 0; i < 40; i++)
+		points[i] = (struct vec3){40 * cos(i), 40 * sin(i), i % 2 ? 30 : -30};
+	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), -EDOM);
+	assert_int_equal(ellipsoid_fit(points, 40, 50, false, &e), -EDOM);
+	assert_int_equal(ellipsoid_fit(points, 9, 50, false, &e), -EDOM);
+	assert_memory_equal(&e, &sphere, sizeof(e));
+}
+
+/* A spiral over the sphere, each point measured three times. */
+static enum calibrate_verdict calibrate_magnetometer_with(int points)
+{
+	const struct calibrate_magnetometer_config config = {.use_all = true, .patience_s = 60};
+
+	calibrate_magnetometer_init(&mag, &config);
+	for (int i = 0; i < 3 * points; i++) {
+		double z = 1 - (2 * (i / 3) + 1.0) / points, turn = 2.4 * (i / 3), r = 50 * sqrt(1 - z * z);
+		struct imu_sample s = {.t_us = 1000u * (uint64_t)i,
+			.mag_uT = {r * cos(turn), r * sin(turn), 50 * z},
+			.flags = SAMPLE_MAG};
+
+		calibrate_magnetometer_step(&mag, &s);
+	}
+	return calibrate_magnetometer_finish(&mag);
+}
+
+static void test_a_magnetometer_needs_30_points(void **state)
+{
+	(void)state;
+	assert_int_equal(calibrate_magnetometer_with(29), CALIBRATE_POOR_COVERAGE);
+	assert_int_equal(calibrate_magnetometer_with(30), CALIBRATE_GOOD);
+}
+
+/* ---- what the calibrations report -------------------------------------------------------------------------------- */
+
+/* 100 s at rest from 20 to 30 degC. Channel i, of gyro x y z and accelerometer x y z, has the slope i + 1, white noise and
+ * a wave of these sizes, times 1e-5. */
+static enum calibrate_verdict warm_up(const double noise[6], const double wave[6])
+{
+	struct rng rng;
+
+	rng_init(&rng, 3);
+	calibrate_temperature_init(&temperature);
+	for (int k = 0; k < 10000; k++) {
+		double kelvin = k / 1000.0, channel[6];
+		struct imu_sample s = {
+			.t_us = 10000u * (uint64_t)k, .temperature_degC = 20 + kelvin, .flags = SAMPLE_TEMPERATURE};
+
+		for (int i = 0; i < 6; i++)
+			channel[i] = 1e-5 * ((i + 1) * kelvin + noise[i] * rng_gauss(&rng) + wave[i] * sin(k / 300.0));
+		s.gyro_rad_s = (struct vec3){channel[0], channel[1], channel[2]};
+		s.accel_m_s2 = (struct vec3){channel[3], channel[4], channel[5] + G};
+		calibrate_temperature_step(&temperature, &s);
+	}
+	return calibrate_temperature_finish(&temperature);
+}
+
+/* The mean of the 25 samples of a quarter of a second has a fifth of their noise. A slope over 10 K, evenly passed through
+ * in 400 quarters, has the sigma of one of them / (sqrt(400) 10 K / sqrt(12)). */
+static void test_a_temperature_calibration_reports_slopes_and_noise_of_every_axis(void **state)
+{
+	const double noise[6] = {10, 20, 40, 300, 600, 900}, no_wave[6] = {0};
+	const struct vec3 gyro_rms = {2e-5, 4e-5, 8e-5}, accel_rms = {60e-5, 120e-5, 180e-5};
+	const struct calibrate_temperature_result *r = &temperature.result;
+	const double per_sigma = sqrt(400) * 10 / sqrt(12);
+
+	(void)state;
+	assert_int_equal(warm_up(noise, no_wave), CALIBRATE_GOOD);
+	assert_false(r->quadratic);
+	assert_vec_near(r->gyro_residual_rad_s, gyro_rms, 0.8e-5);
+	assert_vec_near(r->accel_residual_m_s2, accel_rms, 18e-5);
+	assert_vec_near(vec3_scale(per_sigma, r->gyro_slope_sigma), gyro_rms, 0.8e-5);
+	assert_vec_near(vec3_scale(per_sigma, r->accel_slope_sigma), accel_rms, 18e-5);
+	assert_vec_near(r->compensation.gyro_slope, ((struct vec3){1e-5, 2e-5, 3e-5}), 4 * 8e-5 / per_sigma);
+	assert_vec_near(r->compensation.accel_slope, ((struct vec3){4e-5, 5e-5, 6e-5}), 4 * 180e-5 / per_sigma);
+	assert_near(r->lowest_degC, 20, 0.5);
+	assert_near(r->highest_degC, 30, 0.5);
+	assert_near(r->rest_s, 100, 1);
+}
+
+/* The RMS of a wave is its size / sqrt(2): 0.1 deg/s and 0.05 m/s^2 are the limits. */
+static void test_a_bias_that_does_not_follow_the_temperature_is_refused_on_every_axis(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 6; i++) {
+		const double limit = i < 3 ? 0.1 * RAD_PER_DEG : 0.05, quiet[6] = {0};
+		double wave[6] = {0};
+
+		wave[i] = 0.9 * limit * sqrt(2) * 1e5;
+		assert_int_equal(warm_up(quiet, wave), CALIBRATE_GOOD);
+		wave[i] = 1.1 * limit * sqrt(2) * 1e5;
+		assert_int_equal(warm_up(quiet, wave), CALIBRATE_LARGE_RESIDUAL);
+	}
+}
+
+static void test_of_a_log_the_longest_rest_is_the_gyros(void **state)
+{
+	const double rest_s[3] = {6, 8, 5.5};
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}};
+
+	(void)state;
+	calibrate_gyro_init(&gyro, &CALIBRATE_GYRO_DEFAULTS);
+	for (int rest = 0; rest < 3; rest++) {
+		for (int k = 0; k < 100 * (1 + rest_s[rest]); k++) {
+			s.t_us += 10000;
+			s.gyro_rad_s.x = k < 100 ? sin(k) : 0.001 * rest;
+			calibrate_gyro_step(&gyro, &s);
+		}
+	}
+	assert_int_equal(calibrate_gyro_finish(&gyro), CALIBRATE_GOOD);
+	assert_near(gyro.result.bias_rad_s.x, 0.001, 1e-9);
+	assert_near(gyro.result.rest_s, 8, 0.8);
+}
+
+static void test_each_step_of_a_gyro_calibration_returns_its_verdict(void **state)
+{
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}};
+	enum calibrate_verdict verdict = CALIBRATE_COLLECTING;
+
+	(void)state;
+	calibrate_gyro_init(&gyro, &CALIBRATE_GYRO_DEFAULTS);
+	for (int k = 0; k < 1500; k++) {
+		s.t_us += 10000;
+		verdict = calibrate_gyro_step(&gyro, &s);
+		assert_int_equal(verdict, k < 1000 ? CALIBRATE_COLLECTING : gyro.verdict);
+	}
+	assert_int_equal(verdict, CALIBRATE_GOOD);
+	assert_int_equal(calibrate_gyro_finish(&gyro), CALIBRATE_GOOD);
+	assert_near(calibrate_gyro_progress(&gyro), 1, 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -696,6 +910,14 @@ int main(void)
 		cmocka_unit_test(test_a_parabola_is_fitted_where_it_fits_better),
 		cmocka_unit_test(test_all_verdicts_have_different_texts),
 		cmocka_unit_test(test_exact_points_of_an_ellipsoid_give_its_parameters),
+		cmocka_unit_test(test_the_errors_of_an_ellipsoid_fit_are_those_that_it_states),
+		cmocka_unit_test(test_the_coverage_of_an_ellipsoid_is_1_all_over_it_and_less_on_its_upper_half),
+		cmocka_unit_test(test_points_that_many_ellipsoids_go_through_are_refused),
+		cmocka_unit_test(test_a_magnetometer_needs_30_points),
+		cmocka_unit_test(test_a_temperature_calibration_reports_slopes_and_noise_of_every_axis),
+		cmocka_unit_test(test_a_bias_that_does_not_follow_the_temperature_is_refused_on_every_axis),
+		cmocka_unit_test(test_of_a_log_the_longest_rest_is_the_gyros),
+		cmocka_unit_test(test_each_step_of_a_gyro_calibration_returns_its_verdict),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
