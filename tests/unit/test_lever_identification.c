@@ -485,6 +485,53 @@ static void test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases(v
 	assert_int_equal((id.blocks - 1) * id.windows_per_block + id.last_block_windows, id.windows);
 }
 
+/* After 64 windows neighbours share a block and half of the blocks are free again. */
+static void test_blocks_that_are_free_again_do_not_count(void **state)
+{
+	struct scene s = BY_HAND;
+	struct lever_estimate before, after;
+
+	(void)state;
+	s.seconds = 70;
+	before = identify(&s);
+	assert_int_equal(before.verdict, LEVER_FOUND);
+	assert_true(id.blocks < LEVER_BLOCKS);
+	memset(&id.block[id.blocks], 0xFF, (size_t)(LEVER_BLOCKS - id.blocks) * sizeof(id.block[0]));
+	after = lever_identification_estimate(&id);
+	assert_vec_near(after.lever_arm_b_m, before.lever_arm_b_m, 0);
+	assert_vec_near(after.noise_sigma_b_m, before.noise_sigma_b_m, 0);
+}
+
+/* A slow short turn to and fro while the hand sways: the noise grows with the swaying. */
+static void test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsure(void **state)
+{
+	const struct vec3 arms_b_m[2] = {{0.06, 0.06, 0.053}, {0.3, 0.3, 0.265}}; /* 0.1 m and 0.5 m */
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		const double limit_m = i ? 0.03 * 0.5 : 0.005;
+		double below_m = 0, above_m = 1;
+
+		for (int sway = 1; sway < 60 && above_m == 1; sway++) {
+			struct scene s = BY_HAND;
+			struct lever_estimate e;
+			double sigma_m;
+
+			s.arm_b_m = arms_b_m[i];
+			s.seconds = 12;
+			s.swing_rad = vec3_scale(0.3, s.swing_rad);
+			s.travel_hz = (struct vec3){1.9, 2.3, 2.7};
+			s.travel_m = vec3_scale(0.0001 * sway, (struct vec3){1, 1, 1});
+			e = identify(&s);
+			sigma_m = fmax(e.noise_sigma_b_m.x, fmax(e.noise_sigma_b_m.y, e.noise_sigma_b_m.z));
+			*(e.verdict == LEVER_FOUND ? &below_m : &above_m) = sigma_m;
+			assert_true(e.verdict == LEVER_FOUND || e.verdict == LEVER_UNSURE);
+		}
+		assert_true(below_m < limit_m && above_m > limit_m);
+		assert_near(above_m, limit_m, 0.1 * limit_m);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -512,6 +559,8 @@ int main(void)
 		cmocka_unit_test(test_the_estimate_stays_finite_for_any_input),
 		cmocka_unit_test(test_only_the_sample_that_ends_a_window_gives_news),
 		cmocka_unit_test(test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases),
+		cmocka_unit_test(test_blocks_that_are_free_again_do_not_count),
+		cmocka_unit_test(test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsure),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

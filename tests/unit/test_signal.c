@@ -338,6 +338,51 @@ static void test_an_unknown_name_gives_no_signal(void **state)
 	assert_null(signal_find(""));
 }
 
+/* Accelerometer calibrations need these 14 attitudes; the turn to the next one ends each stay. */
+static void test_the_multiposition_signal_rests_on_every_face_and_every_corner(void **state)
+{
+	const struct signal *signal = signal_find("multiposition");
+	bool up[3][3][3] = {{{false}}};
+	int faces = 0, corners = 0;
+
+	(void)state;
+	for (int stay = 0; stay < 14; stay++) {
+		struct signal_truth truth;
+		struct vec3 u;
+		int axes;
+
+		signal_at(signal, (stay + 0.5) * signal->period_s / 14, &truth);
+		u = quat_rotate_inverse(truth.q_nb, (struct vec3){0, 0, 1});
+		assert_near(truth.omega_b_rad_s, (struct vec3){0, 0, 0}, 1e-12);
+		u = (struct vec3){round(u.x), round(u.y), round(u.z)};
+		axes = (int)vec3_dot(u, u);
+		assert_near(
+			quat_rotate_inverse(truth.q_nb, (struct vec3){0, 0, 1}), vec3_scale(1 / sqrt(axes), u), 1e-4);
+		assert_false(up[(int)u.x + 1][(int)u.y + 1][(int)u.z + 1]);
+		up[(int)u.x + 1][(int)u.y + 1][(int)u.z + 1] = true;
+		faces += axes == 1;
+		corners += axes == 3;
+	}
+	assert_int_equal(faces, 6);
+	assert_int_equal(corners, 8);
+}
+
+/* On deep water the accelerations of a wave of slope s are s g (Airy); the boat follows half of the wave's height. */
+static void test_the_boat_heaves_with_half_the_acceleration_of_its_wave(void **state)
+{
+	const struct signal *boat = signal_find("boat");
+	double most = 0;
+
+	(void)state;
+	for (double t = 0; t < boat->period_s; t += 0.01) {
+		struct signal_truth truth;
+
+		signal_at(boat, t, &truth);
+		most = fmax(most, fabs(truth.accel_n_m_s2.z));
+	}
+	assert_true(fabs(most / (boat->angle_rad * 9.81 / 2) - 1) < 0.15);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -353,6 +398,8 @@ int main(void)
 		cmocka_unit_test(test_a_turntable_has_the_centripetal_acceleration_rate_squared_times_radius),
 		cmocka_unit_test(test_a_pendulum_has_the_tangential_and_centripetal_acceleration_of_the_textbook),
 		cmocka_unit_test(test_an_unknown_name_gives_no_signal),
+		cmocka_unit_test(test_the_multiposition_signal_rests_on_every_face_and_every_corner),
+		cmocka_unit_test(test_the_boat_heaves_with_half_the_acceleration_of_its_wave),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
