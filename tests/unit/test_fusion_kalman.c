@@ -600,6 +600,82 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 		assert_int_equal(fusion_init(&f, &bad[i]), -EINVAL);
 }
 
+/* A level object on a circle: a constant speed in a direction that turns twice a second. Gravity and the centripetal
+ * acceleration are all that it feels. */
+static void test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis(void **state)
+{
+	const double speed_m_s = 0.8, omega_rad_s = 4 * PI, dt_s = 0.005;
+	struct fusion f = fusion(six_axes());
+	double mean_m2_s2 = 0;
+
+	(void)state;
+	for (int k = 0; k < 12000; k++) {
+		double t = k * dt_s;
+		struct imu_sample s = {.accel_m_s2 = {-speed_m_s * omega_rad_s * sin(omega_rad_s * t),
+					       speed_m_s * omega_rad_s * cos(omega_rad_s * t), G}};
+
+		fusion_step(&f, &s, dt_s);
+		if (k >= 6000)
+			mean_m2_s2 += f.kalman.spread_m2_s2 / 6000;
+	}
+	assert_near(mean_m2_s2, speed_m_s * speed_m_s / 2, 0.05);
+}
+
+/* A level object that turns about the vertical, 1 rad/s. */
+static struct imu_sample turning_level(double t, struct vec3 field_n)
+{
+	struct quat q_nb = quat_from_rotation_vector((struct vec3){0, 0, t});
+
+	return (struct imu_sample){.gyro_rad_s = {0, 0, 1},
+		.accel_m_s2 = {0, 0, G},
+		.mag_uT = quat_rotate_inverse(q_nb, field_n),
+		.flags = SAMPLE_MAG};
+}
+
+/* The limit is 10 % of the length, and twice 0.1 rad of the dip. */
+static void test_a_field_beyond_the_limits_of_length_or_dip_is_not_used(void **state)
+{
+	static const struct {
+		double length, dip_rad;
+		bool used;
+	} FIELDS[] = {{1.08, 0, true}, {1.12, 0, false}, {0.92, 0, true}, {0.88, 0, false}, {1, 0.17, true},
+		{1, 0.25, false}, {1, -0.17, true}, {1, -0.25, false}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(FIELDS) / sizeof(FIELDS[0]); i++) {
+		struct vec3 other = vec3_scale(FIELDS[i].length,
+			quat_rotate(quat_from_rotation_vector((struct vec3){-FIELDS[i].dip_rad, 0, 0}), FIELD_N));
+		struct fusion f = fusion(NINE_AXES);
+		int used = 0;
+
+		for (int k = 0; k < 200 * 30; k++) {
+			double t = k / 200.0;
+			struct imu_sample s = turning_level(t, t < 20 ? FIELD_N : other);
+
+			fusion_step(&f, &s, 1.0 / 200);
+			used += t > 21 && fusion_mag_used(&f);
+		}
+		assert_int_equal(used > 100, FIELDS[i].used);
+		assert_int_equal(used == 0, !FIELDS[i].used);
+	}
+}
+
+static void test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it(void **state)
+{
+	const struct vec3 still = {0, 0, 0};
+	const struct imu_sample level = {.accel_m_s2 = {0, 0, G}};
+	struct fusion f = fusion(six_axes());
+
+	(void)state;
+	fusion_step(&f, &level, 0.01);
+	fusion_aid_yaw(&f, 0, RAD_PER_DEG, still);
+	for (int k = 1; k <= 5; k++) {
+		fusion_step(&f, &level, 0.01);
+		assert_int_equal(fusion_aid_yaw(&f, PI / 2, RAD_PER_DEG, still), k == 5);
+		assert_quat_near(f.q_nb, quat_from_rotation_vector((struct vec3){0, 0, k == 5 ? PI / 2 : 0}), 1e-3);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -630,6 +706,9 @@ int main(void)
 		cmocka_unit_test(test_the_attitude_is_extrapolated_over_the_delay_by_the_rate),
 		cmocka_unit_test(test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_heading),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
+		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),
+		cmocka_unit_test(test_a_field_beyond_the_limits_of_length_or_dip_is_not_used),
+		cmocka_unit_test(test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

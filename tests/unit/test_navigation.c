@@ -632,6 +632,53 @@ static void test_another_north_turns_the_velocity_with_the_attitude(void **state
 	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0, 1, 0}), 0.05);
 }
 
+static void test_a_navigation_configuration_is_checked_field_by_field(void **state)
+{
+	const struct navigation_config good = levelling();
+
+	(void)state;
+	assert_int_equal(navigation_check(&good), 0);
+	for (int i = 0; i < 6; i++) {
+		struct navigation_config c = good;
+		double *const field[6] = {&c.velocity_prior_m_s, &c.rest_s, &c.noise.gyro_density_rad_s_sqrt_hz,
+			&c.noise.gyro_bias_instability_rad_s, &c.noise.accel_density_m_s2_sqrt_hz,
+			&c.noise.accel_bias_instability_m_s2};
+
+		*field[i] = 0;
+		assert_int_equal(navigation_check(&c), 0);
+		*field[i] = -1e-9;
+		assert_int_equal(navigation_check(&c), -EINVAL);
+		*field[i] = (double)INFINITY;
+		assert_int_equal(navigation_check(&c), -EINVAL);
+	}
+}
+
+/* An object that swings to and fro after a rest, followed with and without levelling: both are the same at first. */
+static void test_levelling_starts_5_s_after_the_last_standstill(void **state)
+{
+	struct position_config config = {.mode = POSITION_NAVIGATION, .navigation = levelling()};
+	struct position with, without;
+	double apart_s = 0;
+
+	(void)state;
+	assert_int_equal(position_init(&with, &config), 0);
+	config.navigation.levelling = 0;
+	assert_int_equal(position_init(&without, &config), 0);
+	for (int k = 0; k < 3000 && apart_s == 0; k++) {
+		double moving_s = k * DT_S - REST_S, phase = 2 * PI * fmax(0, moving_s);
+		struct navigation_input in = {.gyro_b_rad_s = {0.5 * sin(phase), 0, 0},
+			.force_b_m_s2 = {5 * sin(phase), 3 * sin(phase), G},
+			.q_nb = QUAT_IDENTITY,
+			.gravity_m_s2 = G};
+
+		position_navigate(&with, &in, ZERO, 1 / DT_S, DT_S);
+		position_navigate(&without, &in, ZERO, 1 / DT_S, DT_S);
+		if (vec3_norm(vec3_sub(with.velocity_n_m_s, without.velocity_n_m_s)) > 0)
+			apart_s = moving_s;
+	}
+	assert_near(apart_s, 5.2, 0.3);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -654,6 +701,8 @@ int main(void)
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
 		cmocka_unit_test(test_a_position_whose_sigma_exceeds_the_limit_is_reported),
 		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),
+		cmocka_unit_test(test_a_navigation_configuration_is_checked_field_by_field),
+		cmocka_unit_test(test_levelling_starts_5_s_after_the_last_standstill),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

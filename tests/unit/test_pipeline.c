@@ -1127,6 +1127,38 @@ static void test_sigma_is_honest_on_recorded_hand_movements(void **state)
 	assert_true(displacement > 0.5 && displacement < 2);
 }
 
+static void test_the_ranges_of_aids_include_their_limits(void **state)
+{
+	const struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	assert_int_equal(pipeline_aid_velocity(&p, (struct vec3){1000, -1000, 1000}, 0.001), 0);
+	assert_int_equal(pipeline_aid_velocity(&p, (struct vec3){-1000, 1000, -1000}, 1000), 0);
+	assert_int_equal(pipeline_aid_velocity(&p, ZERO, 0.00099), -EINVAL);
+	assert_int_equal(pipeline_aid_yaw(&p, 2 * PI, 0.0001), 0);
+	assert_int_equal(pipeline_aid_yaw(&p, -2 * PI, PI), 0);
+	assert_int_equal(pipeline_aid_yaw(&p, 6.3, PI), -EINVAL);
+	assert_int_equal(pipeline_aid_yaw(&p, 0, 0.000099), -EINVAL);
+	assert_int_equal(pipeline_aid_yaw(&p, 0, 3.15), -EINVAL);
+}
+
+static void test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_of_a_fresh_start(void **state)
+{
+	struct pipeline_config config = with_lever(), changed[2] = {config, config};
+
+	(void)state;
+	changed[0].rate_filter = (struct filter_config){.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 7};
+	changed[1].noise.gyro_density_rad_s_sqrt_hz *= 3;
+	for (int i = 0; i < 2; i++) {
+		struct pipeline fresh = pipeline(&changed[i]), p = pipeline(&config);
+
+		assert_memory_not_equal(&p.rates_variance, &fresh.rates_variance, sizeof(p.rates_variance));
+		assert_int_equal(pipeline_configure(&p, &changed[i]), 0);
+		assert_memory_equal(&p.rates_variance, &fresh.rates_variance, sizeof(p.rates_variance));
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1174,6 +1206,8 @@ int main(void)
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
 		cmocka_unit_test(test_the_acceleration_sigma_includes_that_of_its_direction),
 		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
+		cmocka_unit_test(test_the_ranges_of_aids_include_their_limits),
+		cmocka_unit_test(test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_of_a_fresh_start),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

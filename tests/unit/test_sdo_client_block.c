@@ -432,6 +432,26 @@ static void test_an_unexpected_command_is_aborted(void **state)
 	assert_aborted(bench, 0x2130, 0x05040001);
 }
 
+/* So that an abort or a lost segment stops a download early, however long the sub-block. */
+static void test_frames_are_received_after_every_16_segments_sent(void **state)
+{
+	char text[40 * 7 + 1];
+	struct bench *bench = bench_reset();
+
+	(void)state;
+	memset(text, 'x', sizeof(text) - 1);
+	text[sizeof(text) - 1] = '\0';
+	sdo_client_block_download(&bench->client, 0x2130, 0, text, 40 * 7, T0);
+	bench->sent_count = 0;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	assert_int_equal(sdo_client_tick(&bench->client, T0), T0);
+	assert_int_equal(bench->sent_count, 16);
+	assert_int_equal(sdo_client_tick(&bench->client, T0), T0);
+	assert_int_equal(bench->sent_count, 32);
+	assert_true(sdo_client_tick(&bench->client, T0) > T0);
+	assert_int_equal(bench->sent_count, 40);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -459,6 +479,7 @@ int main(void)
 		cmocka_unit_test(test_a_full_bus_delays_the_segments),
 		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_a_timeout),
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
+		cmocka_unit_test(test_frames_are_received_after_every_16_segments_sent),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
