@@ -55,7 +55,7 @@ int sdo_command_nmt(struct session *s, int argc, char **argv)
 	if (msg.data[0] == 0)
 		cli_usage_error("nmt %s: use start, stop, preop, reset or reset-comm", argv[0]);
 	struct can_port *bus = cli_open_bus(s->bus);
-	bool sent = sdo_send(s, bus, &msg);
+	bool sent = sdo_send_frame(s, bus, &msg);
 	can_close(bus);
 	return sent ? CLI_OK : CLI_FAILED;
 }

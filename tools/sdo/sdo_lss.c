@@ -51,7 +51,7 @@ static void send_command(struct lss *lss, uint8_t command, uint32_t value, const
 	if (tail)
 		memcpy(&msg.data[5], tail, 3);
 	if (!lss->unsent)
-		lss->unsent = !sdo_send(lss->session, lss->bus, &msg);
+		lss->unsent = !sdo_send_frame(lss->session, lss->bus, &msg);
 }
 
 /* Waits for a frame with this CAN-ID and, for an answer, this command. False: timeout. */

@@ -40,7 +40,7 @@ static bool request_all(struct session *s, struct can_port *bus, struct seen nod
 	for (uint32_t id = 1; id < NODES; id++) {
 		const struct can_msg msg = {.id = CAN_ID_SDO_REQUEST + id, .len = 8, .data = {0x40, 0x00, 0x10}};
 
-		if (!sdo_send(s, bus, &msg))
+		if (!sdo_send_frame(s, bus, &msg))
 			return false;
 		listen(bus, nodes, cli_now_us() + 1000);
 	}

@@ -167,7 +167,7 @@ void sdo_close(struct session *s)
 	cli_node_close(&s->node);
 }
 
-bool sdo_send(const struct session *s, struct can_port *bus, const struct can_msg *msg)
+bool sdo_send_frame(const struct session *s, struct can_port *bus, const struct can_msg *msg)
 {
 	int rc = can_send(bus, msg, cli_now_us());
 

@@ -41,7 +41,7 @@ void sdo_target_name(const struct target *target, char *name, size_t capacity);
 void sdo_open(struct session *s);
 void sdo_close(struct session *s);
 /** Sends a frame and waits until it has left. False after a message. */
-bool sdo_send(const struct session *s, struct can_port *bus, const struct can_msg *msg);
+bool sdo_send_frame(const struct session *s, struct can_port *bus, const struct can_msg *msg);
 /** Writes the result of a save command to `path` ('-': standard output) and reports the counts. The exit code. */
 int sdo_finish_save(const struct session *s, const char *path, const char *text, size_t size, int saved, int failed);
 
