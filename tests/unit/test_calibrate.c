@@ -870,6 +870,29 @@ static void test_each_step_of_a_gyro_calibration_returns_its_verdict(void **stat
 	assert_near(calibrate_gyro_progress(&gyro), 1, 0);
 }
 
+/* Over 10 s, 40 quarters of a second, the mean of 1000 samples has sigma / sqrt(1000). */
+static void test_the_sigma_of_a_gyro_bias_is_that_of_its_axis(void **state)
+{
+	const struct calibrate_gyro_config steady = {.rest_s = 10, .patience_s = 60};
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}};
+	struct rng rng;
+
+	(void)state;
+	rng_init(&rng, 4);
+	calibrate_gyro_init(&gyro, &steady);
+	while (gyro.verdict == CALIBRATE_COLLECTING) {
+		s.t_us += 10000;
+		s.gyro_rad_s.x = 0.001 * rng_gauss(&rng);
+		s.gyro_rad_s.y = 0.002 * rng_gauss(&rng);
+		s.gyro_rad_s.z = 0.004 * rng_gauss(&rng);
+		calibrate_gyro_step(&gyro, &s);
+	}
+	assert_int_equal(gyro.verdict, CALIBRATE_GOOD);
+	assert_near(gyro.result.sigma_rad_s.x * sqrt(1000) / 0.001, 1, 0.3);
+	assert_near(gyro.result.sigma_rad_s.y * sqrt(1000) / 0.002, 1, 0.3);
+	assert_near(gyro.result.sigma_rad_s.z * sqrt(1000) / 0.004, 1, 0.3);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -918,6 +941,7 @@ int main(void)
 		cmocka_unit_test(test_a_bias_that_does_not_follow_the_temperature_is_refused_on_every_axis),
 		cmocka_unit_test(test_of_a_log_the_longest_rest_is_the_gyros),
 		cmocka_unit_test(test_each_step_of_a_gyro_calibration_returns_its_verdict),
+		cmocka_unit_test(test_the_sigma_of_a_gyro_bias_is_that_of_its_axis),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
