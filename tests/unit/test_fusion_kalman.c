@@ -676,6 +676,21 @@ static void test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it(voi
 	}
 }
 
+/* Straight up there is no yaw: a quarter turn about z is one, a quarter turn about y is not. */
+static void test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up(void **state)
+{
+	const struct vec3 still = {0, 0, 0}, y = {0, PI / 2, 0}, z = {0, 0, PI / 2};
+	struct fusion level = fusion(six_axes()), up = level;
+
+	(void)state;
+	fusion_set_attitude(&level, quat_from_rotation_vector(z));
+	fusion_set_attitude(&up, quat_from_rotation_vector(y));
+	fusion_aid_yaw(&level, PI / 2 + 0.02, 1e-4, still);
+	fusion_aid_yaw(&up, 0.02, 1e-4, still);
+	assert_quat_near(level.q_nb, quat_from_rotation_vector((struct vec3){0, 0, PI / 2 + 0.02}), 1e-3);
+	assert_quat_near(up.q_nb, quat_from_rotation_vector(y), 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -709,6 +724,7 @@ int main(void)
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),
 		cmocka_unit_test(test_a_field_beyond_the_limits_of_length_or_dip_is_not_used),
 		cmocka_unit_test(test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it),
+		cmocka_unit_test(test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

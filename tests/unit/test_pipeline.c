@@ -1159,6 +1159,22 @@ static void test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_o
 	}
 }
 
+static void test_a_sensor_without_a_magnetometer_has_used_none_from_its_first_sample_on(void **state)
+{
+	const struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	for (int k = 0; k < 10; k++) {
+		struct imu_sample s = moving_at(k / RATE_HZ).sample;
+		struct pipeline_output out;
+
+		s.flags = 0;
+		pipeline_step(&p, &s, &out);
+		assert_int_equal(out.status & PIPELINE_MAG_USED, 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1208,6 +1224,7 @@ int main(void)
 		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
 		cmocka_unit_test(test_the_ranges_of_aids_include_their_limits),
 		cmocka_unit_test(test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_of_a_fresh_start),
+		cmocka_unit_test(test_a_sensor_without_a_magnetometer_has_used_none_from_its_first_sample_on),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -452,6 +452,18 @@ static void test_frames_are_received_after_every_16_segments_sent(void **state)
 	assert_int_equal(bench->sent_count, 40);
 }
 
+static void test_each_segment_of_an_upload_restarts_the_timeout(void **state)
+{
+	struct bench *bench = upload(100);
+	struct can_msg segment = {.id = 0x580 + NODE, .len = 8, .data = {0x01, 'a', 'b', 'c', 'd', 'e', 'f', 'g'}};
+
+	(void)state;
+	ANSWER(bench, 0xC4, 0x21, 0x10, 0);
+	sdo_client_receive(&bench->client, &segment, T0 + TIMEOUT_US - 1);
+	assert_int_equal(sdo_client_tick(&bench->client, T0 + TIMEOUT_US), T0 + 2 * TIMEOUT_US - 1);
+	assert_int_equal(bench->client.result, SDO_RUNNING);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -480,6 +492,7 @@ int main(void)
 		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_a_timeout),
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 		cmocka_unit_test(test_frames_are_received_after_every_16_segments_sent),
+		cmocka_unit_test(test_each_segment_of_an_upload_restarts_the_timeout),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
