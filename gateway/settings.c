@@ -90,6 +90,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.position.mode = (enum position_mode)v->position.mode;
 	c.position.longest_integration_s = (double)v->position.longest_integration_time;
 	c.position.sigma_limit_m = (double)v->position.sigma_limit;
+	c.position.navigation.preset = (enum motion_preset)v->position.motion_preset;
 	c.position.navigation.levelling = v->position.levelling;
 	c.position.navigation.velocity_prior_m_s = (double)v->position.velocity_prior;
 	return c;

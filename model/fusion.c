@@ -205,6 +205,7 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 		.field_b_uT = field ? &sample->mag_uT : NULL,
 		.lever_arm_b_m = f->config.lever_arm_b_m,
 		.rest = f->resting,
+		.steady_s = f->steady_s,
 		.saturated = sample->flags & SAMPLE_SATURATED,
 	};
 

@@ -54,6 +54,7 @@ struct fusion {
 	double bias_time_s; /* of rest in the mean that is the bias; limited */
 	struct vec3 last_gyro_b_rad_s;
 	bool started, north_known, mag_used, resting;
+	double steady_s;
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */

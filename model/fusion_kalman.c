@@ -10,6 +10,7 @@
 enum {
 	BIAS = KALMAN_BIAS,
 	SCALE = KALMAN_SCALE,
+	ACCEL = KALMAN_ACCEL,
 	VELOCITY = KALMAN_VELOCITY,
 	HEADING = KALMAN_HEADING,
 	STATES = KALMAN_STATES
@@ -40,6 +41,9 @@ static const double START_VELOCITY_M_S = 0.3;
 /* rad/s, 1 sigma of the bias at the start (0.5 deg/s). As in VQF. A gyro that was never calibrated has more (zero-rate
  * level of the L3GD20: 10 deg/s and more) and needs a rest or a calibration. */
 static const double START_BIAS_RAD_S = 0.5 * RAD_PER_DEG;
+/* m/s^2, 1 sigma of the accelerometer's bias (3 mg). By judgement: what a calibration in six attitudes leaves. It grows
+ * with what the length of the force shows of a worse one. */
+static const double START_ACCEL_M_S2 = 0.03;
 /* rad, 1 sigma of an attitude from outside. By judgement: a fixture or another attitude system. */
 static const double SET_ANGLE_RAD = 1 * RAD_PER_DEG;
 
@@ -55,9 +59,9 @@ static const double GYRO_ERROR_TIME_S = 0.3;
 static const double SATURATED_SHARE = 0.5;
 /* s, in which the scale's variance returns to its start (10 hours). By judgement: temperature and ageing. */
 static const double SCALE_TIME_S = 36000;
-/* rad/s, limit of the bias estimate (2 deg/s), the same as the default threshold of rest, below which the bias is
- * estimated at rest (VQF's limit, too). */
-static const double MOST_BIAS_RAD_S = 2 * RAD_PER_DEG;
+/* rad/s, limit of the bias estimate. Datasheet: zero-rate level of the L3GD20, 25 deg/s with all that adds up at 2000 deg/s
+ * (10) and over temperature. */
+static const double MOST_BIAS_RAD_S = 30 * RAD_PER_DEG;
 /* Limit of the scale estimate, in its 1 sigma. By judgement: beyond five sigma the configured sigma is wrong. */
 static const double MOST_SCALE_SIGMAS = 5;
 
@@ -72,8 +76,37 @@ static const double SPREAD_TIME_S = 3;
 static const double LEAST_SPREAD = 0.2;
 /* m/s, 1 sigma of the velocity at rest, per correction. By judgement: vibration of the support. */
 static const double REST_VELOCITY_M_S = 0.01;
+/* m/s, 1 sigma of the velocity when rest begins: a steady motion has any constant velocity, and feels like rest. By
+ * judgement: a vehicle indoors. */
+static const double STEADY_VELOCITY_M_S = 3;
 /* rad/s/sqrt(Hz), of the gyro at rest: the density in datasheets (L3GD20: 0.03 deg/s/sqrt(Hz)). */
 static const double REST_GYRO_NOISE = 0.03 * RAD_PER_DEG;
+
+/* ---- bias at rest ---- */
+
+/* s, over which the rate is averaged before it counts as bias, once the next mean agrees with it: a motion that begins
+ * within a second of it keeps it from being estimated. By judgement: a motion begins within a second. */
+static const double BLOCK_S = 1;
+/* s, by which a signal that was steady from the start on may have been so for less: the detector has no first sample. By
+ * judgement: some corrections. */
+static const double STEADY_SINCE_START_S = 0.1;
+/* uT, least turn of the field that tells. By judgement: above a magnetometer's noise in a second. */
+static const double FIELD_TURNS_UT = 0.3;
+/* Sigmas within which two means agree, a mean agrees with the bias estimate, and the short mean with it. Convention, for
+ * three axes at a time. */
+static const double BLOCK_SIGMAS = 4, BIAS_SIGMAS = 3.5, TURNING_SIGMAS = 4;
+/* s, of the short mean. By judgement: a swing turns by more than its sigma within that time. */
+static const double MEAN_RATE_S = 0.3;
+/* s, memory of the mean length of the force, and the time before which it is not taken at its word. By judgement: motion
+ * within a second averages out less than within ten. */
+static const double MEAN_LENGTH_S = 10, MEAN_LENGTH_LEAST_S = 0.5;
+/* m/s^2, by which that length is too short in motion, too. By judgement: 2 %, more than any calibrated accelerometer lacks, and
+ * than motion takes away in a mean. */
+static const double UNCALIBRATED_M_S2 = 0.2;
+/* m/s^2, by which it may differ at rest: three sigma of the calibration. */
+static const double UNCALIBRATED_AT_REST_M_S2 = 0.09;
+/* m/s^2, of gravity: half a percent of error on Earth, which START_ACCEL_M_S2 covers. */
+static const double GRAVITY_M_S2 = 9.81;
 
 /* ---- re-initialisation of the tilt ---- */
 
@@ -179,6 +212,7 @@ void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusio
 {
 	for (int i = BIAS; i < BIAS + 3; i++)
 		set_variance(k, i, squared(START_BIAS_RAD_S));
+	k->bias_known = false;
 	fusion_kalman_reset_scale(k, config);
 }
 
@@ -209,6 +243,10 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
+	for (int i = ACCEL; i < ACCEL + 3; i++)
+		set_variance(k, i, squared(START_ACCEL_M_S2));
+	k->mean_force_s = k->since_start_s = 0;
+	k->has_moved = false;
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
 	k->mean_force_n_m_s2 = (struct vec3){0, 0, force_m_s2};
 	k->lever_known = false;
@@ -233,8 +271,8 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 	clear_sums(k);
 }
 
-/* P = F P with the state transition F: attitude += rotation_rate scale - rotation bias, velocity += attitude x force.
- * An error of the attitude turns the accelerometer's velocity and the lever arm's share of it alike, so `force` is the
+/* P = F P with the state transition F: attitude += rotation_rate scale - rotation bias, velocity += attitude x force -
+ * rotation accelerometer bias. An error of the attitude turns the accelerometer's velocity and the lever arm's share of it alike, so `force` is the
  * integrated force at the reference point. */
 static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 {
@@ -244,6 +282,7 @@ static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 	kalman_add_rows(STATES, p, 0, 3, -1, k->sums.rotation_s[0], BIAS);
 	kalman_add_rows(STATES, p, 0, 3, 1, k->sums.rotation_rate_rad[0], SCALE);
 	kalman_add_rows(STATES, p, VELOCITY, 2, 1, cross, 0);
+	kalman_add_rows(STATES, p, VELOCITY, 2, -1, k->sums.rotation_s[0], ACCEL);
 }
 
 /* P = F P F^T + Q over the samples since the last correction. P is symmetric, so F (F P)^T = F P F^T. */
@@ -267,11 +306,11 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 			fmin(1, t / SCALE_TIME_S) * fmax(0, squared(config->gyro_scale_sigma) - k->covariance[i][i]);
 }
 
-/* A measurement of state i; `error` collects the estimates of all states. A heading leaves the scale alone, the last
- * three states: see the header. */
+/* A measurement of state i; `error` collects the estimates of all states. The last states are considered, not estimated:
+ * the accelerometer's bias, and by a heading the gyro's scale, too (see the header). */
 static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
 {
-	const int estimated = i == HEADING ? SCALE : STATES;
+	const int estimated = i == HEADING ? SCALE : ACCEL;
 	double ph[STATES], innovation = measured - error[i], innovation_variance = k->covariance[i][i] + variance;
 
 	memcpy(ph, k->covariance[i], sizeof(ph));
@@ -292,14 +331,120 @@ static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman
 	measure(k, error, VELOCITY + 1, -y, variance);
 }
 
-static void measure_bias(struct fusion_kalman *k, struct vec3 bias, double *error)
+/* A steady signal is rest only if the object does not turn: a rate is bias as far as the bias's own sigma allows. */
+static bool is_resting(struct fusion_kalman *k, bool steady, struct vec3 bias_b_rad_s)
 {
-	struct vec3 d = vec3_sub(vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), bias);
-	double variance = squared(REST_GYRO_NOISE) / k->sums.time_s;
+	struct vec3 rate = vec3_sub(vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), bias_b_rad_s);
+	double share = k->sums.time_s / (MEAN_RATE_S + k->sums.time_s),
+	       variance = 3 * squared(REST_GYRO_NOISE) / MEAN_RATE_S;
 
-	measure(k, error, BIAS, d.x, variance);
-	measure(k, error, BIAS + 1, d.y, variance);
-	measure(k, error, BIAS + 2, d.z, variance);
+	k->mean_rate_b_rad_s = vec3_add(k->mean_rate_b_rad_s, vec3_scale(share, vec3_sub(rate, k->mean_rate_b_rad_s)));
+	for (int i = BIAS; i < BIAS + 3; i++)
+		variance += k->covariance[i][i];
+	return steady && !k->turning &&
+	       vec3_dot(k->mean_rate_b_rad_s, k->mean_rate_b_rad_s) < squared(TURNING_SIGMAS) * variance;
+}
+
+static bool blocks_agree(const struct fusion_kalman *k, struct vec3 mean_b_rad_s, double variance)
+{
+	struct vec3 apart = vec3_sub(mean_b_rad_s, k->last_block_b_rad_s);
+
+	return k->last_block_known && vec3_dot(apart, apart) < squared(BLOCK_SIGMAS) * 3 * variance;
+}
+
+/* What has been steady since the start may lie still, and its whole rate be bias, however large: until that is known, the
+ * bias is uncertain by as much. A rate that changes is a motion. */
+static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
+{
+	struct vec3 rate = vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), off = vec3_sub(rate, bias_b_rad_s),
+		    changed;
+	const double r[3] = {off.x, off.y, off.z}, noise = squared(REST_GYRO_NOISE) / MEAN_RATE_S;
+
+	if (k->since_start_s == 0)
+		k->last_rate_b_rad_s = rate;
+	k->since_start_s += k->sums.time_s;
+	k->last_rate_b_rad_s = vec3_add(k->last_rate_b_rad_s,
+		vec3_scale(k->sums.time_s / fmin(k->since_start_s, MEAN_RATE_S), vec3_sub(rate, k->last_rate_b_rad_s)));
+	if (k->since_start_s < MEAN_RATE_S)
+		k->first_rate_b_rad_s = k->last_rate_b_rad_s;
+	changed = vec3_sub(k->last_rate_b_rad_s, k->first_rate_b_rad_s);
+	k->has_moved |= k->sums.steady_s < k->since_start_s - STEADY_SINCE_START_S ||
+			vec3_dot(changed, changed) > squared(TURNING_SIGMAS) * 3 * 2 * noise ||
+			vec3_norm(rate) > MOST_BIAS_RAD_S;
+	if (k->bias_known || k->has_moved)
+		return;
+	for (int i = 0; i < 3; i++)
+		k->covariance[BIAS + i][BIAS + i] = fmax(k->covariance[BIAS + i][BIAS + i], squared(r[i]));
+}
+
+/* The field of an object that turns at this rate turns against it; that of one that lies does not. */
+static bool field_turns(const struct fusion_kalman *k, struct vec3 field_b_uT, struct vec3 rate_b_rad_s)
+{
+	struct vec3 expected = vec3_scale(BLOCK_S, vec3_cross(k->last_block_field_b_uT, rate_b_rad_s));
+	struct vec3 moved = vec3_sub(field_b_uT, k->last_block_field_b_uT);
+
+	return vec3_norm(expected) > FIELD_TURNS_UT && vec3_dot(moved, expected) > vec3_dot(expected, expected) / 2;
+}
+
+static void begin_block(struct fusion_kalman *k)
+{
+	k->block_s = 0;
+	k->block_b_rad = k->block_field_b_uT = (struct vec3){0, 0, 0};
+	k->block_fields = 0;
+}
+
+/* Blocks of a second of a steady signal; each counts when the next one agrees with it. */
+static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_b_rad_s, double *error)
+{
+	const double variance = squared(REST_GYRO_NOISE) / BLOCK_S;
+	struct vec3 mean, field;
+
+	if (!steady) {
+		k->turning = k->last_block_known = false;
+		begin_block(k);
+		return;
+	}
+	k->block_field_b_uT = vec3_add(k->block_field_b_uT, k->sums.field_b_uT);
+	k->block_fields += k->sums.fields;
+	k->block_b_rad = vec3_add(k->block_b_rad, k->sums.gyro_b_rad);
+	k->block_s += k->sums.time_s;
+	if (k->block_s < BLOCK_S)
+		return;
+	mean = vec3_scale(1 / k->block_s, k->block_b_rad);
+	field = vec3_scale(1.0 / (k->block_fields > 0 ? k->block_fields : 1), k->block_field_b_uT);
+	if (blocks_agree(k, mean, variance)) {
+		struct vec3 off = vec3_sub(k->last_block_b_rad_s, bias_b_rad_s);
+		const double d[3] = {off.x, off.y, off.z};
+
+		k->turning = field_turns(k, field, off);
+		for (int i = 0; i < 3; i++)
+			k->turning |=
+				squared(d[i]) > squared(BIAS_SIGMAS) * (k->covariance[BIAS + i][BIAS + i] + variance);
+		for (int i = 0; i < 3 && !k->turning; i++)
+			measure(k, error, BIAS + i, d[i], variance);
+		k->bias_known |= !k->turning;
+	}
+	k->last_block_b_rad_s = mean;
+	k->last_block_field_b_uT = field;
+	k->last_block_known = true;
+	begin_block(k);
+}
+
+/* What the mean length of the force lacks to gravity is the accelerometer's error: motion can only add to it. At rest an
+ * excess is, too. */
+static void observe_accelerometer(struct fusion_kalman *k, bool rest)
+{
+	double length = vec3_norm(k->sums.force_n_m_s) / k->sums.time_s, off;
+
+	k->mean_force_s = fmin(k->mean_force_s + k->sums.time_s, MEAN_LENGTH_S);
+	if (k->mean_force_s == k->sums.time_s)
+		k->mean_force_m_s2 = length;
+	k->mean_force_m_s2 += k->sums.time_s / k->mean_force_s * (length - k->mean_force_m_s2);
+	off = (GRAVITY_M_S2 - k->mean_force_m_s2) * fmin(1, k->mean_force_s / MEAN_LENGTH_LEAST_S);
+	if (rest ? fabs(off) < UNCALIBRATED_AT_REST_M_S2 : off < UNCALIBRATED_M_S2)
+		return;
+	for (int i = ACCEL; i < ACCEL + 3; i++)
+		k->covariance[i][i] = fmax(k->covariance[i][i], squared(off));
 }
 
 struct field {
@@ -578,15 +723,20 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	struct quat *q_nb, struct gyro_errors *gyro_errors)
 {
 	double error[STATES] = {0};
-	bool rest = k->sums.rest_s > 0.5 * k->sums.time_s, field_used;
+	bool steady = k->sums.rest_s > 0.5 * k->sums.time_s, rest, field_used;
 
 	if (reinitialise_lost_tilt(k, config, q_nb, gyro_errors))
 		return false;
 	predict(k, config);
 	expire_aids(k);
+	doubt_bias(k, gyro_errors->bias_b_rad_s);
+	rest = is_resting(k, steady, gyro_errors->bias_b_rad_s);
+	observe_accelerometer(k, rest);
+	for (int i = VELOCITY; i < VELOCITY + 2 && rest && !k->resting; i++)
+		set_variance(k, i, squared(STEADY_VELOCITY_M_S));
+	k->resting = rest;
 	measure_velocity(k, config, lever_n_m_s, rest, error);
-	if (rest)
-		measure_bias(k, gyro_errors->bias_b_rad_s, error);
+	measure_bias(k, steady, gyro_errors->bias_b_rad_s, error);
 	field_used = k->sums.fields > 0 && measure_heading(k, config, rest, error);
 	if (!covariance_is_valid(k)) {
 		*gyro_errors = (struct gyro_errors){0};
@@ -659,9 +809,11 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->sums.gyro_b_rad = vec3_add(k->sums.gyro_b_rad, vec3_scale(dt_s, s->gyro_b_rad_s));
 	k->sums.turned_rad2_s += dt_s * vec3_dot(s->rate_b_rad_s, s->rate_b_rad_s);
 	k->sums.rest_s += s->rest ? dt_s : 0;
+	k->sums.steady_s = s->steady_s;
 	k->sums.unmeasured_turn_rad += s->saturated ? SATURATED_SHARE * dt_s * vec3_norm(s->rate_b_rad_s) : 0;
 	if (s->field_b_uT) {
 		k->sums.field_n_uT = vec3_add(k->sums.field_n_uT, quat_rotate(*q_nb, *s->field_b_uT));
+		k->sums.field_b_uT = vec3_add(k->sums.field_b_uT, *s->field_b_uT);
 		k->sums.fields++;
 	}
 	k->sums.time_s += dt_s;

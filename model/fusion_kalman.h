@@ -85,14 +85,16 @@ struct gyro_errors {
 };
 
 /* Errors in the state: attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object), gyro
- * scale x y z (object). */
+ * scale x y z, accelerometer bias x y z (m/s^2, object). The last is a consider state (Schmidt-Kalman): it is not estimated,
+ * but its variance and its correlations count, so that a systematic tilt is not taken for gyro bias. */
 enum {
 	KALMAN_ATTITUDE = 0,
 	KALMAN_HEADING = 2,
 	KALMAN_VELOCITY = 3,
 	KALMAN_BIAS = 5,
 	KALMAN_SCALE = 8,
-	KALMAN_STATES = 11
+	KALMAN_ACCEL = 11,
+	KALMAN_STATES = 14
 };
 
 /** Integrals over the samples since the last correction. */
@@ -103,7 +105,8 @@ struct fusion_kalman_sums {
 	double rotation_s[3][3];	     /* of the rotation matrix object -> global */
 	double rotation_rate_rad[3][3];	     /* of its columns times the rates about the object's axes */
 	struct vec3 force_n_m_s, gyro_b_rad; /* of specific force and uncorrected rate */
-	struct vec3 field_n_uT;		     /* sum of the fields, not an integral */
+	struct vec3 field_n_uT, field_b_uT;  /* sums of the fields, not integrals */
+	double steady_s;		     /* of the last sample */
 	int fields;
 	struct vec3 lever_from_n_m_s; /* the lever arm's velocity omega x r when they began */
 };
@@ -117,6 +120,21 @@ struct fusion_kalman {
 	struct fusion_kalman_sums sums;
 	struct vec3 lever_arm_b_m, lever_n_m_s; /* of the last sample: lever arm, and omega x r */
 	bool lever_known;
+	/* rest */
+	bool resting;			/* what is steady, does not turn */
+	struct vec3 mean_rate_b_rad_s;	/* over 0.3 s, less the bias */
+	struct vec3 block_b_rad;	/* integral of the rate over the current block of a second of steady samples, */
+	double block_s;			/* .. its duration */
+	struct vec3 last_block_b_rad_s; /* .. and the mean of the one before, */
+	bool last_block_known;		/* .. if there was one */
+	struct vec3 block_field_b_uT, last_block_field_b_uT; /* sum of its fields, and the mean of the one before */
+	int block_fields;
+	bool bias_known;				   /* estimated at rest, since it was reset */
+	bool has_moved;					   /* since the start; until then the whole rate may be bias */
+	struct vec3 first_rate_b_rad_s, last_rate_b_rad_s; /* means over 0.3 s */
+	bool turning;					   /* that one differs from the bias by more than its sigma */
+	double since_start_s;
+	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */
 	/* the field's reference, and the candidate that may replace it */
 	double norm_uT, dip_rad, reference_s; /* norm 0: no reference; reference_s: time of fields behind it, limited */
 	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
@@ -166,6 +184,7 @@ struct fusion_kalman_sample {
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
 	bool rest, saturated;
+	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
 
 /** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true

@@ -17,6 +17,26 @@ enum {
 
 static const struct vec3 ZERO = {0, 0, 0};
 
+/* What each preset assumes. */
+static const struct assumptions {
+	bool dwell;	    /* what is steady for long enough stands, whatever its velocity is estimated to be */
+	bool levelling;	    /* the velocity averages out */
+	double slowest_m_s; /* of a steady motion */
+	double creep_m_s;   /* of what turns, and seems to turn in place */
+} ASSUMPTIONS[MOTION_PRESETS] = {
+	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
+	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
+	[MOTION_ROBOT_BASE] = {.slowest_m_s = 0.1},
+	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3},
+	[MOTION_ARM] = {.slowest_m_s = 0.03},
+	[MOTION_FOOT] = {.dwell = true},
+};
+
+static const struct assumptions *assumptions(const struct navigation *n)
+{
+	return &ASSUMPTIONS[n->config.preset];
+}
+
 /* Where a constant is "tuned", its value was chosen for the least position error with honest sigmas on the recorded
  * trials of BROAD and in the simulations of tests/unit/test_navigation.c. Where it is "by judgement", the reason is all
  * there is. */
@@ -29,8 +49,9 @@ static const double START_ANGLE_RAD = 0.035;
 static const double START_VELOCITY_M_S = 0.1;
 /* rad/s, 1 sigma of the gyro bias (0.3 deg/s). By judgement: a calibration at another temperature. */
 static const double START_GYRO_BIAS_RAD_S = 0.005;
-/* m/s^2, 1 sigma of the accelerometer bias (3 mg). By judgement: what a calibration in six attitudes leaves. */
-static const double START_ACCEL_BIAS_M_S2 = 0.03;
+/* m/s^2, 1 sigma of the accelerometer bias (6 mg), and where the motion goes to and fro and averages part of it out (3 mg).
+ * By judgement: what a calibration in six attitudes leaves, with half a percent of gravity by scale and alignment. */
+static const double START_ACCEL_BIAS_M_S2 = 0.06, DWELL_ACCEL_BIAS_M_S2 = 0.03;
 /* rad, 1 sigma of an attitude from outside: a degree, as in the fusion. */
 static const double SET_ANGLE_RAD = 0.0175;
 
@@ -41,6 +62,11 @@ static const double SET_ANGLE_RAD = 0.0175;
  * behind. With each turn such errors of the accelerometer meet gravity along another axis, so its bias walks, too, up
  * to START_ACCEL_BIAS_M_S2. Tuned: 0.1 % is a calibrated sensor. */
 static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
+/* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a movement in one
+ * direction leaves behind. By judgement: a calibrated sensor. */
+static const double GYRO_SCALE = 0.003;
+/* rad, of a turn beyond which an error of alignment does not grow any more. Derived: half a turn, less what is averaged. */
+static const double ALIGNED_TURN_RAD = 2;
 /* rad/s, 1 sigma by which the gyro bias in motion differs from that at rest: vibration rectification and g-sensitivity.
  * Tuned (0.02 deg/s). */
 static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
@@ -59,9 +85,20 @@ static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
 static const double STILL_RATE_VARIANCE = 1e-10;
 /* s. A shorter standstill does not end a movement. By judgement: a turning point is no place to stop. */
 static const double STOOD_S = 1;
-/* Sigmas by which velocity and acceleration may differ from zero at a standstill. Convention, as the innovation
- * gate. */
+/* Sigmas by which velocity and acceleration may differ from zero at a standstill that is detected by dwell. Convention, as
+ * the innovation gate. */
 static const double STILL_GATE_SIGMAS = 5;
+/* Sigmas beyond which the mean acceleration is significant. Tuned in simulation: a robot that comes to rest from 0.05 m/s
+ * within a second is seen to. */
+static const double ACCEL_SIGMAS = 2.5;
+/* m/s, 1 sigma of the velocity at a standstill by the hypotheses of zero_velocity.h, beside its vibration. By judgement. */
+static const double ZERO_VELOCITY_M_S = 0.003;
+/* s of odds for a standstill before it is one. By judgement: a turning point is no place to stop. */
+static const double STANDING_S = 0.4;
+/* s, memory of the mean rate at a standstill, and sigmas beyond which the object turns. By judgement. */
+static const double MEAN_RATE_S = 0.5, TURNING_SIGMAS = 3;
+/* s, for which a motion that has just begun, and an acceleration, count as one. By judgement. */
+static const double BEGIN_S = 1, ACCELERATED_S = 0.3;
 
 /* ---- levelling ---- */
 
@@ -100,6 +137,11 @@ static const double AIDED_S = 5;
 /* Sigmas beyond which it is not that of a standstill, and the innovation gate in sigmas. Convention. */
 static const double AIDED_SIGMAS = 3, AIDED_GATE_SIGMAS = 5;
 
+static double start_accel_bias_m_s2(const struct navigation *n)
+{
+	return assumptions(n)->dwell ? DWELL_ACCEL_BIAS_M_S2 : START_ACCEL_BIAS_M_S2;
+}
+
 int navigation_check(const struct navigation_config *c)
 {
 	const struct noise_config *noise = &c->noise;
@@ -107,7 +149,7 @@ int navigation_check(const struct navigation_config *c)
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
 		noise->accel_bias_instability_m_s2};
 
-	if (c->levelling != 0 && c->levelling != 1)
+	if (c->preset < 0 || c->preset >= MOTION_PRESETS || (c->levelling != 0 && c->levelling != 1))
 		return -EINVAL;
 	for (size_t i = 0; i < sizeof(not_negative) / sizeof(not_negative[0]); i++)
 		if (!(not_negative[i] >= 0 && isfinite(not_negative[i])))
@@ -142,10 +184,9 @@ static struct vec3 variance(const struct navigation *n, int at)
 	return (struct vec3){n->p[at][at], n->p[at + 1][at + 1], n->p[at + 2][at + 2]};
 }
 
-static void propagate(struct navigation *n)
+static void propagate(struct navigation *n, const struct navigation_sums *s)
 {
 	const struct noise_config *c = &n->config.noise;
-	const struct navigation_sums *s = &n->sums;
 	double t = s->t_s, walk = squared(c->accel_density_m_s2_sqrt_hz) / 2 * t,
 	       (*since_point)[N] = smoother_transition(n->smoother);
 
@@ -168,7 +209,7 @@ static void propagate(struct navigation *n)
 	add_variance(n, BG, squared(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
 	for (int i = BA; i < BA + 3; i++)
 		n->p[i][i] += squared(ACCEL_SCALE_SQRT_S * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
-			      fmax(0, 1 - n->p[i][i] / squared(START_ACCEL_BIAS_M_S2));
+			      fmax(0, 1 - n->p[i][i] / squared(start_accel_bias_m_s2(n)));
 	add_variance(n, BA, squared(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
 }
 
@@ -215,9 +256,9 @@ static void apply_correction(struct navigation *n, const double x[N])
 /* ---- standstill ---- */
 
 /* A value of this variance does not differ significantly from zero, known to this sigma. */
-static bool may_be_zero(double value, double var, double sigma)
+static bool may_be_zero(double value, double var, double sigma, double sigmas)
 {
-	return squared(value) < squared(STILL_GATE_SIGMAS) * (var + squared(sigma));
+	return squared(value) < squared(sigmas) * (var + squared(sigma));
 }
 
 /* Variance of the acceleration along one axis, whose error is theta x f - R ba. minus_f, r: rows of -[f]x and R. */
@@ -233,15 +274,24 @@ static double accel_variance(const struct navigation *n, const double minus_f[3]
 	return var;
 }
 
+void navigation_accel_variance(const struct navigation *n, double variance_m2_s4[3])
+{
+	const struct mat3 r = mat3_from_quat(n->q_nb), minus_f = mat3_minus_cross((struct vec3){0, 0, n->gravity_m_s2});
+
+	for (int i = 0; i < 3; i++)
+		variance_m2_s4[i] = accel_variance(n, minus_f.m[i], r.m[i]);
+}
+
 static bool velocity_may_be_zero(const struct navigation *n)
 {
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
 
-	return may_be_zero(v.x, var.x, STILL_VELOCITY_M_S) && may_be_zero(v.y, var.y, STILL_VELOCITY_M_S) &&
-	       may_be_zero(v.z, var.z, STILL_VELOCITY_M_S);
+	return may_be_zero(v.x, var.x, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS) &&
+	       may_be_zero(v.y, var.y, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS) &&
+	       may_be_zero(v.z, var.z, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS);
 }
 
-static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
+static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2, double sigmas)
 {
 	struct mat3 r = mat3_from_quat(n->q_nb);
 	struct vec3 f = mat3_apply(r, vec3_sub(n->rest.accel_mean, n->accel_bias_b_m_s2));
@@ -249,28 +299,43 @@ static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2)
 	const double accel[3] = {f.x, f.y, f.z - gravity_m_s2};
 
 	for (int i = 0; i < 3; i++)
-		if (!may_be_zero(accel[i], 0, STILL_ACCEL_M_S2) && /* mostly it is, and the variance costs more */
-			!may_be_zero(accel[i], accel_variance(n, minus_f.m[i], r.m[i]), STILL_ACCEL_M_S2))
+		if (!may_be_zero(
+			    accel[i], 0, STILL_ACCEL_M_S2, sigmas) && /* mostly it is, and the variance costs more */
+			!may_be_zero(accel[i], accel_variance(n, minus_f.m[i], r.m[i]), STILL_ACCEL_M_S2, sigmas))
 			return false;
 	return true;
 }
 
-/* The detector takes a steady motion, or one that slows down steadily, for a standstill. So velocity and acceleration
- * have to be compatible with zero, unless the contradiction lasts: then they are wrong. */
-static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
+static bool aided_to_move(const struct navigation *n)
 {
-	bool rest = rest_step(&n->rest, &n->config.standstill, in->gyro_b_rad_s, in->force_b_m_s2, dt);
+	return n->aided_s > 0 && n->aided_in_motion;
+}
 
-	if (!rest || (n->aided_s > 0 && n->aided_in_motion)) {
+/* By dwell: the detector takes a steady motion, or one that slows down steadily, for a standstill. So velocity and
+ * acceleration have to be compatible with zero, unless the contradiction lasts: then they are wrong. */
+static bool stands_by_dwell(struct navigation *n, bool steady, double gravity_m_s2, double dt)
+{
+	if (!steady || aided_to_move(n)) {
 		n->contradicted_s = 0;
 		return false;
 	}
-	if (velocity_may_be_zero(n) && accel_may_be_zero(n, in->gravity_m_s2)) {
+	if (velocity_may_be_zero(n) && accel_may_be_zero(n, gravity_m_s2, STILL_GATE_SIGMAS)) {
 		n->contradicted_s = fmax(0, n->contradicted_s - dt);
 		return true;
 	}
 	n->contradicted_s += dt;
 	return n->contradicted_s > n->config.rest_s;
+}
+
+/* By the hypotheses: a standstill lasts until the motion that ends it is seen to begin. */
+static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
+{
+	bool steady = rest_step(&n->rest, &n->config.standstill, vec3_sub(in->gyro_b_rad_s, in->gyro_bias_b_rad_s),
+		in->force_b_m_s2, dt);
+
+	if (assumptions(n)->dwell)
+		return stands_by_dwell(n, steady, in->gravity_m_s2, dt);
+	return !aided_to_move(n) && (n->still || n->zero_velocity.standing_s > STANDING_S);
 }
 
 /* ---- movements and their measurements ---- */
@@ -288,7 +353,7 @@ static struct smoother_point reference_point(const struct navigation *n, const s
 
 /* From here on the covariance of the position is that of the displacement. Its correlation with errors that are
  * estimated later is dropped, so a movement does not correct the position before it. */
-static void begin_movement(struct navigation *n, const struct navigation_input *in)
+static void begin_movement(struct navigation *n, struct smoother_point here)
 {
 	n->earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
 	set_variance(n, P, 0);
@@ -298,16 +363,37 @@ static void begin_movement(struct navigation *n, const struct navigation_input *
 	n->moving_s = 0;
 	n->movements++;
 	add_variance(n, BG, squared(MOVING_GYRO_BIAS_RAD_S));
-	smoother_begin(n->smoother, reference_point(n, in), n->p);
+	smoother_begin(n->smoother, here, n->p);
 }
 
-static void measure_standstill(struct navigation *n, double x[N])
+static void measure_reference_velocity(
+	struct navigation *n, double x[N], struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double noise);
+
+/* The reference point stands; the object may turn about it, and does so when the mean rate differs from its bias. */
+static void measure_zero_velocity(struct navigation *n, double x[N], const struct navigation_input *in)
+{
+	struct vec3 rate = vec3_scale(1 / n->sums.t_s, n->sums.turned_b_rad), bias = variance(n, BG);
+	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(rate, in->lever_b_m)), *mean = &n->mean_rate_b_rad_s;
+	double share = n->sums.t_s / (MEAN_RATE_S + n->sums.t_s);
+	double noise = 3 * squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / MEAN_RATE_S + STILL_RATE_VARIANCE;
+
+	*mean = vec3_add(*mean, vec3_scale(share, vec3_sub(rate, *mean)));
+	n->turning = vec3_dot(*mean, *mean) > squared(TURNING_SIGMAS) * (bias.x + bias.y + bias.z + noise);
+	measure_reference_velocity(n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m,
+		squared(ZERO_VELOCITY_M_S) + n->zero_velocity.vibration_m2_s2);
+}
+
+static void measure_standstill(struct navigation *n, double x[N], const struct navigation_input *in)
 {
 	double t = n->sums.t_s;
 
-	measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), squared(STILL_VELOCITY_M_S));
-	measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
-		squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + STILL_RATE_VARIANCE);
+	if (assumptions(n)->dwell)
+		measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), squared(STILL_VELOCITY_M_S));
+	else
+		measure_zero_velocity(n, x, in);
+	if (assumptions(n)->dwell || (n->rest.still_s > n->config.standstill.time_s && !n->turning))
+		measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
+			squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + STILL_RATE_VARIANCE);
 }
 
 /* Variance of one component of the reference point's velocity, estimated from its high-pass. u: the lever arm's
@@ -374,7 +460,7 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
 		spread2 = squared(n->config.velocity_prior_m_s);
-	else if (!n->config.levelling || n->moving_s < LEVELLING_AFTER_S)
+	else if (!(n->config.levelling || assumptions(n)->levelling) || n->moving_s < LEVELLING_AFTER_S)
 		return;
 	measure_reference_velocity(
 		n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
@@ -399,12 +485,14 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 	if (off.z > 0 && hypot(off.x, off.y) < LOST_RAD)
 		return false;
 	n->q_nb = in->q_nb;
-	n->velocity_n_m_s = quat_rotate(n->q_nb, vec3_cross(in->gyro_b_rad_s, in->lever_b_m));
-	n->gyro_bias_b_rad_s = n->accel_bias_b_m_s2 = ZERO;
+	n->gyro_bias_b_rad_s = in->gyro_bias_b_rad_s;
+	n->accel_bias_b_m_s2 = ZERO;
+	n->velocity_n_m_s =
+		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
 	reset_errors(n, THETA, squared(START_ANGLE_RAD));
 	reset_errors(n, V, squared(LOST_VELOCITY_M_S));
 	reset_errors(n, BG, squared(START_GYRO_BIAS_RAD_S));
-	reset_errors(n, BA, squared(START_ACCEL_BIAS_M_S2));
+	reset_errors(n, BA, squared(start_accel_bias_m_s2(n)));
 	n->high_pass_n_m_s = ZERO;
 	n->high_pass2_max = 0;
 	n->lever_known = false;
@@ -427,6 +515,15 @@ static void measure_heading(struct navigation *n, double x[N], struct quat q_fus
 	mean->z += share * (difference.z * difference.z - mean->z);
 }
 
+/* At the end of a long movement: a tilt that was wrong by an angle took its square off gravity, which no linear filter sees. */
+static void add_linearisation_error(struct navigation *n, const double x[N])
+{
+	double angle2 = squared(x[THETA]) + squared(x[THETA + 1]);
+
+	if (n->still && !assumptions(n)->dwell)
+		add_variance(n, P, squared(n->gravity_m_s2 * angle2 / 4 * squared(n->moving_s)));
+}
+
 static void correct(struct navigation *n, const struct navigation_input *in)
 {
 	double x[N] = {0};
@@ -434,10 +531,11 @@ static void correct(struct navigation *n, const struct navigation_input *in)
 	if (reinitialise_if_lost(n, in))
 		return;
 	if (n->still)
-		measure_standstill(n, x);
+		measure_standstill(n, x, in);
 	else
 		measure_velocity(n, x, in);
 	measure_heading(n, x, in->q_nb);
+	add_linearisation_error(n, x);
 	apply_correction(n, x);
 }
 
@@ -455,7 +553,7 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	set_variance(&fresh, THETA, squared(START_ANGLE_RAD));
 	set_variance(&fresh, V, squared(START_VELOCITY_M_S));
 	set_variance(&fresh, BG, squared(START_GYRO_BIAS_RAD_S));
-	set_variance(&fresh, BA, squared(START_ACCEL_BIAS_M_S2));
+	set_variance(&fresh, BA, squared(start_accel_bias_m_s2(&fresh)));
 	*n = fresh;
 }
 
@@ -469,6 +567,7 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
 	rest_restart(&n->rest);
+	zero_velocity_restart(&n->zero_velocity, false);
 	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = false;
 }
 
@@ -483,6 +582,7 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
 	navigation_sums_add(&n->sums, &r_nb, omega, force, accel, dt);
+	zero_velocity_vibration(&n->zero_velocity, accel, dt);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
@@ -499,12 +599,144 @@ static void record(struct navigation *n, const struct navigation_input *in)
 		smoother_end(n->smoother, n->stood_s, n->p);
 }
 
+/* A motion has begun in this fork: the navigation is what it would be without the zero-velocity updates since then. */
+static void adopt(struct navigation *n, const struct navigation_input *in, const struct zero_velocity_fork *f)
+{
+	const struct smoother_point start = {
+		.position_n_m = vec3_sub(f->start_n_m, quat_rotate(n->q_nb, in->lever_b_m))};
+
+	memcpy(n->p, f->p, sizeof(n->p));
+	n->still = false;
+	if (n->stood_s > STOOD_S || n->ended_by_reset)
+		begin_movement(n, start);
+	smoother_elapse(n->smoother, f->sums.t_s);
+	propagate(n, &f->sums);
+	n->q_nb = quat_normalize(quat_multiply(quat_from_rotation_vector(f->apart_rad), n->q_nb));
+	n->velocity_n_m_s = f->velocity_n_m_s;
+	n->position_n_m = f->position_n_m;
+	n->gyro_bias_b_rad_s = f->gyro_bias_b_rad_s;
+	n->accel_bias_b_m_s2 = f->accel_bias_b_m_s2;
+	n->ended_by_reset = false;
+	n->stood_s = 0;
+	n->accelerated_s = BEGIN_S;
+	zero_velocity_restart(&n->zero_velocity, true);
+}
+
+/* Before the first standstill the biases are those of the calibration. The length of a steady force shows when that of the
+ * accelerometer is worse, and the fusion how well the gyro's is known. */
+static void observe_biases(struct navigation *n, struct vec3 gyro_bias_variance_rad2_s2, bool steady)
+{
+	double off = steady ? vec3_norm(n->rest.accel_mean) - n->gravity_m_s2 : 0;
+	const double gyro[3] = {
+		gyro_bias_variance_rad2_s2.x, gyro_bias_variance_rad2_s2.y, gyro_bias_variance_rad2_s2.z};
+
+	for (int i = 0; i < 3; i++)
+		n->p[BG + i][BG + i] = fmax(n->p[BG + i][BG + i], gyro[i]);
+
+	for (int i = BA; i < BA + 3; i++)
+		n->p[i][i] = fmax(n->p[i][i], squared(off));
+}
+
+/* What turns may travel, too, and slower than any fork shows. */
+static void add_creep(struct navigation *n, double t_s)
+{
+	double creep = assumptions(n)->creep_m_s, before = n->turning_s;
+
+	n->turning_s = n->turning ? n->turning_s + t_s : 0;
+	if (n->turning)
+		add_variance(n, P, squared(creep) * (squared(n->turning_s) - squared(before)));
+}
+
+/* At the end of an interval, after its measurements; turned_rad: how they turned the attitude. */
+static void weigh_hypotheses(
+	struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad, double t_s)
+{
+	struct vec3 lever =
+		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
+	bool steady = n->rest.still_s > n->config.standstill.time_s;
+
+	n->stood |= n->still;
+	if (!n->stood)
+		observe_biases(n, in->gyro_bias_variance_rad2_s2, steady);
+	const struct zero_velocity_signals signals = {
+		.steady = steady,
+		.gyro2_rad2_s2 = n->rest.gyro_square,
+		.accel2_m2_s4 = n->rest.accel_square,
+		.accelerates = !n->still && !accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS),
+	};
+	struct zero_velocity_fork *begun = NULL;
+
+	n->accelerated_s = fmax(signals.accelerates ? ACCELERATED_S : 0, n->accelerated_s - t_s);
+	if (n->still)
+		add_creep(n, t_s);
+	if (n->still)
+		begun = zero_velocity_stands(&n->zero_velocity, n, &signals, turned_rad, lever, n->turning, t_s);
+	else
+		zero_velocity_moves(&n->zero_velocity, n, &signals, vec3_sub(n->velocity_n_m_s, lever),
+			assumptions(n)->slowest_m_s, aided_to_move(n), t_s);
+	if (begun)
+		adopt(n, in, begun);
+}
+
+/* An error of scale is one about the axis of the turn; one of alignment is about the others, and averages out over a whole
+ * turn. */
+static void add_turn_variance(struct navigation *n, double variance, bool alignment)
+{
+	struct vec3 axis = quat_rotate(n->q_nb, vec3_scale(1 / vec3_norm(n->net_turn_b_rad), n->net_turn_b_rad));
+	const double u[3] = {axis.x, axis.y, axis.z};
+
+	if (alignment)
+		add_variance(n, THETA, variance);
+	for (int i = 0; i < 3 && !alignment; i++)
+		for (int j = 0; j < 3; j++)
+			n->p[THETA + i][THETA + j] += variance * u[i] * u[j];
+}
+
+/* A turn in one direction leaves an error of attitude behind that grows with its angle; one to and fro does not. */
+static void add_scale_error(struct navigation *n)
+{
+	double turned2;
+
+	if (n->still && !n->turning) {
+		n->net_turn_b_rad = ZERO;
+		n->net_turn2_max_rad2 = 0;
+		return;
+	}
+	n->net_turn_b_rad = vec3_add(n->net_turn_b_rad, n->sums.turned_b_rad);
+	turned2 = vec3_dot(n->net_turn_b_rad, n->net_turn_b_rad);
+	if (turned2 < n->net_turn2_max_rad2)
+		return;
+	add_turn_variance(
+		n, squared(GYRO_SCALE) * (turned2 - n->net_turn2_max_rad2), turned2 < squared(ALIGNED_TURN_RAD));
+	n->net_turn2_max_rad2 = turned2;
+}
+
+static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
+{
+	double t_s = n->sums.t_s;
+	struct quat before = n->q_nb;
+
+	if (!assumptions(n)->dwell)
+		add_scale_error(n);
+
+	if (n->still && !assumptions(n)->dwell)
+		zero_velocity_integrate(&n->zero_velocity, n, dt_s);
+	propagate(n, &n->sums);
+	correct(n, in);
+	memset(&n->sums, 0, sizeof(n->sums));
+	if (!assumptions(n)->dwell)
+		weigh_hypotheses(n, in, quat_to_rotation_vector(quat_multiply(n->q_nb, quat_conjugate(before))), t_s);
+	record(n, in);
+}
+
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	bool still = stands_still(n, in, dt_s), ended;
 
 	if (n->still && !still && (n->stood_s > STOOD_S || n->ended_by_reset))
-		begin_movement(n, in);
+		begin_movement(n, reference_point(n, in));
+	if (n->still != still)
+		zero_velocity_restart(&n->zero_velocity, n->still);
 	n->ended_by_reset &= still;
 	smoother_elapse(n->smoother, dt_s);
 	n->aided_s = fmax(0, n->aided_s - dt_s);
@@ -514,12 +746,8 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->fusion_variance_rad2 = in->attitude_variance_rad2;
 	integrate(n, in, dt_s);
 	ended = n->sums.t_s >= NAVIGATION_INTERVAL_S;
-	if (ended) {
-		propagate(n);
-		correct(n, in);
-		memset(&n->sums, 0, sizeof(n->sums));
-		record(n, in);
-	}
+	if (ended)
+		end_interval(n, in, dt_s);
 	if (n->reset_in_motion)
 		smoother_restart(n->smoother, reference_point(n, in), n->p);
 	n->reset_in_motion = false;
@@ -570,16 +798,16 @@ static struct vec3 root(struct vec3 a)
 	return (struct vec3){sqrt(fmax(a.x, 0)), sqrt(fmax(a.y, 0)), sqrt(fmax(a.z, 0))};
 }
 
-/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of both.
- * In addition the accelerometer's bias tilts what is taken for gravity, and the error of north does not average out. */
+/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of both and
+ * what the accelerometer's bias tilts. The error of north does not average out. */
 static struct vec3 attitude_variance(const struct navigation *n)
 {
 	struct vec3 var = n->fusion_variance_rad2, bias = variance(n, BA);
 	double tilt = (bias.x + bias.y + bias.z) / 3 / squared(n->gravity_m_s2);
 
 	if (vec3_dot(var, var) == 0)
-		var = vec3_add(variance(n, THETA), n->fusion_difference2_rad2);
-	return vec3_add(var, (struct vec3){tilt, tilt, squared(NORTH_SIGMA_RAD)});
+		var = vec3_add(vec3_add(variance(n, THETA), n->fusion_difference2_rad2), (struct vec3){tilt, tilt, 0});
+	return vec3_add(var, (struct vec3){0, 0, squared(NORTH_SIGMA_RAD)});
 }
 
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
@@ -588,12 +816,13 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 	double force =
 		squared(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
 	double g2 = squared(n->gravity_m_s2);
+	struct vec3 displacement = vec3_add(variance(n, P), n->zero_velocity.position_variance_m2);
 
 	return (struct navigation_sigma){
 		.attitude_rad = root(angle),
 		.accel_m_s2 = root((struct vec3){g2 * angle.y + force, g2 * angle.x + force, force}),
-		.velocity_m_s = root(variance(n, V)),
-		.position_m = root(vec3_add(n->earlier_variance_m2, variance(n, P))),
-		.displacement_m = root(variance(n, P)),
+		.velocity_m_s = root(vec3_add(variance(n, V), n->zero_velocity.velocity_variance_m2_s2)),
+		.position_m = root(vec3_add(n->earlier_variance_m2, displacement)),
+		.displacement_m = root(displacement),
 	};
 }

@@ -28,6 +28,7 @@
 #include "model/navigation_sums.h"
 #include "model/noise.h"
 #include "model/rest.h"
+#include "model/zero_velocity.h"
 
 /* s between two updates of the covariance. By judgement: short against a movement, and at 200 samples a second an
  * eighth of the cost of an update per sample. */
@@ -36,7 +37,21 @@
  * error (0.17 m/s per degree and second) is slower. */
 #define NAVIGATION_HIGH_PASS_S 1.0
 
+/** What is assumed of the motion, see the table of assumptions in navigation.c. */
+enum motion_preset {
+	MOTION_ANY = 0,		/* nothing: it may creep, cruise and stop */
+	MOTION_HAND_HELD = 1,	/* a hand moves to and fro, and nothing moves it steadily */
+	MOTION_ROBOT_BASE = 2,	/* a vehicle or robot base: cruises, but does not creep */
+	MOTION_LINEAR_AXIS = 3, /* a lift or a linear axis: cruises without vibration, but does not creep */
+	MOTION_ARM = 4,		/* the link of a robot arm, moves to and fro */
+	MOTION_FOOT = 5,	/* a shoe: stands for a moment in each step */
+	MOTION_PRESETS
+};
+
 struct navigation_config {
+	/** Default MOTION_ANY: honest for every motion. The others are more accurate where they are true, and wrong by more
+	 * than their sigma where they are not. */
+	enum motion_preset preset;
 	/** 0 or 1 (default): levelling, as above; without effect while there is a prior. 0 for vehicles that keep a
 	 * speed for more than some 10 s, whose position then drifts with the square of time; 1 for movements to and
 	 * fro. */
@@ -57,7 +72,8 @@ struct navigation_config {
 /** One calibrated sample and what else is known at its time. */
 struct navigation_input {
 	struct vec3 gyro_b_rad_s, force_b_m_s2;
-	struct quat q_nb;		    /* the fusion's attitude */
+	struct quat q_nb;					   /* the fusion's attitude */
+	struct vec3 gyro_bias_b_rad_s, gyro_bias_variance_rad2_s2; /* the fusion's estimate, to start from */
 	struct vec3 attitude_variance_rad2; /* of the fusion's attitude, about each axis of n; 0: unknown */
 	double gravity_m_s2;
 	struct vec3 lever_b_m; /* reference point -> sensor */
@@ -81,11 +97,19 @@ struct navigation {
 	/* PRIVATE */
 	struct navigation_sums sums;
 	struct rest rest;
-	double stood_s;		     /* duration of the standstill so far */
-	double contradicted_s;	     /* for how long velocity or acceleration contradict the detector */
-	struct vec3 high_pass_n_m_s; /* of the reference point's velocity, */
-	double high_pass2_max;	     /* and its greatest square since the last standstill */
-	struct vec3 lever_n_m_s;     /* the lever arm's velocity when that was last moved on */
+	double stood_s;	       /* duration of the standstill so far */
+	double contradicted_s; /* for how long velocity or acceleration contradict the detector */
+	struct zero_velocity zero_velocity;
+	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
+	bool stood;		       /* since the start */
+	bool turning;		       /* it differs from zero: the object turns in place */
+	double turning_s;	       /* for so long, in this standstill */
+	struct vec3 net_turn_b_rad;    /* integral of the rate since the last standstill, */
+	double net_turn2_max_rad2;     /* .. and its greatest square */
+	double accelerated_s;	       /* for how long it still counts as accelerating */
+	struct vec3 high_pass_n_m_s;   /* of the reference point's velocity, */
+	double high_pass2_max;	       /* and its greatest square since the last standstill */
+	struct vec3 lever_n_m_s;       /* the lever arm's velocity when that was last moved on */
 	bool lever_known;
 	double moving_s;      /* since the last standstill */
 	double aided_s;	      /* for how long the last velocity from outside holds */
@@ -125,6 +149,15 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb);
 
 /** The position is zero, and certain. At a standstill this ends the movement before it. */
 void navigation_reset_position(struct navigation *n);
+
+/** Variance of the acceleration along each axis of n, by the errors of tilt and accelerometer bias. */
+void navigation_accel_variance(const struct navigation *n, double variance_m2_s4[3]);
+
+/** The velocity changes, or has changed within the last second: no steady motion, and no standstill. */
+static inline bool navigation_accelerates(const struct navigation *n)
+{
+	return n->started && n->accelerated_s > 0;
+}
 
 /** rate_hz: of the samples, which is the bandwidth of the acceleration's noise. */
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz);

@@ -45,6 +45,25 @@ void navigation_sums_add(struct navigation_sums *s, const struct mat3 *r_nb, str
 	s->t_s += dt;
 }
 
+/* Each line uses the values of a before the samples of b, so the order matters. */
+void navigation_sums_append(struct navigation_sums *a, const struct navigation_sums *b)
+{
+	add_scaled(&a->w, b->t_s, &a->v);
+	add_scaled(&a->w, 1, &b->w);
+	add_cross(&a->w, b->ff, &a->s);
+	add_scaled(&a->u, b->t_s, &a->s);
+	add_scaled(&a->u, 1, &b->u);
+	a->ff = vec3_add(a->ff, vec3_add(b->ff, vec3_scale(b->t_s, a->f)));
+	add_scaled(&a->v, 1, &b->v);
+	add_cross(&a->v, b->f, &a->s);
+	add_scaled(&a->s, 1, &b->s);
+	a->f = vec3_add(a->f, b->f);
+	a->turned_b_rad = vec3_add(a->turned_b_rad, b->turned_b_rad);
+	a->turned2_rad2_s += b->turned2_rad2_s;
+	a->accel2_m2_s3 += b->accel2_m2_s3;
+	a->t_s += b->t_s;
+}
+
 void navigation_sums_propagate(const struct navigation_sums *s, double p[N][N], bool still)
 {
 	const struct mat3 minus_f = mat3_minus_cross(s->f), minus_ff = mat3_minus_cross(s->ff);

@@ -33,6 +33,8 @@ struct navigation_sums {
 /** One sample: attitude and specific force in the global frame, rate less the bias, acceleration (without gravity). */
 void navigation_sums_add(struct navigation_sums *s, const struct mat3 *r_nb, struct vec3 omega_b, struct vec3 force_n,
 	struct vec3 accel_n, double dt);
+/** The samples of b after those of a: *a becomes the transition over both. */
+void navigation_sums_append(struct navigation_sums *a, const struct navigation_sums *b);
 /** p = F p. At a standstill (`still`) the position keeps its error. */
 void navigation_sums_propagate(
 	const struct navigation_sums *s, double p[NAVIGATION_STATES][NAVIGATION_STATES], bool still);

@@ -45,7 +45,7 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 		{
 			.mode = POSITION_NAVIGATION,
 			.longest_integration_s = 60,
-			.navigation = {.levelling = 1, .standstill = STANDSTILL_DEFAULTS},
+			.navigation = {.standstill = STANDSTILL_DEFAULTS},
 		},
 };
 
@@ -280,7 +280,11 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 
 	if (!p->primed)
 		rest_restart(&p->rest);
-	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s);
+	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s) &&
+	       !navigation_accelerates(&p->position.navigation);
+	p->fusion.steady_s = p->rest.still_s;
+	if (p->config.fusion.algorithm != FUSION_KALMAN) /* which tells a bias from a turn itself */
+		rest &= vec3_norm(p->rest.gyro_mean) < p->config.rest.gyro_threshold_rad_s;
 	if (rest)
 		fusion_update_bias_at_rest(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)
@@ -291,7 +295,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	if (fusion_north_known(&p->fusion) != north_known)
 		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
-	return rest;
+	return rest && (p->config.fusion.algorithm != FUSION_KALMAN || p->fusion.kalman.resting);
 }
 
 /* The lever arm's share of the specific force, in auto mode as far as it exceeds its noise. */
@@ -394,6 +398,16 @@ static struct vec3 fusion_variance(const struct pipeline *p)
 	return (struct vec3){k->covariance[0][0], k->covariance[1][1], k->covariance[2][2]};
 }
 
+static struct vec3 fusion_bias_variance(const struct pipeline *p)
+{
+	const struct fusion_kalman *k = &p->fusion.kalman;
+	int i = KALMAN_BIAS;
+
+	if (p->config.fusion.algorithm != FUSION_KALMAN)
+		return (struct vec3){0, 0, 0};
+	return (struct vec3){k->covariance[i][i], k->covariance[i + 1][i + 1], k->covariance[i + 2][i + 2]};
+}
+
 /* Velocity and position of the reference point, when there is no gap. */
 static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, double dt_s)
 {
@@ -401,6 +415,8 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 		.gyro_b_rad_s = s->gyro_rad_s,
 		.force_b_m_s2 = s->accel_m_s2,
 		.q_nb = p->fusion.q_nb,
+		.gyro_bias_b_rad_s = p->fusion.gyro_errors.bias_b_rad_s,
+		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
 	};

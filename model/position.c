@@ -106,10 +106,10 @@ static void follow(struct position *p, const struct navigation_input *in, struct
 	p->velocity_n_m_s = (struct vec3){0, 0, 0};
 	if (position_limited(p))
 		return;
-	p->position_n_m = vec3_sub(reference_n_m, p->anchor_n_m);
+	p->position_n_m = vec3_add(vec3_sub(reference_n_m, p->anchor_n_m), n->zero_velocity.position_shift_n_m);
 	if (!n->still)
-		p->velocity_n_m_s =
-			vec3_sub(n->velocity_n_m_s, quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)));
+		p->velocity_n_m_s = vec3_sub(vec3_add(n->velocity_n_m_s, n->zero_velocity.velocity_shift_n_m_s),
+			quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)));
 }
 
 void position_navigate(

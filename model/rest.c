@@ -21,9 +21,10 @@ static bool not_negative(double a)
 
 int rest_check(const struct rest_config *c)
 {
-	return positive(c->gyro_threshold_rad_s) && positive(c->accel_threshold_m_s2) && not_negative(c->time_s) &&
-			       positive(c->mean_time_s) && not_negative(c->deviation_time_s) &&
-			       positive(c->deviation_share) && positive(c->drift_time_s) && c->drift_share > 0
+	return positive(c->gyro_threshold_rad_s) && c->rate_share > 0 && positive(c->accel_threshold_m_s2) &&
+			       not_negative(c->time_s) && positive(c->mean_time_s) &&
+			       not_negative(c->deviation_time_s) && positive(c->deviation_share) &&
+			       positive(c->drift_time_s) && c->drift_share > 0
 		       ? 0
 		       : -EINVAL;
 }
@@ -79,7 +80,7 @@ bool rest_step(
 		&r->gyro_mean, &r->gyro_square, r->gyro, share, square_share, c->deviation_share * gyro_limit);
 	still &= deviates_less(
 		&r->accel_mean, &r->accel_square, r->accel, share, square_share, c->deviation_share * accel_limit);
-	still &= vec3_dot(r->gyro_mean, r->gyro_mean) < gyro_limit * gyro_limit;
+	still &= vec3_norm(r->gyro_mean) < c->rate_share * gyro_limit;
 	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded
 	 * memory */
 	slow_share = still ? fmax(dt_s / (r->still_s + dt_s), dt_s / c->drift_time_s) : 1;

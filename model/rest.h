@@ -18,10 +18,12 @@
 
 /** Start from REST_DEFAULTS or STANDSTILL_DEFAULTS. */
 struct rest_config {
-	/** rad/s, > 0, default 2 deg/s: limit of the length of the mean rate, and unit of the other limits of the gyro.
-	 * It has to be above the gyro's bias plus its noise, or rest is never seen; a larger one takes slow turns for
-	 * rest. */
+	/** rad/s, > 0, default 2 deg/s: unit of the limits of the gyro. It has to be above the gyro's noise, or rest is
+	 * never seen; a larger one takes quicker changes of the rate for rest. */
 	double gyro_threshold_rad_s;
+	/** > 0: limit of the length of the mean rate, as a share of the threshold; INFINITY: no limit, a steady turn passes,
+	 * too. */
+	double rate_share;
 	/** m/s^2, > 0, default 0.5: unit of the limits of the accelerometer. It has to be above the vibration of the
 	 * support; a larger one takes gentle motions for rest. */
 	double accel_threshold_m_s2;
@@ -46,20 +48,20 @@ struct rest_config {
 
 /** For the gyro's bias. Thresholds, dwell and window as VQF's defaults, for the short mean an exponential one in place
  * of its second-order low-pass. */
-#define REST_DEFAULTS                                                                                \
-	{                                                                                            \
-		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .accel_threshold_m_s2 = 0.5, .time_s = 1.5, \
-		.mean_time_s = 0.5, .deviation_time_s = 0, .deviation_share = 1, .drift_time_s = 5,  \
-		.drift_share = INFINITY,                                                             \
+#define REST_DEFAULTS                                                                                              \
+	{                                                                                                          \
+		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .rate_share = INFINITY, .accel_threshold_m_s2 = 0.5,      \
+		.time_s = 1.5, .mean_time_s = 0.5, .deviation_time_s = 0, .deviation_share = 1, .drift_time_s = 5, \
+		.drift_share = INFINITY,                                                                           \
 	}
 
 /** For zero-velocity updates: a movement ends within half a second, and even a gentle one is seen. Window, dwell and
  * shares were chosen on the recorded trials of BROAD with breaks and on simulated gentle drives. */
-#define STANDSTILL_DEFAULTS                                                                               \
-	{                                                                                                 \
-		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .accel_threshold_m_s2 = 0.5, .time_s = 0.3,      \
-		.mean_time_s = 0.15, .deviation_time_s = 0.15, .deviation_share = 0.5, .drift_time_s = 5, \
-		.drift_share = 0.2,                                                                       \
+#define STANDSTILL_DEFAULTS                                                                                           \
+	{                                                                                                             \
+		.gyro_threshold_rad_s = 2 * RAD_PER_DEG, .rate_share = 1, .accel_threshold_m_s2 = 0.5, .time_s = 0.3, \
+		.mean_time_s = 0.15, .deviation_time_s = 0.15, .deviation_share = 0.5, .drift_time_s = 5,             \
+		.drift_share = 0.2,                                                                                   \
 	}
 
 /** Zeroed it is ready: the next sample begins the observation. */

@@ -651,6 +651,7 @@ struct trial {
 static struct trial open_both(const char *name)
 {
 	struct trial trial = {open_trial(name, "imu"), open_trial(name, "ref"), NULL};
+	const uint8_t hand_held = 1;
 
 	if (!trial.imu || !trial.ref) {
 		print_message("no recorded trials here (IMU9_BROAD)\n");
@@ -660,6 +661,7 @@ static struct trial open_both(const char *name)
 	trial.w->imu.rate_hz = TRIAL_HZ;
 	world_nmt(trial.w, 129);
 	world_nmt(trial.w, 1);
+	assert_int_equal(world_sdo_write(trial.w, 0x2040, 10, &hand_held, 1), 0);
 	return trial;
 }
 

@@ -15,7 +15,12 @@ static int set_up(void **state)
 	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
 
 	sensor_calibrate(&chip);
-	*state = world_new(&chip, 1, "square");
+	struct world *w = world_new(&chip, 1, "square");
+
+	const uint8_t hand_held = 1;
+
+	assert_int_equal(world_sdo_write(w, 0x2040, 10, &hand_held, 1), 0);
+	*state = w;
 	return 0;
 }
 

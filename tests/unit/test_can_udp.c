@@ -446,7 +446,7 @@ static void test_frames_the_kernel_dropped_for_a_slow_reader_are_counted(void **
 		}
 	}
 	assert_int_equal(bus.a->counters.tx, FRAMES);
-	while (receive_within(bus.b, &msg, 50) == 1)
+	while (receive_within(bus.b, &msg, 1000) == 1)
 		received++;
 	can_send(bus.a, &data_frame, now());
 	assert_int_equal(receive_within(bus.b, &msg, 1000), 1);

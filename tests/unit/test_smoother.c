@@ -318,6 +318,7 @@ static void switch_on(uint64_t seed)
 	chip.lever_arm_b_m = config.estimator.lever_arm_b_m = LEVER_B_M;
 	config.latency.sensor_s = 1 / (2 * PI * chip.gyro.bandwidth_hz);
 	config.latency.accelerometer_s = 0;
+	config.position.navigation.preset = MOTION_HAND_HELD;
 	robot.samples = 0;
 	assert_int_equal(sensor_init(&robot.sensor, &chip, seed), 0);
 	assert_int_equal(pipeline_init(&robot.pipeline, &config, RATE_HZ), 0);

@@ -1,0 +1,344 @@
+#include "model/zero_velocity.h"
+
+#include <string.h>
+
+#include "model/math/kalman.h"
+#include "model/navigation.h"
+
+enum { N = NAVIGATION_STATES, V = NAVIGATION_V, P = NAVIGATION_P, BG = NAVIGATION_BG, BA = NAVIGATION_BA };
+
+static const struct vec3 ZERO = {0, 0, 0};
+
+/* ---- begin of a motion ---- */
+
+/* m/s, 1 sigma of the velocity of what stands, beside its vibration. By judgement: a support that settles. */
+static const double STANDS_M_S = 0.002;
+/* m/s, the same at the moment of the fork. By judgement: the zero-velocity updates have averaged it. */
+static const double FORK_M_S = 0.001;
+/* s between two forks, so that one integrates for that long at least, unless motion begins earlier. Tuned in simulation:
+ * 0.05 m/s reached within a second are seen from 1 s on; from 2 s on the tilt's random walk hides them. */
+static const double FORK_S = 1.5;
+/* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in place.
+ * Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
+static const double BEGIN_SIGMAS = 4, BEGIN_TURNING_SIGMAS = 3;
+/* Squared sigmas of a fork's velocity from which on its displacement counts in the variance: between the mean of the
+ * chi-squared distribution of 3 degrees of freedom and the limit. */
+static const double BEGIN_DOUBT = 3;
+/* As in navigation.c: share of the acceleration by which the velocity walks. */
+static const double ACCEL_SCALE_SQRT_S = 0.001;
+
+/* ---- vibration ---- */
+
+/* s, time constant of the high-pass that parts vibration (above 5 Hz) from motion, and of the one that removes gravity's
+ * remains before; memory of its mean square. By judgement: a hand or an arm moves at 2 Hz at most. */
+static const double VIBRATION_S = 0.03, VIBRATION_BASE_S = 0.1, VIBRATION_MEMORY_S = 0.3;
+/* s, memory of the deviations while it stands; factor by which they may be exceeded by what stands. By judgement: a mean
+ * square over 0.15 s of noise scatters by half. */
+static const double QUIET_MEMORY_S = 1, QUIET_FACTOR = 3;
+/* rad^2/s^2, least limit of the gyro's deviation. By judgement: (0.02 deg/s)^2, less than a digit of the gyros. */
+static const double QUIET_GYRO2 = 1e-7;
+
+/* ---- odds ---- */
+
+/* m/s, scales of the speed of steady motions, beside the slowest. A decade and a half in steps of a factor 4 to 5: no scale
+ * is preferred. */
+static const double SPEED_M_S[] = {0.15, 0.7, 3};
+enum { SPEEDS = sizeof(SPEED_M_S) / sizeof(SPEED_M_S[0]) };
+/* Prior share of quiet motion, as if observed for PRIOR_S: one in a hundred is for a carrier with wheels or a hand, and is
+ * overruled within a second by a carrier that is known to cruise quietly. The least share that observation can lead to. */
+static const double PRIOR_QUIET = 0.01, PRIOR_S = 1, LEAST_QUIET = 0.0025;
+/* Odds of moving when a motion has begun, and the time in which an observation that the odds rest on loses its weight. By
+ * judgement: a false alarm, or a stop too gentle to be seen, is made up for within minutes. */
+static const double BEGIN_ODDS = 10, ODDS_MEMORY_S = 20;
+/* Sigmas and m/s beyond which a change of the velocity is an acceleration since the odds were taken. By judgement. */
+static const double CHANGE_SIGMAS = 3, CHANGE_M_S = 0.01;
+/* Weight of standing above which it stands, once that has held for STANDING_S; and below which a motion is known as such.
+ * By judgement. */
+static const double STANDS_WEIGHT = 0.95, MOVES_WEIGHT = 0.05;
+/* Weight below which the mixture is the motion alone. Numerical limit. */
+static const double LEAST_WEIGHT = 0.001;
+/* The exponent of a likelihood ratio is limited to that. Numerical limit. */
+static const double MOST_EXPONENT = 500;
+
+/* Inverse of the symmetric, positive definite a; returns the determinant of a. */
+static double invert3(double a[3][3], double inverse[3][3])
+{
+	double determinant = 0;
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++) {
+			int i1 = (i + 1) % 3, i2 = (i + 2) % 3, j1 = (j + 1) % 3, j2 = (j + 2) % 3;
+
+			inverse[j][i] = a[i1][j1] * a[i2][j2] - a[i1][j2] * a[i2][j1];
+		}
+	for (int j = 0; j < 3; j++)
+		determinant += a[0][j] * inverse[j][0];
+	for (int i = 0; i < 9; i++)
+		inverse[i / 3][i % 3] /= determinant;
+	return determinant;
+}
+
+/* Inverse and determinant of the velocity's covariance plus `variance` on each axis. */
+static double invert_velocity(const double p[N][N], double variance, double inverse[3][3])
+{
+	double s[3][3];
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			s[i][j] = p[V + i][V + j] + (i == j ? variance : 0);
+	return invert3(s, inverse);
+}
+
+static double quadratic(double a[3][3], struct vec3 v)
+{
+	const double x[3] = {v.x, v.y, v.z};
+	double sum = 0;
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			sum += x[i] * a[i][j] * x[j];
+	return sum;
+}
+
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double dt_s)
+{
+	struct vec3 off = vec3_sub(accel_n_m_s2, z->accel_low_n_m_s2), *v = &z->vibration_n_m_s;
+
+	*v = vec3_scale(VIBRATION_S / (VIBRATION_S + dt_s), vec3_add(*v, vec3_scale(dt_s, off)));
+	z->accel_low_n_m_s2 = vec3_add(z->accel_low_n_m_s2, vec3_scale(dt_s / (VIBRATION_BASE_S + dt_s), off));
+	z->vibration_m2_s2 += dt_s / (VIBRATION_MEMORY_S + dt_s) * (vec3_dot(*v, *v) - z->vibration_m2_s2);
+}
+
+void zero_velocity_restart(struct zero_velocity *z, bool moving)
+{
+	z->forks[0].set = z->forks[1].set = false;
+	z->least_odds = moving ? BEGIN_ODDS : 0;
+	z->weight = z->standing_s = 0;
+	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
+}
+
+/* ---- it stands ---- */
+
+static void begin_fork(struct zero_velocity_fork *f, const struct zero_velocity *z, const struct navigation *n,
+	struct vec3 lever_n_m_s)
+{
+	*f = (struct zero_velocity_fork){.set = true,
+		.gyro_bias_b_rad_s = n->gyro_bias_b_rad_s,
+		.accel_bias_b_m_s2 = n->accel_bias_b_m_s2,
+		.start_n_m = n->position_n_m,
+		.position_n_m = n->position_n_m,
+		.velocity_n_m_s = lever_n_m_s};
+	memcpy(f->p, n->p, sizeof(f->p));
+	for (int i = V; i < V + 3; i++)
+		kalman_set_variance(N, f->p[0], i, squared(FORK_M_S) + z->vibration_m2_s2);
+	f->r_nb = mat3_from_quat(n->q_nb);
+	navigation_accel_variance(n, f->accel_variance_m2_s4);
+	f->bias_variance_rad2_s2 = (f->p[BG][BG] + f->p[BG + 1][BG + 1] + f->p[BG + 2][BG + 2]) / 3;
+}
+
+/* The navigation's sums are in its own attitude and with its own biases: a small rotation and a difference of the biases
+ * away from the fork's. */
+static void integrate_fork(struct zero_velocity_fork *f, const struct navigation *n, double dt_s)
+{
+	const struct navigation_sums *s = &n->sums;
+	struct vec3 less_bias = mat3_apply(s->s, vec3_sub(n->accel_bias_b_m_s2, f->accel_bias_b_m_s2));
+	struct vec3 ff = vec3_add(s->ff, vec3_scale(dt_s / 2, s->f)); /* by the trapezoidal rule, as the position is */
+	struct vec3 v = vec3_add(vec3_add(s->f, vec3_cross(f->apart_rad, s->f)), less_bias), p;
+
+	p = vec3_add(vec3_add(ff, vec3_cross(f->apart_rad, ff)), vec3_scale(s->t_s / 2, less_bias));
+	v.z -= n->gravity_m_s2 * s->t_s;
+	p.z -= n->gravity_m_s2 * s->t_s * s->t_s / 2;
+	f->position_n_m = vec3_add(f->position_n_m, vec3_add(vec3_scale(s->t_s, f->velocity_n_m_s), p));
+	f->velocity_n_m_s = vec3_add(f->velocity_n_m_s, v);
+	f->apart_rad = vec3_add(f->apart_rad, mat3_apply(s->s, vec3_sub(n->gyro_bias_b_rad_s, f->gyro_bias_b_rad_s)));
+	navigation_sums_append(&f->sums, s);
+}
+
+void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s)
+{
+	for (int i = 0; i < 2; i++)
+		if (z->forks[i].set)
+			integrate_fork(&z->forks[i], n, dt_s);
+}
+
+/* m^2/s^2, variance of the velocity along axis i by the accelerometer's bias: at the moment of the fork the tilt makes up
+ * for it, until the object turns. */
+static double turned_bias_variance(const struct zero_velocity_fork *f, int i)
+{
+	double sum = 0;
+
+	for (int j = 0; j < 3; j++)
+		sum += squared(f->sums.s.m[i][j] - f->sums.t_s * f->r_nb.m[i][j]) * f->p[BA + j][BA + j];
+	return sum;
+}
+
+/* Squared distance of the fork's velocity from zero in sigmas. The diagonal of the covariance that navigation_sums_propagate()
+ * would give: accelerometer noise, the acceleration's error at the fork, and tilt by the gyro's noise and bias. */
+static double distance2(const struct zero_velocity_fork *f, const struct zero_velocity *z, const struct navigation *n,
+	struct vec3 lever_n_m_s)
+{
+	const struct noise_config *noise = &n->config.noise;
+	struct vec3 v = vec3_sub(f->velocity_n_m_s, lever_n_m_s);
+	const double x[3] = {v.x, v.y, v.z}, t = f->sums.t_s, g2 = squared(n->gravity_m_s2);
+	const double by_tilt = g2 * (squared(noise->gyro_density_rad_s_sqrt_hz) / 2 * t * t * t / 3 +
+					    f->bias_variance_rad2_s2 * t * t * t * t / 4);
+	double sum = 0;
+
+	for (int i = 0; i < 3; i++) {
+		double variance = f->p[V + i][V + i] + z->vibration_m2_s2 + squared(STANDS_M_S) +
+				  f->accel_variance_m2_s4[i] * t * t +
+				  squared(noise->accel_density_m_s2_sqrt_hz) / 2 * t + turned_bias_variance(f, i) +
+				  squared(ACCEL_SCALE_SQRT_S) * f->sums.accel2_m2_s3 / 3 + (i < 2 ? by_tilt : 0);
+
+		sum += x[i] * x[i] / variance;
+	}
+	return sum;
+}
+
+static void observe_quiet(struct zero_velocity *z, const struct zero_velocity_signals *s, double t_s)
+{
+	double share = z->quiet_accel2_m2_s4 > 0 ? fmin(1, t_s / QUIET_MEMORY_S) : 1;
+
+	if (!s->steady)
+		return;
+	z->quiet_gyro2_rad2_s2 += share * (s->gyro2_rad2_s2 - z->quiet_gyro2_rad2_s2);
+	z->quiet_accel2_m2_s4 += share * (s->accel2_m2_s4 - z->quiet_accel2_m2_s4);
+}
+
+struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,
+	const struct zero_velocity_signals *signals, struct vec3 turned_rad, struct vec3 lever_n_m_s, bool turning,
+	double t_s)
+{
+	const double limit = squared(turning ? BEGIN_TURNING_SIGMAS : BEGIN_SIGMAS);
+	struct zero_velocity_fork *begun = NULL, *younger = &z->forks[1];
+
+	observe_quiet(z, signals, t_s);
+	z->weight = z->standing_s = 0;
+	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
+	for (int i = 0; i < 2; i++) {
+		struct zero_velocity_fork *f = &z->forks[i];
+		struct vec3 way = vec3_sub(f->position_n_m, n->position_n_m);
+		double d2, doubt;
+
+		if (!f->set)
+			continue;
+		f->apart_rad = vec3_sub(f->apart_rad, turned_rad);
+		d2 = distance2(f, z, n, lever_n_m_s);
+		doubt = fmax(0, fmin(1, (d2 - BEGIN_DOUBT) / (limit - BEGIN_DOUBT)));
+		z->position_variance_m2 = vec3_add(z->position_variance_m2,
+			vec3_scale(doubt, (struct vec3){way.x * way.x, way.y * way.y, way.z * way.z}));
+		if (d2 > limit)
+			begun = f; /* the younger one knows the velocity better */
+	}
+	if (begun || (younger->set && younger->sums.t_s < FORK_S))
+		return begun;
+	if (younger->set)
+		z->forks[0] = *younger;
+	begin_fork(younger, z, n, lever_n_m_s);
+	return NULL;
+}
+
+/* ---- it moves ---- */
+
+static bool is_quiet(const struct zero_velocity *z, const struct zero_velocity_signals *s)
+{
+	bool unknown = z->quiet_accel2_m2_s4 == 0;
+
+	return s->steady &&
+	       (unknown || (s->accel2_m2_s4 < QUIET_FACTOR * z->quiet_accel2_m2_s4 &&
+				   s->gyro2_rad2_s2 < QUIET_FACTOR * z->quiet_gyro2_rad2_s2 + QUIET_GYRO2));
+}
+
+/* Likelihood of moving steadily, at a speed of any of the scales alike, as a multiple of that of standing. */
+static double likelihood_ratio(
+	const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s, double slowest_m_s)
+{
+	double inverse[3][3], noise = squared(STANDS_M_S) + z->vibration_m2_s2, sum = 0;
+	double determinant = invert_velocity(n->p, noise, inverse), distance = quadratic(inverse, velocity_n_m_s);
+
+	for (int i = -1; i < SPEEDS; i++) {
+		double speed = i < 0 ? slowest_m_s : fmax(slowest_m_s, SPEED_M_S[i]);
+		double wider = invert_velocity(n->p, noise + squared(speed), inverse);
+		double exponent = (distance - quadratic(inverse, velocity_n_m_s)) / 2;
+
+		sum += exp(fmin(MOST_EXPONENT, exponent)) * sqrt(determinant / wider);
+	}
+	return sum / (SPEEDS + 1);
+}
+
+/* The moments of the mixture. "It stands" is the state after a measurement of zero velocity. */
+static void mix(struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s)
+{
+	const double v[3] = {velocity_n_m_s.x, velocity_n_m_s.y, velocity_n_m_s.z}, w = z->weight;
+	double inverse[3][3], shift[2][3], variance[2][3];
+
+	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
+	if (w < LEAST_WEIGHT)
+		return;
+	invert_velocity(n->p, squared(STANDS_M_S) + z->vibration_m2_s2, inverse);
+	for (int k = 0; k < 2; k++)
+		for (int i = 0; i < 3; i++) {
+			const double *row = n->p[(k ? V : P) + i];
+			double by_update = 0, less = 0;
+
+			for (int j = 0; j < 3; j++) {
+				double gain = row[V] * inverse[0][j] + row[V + 1] * inverse[1][j] +
+					      row[V + 2] * inverse[2][j];
+
+				by_update -= gain * v[j];
+				less += gain * row[V + j];
+			}
+			shift[k][i] = w * by_update;
+			variance[k][i] = w * (1 - w) * squared(by_update) - w * less;
+		}
+	z->position_shift_n_m = (struct vec3){shift[0][0], shift[0][1], shift[0][2]};
+	z->velocity_shift_n_m_s = (struct vec3){shift[1][0], shift[1][1], shift[1][2]};
+	z->position_variance_m2 = (struct vec3){variance[0][0], variance[0][1], variance[0][2]};
+	z->velocity_variance_m2_s2 = (struct vec3){variance[1][0], variance[1][1], variance[1][2]};
+}
+
+/* The velocity has changed since the odds were taken, by more than the acceleration's error makes of it. */
+static bool has_accelerated(const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s)
+{
+	struct vec3 change = vec3_sub(velocity_n_m_s, z->odds_velocity_n_m_s);
+	double a[3], t = z->odds_age_s, noise = squared(n->config.noise.accel_density_m_s2_sqrt_hz) / 2 * t;
+
+	navigation_accel_variance(n, a);
+	return vec3_dot(change, change) > squared(CHANGE_SIGMAS) * ((a[0] + a[1] + a[2]) * t * t + 3 * noise +
+									   z->vibration_m2_s2 + squared(CHANGE_M_S));
+}
+
+static void update_odds(
+	struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s, double odds, double t_s)
+{
+	z->least_odds *= 1 - t_s / ODDS_MEMORY_S;
+	z->odds_age_s += t_s;
+	if (odds < z->least_odds && !has_accelerated(z, n, velocity_n_m_s))
+		return;
+	z->least_odds = odds;
+	z->odds_velocity_n_m_s = velocity_n_m_s;
+	z->odds_age_s = 0;
+}
+
+void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
+	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
+	double t_s)
+{
+	bool quiet = is_quiet(z, signals);
+	double quiet_share = fmax(LEAST_QUIET, (z->moved_quietly_s + PRIOR_QUIET * PRIOR_S) / (z->moved_s + PRIOR_S));
+
+	z->weight = 0;
+	if (known || signals->accelerates) {
+		z->least_odds = z->standing_s = 0;
+		mix(z, n, velocity_n_m_s);
+		return;
+	}
+	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s), t_s);
+	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share : 1));
+	z->standing_s = z->weight > STANDS_WEIGHT ? z->standing_s + t_s : 0;
+	if (z->weight < MOVES_WEIGHT && z->quiet_accel2_m2_s4 > 0) {
+		z->moved_s += t_s;
+		z->moved_quietly_s += quiet ? t_s : 0;
+	}
+	mix(z, n, velocity_n_m_s);
+}

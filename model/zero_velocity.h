@@ -1,0 +1,93 @@
+/* model/zero_velocity.h
+ * Two hypotheses for the navigation: "it stands" and "it moves steadily". No inertial sensor tells one from the other at
+ * an instant; what does is the velocity that led there, with its sigma. So neither is taken for granted, and what is
+ * published is the mixture of both.
+ *
+ * While it stands, zero-velocity updates hold the velocity at zero and would absorb a motion that begins gently. So two
+ * forks of the navigation, up to START_WINDOW_S apart, integrate without updates since the biases and the tilt were known
+ * best. A motion has begun when the velocity of a fork differs from zero by more than its sigma allows. Then the fork is
+ * adopted: its state is that of a motion from its first moment on. 0.05 m/s reached within a second are seen so.
+ *
+ * While it moves, the odds of standing follow from the estimated velocity v with its covariance P: the likelihood ratio of
+ * v = 0 against a speed of any scale (a Gaussian each, the slowest given by the user's assumptions), times prior odds. The
+ * prior odds grow as far as known motions of this carrier have differed from standing: one that vibrated whenever it
+ * moved stands when the vibration ends; one that cruised without vibration (a lift) may cruise again. A motion cannot
+ * end without an acceleration, so without one the odds do not rise while P grows. Above a limit it stands; below,
+ * position and velocity are those of both, weighted, and their variance has the spread of both.
+ *
+ * Sources: I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection - an algorithm evaluation", IEEE
+ * TBME 57(11), 2010 (likelihood ratio); J. Wahlstrom, I. Skog, F. Gustafsson, A. Markham, N. Trigoni, "Zero-velocity
+ * detection - a Bayesian approach to adaptive thresholding", 2019, arXiv 1903.07929 (prior from the velocity and its
+ * covariance); Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
+ * section 1.4.16 (moments of a mixture). */
+#ifndef MODEL_ZERO_VELOCITY_H
+#define MODEL_ZERO_VELOCITY_H
+
+#include "model/navigation_sums.h"
+#include "model/noise.h"
+
+struct navigation;
+
+/** The navigation since a moment at which it stood, without zero-velocity updates. PRIVATE to zero_velocity.c and
+ * navigation.c. */
+struct zero_velocity_fork {
+	bool set;
+	double p[NAVIGATION_STATES][NAVIGATION_STATES]; /* the navigation's covariance at that moment, velocity zero */
+	struct vec3 gyro_bias_b_rad_s, accel_bias_b_m_s2; /* its biases at that moment */
+	struct vec3 start_n_m;				  /* its position at that moment */
+	struct vec3 velocity_n_m_s, position_n_m;	  /* of the sensor, now */
+	struct vec3 apart_rad; /* rotation from the navigation's attitude to the one without updates, frame n */
+	struct navigation_sums sums;
+	double accel_variance_m2_s4[3]; /* at that moment, of each axis */
+	double bias_variance_rad2_s2;	/* of the gyro's, mean of the axes */
+	struct mat3 r_nb;		/* attitude, at that moment */
+};
+
+struct zero_velocity {
+	/** Weight of "it stands", 0..1, while it moves. */
+	double weight;
+	/** To be added to the reference point's position and velocity, and to their variances, to get the mixture's. */
+	struct vec3 position_shift_n_m, velocity_shift_n_m_s, position_variance_m2, velocity_variance_m2_s2;
+	/** Variance of the velocity of vibration, all axes. */
+	double vibration_m2_s2;
+	/** For how long the odds have been those of standing. */
+	double standing_s;
+	/* PRIVATE */
+	struct zero_velocity_fork forks[2]; /* the older and the younger one */
+	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
+	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
+	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
+	double least_odds;		 /* of moving, since the last acceleration, */
+	struct vec3 odds_velocity_n_m_s; /* .. and the velocity that they rest on, */
+	double odds_age_s;		 /* .. so long ago */
+};
+
+/** What the signals show at the end of an interval. */
+struct zero_velocity_signals {
+	bool steady;			    /* the standstill detector's */
+	double gyro2_rad2_s2, accel2_m2_s4; /* its mean square deviations */
+	bool accelerates;		    /* the mean acceleration differs from zero, significantly */
+};
+
+/** Each sample: acceleration in the global frame. */
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double dt_s);
+
+/** The end of an interval of samples while it stands, before the update that ends it. dt_s: of the last sample. */
+void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s);
+/** .. and after it. turned_rad: by which the update turned the attitude, lever_n_m_s: velocity of the sensor relative to
+ * the reference point, turning: the object turns in place, t_s: of the interval. Returns the fork in which a motion has
+ * begun, to be adopted, or NULL. */
+struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,
+	const struct zero_velocity_signals *signals, struct vec3 turned_rad, struct vec3 lever_n_m_s, bool turning,
+	double t_s);
+
+/** The end of an interval while it moves. velocity_n_m_s: of the reference point; slowest_m_s: of the steady motions that
+ * are possible; known: something else says that it moves. */
+void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
+	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
+	double t_s);
+
+/** A motion has begun, or samples were missing: no forks, and no odds of standing until an acceleration. */
+void zero_velocity_restart(struct zero_velocity *z, bool moving);
+
+#endif

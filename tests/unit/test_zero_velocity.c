@@ -1,0 +1,226 @@
+/* It stands, or it moves steadily: the navigation with nothing assumed, on motions whose truth is known here. The sensor has
+ * the noise of the datasheets and a constant error of the accelerometer. */
+#include "model_test.h"
+
+#include "model/pipeline.h"
+
+enum { RATE_HZ = 100 };
+
+static const double G = 9.81, DT_S = 1.0 / RATE_HZ;
+
+/* A speed that rises within ramp_s, stays and falls, from 10 s on, along one axis; the object turns about the vertical. */
+struct motion {
+	struct vec3 axis_n;
+	double speed_m_s, ramp_s, cruise_s, rate_rad_s, vibration_m_s2;
+	enum motion_preset preset;
+};
+
+struct run {
+	struct pipeline pipeline;
+	struct pipeline_output out;
+	double way_m;	     /* true */
+	double worst_sigmas; /* of the position, any axis, since 3 s */
+	double beyond;	     /* share of the samples with an axis beyond 3 sigma */
+};
+
+static double acceleration(const struct motion *m, double t_s)
+{
+	double up = t_s - 10, down = up - m->ramp_s - m->cruise_s, a = m->speed_m_s / m->ramp_s * PI / 2;
+
+	if (up > 0 && up < m->ramp_s)
+		return a * sin(PI * up / m->ramp_s);
+	return down > 0 && down < m->ramp_s ? -a * sin(PI * down / m->ramp_s) : 0;
+}
+
+static struct run move(const struct motion *m, double until_s)
+{
+	struct run run = {.way_m = 0};
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	const struct vec3 bias = {0.02, -0.015, 0.01};
+	double v = 0, yaw = 0;
+	int n = (int)lround(until_s * RATE_HZ), seen = 0;
+
+	config.latency.sensor_s = config.latency.accelerometer_s = 0;
+	config.position.navigation.preset = m->preset;
+	assert_int_equal(pipeline_init(&run.pipeline, &config, RATE_HZ), 0);
+	for (int k = 0; k < n; k++) {
+		double t = k * DT_S, a = acceleration(m, t), sigmas;
+		double rate = t > 10 && t < until_s - 5 ? m->rate_rad_s : 0;
+		struct quat q = quat_from_rotation_vector((struct vec3){0, 0, yaw});
+		struct vec3 force_n = vec3_add(vec3_scale(a, m->axis_n), (struct vec3){0, 0, G}), error, s;
+		struct imu_sample sample = {.t_us = (uint64_t)(k * 10000) + 10000, .flags = SAMPLE_MAG};
+
+		sample.accel_m_s2 = vec3_add(vec3_add(quat_rotate_inverse(q, force_n), bias), any_vec(0.025));
+		if (v > 1e-3)
+			sample.accel_m_s2.z += m->vibration_m_s2 * (sin(2 * PI * 7.3 * t) + sin(2 * PI * 17.1 * t));
+		sample.gyro_rad_s = vec3_add((struct vec3){0, 0, rate}, any_vec(0.1 * RAD_PER_DEG));
+		sample.mag_uT = vec3_add(quat_rotate_inverse(q, (struct vec3){0, 20, -44}), any_vec(0.5));
+		assert_int_equal(pipeline_step(&run.pipeline, &sample, &run.out), 0);
+		error = vec3_sub(run.out.position_n_m, vec3_scale(run.way_m, m->axis_n));
+		v += DT_S * a;
+		run.way_m += DT_S * v;
+		yaw += DT_S * rate;
+		if (t < 3)
+			continue;
+		s = run.out.sigma.position_m;
+		sigmas = fmax(fabs(error.x) / hypot(s.x, 1e-3),
+			fmax(fabs(error.y) / hypot(s.y, 1e-3), fabs(error.z) / hypot(s.z, 1e-3)));
+		run.worst_sigmas = fmax(run.worst_sigmas, sigmas);
+		run.beyond += sigmas > 3;
+		seen++;
+	}
+	run.beyond /= seen;
+	return run;
+}
+
+static double error_m(const struct run *r, const struct motion *m)
+{
+	return vec3_norm(vec3_sub(r->out.position_n_m, vec3_scale(r->way_m, m->axis_n)));
+}
+
+static bool stands(const struct run *r)
+{
+	return r->pipeline.position.navigation.still;
+}
+
+static void test_what_lies_stands_and_its_position_stays(void **state)
+{
+	const struct motion m = {.axis_n = {1, 0, 0}, .ramp_s = 1};
+	struct run r = move(&m, 120);
+
+	(void)state;
+	assert_true(stands(&r));
+	assert_true(error_m(&r, &m) < 0.01);
+	assert_true(vec3_norm(r.out.sigma.position_m) < 0.02);
+	assert_true(r.beyond < 0.02);
+}
+
+static void test_a_steady_drive_without_vibration_is_no_standstill(void **state)
+{
+	const double speeds_m_s[] = {0.05, 0.2, 1};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const struct motion m = {{1, 0, 0}, speeds_m_s[i], 1, 10, 0, 0, MOTION_ANY};
+		struct run r = move(&m, 18);
+
+		assert_false(stands(&r));
+		assert_true(error_m(&r, &m) < 0.3 + 0.1 * r.way_m);
+		assert_true(r.beyond < 0.02);
+	}
+}
+
+/* The start is seen some tenths of a second after it; the way until then is not lost. */
+static void test_a_creeping_start_counts_from_its_first_moment(void **state)
+{
+	const struct motion m = {{0, 1, 0}, 0.1, 1, 10, 0, 0, MOTION_ANY};
+	struct run r = move(&m, 12);
+
+	(void)state;
+	assert_false(stands(&r));
+	assert_near(r.out.position_n_m.y, r.way_m, 0.02);
+	assert_near(r.out.velocity_n_m_s.y, 0.1, 0.03);
+}
+
+static void test_a_lift_is_followed_with_its_preset(void **state)
+{
+	const struct motion m = {{0, 0, 1}, 2, 2, 4, 0, 0, MOTION_LINEAR_AXIS};
+	struct run r = move(&m, 28);
+
+	(void)state;
+	assert_near(r.way_m, 12, 0.1);
+	assert_true(stands(&r));
+	assert_true(error_m(&r, &m) < 0.15);
+	assert_true(r.beyond < 0.02);
+}
+
+static void test_a_turn_in_place_leaves_the_position_and_turns_the_heading(void **state)
+{
+	const double rates_deg_s[] = {0.5, 2, 20};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const struct motion m = {.axis_n = {1, 0, 0}, .ramp_s = 1, .rate_rad_s = rates_deg_s[i] * RAD_PER_DEG};
+		struct run r = move(&m, 40);
+		double turned = remainder(r.out.angles_rad.z - 25 * m.rate_rad_s, 2 * PI);
+
+		assert_true(error_m(&r, &m) < 0.1);
+		assert_near(turned, 0, 2 * RAD_PER_DEG);
+		assert_true(r.beyond < 0.02);
+	}
+}
+
+/* A carrier that vibrates whenever it moves stands when the vibration ends, also after a long drive. */
+static void test_the_end_of_the_vibration_is_a_standstill_of_what_vibrates_in_motion(void **state)
+{
+	const struct motion m = {{1, 0, 0}, 0.8, 1.5, 20, 0, 1, MOTION_ANY};
+	struct run r = move(&m, 40);
+
+	(void)state;
+	assert_true(stands(&r));
+	assert_true(r.worst_sigmas < 4);
+	assert_true(error_m(&r, &m) < 3 * vec3_norm(r.out.sigma.position_m));
+}
+
+/* After a minute nobody can tell whether it has stopped: the position is the mean of both, its sigma says how far apart
+ * they are. */
+static void test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped(void **state)
+{
+	const struct motion m = {{1, 0, 0}, 1, 1, 100, 0, 0, MOTION_ANY};
+	struct run r = move(&m, 70);
+
+	(void)state;
+	assert_false(stands(&r));
+	assert_true(r.beyond < 0.02);
+	assert_true(vec3_norm(r.out.sigma.position_m) > error_m(&r, &m) / 3);
+}
+
+/* By dwell, as before the hypotheses: it moves to and fro, so what is steady stands. */
+static void test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be(void **state)
+{
+	struct motion m = {{1, 0, 0}, 1, 1, 20, 0, 0, MOTION_HAND_HELD};
+	struct run r = move(&m, 25);
+
+	(void)state;
+	assert_true(stands(&r));
+	assert_true(error_m(&r, &m) > 5); /* which is why it is not the default */
+	m.preset = MOTION_ANY;
+	r = move(&m, 25);
+	assert_false(stands(&r));
+}
+
+/* Over any split of the samples: sums(a then b) = append(sums(a), sums(b)). */
+static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
+{
+	struct navigation_sums all = {.t_s = 0}, first = {.t_s = 0}, second = {.t_s = 0};
+	const double *x = &all.t_s, *y = &first.t_s;
+
+	(void)state;
+	for (int k = 0; k < 20; k++) {
+		struct mat3 r = mat3_from_quat(any_attitude());
+		struct vec3 omega = any_vec(2), force = any_vec(15), accel = any_vec(5);
+
+		navigation_sums_add(&all, &r, omega, force, accel, 0.01);
+		navigation_sums_add(k < 7 ? &first : &second, &r, omega, force, accel, 0.01);
+	}
+	navigation_sums_append(&first, &second);
+	for (size_t i = 0; i < sizeof(all) / sizeof(double); i++)
+		assert_near(x[i], y[i], 1e-12);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_what_lies_stands_and_its_position_stays),
+		cmocka_unit_test(test_a_steady_drive_without_vibration_is_no_standstill),
+		cmocka_unit_test(test_a_creeping_start_counts_from_its_first_moment),
+		cmocka_unit_test(test_a_lift_is_followed_with_its_preset),
+		cmocka_unit_test(test_a_turn_in_place_leaves_the_position_and_turns_the_heading),
+		cmocka_unit_test(test_the_end_of_the_vibration_is_a_standstill_of_what_vibrates_in_motion),
+		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
+		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
+		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
