@@ -131,7 +131,7 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench score mutate lint cov format check-format check-layers check-objects \
+.PHONY: tests check asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers check-objects \
 	readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
@@ -218,6 +218,11 @@ export IMU9_BROAD := $(abspath $(BROAD))
 score: all ## replay the trials in BROAD=DIR and compare them with their optical reference
 	@DEPS=$(DEPS) tools/deps score
 	@BUILD=$(BUILD) tests/score $(BROAD)
+
+SEEDS ?= 1 2 3
+honesty: all ## replay simulated motions, and the trials in BROAD=DIR if there are any: do the errors fit the sigmas?
+	@DEPS=$(DEPS) tools/deps score
+	@BUILD=$(BUILD) tests/honesty --seeds $(SEEDS) $(if $(wildcard $(BROAD)/*.imu.csv),--broad $(BROAD))
 
 PURE_LIBS := $(MODEL_LIB) $(BUILD)/libod.a $(BUILD)/libcanopen.a $(BUILD)/libgateway.a
 check-layers: $(PURE_LIBS) ## fail when a layer includes or needs what it must not
