@@ -83,16 +83,17 @@ static void update_rates_noise(struct pipeline *p)
 		rates_variance(&p->config.noise, p->config.estimator.rates_from, &p->config.rate_filter, p->rate_hz);
 }
 
+/* An accelerometer's sample is not measured after its time stamp, also when sensor_s alone was set to 0. */
 static double accel_age_s(const struct latency_config *latency)
 {
-	return latency->sensor_s + latency->accelerometer_s;
+	return fmax(latency->sensor_s + latency->accelerometer_s, 0);
 }
 
 static int latency_check(const struct latency_config *latency)
 {
 	bool known = latency->sensor_s >= 0 && latency->sensor_s <= 0.1 && fabs(latency->accelerometer_s) <= 0.05;
 
-	return known && accel_age_s(latency) >= 0 ? 0 : -EINVAL;
+	return known ? 0 : -EINVAL;
 }
 
 /* The fusion uses the estimator's lever arm and the gyro's latency. */
@@ -331,10 +332,11 @@ static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force
 /* The accelerometer measured at another instant than the gyro: its force in the object's axes at the gyro's instant. */
 static struct vec3 at_the_gyros_instant(const struct pipeline *p, const struct imu_sample *s)
 {
+	const struct latency_config *latency = &p->config.latency;
+	double sooner_s = fmin(-latency->accelerometer_s, latency->sensor_s);
 	struct vec3 rate = fusion_rate_b(&p->fusion, s->gyro_rad_s);
 
-	return quat_rotate(
-		quat_from_rotation_vector(vec3_scale(-p->config.latency.accelerometer_s, rate)), s->accel_m_s2);
+	return quat_rotate(quat_from_rotation_vector(vec3_scale(sooner_s, rate)), s->accel_m_s2);
 }
 
 static double accel_variance(const struct pipeline *p)

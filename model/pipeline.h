@@ -31,8 +31,8 @@ struct latency_config {
 	 * and acceleration are extrapolated over it. Too small a value publishes them late, too large a one early. */
 	double sensor_s;
 	/** s, -0.05..0.05, default -0.0016 (fitted likewise): additional latency of the accelerometer against the gyro;
-	 * negative when the accelerometer is faster. The sum of both is at least 0. Any error of it leaves a share of
-	 * gravity, rate times error, in the acceleration. */
+	 * negative when the accelerometer is faster. Less than -sensor_s counts as -sensor_s: no sample is measured after
+	 * its time stamp. Any error of it leaves a share of gravity, rate times error, in the acceleration. */
 	double accelerometer_s;
 };
 

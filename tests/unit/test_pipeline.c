@@ -211,6 +211,18 @@ static void test_attitude_and_acceleration_are_extrapolated_over_the_latency_to_
 	assert_true(accel[2] < 0.5 * accel[0]);
 }
 
+static void test_no_accelerometer_is_faster_than_its_time_stamp(void **state)
+{
+	const struct latency_config too_fast = {0.001, -0.002}, immediate = {0.001, -0.001};
+	double accel[2], angle[2];
+
+	(void)state;
+	late(0.001, 0, too_fast, &accel[0], &angle[0]);
+	late(0.001, 0, immediate, &accel[1], &angle[1]);
+	assert_near(accel[0], accel[1], 0);
+	assert_near(angle[0], angle[1], 0);
+}
+
 static void test_the_delay_of_the_acceleration_filter_is_reported(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -639,7 +651,7 @@ static void test_a_configuration_out_of_range_is_refused_as_a_whole(void **state
 	bad[5].rest.time_s = -1;
 	bad[6].position.longest_integration_s = NAN;
 	bad[7].latency.sensor_s = 0.2;
-	bad[8].latency = (struct latency_config){0.001, -0.002}; /* before it happens */
+	bad[8].latency.accelerometer_s = -0.06;
 	for (int i = 0; i < 9; i++) {
 		struct pipeline fresh;
 
@@ -1182,6 +1194,7 @@ int main(void)
 		cmocka_unit_test(test_the_rigid_body_model_gives_the_reference_points_acceleration),
 		cmocka_unit_test(test_the_auto_mode_corrects_with_a_good_gyro_and_not_with_a_very_noisy_one),
 		cmocka_unit_test(test_attitude_and_acceleration_are_extrapolated_over_the_latency_to_the_time_stamp),
+		cmocka_unit_test(test_no_accelerometer_is_faster_than_its_time_stamp),
 		cmocka_unit_test(test_the_delay_of_the_acceleration_filter_is_reported),
 		cmocka_unit_test(test_a_new_lever_arm_is_in_full_effect_with_the_next_sample),
 		cmocka_unit_test(test_a_new_model_or_source_of_rates_has_no_transient),
