@@ -86,6 +86,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.rest.gyro_threshold_rad_s = (double)v->position.rest_gyro_threshold * RAD_PER_DEG;
 	c.rest.accel_threshold_m_s2 = (double)v->position.rest_acceleration_threshold;
 	c.rest.time_s = (double)v->position.rest_time;
+	c.stance_s = (double)v->position.stance_time;
 
 	c.position.mode = (enum position_mode)v->position.mode;
 	c.position.longest_integration_s = (double)v->position.longest_integration_time;

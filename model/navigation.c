@@ -23,13 +23,14 @@ static const struct assumptions {
 	bool levelling;	    /* the velocity averages out */
 	double slowest_m_s; /* of a steady motion */
 	double creep_m_s;   /* of what turns, and seems to turn in place */
+	bool stances;	    /* short ones, in which a foot rolls on */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
 	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
 	[MOTION_ROBOT_BASE] = {.slowest_m_s = 0.1},
 	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3},
 	[MOTION_ARM] = {.slowest_m_s = 0.03},
-	[MOTION_FOOT] = {.dwell = true},
+	[MOTION_FOOT] = {.dwell = true, .stances = true},
 };
 
 static const struct assumptions *assumptions(const struct navigation *n)
@@ -80,6 +81,12 @@ static const double GAP_ACCEL_M_S2 = 2;
 
 /* m/s and m/s^2, 1 sigma of velocity and acceleration at a standstill. By judgement: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
+/* m/s, 1 sigma of the velocity of a foot in its stance, and of its mean over all stances of a walk, which no number of
+ * steps averages out. Tuned on recorded walks. */
+static const double STANCE_M_S = 0.03, STANCE_CREEP_M_S = 0.01;
+/* m, from the sensor to the point on which the foot rolls; s, for which it may have accelerated as it does now. Both add to
+ * the velocity in a stance, at its end most of all. By judgement: half a shoe, and the detector's window. */
+static const double STANCE_PIVOT_M = 0.1, STANCE_END_S = 0.1;
 /* rad^2/s^2, variance of the mean rate at a standstill beside the gyro's noise. By judgement: (0.0006 deg/s)^2 keep the
  * innovation variance positive for a gyro without noise. */
 static const double STILL_RATE_VARIANCE = 1e-10;
@@ -282,13 +289,19 @@ void navigation_accel_variance(const struct navigation *n, double variance_m2_s4
 		variance_m2_s4[i] = accel_variance(n, minus_f.m[i], r.m[i]);
 }
 
+/* m/s, 1 sigma of the velocity at a standstill by dwell. */
+static double still_velocity_m_s(const struct navigation *n)
+{
+	return assumptions(n)->stances ? STANCE_M_S : STILL_VELOCITY_M_S;
+}
+
 static bool velocity_may_be_zero(const struct navigation *n)
 {
 	struct vec3 v = n->velocity_n_m_s, var = variance(n, V);
+	double sigma = still_velocity_m_s(n);
 
-	return may_be_zero(v.x, var.x, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS) &&
-	       may_be_zero(v.y, var.y, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS) &&
-	       may_be_zero(v.z, var.z, STILL_VELOCITY_M_S, STILL_GATE_SIGMAS);
+	return may_be_zero(v.x, var.x, sigma, STILL_GATE_SIGMAS) && may_be_zero(v.y, var.y, sigma, STILL_GATE_SIGMAS) &&
+	       may_be_zero(v.z, var.z, sigma, STILL_GATE_SIGMAS);
 }
 
 static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2, double sigmas)
@@ -312,14 +325,16 @@ static bool aided_to_move(const struct navigation *n)
 }
 
 /* By dwell: the detector takes a steady motion, or one that slows down steadily, for a standstill. So velocity and
- * acceleration have to be compatible with zero, unless the contradiction lasts: then they are wrong. */
+ * acceleration have to be compatible with zero, unless the contradiction lasts: then they are wrong. A foot accelerates
+ * in its stance, too. */
 static bool stands_by_dwell(struct navigation *n, bool steady, double gravity_m_s2, double dt)
 {
 	if (!steady || aided_to_move(n)) {
 		n->contradicted_s = 0;
 		return false;
 	}
-	if (velocity_may_be_zero(n) && accel_may_be_zero(n, gravity_m_s2, STILL_GATE_SIGMAS)) {
+	if (velocity_may_be_zero(n) &&
+		(assumptions(n)->stances || accel_may_be_zero(n, gravity_m_s2, STILL_GATE_SIGMAS))) {
 		n->contradicted_s = fmax(0, n->contradicted_s - dt);
 		return true;
 	}
@@ -383,15 +398,34 @@ static void measure_zero_velocity(struct navigation *n, double x[N], const struc
 		squared(ZERO_VELOCITY_M_S) + n->zero_velocity.vibration_m2_s2);
 }
 
+/* The mean rate is the gyro's bias. */
+static bool rate_is_bias(const struct navigation *n)
+{
+	if (assumptions(n)->stances)
+		return n->stood_s > STOOD_S;
+	return assumptions(n)->dwell || (n->rest.still_s > n->config.standstill.time_s && !n->turning);
+}
+
+/* m^2/s^2, variance of the velocity at a standstill by dwell. */
+static double still_variance(const struct navigation *n)
+{
+	double t = n->sums.t_s, rate = vec3_norm(n->sums.turned_b_rad) / t;
+	double accel = vec3_norm(vec3_sub(n->sums.f, (struct vec3){0, 0, n->gravity_m_s2 * t})) / t;
+
+	if (!assumptions(n)->stances)
+		return squared(STILL_VELOCITY_M_S);
+	return squared(STANCE_M_S) + squared(STANCE_PIVOT_M * rate) + squared(STANCE_END_S * accel);
+}
+
 static void measure_standstill(struct navigation *n, double x[N], const struct navigation_input *in)
 {
 	double t = n->sums.t_s;
 
 	if (assumptions(n)->dwell)
-		measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), squared(STILL_VELOCITY_M_S));
+		measure3(n, x, V, vec3_sub(ZERO, n->velocity_n_m_s), still_variance(n));
 	else
 		measure_zero_velocity(n, x, in);
-	if (assumptions(n)->dwell || (n->rest.still_s > n->config.standstill.time_s && !n->turning))
+	if (rate_is_bias(n))
 		measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
 			squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + STILL_RATE_VARIANCE);
 }
@@ -637,14 +671,22 @@ static void observe_biases(struct navigation *n, struct vec3 gyro_bias_variance_
 		n->p[i][i] = fmax(n->p[i][i], squared(off));
 }
 
+/* A constant velocity of that sigma adds to the position since a time, for t_s more. */
+static void creep(struct navigation *n, double sigma_m_s, double *since_s, double t_s)
+{
+	double before = *since_s;
+
+	*since_s += t_s;
+	add_variance(n, P, squared(sigma_m_s) * (squared(*since_s) - squared(before)));
+}
+
 /* What turns may travel, too, and slower than any fork shows. */
 static void add_creep(struct navigation *n, double t_s)
 {
-	double creep = assumptions(n)->creep_m_s, before = n->turning_s;
-
-	n->turning_s = n->turning ? n->turning_s + t_s : 0;
 	if (n->turning)
-		add_variance(n, P, squared(creep) * (squared(n->turning_s) - squared(before)));
+		creep(n, assumptions(n)->creep_m_s, &n->turning_s, t_s);
+	else
+		n->turning_s = 0;
 }
 
 /* At the end of an interval, after its measurements; turned_rad: how they turned the attitude. */
@@ -718,6 +760,8 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 
 	if (!assumptions(n)->dwell)
 		add_scale_error(n);
+	if (assumptions(n)->stances && n->still && n->stood_s < STOOD_S)
+		creep(n, STANCE_CREEP_M_S, &n->stances_s, t_s);
 
 	if (n->still && !assumptions(n)->dwell)
 		zero_velocity_integrate(&n->zero_velocity, n, dt_s);

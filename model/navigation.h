@@ -44,7 +44,7 @@ enum motion_preset {
 	MOTION_ROBOT_BASE = 2,	/* a vehicle or robot base: cruises, but does not creep */
 	MOTION_LINEAR_AXIS = 3, /* a lift or a linear axis: cruises without vibration, but does not creep */
 	MOTION_ARM = 4,		/* the link of a robot arm, moves to and fro */
-	MOTION_FOOT = 5,	/* a shoe: stands for a moment in each step */
+	MOTION_FOOT = 5,	/* a shoe: stands for a moment in each step, and rolls on */
 	MOTION_PRESETS
 };
 
@@ -62,7 +62,7 @@ struct navigation_config {
 	double velocity_prior_m_s;
 	/** Of the sensors. Smaller densities and instabilities trust the integration more, and the standstills less. */
 	struct noise_config noise;
-	struct rest_config standstill; /* the detector's parameters: STANDSTILL_DEFAULTS */
+	struct rest_config standstill; /* the detector's parameters: STANDSTILL_DEFAULTS or STANCE_DEFAULTS */
 	/** s, >= 0, default 1.5: a standstill that velocity or acceleration contradict is accepted after that time. A
 	 * smaller one recovers from a wrong velocity sooner, a larger one takes slow steady motions (a lift) for a
 	 * standstill less often. */
@@ -104,6 +104,7 @@ struct navigation {
 	bool stood;		       /* since the start */
 	bool turning;		       /* it differs from zero: the object turns in place */
 	double turning_s;	       /* for so long, in this standstill */
+	double stances_s;	       /* sum of all stances of a foot */
 	struct vec3 net_turn_b_rad;    /* integral of the rate since the last standstill, */
 	double net_turn2_max_rad2;     /* .. and its greatest square */
 	double accelerated_s;	       /* for how long it still counts as accelerating */

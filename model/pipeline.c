@@ -107,14 +107,27 @@ static struct fusion_config fusion_config(const struct pipeline_config *config)
 	return fusion;
 }
 
+/* The user's limits of rest; those of a foot are wider. */
+static struct rest_config standstill_config(const struct pipeline_config *config)
+{
+	struct rest_config usual = config->position.navigation.standstill, stance = STANCE_DEFAULTS;
+	bool foot = config->position.navigation.preset == MOTION_FOOT;
+	struct rest_config c = foot ? stance : usual;
+
+	c.gyro_threshold_rad_s = fmax(foot ? stance.gyro_threshold_rad_s : 0, config->rest.gyro_threshold_rad_s);
+	c.accel_threshold_m_s2 = fmax(foot ? stance.accel_threshold_m_s2 : 0, config->rest.accel_threshold_m_s2);
+	if (config->stance_s != 0)
+		c.time_s = config->stance_s;
+	return c;
+}
+
 /* The navigation uses the noise of the sensors and the user's limits of rest. */
 static struct position_config position_config(const struct pipeline_config *config)
 {
 	struct position_config position = config->position;
 
 	position.navigation.noise = config->noise;
-	position.navigation.standstill.gyro_threshold_rad_s = config->rest.gyro_threshold_rad_s;
-	position.navigation.standstill.accel_threshold_m_s2 = config->rest.accel_threshold_m_s2;
+	position.navigation.standstill = standstill_config(config);
 	position.navigation.rest_s = config->rest.time_s;
 	return position;
 }

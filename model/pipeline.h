@@ -48,6 +48,9 @@ struct pipeline_config {
 	struct noise_config noise;     /* of the sensors (2020h) */
 	struct estimator_config estimator;
 	struct rest_config rest; /* (2040h) its thresholds and time also hold for the navigation */
+	/** (2040h:11) s, >= 0, default 0: dwell time of the navigation's detector, such as of a stance in walking. A smaller
+	 * one uses shorter stops, a larger one passes over turning points. 0: that of the preset. */
+	double stance_s;
 	struct position_config position;
 };
 

@@ -123,6 +123,29 @@ def pendulum(trolley, t, rope_m, damping_per_s):
     return Path(load.position + carried.position, load.accel + carried.accel, load.axis, load.angle, load.rate)
 
 
+def stride(t, begin_s, swing_s):
+    """Of one swing of the leg: phase 0..1, the same as an angle of a full turn, and its angular velocity."""
+    u = np.clip((t - begin_s) / swing_s, 0, 1)
+    return u, 2 * np.pi * u, 2 * np.pi / swing_s
+
+
+def walk(t, begin_s, strides, length_m, swing_s, stance_s):
+    """A sensor on a shoe: in each swing it moves forward along x, is lifted by 10 cm, and pitches to and fro by 40 deg. In
+    the stances it stands."""
+    height_m, pitch_rad = 0.1, np.radians(40)
+    position, accel = np.zeros((2, len(t), 3))
+    pitch, rate = np.zeros((2, len(t)))
+    for k in range(strides):
+        u, s, w = stride(t, begin_s + k * (swing_s + stance_s), swing_s)
+        position[:, 0] += length_m * (u - np.sin(s) / (2 * np.pi))
+        accel[:, 0] += length_m * w ** 2 / (2 * np.pi) * np.sin(s)
+        position[:, 2] += height_m * ((1 - np.cos(s)) / 2) ** 2
+        accel[:, 2] += height_m * w ** 2 * (np.cos(s) - np.cos(2 * s)) / 2
+        pitch += pitch_rad * (np.sin(s) - np.sin(2 * s) / 2) / 1.3
+        rate += pitch_rad * w * (np.cos(s) - np.cos(2 * s)) / 1.3
+    return Path(position, accel, np.array([0, 1.0, 0]), pitch, rate)
+
+
 def shake(t, rng, begin_s, end_s, amplitude_m_s2, hz):
     """By a machine: one sine, mostly vertical. `amplitude_m_s2` is that of the acceleration."""
     displacement = swing(t, begin_s, FADE_S, amplitude_m_s2 / (2 * np.pi * hz) ** 2, hz, end_s - begin_s - 2 * FADE_S)
@@ -149,6 +172,7 @@ class Motion:
     vibration: Callable = None  # t, rng, begin_s, end_s -> Path, added to the other
     chip: Dict = field(default_factory=dict)  # what differs from a calibrated one
     turns: bool = False  # about the vertical: worth a replay without magnetometer
+    preset: int = 0  # position.motion_preset
 
 
 def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None):
@@ -176,6 +200,11 @@ def still(begin_s=0.0, vibration=None, **chip):
     return Motion(lambda t: slide(Course(0 * t, 0 * t, 0 * t), [1, 0, 0]), begin_s, 60, vibration, chip)
 
 
+def on_foot(strides, length_m, swing_s, stance_s):
+    return Motion(lambda t: walk(t, REST_S, strides, length_m, swing_s, stance_s), REST_S,
+                  REST_S + strides * (swing_s + stance_s), preset=5)
+
+
 def all_motions():
     m = {}
     for speed in (0.05, 0.2, 0.5, 1.0):
@@ -196,6 +225,8 @@ def all_motions():
         m[f'circle {radius:g} m, {rate:g} rad/s'] = turn(rate, 60, radius, ramp_s=2.0)
     for length, amplitude, hz in ((0.3, 60, 0.5), (1.0, 60, 0.5), (1.0, 20, 0.1)):
         m[f'arm {length:g} m, ±{amplitude} deg, {hz:g} Hz'] = arm(length, amplitude, hz)
+    m['on foot, 40 strides of 1.3 m, preset 5'] = on_foot(40, 1.3, 0.6, 0.5)
+    m['on foot, 60 strides of 0.8 m, preset 5'] = on_foot(60, 0.8, 0.5, 0.25)
     m['crane, rope 5 m'] = crane(5, 0.5, 20, 30)
     for amplitude, hz in ((2, 17), (5, 33), (10, 47), (10, 80), (5, 10)):
         m[f'shaken {amplitude} m/s², {hz} Hz, from the start'] = still(
