@@ -254,8 +254,8 @@ class ThroughLibusb(ThroughTheKernel):
         self.assertEqual(adapter.report()[0], before)
 
     def test_what_is_wrong_is_said(self):
-        for bus, words in (("gs_usb:NOSUCH", "there is gs_usb:%s" % UsbAdapter.serial), ("gs_usb::2", "no channel 2"),
-                           ("gs_usb,bitrate=930000", "can do neither 930000 bit/s"), ("gs_usb,speed=1", "bitrate=")):
+        for bus, words in (("gs_usb:NOSUCH", "use one of gs_usb:%s" % UsbAdapter.serial), ("gs_usb::2", "no channel 2"),
+                           ("gs_usb,bitrate=930000", "does not support 930000 bit/s"), ("gs_usb,speed=1", "bitrate=")):
             done = self.monitor(bus)
             self.assertNotEqual(done.returncode, 0)
             self.assertIn(words, done.stderr)
