@@ -184,6 +184,68 @@ static void test_without_noise_the_correction_is_applied_in_full(void **state)
 	assert_true(out.x == 1e-9 && out.y == -2 && out.z == 0);
 }
 
+/* 6.04 sigma squared are 36.5. */
+static void test_a_single_correction_counts_at_once_from_six_sigma_on(void **state)
+{
+	const struct vec3 variance = {4, 9, 16};
+	struct auto_correction automatic = {{0}};
+	struct vec3 out =
+		auto_correction_step(&automatic, (struct vec3){2 * 6.04, -3 * 5.96, 4 * 6.04}, variance, 1e-9);
+
+	(void)state;
+	assert_true(fabs(out.x - 2 * (6.04 - 1 / 6.04)) < 1e-9);
+	assert_true(out.y == 0);
+	assert_true(fabs(out.z - 4 * (6.04 - 1 / 6.04)) < 1e-9);
+}
+
+static void test_a_lasting_correction_counts_when_its_power_is_twice_that_of_the_noise(void **state)
+{
+	const struct vec3 variance = {1, 1, 1}, correction = {sqrt(1.99), sqrt(2.01), -sqrt(5)};
+	struct auto_correction automatic = {{0}};
+	struct vec3 out = {0, 0, 0};
+
+	(void)state;
+	for (int k = 0; k < 2000; k++)
+		out = auto_correction_step(&automatic, correction, variance, 0.01);
+	assert_true(out.x == 0);
+	assert_true(fabs(out.y - sqrt(2.01) * (1 - 1 / 2.01)) < 1e-3);
+	assert_true(fabs(out.z + sqrt(5) * (1 - 1 / 5.0)) < 1e-3);
+}
+
+/* The mean of the power, at most 100, falls to 2 by a factor of 0.99 each 10 ms: in ln(50) / -ln(0.99) = 389.2 steps. */
+static void test_after_a_violent_motion_small_corrections_end_within_four_seconds(void **state)
+{
+	const struct vec3 variance = {1, 1, 1};
+	struct auto_correction automatic = {{0}};
+
+	(void)state;
+	for (int k = 0; k < 10000; k++)
+		auto_correction_step(&automatic, (struct vec3){1e3, 1e3, 1e3}, variance, 0.01);
+	for (int k = 1; k <= 390; k++) {
+		struct vec3 out = auto_correction_step(&automatic, (struct vec3){1e-6, 1e-6, 1e-6}, variance, 0.01);
+
+		assert_true(k < 390 ? out.x > 0 : out.x == 0);
+	}
+}
+
+static void test_the_instability_of_the_gyro_bias_is_part_of_the_noise_of_its_rate_only(void **state)
+{
+	struct noise_config unsteady = NOISE;
+
+	(void)state;
+	unsteady.gyro_bias_instability_rad_s = 3e-3;
+	for (int source = 0; source < RATE_SOURCES; source++) {
+		struct rates_variance with = rates_variance(&unsteady, (enum rate_source)source, &FILTER, RATE_HZ);
+		struct noise_config steady = unsteady;
+		struct rates_variance without;
+
+		steady.gyro_bias_instability_rad_s = 0;
+		without = rates_variance(&steady, (enum rate_source)source, &FILTER, RATE_HZ);
+		assert_true(fabs(with.omega - without.omega - (source == RATES_FROM_GYRO ? 9e-6 : 0)) < 1e-12);
+		assert_true(with.alpha == without.alpha);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -197,6 +259,10 @@ int main(void)
 		cmocka_unit_test(test_the_error_is_below_both_where_correction_and_noise_are_alike),
 		cmocka_unit_test(test_a_sudden_large_correction_is_applied_at_once),
 		cmocka_unit_test(test_without_noise_the_correction_is_applied_in_full),
+		cmocka_unit_test(test_a_single_correction_counts_at_once_from_six_sigma_on),
+		cmocka_unit_test(test_a_lasting_correction_counts_when_its_power_is_twice_that_of_the_noise),
+		cmocka_unit_test(test_after_a_violent_motion_small_corrections_end_within_four_seconds),
+		cmocka_unit_test(test_the_instability_of_the_gyro_bias_is_part_of_the_noise_of_its_rate_only),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

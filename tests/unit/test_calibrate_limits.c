@@ -72,7 +72,7 @@ static void test_the_first_and_the_last_block_of_a_rest_are_not_reported(void **
 	assert_int_equal(ends, 1);
 }
 
-static void test_a_rest_of_two_blocks_is_none_and_one_of_three_has_one_block(void **state)
+static void test_a_rest_of_two_blocks_is_not_reported_and_one_of_three_has_one_block(void **state)
 {
 	(void)state;
 	shake(&sample.gyro_rad_s.x, 1, 1);
@@ -134,7 +134,7 @@ static void test_a_block_is_the_mean_of_its_samples(void **state)
 	assert_near(rest.block.end_s, 0.5, 1e-12);
 }
 
-static void test_noise_above_one_degree_per_second_or_0_15_m_s2_on_any_axis_is_no_rest(void **state)
+static void test_noise_above_one_degree_per_second_or_0_15_m_s2_on_any_axis_is_not_a_rest(void **state)
 {
 	const double limit[2] = {RAD_PER_DEG, 0.15};
 
@@ -806,12 +806,13 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup(test_the_first_and_the_last_block_of_a_rest_are_not_reported, fresh_rest),
-		cmocka_unit_test_setup(test_a_rest_of_two_blocks_is_none_and_one_of_three_has_one_block, fresh_rest),
+		cmocka_unit_test_setup(
+			test_a_rest_of_two_blocks_is_not_reported_and_one_of_three_has_one_block, fresh_rest),
 		cmocka_unit_test_setup(test_three_samples_make_a_block_and_two_do_not, fresh_rest),
 		cmocka_unit_test_setup(test_a_few_samples_between_two_rests_end_the_first, fresh_rest),
 		cmocka_unit_test_setup(test_a_block_is_the_mean_of_its_samples, fresh_rest),
 		cmocka_unit_test_setup(
-			test_noise_above_one_degree_per_second_or_0_15_m_s2_on_any_axis_is_no_rest, fresh_rest),
+			test_noise_above_one_degree_per_second_or_0_15_m_s2_on_any_axis_is_not_a_rest, fresh_rest),
 		cmocka_unit_test_setup(test_a_step_of_the_mean_above_the_limit_ends_a_rest, fresh_rest),
 		cmocka_unit_test_setup(test_a_step_counts_from_the_mean_over_two_seconds_at_most, fresh_rest),
 		cmocka_unit_test_setup(test_the_time_stands_still_in_gaps_of_more_than_half_a_second, fresh_rest),

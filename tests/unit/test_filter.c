@@ -170,6 +170,36 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 	assert_int_equal(filter3_init(&f, &good, NAN), -EINVAL);
 }
 
+static void test_priming_forgets_all_inputs_so_far(void **state)
+{
+	static const enum filter_type types[] = {FILTER_OFF, FILTER_BUTTERWORTH, FILTER_SEED_FIR};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct filter3 f = filter(types[i], 3, 10, 100);
+
+		for (int k = 0; k < 17; k++)
+			filter3_step(&f, any_vec(100));
+		filter3_prime(&f, same(2));
+		assert_vec_near(f.out, same(2), 0);
+		for (int k = 0; k < 15; k++)
+			assert_vec_near(filter3_step(&f, same(2)), same(2), 1e-12);
+	}
+}
+
+static void test_the_last_output_of_a_filter_is_kept_and_shifted(void **state)
+{
+	struct filter3 f = filter(FILTER_BUTTERWORTH, 3, 10, 100);
+	struct vec3 y = same(0);
+
+	(void)state;
+	for (int k = 0; k < 9; k++)
+		y = filter3_step(&f, any_vec(100));
+	assert_vec_near(f.out, y, 0);
+	filter3_shift(&f, same(4));
+	assert_vec_near(f.out, vec3_add(y, same(4)), 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -182,6 +212,8 @@ int main(void)
 		cmocka_unit_test(test_the_delay_is_scipys_group_delay_at_dc),
 		cmocka_unit_test(test_a_shifted_filter_continues_as_if_its_input_had_always_been_greater),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
+		cmocka_unit_test(test_priming_forgets_all_inputs_so_far),
+		cmocka_unit_test(test_the_last_output_of_a_filter_is_kept_and_shifted),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1187,6 +1187,94 @@ static void test_a_sensor_without_a_magnetometer_has_used_none_from_its_first_sa
 	}
 }
 
+static void test_samples_at_the_limits_of_the_plausible_are_used_on_every_axis(void **state)
+{
+	static const double limit[3] = {1e3, 1e5, 1e6}; /* rad/s, m/s^2, uT */
+	const struct pipeline_config config = with_lever();
+
+	(void)state;
+	for (int channel = 0; channel < 9; channel++)
+		for (int sign = -1; sign <= 1; sign += 2) {
+			struct pipeline p = pipeline(&config);
+			struct imu_sample s = standing(0).sample;
+			struct vec3 *triad[3] = {&s.gyro_rad_s, &s.accel_m_s2, &s.mag_uT}, *v = triad[channel / 3];
+			double *value = channel % 3 == 0 ? &v->x : channel % 3 == 1 ? &v->y : &v->z;
+			struct pipeline_output out;
+
+			*value = sign * limit[channel / 3];
+			assert_int_equal(pipeline_step(&p, &s, &out), 0);
+			s.t_us += INTERVAL_US;
+			*value = sign * 1.001 * limit[channel / 3];
+			assert_int_equal(pipeline_step(&p, &s, &out), -EINVAL);
+			s.flags = 0; /* without its flag the field is not used */
+			assert_int_equal(pipeline_step(&p, &s, &out), channel < 6 ? -EINVAL : 0);
+		}
+}
+
+static void test_a_set_attitude_may_be_10_percent_off_unit_length(void **state)
+{
+	const struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	run(&p, standing, 0, 10);
+	assert_int_equal(pipeline_reset_attitude(&p, (struct quat){0, 0, 0, 1.099}), 0);
+	assert_int_equal(pipeline_reset_attitude(&p, (struct quat){0, 0.901, 0, 0}), 0);
+	assert_int_equal(pipeline_reset_attitude(&p, (struct quat){0, 0, 1.101, 0}), -EINVAL);
+	assert_int_equal(pipeline_reset_attitude(&p, (struct quat){0.899, 0, 0, 0}), -EINVAL);
+}
+
+static void test_the_ranges_of_the_latency_include_their_limits(void **state)
+{
+	static const struct latency_config good[] = {{0, 0}, {0.1, 0}, {0.1, 0.05}, {0.05, -0.05}};
+	static const struct latency_config bad[] = {
+		{-0.001, 0.01}, {0.1001, 0}, {0.1, 0.0501}, {0.1, -0.0501}, {0.01, -0.0101}};
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(good) / sizeof(good[0]); i++) {
+		config.latency = good[i];
+		assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+	}
+	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++) {
+		config.latency = bad[i];
+		assert_int_equal(pipeline_init(&p, &config, RATE_HZ), -EINVAL);
+	}
+}
+
+/* An error of the attitude, a rotation vector e, changes the acceleration by e x (accel + gravity). The product of e and
+ * gravity is in the sigma of the navigation already. */
+static void test_each_axis_of_the_acceleration_sigma_has_its_own_errors(void **state)
+{
+	const struct vec3 angle = {0.01, 0.02, 0.03}, known = {0.5, 0.6, 0.7};
+	struct pipeline_config config = with_lever();
+	struct pipeline_output out;
+	struct imu_sample s;
+	struct pipeline p;
+	struct vec3 a, force;
+
+	(void)state;
+	config.position.mode = POSITION_ZERO_VELOCITY_AT_REST; /* has no sigma of its own */
+	config.estimator.model = LEVER_ARM_OFF;
+	p = pipeline(&config);
+	run(&p, standing, 0, 10);
+	p.position.sigma.attitude_rad = angle;
+	p.position.sigma.accel_m_s2 = known;
+	s = standing(10).sample;
+	s.accel_m_s2 = vec3_add(s.accel_m_s2, (struct vec3){10, -20, 15});
+	assert_int_equal(pipeline_step(&p, &s, &out), 0);
+	a = out.accel_n_m_s2;
+	force = vec3_add(a, (struct vec3){0, 0, G});
+	assert_true(fabs(a.x) > 5 && fabs(a.y) > 5 && fabs(a.z) > 5);
+	assert_near(out.sigma.accel_m_s2.x,
+		sqrt(pow(known.x, 2) + pow(angle.y, 2) * (pow(force.z, 2) - G * G) + pow(angle.z * a.y, 2)), 1e-9);
+	assert_near(out.sigma.accel_m_s2.y,
+		sqrt(pow(known.y, 2) + pow(angle.x, 2) * (pow(force.z, 2) - G * G) + pow(angle.z * a.x, 2)), 1e-9);
+	assert_near(
+		out.sigma.accel_m_s2.z, sqrt(pow(known.z, 2) + pow(angle.x * a.y, 2) + pow(angle.y * a.x, 2)), 1e-9);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1238,6 +1326,10 @@ int main(void)
 		cmocka_unit_test(test_the_ranges_of_aids_include_their_limits),
 		cmocka_unit_test(test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_of_a_fresh_start),
 		cmocka_unit_test(test_a_sensor_without_a_magnetometer_has_used_none_from_its_first_sample_on),
+		cmocka_unit_test(test_samples_at_the_limits_of_the_plausible_are_used_on_every_axis),
+		cmocka_unit_test(test_a_set_attitude_may_be_10_percent_off_unit_length),
+		cmocka_unit_test(test_the_ranges_of_the_latency_include_their_limits),
+		cmocka_unit_test(test_each_axis_of_the_acceleration_sigma_has_its_own_errors),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,6 +1,8 @@
 /* Angular rate and acceleration: the differentiator, and the two sources side by side. */
 #include "model_test.h"
 
+#include <string.h>
+
 #include "model/rates.h"
 
 static const double RATE_HZ = 200, DT_S = 1 / 200.0;
@@ -183,6 +185,24 @@ static void test_a_filter_out_of_range_is_refused_and_the_old_one_stays(void **s
 	assert_int_equal(rates_init(&r, &bad, RATE_HZ), -EINVAL);
 }
 
+static void test_rates_begin_at_zero_whatever_the_memory_had(void **state)
+{
+	struct rates r;
+
+	(void)state;
+	memset(&r, 0x55, sizeof(r));
+	assert_int_equal(rates_init(&r, &SMOOTH, RATE_HZ), 0);
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		assert_vec_near(r.out[i].omega_b_rad_s, along(0), 0);
+		assert_vec_near(r.out[i].alpha_b_rad_s2, along(0), 0);
+	}
+	rates_step(&r, along(0), QUAT_IDENTITY, DT_S);
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		assert_vec_near(r.out[i].omega_b_rad_s, along(0), 0);
+		assert_vec_near(r.out[i].alpha_b_rad_s2, along(0), 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -196,6 +216,7 @@ int main(void)
 		cmocka_unit_test(test_rates_from_the_attitude_pass_gimbal_lock_without_a_spike),
 		cmocka_unit_test(test_a_new_filter_continues_without_a_step),
 		cmocka_unit_test(test_a_filter_out_of_range_is_refused_and_the_old_one_stays),
+		cmocka_unit_test(test_rates_begin_at_zero_whatever_the_memory_had),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

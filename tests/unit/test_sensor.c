@@ -376,6 +376,173 @@ static void test_an_invalid_configuration_is_refused(void **state)
 	assert_int_equal(sensor_init(&sensor, &config, 1), -EINVAL);
 }
 
+/* Sensitivities and ranges of the datasheets: mdps/digit and deg/s, mg/digit and g, digits/gauss and gauss. */
+static void test_the_presets_have_the_digits_and_ranges_of_their_chips(void **state)
+{
+	static const struct {
+		const char *name;
+		double mdps, dps, mg, g, digits_per_gauss, mag_density_uT;
+	} chips[] = {
+		{"lsm303dlhc_l3gd20", 70, 2000, 4, 8, 1100, 0.02},
+		{"lsm303dlhc_l3gd20_fine", 8.75, 250, 1, 2, 1100, 0.02},
+		{"lsm303dlh_l3g4200d", 70, 2000, 3.9, 8, 1055, 0.1},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof chips / sizeof *chips; i++) {
+		const struct sensor_config *c = sensor_preset(chips[i].name);
+
+		assert_within(c->gyro.step, chips[i].mdps * 1e-3 * 3.14159265358979 / 180, 1e-9);
+		assert_within(c->gyro.range, chips[i].dps * 3.14159265358979 / 180, 1e-9);
+		assert_within(c->accel.step, chips[i].mg * 9.80665e-3, 1e-9);
+		assert_within(c->accel.range, chips[i].g * 9.80665, 1e-9);
+		assert_within(c->mag.step, 100 / chips[i].digits_per_gauss, 1e-9);
+		assert_within(c->mag.range, 130, 1e-9);
+		assert_within(c->mag.density, chips[i].mag_density_uT, 1e-9);
+		assert_within(c->gyro.density, 0.03 * 3.14159265358979 / 180, 1e-9); /* 0.03 dps/sqrt(Hz) */
+		assert_within(c->accel.density, i < 2 ? 220e-6 * 9.80665 : 218e-6 * 9.80665, 1e-9);
+		assert_within(c->accel.bias_sigma, (i < 2 ? 60e-3 : 20e-3) * 9.80665, 1e-9); /* zero-g level */
+		assert_within(c->gyro.bias_sigma, 10 * 3.14159265358979 / 180, 1e-9);	     /* zero-rate level */
+		assert_within(c->rate_hz, 100, 0);
+		assert_within(c->mag_rate_hz, 75, 0);
+	}
+	assert_null(sensor_preset("lsm303"));
+}
+
+/* One-sided spectrum of the sum of the Gauss-Markov processes x <- decay x + drive w, against B^2 / (pi f). Its mean
+ * over one ratio of the time constants, 8, has no ripple. */
+static void test_flicker_noise_has_its_spectrum(void **state)
+{
+	const double dt_s = 1 / 100.0, pi = 3.14159265358979, lowest_hz = 8e-4;
+	struct sensor_config config = ideal();
+	struct sensor sensor;
+	double mean = 0;
+
+	(void)state;
+	config.gyro.bias_instability = 0.5;
+	start(&sensor, &config);
+	for (int i = 0; i < 30; i++) {
+		double f = lowest_hz * pow(8, (i + 0.5) / 30), w = 2 * pi * f * dt_s;
+
+		for (int k = 0; k < SENSOR_FLICKER_POLES; k++) {
+			double a = sensor.gyro.flicker_decay[k], drive = sensor.gyro.flicker_drive[k];
+
+			mean += 2 * dt_s * drive * drive / (1 - 2 * a * cos(w) + a * a) * f / 30;
+		}
+	}
+	assert_within(mean, 0.25 / pi, 0.03);
+}
+
+static void test_scale_and_cross_axis_errors_of_many_seeds_have_their_sigma(void **state)
+{
+	struct sensor_config config = ideal();
+	double scale = 0, cross = 0, slope = 0;
+	struct sensor sensor;
+
+	(void)state;
+	config.gyro = (struct triad_errors){.scale_sigma = 0.02, .cross_axis_sigma = 0.01, .temperature_sigma = 0.3};
+	for (uint64_t seed = 0; seed < 2000; seed++) {
+		assert_int_equal(sensor_init(&sensor, &config, seed), 0);
+		for (int i = 0; i < 3; i++)
+			for (int j = 0; j < 3; j++)
+				*(i == j ? &scale : &cross) += pow(sensor.gyro.matrix[i][j] - (i == j), 2);
+		slope += vec3_dot(sensor.gyro.slope, sensor.gyro.slope);
+	}
+	assert_within(sqrt(scale / 6000), 0.02, 0.03);
+	assert_within(sqrt(cross / 12000), 0.01, 0.03);
+	assert_within(sqrt(slope / 6000), 0.3, 0.03);
+}
+
+/* The response of a first-order low-pass to a ramp lags by its time constant. */
+static void test_the_bandwidth_delays_a_ramp_by_its_time_constant(void **state)
+{
+	const double tau_s = 1 / (2 * 3.14159265358979 * 5);
+	struct sensor_config config = ideal();
+	struct signal_truth truth = {.q_nb = {1, 0, 0, 0}};
+	struct imu_sample sample;
+	struct sensor sensor;
+
+	(void)state;
+	config.gyro.bandwidth_hz = 5;
+	start(&sensor, &config);
+	for (int i = 0; i <= 100; i++) {
+		double t = i * 0.01, lag = tau_s * (1 - exp(-t / tau_s));
+
+		truth.omega_b_rad_s = (struct vec3){t, 2 * t, -t};
+		sensor_measure(&sensor, &truth, &sample);
+		assert_near(sample.gyro_rad_s, (struct vec3){t - lag, 2 * (t - lag), -(t - lag)}, 1e-12);
+	}
+}
+
+static void test_every_field_out_of_its_range_is_refused(void **state)
+{
+	struct sensor_config config[12];
+	struct sensor sensor;
+
+	(void)state;
+	for (int i = 0; i < 12; i++)
+		config[i] = ideal();
+	config[0].jitter_s = -1e-9;
+	config[1].mag_rate_hz = -1;
+	config[2].gyro.bias_instability = -1;
+	config[3].gyro.random_walk = -1;
+	config[4].gyro.bias_sigma = -1;
+	config[5].gyro.scale_sigma = -1;
+	config[6].gyro.cross_axis_sigma = -1;
+	config[7].gyro.bandwidth_hz = -1;
+	config[8].gyro.temperature_sigma = -1;
+	config[9].temperature_step_K = -1;
+	config[10].warming_K = INFINITY;
+	config[11].rate_hz = INFINITY;
+	for (int i = 0; i < 12; i++)
+		assert_int_equal(sensor_init(&sensor, &config[i], 1), -EINVAL);
+	config[0] = ideal();
+	config[0].jitter_s = 0.1 / config[0].rate_hz;
+	assert_int_equal(sensor_init(&sensor, &config[0], 1), 0);
+	config[0].warming_K = 10;
+	config[0].warming_s = 0;
+	assert_int_equal(sensor_init(&sensor, &config[0], 1), -EINVAL);
+}
+
+static void test_a_thermometer_begins_at_25_degrees_in_digits_of_one(void **state)
+{
+	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20");
+	struct imu_sample s;
+	struct sensor sensor;
+	int last = 25;
+
+	(void)state;
+	config.warming_K = 10;
+	start(&sensor, &config);
+	for (int i = 0; i < 12000; i++) { /* its time constant */
+		sensor_next(&sensor, signal_find("rest"), &s, NULL);
+		assert_true(s.temperature_degC == last || s.temperature_degC == last + 1);
+		last = (int)s.temperature_degC;
+	}
+	assert_int_equal(last, 31); /* 25 + 6.3 */
+}
+
+static void test_calibration_removes_every_constant_error_of_every_triad(void **state)
+{
+	const struct triad_errors all = {
+		.bias_sigma = 1, .scale_sigma = 1, .cross_axis_sigma = 1, .temperature_sigma = 1, .bandwidth_hz = 7};
+	struct sensor_config config = ideal();
+	struct sensor sensor;
+
+	(void)state;
+	config.gyro = config.accel = config.mag = all;
+	sensor_calibrate(&config);
+	start(&sensor, &config);
+	const struct triad *triads[3] = {&sensor.gyro, &sensor.accel, &sensor.mag};
+	for (int i = 0; i < 3; i++) {
+		assert_near(triads[i]->bias, (struct vec3){0, 0, 0}, 0);
+		assert_near(triads[i]->slope, (struct vec3){0, 0, 0}, 0);
+		for (int j = 0; j < 9; j++)
+			assert_true(triads[i]->matrix[j / 3][j % 3] == (j % 4 == 0));
+		assert_true(triads[i]->errors.bandwidth_hz == 7);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -396,6 +563,13 @@ int main(void)
 		cmocka_unit_test(test_the_bias_of_a_sensor_that_warms_up_follows_its_temperature),
 		cmocka_unit_test(test_one_seed_gives_one_sequence_another_seed_another),
 		cmocka_unit_test(test_an_invalid_configuration_is_refused),
+		cmocka_unit_test(test_the_presets_have_the_digits_and_ranges_of_their_chips),
+		cmocka_unit_test(test_flicker_noise_has_its_spectrum),
+		cmocka_unit_test(test_scale_and_cross_axis_errors_of_many_seeds_have_their_sigma),
+		cmocka_unit_test(test_the_bandwidth_delays_a_ramp_by_its_time_constant),
+		cmocka_unit_test(test_every_field_out_of_its_range_is_refused),
+		cmocka_unit_test(test_a_thermometer_begins_at_25_degrees_in_digits_of_one),
+		cmocka_unit_test(test_calibration_removes_every_constant_error_of_every_triad),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -659,6 +659,105 @@ static void test_the_last_movement_stays_until_the_next_one_ends(void **state)
 	assert_int_equal(smoother.last.number, 2);
 }
 
+/* ---- movements of constant velocity ------------------------------------------------------------------------------- */
+
+/* A filter without errors moves along x, at 1 m/s for `out_s` and back for `back_s`. */
+static void go_and_return(double out_s, double back_s, double stood_s)
+{
+	const double dt_s = 0.01;
+	double p[N][N] = {{0}};
+	struct smoother_point at = {.position_n_m = {5, 6, 7}, .velocity_n_m_s = {1, 0, 0}};
+
+	smoother_begin(&smoother, at, p);
+	for (int k = 1; k <= lround((out_s + back_s) / dt_s); k++) {
+		at.velocity_n_m_s.x = k * dt_s <= out_s + dt_s / 2 ? 1 : -1;
+		at.position_n_m.x += dt_s * at.velocity_n_m_s.x;
+		smoother_elapse(&smoother, dt_s);
+		smoother_mark(&smoother, at, p);
+	}
+	smoother_end(&smoother, stood_s, p);
+}
+
+static void test_a_movement_has_its_duration_path_and_farthest_point(void **state)
+{
+	const struct smoother_movement *m = &smoother.last;
+
+	(void)state;
+	go_and_return(2, 1, 0);
+	assert_int_equal(m->number, 1);
+	assert_int_equal(m->count, 3 * 5 + 1);
+	assert_near(m->duration_s, 3, 1e-9);
+	assert_near(m->stood_s, 0, 0);
+	assert_near(m->path_m, 3, 0.02);
+	assert_near(m->farthest_m, 2, 1e-9);
+	assert_near(m->farthest_s, 2, 1e-9);
+	assert_vec_near(m->point[15].position_n_m, ((struct vec3){1, 0, 0}), 1e-9);
+	assert_vec_near(m->point[5].position_n_m, ((struct vec3){1, 0, 0}), 1e-9);
+	go_and_return(1, 0, 0);
+	assert_int_equal(m->number, 2);
+	assert_near(m->farthest_m, 1, 1e-9);
+}
+
+/* Points up to 1 s before the end are kept, and the last one has the position at the end. */
+static void test_a_movement_ends_where_its_standstill_began(void **state)
+{
+	const struct smoother_movement *m = &smoother.last;
+
+	(void)state;
+	go_and_return(3, 0, 1.1);
+	assert_near(m->duration_s, 1.9, 1e-9);
+	assert_near(m->stood_s, 1.1, 0);
+	assert_int_equal(m->count, 11);
+	assert_near(m->point[9].t_s, 1.8, 1e-9);
+	assert_near(m->point[10].t_s, 1.9, 1e-9);
+	assert_vec_near(m->point[10].position_n_m, ((struct vec3){3, 0, 0}), 1e-9);
+}
+
+static void test_a_movement_shorter_than_its_standstill_has_a_first_and_a_last_point_only(void **state)
+{
+	const struct smoother_movement *m = &smoother.last;
+
+	(void)state;
+	go_and_return(1, 0, 1.5);
+	assert_int_equal(m->count, 2);
+	assert_near(m->duration_s, 0, 0);
+	assert_vec_near(m->point[0].position_n_m, ZERO, 0);
+	assert_vec_near(m->point[1].position_n_m, ((struct vec3){1, 0, 0}), 1e-9);
+	assert_near(m->path_m, 0, 0);
+}
+
+static void test_without_a_smoother_or_a_movement_nothing_is_recorded(void **state)
+{
+	static struct smoother before;
+	double p[N][N] = {{0}};
+	struct smoother_point at = {.velocity_n_m_s = {1, 0, 0}};
+
+	(void)state;
+	smoother_begin(NULL, at, p);
+	smoother_mark(NULL, at, p);
+	smoother_end(NULL, 0, p);
+	smoother_cancel(NULL);
+	assert_null(smoother_transition(NULL));
+	before = smoother;
+	smoother_elapse(&smoother, 1);
+	smoother_mark(&smoother, at, p);
+	smoother_restart(&smoother, at, p);
+	smoother_reset_errors(&smoother, V);
+	smoother_break(&smoother);
+	smoother_end(&smoother, 0, p);
+	assert_null(smoother_transition(&smoother));
+	assert_memory_equal(&before, &smoother, sizeof(before));
+}
+
+static void test_a_smoother_set_while_moving_begins_with_the_next_movement(void **state)
+{
+	(void)state;
+	switch_on(1);
+	drive(5);
+	pipeline_smooth(&robot.pipeline, &smoother);
+	assert_movement_dropped();
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -685,6 +784,12 @@ int main(void)
 		cmocka_unit_test_setup(test_switching_the_position_off_drops_the_movement, fresh),
 		cmocka_unit_test_setup(test_a_discontinuity_drops_the_movement, fresh),
 		cmocka_unit_test_setup(test_the_last_movement_stays_until_the_next_one_ends, fresh),
+		cmocka_unit_test_setup(test_a_movement_has_its_duration_path_and_farthest_point, fresh),
+		cmocka_unit_test_setup(test_a_movement_ends_where_its_standstill_began, fresh),
+		cmocka_unit_test_setup(
+			test_a_movement_shorter_than_its_standstill_has_a_first_and_a_last_point_only, fresh),
+		cmocka_unit_test_setup(test_without_a_smoother_or_a_movement_nothing_is_recorded, fresh),
+		cmocka_unit_test_setup(test_a_smoother_set_while_moving_begins_with_the_next_movement, fresh),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
