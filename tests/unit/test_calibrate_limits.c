@@ -284,6 +284,21 @@ static void test_the_sigma_of_a_gyro_without_noise_is_that_of_its_drift(void **s
 	assert_true(isnan(gyro.result.temperature_degC));
 }
 
+/* However large they are: their squares are those of differences. */
+static void test_equal_measurements_of_a_gyro_have_no_scatter(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 10; i++) {
+		struct imu_sample s = {.gyro_rad_s = any_vec(1), .accel_m_s2 = {0, 0, G}};
+
+		calibrate_gyro_init(&gyro, &(struct calibrate_gyro_config){.rest_s = 10, .patience_s = 60});
+		while (calibrate_gyro_step(&gyro, &s) == CALIBRATE_COLLECTING)
+			s.t_us += INTERVAL_US;
+		assert_vec_near(gyro.result.bias_rad_s, s.gyro_rad_s, 1e-12);
+		assert_vec_near(gyro.result.sigma_rad_s, ((struct vec3){0, 0, 0}), 1e-12);
+	}
+}
+
 static void test_a_gyro_bias_of_more_than_100_degrees_per_second_is_implausible(void **state)
 {
 	(void)state;
@@ -544,6 +559,21 @@ static void test_an_accelerometer_result_has_the_temperature_of_its_rests_and_th
 	assert_near(accel.coverage, 1, 1e-12);
 }
 
+static void test_each_step_of_an_accelerometer_calibration_returns_its_verdict(void **state)
+{
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}};
+
+	(void)state;
+	begin_accelerometer(CALIBRATE_SIX_FACES);
+	accel.config.use_all = false;
+	for (int i = 0; i < 6; i++) {
+		assert_int_equal(calibrate_accelerometer_step(&accel, &s), CALIBRATE_COLLECTING);
+		measure(side_up(i));
+	}
+	assert_int_equal(calibrate_accelerometer_step(&accel, &s), CALIBRATE_GOOD);
+	assert_int_equal(calibrate_accelerometer_finish(&accel), CALIBRATE_GOOD);
+}
+
 /* ---- magnetometer ------------------------------------------------------------------------------------------------ */
 
 static struct calibrate_magnetometer mag;
@@ -729,6 +759,30 @@ static void test_a_magnetometer_is_missing_after_five_seconds_without_gaps(void 
 	assert_int_equal(mag.verdict, CALIBRATE_NO_MAGNETOMETER);
 }
 
+static void test_each_step_of_a_magnetometer_calibration_returns_its_verdict(void **state)
+{
+	(void)state;
+	begin_magnetometer(false);
+	for (int i = 0; i < 1100; i++) {
+		mag_sample.mag_uT = vec3_scale(50, spiral(i < 300 ? i / 3 : 99, 1));
+		mag_sample.t_us += 1000;
+		assert_int_equal(calibrate_magnetometer_step(&mag, &mag_sample),
+			i < 1000 ? CALIBRATE_COLLECTING : CALIBRATE_GOOD);
+	}
+	assert_int_equal(calibrate_magnetometer_finish(&mag), CALIBRATE_GOOD);
+}
+
+static void test_a_sample_10_uT_from_its_neighbours_is_not_a_spike(void **state)
+{
+	(void)state;
+	begin_magnetometer(true);
+	give((struct vec3){50, 0, 0});
+	give((struct vec3){50, 0, 10});
+	give((struct vec3){50, 0, 0});
+	assert_int_equal(mag.count, 1);
+	assert_vec_near(mag.points[0], ((struct vec3){50, 0, 10}), 0);
+}
+
 /* ---- temperature ------------------------------------------------------------------------------------------------- */
 
 static struct calibrate_temperature temperature;
@@ -784,22 +838,73 @@ static void test_a_parabola_needs_a_span_of_15_K(void **state)
 
 /* ---- the ellipsoid ----------------------------------------------------------------------------------------------- */
 
-/* One point more than there are unknowns, and the first one is far off: the ellipsoid is the same in any order. */
-static void test_an_ellipsoid_does_not_depend_on_the_order_of_the_points(void **state)
+static double sum_of_squares(const struct vec3 *points, int count, const struct ellipsoid *e)
 {
-	struct vec3 forward[12], backward[12];
-	struct ellipsoid a, b;
+	double sum = 0;
+
+	for (int i = 0; i < count; i++)
+		sum += pow(vec3_norm(mat3_apply(e->matrix, vec3_sub(points[i], e->centre))) - e->radius, 2);
+	return sum;
+}
+
+/* Element 0 to 8 of centre and symmetric matrix. */
+static void change_element(struct ellipsoid *e, int element, double by)
+{
+	static const int row[6] = {0, 1, 2, 0, 0, 1}, column[6] = {0, 1, 2, 1, 2, 2};
+
+	if (element < 3) {
+		*component(&e->centre, element) += by * e->radius;
+	} else {
+		int i = row[element - 3], j = column[element - 3];
+
+		e->matrix.m[i][j] += by;
+		e->matrix.m[j][i] = e->matrix.m[i][j];
+	}
+}
+
+/* All points but one lie on the sphere from which the fit starts. The parameters of least squares cannot be changed
+ * without more of them. */
+static void test_the_fit_of_an_ellipsoid_is_that_of_least_squares_whichever_point_is_off(void **state)
+{
+	enum { POINTS = 25 };
 
 	(void)state;
-	for (int i = 0; i < 12; i++) {
-		forward[i] = vec3_scale(i == 0 ? 65 : 50 + any(), spiral(8 * i + 3, 1));
-		backward[11 - i] = forward[i];
+	for (int off = 0; off < POINTS; off++) {
+		struct ellipsoid e = {.matrix = EXACT};
+		struct vec3 points[POINTS];
+		double least;
+
+		for (int i = 0; i < POINTS; i++)
+			points[i] = vec3_scale(i == off ? 53 : 50, spiral(4 * i + 1, 1));
+		assert_int_equal(ellipsoid_fit(points, POINTS, 50, false, &e), 0);
+		least = sum_of_squares(points, POINTS, &e);
+		assert_near(e.rms, sqrt(least / (POINTS - 9)), 1e-9);
+		for (int element = 0; element < 9; element++)
+			for (int sign = -1; sign <= 1; sign += 2) {
+				struct ellipsoid beside = e;
+
+				change_element(&beside, element, sign * 1e-5);
+				assert_true(sum_of_squares(points, POINTS, &beside) > least);
+			}
 	}
-	a = b = (struct ellipsoid){.matrix = EXACT};
-	assert_int_equal(ellipsoid_fit(forward, 12, 50, false, &a), 0);
-	assert_int_equal(ellipsoid_fit(backward, 12, 50, false, &b), 0);
-	assert_vec_near(a.centre, b.centre, 1e-6);
-	assert_near(a.rms, b.rms, 1e-6);
+}
+
+/* The first full Gauss-Newton step leads away from it. */
+static void test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives(void **state)
+{
+	struct ellipsoid e = {.matrix = EXACT};
+	struct vec3 points[50];
+
+	(void)state;
+	for (int i = 0; i < 50; i++) {
+		struct vec3 u = spiral(2 * i, 1);
+
+		points[i] = (struct vec3){50 * u.x + 40, 65 * u.y, 40 * u.z};
+	}
+	assert_int_equal(ellipsoid_fit(points, 50, 50, false, &e), 0);
+	assert_vec_near(e.centre, ((struct vec3){40, 0, 0}), 1e-6);
+	assert_near(e.matrix.m[1][1], 50 / 65.0, 1e-8);
+	assert_near(e.matrix.m[2][2], 50 / 40.0, 1e-8);
 }
 
 int main(void)
@@ -819,6 +924,7 @@ int main(void)
 		cmocka_unit_test_setup(test_a_discontinuity_or_a_saturated_sample_ends_a_rest, fresh_rest),
 		cmocka_unit_test_setup(test_a_gyro_needs_five_seconds_of_rest, fresh_rest),
 		cmocka_unit_test(test_the_sigma_of_a_gyro_without_noise_is_that_of_its_drift),
+		cmocka_unit_test(test_equal_measurements_of_a_gyro_have_no_scatter),
 		cmocka_unit_test(test_a_gyro_bias_of_more_than_100_degrees_per_second_is_implausible),
 		cmocka_unit_test(test_gravity_that_drifts_by_5_mm_s3_or_a_field_by_0_03_uT_s_is_a_turn),
 		cmocka_unit_test(test_a_drift_counts_only_beyond_three_sigma_of_its_noise),
@@ -833,6 +939,7 @@ int main(void)
 		cmocka_unit_test(test_positions_more_than_20_degrees_apart_are_two),
 		cmocka_unit_test(
 			test_an_accelerometer_result_has_the_temperature_of_its_rests_and_the_drift_of_its_bias),
+		cmocka_unit_test(test_each_step_of_an_accelerometer_calibration_returns_its_verdict),
 		cmocka_unit_test(test_a_field_outside_10_to_150_uT_is_implausible),
 		cmocka_unit_test(test_an_ellipsoid_more_than_2_5_times_as_long_as_wide_is_refused),
 		cmocka_unit_test(test_a_residual_of_more_than_5_percent_of_the_field_is_refused),
@@ -844,10 +951,13 @@ int main(void)
 		cmocka_unit_test(test_a_field_of_more_than_1_T_is_not_a_measurement),
 		cmocka_unit_test(test_a_saturated_field_is_not_used),
 		cmocka_unit_test(test_a_magnetometer_is_missing_after_five_seconds_without_gaps),
+		cmocka_unit_test(test_each_step_of_a_magnetometer_calibration_returns_its_verdict),
+		cmocka_unit_test(test_a_sample_10_uT_from_its_neighbours_is_not_a_spike),
 		cmocka_unit_test(test_a_rest_with_one_block_does_not_count_for_the_slope),
 		cmocka_unit_test(test_a_temperature_calibration_needs_20_seconds_of_rest_and_5_K),
 		cmocka_unit_test(test_a_parabola_needs_a_span_of_15_K),
-		cmocka_unit_test(test_an_ellipsoid_does_not_depend_on_the_order_of_the_points),
+		cmocka_unit_test(test_the_fit_of_an_ellipsoid_is_that_of_least_squares_whichever_point_is_off),
+		cmocka_unit_test(test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
