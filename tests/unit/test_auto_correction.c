@@ -246,6 +246,20 @@ static void test_the_instability_of_the_gyro_bias_is_part_of_the_noise_of_its_ra
 	}
 }
 
+static void test_after_more_than_a_second_only_the_last_correction_counts(void **state)
+{
+	const struct vec3 variance = {1, 1, 1};
+	struct auto_correction automatic = {{0}};
+	struct vec3 out;
+
+	(void)state;
+	auto_correction_step(&automatic, (struct vec3){5, 5, 5}, variance, 2);
+	out = auto_correction_step(&automatic, (struct vec3){sqrt(5), sqrt(10), 1}, variance, 2);
+	assert_true(fabs(out.x - sqrt(5) * (1 - 1 / 5.0)) < 1e-12);
+	assert_true(fabs(out.y - sqrt(10) * (1 - 1 / 10.0)) < 1e-12);
+	assert_true(out.z == 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -263,6 +277,7 @@ int main(void)
 		cmocka_unit_test(test_a_lasting_correction_counts_when_its_power_is_twice_that_of_the_noise),
 		cmocka_unit_test(test_after_a_violent_motion_small_corrections_end_within_four_seconds),
 		cmocka_unit_test(test_the_instability_of_the_gyro_bias_is_part_of_the_noise_of_its_rate_only),
+		cmocka_unit_test(test_after_more_than_a_second_only_the_last_correction_counts),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

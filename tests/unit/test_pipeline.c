@@ -1275,6 +1275,52 @@ static void test_each_axis_of_the_acceleration_sigma_has_its_own_errors(void **s
 		out.sigma.accel_m_s2.z, sqrt(pow(known.z, 2) + pow(angle.x * a.y, 2) + pow(angle.y * a.x, 2)), 1e-9);
 }
 
+static void test_between_measurements_of_the_field_the_last_one_is_reported(void **state)
+{
+	const struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct vec3 measured = run(&p, moving, 0, 10).mag_b_uT;
+	struct imu_sample s = moving(10).sample;
+
+	(void)state;
+	assert_vec_near(measured, moving(9).sample.mag_uT, 0);
+	s.flags = 0;
+	s.mag_uT = ZERO;
+	assert_vec_near(step(&p, &s).mag_b_uT, measured, 0);
+}
+
+/* With the latency of the default sensor, with an acceleration filter, and from the first sample on. */
+static void test_a_robot_at_rest_does_not_accelerate(void **state)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct pipeline p;
+
+	(void)state;
+	config.estimator.lever_arm_b_m = LEVER_B;
+	config.accel_filter.type = FILTER_BUTTERWORTH;
+	p = pipeline(&config);
+	for (int k = 0; k < 400; k++)
+		assert_vec_near(run(&p, standing, k, k + 1).accel_n_m_s2, ZERO, 1e-6);
+}
+
+/* The noise of the gyro does not influence the attitude. */
+static void test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline automatic, off;
+
+	(void)state;
+	config.accel_filter.type = FILTER_BUTTERWORTH;
+	config.noise.gyro_density_rad_s_sqrt_hz = 1e3;
+	config.estimator.model = LEVER_ARM_AUTO;
+	automatic = pipeline(&config);
+	config.estimator.model = LEVER_ARM_OFF;
+	off = pipeline(&config);
+	for (int k = 0; k < 400; k++)
+		assert_vec_near(run(&automatic, moving, k, k + 1).accel_n_m_s2,
+			run(&off, moving, k, k + 1).accel_n_m_s2, 1e-12);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1330,6 +1376,9 @@ int main(void)
 		cmocka_unit_test(test_a_set_attitude_may_be_10_percent_off_unit_length),
 		cmocka_unit_test(test_the_ranges_of_the_latency_include_their_limits),
 		cmocka_unit_test(test_each_axis_of_the_acceleration_sigma_has_its_own_errors),
+		cmocka_unit_test(test_between_measurements_of_the_field_the_last_one_is_reported),
+		cmocka_unit_test(test_a_robot_at_rest_does_not_accelerate),
+		cmocka_unit_test(test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

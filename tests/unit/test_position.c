@@ -174,6 +174,30 @@ static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(v
 	assert_int_equal(p.config.mode, POSITION_ZERO_VELOCITY_AT_REST);
 }
 
+static void test_without_navigation_there_is_no_sigma_and_no_displacement(void **state)
+{
+	static const enum position_mode modes[2] = {POSITION_OFF, POSITION_ZERO_VELOCITY_AT_REST};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct position p = position(POSITION_NAVIGATION, 0);
+		struct position_config config = p.config;
+		const struct vec3 some = {1, 2, 3};
+
+		p.sigma = (struct navigation_sigma){some, some, some, some, some};
+		p.displacement_n_m = p.displacement_sigma_m = some;
+		config.mode = modes[i];
+		assert_int_equal(position_configure(&p, &config), 0);
+		assert_vec_near(p.sigma.attitude_rad, ZERO, 0);
+		assert_vec_near(p.sigma.accel_m_s2, ZERO, 0);
+		assert_vec_near(p.sigma.velocity_m_s, ZERO, 0);
+		assert_vec_near(p.sigma.position_m, ZERO, 0);
+		assert_vec_near(p.sigma.displacement_m, ZERO, 0);
+		assert_vec_near(p.displacement_n_m, ZERO, 0);
+		assert_vec_near(p.displacement_sigma_m, ZERO, 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -187,6 +211,7 @@ int main(void)
 		cmocka_unit_test(test_with_the_position_off_it_stays_at_the_origin),
 		cmocka_unit_test(test_a_reset_returns_to_the_origin_and_restarts_the_integration_time),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
+		cmocka_unit_test(test_without_navigation_there_is_no_sigma_and_no_displacement),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

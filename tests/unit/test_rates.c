@@ -203,6 +203,24 @@ static void test_rates_begin_at_zero_whatever_the_memory_had(void **state)
 	}
 }
 
+static void test_a_new_filter_gives_the_rates_that_it_gives_from_the_start(void **state)
+{
+	const struct filter_config slow = {FILTER_BUTTERWORTH, 4, 5};
+	struct rates changed = rates(&SMOOTH), fresh = rates(&slow);
+
+	(void)state;
+	for (int k = 0; k <= 800; k++) {
+		if (k == 100)
+			assert_int_equal(rates_configure(&changed, &slow, RATE_HZ), 0);
+		step_swinging(&changed, k);
+		step_swinging(&fresh, k);
+	}
+	for (int i = 0; i < RATE_SOURCES; i++) {
+		assert_vec_near(changed.out[i].omega_b_rad_s, fresh.out[i].omega_b_rad_s, 1e-6);
+		assert_vec_near(changed.out[i].alpha_b_rad_s2, fresh.out[i].alpha_b_rad_s2, 1e-6);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -217,6 +235,7 @@ int main(void)
 		cmocka_unit_test(test_a_new_filter_continues_without_a_step),
 		cmocka_unit_test(test_a_filter_out_of_range_is_refused_and_the_old_one_stays),
 		cmocka_unit_test(test_rates_begin_at_zero_whatever_the_memory_had),
+		cmocka_unit_test(test_a_new_filter_gives_the_rates_that_it_gives_from_the_start),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
