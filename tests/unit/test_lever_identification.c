@@ -532,6 +532,58 @@ static void test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsu
 	}
 }
 
+/* Systematic errors: 0.7 mm of the reference point, and 0.5 % of the lever arm for the scale of the sensors. The effect of
+ * a delay is what its estimate changes. */
+static void test_sigma_is_made_of_noise_systematic_errors_and_the_effect_of_a_delay_axis_by_axis(void **state)
+{
+	struct scene s = with_reference(0.01);
+	struct lever_estimate e, delayed;
+	struct vec3 off, n;
+	double systematic;
+
+	(void)state;
+	s.travel_m = (struct vec3){0, 0.5, 0};
+	s.travel_hz.y = s.swing_hz.x;
+	s.travel_ahead_s = 0.25 / s.swing_hz.x;
+	delayed = identify(&s);
+	s.estimate_delay = false;
+	e = identify(&s);
+	off = vec3_sub(e.lever_arm_b_m, delayed.lever_arm_b_m);
+	n = e.noise_sigma_b_m;
+	systematic = hypot(0.0007, 0.005 * vec3_norm(e.lever_arm_b_m));
+	assert_true(fabs(off.x) > 1e-5 && fabs(off.y) > 1e-5 && fabs(off.z) > 1e-5);
+	assert_near(e.sigma_b_m.x, sqrt(n.x * n.x + systematic * systematic + off.x * off.x), 1e-9);
+	assert_near(e.sigma_b_m.y, sqrt(n.y * n.y + systematic * systematic + off.y * off.y), 1e-9);
+	assert_near(e.sigma_b_m.z, sqrt(n.z * n.z + systematic * systematic + off.z * off.z), 1e-9);
+}
+
+/* Turned much about one axis, along which the lever arm is then least certain. */
+static void test_the_noise_sigma_of_each_axis_is_that_of_its_scatter(void **state)
+{
+	enum { SEEDS = 30 };
+
+	(void)state;
+	for (int axis = 0; axis < 3; axis++) {
+		struct vec3 scatter = {0, 0, 0}, stated = {0, 0, 0};
+		struct scene s = BY_HAND;
+
+		s.sensor = "lsm303dlhc_l3gd20";
+		s.seconds = 15;
+		s.swing_hz = (struct vec3){0.31, 0.43, 0.37};
+		s.swing_rad = (struct vec3){axis == 0 ? 1.2 : 0.4, axis == 1 ? 1.2 : 0.4, axis == 2 ? 1.2 : 0.4};
+		for (s.seed = 1; s.seed <= SEEDS; s.seed++) {
+			struct lever_estimate e = identify(&s);
+			struct vec3 off = vec3_sub(e.lever_arm_b_m, ARM), n = e.noise_sigma_b_m;
+
+			scatter = vec3_add(scatter, (struct vec3){off.x * off.x, off.y * off.y, off.z * off.z});
+			stated = vec3_add(stated, (struct vec3){n.x * n.x, n.y * n.y, n.z * n.z});
+		}
+		assert_true(scatter.x / stated.x > 0.4 && scatter.x / stated.x < 2.5);
+		assert_true(scatter.y / stated.y > 0.4 && scatter.y / stated.y < 2.5);
+		assert_true(scatter.z / stated.z > 0.4 && scatter.z / stated.z < 2.5);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -561,6 +613,8 @@ int main(void)
 		cmocka_unit_test(test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases),
 		cmocka_unit_test(test_blocks_that_are_free_again_do_not_count),
 		cmocka_unit_test(test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsure),
+		cmocka_unit_test(test_sigma_is_made_of_noise_systematic_errors_and_the_effect_of_a_delay_axis_by_axis),
+		cmocka_unit_test(test_the_noise_sigma_of_each_axis_is_that_of_its_scatter),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

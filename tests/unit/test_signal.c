@@ -383,6 +383,27 @@ static void test_the_boat_heaves_with_half_the_acceleration_of_its_wave(void **s
 	assert_true(fabs(most / (boat->angle_rad * 9.81 / 2) - 1) < 0.15);
 }
 
+/* The wheelbase is 0.3 m: a bump that pitches the robot by the angle lifts its centre by 0.15 m times that. */
+static void test_rough_ground_rolls_pitches_and_lifts_the_robot_by_its_angle_while_it_drives(void **state)
+{
+	const struct signal *square = signal_find("square");
+	struct vec3 most = {0, 0, 0};
+
+	(void)state;
+	for (double t = 0; t < square->period_s; t += 0.002) {
+		struct signal_truth truth;
+
+		signal_at(square, t, &truth);
+		most.x = fmax(most.x, fabs(truth.angles_rad.x));
+		most.y = fmax(most.y, fabs(truth.angles_rad.y));
+		most.z = fmax(most.z, fabs(truth.position_n_m.z) / 0.15);
+	}
+	most = vec3_scale(1 / (3 * RAD_PER_DEG), most);
+	assert_true(most.x > 0.99 && most.x <= 1);
+	assert_true(most.y > 0.99 && most.y <= 1);
+	assert_true(most.z > 0.99 && most.z <= 1);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -400,6 +421,7 @@ int main(void)
 		cmocka_unit_test(test_an_unknown_name_gives_no_signal),
 		cmocka_unit_test(test_the_multiposition_signal_rests_on_every_face_and_every_corner),
 		cmocka_unit_test(test_the_boat_heaves_with_half_the_acceleration_of_its_wave),
+		cmocka_unit_test(test_rough_ground_rolls_pitches_and_lifts_the_robot_by_its_angle_while_it_drives),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
