@@ -836,6 +836,27 @@ static void test_a_parabola_needs_a_span_of_15_K(void **state)
 	assert_near(temperature.result.compensation.gyro_quadratic.y, 1e-6, 1e-9);
 }
 
+static void test_biases_that_do_not_change_with_the_temperature_have_no_slope_and_no_residual(void **state)
+{
+	const struct calibrate_temperature_result *r = &temperature.result;
+	struct imu_sample s = {.gyro_rad_s = {1.1, -0.7, 0.3}, .accel_m_s2 = {5.3, 6.1, -5.7}};
+
+	(void)state;
+	calibrate_temperature_init(&temperature);
+	s.flags = SAMPLE_TEMPERATURE;
+	for (int i = 0; i < 10000; i++) {
+		s.t_us += INTERVAL_US;
+		s.temperature_degC = 20 + i / 1000.0;
+		calibrate_temperature_step(&temperature, &s);
+	}
+	assert_int_equal(calibrate_temperature_finish(&temperature), CALIBRATE_GOOD);
+	assert_vec_near(r->gyro_rad_s, s.gyro_rad_s, 1e-12);
+	assert_vec_near(r->compensation.gyro_slope, ((struct vec3){0, 0, 0}), 1e-15);
+	assert_vec_near(r->compensation.accel_slope, ((struct vec3){0, 0, 0}), 1e-15);
+	assert_vec_near(r->gyro_residual_rad_s, ((struct vec3){0, 0, 0}), 1e-12);
+	assert_vec_near(r->accel_residual_m_s2, ((struct vec3){0, 0, 0}), 1e-12);
+}
+
 /* ---- the ellipsoid ----------------------------------------------------------------------------------------------- */
 
 static double sum_of_squares(const struct vec3 *points, int count, const struct ellipsoid *e)
@@ -956,6 +977,7 @@ int main(void)
 		cmocka_unit_test(test_a_rest_with_one_block_does_not_count_for_the_slope),
 		cmocka_unit_test(test_a_temperature_calibration_needs_20_seconds_of_rest_and_5_K),
 		cmocka_unit_test(test_a_parabola_needs_a_span_of_15_K),
+		cmocka_unit_test(test_biases_that_do_not_change_with_the_temperature_have_no_slope_and_no_residual),
 		cmocka_unit_test(test_the_fit_of_an_ellipsoid_is_that_of_least_squares_whichever_point_is_off),
 		cmocka_unit_test(test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives),
 	};

@@ -584,6 +584,66 @@ static void test_the_noise_sigma_of_each_axis_is_that_of_its_scatter(void **stat
 	}
 }
 
+/* ---- limits of the verdicts -------------------------------------------------------------------------------------- */
+
+/* RMS of what the lever arm adds to the acceleration. */
+static double arm_rms(const struct scene *s)
+{
+	const int count = (int)(s->seconds * s->rate_hz);
+	double sum = 0;
+
+	for (int k = 0; k < count; k++) {
+		struct signal_truth t;
+		struct vec3 a;
+
+		truth_at(s, k / s->rate_hz, &t);
+		a = vec3_add(vec3_cross(t.alpha_b_rad_s2, s->arm_b_m),
+			vec3_cross(t.omega_b_rad_s, vec3_cross(t.omega_b_rad_s, s->arm_b_m)));
+		sum += vec3_dot(a, a) / count;
+	}
+	return sqrt(sum);
+}
+
+/* The reference point moves 3 % more each time, and its reference is late. */
+static void assert_residual_limit(struct scene s, double limit_m_s2)
+{
+	struct lever_estimate e = {.verdict = LEVER_FOUND};
+
+	for (double sway_m = 4e-4; e.verdict != LEVER_NOT_HELD; sway_m *= 1.03) {
+		s.travel_m = vec3_scale(sway_m, (struct vec3){1, 1, 1});
+		e = identify(&s);
+	}
+	assert_near(e.residual_m_s2, limit_m_s2, 0.04 * limit_m_s2);
+}
+
+static void test_the_residual_may_be_0_3_m_s2_or_1_with_a_reference_and_a_tenth_of_what_the_arm_explains(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct scene s = BY_HAND;
+
+		s.sensor = "ideal";
+		s.seconds = 15;
+		s.travel_hz = (struct vec3){1.9, 2.3, 2.7};
+		s.reference = i == 1;
+		s.delay_s = 0.7;
+		if (i < 2)
+			s.arm_b_m = (struct vec3){0, 0, 0};
+		assert_residual_limit(s, (s.reference ? 1 : 0.3) + 0.1 * arm_rms(&s));
+	}
+}
+
+static void test_up_to_three_lost_samples_in_a_row_are_interpolated(void **state)
+{
+	struct scene s = BY_HAND;
+
+	(void)state;
+	s.pause_each = 8; /* 5, 6 and 7 of each 8 are lost */
+	assert_int_equal(identify(&s).verdict, LEVER_FOUND);
+	s.pause_each = 9; /* 5 to 8 of each 9 */
+	assert_int_equal(identify(&s).verdict, LEVER_TOO_SHORT);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -615,6 +675,9 @@ int main(void)
 		cmocka_unit_test(test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsure),
 		cmocka_unit_test(test_sigma_is_made_of_noise_systematic_errors_and_the_effect_of_a_delay_axis_by_axis),
 		cmocka_unit_test(test_the_noise_sigma_of_each_axis_is_that_of_its_scatter),
+		cmocka_unit_test(
+			test_the_residual_may_be_0_3_m_s2_or_1_with_a_reference_and_a_tenth_of_what_the_arm_explains),
+		cmocka_unit_test(test_up_to_three_lost_samples_in_a_row_are_interpolated),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1321,6 +1321,24 @@ static void test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm(v
 			run(&off, moving, k, k + 1).accel_n_m_s2, 1e-12);
 }
 
+/* Far below the frequency of the motion the filter's output differs from its input. */
+static void test_a_new_acceleration_filter_continues_from_the_last_output(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct vec3 before, after;
+	struct pipeline p;
+
+	(void)state;
+	config.accel_filter = (struct filter_config){.type = FILTER_BUTTERWORTH, .order = 2, .cutoff_hz = 0.2};
+	p = pipeline(&config);
+	before = run(&p, moving, 0, 450).accel_n_m_s2;
+	config.accel_filter.order = 3;
+	assert_int_equal(pipeline_configure(&p, &config), 0);
+	after = run(&p, moving, 450, 451).accel_n_m_s2;
+	assert_true(vec3_norm(vec3_sub(before, moving(450).accel_n)) > 0.5);
+	assert_vec_near(after, before, 0.01);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1379,6 +1397,7 @@ int main(void)
 		cmocka_unit_test(test_between_measurements_of_the_field_the_last_one_is_reported),
 		cmocka_unit_test(test_a_robot_at_rest_does_not_accelerate),
 		cmocka_unit_test(test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm),
+		cmocka_unit_test(test_a_new_acceleration_filter_continues_from_the_last_output),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
