@@ -1339,6 +1339,50 @@ static void test_a_new_acceleration_filter_continues_from_the_last_output(void *
 	assert_vec_near(after, before, 0.01);
 }
 
+static void test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+
+	(void)state;
+	config.rest.gyro_threshold_rad_s = 0.011;
+	config.rest.accel_threshold_m_s2 = 0.12;
+	config.rest.time_s = 1.3;
+	config.latency.sensor_s = 0.014;
+	config.noise.mag_sigma_uT = 1.5;
+	config.noise.accel_density_m_s2_sqrt_hz = 0.016;
+	for (int fresh = 0; fresh < 2; fresh++) {
+		const struct navigation_config *n = &p.position.config.navigation;
+
+		if (fresh)
+			p = pipeline(&config);
+		else
+			assert_int_equal(pipeline_configure(&p, &config), 0);
+		assert_near(n->standstill.gyro_threshold_rad_s, 0.011, 0);
+		assert_near(n->standstill.accel_threshold_m_s2, 0.12, 0);
+		assert_near(n->rest_s, 1.3, 0);
+		assert_near(n->noise.accel_density_m_s2_sqrt_hz, 0.016, 0);
+		assert_near(p.fusion.config.delay_s, 0.014, 0);
+		assert_near(p.fusion.config.kalman.field_sigma_uT, 1.5, 0);
+		assert_vec_near(p.fusion.config.lever_arm_b_m, LEVER_B, 0);
+	}
+}
+
+static void test_a_new_gyro_bias_is_not_an_angular_acceleration(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out;
+
+	(void)state;
+	run(&p, standing, 0, 400);
+	config.calibration.gyro.bias.x = -0.5;
+	assert_int_equal(pipeline_configure(&p, &config), 0);
+	out = run(&p, standing, 400, 401);
+	assert_vec_near(out.alpha_b_rad_s2, ZERO, 0);
+	assert_vec_near(out.rate_b_rad_s, ((struct vec3){0.5, 0, 0}), 0.01);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1398,6 +1442,8 @@ int main(void)
 		cmocka_unit_test(test_a_robot_at_rest_does_not_accelerate),
 		cmocka_unit_test(test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm),
 		cmocka_unit_test(test_a_new_acceleration_filter_continues_from_the_last_output),
+		cmocka_unit_test(test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise),
+		cmocka_unit_test(test_a_new_gyro_bias_is_not_an_angular_acceleration),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -603,9 +603,8 @@ static void test_a_new_parameter_of_the_navigation_does_not_interrupt_the_moveme
 /* The interrupted movement is dropped, the next one is whole. */
 static void assert_movement_dropped(void)
 {
-	drive(11.8);
-	assert_int_equal(smoother.last.number, 0);
-	drive_to_the_end();
+	assert_true(drive_to_the_end() > 10 * RATE_HZ);
+	assert_int_equal(smoother.last.number, 1);
 	assert_true(smoother.last.whole);
 	assert_ends_at_the_displacement();
 }
@@ -751,16 +750,13 @@ static void test_without_a_smoother_or_a_movement_nothing_is_recorded(void **sta
 
 static void test_a_smoother_set_while_moving_begins_with_the_next_movement(void **state)
 {
-	int from;
-
 	(void)state;
 	switch_on(1);
 	drive(5);
 	assert_true(smoother.recording);
 	pipeline_smooth(&robot.pipeline, &smoother);
 	assert_false(smoother.recording);
-	from = drive_to_the_end();
-	assert_true(from > 10 * RATE_HZ);
+	assert_movement_dropped();
 }
 
 int main(void)
