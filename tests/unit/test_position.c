@@ -186,8 +186,10 @@ static void test_without_navigation_there_is_no_sigma_and_no_displacement(void *
 
 		p.sigma = (struct navigation_sigma){some, some, some, some, some};
 		p.displacement_n_m = p.displacement_sigma_m = some;
+		p.navigation.started = true;
 		config.mode = modes[i];
 		assert_int_equal(position_configure(&p, &config), 0);
+		assert_false(p.navigation.started); /* it starts again when it is switched on again */
 		assert_vec_near(p.sigma.attitude_rad, ZERO, 0);
 		assert_vec_near(p.sigma.accel_m_s2, ZERO, 0);
 		assert_vec_near(p.sigma.velocity_m_s, ZERO, 0);
