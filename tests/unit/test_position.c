@@ -200,6 +200,17 @@ static void test_without_navigation_there_is_no_sigma_and_no_displacement(void *
 	}
 }
 
+/* 0.25 s of a time constant of 1 s have the share 0.25 / 1.25. */
+static void test_the_mean_acceleration_at_rest_has_a_time_constant_of_a_second(void **state)
+{
+	struct position p = no_limit();
+
+	(void)state;
+	position_step(&p, (struct vec3){1, 0, 0}, true, 0.25);
+	position_step(&p, (struct vec3){1, 0, 0}, false, 0.1);
+	assert_near(p.velocity_n_m_s.x, 0.1 * (1 - 0.2), 1e-15);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -214,6 +225,7 @@ int main(void)
 		cmocka_unit_test(test_a_reset_returns_to_the_origin_and_restarts_the_integration_time),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
 		cmocka_unit_test(test_without_navigation_there_is_no_sigma_and_no_displacement),
+		cmocka_unit_test(test_the_mean_acceleration_at_rest_has_a_time_constant_of_a_second),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
