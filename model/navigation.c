@@ -19,10 +19,10 @@ static const struct vec3 ZERO = {0, 0, 0};
 
 /* What each preset assumes. */
 static const struct assumptions {
-	bool dwell;	    /* what is steady for long enough stands, whatever its velocity is estimated to be */
-	bool levelling;	    /* the velocity averages out */
 	double slowest_m_s; /* of a steady motion */
 	double creep_m_s;   /* of what turns, and seems to turn in place */
+	bool dwell;	    /* what is steady for long enough stands, whatever its velocity is estimated to be */
+	bool levelling;	    /* the velocity averages out */
 	bool stances;	    /* short ones, in which a foot rolls on */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
