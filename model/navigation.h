@@ -104,7 +104,7 @@ struct navigation {
 	bool stood;		       /* since the start */
 	bool turning;		       /* it differs from zero: the object turns in place */
 	double turning_s;	       /* for so long, in this standstill */
-	double stances_s;	       /* sum of all stances of a foot */
+	double walked_s;	       /* on foot, without the standstills */
 	struct vec3 net_turn_b_rad;    /* integral of the rate since the last standstill, */
 	double net_turn2_max_rad2;     /* .. and its greatest square */
 	double accelerated_s;	       /* for how long it still counts as accelerating */

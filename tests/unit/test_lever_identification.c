@@ -413,10 +413,12 @@ static void test_a_missing_reference_is_reported(void **state)
 
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
-	struct lever_identification_config config = {.rate_hz = 20, .duration_s = 30};
+	struct lever_identification_config config = {.rate_hz = 24.9, .duration_s = 30};
 
 	(void)state;
 	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
+	config.rate_hz = 25;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
 	config = (struct lever_identification_config){.rate_hz = NAN, .duration_s = 30};
 	assert_int_equal(lever_identification_init(&id, &config), -EINVAL);
 	config = (struct lever_identification_config){.rate_hz = 100, .duration_s = 1};

@@ -15,16 +15,18 @@ struct step_truth {
 	bool swings;
 };
 
-/* Each swing begins and ends without velocity and without acceleration. */
-static struct step_truth walk(double t_s, double stance_s)
+/* Each swing begins and ends without velocity and without acceleration, and so does the roll by roll_m in each stance. */
+static struct step_truth walk(double t_s, double stance_s, double roll_m)
 {
 	double stride_s = SWING_S + stance_s, walked_s = t_s - REST_S;
 	double k = fmax(0, fmin(STRIDES - 1, floor(walked_s / stride_s)));
 	double u = fmax(0, fmin(1, (walked_s - k * stride_s) / SWING_S)), s = 2 * PI * u, w = 2 * PI / SWING_S;
+	double v = fmax(0, fmin(1, (walked_s - k * stride_s - SWING_S) / stance_s)), r = 2 * PI * v;
+	double roll_w = 2 * PI / stance_s;
 
 	return (struct step_truth){
-		.x_m = STRIDE_M * (k + u - sin(s) / (2 * PI)),
-		.accel_x_m_s2 = STRIDE_M * w * w / (2 * PI) * sin(s),
+		.x_m = STRIDE_M * (k + u - sin(s) / (2 * PI)) + roll_m * (k + v - sin(r) / (2 * PI)),
+		.accel_x_m_s2 = (STRIDE_M * w * w * sin(s) + roll_m * roll_w * roll_w * sin(r)) / (2 * PI),
 		.accel_z_m_s2 = HEIGHT_M * w * w / 2 * (cos(s) - cos(2 * s)),
 		.pitch_rad = PITCH_RAD * (sin(s) - sin(2 * s) / 2),
 		.rate_rad_s = PITCH_RAD * w * (cos(s) - cos(2 * s)),
@@ -39,7 +41,7 @@ struct run {
 	bool stood_in_mid_swing;
 };
 
-static struct run walks(enum motion_preset preset, double stance_s, double stance_time_s)
+static struct run rolls(enum motion_preset preset, double stance_s, double stance_time_s, double roll_m)
 {
 	struct pipeline_config config = PIPELINE_DEFAULTS;
 	const struct vec3 bias = {0.02, -0.015, 0.01};
@@ -57,7 +59,7 @@ static struct run walks(enum motion_preset preset, double stance_s, double stanc
 		struct imu_sample s = {.t_us = (uint64_t)(i + 1) * 5000, .flags = SAMPLE_MAG};
 		struct quat q;
 
-		truth = walk(i * DT_S, stance_s);
+		truth = walk(i * DT_S, stance_s, roll_m);
 		q = quat_from_rotation_vector((struct vec3){0, truth.pitch_rad, 0});
 		s.accel_m_s2 = quat_rotate_inverse(q, (struct vec3){truth.accel_x_m_s2, 0, truth.accel_z_m_s2 + G});
 		s.accel_m_s2 = vec3_add(vec3_add(s.accel_m_s2, bias), any_vec(0.025));
@@ -70,6 +72,11 @@ static struct run walks(enum motion_preset preset, double stance_s, double stanc
 	}
 	run.error_n_m = vec3_sub(run.out.position_n_m, (struct vec3){truth.x_m, 0, 0});
 	return run;
+}
+
+static struct run walks(enum motion_preset preset, double stance_s, double stance_time_s)
+{
+	return rolls(preset, stance_s, stance_time_s, 0);
 }
 
 static double worst_sigmas(const struct run *r)
@@ -90,6 +97,16 @@ static void test_each_stance_of_a_walk_is_a_zero_velocity_update(void **state)
 	assert_true(vec3_norm(r.error_n_m) < 0.03 * STRIDES * STRIDE_M);
 	assert_true(worst_sigmas(&r) < 3);
 	assert_true(vec3_norm(r.out.sigma.position_m) < 0.02 * STRIDES * STRIDE_M);
+}
+
+static void test_a_foot_that_rolls_on_in_each_stance_stays_within_the_sigma(void **state)
+{
+	struct run r = rolls(MOTION_FOOT, 0.4, 0, 0.008);
+
+	(void)state;
+	assert_int_equal(r.stances, STRIDES + 1);
+	assert_true(worst_sigmas(&r) < 3);
+	assert_true(r.out.sigma.position_m.x > 0.008 * STRIDES);
 }
 
 static void test_short_stances_are_used_less_and_the_sigma_says_so(void **state)
@@ -115,6 +132,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_each_stance_of_a_walk_is_a_zero_velocity_update),
+		cmocka_unit_test(test_a_foot_that_rolls_on_in_each_stance_stays_within_the_sigma),
 		cmocka_unit_test(test_short_stances_are_used_less_and_the_sigma_says_so),
 		cmocka_unit_test(test_the_stance_time_is_the_shortest_standstill_that_counts),
 	};
