@@ -243,6 +243,22 @@ static void test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped(vo
 	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 5);
 }
 
+static void test_of_two_superseded_frames_the_older_one_is_dropped_even_at_the_head(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	for (uint32_t i = 0; i < CAN_QUEUE_LEN; i++)
+		send_id(&fake, i == 0 || i == 5 ? 0x7FF : i, 1000);
+	send_id(&fake, 0x7FF, 1000);
+	fake.room = CAN_QUEUE_LEN;
+	can_service(&fake.port, 1000000);
+	assert_int_equal(fake.sent[0], 1);
+	assert_int_equal(fake.sent[4], 0x7FF);
+	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 0x7FF);
+}
+
 /* A bus with room for 10 frames that sends one every 250 us, fed in bursts of 20. */
 static void test_the_order_is_kept_through_many_refusals(void **state)
 {
@@ -406,6 +422,7 @@ int main(void)
 		cmocka_unit_test(test_a_full_queue_drops_the_oldest_frame_and_counts_it),
 		cmocka_unit_test(test_in_a_full_queue_a_new_frame_replaces_the_oldest_with_its_identifier),
 		cmocka_unit_test(test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped),
+		cmocka_unit_test(test_of_two_superseded_frames_the_older_one_is_dropped_even_at_the_head),
 		cmocka_unit_test(test_the_order_is_kept_through_many_refusals),
 		cmocka_unit_test(test_a_frame_that_the_bus_cannot_send_is_reported_and_counted),
 		cmocka_unit_test(test_queued_frames_are_dropped_and_counted_when_the_bus_goes_down),
