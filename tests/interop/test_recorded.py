@@ -180,19 +180,21 @@ class TheLeverArm(unittest.TestCase):
 
 
 class TheLastMovement(unittest.TestCase):
-    """The path read over the bus while the robot moves on is the one that imu9-replay writes."""
+    """The path read over the bus while the sensor moves on is the one that imu9-replay writes. A hand held it."""
+
+    HAND_HELD = ("--set", "position.motion_preset=1")
 
     def test_its_trajectory_equals_that_of_the_replay(self):
         lines = rig.recorded("09_").read_text().splitlines()
         log = rig.written("\n".join(lines[:1 + 68 * 286]) + "\n", ".imu.csv")  # the first movement ends after 61 s
         path = rig.scratch(".csv")
-        self.assertEqual(rig.run("imu9-replay", "--movements", path, log).returncode, 0)
+        self.assertEqual(rig.run("imu9-replay", *self.HAND_HELD, "--movements", path, log).returncode, 0)
         with open(path) as file:
             rows = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
         self.assertEqual({row["movement"] for row in rows}, {1})
         master = rig.open_master()
         self.addCleanup(master.close)
-        gateway = rig.Gateway(imu="replay:%s,speed=20" % log)
+        gateway = rig.Gateway(*self.HAND_HELD, imu="replay:%s,speed=20" % log)
         self.addCleanup(gateway.close)
         master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
         self.wait_for_it(master)
