@@ -17,8 +17,7 @@
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration, so every attitude filter
  * assumes that the acceleration averages out. Here the same is assumed of the reference point's velocity, from 5 s into
  * a movement on. How firmly depends on the movement: the spread is that of the high-passed velocity (above 1 / (2 pi
- * NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. A vehicle that keeps a speed for longer should switch
- * levelling off, or give the spread of its speed as the prior.
+ * NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. It is not for a vehicle that keeps a speed for longer.
  *
  * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
  * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state). */
@@ -49,12 +48,12 @@ enum motion_preset {
 };
 
 struct navigation_config {
-	/** Default MOTION_ANY: honest for every motion. The others are more accurate where they are true, and wrong by more
+	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are more accurate where they are true, and wrong by more
 	 * than their sigma where they are not. */
 	enum motion_preset preset;
-	/** 0 or 1 (default): levelling, as above; without effect while there is a prior. 0 for vehicles that keep a
-	 * speed for more than some 10 s, whose position then drifts with the square of time; 1 for movements to and
-	 * fro. */
+	/** 0 (default) or 1: levelling, as above, with any preset; without effect while there is a prior. 0 for vehicles
+	 * that keep a speed for more than some 10 s, whose position then drifts with the square of time; 1 for
+	 * movements to and fro. */
 	int levelling;
 	/** m/s, >= 0, default 0 (none): 1 sigma of each component of the reference point's velocity during a movement,
 	 * used in place of levelling and from its first second on. A smaller one holds the velocity nearer to zero, a
