@@ -113,14 +113,16 @@ static void start_filter(struct fusion *f, struct vec3 up_b, double force_m_s2)
 	fusion_kalman_start(&f->kalman, &f->config.kalman, force_m_s2);
 }
 
-/* Turns the attitude about the vertical until the measured field, of direction h_n now, points to north. */
-static void set_heading_by_field(struct fusion *f, struct vec3 h_n)
+/* Turns the attitude about the vertical until the measured field, of direction h_n now and this length, points to
+ * north. */
+static void set_heading_by_field(struct fusion *f, struct vec3 h_n, double field_uT)
 {
 	struct vec3 turn = {0, 0, atan2(h_n.x, h_n.y) - f->kalman.north_rad};
 
 	f->q_nb = quat_multiply(quat_from_rotation_vector(turn), f->q_nb);
 	f->north_known = true;
-	fusion_kalman_set_north(&f->kalman, &f->config.kalman);
+	fusion_kalman_set_north(&f->kalman, &f->config.kalman, f->q_nb,
+		quat_rotate(quat_from_rotation_vector(turn), vec3_scale(field_uT, h_n)));
 }
 
 /* As long as a yaw from outside holds, the field does not correct the heading: its north is estimated. Returns whether
@@ -142,11 +144,12 @@ static bool estimate_north(struct fusion_kalman *k, struct vec3 h_n, double dt_s
  * that the field corrects the heading rather than the tilt. 0 without a usable measurement. */
 static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
-	struct vec3 m, h_n, none = {0, 0, 0}, north;
+	struct vec3 m, h_n, none = {0, 0, 0}, north, field_b_uT;
 	double horizontal;
 
 	f->mag_used = false;
-	if (!f->config.use_magnetometer || !(sample->flags & SAMPLE_MAG) || !direction(sample->mag_uT, &m))
+	field_b_uT = vec3_sub(sample->mag_uT, f->kalman.hard_iron.offset_b_uT);
+	if (!f->config.use_magnetometer || !(sample->flags & SAMPLE_MAG) || !direction(field_b_uT, &m))
 		return none;
 	h_n = quat_rotate(f->q_nb, m);
 	horizontal = hypot(h_n.x, h_n.y);
@@ -156,7 +159,7 @@ static struct vec3 field_error(struct fusion *f, const struct imu_sample *sample
 		return none;
 	f->mag_used = true;
 	if (!f->north_known) {
-		set_heading_by_field(f, h_n);
+		set_heading_by_field(f, h_n, vec3_norm(field_b_uT));
 		return none;
 	}
 	north = (struct vec3){horizontal * sin(f->kalman.north_rad), horizontal * cos(f->kalman.north_rad), h_n.z};
@@ -209,9 +212,11 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 		.saturated = sample->flags & SAMPLE_SATURATED,
 	};
 
-	if (!f->north_known)
+	if (!f->north_known && !fusion_kalman_field_disagrees(&f->kalman))
 		field_error(f, sample, dt_s);
 	f->mag_used = fusion_kalman_step(&f->kalman, &f->config.kalman, &s, dt_s, &f->q_nb, &f->gyro_errors);
+	f->north_known &= !f->kalman.north_lost;
+	f->kalman.north_lost = false;
 }
 
 static struct vec3 rotation_since_last(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)

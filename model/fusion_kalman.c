@@ -118,6 +118,10 @@ static const double MEAN_FORCE_TIME_S = 1;
 static const double LOST_TILT_RAD = 60 * RAD_PER_DEG;
 /* rad, 1 sigma of the heading after that. By judgement: unknown, but still linear. */
 static const double LOST_HEADING_RAD = 1;
+/* rad, by which a hard-iron offset may have turned the heading so that the linear correction holds. By judgement. */
+static const double LINEAR_HEADING_RAD = 0.3;
+/* rad, 1 sigma of a heading of which nothing is known. Derived: uniform over a full turn. */
+static const double UNKNOWN_HEADING_RAD = PI / 1.7320508;
 
 /* ---- magnetic field ---- */
 
@@ -228,6 +232,7 @@ void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalm
 	gyro_errors->bias_b_rad_s = quat_rotate(turn, gyro_errors->bias_b_rad_s);
 	gyro_errors->scale_b = (struct vec3){0, 0, 0};
 	k->lever_arm_b_m = quat_rotate(turn, k->lever_arm_b_m);
+	k->hard_iron = (struct hard_iron){.turns = 0};
 	clear_sums(k);
 }
 
@@ -253,10 +258,36 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	clear_sums(k);
 }
 
-void fusion_kalman_set_north(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+/* Moves towards what an offset in the object frame does to a heading set by a field with this horizontal part. */
+static void follow_by_offset(struct fusion_kalman *k, struct quat q_nb, struct vec3 field_n_uT, double share)
+{
+	double x = field_n_uT.x, y = field_n_uT.y, horizontal2 = x * x + y * y;
+	struct vec3 across = quat_rotate_inverse(q_nb, (struct vec3){-y / horizontal2, x / horizontal2, 0});
+	struct vec3 along = quat_rotate_inverse(q_nb, (struct vec3){x / horizontal2, y / horizontal2, 0});
+	struct vec3 *turn = &k->heading_by_offset_rad_uT, *add = &k->field_by_offset_1_uT;
+
+	*turn = vec3_add(*turn, vec3_scale(share, vec3_sub(across, *turn)));
+	*add = vec3_add(*add, vec3_scale(share, vec3_sub(along, *add)));
+}
+
+double fusion_kalman_heading_variance(const struct fusion_kalman *k)
+{
+	double variance =
+		k->covariance[HEADING][HEADING] + hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
+
+	if (!k->north_from_field)
+		return k->covariance[HEADING][HEADING];
+	return k->hard_iron.disagrees && !k->hard_iron.agreed ? squared(UNKNOWN_HEADING_RAD)
+							      : fmin(squared(UNKNOWN_HEADING_RAD), variance);
+}
+
+void fusion_kalman_set_north(
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, struct vec3 field_n_uT)
 {
 	set_variance(k, HEADING, squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0]);
+	follow_by_offset(k, q_nb, field_n_uT, 1);
 	k->norm_uT = 0; /* the next field becomes the reference */
+	k->north_from_field = true;
 }
 
 void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kalman_config *config)
@@ -268,6 +299,7 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 		fusion_kalman_reset_gyro_errors(k, config);
 	k->norm_uT = 0;
 	k->north_unknown = true;
+	k->north_from_field = false;
 	clear_sums(k);
 }
 
@@ -562,14 +594,15 @@ static bool is_heading_outlier(
 }
 
 static bool measure_heading(
-	struct fusion_kalman *k, const struct fusion_kalman_config *config, bool rest, double *error)
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, bool rest, double *error)
 {
 	struct vec3 m = vec3_scale(1.0 / k->sums.fields, k->sums.field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
 	double factor, variance = squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0],
 		       pose_s, white, off;
+	struct vec3 across;
 
-	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT))
+	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT) || k->hard_iron.disagrees)
 		return false;
 	f.dip_rad = atan2(-m.z, f.horizontal_uT);
 	if (k->norm_uT == 0) {
@@ -590,9 +623,13 @@ static bool measure_heading(
 	off = north_innovation(k, atan2(m.x, m.y));
 	if (k->aided_heading_s > 0 || is_heading_outlier(k, config, off, variance))
 		return false;
+	across = quat_rotate_inverse(q_nb, (struct vec3){-m.y, m.x, 0});
+	variance += hard_iron_variance(&k->hard_iron, across) / pow(f.horizontal_uT, 4);
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
 	white = squared(config->field_sigma_uT / f.horizontal_uT) / k->sums.fields;
-	measure(k, error, HEADING, off, factor * (2 * pose_s / k->sums.time_s * variance + white));
+	variance = factor * (2 * pose_s / k->sums.time_s * variance + white);
+	follow_by_offset(k, q_nb, m, k->covariance[HEADING][HEADING] / (k->covariance[HEADING][HEADING] + variance));
+	measure(k, error, HEADING, off, variance);
 	return true;
 }
 
@@ -633,6 +670,7 @@ void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 	reset_velocity(k);
 	clear_sums(k);
 	k->north_unknown = true;
+	k->north_from_field = false;
 	k->aided_heading_s = AID_S;
 	k->heading_rejections = 0;
 }
@@ -737,9 +775,10 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	k->resting = rest;
 	measure_velocity(k, config, lever_n_m_s, rest, error);
 	measure_bias(k, steady, gyro_errors->bias_b_rad_s, error);
-	field_used = k->sums.fields > 0 && measure_heading(k, config, rest, error);
+	field_used = k->sums.fields > 0 && measure_heading(k, config, *q_nb, rest, error);
 	if (!covariance_is_valid(k)) {
 		*gyro_errors = (struct gyro_errors){0};
+		k->hard_iron = (struct hard_iron){.turns = 0};
 		fusion_kalman_reset_gyro_errors(k, config);
 		fusion_kalman_start(k, config, 0);
 		return false;
@@ -772,6 +811,66 @@ static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double d
 	reset_velocity(k);
 	clear_sums(k);
 	k->lever_known = false;
+	hard_iron_skip(&k->hard_iron);
+}
+
+/* The heading was set by a field that was wrong: the next one sets it. */
+static void lose_north(struct fusion_kalman *k)
+{
+	k->north_lost = k->north_from_field;
+	k->north_unknown = !k->north_from_field;
+	k->sums.field_n_uT = k->sums.field_b_uT = (struct vec3){0, 0, 0};
+	k->sums.fields = 0;
+}
+
+/* What the heading owes to earlier fields says nothing of an offset that changes now. */
+static void part_from_offset(struct fusion_kalman *k)
+{
+	double variance = hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
+
+	k->heading_by_offset_rad_uT = k->field_by_offset_1_uT = (struct vec3){0, 0, 0};
+	if (variance < squared(LINEAR_HEADING_RAD))
+		k->covariance[HEADING][HEADING] += variance;
+	else
+		lose_north(k);
+}
+
+/* A better offset turns the heading back as far as the one before had turned it. */
+static void improve_offset(struct fusion_kalman *k, struct vec3 change_b_uT, struct quat *q_nb)
+{
+	double turn = atan2(
+		vec3_dot(k->heading_by_offset_rad_uT, change_b_uT), 1 - vec3_dot(k->field_by_offset_1_uT, change_b_uT));
+
+	if (fabs(turn) > LINEAR_HEADING_RAD)
+		lose_north(k);
+	else if (turn != 0)
+		*q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, turn}), *q_nb);
+}
+
+static void use_field(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	const struct fusion_kalman_sample *s, double dt_s, struct quat *q_nb)
+{
+	struct hard_iron *h = &k->hard_iron;
+	struct vec3 before = h->offset_b_uT;
+	enum hard_iron_event event = hard_iron_step(h, s->rate_b_rad_s, s->field_b_uT, config->field_sigma_uT, dt_s);
+
+	if (s->saturated)
+		hard_iron_skip(h);
+	if (event == HARD_IRON_FOUND)
+		k->norm_uT = 0; /* the next field becomes the reference */
+	if (event == HARD_IRON_DISAGREES && !h->agreed)
+		lose_north(k);
+	if (k->north_from_field && h->changes)
+		part_from_offset(k);
+	if (k->north_from_field)
+		improve_offset(k, vec3_sub(h->offset_b_uT, before), q_nb);
+	if (s->field_b_uT) {
+		struct vec3 field = vec3_sub(*s->field_b_uT, h->offset_b_uT);
+
+		k->sums.field_n_uT = vec3_add(k->sums.field_n_uT, quat_rotate(*q_nb, field));
+		k->sums.field_b_uT = vec3_add(k->sums.field_b_uT, field);
+		k->sums.fields++;
+	}
 }
 
 /* A new lever arm adds its share to the accelerometer's velocity, so that the reference point's does not jump. */
@@ -811,11 +910,7 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->sums.rest_s += s->rest ? dt_s : 0;
 	k->sums.steady_s = s->steady_s;
 	k->sums.unmeasured_turn_rad += s->saturated ? SATURATED_SHARE * dt_s * vec3_norm(s->rate_b_rad_s) : 0;
-	if (s->field_b_uT) {
-		k->sums.field_n_uT = vec3_add(k->sums.field_n_uT, quat_rotate(*q_nb, *s->field_b_uT));
-		k->sums.field_b_uT = vec3_add(k->sums.field_b_uT, *s->field_b_uT);
-		k->sums.fields++;
-	}
+	use_field(k, config, s, dt_s, q_nb);
 	k->sums.time_s += dt_s;
 	if (k->sums.time_s < CORRECTION_S)
 		return false;

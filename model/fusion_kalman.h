@@ -20,6 +20,8 @@
  * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
  *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
  *   filter): the field of a magnet in the object would look just like a scale error.
+ * - Agreement of field and gyro (hard_iron.h). A hard-iron offset that the motion shows is subtracted. While the field
+ *   does not turn as the gyro says, it is not used, and a heading that it gave is unknown.
  * - Heading and velocity from outside, with the sigma given. While headings come, the magnetometer only estimates where
  *   its north lies in their frame. While velocities come, the last one is the expected velocity in place of zero.
  *
@@ -33,6 +35,7 @@
 #ifndef MODEL_FUSION_KALMAN_H
 #define MODEL_FUSION_KALMAN_H
 
+#include "model/hard_iron.h"
 #include "model/math/quat.h"
 #include "model/math/units.h"
 
@@ -146,6 +149,12 @@ struct fusion_kalman {
 	bool north_unknown;	/* the next field defines it */
 	double aided_heading_s; /* for so long the last heading from outside holds */
 	int heading_rejections; /* of headings from outside, in a row */
+	struct hard_iron hard_iron;
+	struct vec3
+		heading_by_offset_rad_uT; /* how an offset of the field in the object frame has turned the heading, */
+	struct vec3 field_by_offset_1_uT; /* .. and the share by which it added to the horizontal field */
+	bool north_from_field;		  /* the heading was set by the field, not from outside */
+	bool north_lost; /* and the field has shown since that it was wrong: to be set anew by the next one */
 	double aided_velocity_n_m_s[2], aided_velocity_s; /* the last from outside, and for how long it holds */
 };
 
@@ -154,8 +163,9 @@ int fusion_kalman_check(const struct fusion_kalman_config *config);
 /** A new attitude whose tilt is that of a force of this length. The estimates of the gyro's errors stay. The very first
  * time, zero the struct before. */
 void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config, double force_m_s2);
-/** The heading was set by the field. */
-void fusion_kalman_set_north(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The heading was set by this field. */
+void fusion_kalman_set_north(
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, struct vec3 field_n_uT);
 /** The estimates of the gyro's errors, or of its scale alone, were reset: their variances are those of the start. */
 void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);
@@ -186,6 +196,14 @@ struct fusion_kalman_sample {
 	bool rest, saturated;
 	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
+
+/** The field cannot be used now: it does not turn as the gyro says. */
+static inline bool fusion_kalman_field_disagrees(const struct fusion_kalman *k)
+{
+	return k->hard_iron.disagrees;
+}
+/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used. */
+double fusion_kalman_heading_variance(const struct fusion_kalman *k);
 
 /** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true
  * when a measured field took part in that. */

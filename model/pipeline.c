@@ -306,7 +306,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
 	fusion_step(&p->fusion, s, dt_s);
-	if (fusion_north_known(&p->fusion) != north_known)
+	if (fusion_north_known(&p->fusion) && !north_known)
 		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
 	return rest && (p->config.fusion.algorithm != FUSION_KALMAN || p->fusion.kalman.resting);
@@ -410,7 +410,7 @@ static struct vec3 fusion_variance(const struct pipeline *p)
 
 	if (p->config.fusion.algorithm != FUSION_KALMAN)
 		return (struct vec3){0, 0, 0};
-	return (struct vec3){k->covariance[0][0], k->covariance[1][1], k->covariance[2][2]};
+	return (struct vec3){k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k)};
 }
 
 static struct vec3 fusion_bias_variance(const struct pipeline *p)

@@ -1,0 +1,243 @@
+#include "model/hard_iron.h"
+
+#include <string.h>
+
+#include "model/math/kalman.h"
+#include "model/math/linalg.h"
+#include "model/math/rotation.h"
+
+/* rad, of a turn that counts. By judgement: large against the gyro's errors within seconds, small enough that a hand or an
+ * arm makes it. */
+static const double TURN_RAD = 0.5;
+/* s, for which it may last. By judgement: within that time an unknown gyro bias (0.5 deg/s) turns by a tenth of it. */
+static const double TURN_MOST_S = 5;
+/* 1 sigma of a field before and after a turn, as a share of its length; of its length; and s, of the lag between
+ * magnetometer and gyro. Tuned on the recorded trials of BROAD: with them the offset found is within its sigma of 0. */
+static const double FIELD_SHARE = 0.04, LENGTH_SHARE = 0.1, LAG_S = 0.01;
+/* Spread of the length, as a share of it, above which all of these are larger by as much. By judgement: fields that differ
+ * so from place to place pretend an offset. */
+static const double LENGTH_SPREAD = 0.05;
+/* uT, 1 sigma of the offset before anything is known. By judgement: a chip beside its supply lines. */
+static const double OFFSET_UT = 50;
+/* Turns of memory: of the offset, and of the agreement. By judgement: a magnet that was attached is found within a minute. */
+static const double OFFSET_TURNS = 100, AGREEMENT_TURNS = 50;
+/* Turns of the recent mean of what is unexplained, by how much that is larger than the mean before when the offset has
+ * changed (a magnet was attached, or removed), and what is kept then of the earlier turns, with every turn. By judgement:
+ * the recorded change is larger by ten. */
+static const double RECENT_TURNS = 6, CHANGED = 3, KEPT = 0.7;
+/* Factor of the greatest change of the field that a turn can make. By judgement: above the field's noise. */
+static const double POSSIBLE = 1.2;
+/* Turns before the offset, or the agreement, is judged. By judgement. */
+enum { OFFSET_TURNS_LEAST = 6, AGREEMENT_TURNS_LEAST = 4, AGREEMENT_TURNS_SURE = 10 };
+/* 1 sigma of what is left, as a share of the field: fields that differ from place to place pretend it. Tuned: the heading of
+ * the recorded trials with an offset added is within its sigma. */
+static const double PRETENDED_SHARE = 0.03;
+/* Least offset as a share of the field, and in sigmas. Tuned: the recorded fields of buildings pretend up to 0.1. Below the
+ * last, the magnet is gone. */
+static const double OFFSET_SHARE = 0.12, OFFSET_SIGMAS = 4, OFFSET_SHARE_LEAST = 0.06;
+/* 1 sigma of the offset along its worst axis, as a share of the field, that needs turns about all axes. By judgement. */
+static const double ALL_AXES_SHARE = 0.05;
+/* Share of the field's turn (root of the sums of squares) that is unexplained: beyond the first with few turns, beyond the
+ * second with more, it disagrees; below the third it agrees; below the fourth an offset explains it. Tuned: recorded fields
+ * leave 0.1 to 0.4, swapped or mirrored axes 0.5 to 2. */
+static const double DISAGREES_FEW = 0.9, DISAGREES = 0.6, AGREES = 0.4, EXPLAINED = 0.3;
+
+double hard_iron_variance(const struct hard_iron *h, struct vec3 d)
+{
+	const double v[3] = {d.x, d.y, d.z};
+	double sum = 0;
+
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			sum += v[i] * v[j] * h->variance_uT2[i][j];
+	return sum;
+}
+
+void hard_iron_skip(struct hard_iron *h)
+{
+	h->since_s = INFINITY;
+}
+
+static void begin_turn(struct hard_iron *h, struct vec3 field_b_uT, double rate2)
+{
+	h->turned = (struct quat){1, 0, 0, 0};
+	h->last_b_uT = field_b_uT;
+	h->last_rate2_rad2_s2 = rate2;
+	h->since_s = 0;
+}
+
+static void add_row(struct hard_iron *h, const double row[4], double value, double weight)
+{
+	for (int i = 0; i < 4; i++) {
+		for (int j = 0; j < 4; j++)
+			h->information[i][j] += weight * row[i] * row[j];
+		h->projection[i] += weight * row[i] * value;
+	}
+}
+
+static void forget(struct hard_iron *h, double kept)
+{
+	h->length_off2 *= kept;
+	h->unexplained *= kept;
+	h->turned_field *= kept;
+	h->unexplained_solved *= kept;
+	h->turned_field_solved *= kept;
+	for (int i = 0; i < 4; i++) {
+		for (int j = 0; j < 4; j++)
+			h->information[i][j] *= kept;
+		h->projection[i] *= kept;
+	}
+}
+
+/* Both relations of the header for one turn. */
+static void add_turn(
+	struct hard_iron *h, const struct mat3 *turn, struct vec3 field, struct vec3 apart, double variance)
+{
+	const double y[3] = {apart.x, apart.y, apart.z}, length2 = vec3_dot(field, field);
+	const double sphere[4] = {2 * field.x, 2 * field.y, 2 * field.z, 1};
+
+	for (int i = 0; i < 4; i++) {
+		for (int j = 0; j < 4; j++)
+			h->information[i][j] *= 1 - 1 / OFFSET_TURNS;
+		h->projection[i] *= 1 - 1 / OFFSET_TURNS;
+	}
+	for (int i = 0; i < 3; i++) {
+		const double row[4] = {(i == 0) - turn->m[i][0], (i == 1) - turn->m[i][1], (i == 2) - turn->m[i][2], 0};
+
+		add_row(h, row, y[i], 1 / variance);
+	}
+	add_row(h, sphere, length2, 1 / squared(2 * LENGTH_SHARE * squared(h->field_uT)));
+}
+
+/* The least-squares solution with its covariance; false where there is none. */
+static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4])
+{
+	memcpy(covariance, h->information, sizeof(h->information));
+	for (int i = 0; i < 3; i++)
+		covariance[i][i] += 1 / squared(OFFSET_UT);
+	covariance[3][3] += 1e-12;
+	if (linalg_invert(4, covariance[0]) < 0)
+		return false;
+	for (int i = 0; i < 4; i++) {
+		x[i] = 0;
+		for (int j = 0; j < 4; j++)
+			x[i] += covariance[i][j] * h->projection[j];
+	}
+	return true;
+}
+
+/* What the turn leaves unexplained with this offset, and how much the field turned; squares. Returns the former. */
+static double count(double *unexplained, double *turned_field, const struct mat3 *turn, struct vec3 field,
+	struct vec3 apart, struct vec3 offset, double weight)
+{
+	struct vec3 rest = vec3_sub(apart, vec3_sub(offset, mat3_apply(*turn, offset)));
+	struct vec3 from = vec3_sub(field, offset), change = vec3_sub(from, mat3_apply(*turn, from));
+	double rest2 = vec3_dot(rest, rest);
+
+	*unexplained += weight * rest2 - *unexplained / AGREEMENT_TURNS;
+	*turned_field += weight * vec3_dot(change, change) - *turned_field / AGREEMENT_TURNS;
+	return weight * rest2;
+}
+
+static enum hard_iron_event judge(struct hard_iron *h, const double x[4], double covariance[4][4])
+{
+	double share = sqrt(h->unexplained / h->turned_field),
+	       share_solved = sqrt(h->unexplained_solved / h->turned_field_solved);
+	struct vec3 b = {x[0], x[1], x[2]};
+	double length = vec3_norm(b), variance;
+	bool before = h->disagrees, found = h->known;
+	double worse = fmax(1, h->length_off2 / squared(LENGTH_SPREAD));
+
+	if (h->turns >= OFFSET_TURNS_LEAST && length > 0) {
+		for (int i = 0; i < 3; i++)
+			for (int j = 0; j < 3; j++)
+				h->variance_uT2[i][j] =
+					worse * covariance[i][j] + (i == j) * squared(PRETENDED_SHARE * h->field_uT);
+		variance = hard_iron_variance(h, vec3_scale(1 / length, b));
+		found = h->known ? length > OFFSET_SHARE_LEAST * h->field_uT
+				 : share_solved < EXPLAINED && length > OFFSET_SHARE * h->field_uT &&
+					   squared(length) > squared(OFFSET_SIGMAS) * variance;
+	}
+	if (!found) {
+		memset(h->variance_uT2, 0, sizeof(h->variance_uT2));
+		h->offset_b_uT = (struct vec3){0, 0, 0};
+		h->known = false;
+	} else {
+		h->offset_b_uT = b;
+		share = share_solved;
+	}
+	h->disagrees = before ? share > AGREES
+			      : h->turns >= AGREEMENT_TURNS_LEAST &&
+					share > (h->turns < AGREEMENT_TURNS_SURE ? DISAGREES_FEW : DISAGREES);
+	h->agreed |= share < EXPLAINED && h->turns >= AGREEMENT_TURNS_SURE &&
+		     fmax(covariance[0][0], fmax(covariance[1][1], covariance[2][2])) <
+			     squared(ALL_AXES_SHARE * h->field_uT);
+	if (found && !h->known) {
+		h->known = true;
+		return HARD_IRON_FOUND;
+	}
+	return h->disagrees == before ? HARD_IRON_NOTHING : before ? HARD_IRON_AGREES : HARD_IRON_DISAGREES;
+}
+
+static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, double rate2, double field_sigma_uT)
+{
+	struct mat3 turn = mat3_from_quat(quat_conjugate(h->turned));
+	struct vec3 apart = vec3_sub(field, mat3_apply(turn, h->last_b_uT));
+	double covariance[4][4], x[4] = {0}, rest2, length = vec3_norm(vec3_sub(field, h->offset_b_uT)), variance,
+				 weight;
+
+	h->field_uT += (length - h->field_uT) / fmin(h->turns + 1, AGREEMENT_TURNS);
+	variance = squared(h->field_uT) * (squared(FIELD_SHARE) + squared(LAG_S) * (rate2 + h->last_rate2_rad2_s2)) +
+		   2 * squared(field_sigma_uT);
+	weight = squared(FIELD_SHARE * h->field_uT) / variance / squared(h->field_uT);
+	if (!solve(h, covariance, x))
+		memset(x, 0, sizeof(x));
+	length = vec3_norm(vec3_sub(field, (struct vec3){x[0], x[1], x[2]}));
+	h->length_uT += (length - h->length_uT) / fmin(h->turns + 1, h->changes ? RECENT_TURNS : AGREEMENT_TURNS);
+	h->length_off2 += (squared(length / h->length_uT - 1) - h->length_off2) / fmin(h->turns + 1, AGREEMENT_TURNS);
+	count(&h->unexplained, &h->turned_field, &turn, field, apart, h->offset_b_uT, weight);
+	rest2 = count(&h->unexplained_solved, &h->turned_field_solved, &turn, field, apart,
+		(struct vec3){x[0], x[1], x[2]}, weight);
+	h->recent += (rest2 - h->recent) / RECENT_TURNS;
+	h->changes = h->recent > CHANGED * h->unexplained_solved / fmin(h->turns + 1, AGREEMENT_TURNS);
+	if (h->changes)
+		forget(h, KEPT);
+	add_turn(h, &turn, field, apart, variance);
+	h->turns += h->turns < 1000;
+	if (!solve(h, covariance, x)) { /* after nonsense measurements */
+		*h = (struct hard_iron){.turns = 0};
+		return HARD_IRON_NOTHING;
+	}
+	return judge(h, x, covariance);
+}
+
+/* Whether this turn can have changed the field so: |(I - R) b| is at most 2 sin(angle / 2) |b|, and |b| at most the sum of
+ * what is measured and the true field. A magnet that appears meanwhile changes it by more. */
+static bool is_possible(const struct hard_iron *h, struct vec3 field)
+{
+	double most = vec3_norm(field) + vec3_norm(h->last_b_uT), half2 = fmax(0, 1 - squared(h->turned.w));
+	struct vec3 apart = vec3_sub(field, quat_rotate_inverse(h->turned, h->last_b_uT));
+
+	return vec3_dot(apart, apart) <= squared(POSSIBLE * 2 * most) * half2;
+}
+
+enum hard_iron_event hard_iron_step(struct hard_iron *h, struct vec3 rate_b_rad_s, const struct vec3 *field_b_uT,
+	double field_sigma_uT, double dt_s)
+{
+	double rate2 = vec3_dot(rate_b_rad_s, rate_b_rad_s);
+	enum hard_iron_event event;
+
+	h->turned = quat_multiply(h->turned, quat_from_rotation_vector(vec3_scale(dt_s, rate_b_rad_s)));
+	h->since_s += dt_s;
+	if (!field_b_uT)
+		return HARD_IRON_NOTHING;
+	if (vec3_dot(h->last_b_uT, h->last_b_uT) == 0 || !(h->since_s < TURN_MOST_S)) {
+		begin_turn(h, *field_b_uT, rate2);
+		return HARD_IRON_NOTHING;
+	}
+	if (fabs(h->turned.w) > cos(TURN_RAD / 2))
+		return HARD_IRON_NOTHING;
+	event = is_possible(h, *field_b_uT) ? end_turn(h, *field_b_uT, rate2, field_sigma_uT) : HARD_IRON_NOTHING;
+	begin_turn(h, *field_b_uT, rate2);
+	return event;
+}
