@@ -126,8 +126,11 @@ static const double LEVELLING_AFTER_S = 5;
 /* rad, 1 sigma (2 degrees, the fusion's default), and s, correlation time of its error, seen from this filter.
  * Tuned. */
 static const double HEADING_SIGMA_RAD = 0.035, HEADING_CORRELATION_S = 3;
-/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. By judgement. */
+/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. One that the fusion knows worse
+ * is unknown. By judgement. */
 static const double HEADING_JUMP_RAD = 0.35;
+/* Mean square of the chord that any turn takes, as a share of the radius. Derived: mean of 4 sin^2(angle / 2). */
+static const double UNKNOWN_CHORD2 = 2;
 /* rad, angle between this filter's vertical and the fusion's beyond which this one is re-initialised, and m/s, 1 sigma
  * of the velocity then. By judgement: 0.1 rad are 1 m/s^2 of gravity, as after a start in full motion. */
 static const double LOST_RAD = 0.1, LOST_VELOCITY_M_S = 1;
@@ -533,14 +536,32 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 	return true;
 }
 
+static bool heading_unknown(const struct navigation *n)
+{
+	return n->fusion_variance_rad2.z > squared(HEADING_JUMP_RAD);
+}
+
+/* Variance of a vector of which a share, squared, of the horizontal part is an error of the heading. */
+static struct vec3 by_heading(struct vec3 v_n, double share2)
+{
+	double variance = share2 * (squared(v_n.x) + squared(v_n.y));
+
+	return (struct vec3){variance, variance, 0};
+}
+
+/* The path so far was drawn towards another north. */
 static void measure_heading(struct navigation *n, double x[N], struct quat q_fused)
 {
 	struct vec3 difference = quat_to_rotation_vector(quat_multiply(q_fused, quat_conjugate(n->q_nb))),
 		    *mean = &n->fusion_difference2_rad2;
 	double t = n->sums.t_s, share = t / (DIFFERENCE_TIME_S + t);
 
+	if (heading_unknown(n))
+		return;
 	if (fabs(difference.z) > HEADING_JUMP_RAD) {
 		turn_heading(n, difference.z);
+		n->earlier_variance_m2 = vec3_add(
+			n->earlier_variance_m2, by_heading(n->position_n_m, 4 * squared(sin(difference.z / 2))));
 		difference.z = 0;
 	}
 	measure(n, x, THETA + 2, difference.z, squared(HEADING_SIGMA_RAD) * HEADING_CORRELATION_S / t);
@@ -861,12 +882,18 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 		squared(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
 	double g2 = squared(n->gravity_m_s2);
 	struct vec3 displacement = vec3_add(variance(n, P), n->zero_velocity.position_variance_m2);
+	struct vec3 velocity = vec3_add(variance(n, V), n->zero_velocity.velocity_variance_m2_s2);
+	struct vec3 position = vec3_add(n->earlier_variance_m2, displacement);
 
+	if (heading_unknown(n)) {
+		position = vec3_add(position, by_heading(n->position_n_m, UNKNOWN_CHORD2));
+		velocity = vec3_add(velocity, by_heading(n->velocity_n_m_s, UNKNOWN_CHORD2));
+	}
 	return (struct navigation_sigma){
 		.attitude_rad = root(angle),
 		.accel_m_s2 = root((struct vec3){g2 * angle.y + force, g2 * angle.x + force, force}),
-		.velocity_m_s = root(vec3_add(variance(n, V), n->zero_velocity.velocity_variance_m2_s2)),
-		.position_m = root(vec3_add(n->earlier_variance_m2, displacement)),
+		.velocity_m_s = root(velocity),
+		.position_m = root(position),
 		.displacement_m = root(displacement),
 	};
 }

@@ -641,6 +641,51 @@ static void test_another_north_turns_the_velocity_with_the_attitude(void **state
 	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0, 1, 0}), 0.05);
 }
 
+/* 3 m to the east of the origin, as it was drawn; the heading of the fusion has this sigma. */
+static struct navigation far_from_the_origin(double heading_rad, double heading_sigma_rad)
+{
+	struct navigation n = {.started = false};
+
+	navigation_start(&n, &BARE, QUAT_IDENTITY);
+	n.position_n_m = (struct vec3){3, 0, 1};
+	n.velocity_n_m_s = (struct vec3){0.5, 0, 0};
+	for (int k = 0; k < 20; k++) {
+		struct navigation_input in = {.force_b_m_s2 = {0, 0, G + (k % 2 ? 3 : -3)}, .gravity_m_s2 = G};
+
+		in.q_nb = quat_from_rotation_vector((struct vec3){0, 0, heading_rad});
+		in.attitude_variance_rad2 = (struct vec3){1e-6, 1e-6, heading_sigma_rad * heading_sigma_rad};
+		navigation_step(&n, &in, DT_S);
+	}
+	return n;
+}
+
+/* Where it is depends on where north is. */
+static void test_while_the_heading_is_unknown_so_is_the_direction_of_the_path(void **state)
+{
+	struct navigation known = far_from_the_origin(0, 0.03), unknown = far_from_the_origin(0, 1.8);
+	struct navigation_sigma k = navigation_sigma(&known, 1 / DT_S), u = navigation_sigma(&unknown, 1 / DT_S);
+
+	(void)state;
+	assert_true(k.position_m.x < 0.2 && k.position_m.y < 0.2);
+	assert_near(u.position_m.x, 3 * sqrt(2), 0.3);
+	assert_near(u.position_m.y, 3 * sqrt(2), 0.3);
+	assert_near(u.position_m.z, k.position_m.z, 1e-3);
+	assert_near(u.velocity_m_s.y, 0.5 * sqrt(2), 0.1);
+	assert_quat_near(unknown.q_nb, QUAT_IDENTITY, 0.01);
+}
+
+static void test_another_north_leaves_the_path_behind_it_uncertain_by_its_chord(void **state)
+{
+	struct navigation same = far_from_the_origin(0, 0.03), turned = far_from_the_origin(2, 0.03);
+	struct navigation_sigma s = navigation_sigma(&same, 1 / DT_S), t = navigation_sigma(&turned, 1 / DT_S);
+
+	(void)state;
+	assert_near(t.position_m.x, hypot(3 * 2 * sin(1), s.position_m.x), 0.2);
+	assert_near(t.position_m.z, s.position_m.z, 1e-3);
+	navigation_reset_position(&turned);
+	assert_near(navigation_sigma(&turned, 1 / DT_S).position_m.x, 0, 1e-9);
+}
+
 static void test_a_navigation_configuration_is_checked_field_by_field(void **state)
 {
 	const struct navigation_config good = levelling();
@@ -713,6 +758,8 @@ int main(void)
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
 		cmocka_unit_test(test_a_position_whose_sigma_exceeds_the_limit_is_reported),
 		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),
+		cmocka_unit_test(test_while_the_heading_is_unknown_so_is_the_direction_of_the_path),
+		cmocka_unit_test(test_another_north_leaves_the_path_behind_it_uncertain_by_its_chord),
 		cmocka_unit_test(test_a_navigation_configuration_is_checked_field_by_field),
 		cmocka_unit_test(test_levelling_starts_5_s_after_the_last_standstill),
 	};
