@@ -662,6 +662,55 @@ static void test_a_self_test_passes_in_any_range(void **state)
 	}
 }
 
+/* What was written, in its order. */
+static struct {
+	struct {
+		uint8_t address, sub, value;
+	} at[100];
+	size_t n;
+} written;
+
+static int record_writes(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	if (access->write) {
+		assert_in_range(written.n, 0, 99);
+		written.at[written.n].address = access->address;
+		written.at[written.n].sub = access->sub;
+		written.at[written.n++].value = access->bytes[0];
+	}
+	return 0;
+}
+
+static void test_after_a_self_test_and_after_new_settings_the_chips_are_initialised_as_at_first(void **state)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "rest", false);
+
+		for (int again = 0; again < 3; again++) {
+			static __typeof__(written) first;
+
+			written.n = 0;
+			w->before = record_writes;
+			world_run(w, 100000);
+			w->before = NULL;
+			if (again == 0)
+				first = written;
+			assert_in_range(first.n, 6, 30);
+			assert_int_equal(written.n, first.n);
+			assert_memory_equal(written.at, first.at, first.n * sizeof first.at[0]);
+			if (again == 0)
+				board_self_test(&w->board);
+			else
+				world_set_up(w, &settings, true);
+		}
+		world_free(w);
+	}
+}
+
 static void test_a_self_test_without_effect_has_failed(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -698,6 +747,7 @@ int main(void)
 		cmocka_unit_test(test_a_fifo_is_read_in_batches),
 		cmocka_unit_test(test_a_self_test_takes_as_long_as_its_samples),
 		cmocka_unit_test(test_a_self_test_passes_in_any_range),
+		cmocka_unit_test(test_after_a_self_test_and_after_new_settings_the_chips_are_initialised_as_at_first),
 		cmocka_unit_test(test_a_self_test_without_effect_has_failed),
 	};
 

@@ -769,6 +769,35 @@ static void test_without_configfs_the_devices_are_polled(void **state)
 	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
 }
 
+static void test_a_timer_that_could_not_be_made_is_not_removed(void **state)
+{
+	(void)state;
+	w.no_configfs = true;
+	needs_trigger(MOTION);
+	open_sensor("iio");
+	imu_close(port);
+	port = NULL;
+	assert_int_equal(w.removed_count, 0);
+}
+
+/* A reading fits into 64 bits; the kernel's formats have whole bytes. */
+static void test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes(void **state)
+{
+	static const unsigned bits[] = {0, 7, 8, 16, 32, 64, 65, 128};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(bits) / sizeof(bits[0]); i++) {
+		bool fits = bits[i] >= 8 && bits[i] <= 64;
+
+		w.devices[MOTION].channels[2].format.length = bits[i];
+		open_sensor("iio");
+		assert_int_equal(w.devices[MOTION].buffered, fits);
+		assert_string_equal(port->name, fits ? "iio:lsm6dso+lsm6dso" : "iio:lsm6dso+lsm6dso, polled");
+		imu_close(port);
+		port = NULL;
+	}
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static int next_result(void)
@@ -890,6 +919,8 @@ int main(void)
 		IIO_TEST(test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not),
 		IIO_TEST(test_a_reading_by_timer_is_half_an_interval_of_the_chip_old),
 		IIO_TEST(test_without_configfs_the_devices_are_polled),
+		IIO_TEST(test_a_timer_that_could_not_be_made_is_not_removed),
+		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
