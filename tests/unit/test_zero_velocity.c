@@ -189,6 +189,65 @@ static void test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_t
 	assert_false(stands(&r));
 }
 
+/* Density of the velocity v, if each axis has this variance. */
+static double density(double v_m_s, double variance)
+{
+	return exp(-v_m_s * v_m_s / (2 * variance)) / pow(variance, 1.5);
+}
+
+/* Bayes: standing against a speed of any of the scales alike, none below the slowest of the preset (model/README.md). */
+static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows(void **state)
+{
+	const struct {
+		enum motion_preset preset;
+		double scales_m_s[4];
+	} presets[] = {{MOTION_ANY, {0.03, 0.15, 0.7, 3}}, {MOTION_ROBOT_BASE, {0.1, 0.15, 0.7, 3}},
+		{MOTION_LINEAR_AXIS, {0.3, 0.3, 0.7, 3}}, {MOTION_ARM, {0.03, 0.15, 0.7, 3}}};
+	const double sigma_m_s = 0.04, speeds_m_s[] = {0.06, 0.1, 0.14};
+
+	(void)state;
+	for (int i = 0; i < 4; i++)
+		for (int j = 0; j < 3; j++) {
+			const struct navigation_config config = {
+				.preset = presets[i].preset, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
+			const struct navigation_input in = {
+				.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+			double v = speeds_m_s[j], moves = 0, stands;
+			struct navigation n = {.started = false};
+
+			navigation_start(&n, &config, QUAT_IDENTITY);
+			n.velocity_n_m_s = (struct vec3){v, 0, 0};
+			for (int k = 0; k < NAVIGATION_STATES; k++)
+				n.p[k][k] = k / 3 == NAVIGATION_V / 3 ? sigma_m_s * sigma_m_s : 0;
+			for (int k = 0; k < 100 && n.zero_velocity.weight == 0; k++)
+				navigation_step(&n, &in, 1e-3);
+			for (int k = 0; k < 4; k++)
+				moves += density(v, sigma_m_s * sigma_m_s +
+							    presets[i].scales_m_s[k] * presets[i].scales_m_s[k]) / 4;
+			stands = density(v, sigma_m_s * sigma_m_s);
+			assert_near(n.zero_velocity.weight, stands / (stands + moves), 0.02);
+		}
+}
+
+/* The navigation's own sigma of the gyro's bias is that of a calibration, until it has stood; the fusion may know better. */
+static void test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill(void **state)
+{
+	const struct navigation_config config = {
+		.preset = MOTION_ANY, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
+	const struct navigation_input in = {.force_b_m_s2 = {0, 0, G + 1},
+		.q_nb = QUAT_IDENTITY,
+		.gravity_m_s2 = G,
+		.gyro_bias_variance_rad2_s2 = {1e-4, 4e-4, 9e-4}};
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < 10; k++)
+		navigation_step(&n, &in, DT_S);
+	for (int i = 0; i < 3; i++)
+		assert_near(sqrt(n.p[NAVIGATION_BG + i][NAVIGATION_BG + i]), 0.01 * (i + 1), 1e-4);
+}
+
 /* Over any split of the samples: sums(a then b) = append(sums(a), sums(b)). */
 static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 {
@@ -219,6 +278,10 @@ int main(void)
 		cmocka_unit_test(test_the_end_of_the_vibration_is_a_standstill_of_what_vibrates_in_motion),
 		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
 		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
+		cmocka_unit_test(
+			test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows),
+		cmocka_unit_test(
+			test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
 	};
 
