@@ -350,6 +350,26 @@ static void test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right(vo
 	}
 }
 
+/* The FIFOs of the L3GD20, L3GD20H and LSM303 hold 32 sets; the oldest are overwritten. */
+static void test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples(void **state)
+{
+	(void)state;
+	for (int i = 2; i <= 3; i++) {
+		struct world *w = world_new(BOARDS[i], "tumble", false);
+		struct imu_sample sample;
+		int n = 0;
+
+		world_run(w, 3000000);
+		w->now_ns += 1000000000;
+		board_step(&w->board);
+		while (board_next(&w->board, &sample))
+			n++;
+		assert_int_equal(n, 32);
+		assert_true(1000 * (int64_t)sample.t_us > w->now_ns - 20000000);
+		world_free(w);
+	}
+}
+
 static void test_the_rate_is_measured(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -526,6 +546,85 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 
 		world_run(w, 50000);
 		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+		if (value != expected[i].value)
+			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
+				expected[i].address, value, expected[i].value);
+		world_free(w);
+	}
+}
+
+/* The same without FIFO, and with the gyro's data-ready signal. */
+static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t address, value;
+	} expected[] = {
+		{"v0", IMU_CHIP_GYRO, 0x22, 0x08},  /* I2_DRDY */
+		{"v0", IMU_CHIP_GYRO, 0x24, 0x02},  /* no FIFO, output behind LPF2 */
+		{"v0", IMU_CHIP_GYRO, 0x2E, 0x00},  /* bypass */
+		{"v0", IMU_CHIP_ACCEL, 0x22, 0x00}, /* the gyro's only */
+		{"v2", IMU_CHIP_GYRO, 0x22, 0x08},
+		{"v2", IMU_CHIP_ACCEL, 0x22, 0x00},
+		{"v2", IMU_CHIP_ACCEL, 0x24, 0x00},
+		{"v2", IMU_CHIP_ACCEL, 0x2E, 0x00},
+		{"v3", IMU_CHIP_GYRO, 0x22, 0x08},
+		{"v3", IMU_CHIP_ACCEL, 0x1F, 0x00},
+		{"v3", IMU_CHIP_ACCEL, 0x22, 0x00},
+		{"v3", IMU_CHIP_ACCEL, 0x2E, 0x00},
+		{"v5", IMU_CHIP_GYRO, 0x0D, 0x02}, /* INT1_DRDY_G */
+		{"v5", IMU_CHIP_GYRO, 0x08, 0x00},
+		{"v5", IMU_CHIP_GYRO, 0x0A, 0x00},
+		{"v6", IMU_CHIP_GYRO, 0x0D, 0x02},
+		{"v6", IMU_CHIP_GYRO, 0x09, 0x00},
+		{"v6", IMU_CHIP_GYRO, 0x0A, 0x00},
+	};
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
+		struct world *w = world_make(expected[i].board, "rest", false);
+		struct board_plan plan;
+		uint8_t value;
+		char why[200];
+
+		world_detect(w);
+		assert_int_equal(board_plan(&w->board, &settings, true, true, &plan, why, sizeof why), 0);
+		board_apply(&w->board, &plan);
+		world_run(w, 50000);
+		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+		if (value != expected[i].value)
+			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
+				expected[i].address, value, expected[i].value);
+		world_free(w);
+	}
+}
+
+/* What the data sheets give as the values after power-on: of registers that the driver does not write, it finds these. */
+static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t address, value;
+	} expected[] = {
+		{"v0", IMU_CHIP_GYRO, 0x0F, 0xD3},  {"v0", IMU_CHIP_GYRO, 0x20, 0x07},  {"v0", IMU_CHIP_ACCEL, 0x20, 0x07},
+		{"v0", IMU_CHIP_MAG, 0x00, 0x10},   {"v0", IMU_CHIP_MAG, 0x01, 0x20},   {"v0", IMU_CHIP_MAG, 0x02, 0x03},
+		{"v0", IMU_CHIP_MAG, 0x0A, 'H'},    {"v0", IMU_CHIP_MAG, 0x0B, '4'},    {"v0", IMU_CHIP_MAG, 0x0C, '3'},
+		{"v1", IMU_CHIP_MAG, 0x0F, 0x3C},   {"v2", IMU_CHIP_GYRO, 0x0F, 0xD4},  {"v2", IMU_CHIP_GYRO, 0x20, 0x07},
+		{"v2", IMU_CHIP_ACCEL, 0x20, 0x07}, {"v3", IMU_CHIP_GYRO, 0x0F, 0xD7},  {"v3", IMU_CHIP_GYRO, 0x20, 0x07},
+		{"v3", IMU_CHIP_ACCEL, 0x0F, 0x49}, {"v3", IMU_CHIP_ACCEL, 0x20, 0x07}, {"v3", IMU_CHIP_MAG, 0x24, 0x18},
+		{"v3", IMU_CHIP_MAG, 0x25, 0x20},   {"v3", IMU_CHIP_MAG, 0x26, 0x01},   {"v5", IMU_CHIP_GYRO, 0x0F, 0x69},
+		{"v5", IMU_CHIP_GYRO, 0x12, 0x04},  {"v5", IMU_CHIP_MAG, 0x0F, 0x3D},   {"v5", IMU_CHIP_MAG, 0x20, 0x10},
+		{"v5", IMU_CHIP_MAG, 0x22, 0x03},   {"v6", IMU_CHIP_GYRO, 0x0F, 0x6C},  {"v6", IMU_CHIP_GYRO, 0x12, 0x04},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
+		struct world *w = world_make(expected[i].board, "rest", false);
+		uint8_t value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+
 		if (value != expected[i].value)
 			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
 				expected[i].address, value, expected[i].value);
@@ -736,12 +835,16 @@ int main(void)
 		cmocka_unit_test(test_through_a_stub_samples_have_their_rate_and_their_time_within_a_millisecond),
 		cmocka_unit_test(test_late_reads_do_not_change_the_time_stamps),
 		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
+		cmocka_unit_test(test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples),
 		cmocka_unit_test(test_the_rate_is_measured),
 		cmocka_unit_test(test_data_ready_edges_give_times_that_late_reads_alone_do_not),
 		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
 		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(
+			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
 		cmocka_unit_test(test_a_fifo_is_read_in_batches),

@@ -620,6 +620,9 @@ static void test_a_position_whose_sigma_exceeds_the_limit_is_reported(void **sta
 	assert_false(position_unsure(&p));
 	p.config.sigma_limit_m = 1e-4;
 	assert_true(position_unsure(&p));
+	p.sigma.position_m = (struct vec3){0.3, 0, 0.4};
+	p.config.sigma_limit_m = 0.5;
+	assert_false(position_unsure(&p));
 	position_reset(&p);
 	assert_false(position_unsure(&p));
 }
@@ -691,6 +694,29 @@ static void test_levelling_starts_5_s_after_the_last_standstill(void **state)
 	assert_near(apart_s, 5.2, 0.3);
 }
 
+/* Swings about the reference point, at whose end on a lever arm of 0.5 m the sensor moves with up to 1 m/s. */
+static void test_a_swing_about_the_reference_point_is_no_velocity_of_it(void **state)
+{
+	const struct navigation_config config = levelling();
+	const double w = 2 * PI, lever_m = 0.5;
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(8 / DT_S); k++) {
+		double t = k * DT_S, rate = 2 * sin(w * t), angle = 2 / w * (1 - cos(w * t));
+		struct navigation_input in = {.gyro_b_rad_s = {0, 0, rate},
+			.force_b_m_s2 = {-lever_m * rate * rate, lever_m * 2 * w * cos(w * t), G},
+			.lever_b_m = {lever_m, 0, 0},
+			.q_nb = quat_from_rotation_vector((struct vec3){0, 0, angle}),
+			.gravity_m_s2 = G};
+
+		navigation_step(&n, &in, DT_S);
+	}
+	assert_false(n.still);
+	assert_true(sqrt(n.high_pass2_max) < 0.5);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -715,6 +741,7 @@ int main(void)
 		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),
 		cmocka_unit_test(test_a_navigation_configuration_is_checked_field_by_field),
 		cmocka_unit_test(test_levelling_starts_5_s_after_the_last_standstill),
+		cmocka_unit_test(test_a_swing_about_the_reference_point_is_no_velocity_of_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

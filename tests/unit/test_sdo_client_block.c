@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <setjmp.h>
 #include <stdint.h>
+#include <errno.h>
 #include <string.h>
 #include <cmocka.h>
 
@@ -410,6 +411,26 @@ static void test_a_full_bus_delays_the_segments(void **state)
 	ASSERT_SENT(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
 }
 
+static int refuse(struct can_port *port, const struct can_msg *msg)
+{
+	(void)port, (void)msg;
+	return -ENETDOWN;
+}
+
+static void test_a_bus_that_accepts_no_segment_ends_the_transfer(void **state)
+{
+	static const struct can_ops refusing = {.send = refuse};
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	bench->bus.ops = &refusing;
+	assert_true(sdo_client_tick(&bench->client, T0) == UINT64_MAX);
+	assert_int_equal(bench->client.result, SDO_UNSENT);
+	assert_int_equal(bench->client.send_error, -ENETDOWN);
+	ASSERT_NOTHING_SENT(bench);
+}
+
 static void test_a_server_that_does_not_acknowledge_is_a_timeout(void **state)
 {
 	struct bench *bench = download("123456789");
@@ -489,6 +510,7 @@ int main(void)
 		cmocka_unit_test(test_a_block_size_of_0_or_above_127_is_aborted),
 		cmocka_unit_test(test_an_empty_value_is_sent_as_one_empty_segment),
 		cmocka_unit_test(test_a_full_bus_delays_the_segments),
+		cmocka_unit_test(test_a_bus_that_accepts_no_segment_ends_the_transfer),
 		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_a_timeout),
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 		cmocka_unit_test(test_frames_are_received_after_every_16_segments_sent),
