@@ -22,11 +22,12 @@ static void test_another_code_has_the_text_of_its_class(void **state)
 		unsigned from, to;
 		const char *text;
 	} classes[] = {{0x1002, 0x10FF, "generic error"}, {0x2000, 0x2FFF, "current"}, {0x3000, 0x3FFF, "voltage"},
-		{0x4000, 0x4FFF, "temperature"}, {0x5002, 0x50FF, "device hardware"}, {0x60FF, 0x60FF, "device software"},
-		{0x6101, 0x61FF, "internal software"}, {0x6201, 0x62FF, "user software"}, {0x63F0, 0x63FF, "data set"},
-		{0x7000, 0x70FF, "additional modules"}, {0x8001, 0x80FF, "monitoring"}, {0x8190, 0x81FF, "communication"},
-		{0x8260, 0x82FF, "protocol error"}, {0x9000, 0x90FF, "external error"},
-		{0xF000, 0xF0FF, "additional functions"}, {0xFF90, 0xFFFF, "device-specific"}};
+		{0x4000, 0x4FFF, "temperature"}, {0x5002, 0x50FF, "device hardware"},
+		{0x60FF, 0x60FF, "device software"}, {0x6101, 0x61FF, "internal software"},
+		{0x6201, 0x62FF, "user software"}, {0x63F0, 0x63FF, "data set"}, {0x7000, 0x70FF, "additional modules"},
+		{0x8001, 0x80FF, "monitoring"}, {0x8190, 0x81FF, "communication"}, {0x8260, 0x82FF, "protocol error"},
+		{0x9000, 0x90FF, "external error"}, {0xF000, 0xF0FF, "additional functions"},
+		{0xFF90, 0xFFFF, "device-specific"}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(classes) / sizeof(classes[0]); i++) {

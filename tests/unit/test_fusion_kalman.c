@@ -189,12 +189,16 @@ static void test_the_bias_is_estimated_in_motion(void **state)
 
 static void test_the_bias_estimate_is_limited(void **state)
 {
-	struct errors e = {.gyro_bias = {0.6, 0.6, 0}}; /* 49 deg/s */
+	struct errors e = {.gyro_bias = {0.6, 0.8, 0}}; /* 57 deg/s */
 	struct fusion f = fusion(NINE_AXES);
 
 	(void)state;
 	follow(&f, &e, 0, 20);
 	assert_true(vec3_norm(f.gyro_errors.bias_b_rad_s) < 30.1 * RAD_PER_DEG);
+	f = fusion(NINE_AXES);
+	f.gyro_errors.bias_b_rad_s = e.gyro_bias;
+	follow(&f, &e, 0, 0.1);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, vec3_scale(30 * RAD_PER_DEG, e.gyro_bias), 0.1 * RAD_PER_DEG);
 }
 
 static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
@@ -578,6 +582,32 @@ static void test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_headin
 	assert_near(heading_sigma(0), quiet, 1e-3);
 }
 
+/* Those that fusion_kalman.h gives. */
+static void test_the_ranges_of_the_configuration_include_their_limits(void **state)
+{
+	struct fusion_config c = NINE_AXES;
+	const struct {
+		double *value, least, most;
+	} ranges[] = {{&c.kalman.velocity_sigma_m_s, 0.01, 1000}, {&c.kalman.heading_sigma_rad, 0.001, 1},
+		{&c.kalman.field_limit, 0.01, 1}, {&c.kalman.rejection_time_s, 0, 1e6}, {&c.kalman.gyro_error, 0, 0.1},
+		{&c.kalman.bias_walk_rad_s_sqrt_s, 0, 0.1}, {&c.kalman.gyro_scale_sigma, 0, 0.05},
+		{&c.kalman.field_sigma_uT, 0, 1000}};
+	struct fusion f;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(ranges) / sizeof(ranges[0]); i++) {
+		const double good = *ranges[i].value, beyond = 1e-6 * ranges[i].most;
+
+		for (int k = 0; k < 4; k++) {
+			*ranges[i].value = (k % 2 ? ranges[i].most : ranges[i].least) + (k < 2		? 0
+												: k % 2 ? beyond
+													: -beyond);
+			assert_int_equal(fusion_init(&f, &c), k < 2 ? 0 : -EINVAL);
+		}
+		*ranges[i].value = good;
+	}
+}
+
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
 	struct fusion_config bad[10];
@@ -720,6 +750,7 @@ int main(void)
 		cmocka_unit_test(test_the_tilt_of_a_simulated_chip_is_within_half_a_degree_in_every_motion),
 		cmocka_unit_test(test_the_attitude_is_extrapolated_over_the_delay_by_the_rate),
 		cmocka_unit_test(test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_heading),
+		cmocka_unit_test(test_the_ranges_of_the_configuration_include_their_limits),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),
 		cmocka_unit_test(test_a_field_beyond_the_limits_of_length_or_dip_is_not_used),

@@ -479,8 +479,7 @@ static void test_the_first_window_ends_1_34_s_after_the_start(void **state)
 	(void)state;
 	assert_int_equal(lever_identification_init(&id, &config), 0);
 	for (; k < 1000 && !lever_identification_news(&id); k++)
-		lever_identification_step(
-			&id, k * 10000, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
+		lever_identification_step(&id, k * 10000, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
 	assert_int_equal(k, 4 + 30 + 100);
 }
 
@@ -491,8 +490,7 @@ static void test_the_sampling_rate_is_tracked_with_a_time_constant_of_100_sample
 	(void)state;
 	assert_int_equal(lever_identification_init(&id, &config), 0);
 	for (uint64_t k = 0; k <= 100; k++)
-		lever_identification_step(
-			&id, k * 9600, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
+		lever_identification_step(&id, k * 9600, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
 	assert_near(id.dt_s, 0.0096 + 0.0004 * exp(-1), 0.00001);
 }
 
@@ -672,8 +670,9 @@ static struct scene about_l_and_t(double l_rms_s2, double t_rms_s2)
 	s.sensor = "ideal";
 	s.seconds = 12;
 	s.swing_hz = (struct vec3){l_hz, 1, t_hz};
-	s.swing_rad = (struct vec3){sqrt(2) * l_rms_s2 / pow(2 * PI * l_hz, 2) * sqrt(1 + pow(l_hz / LEVER_CUTOFF_HZ, 4)), 0,
-		sqrt(2) * t_rms_s2 / pow(2 * PI * t_hz, 2) * sqrt(1 + pow(t_hz / LEVER_CUTOFF_HZ, 4))};
+	s.swing_rad =
+		(struct vec3){sqrt(2) * l_rms_s2 / pow(2 * PI * l_hz, 2) * sqrt(1 + pow(l_hz / LEVER_CUTOFF_HZ, 4)), 0,
+			sqrt(2) * t_rms_s2 / pow(2 * PI * t_hz, 2) * sqrt(1 + pow(t_hz / LEVER_CUTOFF_HZ, 4))};
 	return s;
 }
 

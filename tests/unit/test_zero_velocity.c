@@ -223,7 +223,8 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 				navigation_step(&n, &in, 1e-3);
 			for (int k = 0; k < 4; k++)
 				moves += density(v, sigma_m_s * sigma_m_s +
-							    presets[i].scales_m_s[k] * presets[i].scales_m_s[k]) / 4;
+							    presets[i].scales_m_s[k] * presets[i].scales_m_s[k]) /
+					 4;
 			stands = density(v, sigma_m_s * sigma_m_s);
 			assert_near(n.zero_velocity.weight, stands / (stands + moves), 0.02);
 		}
