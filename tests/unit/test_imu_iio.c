@@ -729,6 +729,24 @@ static void test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many
 	assert_null(w.devices[MOTION].trigger);
 }
 
+static void test_a_new_rate_is_that_of_the_timer_where_there_is_one(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	char error[200] = "";
+
+	(void)state;
+	settings.rate_hz = 60;
+	for (int timer = 0; timer < 2; timer++) {
+		if (timer)
+			needs_trigger(MOTION);
+		open_sensor("iio");
+		assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof(error)), 0);
+		assert_near(port->rate_hz, timer ? 60 : 104, 1e-9);
+		imu_close(port);
+		port = NULL;
+	}
+}
+
 /* A trigger serves two devices. */
 static void test_a_magnetometer_of_its_own_has_a_timer_of_its_own(void **state)
 {
@@ -977,6 +995,52 @@ static void test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back(v
 	assert_int_equal(port->health.degraded, IMU_FAULT_NONE);
 }
 
+static void magnetometer_comes_back(void)
+{
+	if (w.now_ns > 103000 * MS)
+		w.devices[MAGNETOMETER].hidden = false;
+	if (w.devices[MAGNETOMETER].buffered)
+		one_scan_of_each();
+	else
+		only_motion();
+}
+
+/* It is looked for every 2 s. */
+static void test_the_capture_starts_again_when_the_magnetometer_is_back(void **state)
+{
+	struct imu_sample sample;
+	unsigned flags = 0;
+
+	(void)state;
+	open_sensor("iio");
+	w.devices[MAGNETOMETER].hidden = true;
+	run(1, only_motion);
+	w.now_ns = 102000 * MS;
+	run(30, magnetometer_comes_back); /* it is back from 103 s on only */
+	while (imu_read(port, &sample) != 0)
+		flags |= sample.flags;
+	assert_int_equal(flags & SAMPLE_MAG, 0);
+	run(150, magnetometer_comes_back); /* 3 s */
+	while (imu_read(port, &sample) != 0)
+		flags |= sample.flags;
+	assert_int_equal(flags & SAMPLE_MAG, SAMPLE_MAG);
+}
+
+static void test_a_gyro_that_does_not_come_back_is_reported_each_time(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, gone);
+	assert_int_equal(last_result(), -EIO);
+	w.devices[MOTION].hidden = true;
+	run(3, NULL);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_SILENT);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
+	assert_true(port->health.bus_errors > 1);
+}
+
 int main(void)
 {
 #define IIO_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -992,6 +1056,7 @@ int main(void)
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
 		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
+		IIO_TEST(test_a_new_rate_is_that_of_the_timer_where_there_is_one),
 		IIO_TEST(test_a_magnetometer_of_its_own_has_a_timer_of_its_own),
 		IIO_TEST(test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not),
 		IIO_TEST(test_a_reading_by_timer_is_half_an_interval_of_the_chip_old),
@@ -1005,6 +1070,8 @@ int main(void)
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
 		IIO_TEST(test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back),
+		IIO_TEST(test_the_capture_starts_again_when_the_magnetometer_is_back),
+		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
 	};
 
 	return cmocka_run_group_tests_name("imu_iio", tests, NULL, NULL);

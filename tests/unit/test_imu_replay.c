@@ -198,6 +198,26 @@ static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **
 	assert_refused("replay:x.csv,", "unknown option ''");
 }
 
+static void test_the_port_is_named_after_the_file_without_its_folder(void **state)
+{
+	struct imu_port *port = opened("");
+
+	(void)state;
+	assert_memory_equal(port->name, "replay:imu9_replay_", 19);
+	imu_close(port);
+}
+
+static void test_a_source_of_4096_characters_is_too_long(void **state)
+{
+	static char src[4097];
+
+	(void)state;
+	memset(src, 'x', 4096);
+	assert_refused(src, "too long: use at most 4095");
+	src[4095] = '\0';
+	assert_refused(src, "unknown IMU source");
+}
+
 static void test_closing_null_is_permitted(void **state)
 {
 	(void)state;
@@ -215,6 +235,8 @@ int main(void)
 		cmocka_unit_test(test_after_a_pause_all_due_samples_are_read_and_counted_as_late),
 		cmocka_unit_test(test_skipped_rows_are_counted_with_the_reason_of_the_last),
 		cmocka_unit_test(test_an_unknown_source_or_option_is_refused_with_what_to_use),
+		cmocka_unit_test(test_the_port_is_named_after_the_file_without_its_folder),
+		cmocka_unit_test(test_a_source_of_4096_characters_is_too_long),
 		cmocka_unit_test(test_closing_null_is_permitted),
 	};
 

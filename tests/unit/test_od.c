@@ -277,6 +277,7 @@ static void test_a_domain_is_found_by_its_index(void **state)
 	assert_ptr_equal(od_find_domain(&od, 0x1021, 0), &domain);
 	assert_null(od_find_domain(&od, 0x1021, 1));
 	assert_int_equal(od_read(&od, 0x1021, 0, wire, sizeof(wire), &size), OD_UNSUPPORTED_ACCESS);
+	assert_int_equal(od_check(od_find(&imu9_od_table, 0x1021, 0, NULL), "text", 4), OD_UNSUPPORTED_ACCESS);
 }
 
 static void test_a_value_pointer_requires_the_right_size(void **state)
