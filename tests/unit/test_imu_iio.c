@@ -104,6 +104,7 @@ int pthread_create(
 int pthread_join(pthread_t thread, void **result)
 {
 	(void)thread, (void)result;
+	w.thread = NULL;
 	return 0;
 }
 
@@ -468,6 +469,7 @@ static int tear_down(void **state)
 	if (port)
 		imu_close(port);
 	assert_int_equal(w.contexts, 0);
+	assert_true(w.thread == NULL); /* it has ended */
 	for (unsigned i = 0; i < w.device_count; i++)
 		assert_false(w.devices[i].buffered);
 	return 0;
@@ -557,8 +559,10 @@ static void test_settings_that_the_devices_do_not_support_are_refused(void **sta
 	char error[200] = "";
 
 	(void)state;
-	open_sensor("iio");
 	settings.rate_hz = 500;
+	assert_int_equal(imu_open("iio", &settings, &port, error, sizeof(error)), -EINVAL);
+	assert_non_null(strstr(error, "416"));
+	open_sensor("iio");
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), -EINVAL);
 	assert_non_null(strstr(error, "416"));
 	settings.rate_hz = 416;
@@ -1026,6 +1030,44 @@ static void test_the_capture_starts_again_when_the_magnetometer_is_back(void **s
 	assert_int_equal(flags & SAMPLE_MAG, SAMPLE_MAG);
 }
 
+static void only_the_gyro(void)
+{
+	static const int16_t gyro[6] = {1, 2, 3};
+
+	put_scan(2, w.now_ns - MS, gyro);
+}
+
+static void both(void)
+{
+	static const int16_t accel[6] = {4, 5, 6};
+
+	only_the_gyro();
+	put_scan(3, w.now_ns - MS, accel);
+}
+
+static void test_an_accelerometer_of_its_own_that_stops_is_named(void **state)
+{
+	struct iio_device *d;
+
+	(void)state;
+	d = add_device("l3gd20", "95", "95 190");
+	add_triad(d, IIO_ANGL_VEL, "0.00122", 0);
+	add_timestamp(d);
+	d = add_device("lsm303", "100", "100 200");
+	add_triad(d, IIO_ACCEL, "0.0024", 0);
+	add_timestamp(d);
+	open_sensor("iio:l3gd20,lsm303");
+	assert_string_equal(port->name, "iio:l3gd20+lsm303");
+	w.now_ns += 100 * MS;
+	run(20, both);
+	assert_int_equal(last_result(), 1);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	run(20, only_the_gyro);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_ACCEL);
+}
+
 static void test_a_gyro_that_does_not_come_back_is_reported_each_time(void **state)
 {
 	(void)state;
@@ -1071,6 +1113,7 @@ int main(void)
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
 		IIO_TEST(test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back),
 		IIO_TEST(test_the_capture_starts_again_when_the_magnetometer_is_back),
+		IIO_TEST(test_an_accelerometer_of_its_own_that_stops_is_named),
 		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
 	};
 

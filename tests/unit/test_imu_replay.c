@@ -11,6 +11,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "drivers/ports/sources.h"
 #include "drivers/ports/imu.h"
 
 enum { ROWS = 20 };
@@ -218,6 +219,21 @@ static void test_a_source_of_4096_characters_is_too_long(void **state)
 	assert_refused(src, "unknown IMU source");
 }
 
+/* What --help of the programs lists. */
+static void test_the_list_of_sources_has_syntax_and_description_of_each(void **state)
+{
+	static const char *const words[] = {
+		"sim[:SCENARIO]", "replay:FILE", "i2c:", "iio", "wt901:", "real time", "WitMotion", "Pololu"};
+	char text[2000] = "";
+	FILE *out = fmemopen(text, sizeof text, "w");
+
+	(void)state;
+	imu_print_sources(out);
+	fclose(out);
+	for (size_t i = 0; i < sizeof words / sizeof *words; i++)
+		assert_non_null(strstr(text, words[i]));
+}
+
 static void test_closing_null_is_permitted(void **state)
 {
 	(void)state;
@@ -237,6 +253,7 @@ int main(void)
 		cmocka_unit_test(test_an_unknown_source_or_option_is_refused_with_what_to_use),
 		cmocka_unit_test(test_the_port_is_named_after_the_file_without_its_folder),
 		cmocka_unit_test(test_a_source_of_4096_characters_is_too_long),
+		cmocka_unit_test(test_the_list_of_sources_has_syntax_and_description_of_each),
 		cmocka_unit_test(test_closing_null_is_permitted),
 	};
 

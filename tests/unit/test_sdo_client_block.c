@@ -492,6 +492,19 @@ static void test_a_bus_that_accepts_no_segment_ends_the_transfer(void **state)
 	ASSERT_NOTHING_SENT(bench);
 }
 
+static void test_a_bus_that_stays_full_until_the_timeout_ends_the_transfer(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	bench->bus.queue_count = 1;
+	assert_int_equal(sdo_client_tick(&bench->client, T0 + TIMEOUT_US - 1), T0 + TIMEOUT_US - 1 + 1000);
+	assert_int_equal(bench->client.result, SDO_RUNNING);
+	assert_true(sdo_client_tick(&bench->client, T0 + TIMEOUT_US) == UINT64_MAX);
+	assert_int_equal(bench->client.result, SDO_TIMEOUT);
+}
+
 static void test_a_server_that_does_not_acknowledge_is_a_timeout(void **state)
 {
 	struct bench *bench = download("123456789");
@@ -571,6 +584,7 @@ int main(void)
 		cmocka_unit_test(test_a_block_size_of_0_or_above_127_is_aborted),
 		cmocka_unit_test(test_an_empty_value_is_sent_as_one_empty_segment),
 		cmocka_unit_test(test_a_full_bus_delays_the_segments),
+		cmocka_unit_test(test_a_bus_that_stays_full_until_the_timeout_ends_the_transfer),
 		cmocka_unit_test(test_an_answer_that_belongs_to_another_step_is_aborted),
 		cmocka_unit_test(test_a_transfer_after_an_interrupted_one_starts_afresh),
 		cmocka_unit_test(test_a_bus_that_accepts_no_segment_ends_the_transfer),
