@@ -283,7 +283,7 @@ static void test_a_domain_is_found_by_its_index(void **state)
 static void test_values_of_eight_bytes_are_written_and_read_back(void **state)
 {
 	static const uint8_t wire[3][8] = {{0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF}, /* -2 */
-		{8, 7, 6, 5, 4, 3, 2, 1}, {0, 0, 0, 0, 0, 0, 0xF8, 0x3F}}; /* 1.5 */
+		{8, 7, 6, 5, 4, 3, 2, 1}, {0, 0, 0, 0, 0, 0, 0xF8, 0x3F}};		     /* 1.5 */
 
 	(void)state;
 	for (uint16_t i = 0; i < 3; i++) {
