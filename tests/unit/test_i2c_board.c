@@ -490,6 +490,48 @@ static void test_the_smallest_values_that_are_enough_are_chosen(void **state)
 	world_free(w);
 }
 
+/* Bits BW of CTRL1, from the tables of the data sheets; the first code of several with the same bandwidth. */
+static void test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		double rate_hz;
+		double bandwidths_hz[5]; /* by code, ends with 0; -1: not in the table, or as the one before */
+	} tables[] = {
+		{"v0", 100, {12.5, 25, 0}},
+		{"v0", 200, {12.5, 25, 50, 70, 0}},
+		{"v0", 400, {20, 25, 50, 110, 0}},
+		{"v0", 800, {30, 35, 50, 110, 0}},
+		{"v2", 95, {12.5, 25, 0}},
+		{"v2", 190, {12.5, 25, 50, 70, 0}},
+		{"v2", 380, {20, 25, 50, 100, 0}},
+		{"v2", 760, {30, 35, 50, 100, 0}},
+		{"v3", 100, {12.5, 25, 0}},
+		{"v3", 200, {12.5, -1, -1, 70, 0}},
+		{"v3", 400, {20, 25, 50, 110, 0}},
+		{"v3", 800, {30, 35, -1, 100, 0}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int code = 0; tables[i].bandwidths_hz[code] != 0; code++) {
+			struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+			struct world *w = world_make(tables[i].board, "rest", true);
+			struct board_plan plan;
+			char why[200];
+
+			settings.rate_hz = tables[i].rate_hz;
+			settings.bandwidth_hz = tables[i].bandwidths_hz[code];
+			world_detect(w);
+			assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
+			if (settings.bandwidth_hz > 0) {
+				assert_int_equal(plan.setup[0].bandwidth_code, code);
+				assert_true(plan.setup[0].bandwidth_hz == settings.bandwidth_hz);
+			}
+			world_free(w);
+		}
+}
+
 /* Control registers as the data sheets' tables give them for 100 Hz, 2000 deg/s, 8 g, the finest field range. */
 static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 {
@@ -648,6 +690,60 @@ static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_pow
 				expected[i].address, value, expected[i].value);
 		world_free(w);
 	}
+}
+
+/* The tables of output data rates in the data sheets, whole, by their code in the register. Power is on, and the magnetometers
+ * convert continuously. */
+static void test_simulated_chips_sample_at_the_rates_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t first, first_value; /* a register written before; 0: none */
+		uint8_t address, others;
+		int shift;
+		double hz[12]; /* ends with -1 */
+	} tables[] = {
+		{"v0", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {100, 200, 400, 800, -1}},
+		{"v2", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {95, 190, 380, 760, -1}},
+		{"v3", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {100, 200, 400, 800, -1}},
+		{"v3", IMU_CHIP_GYRO, 0x39, 1, 0x20, 0x0F, 6, {12.5, 25, 50, 50, -1}}, /* LOW_ODR */
+		{"v3", IMU_CHIP_GYRO, 0, 0, 0x20, 0x07, 6, {0, 0, 0, 0, -1}},	       /* power-down */
+		{"v0", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x27, 3, {50, 100, 400, 1000, -1}},
+		{"v2", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x07, 4, {0, 1, 10, 25, 50, 100, 200, 400, 1620, 1344, -1}},
+		{"v0", IMU_CHIP_MAG, 0x02, 0, 0x00, 0, 2, {0.75, 1.5, 3, 7.5, 15, 30, 75, -1}},
+		{"v2", IMU_CHIP_MAG, 0x02, 0, 0x00, 0, 2, {0.75, 1.5, 3, 7.5, 15, 30, 75, 220, -1}},
+		{"v2", IMU_CHIP_MAG, 0x02, 3, 0x00, 0, 2, {0, 0, 0, 0, 0, 0, 0, 0, -1}}, /* sleep */
+		{"v3", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x07, 4,
+			{0, 3.125, 6.25, 12.5, 25, 50, 100, 200, 400, 800, 1600, -1}},
+		{"v3", IMU_CHIP_MAG, 0x26, 0, 0x24, 0x60, 2, {3.125, 6.25, 12.5, 25, 50, 100, -1}},
+		{"v5", IMU_CHIP_GYRO, 0, 0, 0x11, 0, 4, {0, 12.5, 26, 52, 104, 208, 416, 833, 1660, -1}},
+		{"v5", IMU_CHIP_MAG, 0x22, 0, 0x20, 0, 2, {0.625, 1.25, 2.5, 5, 10, 20, 40, 80, -1}},
+		{"v5", IMU_CHIP_MAG, 0x22, 3, 0x20, 0, 2, {0, 0, -1}}, /* power-down */
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (unsigned code = 0; tables[i].hz[code] >= 0; code++) {
+			struct world *w = world_make(tables[i].board, "rest", true);
+			const uint8_t address = sim_board_address(w->sim, tables[i].chip);
+			const double expected = tables[i].hz[code] * (1 + w->config.rate_error[tables[i].chip]);
+			const double seconds = expected > 0 && expected < 20 ? 100 : 2;
+			double unused, taken;
+
+			if (tables[i].first)
+				assert_int_equal(i2c_write(w->bus, address, tables[i].first, tables[i].first_value), 0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].address,
+						 (uint8_t)(tables[i].others | code << tables[i].shift)),
+				0);
+			taken = (double)sim_board_taken(w->sim, tables[i].chip, &unused);
+			w->now_ns += (int64_t)(1e9 * seconds);
+			taken = (double)sim_board_taken(w->sim, tables[i].chip, &unused) - taken;
+			if (!(fabs(taken - expected * seconds) <= 1.5))
+				fail_msg("%s, chip %d, code %u: %g samples in %g s", tables[i].board, tables[i].chip,
+					code, taken, seconds);
+			world_free(w);
+		}
 }
 
 /* Rates and the control registers for them, from the tables of the data sheets: the gyro's (with its widest bandwidth)
@@ -859,9 +955,11 @@ int main(void)
 		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
 		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
+		cmocka_unit_test(test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets),
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(
 			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_sample_at_the_rates_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
