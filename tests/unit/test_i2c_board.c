@@ -746,6 +746,56 @@ static void test_simulated_chips_sample_at_the_rates_of_the_data_sheets(void **s
 		}
 }
 
+/* Sizes of a digit by the code of the full scale, [mg] and [mdps], from the data sheets. The chip lies, 9.81 m/s^2 along z, or
+ * turns at 360 deg/s about z; beyond its range a word is at its end. */
+static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t on_at, on;	  /* power */
+		uint8_t range_at, others; /* full scale */
+		int shift;
+		uint8_t data;
+		double digits[9]; /* ends with 0 */
+	} tables[] = {
+		{"v0", IMU_CHIP_ACCEL, 0x20, 0x37, 0x23, 0x80, 4, 0xA8, {1 / 16., 2 / 16., 2 / 16., 3.9 / 16., 0}},
+		{"v2", IMU_CHIP_ACCEL, 0x20, 0x57, 0x23, 0x88, 4, 0xA8, {1 / 16., 2 / 16., 4 / 16., 12 / 16., 0}},
+		{"v3", IMU_CHIP_ACCEL, 0x20, 0x67, 0x21, 0x00, 3, 0xA8, {0.061, 0.122, 0.183, 0.244, 0.732, 0}},
+		{"v5", IMU_CHIP_ACCEL, 0x11, 0x40, 0x10, 0x40, 2, 0x28, {0.061, 0.488, 0.122, 0.244, 0}},
+		{"v6", IMU_CHIP_ACCEL, 0x11, 0x40, 0x10, 0x40, 2, 0x28, {0.061, 0.488, 0.122, 0.244, 0}},
+		{"v0", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v2", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v3", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v5", IMU_CHIP_GYRO, 0x10, 0x40, 0x11, 0x40, 2, 0x22, {8.75, 17.5, 35, 70, 0}},
+		{"v5", IMU_CHIP_GYRO, 0x10, 0x40, 0x11, 0x42, 2, 0x22, {4.375, 0}}, /* FS_125 */
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (unsigned code = 0; tables[i].digits[code] > 0; code++) {
+			const bool gyro = tables[i].chip == IMU_CHIP_GYRO;
+			struct world *w = world_make(tables[i].board, gyro ? "turntable" : "rest", true);
+			const uint8_t address = sim_board_address(w->sim, tables[i].chip);
+			const double value = gyro ? 360e3 : 9.81 / 9.80665e-3;
+			uint8_t bytes[6];
+			double z;
+
+			assert_int_equal(i2c_write(w->bus, address, tables[i].on_at, tables[i].on), 0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].range_at,
+						 (uint8_t)(tables[i].others | code << tables[i].shift)),
+				0);
+			w->now_ns += 500000000;
+			assert_int_equal(i2c_read(w->bus, address, tables[i].data, bytes, 6), 0);
+			z = (int16_t)(bytes[4] | bytes[5] << 8);
+			if (!(fabs(z - fmin(32767, value / tables[i].digits[code])) < 20))
+				fail_msg("%s, chip %d, code %u: %g", tables[i].board, tables[i].chip, code, z);
+			assert_in_range((int16_t)(bytes[0] | bytes[1] << 8) + 20, 0, 40);
+			assert_in_range((int16_t)(bytes[2] | bytes[3] << 8) + 20, 0, 40);
+			world_free(w);
+		}
+}
+
 /* Rates and the control registers for them, from the tables of the data sheets: the gyro's (with its widest bandwidth)
  * and the accelerometer's, which samples at least twice as fast where it can. */
 static void test_each_rate_has_the_registers_of_the_data_sheets(void **state)
@@ -960,6 +1010,7 @@ int main(void)
 		cmocka_unit_test(
 			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_sample_at_the_rates_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_have_the_digits_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
