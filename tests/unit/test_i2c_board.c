@@ -796,6 +796,53 @@ static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state
 		}
 }
 
+/* Digits per gauss in x and y, and in z, by the code of the gain; the field is 0.2 gauss along y and -0.45 along z. */
+static void test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		uint8_t mode_at;
+		uint8_t range_at, data;
+		int first_code; /* 0 is not allowed for the LSM303DLH, DLM and DLHC */
+		bool big_endian;
+		int y, z; /* places of their words */
+		double xy[8], z_digits[8];
+	} tables[] = {
+		{"v0", 0x02, 0x01, 0x03, 1, true, 1, 2, {1055, 795, 635, 430, 375, 320, 230},
+			{950, 710, 570, 385, 335, 285, 205}},
+		{"v1", 0x02, 0x01, 0x03, 1, true, 2, 1, {1100, 855, 670, 450, 400, 330, 230},
+			{980, 760, 600, 400, 355, 295, 205}},
+		{"v2", 0x02, 0x01, 0x03, 1, true, 2, 1, {1100, 855, 670, 450, 400, 330, 230},
+			{980, 760, 600, 400, 355, 295, 205}},
+		{"v3", 0x26, 0x25, 0x88, 0, false, 1, 2, {12500, 6250, 3125, 1e3 / 0.479},
+			{12500, 6250, 3125, 1e3 / 0.479}},
+		{"v5", 0x22, 0x21, 0xA8, 0, false, 1, 2, {6842, 3421, 2281, 1711}, {6842, 3421, 2281, 1711}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int code = 0; code < 8 && tables[i].xy[code] > 0; code++) {
+			struct world *w = world_make(tables[i].board, "rest", true);
+			const uint8_t address = sim_board_address(w->sim, IMU_CHIP_MAG);
+			double words[3];
+			uint8_t bytes[6];
+
+			assert_int_equal(i2c_write(w->bus, address, tables[i].range_at,
+						 (uint8_t)((code + tables[i].first_code) << 5)),
+				0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].mode_at, 0), 0);
+			w->now_ns += 3000000000;
+			assert_int_equal(i2c_read(w->bus, address, tables[i].data, bytes, 6), 0);
+			for (int k = 0; k < 3; k++)
+				words[k] = tables[i].big_endian ? (int16_t)(bytes[2 * k] << 8 | bytes[2 * k + 1])
+								: (int16_t)(bytes[2 * k + 1] << 8 | bytes[2 * k]);
+			if (!(fabs(words[0]) <= 1 && fabs(words[tables[i].y] - 0.2 * tables[i].xy[code]) <= 1 &&
+				    fabs(words[tables[i].z] + 0.45 * tables[i].z_digits[code]) <= 1))
+				fail_msg("%s, code %d: %g %g %g", tables[i].board, code, words[0], words[1], words[2]);
+			world_free(w);
+		}
+}
+
 /* Rates and the control registers for them, from the tables of the data sheets: the gyro's (with its widest bandwidth)
  * and the accelerometer's, which samples at least twice as fast where it can. */
 static void test_each_rate_has_the_registers_of_the_data_sheets(void **state)
@@ -1011,6 +1058,7 @@ int main(void)
 			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_sample_at_the_rates_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_digits_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
