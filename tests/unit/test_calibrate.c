@@ -184,6 +184,7 @@ static void test_free_positions_give_the_bias_within_its_sigma_and_gravity_in_ev
 
 			assert_near(vec3_norm(corrected(&accel.result.calibration, &sensor.accel, g)), G, 0.01);
 		}
+		assert_true(accel.coverage > 0.4 && accel.coverage <= 1);
 		/* of 14 positions: some times the least of the biases' as a share of gravity */
 		assert_true(accel.result.matrix_sigma * G > vec3_norm(accel.result.bias_sigma_m_s2) / 5);
 		assert_true(accel.result.matrix_sigma * G < vec3_norm(accel.result.bias_sigma_m_s2) * 5);
