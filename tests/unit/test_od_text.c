@@ -326,6 +326,7 @@ static void test_entries_are_found_by_their_numbers(void **state)
 {
 	(void)state;
 	assert_finds("0x2000:1", 0x2000, 1);
+	assert_finds("0X2000:1", 0x2000, 1);
 	assert_finds("2000h:1", 0x2000, 1);
 	assert_finds("0x2003", 0x2003, 0);
 	assert_finds("2003H", 0x2003, 0);
