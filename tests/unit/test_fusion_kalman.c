@@ -850,6 +850,37 @@ static void test_a_yaw_from_outside_counts_up_to_5_sigma(void **state)
 	}
 }
 
+/* Bias that is estimated within 4 s of a steady rate about the vertical, while the field turns by a share of it. */
+static double bias_of_a_steady_rate(double rate_rad_s, double share)
+{
+	struct filter f = started(G);
+
+	f.k.bias_known = false;
+	for (int k = 0; k < 4000; k++) {
+		const struct vec3 turned = {0, 0, share * rate_rad_s * k * 1e-3};
+		const struct vec3 field_b = quat_rotate_inverse(quat_from_rotation_vector(turned), FIELD_N);
+		const struct fusion_kalman_sample s = {.gyro_b_rad_s = {0, 0, rate_rad_s},
+			.rate_b_rad_s = {0, 0, rate_rad_s - f.errors.bias_b_rad_s.z},
+			.force_b_m_s2 = {0, 0, G},
+			.field_b_uT = &field_b,
+			.rest = true,
+			.steady_s = 100};
+
+		f.q_nb = quat_multiply(f.q_nb, quat_from_rotation_vector(vec3_scale(1e-3, s.rate_b_rad_s)));
+		fusion_kalman_step(&f.k, &KALMAN, &s, 1e-3, &f.q_nb, &f.errors);
+	}
+	return f.errors.bias_b_rad_s.z;
+}
+
+static void test_a_steady_rate_is_bias_unless_the_field_turns_with_it(void **state)
+{
+	(void)state;
+	assert_near(bias_of_a_steady_rate(0.05, 0), 0.05, 1e-4);
+	assert_near(bias_of_a_steady_rate(0.05, 0.3), 0.05, 1e-4);
+	assert_true(bias_of_a_steady_rate(0.05, 0.5) < 0.025);
+	assert_near(bias_of_a_steady_rate(0.05, 1), 0, 1e-3);
+}
+
 static void test_a_set_attitude_is_known_to_a_degree(void **state)
 {
 	struct filter f = started(G);
@@ -923,6 +954,7 @@ int main(void)
 		cmocka_unit_test(test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors),
 		cmocka_unit_test(test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
+		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
 		cmocka_unit_test(test_the_first_north_is_as_uncertain_as_the_tilt_makes_it),
 		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap),
