@@ -370,6 +370,34 @@ static void test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples(voi
 	}
 }
 
+static size_t fifo_bytes;
+
+/* The windows of the FIFOs of the LSM6DS33 and LSM6DSO. */
+static int count_fifo_bytes(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	if (!access->write && access->address == 0x6B && (access->sub == 0x3E || access->sub == 0x78))
+		fifo_bytes += access->n;
+	return 0;
+}
+
+/* 32 sets of twelve bytes; with tags, 64 entries of seven. The rest is for the next time. */
+static void test_a_long_fifo_is_read_32_sets_at_a_time(void **state)
+{
+	(void)state;
+	for (int i = 4; i <= 5; i++) {
+		struct world *w = world_new(BOARDS[i], "rest", false);
+
+		world_run(w, 3000000);
+		w->now_ns += 600000000;
+		fifo_bytes = 0;
+		w->before = count_fifo_bytes;
+		board_step(&w->board);
+		assert_int_equal(fifo_bytes, i == 4 ? 32 * 12 : 64 * 7);
+		world_free(w);
+	}
+}
+
 static void test_the_rate_is_measured(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -1047,6 +1075,7 @@ int main(void)
 		cmocka_unit_test(test_late_reads_do_not_change_the_time_stamps),
 		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
 		cmocka_unit_test(test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples),
+		cmocka_unit_test(test_a_long_fifo_is_read_32_sets_at_a_time),
 		cmocka_unit_test(test_the_rate_is_measured),
 		cmocka_unit_test(test_data_ready_edges_give_times_that_late_reads_alone_do_not),
 		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
