@@ -890,6 +890,10 @@ static void test_a_set_attitude_is_known_to_a_degree(void **state)
 	for (int i = 0; i < 3; i++)
 		assert_near(sigma_of(&f, i), 1 * RAD_PER_DEG, 1e-9);
 	assert_near(sigma_of(&f, KALMAN_VELOCITY), 0.3, 1e-9);
+	f = (struct filter){.q_nb = QUAT_IDENTITY}; /* before the first sample */
+	fusion_kalman_set_attitude(&f.k, &KALMAN);
+	assert_near(sigma_of(&f, KALMAN_BIAS), 0.5 * RAD_PER_DEG, 1e-9);
+	assert_near(sigma_of(&f, KALMAN_SCALE), KALMAN.gyro_scale_sigma, 1e-9);
 }
 
 /* An error of the tilt turns the measured field by the tangent of the dip, 3 in Central Europe. */

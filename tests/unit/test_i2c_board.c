@@ -824,6 +824,47 @@ static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state
 		}
 }
 
+/* The lowest bit of a word that noise reaches: twelve bits, left-justified, or sixteen; ten bits without the high resolution of the
+ * LSM303DLHC. */
+static void test_words_of_simulated_chips_have_the_resolution_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t writes[3][2], data;
+		unsigned lowest;
+	} words[] = {
+		{"v0", IMU_CHIP_GYRO, {{0x20, 0xCF}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 1},
+		{"v0", IMU_CHIP_ACCEL, {{0x20, 0x3F}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 16},
+		{"v2", IMU_CHIP_ACCEL, {{0x20, 0x77}, {0x23, 0x88}, {0x21, 0}}, 0xA8, 16},
+		{"v2", IMU_CHIP_ACCEL, {{0x20, 0x77}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 64},
+		{"v3", IMU_CHIP_ACCEL, {{0x20, 0x87}, {0x21, 0}, {0x22, 0}}, 0xA8, 1},
+		{"v3", IMU_CHIP_MAG, {{0x24, 0xF0}, {0x25, 0}, {0x26, 0}}, 0x88, 1},
+		{"v5", IMU_CHIP_GYRO, {{0x11, 0x60}, {0x10, 0x60}, {0x12, 0x04}}, 0x22, 1},
+		{"v5", IMU_CHIP_ACCEL, {{0x11, 0x60}, {0x10, 0x60}, {0x12, 0x04}}, 0x28, 1},
+		{"v5", IMU_CHIP_MAG, {{0x20, 0xFC}, {0x21, 0}, {0x22, 0}}, 0xA8, 1},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
+		struct world *w = world_make(words[i].board, "rest", false);
+		const uint8_t address = sim_board_address(w->sim, words[i].chip);
+		unsigned bits = 0;
+		uint8_t bytes[6];
+
+		for (int k = 0; k < 3; k++)
+			assert_int_equal(i2c_write(w->bus, address, words[i].writes[k][0], words[i].writes[k][1]), 0);
+		for (int k = 0; k < 200; k++) {
+			w->now_ns += 30000000;
+			assert_int_equal(i2c_read(w->bus, address, words[i].data, bytes, 6), 0);
+			bits |= (unsigned)(bytes[0] | bytes[1] << 8 | bytes[2] | bytes[3] << 8 | bytes[4] |
+					   bytes[5] << 8);
+		}
+		assert_int_equal(bits & -bits, words[i].lowest);
+		world_free(w);
+	}
+}
+
 /* Digits per gauss in x and y, and in z, by the code of the gain; the field is 0.2 gauss along y and -0.45 along z. */
 static void test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets(void **state)
 {
@@ -1087,6 +1128,7 @@ int main(void)
 			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_sample_at_the_rates_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_digits_of_the_data_sheets),
+		cmocka_unit_test(test_words_of_simulated_chips_have_the_resolution_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets),
 		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),

@@ -891,6 +891,25 @@ static void test_an_aided_motion_is_no_standstill_for_5_s(void **state)
 	}
 }
 
+/* What has been integrated without zero-velocity updates since the object stood is taken over as it is. */
+static void test_when_a_motion_begins_position_and_velocity_are_those_since_it_stood(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+	struct zero_velocity_fork *fork = &n.zero_velocity.forks[1];
+
+	(void)state;
+	n.config.noise = (struct noise_config){.gyro_density_rad_s_sqrt_hz = 1e-5, .accel_density_m_s2_sqrt_hz = 1e-3};
+	for (int k = 0; k < 400 && !fork->set; k++)
+		one_interval(&n, ZERO, ZERO);
+	assert_true(n.still && fork->set);
+	fork->position_n_m = (struct vec3){1, 2, 3};
+	fork->velocity_n_m_s = (struct vec3){0.5, -0.4, 0.3};
+	one_interval(&n, ZERO, ZERO);
+	assert_false(n.still);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0.5, -0.4, 0.3}), 0.01);
+	assert_vec_near(n.position_n_m, ((struct vec3){1, 2, 3}), 0.05);
+}
+
 static void test_a_set_attitude_is_known_to_a_degree(void **state)
 {
 	struct navigation n = started(MOTION_ANY);
@@ -983,6 +1002,7 @@ int main(void)
 		cmocka_unit_test(test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before),
 		cmocka_unit_test(test_an_aided_velocity_beyond_5_sigma_replaces_the_velocity),
 		cmocka_unit_test(test_an_aided_motion_is_no_standstill_for_5_s),
+		cmocka_unit_test(test_when_a_motion_begins_position_and_velocity_are_those_since_it_stood),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
 		cmocka_unit_test(test_a_tilt_or_a_heading_too_far_from_the_fusions_starts_again_from_it),
 		cmocka_unit_test(test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias),

@@ -297,6 +297,23 @@ static void test_a_motion_begins_at_4_sigma_of_the_velocity_and_at_3_while_the_o
 	}
 }
 
+/* A chi-squared value of 3 is that of what stands; the limit, 16, that of what moves. The way of the fork counts in between. */
+static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **state)
+{
+	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0};
+	const double chi2[] = {2.9, 3 + 0.25 * 13, 3 + 0.75 * 13}, doubts[] = {0, 0.25, 0.75};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct standing s = standing_with_fork(&none, 0, 0);
+
+		s.z.forks[1].velocity_n_m_s.x = sqrt(chi2[i] * (0.001 * 0.001 + 0.002 * 0.002));
+		s.z.forks[1].position_n_m = vec3_add(s.n.position_n_m, (struct vec3){1, -2, 3});
+		assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
+		assert_vec_near(s.z.position_variance_m2, vec3_scale(doubts[i], (struct vec3){1, 4, 9}), 1e-6);
+	}
+}
+
 /* Velocity of vibration: the acceleration through the integrator with a time constant of 30 ms, behind a high-pass of 0.1 s. */
 static void test_vibration_is_the_velocity_above_5_hz(void **state)
 {
@@ -483,6 +500,7 @@ int main(void)
 		cmocka_unit_test(
 			test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill),
 		cmocka_unit_test(test_a_motion_begins_at_4_sigma_of_the_velocity_and_at_3_while_the_object_turns),
+		cmocka_unit_test(test_a_way_that_may_be_one_makes_the_position_less_certain),
 		cmocka_unit_test(test_vibration_is_the_velocity_above_5_hz),
 		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
