@@ -199,6 +199,26 @@ static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **
 	assert_refused("replay:x.csv,", "unknown option ''");
 }
 
+/* Bus and options of the sensor on I2C, before anything is opened; with none wrong, the bus is what is missing. */
+static void test_a_wrong_option_of_i2c_is_refused_with_what_to_use(void **state)
+{
+	static const char *const wrong[] = {"foo", "drdy=", "drdy=gpiochip0", "drdy=gpiochip0:", "drdy=gpiochip0:x",
+		"drdy=gpiochip0:3x", "drdy=:3", "stub,foo", ""};
+
+	(void)state;
+	assert_refused("i2c", "no bus: use i2c:");
+	assert_refused("i2c:", "no bus: use i2c:");
+	assert_refused("i2c:,stub", "no bus: use i2c:");
+	for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
+		char src[100];
+
+		snprintf(src, sizeof src, "i2c:/nonexistent,%s", wrong[i]);
+		assert_refused(src, "unknown option");
+	}
+	assert_refused("i2c:/nonexistent,stub,drdy=gpiochip0:17", "/nonexistent");
+	assert_refused("i2c:/nonexistent", "/nonexistent");
+}
+
 static void test_the_port_is_named_after_the_file_without_its_folder(void **state)
 {
 	struct imu_port *port = opened("");
@@ -251,6 +271,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_pause_all_due_samples_are_read_and_counted_as_late),
 		cmocka_unit_test(test_skipped_rows_are_counted_with_the_reason_of_the_last),
 		cmocka_unit_test(test_an_unknown_source_or_option_is_refused_with_what_to_use),
+		cmocka_unit_test(test_a_wrong_option_of_i2c_is_refused_with_what_to_use),
 		cmocka_unit_test(test_the_port_is_named_after_the_file_without_its_folder),
 		cmocka_unit_test(test_a_source_of_4096_characters_is_too_long),
 		cmocka_unit_test(test_the_list_of_sources_has_syntax_and_description_of_each),
