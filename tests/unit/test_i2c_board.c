@@ -518,6 +518,48 @@ static void test_the_smallest_values_that_are_enough_are_chosen(void **state)
 	world_free(w);
 }
 
+/* deg/s, g and uT, from the data sheets. */
+static void test_each_full_scale_of_the_data_sheets_can_be_chosen(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		int stream, triad;
+		double full_scales[8];
+	} tables[] = {
+		{"v0", IMU_CHIP_GYRO, 0, 0, {250, 500, 2000}},
+		{"v0", IMU_CHIP_ACCEL, 1, 0, {2, 4, 8}},
+		{"v0", IMU_CHIP_MAG, 2, 0, {130, 190, 250, 400, 470, 560, 810}},
+		{"v2", IMU_CHIP_GYRO, 0, 0, {250, 500, 2000}},
+		{"v2", IMU_CHIP_ACCEL, 1, 0, {2, 4, 8, 16}},
+		{"v2", IMU_CHIP_MAG, 2, 0, {130, 190, 250, 400, 470, 560, 810}},
+		{"v3", IMU_CHIP_GYRO, 0, 0, {245, 500, 2000}},
+		{"v3", IMU_CHIP_ACCEL, 1, 0, {2, 4, 6, 8, 16}},
+		{"v3", IMU_CHIP_MAG, 2, 0, {200, 400, 800, 1200}},
+		{"v5", IMU_CHIP_GYRO, 0, 0, {125, 250, 500, 1000, 2000}},
+		{"v5", IMU_CHIP_ACCEL, 0, 1, {2, 4, 8, 16}},
+		{"v5", IMU_CHIP_MAG, 1, 0, {400, 800, 1200, 1600}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int k = 0; k < 8 && tables[i].full_scales[k] > 0; k++) {
+			struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+			struct world *w = world_make(tables[i].board, "rest", true);
+			struct board_plan plan;
+			char why[200];
+
+			*(tables[i].chip == IMU_CHIP_GYRO	   ? &settings.gyro_range_deg_s
+				: tables[i].chip == IMU_CHIP_ACCEL ? &settings.accel_range_g
+								   : &settings.mag_range_uT) = tables[i].full_scales[k];
+			world_detect(w);
+			assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
+			assert_true(fabs(plan.setup[tables[i].stream].range[tables[i].triad]->full_scale -
+					    tables[i].full_scales[k]) < 1e-6);
+			world_free(w);
+		}
+}
+
 /* Bits BW of CTRL1, from the tables of the data sheets; the first code of several with the same bandwidth. */
 static void test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets(void **state)
 {
@@ -1122,6 +1164,7 @@ int main(void)
 		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
 		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
+		cmocka_unit_test(test_each_full_scale_of_the_data_sheets_can_be_chosen),
 		cmocka_unit_test(test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets),
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
 		cmocka_unit_test(
