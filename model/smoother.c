@@ -214,7 +214,6 @@ static void start(struct smoother *s, struct smoother_point here, double p[N][N]
 	s->live = (struct smoother_point){.velocity_n_m_s = here.velocity_n_m_s};
 	s->live_m = 0;
 	set_identity(&s->recent);
-	set_identity(&s->earlier);
 	keep(s, 0, here, p);
 	memset(s->kept[0].variance, 0, sizeof(s->kept[0].variance));
 	memset(s->kept[0].x[POSITION], 0, 3 * sizeof(s->kept[0].x[POSITION]));

@@ -170,7 +170,8 @@ static double length(const double v[N])
 	return sqrt(sum);
 }
 
-static int minimise(const struct problem *p, struct ellipsoid *e)
+/* Ends early when the points do not determine the parameters, which evaluate() reports. */
+static void minimise(const struct problem *p, struct ellipsoid *e)
 {
 	double damping = 1e-4, now = cost(p, e);
 
@@ -182,7 +183,7 @@ static int minimise(const struct problem *p, struct ellipsoid *e)
 		for (int j = 0; j < N; j++)
 			normal[j * (N + 1)] *= 1 + damping;
 		if (linalg_solve(N, normal, step) < 0)
-			return -EDOM;
+			break;
 		there = step_from(e, step);
 		next = cost(p, &there);
 		if (next <= now) {
@@ -195,7 +196,6 @@ static int minimise(const struct problem *p, struct ellipsoid *e)
 		if (length(step) < 1e-9 || damping > 1e9)
 			break;
 	}
-	return isfinite(now) ? 0 : -EDOM;
 }
 
 static double mean_distance(const struct vec3 *points, int count, const struct ellipsoid *e)
@@ -300,8 +300,7 @@ int ellipsoid_fit(const struct vec3 *points, int count, double radius, bool robu
 	for (int pass = 0; pass < (robust ? ROBUST_PASSES : 1); pass++) {
 		p.before = fit;
 		p.edge = robust ? HUBER * mean_distance(points, count, &fit) : (double)INFINITY;
-		if (minimise(&p, &fit) < 0)
-			return -EDOM;
+		minimise(&p, &fit);
 	}
 	if (evaluate(&p, &fit) < 0)
 		return -EDOM;

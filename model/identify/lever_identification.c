@@ -350,6 +350,7 @@ struct solution {
 	double noise_variance[3];		 /* of r */
 	double residual_m_s2, arm_m_s2;		 /* RMS of the residual, and of what the lever arm explains */
 	double delay_s;
+	combination c; /* at this delay */
 };
 
 static void add_prior(double information[PARAMETERS * PARAMETERS], bool with_delay)
@@ -369,10 +370,9 @@ static void add_prior(double information[PARAMETERS * PARAMETERS], bool with_del
 static bool solve_once(const struct lever_block *total, bool with_delay, struct solution *s)
 {
 	double product[1 + PARAMETERS][1 + PARAMETERS], explained = 0, arm = 0;
-	combination c;
 
-	combine(s->delay_s, c);
-	multiply(total, c, product);
+	combine(s->delay_s, s->c);
+	multiply(total, s->c, product);
 	for (int i = 0; i < PARAMETERS; i++)
 		for (int j = 0; j < PARAMETERS; j++)
 			s->inverse[i * PARAMETERS + j] = product[1 + i][1 + j];
@@ -398,12 +398,9 @@ static void estimate_variance(const struct lever_identification *id, bool with_d
 {
 	const int free_parameters = with_delay ? PARAMETERS : PARAMETERS - 1;
 	double product[1 + PARAMETERS][1 + PARAMETERS], score[PARAMETERS];
-	combination c;
 
-	combine(s->delay_s, c);
-	memset(s->noise_variance, 0, sizeof(s->noise_variance));
 	for (int b = 0; b < id->blocks; b++) {
-		multiply(&id->block[b], c, product);
+		multiply(&id->block[b], s->c, product);
 		for (int i = 0; i < PARAMETERS; i++) {
 			score[i] = product[1 + i][0];
 			for (int j = 0; j < PARAMETERS; j++)

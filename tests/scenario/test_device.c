@@ -38,6 +38,63 @@ static int16_t i16(const uint8_t *p)
 	return (int16_t)(p[0] | p[1] << 8);
 }
 
+/* ---- defaults ---------------------------------------------------------------------------------------------------- */
+
+/* The EDS has a real32 of the same value, some of them in other units. */
+static void assert_equal(double from_eds, double from_model)
+{
+	assert_near(from_eds, from_model, 1e-5 * fabs(from_model));
+}
+
+/* So that the figures that are measured on the model alone hold for the device. */
+static void test_the_defaults_of_the_eds_are_those_of_the_model(void **state)
+{
+	struct world *w = *state;
+	const struct pipeline_config e = settings_pipeline(&w->device.values), m = PIPELINE_DEFAULTS;
+
+	assert_int_equal(e.accel_filter.type, m.accel_filter.type);
+	assert_int_equal(e.accel_filter.order, m.accel_filter.order);
+	assert_equal(e.accel_filter.cutoff_hz, m.accel_filter.cutoff_hz);
+	assert_int_equal(e.rate_filter.type, m.rate_filter.type);
+	assert_int_equal(e.rate_filter.order, m.rate_filter.order);
+	assert_equal(e.rate_filter.cutoff_hz, m.rate_filter.cutoff_hz);
+	assert_int_equal(e.fusion.algorithm, m.fusion.algorithm);
+	assert_int_equal(e.fusion.use_magnetometer, m.fusion.use_magnetometer);
+	assert_equal(e.fusion.madgwick_beta, m.fusion.madgwick_beta);
+	assert_equal(e.fusion.mahony_kp_rad_s, m.fusion.mahony_kp_rad_s);
+	assert_equal(e.fusion.mahony_ki_rad_s2, m.fusion.mahony_ki_rad_s2);
+	assert_equal(e.fusion.kalman.velocity_sigma_m_s, m.fusion.kalman.velocity_sigma_m_s);
+	assert_equal(e.fusion.kalman.heading_sigma_rad, m.fusion.kalman.heading_sigma_rad);
+	assert_equal(e.fusion.kalman.field_limit, m.fusion.kalman.field_limit);
+	assert_equal(e.fusion.kalman.rejection_time_s, m.fusion.kalman.rejection_time_s);
+	assert_equal(e.fusion.kalman.gyro_error, m.fusion.kalman.gyro_error);
+	assert_equal(e.fusion.kalman.bias_walk_rad_s_sqrt_s, m.fusion.kalman.bias_walk_rad_s_sqrt_s);
+	assert_equal(e.fusion.kalman.gyro_scale_sigma, m.fusion.kalman.gyro_scale_sigma);
+	assert_equal(e.latency.sensor_s, m.latency.sensor_s);
+	assert_equal(e.latency.accelerometer_s, m.latency.accelerometer_s);
+	assert_equal(e.noise.angle_sigma_rad, m.noise.angle_sigma_rad);
+	assert_equal(e.noise.gyro_density_rad_s_sqrt_hz, m.noise.gyro_density_rad_s_sqrt_hz);
+	assert_equal(e.noise.gyro_bias_instability_rad_s, m.noise.gyro_bias_instability_rad_s);
+	assert_equal(e.noise.accel_density_m_s2_sqrt_hz, m.noise.accel_density_m_s2_sqrt_hz);
+	assert_equal(e.noise.accel_bias_instability_m_s2, m.noise.accel_bias_instability_m_s2);
+	assert_equal(e.noise.mag_sigma_uT, m.noise.mag_sigma_uT);
+	assert_int_equal(e.estimator.model, m.estimator.model);
+	assert_int_equal(e.estimator.rates_from, m.estimator.rates_from);
+	assert_equal(e.estimator.gravity_m_s2, m.estimator.gravity_m_s2);
+	assert_equal(e.rest.gyro_threshold_rad_s, m.rest.gyro_threshold_rad_s);
+	assert_equal(e.rest.accel_threshold_m_s2, m.rest.accel_threshold_m_s2);
+	assert_equal(e.rest.time_s, m.rest.time_s);
+	assert_int_equal(e.position.mode, m.position.mode);
+	assert_equal(e.position.longest_integration_s, m.position.longest_integration_s);
+	assert_int_equal(e.position.navigation.preset, m.position.navigation.preset);
+	assert_int_equal(e.position.navigation.levelling, m.position.navigation.levelling);
+	for (int i = 0; i < 9; i++) {
+		assert_equal(e.calibration.gyro.matrix[i / 3][i % 3], m.calibration.gyro.matrix[i / 3][i % 3]);
+		assert_equal(e.calibration.accel.matrix[i / 3][i % 3], m.calibration.accel.matrix[i / 3][i % 3]);
+		assert_equal(e.calibration.mag.matrix[i / 3][i % 3], m.calibration.mag.matrix[i / 3][i % 3]);
+	}
+}
+
 /* ---- samples to PDOs --------------------------------------------------------------------------------------------- */
 
 static void test_a_pdo_carries_what_the_pipeline_computes(void **state)
@@ -711,6 +768,7 @@ static void test_an_hour_of_syncs_gets_every_pdo(void **state)
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		TEST(test_the_defaults_of_the_eds_are_those_of_the_model),
 		TEST(test_a_pdo_carries_what_the_pipeline_computes),
 		TEST(test_the_pdos_of_one_sync_carry_the_same_sample),
 		TEST(test_the_counter_of_the_first_sample_is_zero),

@@ -237,6 +237,21 @@ static void test_a_sync_within_a_period_and_a_half_is_not_missing(void **state)
 	}
 }
 
+static void test_a_new_period_is_watched_from_the_next_sync_on(void **state)
+{
+	struct bus *bus = *state;
+
+	await_sync(bus);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 20000), 0);
+	bus_run(bus, 1000000);
+	bus_expect_nothing(bus);
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	bus_run(bus, 29999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, MISSING);
+}
+
 static void test_without_a_period_no_sync_is_missing(void **state)
 {
 	struct bus *bus = *state;
@@ -538,6 +553,7 @@ int main(void)
 		OPERATIONAL(test_without_a_window_no_sync_is_late),
 		OPERATIONAL(test_a_sync_missing_for_a_period_and_a_half_is_reported_once_until_the_next_sync),
 		OPERATIONAL(test_a_sync_within_a_period_and_a_half_is_not_missing),
+		OPERATIONAL(test_a_new_period_is_watched_from_the_next_sync_on),
 		OPERATIONAL(test_without_a_period_no_sync_is_missing),
 		OPERATIONAL(test_before_the_first_sync_none_is_missing),
 		OPERATIONAL(test_a_sync_is_missing_in_operational_only),

@@ -184,6 +184,10 @@ static void test_free_positions_give_the_bias_within_its_sigma_and_gravity_in_ev
 
 			assert_near(vec3_norm(corrected(&accel.result.calibration, &sensor.accel, g)), G, 0.01);
 		}
+		assert_true(accel.coverage > 0.4 && accel.coverage <= 1);
+		/* of 14 positions: some times the least of the biases' as a share of gravity */
+		assert_true(accel.result.matrix_sigma * G > vec3_norm(accel.result.bias_sigma_m_s2) / 5);
+		assert_true(accel.result.matrix_sigma * G < vec3_norm(accel.result.bias_sigma_m_s2) * 5);
 	}
 	assert_true(sum / CHIPS > 0.4 && sum / CHIPS < 2);
 }
@@ -337,6 +341,17 @@ static void test_the_next_side_is_the_farthest_one_from_all_positions(void **sta
 	hold((struct vec3){0, 0, -1}, 0.01);
 	hold((struct vec3){1, 0, 0}, 0.01);
 	assert_int_equal(calibrate_accelerometer_next(&accel), 2);
+	hold((struct vec3){-1, 0, 0}, 0.01);
+	hold((struct vec3){0, 1, 0}, 0.01);
+	assert_int_equal(calibrate_accelerometer_next(&accel), 4); /* the last of the six faces */
+
+	begin_accelerometer(CALIBRATE_FREE);
+	for (int face = 0; face < 6; face++) {
+		double up = face % 2 ? -1 : 1;
+
+		hold((struct vec3){face / 2 == 0 ? up : 0, face / 2 == 1 ? up : 0, face / 2 == 2 ? up : 0}, 0.01);
+	}
+	assert_in_range(calibrate_accelerometer_next(&accel), 7, 14); /* then the corners */
 }
 
 /* ---- magnetometer ------------------------------------------------------------------------------------------------ */
@@ -649,6 +664,7 @@ static void test_exact_points_of_an_ellipsoid_give_its_parameters(void **state)
 
 		points[i] = vec3_add((struct vec3){100, -20, 5}, mat3_apply(inverse, u));
 	}
+	assert_int_equal(ellipsoid_guess(points, 9, 50, &e), -EDOM); /* as many as unknowns */
 	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), 0);
 	assert_int_equal(ellipsoid_fit(points, 40, 50, true, &e), 0);
 	assert_vec_near(e.centre, ((struct vec3){100, -20, 5}), 1e-6);
@@ -745,6 +761,13 @@ static void test_points_that_many_ellipsoids_go_through_are_refused(void **state
 	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), -EDOM);
 	assert_int_equal(ellipsoid_fit(points, 40, 50, false, &e), -EDOM);
 	assert_int_equal(ellipsoid_fit(points, 9, 50, false, &e), -EDOM);
+	for (int i = 0; i < 40; i++)
+		points[i] = (struct vec3){1, 2, 3};
+	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), -EDOM);
+	assert_int_equal(ellipsoid_fit(points, 40, 50, true, &e), -EDOM);
+	points[17].x = NAN;
+	assert_int_equal(ellipsoid_guess(points, 40, 50, &e), -EDOM);
+	assert_int_equal(ellipsoid_fit(points, 40, 50, true, &e), -EDOM);
 	assert_memory_equal(&e, &sphere, sizeof(e));
 }
 

@@ -15,16 +15,26 @@ static void test_a_code_of_this_device_has_its_own_text(void **state)
 	assert_string_equal(emcy_code_text(EMCY_NO_ERROR), "no error");
 }
 
+/* CiA 301, table 26 */
 static void test_another_code_has_the_text_of_its_class(void **state)
 {
+	static const struct {
+		unsigned from, to;
+		const char *text;
+	} classes[] = {{0x1002, 0x10FF, "generic error"}, {0x2000, 0x2FFF, "current"}, {0x3000, 0x3FFF, "voltage"},
+		{0x4000, 0x4FFF, "temperature"}, {0x5002, 0x50FF, "device hardware"},
+		{0x60FF, 0x60FF, "device software"}, {0x6101, 0x61FF, "internal software"},
+		{0x6201, 0x62FF, "user software"}, {0x63F0, 0x63FF, "data set"}, {0x7000, 0x70FF, "additional modules"},
+		{0x8001, 0x80FF, "monitoring"}, {0x8190, 0x81FF, "communication"}, {0x8260, 0x82FF, "protocol error"},
+		{0x9000, 0x90FF, "external error"}, {0xF000, 0xF0FF, "additional functions"},
+		{0xFF90, 0xFFFF, "device-specific"}};
+
 	(void)state;
-	assert_string_equal(emcy_code_text(0x8230), "protocol error");
-	assert_string_equal(emcy_code_text(0x8160), "communication");
-	assert_string_equal(emcy_code_text(0x8F00), "monitoring");
-	assert_string_equal(emcy_code_text(0x2310), "current");
-	assert_string_equal(emcy_code_text(0x6399), "data set");
-	assert_string_equal(emcy_code_text(0xFF99), "device-specific");
-	assert_string_equal(emcy_code_text(0xF001), "additional functions");
+	for (size_t i = 0; i < sizeof(classes) / sizeof(classes[0]); i++) {
+		assert_string_equal(emcy_code_text((uint16_t)classes[i].from), classes[i].text);
+		assert_string_equal(emcy_code_text((uint16_t)classes[i].to), classes[i].text);
+	}
+	assert_string_equal(emcy_code_text(0x00FF), "no error");
 }
 
 static void test_a_code_outside_every_class_is_unknown(void **state)

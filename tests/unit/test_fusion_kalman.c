@@ -1,4 +1,6 @@
 /* The Kalman filter of the attitude on simulated sensors whose motion is known. */
+#include <string.h>
+
 #include "model_test.h"
 
 #include "model/fusion.h"
@@ -189,12 +191,16 @@ static void test_the_bias_is_estimated_in_motion(void **state)
 
 static void test_the_bias_estimate_is_limited(void **state)
 {
-	struct errors e = {.gyro_bias = {0.6, 0.6, 0}}; /* 49 deg/s */
+	struct errors e = {.gyro_bias = {0.6, 0.8, 0}}; /* 57 deg/s */
 	struct fusion f = fusion(NINE_AXES);
 
 	(void)state;
 	follow(&f, &e, 0, 20);
 	assert_true(vec3_norm(f.gyro_errors.bias_b_rad_s) < 30.1 * RAD_PER_DEG);
+	f = fusion(NINE_AXES);
+	f.gyro_errors.bias_b_rad_s = e.gyro_bias;
+	follow(&f, &e, 0, 0.1);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, vec3_scale(30 * RAD_PER_DEG, e.gyro_bias), 0.1 * RAD_PER_DEG);
 }
 
 static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
@@ -655,6 +661,32 @@ static void test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_headin
 	assert_near(heading_sigma(0), quiet, 1e-3);
 }
 
+/* Those that fusion_kalman.h gives. */
+static void test_the_ranges_of_the_configuration_include_their_limits(void **state)
+{
+	struct fusion_config c = NINE_AXES;
+	const struct {
+		double *value, least, most;
+	} ranges[] = {{&c.kalman.velocity_sigma_m_s, 0.01, 1000}, {&c.kalman.heading_sigma_rad, 0.001, 1},
+		{&c.kalman.field_limit, 0.01, 1}, {&c.kalman.rejection_time_s, 0, 1e6}, {&c.kalman.gyro_error, 0, 0.1},
+		{&c.kalman.bias_walk_rad_s_sqrt_s, 0, 0.1}, {&c.kalman.gyro_scale_sigma, 0, 0.05},
+		{&c.kalman.field_sigma_uT, 0, 1000}};
+	struct fusion f;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(ranges) / sizeof(ranges[0]); i++) {
+		const double good = *ranges[i].value, beyond = 1e-6 * ranges[i].most;
+
+		for (int k = 0; k < 4; k++) {
+			*ranges[i].value = (k % 2 ? ranges[i].most : ranges[i].least) + (k < 2		? 0
+												: k % 2 ? beyond
+													: -beyond);
+			assert_int_equal(fusion_init(&f, &c), k < 2 ? 0 : -EINVAL);
+		}
+		*ranges[i].value = good;
+	}
+}
+
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
 	struct fusion_config bad[10];
@@ -768,6 +800,208 @@ static void test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up(vo
 	assert_quat_near(up.q_nb, quat_from_rotation_vector(y), 0);
 }
 
+/* ---- the model of the errors, in closed form ---------------------------------------------------------------------- */
+
+static const struct fusion_kalman_config KALMAN = FUSION_KALMAN_DEFAULTS;
+
+struct filter {
+	struct fusion_kalman k;
+	struct quat q_nb;
+	struct gyro_errors errors;
+};
+
+static struct filter started(double force_m_s2)
+{
+	struct filter f = {.q_nb = QUAT_IDENTITY};
+
+	fusion_kalman_start(&f.k, &KALMAN, force_m_s2);
+	f.k.bias_known = true;
+	return f;
+}
+
+/* Samples of a level object until a correction; its time. */
+static double one_correction(struct filter *f, struct vec3 rate_b_rad_s, bool rest, bool saturated)
+{
+	const struct fusion_kalman_sample s = {.gyro_b_rad_s = rate_b_rad_s,
+		.rate_b_rad_s = rate_b_rad_s,
+		.force_b_m_s2 = {0, 0, G},
+		.rest = rest,
+		.steady_s = rest ? 10 : 0,
+		.saturated = saturated};
+	double t = 0;
+
+	do {
+		fusion_kalman_step(&f->k, &KALMAN, &s, 1e-3, &f->q_nb, &f->errors);
+		t += 1e-3;
+	} while (f->k.sums.time_s > 0);
+	return t;
+}
+
+static double sigma_of(const struct filter *f, int i)
+{
+	return sqrt(f->k.covariance[i][i]);
+}
+
+/* A force that is not gravity shows a tilt that is as wrong as its length. */
+static void test_at_the_start_the_tilt_is_known_as_well_as_the_length_of_the_force_fits_gravity(void **state)
+{
+	const double forces_m_s2[] = {9.8, 9.8 * 1.2, 9.8 * 0.7, 30}, tilts_rad[] = {0.1, 0.3, 0.4, 1};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		const struct filter f = started(forces_m_s2[i]);
+
+		assert_near(sigma_of(&f, 0), tilts_rad[i], 1e-9);
+		assert_near(sigma_of(&f, 1), tilts_rad[i], 1e-9);
+		assert_near(sigma_of(&f, KALMAN_HEADING), KALMAN.heading_sigma_rad, 1e-9);
+		for (int k = 0; k < 3; k++) {
+			assert_near(sigma_of(&f, KALMAN_BIAS + k), 0.5 * RAD_PER_DEG, 1e-9);
+			assert_near(sigma_of(&f, KALMAN_SCALE + k), KALMAN.gyro_scale_sigma, 1e-9);
+			assert_near(sigma_of(&f, KALMAN_ACCEL + k), 0.03, 1e-9);
+		}
+		assert_near(sigma_of(&f, KALMAN_VELOCITY), 0.3, 1e-9);
+		assert_near(sigma_of(&f, KALMAN_VELOCITY + 1), 0.3, 1e-9);
+	}
+}
+
+/* White noise of 0.12 deg/s/sqrt(Hz), an error proportional to the rate that lasts for 0.3 s, half of the rate where the gyro is
+ * saturated; the bias walks, and the scale returns to its start within 10 hours. */
+static void test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors(void **state)
+{
+	const struct vec3 rate = {3, -4, 12};
+
+	(void)state;
+	for (int saturated = 0; saturated < 2; saturated++) {
+		struct filter f = started(G);
+		double t, expected;
+
+		memset(f.k.covariance, 0, sizeof(f.k.covariance));
+		t = one_correction(&f, rate, false, saturated);
+		expected = t * pow(0.12 * RAD_PER_DEG, 2) + pow(KALMAN.gyro_error, 2) * 0.3 * 169 * t +
+			   pow(saturated ? 0.5 * 13 * t : 0, 2);
+		for (int k = 0; k < 3; k++) {
+			assert_near(f.k.covariance[k][k] / expected, 1, 1e-6);
+			assert_near(f.k.covariance[KALMAN_BIAS + k][KALMAN_BIAS + k] /
+					    (t * pow(KALMAN.bias_walk_rad_s_sqrt_s, 2)),
+				1, 1e-6);
+			assert_near(f.k.covariance[KALMAN_SCALE + k][KALMAN_SCALE + k] /
+					    (t / 36000 * pow(KALMAN.gyro_scale_sigma, 2)),
+				1, 1e-6);
+		}
+	}
+}
+
+/* In motion a velocity of zero, with at least a fifth of the configured sigma, once in 0.5 s; 0.01 m/s at rest. */
+static void test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest(void **state)
+{
+	(void)state;
+	for (int rest = 0; rest < 2; rest++) {
+		struct filter f = started(G);
+		double t, noise, before = 0.04;
+
+		memset(f.k.covariance, 0, sizeof(f.k.covariance));
+		f.k.resting = rest;
+		f.k.covariance[KALMAN_VELOCITY][KALMAN_VELOCITY] = before;
+		t = one_correction(&f, (struct vec3){0, 0, rest ? 0 : 1e-3}, rest, false);
+		noise = rest ? 1e-4 : 2 * 0.5 / t * pow(0.2 * KALMAN.velocity_sigma_m_s, 2);
+		assert_near(f.k.covariance[KALMAN_VELOCITY][KALMAN_VELOCITY] / (before * noise / (before + noise)), 1,
+			1e-3);
+	}
+}
+
+static void test_a_yaw_from_outside_counts_up_to_5_sigma(void **state)
+{
+	const double own = 0.1, sigma = 0.05, limit = 5 * hypot(own, sigma);
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		const double innovation = (i ? 1.01 : 0.99) * limit;
+		struct filter f = started(G);
+
+		memset(f.k.covariance, 0, sizeof(f.k.covariance));
+		f.k.covariance[KALMAN_HEADING][KALMAN_HEADING] = own * own;
+		assert_false(fusion_kalman_aid_heading(&f.k, &KALMAN, innovation, sigma * sigma, &f.q_nb, &f.errors));
+		assert_near(
+			2 * f.q_nb.z, i ? 0 : 2 * sin(innovation * own * own / (own * own + sigma * sigma) / 2), 1e-9);
+		assert_near(sigma_of(&f, KALMAN_HEADING), i ? own : own * sigma / hypot(own, sigma), 1e-9);
+	}
+}
+
+/* Bias that is estimated within 4 s of a steady rate about the vertical, while the field turns by a share of it. */
+static double bias_of_a_steady_rate(double rate_rad_s, double share)
+{
+	struct filter f = started(G);
+
+	f.k.bias_known = false;
+	for (int k = 0; k < 4000; k++) {
+		const struct vec3 turned = {0, 0, share * rate_rad_s * k * 1e-3};
+		const struct vec3 field_b = quat_rotate_inverse(quat_from_rotation_vector(turned), FIELD_N);
+		const struct fusion_kalman_sample s = {.gyro_b_rad_s = {0, 0, rate_rad_s},
+			.rate_b_rad_s = {0, 0, rate_rad_s - f.errors.bias_b_rad_s.z},
+			.force_b_m_s2 = {0, 0, G},
+			.field_b_uT = &field_b,
+			.rest = true,
+			.steady_s = 100};
+
+		f.q_nb = quat_multiply(f.q_nb, quat_from_rotation_vector(vec3_scale(1e-3, s.rate_b_rad_s)));
+		fusion_kalman_step(&f.k, &KALMAN, &s, 1e-3, &f.q_nb, &f.errors);
+	}
+	return f.errors.bias_b_rad_s.z;
+}
+
+static void test_a_steady_rate_is_bias_unless_the_field_turns_with_it(void **state)
+{
+	(void)state;
+	assert_near(bias_of_a_steady_rate(0.05, 0), 0.05, 1e-4);
+	assert_near(bias_of_a_steady_rate(0.05, 0.3), 0.05, 1e-4);
+	assert_true(bias_of_a_steady_rate(0.05, 0.5) < 0.025);
+	assert_near(bias_of_a_steady_rate(0.05, 1), 0, 1e-3);
+}
+
+static void test_a_set_attitude_is_known_to_a_degree(void **state)
+{
+	struct filter f = started(G);
+
+	(void)state;
+	fusion_kalman_set_attitude(&f.k, &KALMAN);
+	for (int i = 0; i < 3; i++)
+		assert_near(sigma_of(&f, i), 1 * RAD_PER_DEG, 1e-9);
+	assert_near(sigma_of(&f, KALMAN_VELOCITY), 0.3, 1e-9);
+	f = (struct filter){.q_nb = QUAT_IDENTITY}; /* before the first sample */
+	fusion_kalman_set_attitude(&f.k, &KALMAN);
+	assert_near(sigma_of(&f, KALMAN_BIAS), 0.5 * RAD_PER_DEG, 1e-9);
+	assert_near(sigma_of(&f, KALMAN_SCALE), KALMAN.gyro_scale_sigma, 1e-9);
+}
+
+/* An error of the tilt turns the measured field by the tangent of the dip, 3 in Central Europe. */
+static void test_the_first_north_is_as_uncertain_as_the_tilt_makes_it(void **state)
+{
+	struct filter f = started(9.8);
+
+	(void)state;
+	fusion_kalman_set_north(&f.k, &KALMAN);
+	assert_near(sigma_of(&f, KALMAN_HEADING), hypot(KALMAN.heading_sigma_rad, 3 * 0.1), 1e-9);
+}
+
+/* Meanwhile the rate may have been anything up to what it is now, at most a radian; the velocity is unknown. */
+static void test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap(void **state)
+{
+	const double gaps_s[] = {0.099, 0.101, 0.2, 2};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		const struct fusion_kalman_sample s = {.rate_b_rad_s = {0, 0.6, 0.8}, .force_b_m_s2 = {0, 0, G}};
+		struct filter f = started(G);
+		const double least = 0.03 * pow(0.12 * RAD_PER_DEG, 2);
+
+		memset(f.k.covariance, 0, sizeof(f.k.covariance));
+		fusion_kalman_step(&f.k, &KALMAN, &s, gaps_s[i], &f.q_nb, &f.errors);
+		/* the heading; of the tilt the accelerometer shows some at once */
+		assert_true(
+			i == 0 ? f.k.covariance[2][2] < 10 * least : fabs(sigma_of(&f, 2) - fmin(1, gaps_s[i])) < 0.01);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -800,6 +1034,15 @@ int main(void)
 		cmocka_unit_test(test_the_tilt_of_a_simulated_chip_is_within_half_a_degree_in_every_motion),
 		cmocka_unit_test(test_the_attitude_is_extrapolated_over_the_delay_by_the_rate),
 		cmocka_unit_test(test_the_noise_of_the_magnetometer_counts_in_the_sigma_of_the_heading),
+		cmocka_unit_test(test_at_the_start_the_tilt_is_known_as_well_as_the_length_of_the_force_fits_gravity),
+		cmocka_unit_test(test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors),
+		cmocka_unit_test(test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest),
+		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
+		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
+		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
+		cmocka_unit_test(test_the_first_north_is_as_uncertain_as_the_tilt_makes_it),
+		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap),
+		cmocka_unit_test(test_the_ranges_of_the_configuration_include_their_limits),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),
 		cmocka_unit_test(test_a_field_beyond_the_limits_of_length_or_dip_is_not_used),

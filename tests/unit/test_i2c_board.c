@@ -350,6 +350,54 @@ static void test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right(vo
 	}
 }
 
+/* The FIFOs of the L3GD20, L3GD20H and LSM303 hold 32 sets; the oldest are overwritten. */
+static void test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples(void **state)
+{
+	(void)state;
+	for (int i = 2; i <= 3; i++) {
+		struct world *w = world_new(BOARDS[i], "tumble", false);
+		struct imu_sample sample;
+		int n = 0;
+
+		world_run(w, 3000000);
+		w->now_ns += 1000000000;
+		board_step(&w->board);
+		while (board_next(&w->board, &sample))
+			n++;
+		assert_int_equal(n, 32);
+		assert_true(1000 * (int64_t)sample.t_us > w->now_ns - 20000000);
+		world_free(w);
+	}
+}
+
+static size_t fifo_bytes;
+
+/* The windows of the FIFOs of the LSM6DS33 and LSM6DSO. */
+static int count_fifo_bytes(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	if (!access->write && access->address == 0x6B && (access->sub == 0x3E || access->sub == 0x78))
+		fifo_bytes += access->n;
+	return 0;
+}
+
+/* 32 sets of twelve bytes; with tags, 64 entries of seven. The rest is for the next time. */
+static void test_a_long_fifo_is_read_32_sets_at_a_time(void **state)
+{
+	(void)state;
+	for (int i = 4; i <= 5; i++) {
+		struct world *w = world_new(BOARDS[i], "rest", false);
+
+		world_run(w, 3000000);
+		w->now_ns += 600000000;
+		fifo_bytes = 0;
+		w->before = count_fifo_bytes;
+		board_step(&w->board);
+		assert_int_equal(fifo_bytes, i == 4 ? 32 * 12 : 64 * 7);
+		world_free(w);
+	}
+}
+
 static void test_the_rate_is_measured(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -470,6 +518,90 @@ static void test_the_smallest_values_that_are_enough_are_chosen(void **state)
 	world_free(w);
 }
 
+/* deg/s, g and uT, from the data sheets. */
+static void test_each_full_scale_of_the_data_sheets_can_be_chosen(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		int stream, triad;
+		double full_scales[8];
+	} tables[] = {
+		{"v0", IMU_CHIP_GYRO, 0, 0, {250, 500, 2000}},
+		{"v0", IMU_CHIP_ACCEL, 1, 0, {2, 4, 8}},
+		{"v0", IMU_CHIP_MAG, 2, 0, {130, 190, 250, 400, 470, 560, 810}},
+		{"v2", IMU_CHIP_GYRO, 0, 0, {250, 500, 2000}},
+		{"v2", IMU_CHIP_ACCEL, 1, 0, {2, 4, 8, 16}},
+		{"v2", IMU_CHIP_MAG, 2, 0, {130, 190, 250, 400, 470, 560, 810}},
+		{"v3", IMU_CHIP_GYRO, 0, 0, {245, 500, 2000}},
+		{"v3", IMU_CHIP_ACCEL, 1, 0, {2, 4, 6, 8, 16}},
+		{"v3", IMU_CHIP_MAG, 2, 0, {200, 400, 800, 1200}},
+		{"v5", IMU_CHIP_GYRO, 0, 0, {125, 250, 500, 1000, 2000}},
+		{"v5", IMU_CHIP_ACCEL, 0, 1, {2, 4, 8, 16}},
+		{"v5", IMU_CHIP_MAG, 1, 0, {400, 800, 1200, 1600}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int k = 0; k < 8 && tables[i].full_scales[k] > 0; k++) {
+			struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+			struct world *w = world_make(tables[i].board, "rest", true);
+			struct board_plan plan;
+			char why[200];
+
+			*(tables[i].chip == IMU_CHIP_GYRO	   ? &settings.gyro_range_deg_s
+				: tables[i].chip == IMU_CHIP_ACCEL ? &settings.accel_range_g
+								   : &settings.mag_range_uT) = tables[i].full_scales[k];
+			world_detect(w);
+			assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
+			assert_true(fabs(plan.setup[tables[i].stream].range[tables[i].triad]->full_scale -
+					    tables[i].full_scales[k]) < 1e-6);
+			world_free(w);
+		}
+}
+
+/* Bits BW of CTRL1, from the tables of the data sheets; the first code of several with the same bandwidth. */
+static void test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		double rate_hz;
+		double bandwidths_hz[5]; /* by code, ends with 0; -1: not in the table, or as the one before */
+	} tables[] = {
+		{"v0", 100, {12.5, 25, 0}},
+		{"v0", 200, {12.5, 25, 50, 70, 0}},
+		{"v0", 400, {20, 25, 50, 110, 0}},
+		{"v0", 800, {30, 35, 50, 110, 0}},
+		{"v2", 95, {12.5, 25, 0}},
+		{"v2", 190, {12.5, 25, 50, 70, 0}},
+		{"v2", 380, {20, 25, 50, 100, 0}},
+		{"v2", 760, {30, 35, 50, 100, 0}},
+		{"v3", 100, {12.5, 25, 0}},
+		{"v3", 200, {12.5, -1, -1, 70, 0}},
+		{"v3", 400, {20, 25, 50, 110, 0}},
+		{"v3", 800, {30, 35, -1, 100, 0}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int code = 0; tables[i].bandwidths_hz[code] != 0; code++) {
+			struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+			struct world *w = world_make(tables[i].board, "rest", true);
+			struct board_plan plan;
+			char why[200];
+
+			settings.rate_hz = tables[i].rate_hz;
+			settings.bandwidth_hz = tables[i].bandwidths_hz[code];
+			world_detect(w);
+			assert_int_equal(board_plan(&w->board, &settings, false, false, &plan, why, sizeof why), 0);
+			if (settings.bandwidth_hz > 0) {
+				assert_int_equal(plan.setup[0].bandwidth_code, code);
+				assert_true(plan.setup[0].bandwidth_hz == settings.bandwidth_hz);
+			}
+			world_free(w);
+		}
+}
+
 /* Control registers as the data sheets' tables give them for 100 Hz, 2000 deg/s, 8 g, the finest field range. */
 static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 {
@@ -531,6 +663,295 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 				expected[i].address, value, expected[i].value);
 		world_free(w);
 	}
+}
+
+/* The same without FIFO, and with the gyro's data-ready signal. */
+static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t address, value;
+	} expected[] = {
+		{"v0", IMU_CHIP_GYRO, 0x22, 0x08},  /* I2_DRDY */
+		{"v0", IMU_CHIP_GYRO, 0x24, 0x02},  /* no FIFO, output behind LPF2 */
+		{"v0", IMU_CHIP_GYRO, 0x2E, 0x00},  /* bypass */
+		{"v0", IMU_CHIP_ACCEL, 0x22, 0x00}, /* the gyro's only */
+		{"v2", IMU_CHIP_GYRO, 0x22, 0x08},
+		{"v2", IMU_CHIP_ACCEL, 0x22, 0x00},
+		{"v2", IMU_CHIP_ACCEL, 0x24, 0x00},
+		{"v2", IMU_CHIP_ACCEL, 0x2E, 0x00},
+		{"v3", IMU_CHIP_GYRO, 0x22, 0x08},
+		{"v3", IMU_CHIP_ACCEL, 0x1F, 0x00},
+		{"v3", IMU_CHIP_ACCEL, 0x22, 0x00},
+		{"v3", IMU_CHIP_ACCEL, 0x2E, 0x00},
+		{"v5", IMU_CHIP_GYRO, 0x0D, 0x02}, /* INT1_DRDY_G */
+		{"v5", IMU_CHIP_GYRO, 0x08, 0x00},
+		{"v5", IMU_CHIP_GYRO, 0x0A, 0x00},
+		{"v6", IMU_CHIP_GYRO, 0x0D, 0x02},
+		{"v6", IMU_CHIP_GYRO, 0x09, 0x00},
+		{"v6", IMU_CHIP_GYRO, 0x0A, 0x00},
+	};
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
+		struct world *w = world_make(expected[i].board, "rest", false);
+		struct board_plan plan;
+		uint8_t value;
+		char why[200];
+
+		world_detect(w);
+		assert_int_equal(board_plan(&w->board, &settings, true, true, &plan, why, sizeof why), 0);
+		board_apply(&w->board, &plan);
+		world_run(w, 50000);
+		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+		if (value != expected[i].value)
+			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
+				expected[i].address, value, expected[i].value);
+		world_free(w);
+	}
+}
+
+/* What the data sheets give as the values after power-on: of registers that the driver does not write, it finds these. */
+static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t address, value;
+	} expected[] = {
+		{"v0", IMU_CHIP_GYRO, 0x0F, 0xD3},
+		{"v0", IMU_CHIP_GYRO, 0x20, 0x07},
+		{"v0", IMU_CHIP_ACCEL, 0x20, 0x07},
+		{"v0", IMU_CHIP_MAG, 0x00, 0x10},
+		{"v0", IMU_CHIP_MAG, 0x01, 0x20},
+		{"v0", IMU_CHIP_MAG, 0x02, 0x03},
+		{"v0", IMU_CHIP_MAG, 0x0A, 'H'},
+		{"v0", IMU_CHIP_MAG, 0x0B, '4'},
+		{"v0", IMU_CHIP_MAG, 0x0C, '3'},
+		{"v1", IMU_CHIP_MAG, 0x0F, 0x3C},
+		{"v2", IMU_CHIP_GYRO, 0x0F, 0xD4},
+		{"v2", IMU_CHIP_GYRO, 0x20, 0x07},
+		{"v2", IMU_CHIP_ACCEL, 0x20, 0x07},
+		{"v3", IMU_CHIP_GYRO, 0x0F, 0xD7},
+		{"v3", IMU_CHIP_GYRO, 0x20, 0x07},
+		{"v3", IMU_CHIP_ACCEL, 0x0F, 0x49},
+		{"v3", IMU_CHIP_ACCEL, 0x20, 0x07},
+		{"v3", IMU_CHIP_MAG, 0x24, 0x18},
+		{"v3", IMU_CHIP_MAG, 0x25, 0x20},
+		{"v3", IMU_CHIP_MAG, 0x26, 0x01},
+		{"v5", IMU_CHIP_GYRO, 0x0F, 0x69},
+		{"v5", IMU_CHIP_GYRO, 0x12, 0x04},
+		{"v5", IMU_CHIP_MAG, 0x0F, 0x3D},
+		{"v5", IMU_CHIP_MAG, 0x20, 0x10},
+		{"v5", IMU_CHIP_MAG, 0x22, 0x03},
+		{"v6", IMU_CHIP_GYRO, 0x0F, 0x6C},
+		{"v6", IMU_CHIP_GYRO, 0x12, 0x04},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
+		struct world *w = world_make(expected[i].board, "rest", false);
+		uint8_t value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
+
+		if (value != expected[i].value)
+			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
+				expected[i].address, value, expected[i].value);
+		world_free(w);
+	}
+}
+
+/* The tables of output data rates in the data sheets, whole, by their code in the register. Power is on, and the magnetometers
+ * convert continuously. */
+static void test_simulated_chips_sample_at_the_rates_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t first, first_value; /* a register written before; 0: none */
+		uint8_t address, others;
+		int shift;
+		double hz[12]; /* ends with -1 */
+	} tables[] = {
+		{"v0", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {100, 200, 400, 800, -1}},
+		{"v2", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {95, 190, 380, 760, -1}},
+		{"v3", IMU_CHIP_GYRO, 0, 0, 0x20, 0x0F, 6, {100, 200, 400, 800, -1}},
+		{"v3", IMU_CHIP_GYRO, 0x39, 1, 0x20, 0x0F, 6, {12.5, 25, 50, 50, -1}}, /* LOW_ODR */
+		{"v3", IMU_CHIP_GYRO, 0, 0, 0x20, 0x07, 6, {0, 0, 0, 0, -1}},	       /* power-down */
+		{"v0", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x27, 3, {50, 100, 400, 1000, -1}},
+		{"v2", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x07, 4, {0, 1, 10, 25, 50, 100, 200, 400, 1620, 1344, -1}},
+		{"v0", IMU_CHIP_MAG, 0x02, 0, 0x00, 0, 2, {0.75, 1.5, 3, 7.5, 15, 30, 75, -1}},
+		{"v2", IMU_CHIP_MAG, 0x02, 0, 0x00, 0, 2, {0.75, 1.5, 3, 7.5, 15, 30, 75, 220, -1}},
+		{"v2", IMU_CHIP_MAG, 0x02, 3, 0x00, 0, 2, {0, 0, 0, 0, 0, 0, 0, 0, -1}}, /* sleep */
+		{"v3", IMU_CHIP_ACCEL, 0, 0, 0x20, 0x07, 4,
+			{0, 3.125, 6.25, 12.5, 25, 50, 100, 200, 400, 800, 1600, -1}},
+		{"v3", IMU_CHIP_MAG, 0x26, 0, 0x24, 0x60, 2, {3.125, 6.25, 12.5, 25, 50, 100, -1}},
+		{"v5", IMU_CHIP_GYRO, 0, 0, 0x11, 0, 4, {0, 12.5, 26, 52, 104, 208, 416, 833, 1660, -1}},
+		{"v5", IMU_CHIP_MAG, 0x22, 0, 0x20, 0, 2, {0.625, 1.25, 2.5, 5, 10, 20, 40, 80, -1}},
+		{"v5", IMU_CHIP_MAG, 0x22, 3, 0x20, 0, 2, {0, 0, -1}}, /* power-down */
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (unsigned code = 0; tables[i].hz[code] >= 0; code++) {
+			struct world *w = world_make(tables[i].board, "rest", true);
+			const uint8_t address = sim_board_address(w->sim, tables[i].chip);
+			const double expected = tables[i].hz[code] * (1 + w->config.rate_error[tables[i].chip]);
+			const double seconds = expected > 0 && expected < 20 ? 100 : 2;
+			double unused, taken;
+
+			if (tables[i].first)
+				assert_int_equal(i2c_write(w->bus, address, tables[i].first, tables[i].first_value), 0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].address,
+						 (uint8_t)(tables[i].others | code << tables[i].shift)),
+				0);
+			taken = (double)sim_board_taken(w->sim, tables[i].chip, &unused);
+			w->now_ns += (int64_t)(1e9 * seconds);
+			taken = (double)sim_board_taken(w->sim, tables[i].chip, &unused) - taken;
+			if (!(fabs(taken - expected * seconds) <= 1.5))
+				fail_msg("%s, chip %d, code %u: %g samples in %g s", tables[i].board, tables[i].chip,
+					code, taken, seconds);
+			world_free(w);
+		}
+}
+
+/* Sizes of a digit by the code of the full scale, [mg] and [mdps], from the data sheets. The chip lies, 9.81 m/s^2 along z, or
+ * turns at 360 deg/s about z; beyond its range a word is at its end. */
+static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t on_at, on;	  /* power */
+		uint8_t range_at, others; /* full scale */
+		int shift;
+		uint8_t data;
+		double digits[9]; /* ends with 0 */
+	} tables[] = {
+		{"v0", IMU_CHIP_ACCEL, 0x20, 0x37, 0x23, 0x80, 4, 0xA8, {1 / 16., 2 / 16., 2 / 16., 3.9 / 16., 0}},
+		{"v2", IMU_CHIP_ACCEL, 0x20, 0x57, 0x23, 0x88, 4, 0xA8, {1 / 16., 2 / 16., 4 / 16., 12 / 16., 0}},
+		{"v3", IMU_CHIP_ACCEL, 0x20, 0x67, 0x21, 0x00, 3, 0xA8, {0.061, 0.122, 0.183, 0.244, 0.732, 0}},
+		{"v5", IMU_CHIP_ACCEL, 0x11, 0x40, 0x10, 0x40, 2, 0x28, {0.061, 0.488, 0.122, 0.244, 0}},
+		{"v6", IMU_CHIP_ACCEL, 0x11, 0x40, 0x10, 0x40, 2, 0x28, {0.061, 0.488, 0.122, 0.244, 0}},
+		{"v0", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v2", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v3", IMU_CHIP_GYRO, 0x20, 0x0F, 0x23, 0x80, 4, 0xA8, {8.75, 17.5, 70, 70, 0}},
+		{"v5", IMU_CHIP_GYRO, 0x10, 0x40, 0x11, 0x40, 2, 0x22, {8.75, 17.5, 35, 70, 0}},
+		{"v5", IMU_CHIP_GYRO, 0x10, 0x40, 0x11, 0x42, 2, 0x22, {4.375, 0}}, /* FS_125 */
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (unsigned code = 0; tables[i].digits[code] > 0; code++) {
+			const bool gyro = tables[i].chip == IMU_CHIP_GYRO;
+			struct world *w = world_make(tables[i].board, gyro ? "turntable" : "rest", true);
+			const uint8_t address = sim_board_address(w->sim, tables[i].chip);
+			const double value = gyro ? 360e3 : 9.81 / 9.80665e-3;
+			uint8_t bytes[6];
+			double z;
+
+			assert_int_equal(i2c_write(w->bus, address, tables[i].on_at, tables[i].on), 0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].range_at,
+						 (uint8_t)(tables[i].others | code << tables[i].shift)),
+				0);
+			w->now_ns += 500000000;
+			assert_int_equal(i2c_read(w->bus, address, tables[i].data, bytes, 6), 0);
+			z = (int16_t)(bytes[4] | bytes[5] << 8);
+			if (!(fabs(z - fmin(32767, value / tables[i].digits[code])) < 20))
+				fail_msg("%s, chip %d, code %u: %g", tables[i].board, tables[i].chip, code, z);
+			assert_in_range((int16_t)(bytes[0] | bytes[1] << 8) + 20, 0, 40);
+			assert_in_range((int16_t)(bytes[2] | bytes[3] << 8) + 20, 0, 40);
+			world_free(w);
+		}
+}
+
+/* The lowest bit of a word that noise reaches: twelve bits, left-justified, or sixteen; ten bits without the high resolution of the
+ * LSM303DLHC. */
+static void test_words_of_simulated_chips_have_the_resolution_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		enum imu_chip chip;
+		uint8_t writes[3][2], data;
+		unsigned lowest;
+	} words[] = {
+		{"v0", IMU_CHIP_GYRO, {{0x20, 0xCF}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 1},
+		{"v0", IMU_CHIP_ACCEL, {{0x20, 0x3F}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 16},
+		{"v2", IMU_CHIP_ACCEL, {{0x20, 0x77}, {0x23, 0x88}, {0x21, 0}}, 0xA8, 16},
+		{"v2", IMU_CHIP_ACCEL, {{0x20, 0x77}, {0x23, 0x80}, {0x21, 0}}, 0xA8, 64},
+		{"v3", IMU_CHIP_ACCEL, {{0x20, 0x87}, {0x21, 0}, {0x22, 0}}, 0xA8, 1},
+		{"v3", IMU_CHIP_MAG, {{0x24, 0xF0}, {0x25, 0}, {0x26, 0}}, 0x88, 1},
+		{"v5", IMU_CHIP_GYRO, {{0x11, 0x60}, {0x10, 0x60}, {0x12, 0x04}}, 0x22, 1},
+		{"v5", IMU_CHIP_ACCEL, {{0x11, 0x60}, {0x10, 0x60}, {0x12, 0x04}}, 0x28, 1},
+		{"v5", IMU_CHIP_MAG, {{0x20, 0xFC}, {0x21, 0}, {0x22, 0}}, 0xA8, 1},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof words / sizeof *words; i++) {
+		struct world *w = world_make(words[i].board, "rest", false);
+		const uint8_t address = sim_board_address(w->sim, words[i].chip);
+		unsigned bits = 0;
+		uint8_t bytes[6];
+
+		for (int k = 0; k < 3; k++)
+			assert_int_equal(i2c_write(w->bus, address, words[i].writes[k][0], words[i].writes[k][1]), 0);
+		for (int k = 0; k < 200; k++) {
+			w->now_ns += 30000000;
+			assert_int_equal(i2c_read(w->bus, address, words[i].data, bytes, 6), 0);
+			bits |= (unsigned)(bytes[0] | bytes[1] << 8 | bytes[2] | bytes[3] << 8 | bytes[4] |
+					   bytes[5] << 8);
+		}
+		assert_int_equal(bits & -bits, words[i].lowest);
+		world_free(w);
+	}
+}
+
+/* Digits per gauss in x and y, and in z, by the code of the gain; the field is 0.2 gauss along y and -0.45 along z. */
+static void test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const char *board;
+		uint8_t mode_at;
+		uint8_t range_at, data;
+		int first_code; /* 0 is not allowed for the LSM303DLH, DLM and DLHC */
+		bool big_endian;
+		int y, z; /* places of their words */
+		double xy[8], z_digits[8];
+	} tables[] = {
+		{"v0", 0x02, 0x01, 0x03, 1, true, 1, 2, {1055, 795, 635, 430, 375, 320, 230},
+			{950, 710, 570, 385, 335, 285, 205}},
+		{"v1", 0x02, 0x01, 0x03, 1, true, 2, 1, {1100, 855, 670, 450, 400, 330, 230},
+			{980, 760, 600, 400, 355, 295, 205}},
+		{"v2", 0x02, 0x01, 0x03, 1, true, 2, 1, {1100, 855, 670, 450, 400, 330, 230},
+			{980, 760, 600, 400, 355, 295, 205}},
+		{"v3", 0x26, 0x25, 0x88, 0, false, 1, 2, {12500, 6250, 3125, 1e3 / 0.479},
+			{12500, 6250, 3125, 1e3 / 0.479}},
+		{"v5", 0x22, 0x21, 0xA8, 0, false, 1, 2, {6842, 3421, 2281, 1711}, {6842, 3421, 2281, 1711}},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof tables / sizeof *tables; i++)
+		for (int code = 0; code < 8 && tables[i].xy[code] > 0; code++) {
+			struct world *w = world_make(tables[i].board, "rest", true);
+			const uint8_t address = sim_board_address(w->sim, IMU_CHIP_MAG);
+			double words[3];
+			uint8_t bytes[6];
+
+			assert_int_equal(i2c_write(w->bus, address, tables[i].range_at,
+						 (uint8_t)((code + tables[i].first_code) << 5)),
+				0);
+			assert_int_equal(i2c_write(w->bus, address, tables[i].mode_at, 0), 0);
+			w->now_ns += 3000000000;
+			assert_int_equal(i2c_read(w->bus, address, tables[i].data, bytes, 6), 0);
+			for (int k = 0; k < 3; k++)
+				words[k] = tables[i].big_endian ? (int16_t)(bytes[2 * k] << 8 | bytes[2 * k + 1])
+								: (int16_t)(bytes[2 * k + 1] << 8 | bytes[2 * k]);
+			if (!(fabs(words[0]) <= 1 && fabs(words[tables[i].y] - 0.2 * tables[i].xy[code]) <= 1 &&
+				    fabs(words[tables[i].z] + 0.45 * tables[i].z_digits[code]) <= 1))
+				fail_msg("%s, code %d: %g %g %g", tables[i].board, code, words[0], words[1], words[2]);
+			world_free(w);
+		}
 }
 
 /* Rates and the control registers for them, from the tables of the data sheets: the gyro's (with its widest bandwidth)
@@ -662,6 +1083,55 @@ static void test_a_self_test_passes_in_any_range(void **state)
 	}
 }
 
+/* What was written, in its order. */
+static struct {
+	struct {
+		uint8_t address, sub, value;
+	} at[100];
+	size_t n;
+} written;
+
+static int record_writes(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	if (access->write) {
+		assert_in_range(written.n, 0, 99);
+		written.at[written.n].address = access->address;
+		written.at[written.n].sub = access->sub;
+		written.at[written.n++].value = access->bytes[0];
+	}
+	return 0;
+}
+
+static void test_after_a_self_test_and_after_new_settings_the_chips_are_initialised_as_at_first(void **state)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "rest", false);
+
+		for (int again = 0; again < 3; again++) {
+			static __typeof__(written) first;
+
+			written.n = 0;
+			w->before = record_writes;
+			world_run(w, 100000);
+			w->before = NULL;
+			if (again == 0)
+				first = written;
+			assert_in_range(first.n, 6, 30);
+			assert_int_equal(written.n, first.n);
+			assert_memory_equal(written.at, first.at, first.n * sizeof first.at[0]);
+			if (again == 0)
+				board_self_test(&w->board);
+			else
+				world_set_up(w, &settings, true);
+		}
+		world_free(w);
+	}
+}
+
 static void test_a_self_test_without_effect_has_failed(void **state)
 {
 	struct world *w = world_new("v3", "rest", false);
@@ -687,17 +1157,29 @@ int main(void)
 		cmocka_unit_test(test_through_a_stub_samples_have_their_rate_and_their_time_within_a_millisecond),
 		cmocka_unit_test(test_late_reads_do_not_change_the_time_stamps),
 		cmocka_unit_test(test_a_stall_longer_than_the_fifo_is_counted_and_times_stay_right),
+		cmocka_unit_test(test_after_a_stall_the_newest_32_sets_of_the_fifo_become_samples),
+		cmocka_unit_test(test_a_long_fifo_is_read_32_sets_at_a_time),
 		cmocka_unit_test(test_the_rate_is_measured),
 		cmocka_unit_test(test_data_ready_edges_give_times_that_late_reads_alone_do_not),
 		cmocka_unit_test(test_a_sample_has_the_temperature_once_a_second),
 		cmocka_unit_test(test_settings_that_the_chips_do_not_support_are_refused_with_the_limit),
 		cmocka_unit_test(test_the_smallest_values_that_are_enough_are_chosen),
+		cmocka_unit_test(test_each_full_scale_of_the_data_sheets_can_be_chosen),
+		cmocka_unit_test(test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets),
 		cmocka_unit_test(test_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(
+			test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_sample_at_the_rates_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_have_the_digits_of_the_data_sheets),
+		cmocka_unit_test(test_words_of_simulated_chips_have_the_resolution_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_magnetometers_have_the_digits_and_the_order_of_the_data_sheets),
+		cmocka_unit_test(test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on),
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
 		cmocka_unit_test(test_a_fifo_is_read_in_batches),
 		cmocka_unit_test(test_a_self_test_takes_as_long_as_its_samples),
 		cmocka_unit_test(test_a_self_test_passes_in_any_range),
+		cmocka_unit_test(test_after_a_self_test_and_after_new_settings_the_chips_are_initialised_as_at_first),
 		cmocka_unit_test(test_a_self_test_without_effect_has_failed),
 	};
 

@@ -233,6 +233,28 @@ static void test_another_chip_at_the_same_address_is_not_used(void **state)
 	world_free(w);
 }
 
+/* The chip is initialised again and again. */
+static void test_a_chip_that_does_not_answer_is_a_bus_error_and_another_chip_is_none(void **state)
+{
+	(void)state;
+	for (int other = 0; other < 2; other++) {
+		struct world *w = settled("v3");
+		unsigned before;
+
+		w->after = other ? other_gyro : NULL;
+		if (other)
+			sim_board_brown_out(w->sim, IMU_CHIP_GYRO);
+		else
+			sim_board_silence(w->sim, IMU_CHIP_GYRO, true);
+		world_run(w, 2000000);
+		assert_int_equal(w->board.gyro->state, STREAM_DOWN);
+		before = w->board.health.bus_errors;
+		world_run(w, 5000000);
+		assert_int_equal(w->board.health.bus_errors > before, !other);
+		world_free(w);
+	}
+}
+
 static void test_samples_continue_without_the_magnetometer_but_not_without_the_gyro(void **state)
 {
 	struct world *w = settled("v3");
@@ -468,6 +490,7 @@ int main(void)
 		cmocka_unit_test(test_a_short_saturation_is_only_flagged),
 		cmocka_unit_test(test_a_brown_out_is_detected_and_the_chip_initialised_again),
 		cmocka_unit_test(test_another_chip_at_the_same_address_is_not_used),
+		cmocka_unit_test(test_a_chip_that_does_not_answer_is_a_bus_error_and_another_chip_is_none),
 		cmocka_unit_test(test_samples_continue_without_the_magnetometer_but_not_without_the_gyro),
 		cmocka_unit_test(test_the_retries_of_a_dead_chip_back_off_to_one_a_second),
 		cmocka_unit_test(test_a_tenth_of_all_transfers_may_fail),

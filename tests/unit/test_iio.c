@@ -200,6 +200,22 @@ static void test_without_accelerations_the_oldest_gyro_readings_are_dropped(void
 	assert_int_equal(m.lost, 1000 - MERGE_READINGS);
 }
 
+static void test_without_gyro_readings_the_oldest_accelerations_are_dropped(void **state)
+{
+	struct imu_sample sample;
+	struct merge m;
+
+	(void)state;
+	merge_init(&m, 0);
+	for (int i = 0; i < 1000; i++)
+		add(&m, IMU_CHIP_ACCEL, i * MS, i);
+	add(&m, IMU_CHIP_GYRO, (998 - MERGE_READINGS) * MS, 0); /* older than all that are left */
+	add(&m, IMU_CHIP_GYRO, (1002 - MERGE_READINGS) * MS + MS / 2, 0);
+	assert_true(merge_next(&m, &sample));
+	assert_near(sample.accel_m_s2.x, 1002 - MERGE_READINGS + 0.5);
+	assert_int_equal(m.lost, 1);
+}
+
 static void test_readings_that_go_back_in_time_are_dropped(void **state)
 {
 	struct imu_sample sample;
@@ -285,6 +301,7 @@ int main(void)
 		cmocka_unit_test(test_samples_have_the_rate_of_the_gyro),
 		cmocka_unit_test(test_a_gyro_reading_before_any_acceleration_is_lost_and_counted),
 		cmocka_unit_test(test_without_accelerations_the_oldest_gyro_readings_are_dropped),
+		cmocka_unit_test(test_without_gyro_readings_the_oldest_accelerations_are_dropped),
 		cmocka_unit_test(test_readings_that_go_back_in_time_are_dropped),
 		cmocka_unit_test(test_a_reading_older_than_a_delivered_sample_is_dropped),
 		cmocka_unit_test(test_each_field_is_delivered_once_rotated_to_the_time_of_the_gyro),

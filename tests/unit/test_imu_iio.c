@@ -20,7 +20,7 @@
 
 #include "drivers/imu/imu_thread.h"
 
-enum { ATTRS = 8, CHANNELS = 8, DEVICES = 8, SCANS = 32, X = IIO_MOD_X, TIMERS = 2 };
+enum { BUFFER_FD = 77, ATTRS = 8, CHANNELS = 8, DEVICES = 8, SCANS = 32, X = IIO_MOD_X, TIMERS = 2 };
 #define MS 1000000LL
 
 struct attr {
@@ -67,7 +67,8 @@ struct iio_device {
 static struct world {
 	struct iio_device devices[DEVICES];
 	unsigned device_count;
-	bool no_iio, no_configfs;
+	bool no_iio, no_configfs, no_raw;
+	const char *denied; /* attribute that must not be written */
 	unsigned contexts;
 	char made[TIMERS][80], removed[TIMERS][80];
 	unsigned made_count, removed_count;
@@ -103,15 +104,24 @@ int pthread_create(
 int pthread_join(pthread_t thread, void **result)
 {
 	(void)thread, (void)result;
+	w.thread = NULL;
 	return 0;
 }
 
 /* The thread waits: time moves on to the end of its wait, and the test does what it does in each step. */
 int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const sigset_t *mask)
 {
+	const volatile struct pollfd *asked = fds; /* the declaration says that it is written only */
+	int buffers = 0;
+
 	(void)mask;
-	for (nfds_t i = 0; i < n; i++)
+	for (nfds_t i = 0; i < n; i++) {
+		buffers += asked[i].fd == BUFFER_FD && asked[i].events == POLLIN;
 		fds[i].revents = 0;
+	}
+	for (unsigned i = 0; i < w.device_count; i++)
+		buffers -= w.devices[i].buffered;
+	assert_int_equal(buffers, 0); /* it waits for all of them */
 	w.now_ns += timeout->tv_sec * 1000 * MS + timeout->tv_nsec;
 	if (w.steps-- <= 0)
 		((struct imu_thread *)port)->stop = true;
@@ -237,6 +247,8 @@ static ssize_t get(const struct attr *attrs, const char *name, char *text, size_
 
 static ssize_t put(const struct attr *attrs, const char *name, const char *text)
 {
+	if (w.denied && strcmp(name, w.denied) == 0)
+		return -EACCES;
 	for (int i = 0; i < ATTRS; i++)
 		if (attrs[i].name && strcmp(attrs[i].name, name) == 0)
 			return snprintf((char *)attrs[i].text, sizeof(attrs[i].text), "%s", text);
@@ -274,6 +286,8 @@ int iio_channel_attr_read_double(const struct iio_channel *channel, const char *
 {
 	char text[64];
 
+	if (strcmp(name, "raw") == 0 && w.no_raw)
+		return -EIO;
 	if (strcmp(name, "raw") == 0) {
 		w.now_ns += MS; /* sysfs is slow */
 		*value = channel->raw + (channel->type == IIO_TEMP ? 0 : (double)(w.polled_reads++ % 2));
@@ -364,7 +378,7 @@ int iio_buffer_set_blocking_mode(struct iio_buffer *buffer, bool blocking)
 int iio_buffer_get_poll_fd(struct iio_buffer *buffer)
 {
 	(void)buffer;
-	return 0;
+	return BUFFER_FD;
 }
 
 ssize_t iio_buffer_refill(struct iio_buffer *buffer)
@@ -455,6 +469,7 @@ static int tear_down(void **state)
 	if (port)
 		imu_close(port);
 	assert_int_equal(w.contexts, 0);
+	assert_true(w.thread == NULL); /* it has ended */
 	for (unsigned i = 0; i < w.device_count; i++)
 		assert_false(w.devices[i].buffered);
 	return 0;
@@ -544,8 +559,10 @@ static void test_settings_that_the_devices_do_not_support_are_refused(void **sta
 	char error[200] = "";
 
 	(void)state;
-	open_sensor("iio");
 	settings.rate_hz = 500;
+	assert_int_equal(imu_open("iio", &settings, &port, error, sizeof(error)), -EINVAL);
+	assert_non_null(strstr(error, "416"));
+	open_sensor("iio");
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), -EINVAL);
 	assert_non_null(strstr(error, "416"));
 	settings.rate_hz = 416;
@@ -636,23 +653,33 @@ static void test_readings_of_a_chip_that_has_just_been_set_up_are_dropped(void *
 	assert_int_equal(imu_read(port, &sample), 0);
 }
 
-static void saturated_scan(void)
-{
-	static const int16_t motion[6] = {0, -32768, 0, 0, 0, 0};
+static int16_t ends[6];
 
-	put_scan(MOTION, w.now_ns, motion);
+static void scan_of_ends(void)
+{
+	put_scan(MOTION, w.now_ns, ends);
 }
 
-static void test_a_value_at_the_end_of_its_range_is_flagged(void **state)
+static void test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis(void **state)
 {
+	static const int16_t values[] = {32767, -32768, 32766, -32767};
 	struct imu_sample sample;
 
 	(void)state;
 	open_sensor("iio");
 	w.now_ns += 100 * MS;
-	run(1, saturated_scan);
-	assert_int_equal(imu_read(port, &sample), 1);
-	assert_int_equal(sample.flags, SAMPLE_SATURATED);
+	for (int i = 0; i < 4 * 6; i++) {
+		memset(ends, 0, sizeof(ends));
+		ends[i % 6] = values[i / 6];
+		ends[(i + 1) % 6] = (int16_t)(i + 1); /* so that they differ from the last */
+		run(1, scan_of_ends);
+		assert_int_equal(imu_read(port, &sample), 1);
+		assert_int_equal(sample.flags & SAMPLE_SATURATED, i < 12 ? SAMPLE_SATURATED : 0);
+		imu_close(port);
+		port = NULL;
+		open_sensor("iio");
+		w.now_ns += 100 * MS;
+	}
 }
 
 static void test_a_sample_has_the_temperature_once_a_second(void **state)
@@ -676,6 +703,7 @@ static void test_a_sample_has_the_temperature_once_a_second(void **state)
 		}
 	assert_true(n > 90);
 	assert_int_equal(with, 3); /* at 0, 1 and 2 s */
+	assert_near((double)port->health.rate_hz, 50, 1);
 }
 
 /* ---- triggers ---------------------------------------------------------------------------------------------------- */
@@ -703,6 +731,24 @@ static void test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many
 	assert_int_equal(w.removed_count, 1);
 	assert_string_equal(w.removed[0], w.made[0]);
 	assert_null(w.devices[MOTION].trigger);
+}
+
+static void test_a_new_rate_is_that_of_the_timer_where_there_is_one(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	char error[200] = "";
+
+	(void)state;
+	settings.rate_hz = 60;
+	for (int timer = 0; timer < 2; timer++) {
+		if (timer)
+			needs_trigger(MOTION);
+		open_sensor("iio");
+		assert_int_equal(port->ops->configure(port, &settings, 0, error, sizeof(error)), 0);
+		assert_near(port->rate_hz, timer ? 60 : 104, 1e-9);
+		imu_close(port);
+		port = NULL;
+	}
 }
 
 /* A trigger serves two devices. */
@@ -769,6 +815,75 @@ static void test_without_configfs_the_devices_are_polled(void **state)
 	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
 }
 
+/* 100 readings a second are possible, see above. */
+static void test_a_polled_device_has_the_rate_that_is_possible_at_most(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	const double wanted_hz[] = {50, 208};
+	char error[300] = "";
+
+	(void)state;
+	w.no_configfs = true;
+	needs_trigger(MOTION);
+	for (int i = 0; i < 2; i++) {
+		settings.rate_hz = wanted_hz[i];
+		assert_int_equal(imu_open("iio", &settings, &port, error, sizeof(error)), 0);
+		assert_near(port->rate_hz, i ? 100 : 50, 1e-6);
+		imu_close(port);
+		port = NULL;
+	}
+	w.no_raw = true;
+	assert_refused("iio", -EIO, "sysfs");
+}
+
+static void test_an_attribute_that_must_not_be_written_is_named_with_what_to_do(void **state)
+{
+	static const struct {
+		const char *attribute, *words;
+	} denied[] = {{"scale", "the range of lsm6dso"}, {"sampling_frequency", "the rate of lsm6dso"},
+		{"current_timestamp_clock", "the clock of lsm6dso"}};
+
+	(void)state;
+	for (int i = 0; i < 6; i++) {
+		w.devices[MOTION].channels[i].attrs[1] = (struct attr){.name = "scale_available"};
+		strcpy(w.devices[MOTION].channels[i].attrs[1].text, i < 3 ? "0.001221" : "0.002393");
+	}
+	for (int i = 0; i < 3; i++) {
+		w.denied = denied[i].attribute;
+		assert_refused("iio", -EACCES, denied[i].words);
+		assert_refused("iio", -EACCES, "run as root");
+	}
+}
+
+static void test_a_timer_that_could_not_be_made_is_not_removed(void **state)
+{
+	(void)state;
+	w.no_configfs = true;
+	needs_trigger(MOTION);
+	open_sensor("iio");
+	imu_close(port);
+	port = NULL;
+	assert_int_equal(w.removed_count, 0);
+}
+
+/* A reading fits into 64 bits; the kernel's formats have whole bytes. */
+static void test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes(void **state)
+{
+	static const unsigned bits[] = {0, 7, 8, 16, 32, 64, 65, 128};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(bits) / sizeof(bits[0]); i++) {
+		bool fits = bits[i] >= 8 && bits[i] <= 64;
+
+		w.devices[MOTION].channels[2].format.length = bits[i];
+		open_sensor("iio");
+		assert_int_equal(w.devices[MOTION].buffered, fits);
+		assert_string_equal(port->name, fits ? "iio:lsm6dso+lsm6dso" : "iio:lsm6dso+lsm6dso, polled");
+		imu_close(port);
+		port = NULL;
+	}
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static int next_result(void)
@@ -822,6 +937,19 @@ static void test_a_device_without_samples_for_100_ms_has_stopped(void **state)
 	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
 }
 
+static void test_a_timer_is_removed_once(void **state)
+{
+	(void)state;
+	needs_trigger(MOTION);
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, gone);
+	assert_int_equal(w.removed_count, 1);
+	imu_close(port);
+	port = NULL;
+	assert_int_equal(w.removed_count, 1);
+}
+
 static void only_motion(void)
 {
 	static const int16_t motion[6] = {1, 2, 3, 4, 5, 6};
@@ -871,6 +999,90 @@ static void test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back(v
 	assert_int_equal(port->health.degraded, IMU_FAULT_NONE);
 }
 
+static void magnetometer_comes_back(void)
+{
+	if (w.now_ns > 103000 * MS)
+		w.devices[MAGNETOMETER].hidden = false;
+	if (w.devices[MAGNETOMETER].buffered)
+		one_scan_of_each();
+	else
+		only_motion();
+}
+
+/* It is looked for every 2 s. */
+static void test_the_capture_starts_again_when_the_magnetometer_is_back(void **state)
+{
+	struct imu_sample sample;
+	unsigned flags = 0;
+
+	(void)state;
+	open_sensor("iio");
+	w.devices[MAGNETOMETER].hidden = true;
+	run(1, only_motion);
+	w.now_ns = 102000 * MS;
+	run(30, magnetometer_comes_back); /* it is back from 103 s on only */
+	while (imu_read(port, &sample) != 0)
+		flags |= sample.flags;
+	assert_int_equal(flags & SAMPLE_MAG, 0);
+	run(150, magnetometer_comes_back); /* 3 s */
+	while (imu_read(port, &sample) != 0)
+		flags |= sample.flags;
+	assert_int_equal(flags & SAMPLE_MAG, SAMPLE_MAG);
+}
+
+static void only_the_gyro(void)
+{
+	static const int16_t gyro[6] = {1, 2, 3};
+
+	put_scan(2, w.now_ns - MS, gyro);
+}
+
+static void both(void)
+{
+	static const int16_t accel[6] = {4, 5, 6};
+
+	only_the_gyro();
+	put_scan(3, w.now_ns - MS, accel);
+}
+
+static void test_an_accelerometer_of_its_own_that_stops_is_named(void **state)
+{
+	struct iio_device *d;
+
+	(void)state;
+	d = add_device("l3gd20", "95", "95 190");
+	add_triad(d, IIO_ANGL_VEL, "0.00122", 0);
+	add_timestamp(d);
+	d = add_device("lsm303", "100", "100 200");
+	add_triad(d, IIO_ACCEL, "0.0024", 0);
+	add_timestamp(d);
+	open_sensor("iio:l3gd20,lsm303");
+	assert_string_equal(port->name, "iio:l3gd20+lsm303");
+	w.now_ns += 100 * MS;
+	run(20, both);
+	assert_int_equal(last_result(), 1);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	run(20, only_the_gyro);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_ACCEL);
+}
+
+static void test_a_gyro_that_does_not_come_back_is_reported_each_time(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, gone);
+	assert_int_equal(last_result(), -EIO);
+	w.devices[MOTION].hidden = true;
+	run(3, NULL);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_SILENT);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
+	assert_true(port->health.bus_errors > 1);
+}
+
 int main(void)
 {
 #define IIO_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -883,17 +1095,26 @@ int main(void)
 		IIO_TEST(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
-		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged),
+		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
 		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
+		IIO_TEST(test_a_new_rate_is_that_of_the_timer_where_there_is_one),
 		IIO_TEST(test_a_magnetometer_of_its_own_has_a_timer_of_its_own),
 		IIO_TEST(test_a_trigger_of_its_own_is_kept_and_one_a_killed_gateway_left_is_not),
 		IIO_TEST(test_a_reading_by_timer_is_half_an_interval_of_the_chip_old),
 		IIO_TEST(test_without_configfs_the_devices_are_polled),
+		IIO_TEST(test_a_polled_device_has_the_rate_that_is_possible_at_most),
+		IIO_TEST(test_an_attribute_that_must_not_be_written_is_named_with_what_to_do),
+		IIO_TEST(test_a_timer_is_removed_once),
+		IIO_TEST(test_a_timer_that_could_not_be_made_is_not_removed),
+		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
 		IIO_TEST(test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back),
+		IIO_TEST(test_the_capture_starts_again_when_the_magnetometer_is_back),
+		IIO_TEST(test_an_accelerometer_of_its_own_that_stops_is_named),
+		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
 	};
 
 	return cmocka_run_group_tests_name("imu_iio", tests, NULL, NULL);

@@ -11,6 +11,7 @@
 #include <time.h>
 #include <unistd.h>
 
+#include "drivers/ports/sources.h"
 #include "drivers/ports/imu.h"
 
 enum { ROWS = 20 };
@@ -198,6 +199,61 @@ static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **
 	assert_refused("replay:x.csv,", "unknown option ''");
 }
 
+/* Bus and options of the sensor on I2C, before anything is opened; with none wrong, the bus is what is missing. */
+static void test_a_wrong_option_of_i2c_is_refused_with_what_to_use(void **state)
+{
+	static const char *const wrong[] = {"foo", "drdy=", "drdy=gpiochip0", "drdy=gpiochip0:", "drdy=gpiochip0:x",
+		"drdy=gpiochip0:3x", "drdy=:3", "stub,foo", ""};
+
+	(void)state;
+	assert_refused("i2c", "no bus: use i2c:");
+	assert_refused("i2c:", "no bus: use i2c:");
+	assert_refused("i2c:,stub", "no bus: use i2c:");
+	for (size_t i = 0; i < sizeof wrong / sizeof *wrong; i++) {
+		char src[100];
+
+		snprintf(src, sizeof src, "i2c:/nonexistent,%s", wrong[i]);
+		assert_refused(src, "unknown option");
+	}
+	assert_refused("i2c:/nonexistent,stub,drdy=gpiochip0:17", "/nonexistent");
+	assert_refused("i2c:/nonexistent", "/nonexistent");
+}
+
+static void test_the_port_is_named_after_the_file_without_its_folder(void **state)
+{
+	struct imu_port *port = opened("");
+
+	(void)state;
+	assert_memory_equal(port->name, "replay:imu9_replay_", 19);
+	imu_close(port);
+}
+
+static void test_a_source_of_4096_characters_is_too_long(void **state)
+{
+	static char src[4097];
+
+	(void)state;
+	memset(src, 'x', 4096);
+	assert_refused(src, "too long: use at most 4095");
+	src[4095] = '\0';
+	assert_refused(src, "unknown IMU source");
+}
+
+/* What --help of the programs lists. */
+static void test_the_list_of_sources_has_syntax_and_description_of_each(void **state)
+{
+	static const char *const words[] = {
+		"sim[:SCENARIO]", "replay:FILE", "i2c:", "iio", "wt901:", "real time", "WitMotion", "Pololu"};
+	char text[2000] = "";
+	FILE *out = fmemopen(text, sizeof text, "w");
+
+	(void)state;
+	imu_print_sources(out);
+	fclose(out);
+	for (size_t i = 0; i < sizeof words / sizeof *words; i++)
+		assert_non_null(strstr(text, words[i]));
+}
+
 static void test_closing_null_is_permitted(void **state)
 {
 	(void)state;
@@ -215,6 +271,10 @@ int main(void)
 		cmocka_unit_test(test_after_a_pause_all_due_samples_are_read_and_counted_as_late),
 		cmocka_unit_test(test_skipped_rows_are_counted_with_the_reason_of_the_last),
 		cmocka_unit_test(test_an_unknown_source_or_option_is_refused_with_what_to_use),
+		cmocka_unit_test(test_a_wrong_option_of_i2c_is_refused_with_what_to_use),
+		cmocka_unit_test(test_the_port_is_named_after_the_file_without_its_folder),
+		cmocka_unit_test(test_a_source_of_4096_characters_is_too_long),
+		cmocka_unit_test(test_the_list_of_sources_has_syntax_and_description_of_each),
 		cmocka_unit_test(test_closing_null_is_permitted),
 	};
 

@@ -470,6 +470,30 @@ static void test_only_the_sample_that_ends_a_window_gives_news(void **state)
 	assert_int_equal(news, id.windows);
 }
 
+/* Five samples for the derivatives, 0.3 s in which the filters settle, and the window of 1 s. */
+static void test_the_first_window_ends_1_34_s_after_the_start(void **state)
+{
+	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30};
+	uint64_t k = 0;
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (; k < 1000 && !lever_identification_news(&id); k++)
+		lever_identification_step(&id, k * 10000, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
+	assert_int_equal(k, 4 + 30 + 100);
+}
+
+static void test_the_sampling_rate_is_tracked_with_a_time_constant_of_100_samples(void **state)
+{
+	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30};
+
+	(void)state;
+	assert_int_equal(lever_identification_init(&id, &config), 0);
+	for (uint64_t k = 0; k <= 100; k++)
+		lever_identification_step(&id, k * 9600, (struct vec3){1, 0, 0}, (struct vec3){0, 0, 9.81}, NULL);
+	assert_near(id.dt_s, 0.0096 + 0.0004 * exp(-1), 0.00001);
+}
+
 static void test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases(void **state)
 {
 	struct scene s = BY_HAND;
@@ -635,6 +659,57 @@ static void test_the_residual_may_be_0_3_m_s2_or_1_with_a_reference_and_a_tenth_
 	}
 }
 
+/* Swings of 4 Hz about l and 5 Hz about t: whole ones in each window of 1 s, so that nothing is lost with the mean. The
+ * excitation is that below LEVER_CUTOFF_HZ, of the second order. A lever arm along l or s is accelerated across by
+ * alpha_t, one along t only by alpha_l. */
+static struct scene about_l_and_t(double l_rms_s2, double t_rms_s2)
+{
+	const double l_hz = 4, t_hz = 5;
+	struct scene s = BY_HAND;
+
+	s.sensor = "ideal";
+	s.seconds = 12;
+	s.swing_hz = (struct vec3){l_hz, 1, t_hz};
+	s.swing_rad =
+		(struct vec3){sqrt(2) * l_rms_s2 / pow(2 * PI * l_hz, 2) * sqrt(1 + pow(l_hz / LEVER_CUTOFF_HZ, 4)), 0,
+			sqrt(2) * t_rms_s2 / pow(2 * PI * t_hz, 2) * sqrt(1 + pow(t_hz / LEVER_CUTOFF_HZ, 4))};
+	return s;
+}
+
+static enum lever_verdict verdict_about_l_and_t(double l_rms_s2, double t_rms_s2)
+{
+	const struct scene s = about_l_and_t(l_rms_s2, t_rms_s2);
+
+	return identify(&s).verdict;
+}
+
+static void test_what_accelerates_a_lever_arm_of_1_m_by_less_than_1_m_s2_is_too_slow(void **state)
+{
+	(void)state;
+	assert_int_equal(verdict_about_l_and_t(0, 0.9), LEVER_TOO_SLOW);
+	assert_int_equal(verdict_about_l_and_t(0, 1.1), LEVER_BLIND_T);
+}
+
+static void test_a_second_axis_needs_0_4_m_s2(void **state)
+{
+	(void)state;
+	assert_int_equal(verdict_about_l_and_t(0.36, 5), LEVER_BLIND_T);
+	assert_int_equal(verdict_about_l_and_t(0.44, 5), LEVER_FOUND);
+}
+
+/* Too uncertain, since the hand sways: more of all helps, or more about the other axes only. */
+static void test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct scene s = about_l_and_t(i ? 1.5 / 3.4 : 1.5 / 2.6, 1.5);
+
+		s.travel_hz = (struct vec3){1.9, 2.3, 2.7};
+		s.travel_m = (struct vec3){0.0007, 0.0007, 0.0007};
+		assert_int_equal(identify(&s).verdict, i ? LEVER_BLIND_T : LEVER_UNSURE);
+	}
+}
+
 static void test_up_to_three_lost_samples_in_a_row_are_interpolated(void **state)
 {
 	struct scene s = BY_HAND;
@@ -672,6 +747,8 @@ int main(void)
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_estimate_stays_finite_for_any_input),
 		cmocka_unit_test(test_only_the_sample_that_ends_a_window_gives_news),
+		cmocka_unit_test(test_the_first_window_ends_1_34_s_after_the_start),
+		cmocka_unit_test(test_the_sampling_rate_is_tracked_with_a_time_constant_of_100_samples),
 		cmocka_unit_test(test_blocks_are_merged_when_the_memory_is_full_and_sigma_decreases),
 		cmocka_unit_test(test_blocks_that_are_free_again_do_not_count),
 		cmocka_unit_test(test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsure),
@@ -679,6 +756,9 @@ int main(void)
 		cmocka_unit_test(test_the_noise_sigma_of_each_axis_is_that_of_its_scatter),
 		cmocka_unit_test(
 			test_the_residual_may_be_0_3_m_s2_or_1_with_a_reference_and_a_tenth_of_what_the_arm_explains),
+		cmocka_unit_test(test_what_accelerates_a_lever_arm_of_1_m_by_less_than_1_m_s2_is_too_slow),
+		cmocka_unit_test(test_a_second_axis_needs_0_4_m_s2),
+		cmocka_unit_test(test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation),
 		cmocka_unit_test(test_up_to_three_lost_samples_in_a_row_are_interpolated),
 	};
 

@@ -620,6 +620,9 @@ static void test_a_position_whose_sigma_exceeds_the_limit_is_reported(void **sta
 	assert_false(position_unsure(&p));
 	p.config.sigma_limit_m = 1e-4;
 	assert_true(position_unsure(&p));
+	p.sigma.position_m = (struct vec3){0.3, 0, 0.4};
+	p.config.sigma_limit_m = 0.5;
+	assert_false(position_unsure(&p));
 	position_reset(&p);
 	assert_false(position_unsure(&p));
 }
@@ -736,6 +739,282 @@ static void test_levelling_starts_5_s_after_the_last_standstill(void **state)
 	assert_near(apart_s, 5.2, 0.3);
 }
 
+/* Swings about the reference point, at whose end on a lever arm of 0.5 m the sensor moves with up to 1 m/s. */
+static void test_a_swing_about_the_reference_point_is_no_velocity_of_it(void **state)
+{
+	const struct navigation_config config = levelling();
+	const double w = 2 * PI, lever_m = 0.5;
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(8 / DT_S); k++) {
+		double t = k * DT_S, rate = 2 * sin(w * t), angle = 2 / w * (1 - cos(w * t));
+		struct navigation_input in = {.gyro_b_rad_s = {0, 0, rate},
+			.force_b_m_s2 = {-lever_m * rate * rate, lever_m * 2 * w * cos(w * t), G},
+			.lever_b_m = {lever_m, 0, 0},
+			.q_nb = quat_from_rotation_vector((struct vec3){0, 0, angle}),
+			.gravity_m_s2 = G};
+
+		navigation_step(&n, &in, DT_S);
+	}
+	assert_false(n.still);
+	assert_true(sqrt(n.high_pass2_max) < 0.5);
+}
+
+/* ---- what the errors are assumed to be, in closed form ------------------------------------------------------------ */
+
+static const struct noise_config NOISE = {.gyro_density_rad_s_sqrt_hz = 2e-3,
+	.gyro_bias_instability_rad_s = 1e-3,
+	.accel_density_m_s2_sqrt_hz = 0.02,
+	.accel_bias_instability_m_s2 = 0.03};
+
+static struct navigation started(enum motion_preset preset)
+{
+	struct navigation_config config = BARE;
+	struct navigation n = {.started = false};
+
+	config.preset = preset;
+	config.noise = NOISE;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	return n;
+}
+
+/* One interval, in which it turns at this rate and accelerates so; the fusion agrees with the navigation. */
+static double one_interval(struct navigation *n, struct vec3 rate_b_rad_s, struct vec3 accel_n_m_s2)
+{
+	double t_s = 0;
+	bool ended = false;
+
+	while (!ended) {
+		struct navigation_input in = {
+			.gyro_b_rad_s = vec3_add(rate_b_rad_s, n->gyro_bias_b_rad_s), .gravity_m_s2 = G};
+
+		in.q_nb = quat_multiply(n->q_nb, quat_from_rotation_vector(vec3_scale(1e-3, rate_b_rad_s)));
+		in.force_b_m_s2 = vec3_add(quat_rotate_inverse(in.q_nb, vec3_add(accel_n_m_s2, (struct vec3){0, 0, G})),
+			n->accel_bias_b_m_s2);
+		ended = navigation_step(n, &in, 1e-3);
+		t_s += 1e-3;
+	}
+	return t_s;
+}
+
+static void assert_sigma(const struct navigation *n, int at, double sigma)
+{
+	for (int i = at; i < at + 3; i++)
+		assert_near(sqrt(n->p[i][i]) / sigma, 1, 0.01);
+}
+
+/* 2 degrees, 0.1 m/s, 0.3 deg/s, 6 mg; 3 mg where the motion goes to and fro. */
+static void test_at_the_start_nothing_is_known_better_than_after_a_calibration(void **state)
+{
+	const struct navigation robot = started(MOTION_ANY), hand = started(MOTION_HAND_HELD);
+
+	(void)state;
+	assert_sigma(&robot, NAVIGATION_THETA, 2.005 * RAD_PER_DEG);
+	assert_sigma(&robot, NAVIGATION_V, 0.1);
+	assert_sigma(&robot, NAVIGATION_BG, 0.2865 * RAD_PER_DEG);
+	assert_sigma(&robot, NAVIGATION_BA, 0.06);
+	assert_sigma(&hand, NAVIGATION_BA, 0.03);
+}
+
+/* White noise integrates to density^2 / 2 t; errors of scale and alignment walk by 0.1 % of the motion per sqrt(s), a third of
+ * it on each axis; the biases by their instability within 100 s, and the accelerometer's as it turns in gravity. */
+static void test_noise_and_errors_of_scale_add_up_within_an_interval(void **state)
+{
+	const struct vec3 rate = {20, -30, 10}, accel = {20, 10, -15};
+	const double rate2 = 1400, accel2 = 725;
+	struct navigation n = started(MOTION_HAND_HELD);
+	double t;
+
+	(void)state;
+	memset(n.p, 0, sizeof(n.p));
+	t = one_interval(&n, rate, accel);
+	assert_near(n.p[0][0] / (2e-6 * t + 1e-6 * rate2 * t / 3), 1, 0.01);
+	assert_near(n.p[1][1] / (2e-6 * t + 1e-6 * rate2 * t / 3), 1, 0.01);
+	for (int i = 0; i < 3; i++) {
+		const int v = NAVIGATION_V + i, p = NAVIGATION_P + i, bg = NAVIGATION_BG + i, ba = NAVIGATION_BA + i;
+
+		assert_near(n.p[v][v] / (2e-4 * t + 1e-6 * accel2 * t / 3), 1, 0.01);
+		assert_near(n.p[p][p] / (2e-4 * t * t * t / 3), 1, 0.01);
+		assert_near(n.p[p][v] / (2e-4 * t * t / 2), 1, 0.01);
+		assert_near(n.p[v][p] / (2e-4 * t * t / 2), 1, 0.01);
+		assert_near(n.p[bg][bg] / (1e-6 * t / 100), 1, 0.01);
+		assert_near(n.p[ba][ba] / (9e-4 * t / 100 + 1e-6 * G * G * rate2 * t / 3), 1, 0.01);
+	}
+}
+
+/* The heading of the fusion has an error of 2 degrees for 3 s: as a measurement in each interval, that sigma less often. */
+static void test_the_fusions_heading_counts_with_2_degrees_once_in_3_s(void **state)
+{
+	struct navigation n = started(MOTION_HAND_HELD);
+	const double before = pow(10 * RAD_PER_DEG, 2);
+	double t, noise;
+
+	(void)state;
+	memset(n.p, 0, sizeof(n.p));
+	n.config.noise = (struct noise_config){0};
+	n.p[NAVIGATION_THETA + 2][NAVIGATION_THETA + 2] = before;
+	t = one_interval(&n, ZERO, (struct vec3){3, 0, 0});
+	noise = pow(2.005 * RAD_PER_DEG, 2) * 3 / t;
+	assert_near(n.p[2][2] / (before * noise / (before + noise)), 1, 0.002);
+}
+
+/* A hand or a robot may have accelerated at 2 m/s^2 meanwhile, and went on with its velocity. */
+static void test_after_a_gap_sigma_has_grown_by_what_may_have_happened(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+	const double gap_s = 1.5, v2 = 9 + 4;
+
+	(void)state;
+	memset(n.p, 0, sizeof(n.p));
+	n.velocity_n_m_s = (struct vec3){3, -2, 0};
+	navigation_skip(&n, QUAT_IDENTITY, gap_s);
+	assert_sigma(&n, NAVIGATION_THETA, 2.005 * RAD_PER_DEG);
+	assert_sigma(&n, NAVIGATION_V, 2 * gap_s);
+	assert_sigma(&n, NAVIGATION_P, gap_s * sqrt(v2 + 4 * gap_s * gap_s));
+}
+
+/* In motion the bias differs by 0.02 deg/s from that at rest. */
+static void test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before(void **state)
+{
+	struct navigation n = started(MOTION_HAND_HELD);
+
+	(void)state;
+	for (int k = 0; k < 200; k++)
+		one_interval(&n, ZERO, ZERO);
+	assert_true(n.still);
+	n.config.noise = (struct noise_config){0};
+	for (int i = NAVIGATION_BG; i < NAVIGATION_BG + 3; i++)
+		n.p[i][i] = 1e-12;
+	while (n.still)
+		one_interval(&n, (struct vec3){1, 1, 1}, (struct vec3){2, 0, 0});
+	assert_sigma(&n, NAVIGATION_BG, 0.02005 * RAD_PER_DEG);
+}
+
+/* The innovation is the difference of all axes: beyond 5 sigma, of both, the aid replaces the velocity. */
+static void test_an_aided_velocity_beyond_5_sigma_replaces_the_velocity(void **state)
+{
+	const double sigma = 0.3, own = 0.4, limit = 5 * sqrt(3 * (sigma * sigma + own * own));
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct navigation n = started(MOTION_ANY);
+		const struct vec3 aid = {(i ? 1.01 : 0.99) * limit, 0, 0};
+
+		for (int k = 0; k < N; k++)
+			for (int j = 0; j < N; j++)
+				n.p[k][j] = k == j ? own * own : 0;
+		navigation_aid_velocity(&n, aid, sigma, ZERO, ZERO);
+		/* within: weighed by the variances */
+		assert_near(n.velocity_n_m_s.x, i ? aid.x : aid.x * own * own / (own * own + sigma * sigma), 1e-9);
+		assert_near(sqrt(n.p[NAVIGATION_V][NAVIGATION_V]), i ? sigma : own * sigma / hypot(own, sigma), 1e-9);
+	}
+}
+
+/* One of more than 3 sigma and 0.01 m/s is that of a motion, which no steady signal contradicts for 5 s. */
+static void test_an_aided_motion_is_no_standstill_for_5_s(void **state)
+{
+	const double speeds_m_s[] = {0.3, 0.32};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct navigation n = started(MOTION_HAND_HELD);
+		double t = 0;
+
+		for (int k = 0; k < 200; k++)
+			one_interval(&n, ZERO, ZERO);
+		assert_true(n.still);
+		navigation_aid_velocity(&n, (struct vec3){0, speeds_m_s[i], 0}, 0.1, ZERO, ZERO);
+		do
+			t += one_interval(&n, ZERO, ZERO);
+		while (!n.still && t < 10);
+		if (i)
+			assert_true(t >= 5 && t < 7);
+		else
+			assert_true(t < 0.1);
+	}
+}
+
+/* What has been integrated without zero-velocity updates since the object stood is taken over as it is. */
+static void test_when_a_motion_begins_position_and_velocity_are_those_since_it_stood(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+	struct zero_velocity_fork *fork = &n.zero_velocity.forks[1];
+
+	(void)state;
+	n.config.noise = (struct noise_config){.gyro_density_rad_s_sqrt_hz = 1e-5, .accel_density_m_s2_sqrt_hz = 1e-3};
+	for (int k = 0; k < 400 && !fork->set; k++)
+		one_interval(&n, ZERO, ZERO);
+	assert_true(n.still && fork->set);
+	fork->position_n_m = (struct vec3){1, 2, 3};
+	fork->velocity_n_m_s = (struct vec3){0.5, -0.4, 0.3};
+	one_interval(&n, ZERO, ZERO);
+	assert_false(n.still);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0.5, -0.4, 0.3}), 0.01);
+	assert_vec_near(n.position_n_m, ((struct vec3){1, 2, 3}), 0.05);
+}
+
+static void test_a_set_attitude_is_known_to_a_degree(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+
+	(void)state;
+	navigation_set_attitude(&n, QUAT_IDENTITY);
+	assert_sigma(&n, NAVIGATION_THETA, 1.003 * RAD_PER_DEG);
+}
+
+/* 0.1 rad are 1 m/s^2 of gravity. A heading turns with the fusion's from 20 degrees on. */
+static void test_a_tilt_or_a_heading_too_far_from_the_fusions_starts_again_from_it(void **state)
+{
+	const double tilts_rad[] = {0.095, 0.105}, headings_rad[] = {0.34, 0.36};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct navigation n = started(MOTION_ANY);
+		struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .gravity_m_s2 = G};
+
+		in.q_nb = quat_from_rotation_vector((struct vec3){tilts_rad[i], 0, 0});
+		while (!navigation_step(&n, &in, 1e-3))
+			;
+		assert_near(quat_apart_rad(n.q_nb, in.q_nb), i ? 0 : tilts_rad[i], 0.002);
+		if (i)
+			assert_sigma(&n, NAVIGATION_V, 1);
+
+		n = started(MOTION_ANY);
+		in.q_nb = quat_from_rotation_vector((struct vec3){0, 0, headings_rad[i]});
+		while (!navigation_step(&n, &in, 1e-3))
+			;
+		assert_near(quat_apart_rad(n.q_nb, in.q_nb), i ? 0 : headings_rad[i], 0.03);
+	}
+}
+
+/* Of an acceleration: gravity times the tilt about the other axis, noise, and a bias; of the heading: that of north, too. */
+static void test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+	struct navigation_sigma s;
+	double force2 = 0.02 * 0.02 * 100 / 2 + (0.01 + 0.04 + 0.09) / 3;
+
+	(void)state;
+	n.gravity_m_s2 = G;
+	n.fusion_variance_rad2 = (struct vec3){1e-4, 4e-4, 9e-4};
+	for (int i = 0; i < 3; i++)
+		n.p[NAVIGATION_BA + i][NAVIGATION_BA + i] = pow(0.1 * (i + 1), 2);
+	s = navigation_sigma(&n, 100);
+	assert_vec_near(s.accel_m_s2,
+		((struct vec3){sqrt(G * G * 4e-4 + force2), sqrt(G * G * 1e-4 + force2), sqrt(force2)}), 1e-9);
+	assert_vec_near(s.attitude_rad, ((struct vec3){0.01, 0.02, hypot(0.03, 1.49 * RAD_PER_DEG)}), 1e-4);
+	n.fusion_variance_rad2 = ZERO; /* unknown: this filter's, their difference, and what the bias tilts */
+	n.fusion_difference2_rad2 = (struct vec3){1e-4, 2e-4, 3e-4};
+	for (int i = 0; i < 3; i++)
+		n.p[i][i] = 1e-4 * (i + 1);
+	s = navigation_sigma(&n, 100);
+	assert_near(s.attitude_rad.x, sqrt(2e-4 + 0.14 / 3 / (G * G)), 1e-9);
+	assert_near(s.attitude_rad.y, sqrt(4e-4 + 0.14 / 3 / (G * G)), 1e-9);
+	assert_near(s.attitude_rad.z, sqrt(6e-4 + pow(1.49 * RAD_PER_DEG, 2)), 1e-4);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -762,6 +1041,18 @@ int main(void)
 		cmocka_unit_test(test_another_north_leaves_the_path_behind_it_uncertain_by_its_chord),
 		cmocka_unit_test(test_a_navigation_configuration_is_checked_field_by_field),
 		cmocka_unit_test(test_levelling_starts_5_s_after_the_last_standstill),
+		cmocka_unit_test(test_a_swing_about_the_reference_point_is_no_velocity_of_it),
+		cmocka_unit_test(test_at_the_start_nothing_is_known_better_than_after_a_calibration),
+		cmocka_unit_test(test_noise_and_errors_of_scale_add_up_within_an_interval),
+		cmocka_unit_test(test_the_fusions_heading_counts_with_2_degrees_once_in_3_s),
+		cmocka_unit_test(test_after_a_gap_sigma_has_grown_by_what_may_have_happened),
+		cmocka_unit_test(test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before),
+		cmocka_unit_test(test_an_aided_velocity_beyond_5_sigma_replaces_the_velocity),
+		cmocka_unit_test(test_an_aided_motion_is_no_standstill_for_5_s),
+		cmocka_unit_test(test_when_a_motion_begins_position_and_velocity_are_those_since_it_stood),
+		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
+		cmocka_unit_test(test_a_tilt_or_a_heading_too_far_from_the_fusions_starts_again_from_it),
+		cmocka_unit_test(test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -277,6 +277,27 @@ static void test_a_domain_is_found_by_its_index(void **state)
 	assert_ptr_equal(od_find_domain(&od, 0x1021, 0), &domain);
 	assert_null(od_find_domain(&od, 0x1021, 1));
 	assert_int_equal(od_read(&od, 0x1021, 0, wire, sizeof(wire), &size), OD_UNSUPPORTED_ACCESS);
+	assert_int_equal(od_check(od_find(&imu9_od_table, 0x1021, 0, NULL), "text", 4), OD_UNSUPPORTED_ACCESS);
+}
+
+static void test_values_of_eight_bytes_are_written_and_read_back(void **state)
+{
+	static const uint8_t wire[3][8] = {{0xFE, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF}, /* -2 */
+		{8, 7, 6, 5, 4, 3, 2, 1}, {0, 0, 0, 0, 0, 0, 0xF8, 0x3F}};		     /* 1.5 */
+
+	(void)state;
+	for (uint16_t i = 0; i < 3; i++) {
+		uint8_t back[8] = {0};
+		size_t size = 0;
+
+		assert_int_equal(od_write(&other, (uint16_t)(0x2004 + i), 0, wire[i], 8), OD_OK);
+		assert_int_equal(od_read(&other, (uint16_t)(0x2004 + i), 0, back, sizeof(back), &size), OD_OK);
+		assert_int_equal(size, 8);
+		assert_memory_equal(back, wire[i], 8);
+	}
+	assert_true(other_values.i64 == -2);
+	assert_true(other_values.u64 == 0x0102030405060708u);
+	assert_true(other_values.real64 == 1.5);
 }
 
 static void test_a_value_pointer_requires_the_right_size(void **state)
@@ -619,6 +640,7 @@ int main(void)
 		cmocka_unit_test_setup(test_a_buffer_that_is_too_small_is_refused_and_not_written, fresh),
 		cmocka_unit_test_setup(test_a_write_only_entry_is_not_read, fresh),
 		cmocka_unit_test_setup(test_a_domain_is_found_by_its_index, fresh),
+		cmocka_unit_test_setup(test_values_of_eight_bytes_are_written_and_read_back, fresh),
 		cmocka_unit_test_setup(test_a_value_pointer_requires_the_right_size, fresh),
 		cmocka_unit_test_setup(test_a_written_float_is_in_the_struct, fresh),
 		cmocka_unit_test_setup(test_a_write_above_the_high_limit_is_refused_and_the_old_value_remains, fresh),

@@ -210,6 +210,7 @@ static void test_floats_are_printed_with_the_fewest_digits(void **state)
 	assert_prints_real32(0, "0");
 	assert_prints_real32(-0.0f, "-0");
 	assert_prints_real32(16777216, "16777216");
+	assert_prints_real32(8.6e9f, "8.6e+09"); /* 8600000512 */
 	assert_prints_real32(1e-20f, "1e-20");
 	assert_prints_real32(NAN, "nan");
 	assert_prints_real32(-INFINITY, "-inf");
@@ -325,6 +326,7 @@ static void test_entries_are_found_by_their_numbers(void **state)
 {
 	(void)state;
 	assert_finds("0x2000:1", 0x2000, 1);
+	assert_finds("0X2000:1", 0x2000, 1);
 	assert_finds("2000h:1", 0x2000, 1);
 	assert_finds("0x2003", 0x2003, 0);
 	assert_finds("2003H", 0x2003, 0);

@@ -1302,6 +1302,62 @@ static void test_a_robot_at_rest_does_not_accelerate(void **state)
 		assert_vec_near(run(&p, standing, k, k + 1).accel_n_m_s2, ZERO, 1e-6);
 }
 
+/* A gyro whose bias grows by 0.001 rad/s per K from 25 degC on turns at 0.5 rad/s; only some samples have a temperature. */
+static void test_a_temperature_in_a_sample_holds_until_the_next_one(void **state)
+{
+	const struct {
+		double degC, rate;
+	} samples[] = {{0, 0.51}, {35, 0.5}, {0, 0.5}, {15, 0.52}, {0, 0.52}};
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+
+	(void)state;
+	config.calibration.temperature =
+		(struct temperature_compensation){.gyro_slope = {0, 0, 0.001}, .reference_degC = 25};
+	config.rate_filter.type = FILTER_OFF;
+	p = pipeline(&config);
+	for (int k = 0; k < 5; k++) {
+		struct imu_sample s = standing(k).sample;
+
+		s.gyro_rad_s.z = 0.51;
+		s.temperature_degC = samples[k].degC;
+		s.flags |= samples[k].degC > 0 ? SAMPLE_TEMPERATURE : 0;
+		assert_near(step(&p, &s).rate_b_rad_s.z, samples[k].rate, 1e-4);
+	}
+}
+
+/* RMS along x of what an accelerometer with white noise measures at rest. */
+static double noise_at_rest(double latency_s, double density)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	double sum = 0;
+
+	config.latency.sensor_s = latency_s;
+	config.noise.accel_density_m_s2_sqrt_hz = density;
+	p = pipeline(&config);
+	for (int k = 0; k < 4000; k++) {
+		struct imu_sample s = standing(k).sample;
+
+		/* uniform, of the standard deviation that the density has at this rate */
+		s.accel_m_s2 = vec3_add(s.accel_m_s2, any_vec(sqrt(3.0 * RATE_HZ / 2) * 0.02));
+		sum += pow(step(&p, &s).accel_n_m_s2.x, 2) * (k < 2000 ? 0 : 1.0 / 2000);
+	}
+	return sqrt(sum);
+}
+
+/* The derivative of noise is noise: a change that is explained by it is not extrapolated. */
+static void test_the_extrapolation_over_the_latency_adds_no_noise_at_rest(void **state)
+{
+	const double without = noise_at_rest(0, 0.02);
+
+	(void)state;
+	print_message("noise at rest: %.3f, extrapolated %.3f, without knowing its density %.3f m/s^2\n", without,
+		noise_at_rest(0.0042, 0.02), noise_at_rest(0.0042, 1e-6));
+	assert_true(noise_at_rest(0.0042, 0.02) < 1.1 * without);
+	assert_true(noise_at_rest(0.0042, 1e-6) > 1.2 * without);
+}
+
 /* The noise of the gyro does not influence the attitude. */
 static void test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm(void **state)
 {
@@ -1439,6 +1495,8 @@ int main(void)
 		cmocka_unit_test(test_each_axis_of_the_acceleration_sigma_has_its_own_errors),
 		cmocka_unit_test(test_between_measurements_of_the_field_the_last_one_is_reported),
 		cmocka_unit_test(test_a_robot_at_rest_does_not_accelerate),
+		cmocka_unit_test(test_the_extrapolation_over_the_latency_adds_no_noise_at_rest),
+		cmocka_unit_test(test_a_temperature_in_a_sample_holds_until_the_next_one),
 		cmocka_unit_test(test_the_auto_mode_with_a_useless_gyro_is_that_without_a_lever_arm),
 		cmocka_unit_test(test_a_new_acceleration_filter_continues_from_the_last_output),
 		cmocka_unit_test(test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise),

@@ -369,6 +369,10 @@ static void test_a_bus_that_accepts_no_frame_ends_the_transfer(void **state)
 	sdo_client_upload(&b->client, 0x1001, 0, value, sizeof(value), 0);
 	assert_int_equal(b->client.result, SDO_UNSENT);
 	assert_int_equal(b->client.send_error, -ENETDOWN);
+	b->send_result = 0;
+	sdo_client_upload(&b->client, 0x1001, 0, value, sizeof(value), 0);
+	assert_int_equal(b->client.result, SDO_RUNNING);
+	assert_int_equal(b->client.send_error, 0);
 }
 
 static void test_every_abort_code_of_cia_301_has_its_own_text(void **state)

@@ -4,6 +4,7 @@
 #include <stddef.h>
 #include <setjmp.h>
 #include <stdint.h>
+#include <errno.h>
 #include <string.h>
 #include <cmocka.h>
 
@@ -82,6 +83,7 @@ static void assert_aborted(struct bench *bench, uint16_t index, uint32_t code)
 	assert_false(bench->client.aborted_by_server);
 	ASSERT_SENT(bench, 0x80, (uint8_t)index, (uint8_t)(index >> 8), 0, (uint8_t)code, (uint8_t)(code >> 8),
 		(uint8_t)(code >> 16), (uint8_t)(code >> 24));
+	ASSERT_NOTHING_SENT(bench);
 }
 
 /* Calls the client until it waits for the server. */
@@ -410,6 +412,99 @@ static void test_a_full_bus_delays_the_segments(void **state)
 	ASSERT_SENT(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
 }
 
+/* Abort 05040001h: client/server command specifier not valid or unknown. */
+static void test_an_answer_that_belongs_to_another_step_is_aborted(void **state)
+{
+	struct bench *bench;
+
+	(void)state;
+	bench = upload(100);
+	ANSWER(bench, 0xA4, 0x21, 0x10, 0, 127); /* of a download */
+	assert_aborted(bench, 0x1021, 0x05040001);
+
+	bench = upload(100);
+	ANSWER(bench, 0xC6, 0x21, 0x10, 0, 9);
+	ANSWER(bench, 0x01, '1', '2', '3', '4', '5', '6', '7');
+	ANSWER(bench, 0x82, '8', '9');
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xC6, 0xC3, 0x31); /* starts again in the place of its end */
+	assert_aborted(bench, 0x1021, 0x05040001);
+
+	bench = download("123456789");
+	ANSWER(bench, 0xC6, 0x30, 0x21, 0, 127); /* of an upload */
+	assert_aborted(bench, 0x2130, 0x05040001);
+
+	bench = download("123456789");
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xA1, 2, 127); /* its end in the place of the acknowledgement */
+	assert_aborted(bench, 0x2130, 0x05040001);
+
+	bench = download("123456789");
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	ANSWER(bench, 0xA2, 2, 127);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0xA2, 2, 127); /* acknowledges again */
+	assert_aborted(bench, 0x2130, 0x05040001);
+}
+
+static void test_a_transfer_after_an_interrupted_one_starts_afresh(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	let_it_send(bench);
+	bench->seen = bench->sent_count;
+	ANSWER(bench, 0x80, 0x30, 0x21, 0, 0, 0, 0, 0x08);
+	assert_int_equal(bench->client.result, SDO_ABORTED);
+	sdo_client_block_upload(&bench->client, 0x1021, 0, bench->value, sizeof(bench->value), T0);
+	ASSERT_SENT(bench, 0xA4, 0x21, 0x10, 0, 127);
+	ANSWER(bench, 0xC2, 0x21, 0x10, 0, 2); /* without CRC */
+	ASSERT_SENT(bench, 0xA3);
+	ANSWER(bench, 0x81, 'o', 'k');
+	ASSERT_SENT(bench, 0xA2, 1, 127);
+	ANSWER(bench, 0xD5, 0, 0);
+	ASSERT_SENT(bench, 0xA1);
+	assert_int_equal(bench->client.result, SDO_DONE);
+	assert_memory_equal(bench->value, "ok", 2);
+}
+
+static int refuse(struct can_port *port, const struct can_msg *msg)
+{
+	(void)port, (void)msg;
+	return -ENETDOWN;
+}
+
+static void test_a_bus_that_accepts_no_segment_ends_the_transfer(void **state)
+{
+	static const struct can_ops refusing = {.send = refuse};
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	bench->bus.ops = &refusing;
+	assert_true(sdo_client_tick(&bench->client, T0) == UINT64_MAX);
+	assert_int_equal(bench->client.result, SDO_UNSENT);
+	assert_int_equal(bench->client.send_error, -ENETDOWN);
+	ASSERT_NOTHING_SENT(bench);
+}
+
+static void test_a_bus_that_stays_full_until_the_timeout_ends_the_transfer(void **state)
+{
+	struct bench *bench = download("123456789");
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 127);
+	bench->bus.queue_count = 1;
+	assert_int_equal(sdo_client_tick(&bench->client, T0 + TIMEOUT_US - 1), T0 + TIMEOUT_US - 1 + 1000);
+	assert_int_equal(bench->client.result, SDO_RUNNING);
+	assert_true(sdo_client_tick(&bench->client, T0 + TIMEOUT_US) == UINT64_MAX);
+	assert_int_equal(bench->client.result, SDO_TIMEOUT);
+}
+
 static void test_a_server_that_does_not_acknowledge_is_a_timeout(void **state)
 {
 	struct bench *bench = download("123456789");
@@ -489,6 +584,10 @@ int main(void)
 		cmocka_unit_test(test_a_block_size_of_0_or_above_127_is_aborted),
 		cmocka_unit_test(test_an_empty_value_is_sent_as_one_empty_segment),
 		cmocka_unit_test(test_a_full_bus_delays_the_segments),
+		cmocka_unit_test(test_a_bus_that_stays_full_until_the_timeout_ends_the_transfer),
+		cmocka_unit_test(test_an_answer_that_belongs_to_another_step_is_aborted),
+		cmocka_unit_test(test_a_transfer_after_an_interrupted_one_starts_afresh),
+		cmocka_unit_test(test_a_bus_that_accepts_no_segment_ends_the_transfer),
 		cmocka_unit_test(test_a_server_that_does_not_acknowledge_is_a_timeout),
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 		cmocka_unit_test(test_frames_are_received_after_every_16_segments_sent),

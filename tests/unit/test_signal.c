@@ -404,6 +404,31 @@ static void test_rough_ground_rolls_pitches_and_lifts_the_robot_by_its_angle_whi
 	assert_true(most.z > 0.99 && most.z <= 1);
 }
 
+/* The share of a wave of that frequency in the roll angle, while the robot drives along the first side at full speed. */
+static double wave_of_roll(double hz)
+{
+	double in_phase = 0, across = 0;
+	const int n = 2400;
+
+	for (int k = 0; k < n; k++) {
+		double t = 3.3 + k * 1e-3;
+		struct signal_truth truth;
+
+		signal_at(signal_find("square"), t, &truth);
+		in_phase += truth.angles_rad.x * cos(2 * PI * hz * t) * 2 / n;
+		across += truth.angles_rad.x * sin(2 * PI * hz * t) * 2 / n;
+	}
+	return hypot(in_phase, across);
+}
+
+static void test_rough_ground_has_bumps_of_0_2_s(void **state)
+{
+	(void)state;
+	assert_true(fabs(wave_of_roll(5) / (0.7 * 3 * RAD_PER_DEG) - 1) < 0.05);
+	assert_true(wave_of_roll(4) < 0.2 * wave_of_roll(5));
+	assert_true(wave_of_roll(6) < 0.2 * wave_of_roll(5));
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -418,6 +443,7 @@ int main(void)
 		cmocka_unit_test(test_the_roll_step_gives_the_correction_of_the_paper_0_8_g_at_5_cm),
 		cmocka_unit_test(test_a_turntable_has_the_centripetal_acceleration_rate_squared_times_radius),
 		cmocka_unit_test(test_a_pendulum_has_the_tangential_and_centripetal_acceleration_of_the_textbook),
+		cmocka_unit_test(test_rough_ground_has_bumps_of_0_2_s),
 		cmocka_unit_test(test_an_unknown_name_gives_no_signal),
 		cmocka_unit_test(test_the_multiposition_signal_rests_on_every_face_and_every_corner),
 		cmocka_unit_test(test_the_boat_heaves_with_half_the_acceleration_of_its_wave),

@@ -695,6 +695,7 @@ static void test_a_movement_has_its_duration_path_and_farthest_point(void **stat
 	go_and_return(1, 0, 0);
 	assert_int_equal(m->number, 2);
 	assert_near(m->farthest_m, 1, 1e-9);
+	assert_near(m->path_m, 1, 0.02);
 }
 
 /* Points up to 1 s before the end are kept, and the last one has the position at the end. */

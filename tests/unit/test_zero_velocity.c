@@ -2,6 +2,8 @@
  * the noise of the datasheets and a constant error of the accelerometer. */
 #include "model_test.h"
 
+#include <string.h>
+
 #include "model/pipeline.h"
 
 enum { RATE_HZ = 100 };
@@ -189,6 +191,280 @@ static void test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_t
 	assert_false(stands(&r));
 }
 
+/* Density of the velocity v, if each axis has this variance. */
+static double density(double v_m_s, double variance)
+{
+	return exp(-v_m_s * v_m_s / (2 * variance)) / pow(variance, 1.5);
+}
+
+/* Bayes: standing against a speed of any of the scales alike, none below the slowest of the preset (model/README.md). */
+static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows(void **state)
+{
+	const struct {
+		enum motion_preset preset;
+		double scales_m_s[4];
+	} presets[] = {{MOTION_ANY, {0.03, 0.15, 0.7, 3}}, {MOTION_ROBOT_BASE, {0.1, 0.15, 0.7, 3}},
+		{MOTION_LINEAR_AXIS, {0.3, 0.3, 0.7, 3}}, {MOTION_ARM, {0.03, 0.15, 0.7, 3}}};
+	const double sigma_m_s = 0.04, speeds_m_s[] = {0.06, 0.1, 0.14};
+
+	(void)state;
+	for (int i = 0; i < 4; i++)
+		for (int j = 0; j < 3; j++) {
+			const struct navigation_config config = {
+				.preset = presets[i].preset, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
+			const struct navigation_input in = {
+				.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+			double v = speeds_m_s[j], moves = 0, stands;
+			struct navigation n = {.started = false};
+
+			navigation_start(&n, &config, QUAT_IDENTITY);
+			n.velocity_n_m_s = (struct vec3){v, 0, 0};
+			for (int k = 0; k < NAVIGATION_STATES; k++)
+				n.p[k][k] = k / 3 == NAVIGATION_V / 3 ? sigma_m_s * sigma_m_s : 0;
+			for (int k = 0; k < 100 && n.zero_velocity.weight == 0; k++)
+				navigation_step(&n, &in, 1e-3);
+			for (int k = 0; k < 4; k++)
+				moves += density(v, sigma_m_s * sigma_m_s +
+							    presets[i].scales_m_s[k] * presets[i].scales_m_s[k]) /
+					 4;
+			stands = density(v, sigma_m_s * sigma_m_s);
+			assert_near(n.zero_velocity.weight, stands / (stands + moves), 0.02);
+		}
+}
+
+/* A navigation that stands, with a fork that began t_s ago and has this velocity along an axis since. */
+struct standing {
+	struct navigation n;
+	struct zero_velocity z;
+};
+
+static const struct zero_velocity_signals QUIET = {.steady = true};
+
+static struct standing standing_with_fork(const struct noise_config *noise, double gyro_bias_sigma, double t_s)
+{
+	const struct navigation_config config = {
+		.preset = MOTION_ANY, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5, .noise = *noise};
+	struct standing s = {.z = {.vibration_m2_s2 = 0}};
+	struct zero_velocity_fork *fork = &s.z.forks[1];
+
+	navigation_start(&s.n, &config, QUAT_IDENTITY);
+	s.n.gravity_m_s2 = G;
+	memset(s.n.p, 0, sizeof(s.n.p));
+	for (int i = NAVIGATION_BG; i < NAVIGATION_BG + 3; i++)
+		s.n.p[i][i] = gyro_bias_sigma * gyro_bias_sigma;
+	assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
+	assert_true(fork->set);
+	fork->sums.t_s = t_s;
+	for (int i = 0; i < 3; i++)
+		fork->sums.s.m[i][i] = t_s;
+	return s;
+}
+
+static bool begins(const struct standing *s, struct vec3 velocity_n_m_s, bool turning)
+{
+	struct standing copy = *s;
+
+	copy.z.forks[1].velocity_n_m_s = velocity_n_m_s;
+	return zero_velocity_stands(&copy.z, &copy.n, &QUIET, (struct vec3){0}, (struct vec3){0}, turning, 0.1) != NULL;
+}
+
+/* sigma of the velocity of what stands for t_s: 1 mm/s at its begin, 2 mm/s by the support, the accelerometer's random walk,
+ * and horizontally the tilt by the gyro's random walk and bias, times gravity, integrated. */
+static void test_a_motion_begins_at_4_sigma_of_the_velocity_and_at_3_while_the_object_turns(void **state)
+{
+	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0},
+				  real = {.accel_density_m_s2_sqrt_hz = 0.003, .gyro_density_rad_s_sqrt_hz = 1e-3};
+	const double bias = 5e-4;
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		double t = i == 0 ? 0 : i == 1 ? 1 : 1.4;
+		struct standing s = standing_with_fork(i ? &real : &none, i ? bias : 0, t);
+		double up2 = 0.001 * 0.001 + 0.002 * 0.002 + (i ? 0.003 * 0.003 / 2 * t : 0);
+		double level2 = up2 + (i ? G * G * (1e-3 * 1e-3 / 2 * t * t * t / 3 + bias * bias * pow(t, 4) / 4) : 0);
+
+		for (int k = 0; k < 2; k++) {
+			const bool turning = k;
+			const double limit = turning ? 3 : 4;
+
+			assert_false(begins(&s, (struct vec3){0.98 * limit * sqrt(level2), 0, 0}, turning));
+			assert_true(begins(&s, (struct vec3){1.02 * limit * sqrt(level2), 0, 0}, turning));
+			assert_false(begins(&s, (struct vec3){0, -0.98 * limit * sqrt(level2), 0}, turning));
+			assert_true(begins(&s, (struct vec3){0, -1.02 * limit * sqrt(level2), 0}, turning));
+			assert_false(begins(&s, (struct vec3){0, 0, 0.98 * limit * sqrt(up2)}, turning));
+			assert_true(begins(&s, (struct vec3){0, 0, 1.02 * limit * sqrt(up2)}, turning));
+		}
+	}
+}
+
+/* A chi-squared value of 3 is that of what stands; the limit, 16, that of what moves. The way of the fork counts in between. */
+static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **state)
+{
+	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0};
+	const double chi2[] = {2.9, 3 + 0.25 * 13, 3 + 0.75 * 13}, doubts[] = {0, 0.25, 0.75};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct standing s = standing_with_fork(&none, 0, 0);
+
+		s.z.forks[1].velocity_n_m_s.x = sqrt(chi2[i] * (0.001 * 0.001 + 0.002 * 0.002));
+		s.z.forks[1].position_n_m = vec3_add(s.n.position_n_m, (struct vec3){1, -2, 3});
+		assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
+		assert_vec_near(s.z.position_variance_m2, vec3_scale(doubts[i], (struct vec3){1, 4, 9}), 1e-6);
+	}
+}
+
+/* Velocity of vibration: the acceleration through the integrator with a time constant of 30 ms, behind a high-pass of 0.1 s. */
+static void test_vibration_is_the_velocity_above_5_hz(void **state)
+{
+	const double frequencies_hz[] = {0.5, 5, 20}, dt_s = 1e-4;
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const double w = 2 * PI * frequencies_hz[i];
+		const double gain = 0.03 / hypot(1, 0.03 * w) * 0.1 * w / hypot(1, 0.1 * w);
+		struct zero_velocity z = {.vibration_m2_s2 = 0};
+		double t = 0, mean = 0, later;
+
+		for (; t < 4; t += dt_s) {
+			zero_velocity_vibration(&z, (struct vec3){sin(w * t), 0, 2 * cos(w * t)}, dt_s);
+			mean += t < 2 ? 0 : z.vibration_m2_s2 * dt_s / 2;
+		}
+		assert_near(mean / (5 * gain * gain / 2), 1, 0.02);
+		z.vibration_n_m_s = z.accel_low_n_m_s2 = (struct vec3){0};
+		later = z.vibration_m2_s2 * exp(-1);
+		for (t = 0; t < 0.3; t += dt_s) /* it is forgotten with a time constant of 0.3 s */
+			zero_velocity_vibration(&z, (struct vec3){0}, dt_s);
+		assert_near(z.vibration_m2_s2 / later, 1, 0.02);
+	}
+}
+
+/* ---- it moves ---- */
+
+/* A navigation that knows its velocity with this sigma, and nothing else can have changed it. */
+static struct standing moving_with(double sigma_m_s)
+{
+	const struct navigation_config config = {
+		.preset = MOTION_ANY, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
+	struct standing s = {.z = {.quiet_accel2_m2_s4 = 1e-4, .quiet_gyro2_rad2_s2 = 1e-6}};
+
+	navigation_start(&s.n, &config, QUAT_IDENTITY);
+	memset(s.n.p, 0, sizeof(s.n.p));
+	for (int i = NAVIGATION_V; i < NAVIGATION_V + 3; i++)
+		s.n.p[i][i] = sigma_m_s * sigma_m_s;
+	return s;
+}
+
+static const struct zero_velocity_signals NOISY = {.steady = false};
+
+/* Weight of standing after 0.1 s more. */
+static double weight_of(struct standing *s, const struct zero_velocity_signals *signals, double velocity_m_s)
+{
+	zero_velocity_moves(&s->z, &s->n, signals, (struct vec3){velocity_m_s, 0, 0}, 0.03, false, 0.1);
+	return s->z.weight;
+}
+
+/* Odds of standing in a quiet moment: as often as it has moved quietly, of which one in a hundred of a second is assumed at
+ * first; at least one in 400. */
+static void test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet(void **state)
+{
+	const struct {
+		double moved_s, quietly_s, share;
+	} cases[] = {{0, 0, 0.01}, {9, 9, 9.01 / 10}, {9, 4, 4.01 / 10}, {99, 0, 0.0025}};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct standing s = moving_with(0.04), noisy;
+
+		s.z.moved_s = cases[i].moved_s;
+		s.z.moved_quietly_s = cases[i].quietly_s;
+		noisy = s;
+		double odds = 1 / weight_of(&noisy, &NOISY, 0.2) - 1;
+		assert_near(1 / weight_of(&s, &QUIET, 0.2) - 1, odds * cases[i].share, 1e-6 * odds);
+	}
+}
+
+/* Quiet is up to three times the mean squares of what stood, and (0.02 deg/s)^2 more of the gyro. */
+static void test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill(void **state)
+{
+	const struct {
+		struct zero_velocity_signals signals;
+		bool quiet;
+	} cases[] = {{{true, 2.9e-6, 2.9e-4, false}, true}, {{true, 0, 3.1e-4, false}, false},
+		{{true, 3.05e-6, 0, false}, true}, {{true, 3.15e-6, 0, false}, false}, {{false, 0, 0, false}, false}};
+
+	(void)state;
+	for (int i = 0; i < 5; i++) {
+		struct standing s = moving_with(0.04), noisy = s;
+		double odds = 1 / weight_of(&noisy, &NOISY, 0.2) - 1;
+
+		assert_near(
+			1 / weight_of(&s, &cases[i].signals, 0.2) - 1, odds * (cases[i].quiet ? 0.01 : 1), 1e-6 * odds);
+	}
+}
+
+/* Without an acceleration a motion cannot end: the odds hold while sigma grows, and are forgotten within 20 s. A change of the
+ * velocity by three times 0.01 m/s is an acceleration. */
+static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state)
+{
+	const double changes_m_s[] = {0, 0.029, 0.031};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct standing s = moving_with(0.04), fresh = moving_with(0.1);
+		double odds = 1 / weight_of(&s, &NOISY, 0.2) - 1, v = 0.2 - changes_m_s[i];
+		double now = 1 / weight_of(&fresh, &NOISY, v) - 1;
+
+		s.n = fresh.n;
+		assert_near((1 / weight_of(&s, &NOISY, v) - 1) / (i < 2 ? odds * (1 - 0.1 / 20) : now), 1, 1e-6);
+	}
+}
+
+static void test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill(void **state)
+{
+	struct standing s = moving_with(0.04);
+
+	(void)state;
+	zero_velocity_restart(&s.z, true);
+	assert_near(1 / weight_of(&s, &NOISY, 0) - 1, 10 * (1 - 0.1 / 20), 1e-9);
+}
+
+/* Above a weight of 0.95 it stands; below 0.05 its motion is one to learn from. */
+static void test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05(void **state)
+{
+	(void)state;
+	for (double v = 0; v < 0.3; v += 0.001) {
+		struct standing s = moving_with(0.04);
+		double weight = weight_of(&s, &NOISY, v);
+
+		assert_near(s.z.standing_s, weight > 0.95 ? 0.1 : 0, 0);
+		assert_near(s.z.moved_s, weight < 0.05 ? 0.1 : 0, 0);
+		assert_near(s.z.moved_quietly_s, 0, 0);
+		s = moving_with(0.04);
+		weight = weight_of(&s, &QUIET, v);
+		assert_near(s.z.moved_quietly_s, weight < 0.05 ? 0.1 : 0, 0);
+	}
+}
+
+/* The navigation's own sigma of the gyro's bias is that of a calibration, until it has stood; the fusion may know better. */
+static void test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill(void **state)
+{
+	const struct navigation_config config = {
+		.preset = MOTION_ANY, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
+	const struct navigation_input in = {.force_b_m_s2 = {0, 0, G + 1},
+		.q_nb = QUAT_IDENTITY,
+		.gravity_m_s2 = G,
+		.gyro_bias_variance_rad2_s2 = {1e-4, 4e-4, 9e-4}};
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < 10; k++)
+		navigation_step(&n, &in, DT_S);
+	for (int i = 0; i < 3; i++)
+		assert_near(sqrt(n.p[NAVIGATION_BG + i][NAVIGATION_BG + i]), 0.01 * (i + 1), 1e-4);
+}
+
 /* Over any split of the samples: sums(a then b) = append(sums(a), sums(b)). */
 static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 {
@@ -219,6 +495,18 @@ int main(void)
 		cmocka_unit_test(test_the_end_of_the_vibration_is_a_standstill_of_what_vibrates_in_motion),
 		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
 		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
+		cmocka_unit_test(
+			test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows),
+		cmocka_unit_test(
+			test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill),
+		cmocka_unit_test(test_a_motion_begins_at_4_sigma_of_the_velocity_and_at_3_while_the_object_turns),
+		cmocka_unit_test(test_a_way_that_may_be_one_makes_the_position_less_certain),
+		cmocka_unit_test(test_vibration_is_the_velocity_above_5_hz),
+		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
+		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
+		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
+		cmocka_unit_test(test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill),
+		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
 	};
 

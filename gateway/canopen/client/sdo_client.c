@@ -74,7 +74,6 @@ void sdo_client_abort(struct sdo_client *client, enum sdo_result result, uint32_
 	sdo_client_send_start(client, CS_ABORT, tail, now_us);
 	client->result = result;
 	client->abort_code = code;
-	client->aborted_by_server = false;
 }
 
 void sdo_client_start(struct sdo_client *client, uint16_t index, uint8_t sub)

@@ -64,7 +64,7 @@ struct sdo_client {
 	struct {
 		uint8_t size;	  /* maximum of segments in a sub-block */
 		uint8_t sequence; /* of the last segment received in order, or sent */
-		uint8_t retries;  /* without progress */
+		uint8_t retries;  /* of a download, without progress */
 		bool crc;	  /* the server supports it */
 	} block;
 };

@@ -113,7 +113,6 @@ static bool append(struct sdo_client *client, const uint8_t *data, uint64_t now_
 		memcpy(client->in + client->size, data, n);
 	client->size += SEGMENT_BYTES;
 	client->block.sequence++;
-	client->block.retries = 0;
 	client->deadline_us = now_us + client->timeout_us;
 	return true;
 }
@@ -157,9 +156,8 @@ static void upload_end(struct sdo_client *client, const uint8_t *data, uint64_t 
  * was received, the server may have missed the last acknowledgement, and a second one would mean something else. */
 static bool acknowledge_partial(struct sdo_client *client, uint64_t now_us)
 {
-	if (client->phase != SDO_BLOCK_UPLOAD || client->block.sequence == 0 || client->block.retries)
+	if (client->phase != SDO_BLOCK_UPLOAD || client->block.sequence == 0)
 		return false;
-	client->block.retries++;
 	acknowledge(client, now_us);
 	return true;
 }
