@@ -258,6 +258,16 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	clear_sums(k);
 }
 
+/* Of a heading by a field with this horizontal part: it turns with the tilt about the field's own direction. */
+static double heading_variance(
+	const struct fusion_kalman *k, const struct fusion_kalman_config *config, double x, double y)
+{
+	const double(*c)[STATES] = k->covariance;
+	double tilt = (x * x * c[0][0] + 2 * x * y * c[0][1] + y * y * c[1][1]) / (x * x + y * y);
+
+	return squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * tilt;
+}
+
 /* Moves towards what an offset in the object frame does to a heading set by a field with this horizontal part. */
 static void follow_by_offset(struct fusion_kalman *k, struct quat q_nb, struct vec3 field_n_uT, double share)
 {
@@ -284,7 +294,7 @@ double fusion_kalman_heading_variance(const struct fusion_kalman *k)
 void fusion_kalman_set_north(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, struct vec3 field_n_uT)
 {
-	set_variance(k, HEADING, squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0]);
+	set_variance(k, HEADING, heading_variance(k, config, field_n_uT.x, field_n_uT.y));
 	follow_by_offset(k, q_nb, field_n_uT, 1);
 	k->norm_uT = 0; /* the next field becomes the reference */
 	k->north_from_field = true;
@@ -598,12 +608,12 @@ static bool measure_heading(
 {
 	struct vec3 m = vec3_scale(1.0 / k->sums.fields, k->sums.field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
-	double factor, variance = squared(config->heading_sigma_rad) + squared(HEADING_BY_TILT) * k->covariance[0][0],
-		       pose_s, white, off;
+	double factor, variance, pose_s, white, off;
 	struct vec3 across;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT) || k->hard_iron.disagrees)
 		return false;
+	variance = heading_variance(k, config, m.x, m.y);
 	f.dip_rad = atan2(-m.z, f.horizontal_uT);
 	if (k->norm_uT == 0) {
 		k->norm_uT = f.norm_uT;

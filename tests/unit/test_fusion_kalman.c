@@ -973,14 +973,20 @@ static void test_a_set_attitude_is_known_to_a_degree(void **state)
 	assert_near(sigma_of(&f, KALMAN_SCALE), KALMAN.gyro_scale_sigma, 1e-9);
 }
 
-/* An error of the tilt turns the measured field by the tangent of the dip, 3 in Central Europe. */
+/* An error of the tilt about the field's own direction turns the measured field by the tangent of the dip, 3 in Central
+ * Europe. One across it turns nothing. */
 static void test_the_first_north_is_as_uncertain_as_the_tilt_makes_it(void **state)
 {
 	struct filter f = started(9.8);
 
 	(void)state;
-	fusion_kalman_set_north(&f.k, &KALMAN);
+	fusion_kalman_set_north(&f.k, &KALMAN, QUAT_IDENTITY, (struct vec3){0, 20, -45});
 	assert_near(sigma_of(&f, KALMAN_HEADING), hypot(KALMAN.heading_sigma_rad, 3 * 0.1), 1e-9);
+	f.k.covariance[0][0] = 0.2 * 0.2;
+	fusion_kalman_set_north(&f.k, &KALMAN, QUAT_IDENTITY, (struct vec3){0, 20, -45});
+	assert_near(sigma_of(&f, KALMAN_HEADING), hypot(KALMAN.heading_sigma_rad, 3 * 0.1), 1e-9);
+	fusion_kalman_set_north(&f.k, &KALMAN, QUAT_IDENTITY, (struct vec3){20, 0, -45});
+	assert_near(sigma_of(&f, KALMAN_HEADING), hypot(KALMAN.heading_sigma_rad, 3 * 0.2), 1e-9);
 }
 
 /* Meanwhile the rate may have been anything up to what it is now, at most a radian; the velocity is unknown. */
