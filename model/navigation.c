@@ -71,6 +71,10 @@ static const double ALIGNED_TURN_RAD = 2;
 /* rad/s, 1 sigma by which the gyro bias in motion differs from that at rest: vibration rectification and g-sensitivity.
  * Tuned (0.02 deg/s). */
 static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
+/* 1 sigma by which the accelerometer's bias at a standstill differs from that in the movement before it, as a share of the root
+ * mean square of the acceleration: errors of scale and alignment that meet it as the object turns to and fro, by an angle of
+ * the rate times that time. By judgement: a calibrated sensor; a hand or an arm. */
+static const double MOVING_ACCEL_SHARE = 0.006, MOVING_TURN_S = 0.3;
 /* s, in which biases walk by their instability. By judgement: where the Allan deviation of MEMS sensors has its flat
  * part. */
 static const double BIAS_TIME_S = 100;
@@ -380,8 +384,18 @@ static void begin_movement(struct navigation *n, struct smoother_point here)
 	n->lever_known = false;
 	n->moving_s = 0;
 	n->movements++;
+	n->begin_n_m = here.position_n_m;
 	add_variance(n, BG, squared(MOVING_GYRO_BIAS_RAD_S));
 	smoother_begin(n->smoother, here, n->p);
+}
+
+/* The bias that shows at a standstill is not quite that of the movement before it. */
+static void end_movement(struct navigation *n)
+{
+	double accel2 = n->moved_accel2_m2_s3 / n->moved_s, rate2 = n->moved_turned2_rad2_s / n->moved_s;
+
+	add_variance(n, BA, squared(MOVING_ACCEL_SHARE) * accel2 * fmin(1, squared(MOVING_TURN_S) * rate2));
+	n->moved_s = n->moved_accel2_m2_s3 = n->moved_turned2_rad2_s = 0;
 }
 
 static void measure_reference_velocity(
@@ -712,7 +726,7 @@ static void add_creep(struct navigation *n, double t_s)
 
 /* At the end of an interval, after its measurements; turned_rad: how they turned the attitude. */
 static void weigh_hypotheses(
-	struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad, double t_s)
+	struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad, double t_s, double dt_s)
 {
 	struct vec3 lever =
 		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
@@ -725,6 +739,7 @@ static void weigh_hypotheses(
 		.steady = steady,
 		.gyro2_rad2_s2 = n->rest.gyro_square,
 		.accel2_m2_s4 = n->rest.accel_square,
+		.accel_walk_m2_s3 = rest_accel_walk_m2_s3(&n->rest, dt_s),
 		.accelerates = !n->still && !accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS),
 	};
 	struct zero_velocity_fork *begun = NULL;
@@ -786,11 +801,17 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 
 	if (n->still && !assumptions(n)->dwell)
 		zero_velocity_integrate(&n->zero_velocity, n, dt_s);
+	if (!n->still) {
+		n->moved_s += t_s;
+		n->moved_accel2_m2_s3 += n->sums.accel2_m2_s3;
+		n->moved_turned2_rad2_s += n->sums.turned2_rad2_s;
+	}
 	propagate(n, &n->sums);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
 	if (!assumptions(n)->dwell)
-		weigh_hypotheses(n, in, quat_to_rotation_vector(quat_multiply(n->q_nb, quat_conjugate(before))), t_s);
+		weigh_hypotheses(
+			n, in, quat_to_rotation_vector(quat_multiply(n->q_nb, quat_conjugate(before))), t_s, dt_s);
 	record(n, in);
 }
 
@@ -800,6 +821,8 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 
 	if (n->still && !still && (n->stood_s > STOOD_S || n->ended_by_reset))
 		begin_movement(n, reference_point(n, in));
+	if (still && !n->still && n->moved_s > 0 && !assumptions(n)->dwell)
+		end_movement(n);
 	if (n->still != still)
 		zero_velocity_restart(&n->zero_velocity, n->still);
 	n->ended_by_reset &= still;

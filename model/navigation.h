@@ -91,8 +91,9 @@ struct navigation {
 	struct vec3 fusion_variance_rad2;    /* the last of navigation_input.attitude_variance_rad2 */
 	double gravity_m_s2;
 	bool started, still;
-	bool ended_by_reset; /* the movement before this standstill ended with a reset of the position */
-	unsigned movements;  /* that began after a standstill of a second, or one with a reset of the position */
+	bool ended_by_reset;   /* the movement before this standstill ended with a reset of the position */
+	unsigned movements;    /* that began after a standstill of a second, or one with a reset of the position */
+	struct vec3 begin_n_m; /* of the reference point, where the last of them began */
 	/* PRIVATE */
 	struct navigation_sums sums;
 	struct rest rest;
@@ -104,12 +105,14 @@ struct navigation {
 	bool turning;		       /* it differs from zero: the object turns in place */
 	double turning_s;	       /* for so long, in this standstill */
 	double walked_s;	       /* on foot, without the standstills */
-	struct vec3 net_turn_b_rad;    /* integral of the rate since the last standstill, */
-	double net_turn2_max_rad2;     /* .. and its greatest square */
-	double accelerated_s;	       /* for how long it still counts as accelerating */
-	struct vec3 high_pass_n_m_s;   /* of the reference point's velocity, */
-	double high_pass2_max;	       /* and its greatest square since the last standstill */
-	struct vec3 lever_n_m_s;       /* the lever arm's velocity when that was last moved on */
+	double moved_s, moved_accel2_m2_s3,
+		moved_turned2_rad2_s; /* since the last standstill: time, integrals of the squares */
+	struct vec3 net_turn_b_rad;   /* integral of the rate since the last standstill, */
+	double net_turn2_max_rad2;    /* .. and its greatest square */
+	double accelerated_s;	      /* for how long it still counts as accelerating */
+	struct vec3 high_pass_n_m_s;  /* of the reference point's velocity, */
+	double high_pass2_max;	      /* and its greatest square since the last standstill */
+	struct vec3 lever_n_m_s;      /* the lever arm's velocity when that was last moved on */
 	bool lever_known;
 	double moving_s;      /* since the last standstill */
 	double aided_s;	      /* for how long the last velocity from outside holds */

@@ -130,7 +130,7 @@ void position_navigate(
 		p->sigma = navigation_sigma(n, rate_hz);
 	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)
-		p->moved_from_n_m = p->position_n_m;
+		p->moved_from_n_m = vec3_sub(n->begin_n_m, p->anchor_n_m);
 	follow(p, in, lever_b_m);
 	if (n->still && !n->ended_by_reset) {
 		p->displacement_n_m = vec3_sub(p->position_n_m, p->moved_from_n_m);

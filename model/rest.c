@@ -89,3 +89,10 @@ bool rest_step(
 	r->still_s = still ? r->still_s + dt_s : 0;
 	return r->still_s > c->time_s;
 }
+
+double rest_accel_walk_m2_s3(const struct rest *r, double dt_s)
+{
+	double share = fmin(1, dt_s / SMOOTH_TIME_S), smoothed = share / (2 - share);
+
+	return r->accel_square / 3 / smoothed * dt_s;
+}

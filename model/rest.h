@@ -94,4 +94,8 @@ void rest_restart(struct rest *r);
 bool rest_step(struct rest *r, const struct rest_config *config, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2,
 	double dt_s);
 
+/** m^2/s^3, variance of a velocity integrated for a second, each axis, by the accelerometer's deviation from its short mean,
+ * taken for white noise of samples dt_s apart. */
+double rest_accel_walk_m2_s3(const struct rest *r, double dt_s);
+
 #endif

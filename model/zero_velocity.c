@@ -20,10 +20,13 @@ static const double FORK_M_S = 0.001;
 static const double FORK_S = 1.5;
 /* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in place.
  * Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
-static const double BEGIN_SIGMAS = 4, BEGIN_TURNING_SIGMAS = 3;
+static const double BEGIN_SIGMAS = 5, BEGIN_TURNING_SIGMAS = 3;
 /* Squared sigmas of a fork's velocity from which on its displacement counts in the variance: between the mean of the
  * chi-squared distribution of 3 degrees of freedom and the limit. */
 static const double BEGIN_DOUBT = 3;
+/* Instabilities of the accelerometer by which its mean over a few seconds differs from that before the fork. By judgement:
+ * the difference of two means is 1.4 of them, and recorded chips drift by twice the figure of the datasheet. */
+static const double INSTABILITIES = 2;
 /* As in navigation.c: share of the acceleration by which the velocity walks. */
 static const double ACCEL_SCALE_SQRT_S = 0.001;
 
@@ -182,13 +185,16 @@ static double distance2(const struct zero_velocity_fork *f, const struct zero_ve
 	const double x[3] = {v.x, v.y, v.z}, t = f->sums.t_s, g2 = squared(n->gravity_m_s2);
 	const double by_tilt = g2 * (squared(noise->gyro_density_rad_s_sqrt_hz) / 2 * t * t * t / 3 +
 					    f->bias_variance_rad2_s2 * t * t * t * t / 4);
+	const double walk = fmax(squared(noise->accel_density_m_s2_sqrt_hz) / 2, z->accel_walk_m2_s3);
 	double sum = 0;
 
 	for (int i = 0; i < 3; i++) {
-		double variance = f->p[V + i][V + i] + z->vibration_m2_s2 + squared(STANDS_M_S) +
-				  f->accel_variance_m2_s4[i] * t * t +
-				  squared(noise->accel_density_m_s2_sqrt_hz) / 2 * t + turned_bias_variance(f, i) +
-				  squared(ACCEL_SCALE_SQRT_S) * f->sums.accel2_m2_s3 / 3 + (i < 2 ? by_tilt : 0);
+		double variance =
+			f->p[V + i][V + i] + z->vibration_m2_s2 + squared(STANDS_M_S) +
+			(f->accel_variance_m2_s4[i] + squared(INSTABILITIES * noise->accel_bias_instability_m_s2)) * t *
+				t +
+			walk * t + turned_bias_variance(f, i) + squared(ACCEL_SCALE_SQRT_S) * f->sums.accel2_m2_s3 / 3 +
+			(i < 2 ? by_tilt : 0);
 
 		sum += x[i] * x[i] / variance;
 	}
@@ -203,6 +209,7 @@ static void observe_quiet(struct zero_velocity *z, const struct zero_velocity_si
 		return;
 	z->quiet_gyro2_rad2_s2 += share * (s->gyro2_rad2_s2 - z->quiet_gyro2_rad2_s2);
 	z->quiet_accel2_m2_s4 += share * (s->accel2_m2_s4 - z->quiet_accel2_m2_s4);
+	z->accel_walk_m2_s3 += share * (s->accel_walk_m2_s3 - z->accel_walk_m2_s3);
 }
 
 struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,

@@ -56,6 +56,7 @@ struct zero_velocity {
 	struct zero_velocity_fork forks[2]; /* the older and the younger one */
 	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
+	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */
 	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
 	double least_odds;		 /* of moving, since the last acceleration, */
 	struct vec3 odds_velocity_n_m_s; /* .. and the velocity that they rest on, */
@@ -67,6 +68,7 @@ struct zero_velocity_signals {
 	bool steady;			    /* the standstill detector's */
 	double gyro2_rad2_s2, accel2_m2_s4; /* its mean square deviations */
 	bool accelerates;		    /* the mean acceleration differs from zero, significantly */
+	double accel_walk_m2_s3;	    /* variance of the velocity in a second by that deviation, if it is noise */
 };
 
 /** Each sample: acceleration in the global frame. */

@@ -425,7 +425,7 @@ static void test_sigma_is_honest_on_a_simulated_robot_at_any_rate(void **state)
 		/* turned by half a turn without levelling, the accelerometer's scale and alignment count, which have no state */
 		assert_true(lying.position > 0.5 && lying.position < 6);
 		assert_true(driving.position > 0.05 && driving.position < 2);
-		assert_true(lying.accel > 0.4 && lying.accel < 2);
+		assert_true(lying.accel > 0.3 && lying.accel < 2);
 		assert_true(driving.accel > 0.5 && driving.accel < 3);
 	}
 }
@@ -594,6 +594,58 @@ static void test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour(voi
 	assert_vec_near(p.velocity_n_m_s, ZERO, 0);
 	assert_vec_near(p.position_n_m, before.position_n_m, 0.01);
 	assert_true(vec3_norm(navigation_sigma(&p.navigation, 1 / DT_S).position_m) < 0.05);
+}
+
+/* Three times as noisy as 2020h says, and its mean wanders by 2 mm/s^2 within seconds, as those of recorded chips do. */
+static void test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest(void **state)
+{
+	struct navigation_config config = {.standstill = STANDSTILL_DEFAULTS,
+		.rest_s = 1.5,
+		.noise = {.gyro_density_rad_s_sqrt_hz = 5e-4,
+			.accel_density_m_s2_sqrt_hz = 2e-3,
+			.accel_bias_instability_m_s2 = 1e-3}};
+	struct navigation n = {.started = false};
+
+	(void)state;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(600 / DT_S); k++) {
+		const double t = k * DT_S;
+		struct navigation_input in = {.force_b_m_s2 = {0.002 * sin(t / 3), 0.002 * cos(t / 4), G},
+			.gyro_b_rad_s = any_vec(0.005),
+			.q_nb = QUAT_IDENTITY,
+			.gravity_m_s2 = G};
+
+		in.force_b_m_s2 = vec3_add(in.force_b_m_s2, any_vec(sqrt(3) * 6e-3 * sqrt(0.5 / DT_S)));
+		navigation_step(&n, &in, DT_S);
+		assert_true(n.still || k * DT_S < 5);
+	}
+	assert_int_equal(n.movements, 0);
+}
+
+/* A foot, or a tool that turns to and fro: the bias seen at the next standstill is not quite that of the movement. */
+static void test_after_turning_to_and_fro_the_accelerometers_bias_is_less_certain(void **state)
+{
+	const double accels[] = {0, 8}, rates[] = {0, 3};
+	struct navigation_config config = BARE;
+
+	(void)state;
+	config.preset = MOTION_ANY;
+	for (int i = 0; i < 4; i++) {
+		struct navigation n = {.started = false};
+		const double a = accels[i % 2], w = rates[i / 2];
+		double before, after;
+
+		navigation_start(&n, &config, QUAT_IDENTITY);
+		n.moved_s = 10;
+		n.moved_accel2_m2_s3 = 10 * a * a;
+		n.moved_turned2_rad2_s = 10 * w * w;
+		n.zero_velocity.standing_s = 1; /* it stands with the next sample */
+		before = n.p[NAVIGATION_BA][NAVIGATION_BA];
+		navigation_step(&n, &(struct navigation_input){.force_b_m_s2 = {0, 0, G}, .gravity_m_s2 = G}, 1e-6);
+		after = n.p[NAVIGATION_BA][NAVIGATION_BA];
+		assert_true(n.still);
+		assert_near(after - before, a > 0 && w > 0 ? pow(0.006 * a, 2) * pow(0.3 * w, 2) : 0, 1e-9);
+	}
 }
 
 static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
@@ -1034,6 +1086,8 @@ int main(void)
 			test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest),
 		cmocka_unit_test(test_a_prior_limits_the_velocity),
 		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour),
+		cmocka_unit_test(test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest),
+		cmocka_unit_test(test_after_turning_to_and_fro_the_accelerometers_bias_is_less_certain),
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
 		cmocka_unit_test(test_a_position_whose_sigma_exceeds_the_limit_is_reported),
 		cmocka_unit_test(test_another_north_turns_the_velocity_with_the_attitude),

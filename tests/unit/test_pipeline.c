@@ -1058,7 +1058,7 @@ static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, d
 {
 	FILE *imu = open_trial(name, "imu"), *ref = open_trial(name, "ref");
 	struct pipeline_config config = PIPELINE_DEFAULTS;
-	struct vec3 from_true = ZERO, from_here = ZERO;
+	struct vec3 from_true = ZERO;
 	bool known = false;
 	struct pipeline p;
 	char a[512], b[512];
@@ -1086,7 +1086,6 @@ static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, d
 		if (p.position.navigation.still || !seen || !is_moving) {
 			known = seen;
 			from_true = at;
-			from_here = out.position_n_m;
 			continue;
 		}
 		q = quat_multiply(q, quat_conjugate(out.q_nb));
@@ -1094,7 +1093,7 @@ static bool honesty(const char *name, struct vec3 lever_b_m, double *attitude, d
 		sigma = out.sigma.attitude_rad;
 		*attitude += pow(e.x / sigma.x, 2) + pow(e.y / sigma.y, 2) + pow(e.z / sigma.z, 2);
 		n += 3;
-		off = vec3_sub(vec3_sub(out.position_n_m, from_here), vec3_sub(at, from_true));
+		off = vec3_sub(vec3_sub(out.position_n_m, p.position.moved_from_n_m), vec3_sub(at, from_true));
 		sigma = out.sigma.displacement_m;
 		if (!known || out.status & PIPELINE_TIME_LIMIT)
 			continue;
