@@ -338,6 +338,7 @@ static bool stands_by_dwell(struct navigation *n, bool steady, double gravity_m_
 {
 	if (!steady || aided_to_move(n)) {
 		n->contradicted_s = 0;
+		n->assumed = false;
 		return false;
 	}
 	if (velocity_may_be_zero(n) &&
@@ -346,7 +347,12 @@ static bool stands_by_dwell(struct navigation *n, bool steady, double gravity_m_
 		return true;
 	}
 	n->contradicted_s += dt;
-	return n->contradicted_s > n->config.rest_s;
+	if (n->contradicted_s <= n->config.rest_s)
+		return false;
+	if (!n->assumed) /* it may have moved on for that long */
+		add_variance(n, P, vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) * squared(n->config.rest_s));
+	n->assumed = true;
+	return true;
 }
 
 /* By the hypotheses: a standstill lasts until the motion that ends it is seen to begin. */

@@ -99,6 +99,7 @@ struct navigation {
 	struct rest rest;
 	double stood_s;	       /* duration of the standstill so far */
 	double contradicted_s; /* for how long velocity or acceleration contradict the detector */
+	bool assumed;	       /* for so long that the standstill holds against them */
 	struct zero_velocity zero_velocity;
 	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
 	bool stood;		       /* since the start */
@@ -155,6 +156,12 @@ void navigation_reset_position(struct navigation *n);
 
 /** Variance of the acceleration along each axis of n, by the errors of tilt and accelerometer bias. */
 void navigation_accel_variance(const struct navigation *n, double variance_m2_s4[3]);
+
+/** It stands by the detector alone, with a preset that says so: the estimated velocity or acceleration is another. */
+static inline bool navigation_assumes_standstill(const struct navigation *n)
+{
+	return n->started && n->assumed && n->still;
+}
 
 /** The velocity changes, or has changed within the last second: no steady motion, and no standstill. */
 static inline bool navigation_accelerates(const struct navigation *n)

@@ -447,7 +447,9 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 	return (fusion_started(&p->fusion) ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
 	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
-	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u);
+	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u) |
+	       (navigation_assumes_standstill(&p->position.navigation) ? PIPELINE_ASSUMED : 0u) |
+	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u);
 }
 
 static double root_of_sum(double sigma, double more)

@@ -64,6 +64,8 @@ enum {
 	PIPELINE_TIME_LIMIT = 1 << 3, /* the longest integration time has passed: position is held */
 	PIPELINE_GAP = 1 << 4,	      /* samples were missing just before this one */
 	PIPELINE_UNSURE = 1 << 5,     /* 1 sigma of the position exceeds its limit */
+	PIPELINE_ASSUMED = 1 << 6,    /* a standstill is assumed against the estimated velocity */
+	PIPELINE_DISAGREES = 1 << 7,  /* the magnetic field does not turn as the gyro says, and is not used */
 };
 
 struct pipeline_output {

@@ -510,19 +510,24 @@ static void test_a_standstill_corrects_the_whole_movement_before_it(void **state
 
 static void test_a_steady_speed_passes_for_a_standstill_only_after_the_rest_time(void **state)
 {
+	struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
 	struct navigation n = {.started = false};
+	struct vec3 sigma;
 
 	(void)state;
 	navigation_start(&n, &BARE, QUAT_IDENTITY);
-	n.velocity_n_m_s = (struct vec3){2, 0, 0};
+	n.velocity_n_m_s = (struct vec3){6, 0, 0};
 	for (int k = 0; k < (int)(2 / DT_S); k++) {
-		struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
-
 		navigation_step(&n, &in, DT_S);
 		if (k * DT_S < 1)
-			assert_false(n.still);
+			assert_false(n.still || navigation_assumes_standstill(&n));
 	}
-	assert_true(n.still);
+	assert_true(n.still && navigation_assumes_standstill(&n));
+	sigma = navigation_sigma(&n, 1 / DT_S).position_m;
+	assert_near(sigma.x, 6 * 1.5, 0.3); /* as far as it may have gone on until then */
+	in.force_b_m_s2.x = 3;
+	navigation_step(&n, &in, DT_S);
+	assert_false(navigation_assumes_standstill(&n));
 }
 
 static void test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest(void **state)

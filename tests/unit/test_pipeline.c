@@ -1138,6 +1138,38 @@ static void test_sigma_is_honest_on_recorded_hand_movements(void **state)
 	assert_true(displacement > 0.5 && displacement < 2);
 }
 
+/* A magnetometer with one axis mirrored, on an object that turns about all axes. */
+static void test_a_field_that_does_not_turn_with_the_object_is_a_bit_of_the_status(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct quat q_nb = QUAT_IDENTITY;
+
+	(void)state;
+	for (int use = 0; use < 2; use++)
+		for (int mirrored = 0; mirrored < 2; mirrored++) {
+			struct pipeline_output out = {.t_us = 0};
+			struct pipeline p;
+
+			config.fusion.use_magnetometer = use;
+			p = pipeline(&config);
+			for (int k = 0; k < 20 * RATE_HZ; k++) {
+				const double t = (double)k / RATE_HZ;
+				struct imu_sample s = {.flags = SAMPLE_MAG, .t_us = (uint64_t)k * 1000000 / RATE_HZ};
+
+				s.gyro_rad_s = (struct vec3){sin(t), cos(1.3 * t), sin(0.7 * t)};
+				q_nb = quat_multiply(
+					q_nb, quat_from_rotation_vector(vec3_scale(1.0 / RATE_HZ, s.gyro_rad_s)));
+				s.accel_m_s2 = quat_rotate_inverse(q_nb, (struct vec3){0, 0, G});
+				s.mag_uT = quat_rotate_inverse(q_nb, (struct vec3){0, 20, -45});
+				s.mag_uT.x *= mirrored ? -1 : 1;
+				out = step(&p, &s);
+			}
+			assert_int_equal(!!(out.status & PIPELINE_DISAGREES), use && mirrored);
+			assert_int_equal(!!(out.status & PIPELINE_MAG_USED), use && !mirrored);
+			assert_int_equal(out.sigma.attitude_rad.z > 1.8, use && mirrored);
+		}
+}
+
 static void test_the_ranges_of_aids_include_their_limits(void **state)
 {
 	const struct pipeline_config config = with_lever();
@@ -1485,6 +1517,7 @@ int main(void)
 		cmocka_unit_test(test_a_recorded_hand_movement_is_followed_within_five_degrees),
 		cmocka_unit_test(test_the_acceleration_sigma_includes_that_of_its_direction),
 		cmocka_unit_test(test_sigma_is_honest_on_recorded_hand_movements),
+		cmocka_unit_test(test_a_field_that_does_not_turn_with_the_object_is_a_bit_of_the_status),
 		cmocka_unit_test(test_the_ranges_of_aids_include_their_limits),
 		cmocka_unit_test(test_a_live_change_of_the_rate_filter_or_the_noise_gives_the_sigma_of_a_fresh_start),
 		cmocka_unit_test(test_a_sensor_without_a_magnetometer_has_used_none_from_its_first_sample_on),

@@ -289,6 +289,8 @@ static void test_status_bits_have_texts(void **state)
 	assert_string_equal(text, "valid,rest,sensor-lost,external-aid");
 	watch_status_text(1 << 10 | 1 << 12 | 1 << 13, text, sizeof(text));
 	assert_string_equal(text, "sensor-fault,commissioning,utc");
+	watch_status_text(1 << 6 | 1 << 7, text, sizeof(text));
+	assert_string_equal(text, "standstill-assumed,field-disagrees");
 }
 
 int main(void)

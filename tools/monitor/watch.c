@@ -397,6 +397,8 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_TIME_LIMIT, "position-held"},
 		{PIPELINE_GAP, "gap"},
 		{PIPELINE_UNSURE, "position-unsure"},
+		{PIPELINE_ASSUMED, "standstill-assumed"},
+		{PIPELINE_DISAGREES, "field-disagrees"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
 		{STATUS_SENSOR_FAULT, "sensor-fault"},
