@@ -62,7 +62,7 @@ static void load(struct recording *r, const char *path)
 	struct imu_sample sample;
 	uint64_t first_us = 0;
 
-	cli_log_open(&log, path);
+	cli_log_open(&log, path, NULL);
 	while (cli_log_next(&log, &sample)) {
 		if (r->count == 0)
 			first_us = sample.t_us;
