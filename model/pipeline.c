@@ -97,10 +97,11 @@ static int latency_check(const struct latency_config *latency)
 }
 
 /* The fusion uses the estimator's lever arm and the gyro's latency. */
-static struct fusion_config fusion_config(const struct pipeline_config *config)
+static struct fusion_config fusion_config(const struct pipeline_config *config, double rate_hz)
 {
 	struct fusion_config fusion = config->fusion;
 
+	fusion.interval_s = 1 / rate_hz;
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
 	fusion.delay_s = config->latency.sensor_s;
 	fusion.kalman.field_sigma_uT = config->noise.mag_sigma_uT;
@@ -134,7 +135,7 @@ static struct position_config position_config(const struct pipeline_config *conf
 
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
-	struct fusion_config fusion = fusion_config(config);
+	struct fusion_config fusion = fusion_config(config, rate_hz);
 	struct position_config position = position_config(config);
 	struct pipeline fresh;
 
@@ -196,7 +197,7 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
-	struct fusion_config fusion = fusion_config(config);
+	struct fusion_config fusion = fusion_config(config, p->rate_hz);
 	struct position_config position = position_config(config);
 	struct pipeline next = *p;
 
