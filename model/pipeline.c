@@ -51,6 +51,9 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 
 /* Limits of plausible samples, far beyond any sensor's range. */
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
+/* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The rate has
+ * the largest bias in addition. By judgement. */
+static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
 /* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
  * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
 static const double CHANGE_CUTOFF_HZ = 60;
@@ -143,6 +146,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 	fresh.config = *config;
 	fresh.rate_hz = rate_hz;
 	fresh.since_mag_s = INFINITY;
+	fresh.last_good.q_nb = QUAT_IDENTITY;
 	if (latency_check(&config->latency) < 0 || calibration_init(&fresh.calibration, &config->calibration) < 0 ||
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
@@ -269,12 +273,15 @@ static void start_over(struct pipeline *p)
 {
 	struct calibration calibration = p->calibration;
 	struct smoother *smoother = p->position.navigation.smoother;
-	uint32_t gaps = p->gaps, refused = p->refused;
+	struct pipeline_output last_good = p->last_good;
+	uint32_t gaps = p->gaps, refused = p->refused, implausible = p->implausible;
 
 	pipeline_init(p, &p->config, p->rate_hz);
 	p->calibration = calibration; /* with the last temperature */
+	p->last_good = last_good;
 	p->gaps = gaps;
 	p->refused = refused;
+	p->implausible = implausible;
 	pipeline_smooth(p, smoother);
 }
 
@@ -474,6 +481,59 @@ static struct navigation_sigma with_acceleration(
 	return sigma;
 }
 
+static bool quat_finite(struct quat q)
+{
+	return isfinite(q.w) && isfinite(q.x) && isfinite(q.y) && isfinite(q.z);
+}
+
+static bool all_finite(const struct pipeline_output *o)
+{
+	const struct vec3 v[] = {o->force_b_m_s2, o->mag_b_uT, o->rate_b_rad_s, o->alpha_b_rad_s2, o->angles_rad,
+		o->accel_b_m_s2, o->accel_n_m_s2, o->velocity_n_m_s, o->position_n_m, o->displacement_n_m,
+		o->displacement_sigma_m, o->sigma.attitude_rad, o->sigma.accel_m_s2, o->sigma.velocity_m_s,
+		o->sigma.position_m, o->gyro_errors.bias_b_rad_s, o->gyro_errors.scale_b};
+
+	for (size_t i = 0; i < sizeof v / sizeof *v; i++)
+		if (!vec3_finite(v[i]))
+			return false;
+	return quat_finite(o->q_nb);
+}
+
+/* The largest values measured so far. Their derivative is that of the rates over at least the usual interval. */
+static void remember_most(struct pipeline *p, const struct imu_sample *s, struct vec3 force_b_m_s2, double dt_s)
+{
+	double change = vec3_norm(vec3_sub(s->gyro_rad_s, p->last_gyro_b_rad_s)) / fmax(dt_s, 1 / p->rate_hz);
+
+	p->most.rate_rad_s = fmax(p->most.rate_rad_s, vec3_norm(s->gyro_rad_s));
+	p->most.force_m_s2 = fmax(p->most.force_m_s2, vec3_norm(force_b_m_s2));
+	p->most.alpha_rad_s2 = fmax(p->most.alpha_rad_s2, p->started ? change : 0);
+}
+
+/* The last guard: what is not finite, or beyond what the sensor has measured so far (its lever arm included), is not
+ * published as valid. The last good output takes its place. */
+static void guard(struct pipeline *p, struct pipeline_output *out)
+{
+	bool of_gyro = p->config.estimator.rates_from == RATES_FROM_GYRO;
+	double lever = of_gyro ? vec3_norm(p->config.estimator.lever_arm_b_m) : 0;
+	double share = lever * (p->most.rate_rad_s * p->most.rate_rad_s + p->most.alpha_rad_s2);
+	double rate = GUARD * p->most.rate_rad_s + GUARD_RATE_RAD_S;
+	double force = p->most.force_m_s2 + p->config.estimator.gravity_m_s2,
+	       accel = fmax(GUARD * force, force + share);
+	bool finite = all_finite(out);
+
+	if (finite && vec3_norm(out->rate_b_rad_s) <= rate && vec3_norm(out->accel_n_m_s2) <= accel) {
+		p->last_good = *out;
+		return;
+	}
+	p->last_good.t_us = out->t_us;
+	p->last_good.status = out->status & ~(unsigned)PIPELINE_VALID;
+	*out = p->last_good;
+	p->implausible++;
+	p->primed = false;
+	if (!finite)
+		start_over(p);
+}
+
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
 	struct imu_sample s;
@@ -512,6 +572,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		position_skip(&p->position, accel, p->fusion.q_nb, p->started ? dt_s : 0);
 	else
 		locate(p, &s, accel, rest, dt_s);
+	remember_most(p, &s, force, dt_s);
 	p->last_t_us = s.t_us;
 	p->last_gyro_b_rad_s = s.gyro_rad_s;
 	p->started = p->primed = true;
@@ -536,5 +597,6 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};
+	guard(p, out);
 	return 0;
 }
