@@ -54,6 +54,9 @@ static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1
 /* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The rate has
  * the largest bias in addition. By judgement. */
 static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
+/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after which the
+ * derivative of the rates has settled. By judgement. */
+static const double START_SHARE_M_S2 = 2, START_WAIT_S = 0.05, START_WAIT_INTERVALS = 5;
 /* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
  * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
 static const double CHANGE_CUTOFF_HZ = 60;
@@ -294,6 +297,23 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
+/* The first attitude takes what the accelerometer shows for up. A known lever arm's share is taken off before, which needs
+ * the angular acceleration: *s waits for it when the centripetal share is large. Returns false: wait for the next sample. */
+static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s)
+{
+	const struct body_rates *rates = &p->rates.out[RATES_FROM_GYRO];
+	struct vec3 arm = p->config.estimator.lever_arm_b_m, alpha = rates->alpha_b_rad_s2, share;
+
+	p->turning_s = p->primed ? p->turning_s + dt_s : 0;
+	if (vec3_dot(s->gyro_rad_s, s->gyro_rad_s) * vec3_norm(arm) < START_SHARE_M_S2)
+		return true;
+	if (p->turning_s < fmax(START_WAIT_S, START_WAIT_INTERVALS / p->rate_hz))
+		return false;
+	share = rigid_lever_arm(s->gyro_rad_s, alpha, arm);
+	s->accel_m_s2 = vec3_sub(s->accel_m_s2, share);
+	return true;
+}
+
 /* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and all that
  * is filtered or differentiated starts again. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
@@ -313,7 +333,11 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		p->mag_b_uT = s->mag_uT;
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
-	fusion_step(&p->fusion, s, dt_s);
+	struct imu_sample first = *s;
+	if (fusion_started(&p->fusion))
+		fusion_step(&p->fusion, s, dt_s);
+	else if (ready_to_start(p, &first, dt_s))
+		fusion_step(&p->fusion, &first, dt_s);
 	if (fusion_north_known(&p->fusion) != north_known)
 		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;

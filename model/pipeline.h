@@ -107,8 +107,9 @@ struct pipeline {
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
-	bool started; /* there is a sample before this one */
-	bool primed;  /* and the filters may continue from it */
+	bool started;	  /* there is a sample before this one */
+	bool primed;	  /* and the filters may continue from it */
+	double turning_s; /* before the first attitude: since the filters began */
 	struct vec3 mag_b_uT;
 	double since_mag_s;
 	uint32_t gaps;	      /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
@@ -141,6 +142,9 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  * After a gap the filters start again from this sample, and velocity and position stay as they were before it. The
  * attitude is carried over by the gyro, or, after more than a second, initialised from this sample (without a
  * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over.
+ *
+ * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is valid only
+ * after 0.05 s or five samples, when the angular acceleration is known.
  *
  * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three times
  * the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is more) is
