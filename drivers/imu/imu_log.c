@@ -18,6 +18,9 @@ static const int64_t TRANSFER_US = 2000, BURST_US = 2000000;
 /* Share of the intervals that are in bursts, and their length in mean intervals. By judgement: of even samples with a
  * jitter of a third of the interval fewer are so short. */
 static const double SHORT_SHARE = 0.2, SHORT = 0.25;
+/* Fewer intervals than this share are within this share of the median: their rate is the mean one. By judgement: lost
+ * samples leave more. */
+static const double USUAL_SHARE = 0.7, USUAL = 0.1;
 /* The rate of the first rows is that of the sensor within this share. By judgement. */
 static const double CLOCK_TOLERANCE = 0.05;
 /* Median intervals above which the time cannot be in s, in ms, in us: at 1.25 samples a second nothing can be estimated.
@@ -184,8 +187,8 @@ static void start_clock(struct imu_log *log, int64_t t_us, double period_ns)
 	log->index = log->bracketed = 0;
 }
 
-/* Shows the clock the end of the burst to which the row of this time belongs: all its samples were taken before, the one
- * behind it was not. */
+/* Shows the clock the end of the burst to which the row of this time belongs: all its samples were taken before, and, but for
+ * the lateness of transfers, the one behind it was not. */
 static void see_burst(struct imu_log *log, int64_t t_us)
 {
 	double half_us = 0.5e-3 * sample_clock_period(&log->clock), end_ns;
@@ -202,7 +205,7 @@ static void see_burst(struct imu_log *log, int64_t t_us)
 	/* the end of the file may cut a burst short, and a time that jumps is none of a burst */
 	whole = next && time_us(log, next) > t_us && time_us(log, next) - t_us < BURST_US;
 	if (whole || log->index == 0)
-		sample_clock_read(&log->clock, log->bracketed, end_ns, end_ns);
+		sample_clock_read(&log->clock, log->bracketed, end_ns - log->late_ns, end_ns);
 }
 
 static int64_t even_time_us(struct imu_log *log, int64_t t_us)
@@ -273,12 +276,30 @@ static void find_time_unit(struct imu_log *log)
 	}
 }
 
-/* Whether the samples come in bursts; then the mean interval, from the end of the first burst to that of the last. */
-static bool find_bursts(struct imu_log *log, double *period_us)
+/* The mean interval of the first rows, if they scatter so that the median is none of the sensor's; else 0. */
+static double scattered_interval_us(struct imu_log *log)
+{
+	double sum_us = 0;
+	unsigned n = 0, usual = 0;
+
+	for (unsigned i = 1; i < HEAD && peek(log, i); i++) {
+		double d_us = (double)(time_us(log, peek(log, i)) - time_us(log, peek(log, i - 1)));
+
+		if (fabs(d_us) > (double)BURST_US)
+			continue;
+		sum_us += d_us;
+		usual += fabs(d_us - (double)log->interval_us) <= USUAL * (double)log->interval_us;
+		n++;
+	}
+	return usual < USUAL_SHARE * n && sum_us >= n ? sum_us / n : 0;
+}
+
+/* The mean interval of samples that come in bursts, from the end of the first burst to that of the last; else 0. */
+static double bursts_interval_us(struct imu_log *log)
 {
 	int64_t first_end_us = 0, gaps_us = 0, sum_us = 0;
 	unsigned n = 0, brief = 0, ends = 0, first_end = 0, last_end = 0;
-	double mean_us;
+	double mean_us, all_us = 0;
 
 	for (unsigned i = 1; i < IMU_LOG_QUEUE && peek(log, i); i++) {
 		int64_t d_us = time_us(log, peek(log, i)) - time_us(log, peek(log, i - 1));
@@ -289,7 +310,7 @@ static bool find_bursts(struct imu_log *log, double *period_us)
 		}
 	}
 	if (n == 0 || sum_us <= 0)
-		return false;
+		return 0;
 	mean_us = (double)sum_us / n;
 	for (unsigned i = 1; i < IMU_LOG_QUEUE && peek(log, i); i++) {
 		int64_t before_us = time_us(log, peek(log, i - 1)), d_us = time_us(log, peek(log, i)) - before_us;
@@ -303,18 +324,41 @@ static bool find_bursts(struct imu_log *log, double *period_us)
 				first_end_us = before_us;
 			}
 			last_end = i - 1;
-			*period_us = (double)(before_us - first_end_us - gaps_us);
+			all_us = (double)(before_us - first_end_us - gaps_us);
 		}
 	}
 	if (ends < ENDS_LEAST || brief < SHORT_SHARE * n)
-		return false;
-	*period_us /= last_end - first_end;
-	return *period_us >= 1;
+		return 0;
+	return all_us >= last_end - first_end ? all_us / (last_end - first_end) : 0;
+}
+
+/* By how much the ends of the bursts of the first rows are later than others, beyond the interval that even samples read at
+ * any time explain. */
+static double lateness_us(struct imu_log *log, double interval_us)
+{
+	double least_us = INFINITY, most_us = -INFINITY, even_us = 0;
+
+	for (unsigned i = 1; i < IMU_LOG_QUEUE && peek(log, i); i++) {
+		int64_t before_us = time_us(log, peek(log, i - 1)), d_us = time_us(log, peek(log, i)) - before_us;
+
+		if (llabs(d_us) <= BURST_US && (double)d_us > interval_us / 2) {
+			least_us = fmin(least_us, (double)before_us - even_us);
+			most_us = fmax(most_us, (double)before_us - even_us);
+		}
+		even_us += llabs(d_us) > BURST_US ? (double)d_us : interval_us;
+	}
+	return fmax(0, most_us - least_us - interval_us);
+}
+
+static void use_interval(struct imu_log *log, double interval_us)
+{
+	log->interval_us = (int64_t)(interval_us + 0.5);
+	log->rate_hz = 1e6 / interval_us;
 }
 
 static int read_head(struct imu_log *log, char *error, size_t error_size)
 {
-	double interval_us, period_us;
+	double interval_us, period_us, scattered_us;
 
 	find_time_unit(log);
 	interval_us = median_interval(log, log->unit_us);
@@ -327,16 +371,21 @@ static int read_head(struct imu_log *log, char *error, size_t error_size)
 			log->rows.events.skipped ? "; last skipped row: " : "", log->rows.events.last_skip);
 		return -EINVAL;
 	}
-	log->interval_us = (int64_t)interval_us;
-	log->rate_hz = 1e6 / (double)log->interval_us;
-	log->even = find_bursts(log, &period_us);
+	use_interval(log, interval_us);
+	period_us = bursts_interval_us(log);
+	log->even = period_us > 0;
+	scattered_us = log->even ? 0 : scattered_interval_us(log);
 	if (log->even) {
 		log_rows_event(&log->rows, LOG_EVEN, peek(log, 0)->line,
 			"the times come in bursts, %.4g ms apart in one: the samples are taken as even, %.4g a second",
-			1e-3 * (double)log->interval_us, 1e6 / period_us);
-		log->interval_us = (int64_t)(period_us + 0.5);
-		log->rate_hz = 1e6 / period_us;
+			1e-3 * interval_us, 1e6 / period_us);
+		use_interval(log, period_us);
+		log->late_ns = 1e3 * lateness_us(log, period_us);
 		start_clock(log, time_us(log, peek(log, 0)), 1e3 * period_us);
+	} else if (scattered_us > 0) {
+		use_interval(log, scattered_us);
+		log_rows_event(&log->rows, LOG_EVEN, peek(log, 0)->line,
+			"the times scatter: the mean rate of %.4g a second is taken for the sensor's", log->rate_hz);
 	}
 	return 0;
 }

@@ -18,7 +18,7 @@ enum log_event {
 	LOG_ANOTHER = LOG_SKIPS, /* another log begins */
 	LOG_WRAP,		 /* the counter of the times starts again */
 	LOG_TIME_UNIT,
-	LOG_EVEN, /* the times are those of transfers: samples are taken as even */
+	LOG_EVEN, /* the times are not those of the samples: the mean rate counts */
 	LOG_EVENTS
 };
 
