@@ -30,6 +30,8 @@ struct triad {
 	struct iio_channel *axis[AXES];
 	double scale[AXES], offset[AXES];
 	struct vec3 mount[AXES]; /* rows */
+	bool mirrored;		 /* by them */
+	bool polled;		 /* read through sysfs, while others have buffers */
 	double lowest, highest;	 /* raw values at the ends of the range */
 	double interval_ns;	 /* of the chip's samples; 0: not known */
 	int64_t settled_ns;	 /* earlier readings are dropped: the chip is settling */
@@ -57,6 +59,7 @@ struct iio_imu {
 	char names[TEXT];
 	const char *wanted[DEVICES_NAMED];
 	size_t wanted_count;
+	bool ignore_mount;
 
 	pthread_mutex_t lock;
 	struct imu_settings settings;  /* written by the port, under `lock` */
