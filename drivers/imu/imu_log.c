@@ -247,8 +247,10 @@ static double median_interval(struct imu_log *log, double unit)
 		n += interval[n] > 0; /* not the first one, which is not a number */
 		before = now;
 	}
+	if (n == 0)
+		return 0;
 	qsort(interval, n, sizeof *interval, compare);
-	return n ? interval[n / 2] : 0;
+	return interval[n / 2];
 }
 
 /* As the header says it, else by the interval: no sensor is sampled only once in some seconds. */
