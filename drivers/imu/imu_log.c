@@ -10,8 +10,9 @@ enum { AHEAD = 8 };	 /* rows that decide about a time that jumps */
 enum { ENDS_LEAST = 8 }; /* bursts in the first rows, below which they are gaps */
 /* us. Times beyond are refused (317 years); their sum over logs one behind the other ends here, too. */
 static const int64_t LATEST_US = 10000000000000000, LATEST_SUM_US = 1000000000000000000;
-/* Sampling intervals by which a time that does not jump may be ahead. */
-static const double JUMP_INTERVALS = 2.5, WRAP_INTERVALS = 20;
+/* Sampling intervals by which a time that does not jump may be ahead; behind a wrap; as the last one, with none to compare
+ * it. */
+static const double JUMP_INTERVALS = 2.5, WRAP_INTERVALS = 20, END_INTERVALS = 1000;
 /* us. Intervals in a burst are shorter: the time of a transfer; those between bursts are not longer: the age that the
  * oldest sample of a burst may have. By judgement. */
 static const int64_t TRANSFER_US = 2000, BURST_US = 2000000;
@@ -23,23 +24,42 @@ static const double SHORT_SHARE = 0.2, SHORT = 0.25;
 static const double USUAL_SHARE = 0.7, USUAL = 0.1;
 /* The rate of the first rows is that of the sensor within this share. By judgement. */
 static const double CLOCK_TOLERANCE = 0.05;
-/* Median intervals above which the time cannot be in s, in ms, in us: at 1.25 samples a second nothing can be estimated.
+/* Median intervals above which the time cannot be in s, in ms, in us: from 3 samples a second nothing can be estimated.
  * The limits between ms, us and ns are 4 samples a second of the one, 4000 of the other. */
-static const double MS_FROM = 0.8, US_FROM = 250, NS_FROM = 2.5e5;
+static const double MS_FROM = 0.3, US_FROM = 250, NS_FROM = 2.5e5;
 enum { UNIT_LEAST = 10 }; /* rows to find a unit by */
 
 /* ---- the queue --------------------------------------------------------------------------------------------------- */
+
+static bool same_vec3(struct vec3 a, struct vec3 b)
+{
+	return a.x == b.x && a.y == b.y && a.z == b.z;
+}
+
+/* A logger wrote the row before once more. */
+static bool same_row(const struct log_row *a, const struct log_row *b)
+{
+	return a->t == b->t && same_vec3(a->sample.gyro_rad_s, b->sample.gyro_rad_s) &&
+	       same_vec3(a->sample.accel_m_s2, b->sample.accel_m_s2);
+}
 
 /* The i-th row from here, NULL behind the last one. */
 static const struct log_row *peek(struct imu_log *log, unsigned i)
 {
 	while (log->count <= i && !log->ended) {
-		int got = log_rows_next(&log->rows, &log->queue[(log->first + log->count) % IMU_LOG_QUEUE]);
+		struct log_row *next = &log->queue[(log->first + log->count) % IMU_LOG_QUEUE];
+		int got = log_rows_next(&log->rows, next);
 
-		if (got == 1)
-			log->count++;
-		else
+		if (got != 1) {
 			log->ended = got < 0 ? got : 1;
+		} else if (log->any && !next->begins && same_row(next, &log->newest)) {
+			log_rows_event(
+				&log->rows, LOG_SKIP_TIME, next->line, "time does not increase: '%.12g'", next->t);
+		} else {
+			log->count++;
+			log->newest = *next;
+			log->any = true;
+		}
 	}
 	return i < log->count ? &log->queue[(log->first + i) % IMU_LOG_QUEUE] : NULL;
 }
@@ -100,6 +120,8 @@ static unsigned glitches(struct imu_log *log)
 		return begins_again(log, 1, first_us);
 	if ((double)(first_us - log->last_us) <= jump_us)
 		return 0;
+	if (!peek(log, 1)) /* the last row */
+		return (double)(first_us - log->last_us) > END_INTERVALS * (double)log->interval_us;
 	for (unsigned i = 1; i < AHEAD; i++) {
 		const struct log_row *row = peek(log, i);
 
@@ -400,6 +422,7 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 
 	snprintf(log->path, sizeof log->path, "%s", path);
 	log->first = log->count = 0;
+	log->any = false;
 	log->ended = 0;
 	log->origin_us = log->shift_us = 0;
 	log->started = log->even = false;

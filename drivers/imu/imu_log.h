@@ -30,6 +30,8 @@ struct imu_log {
 	/* rows read ahead, to determine the rate and to decide about jumps of the time */
 	struct log_row queue[IMU_LOG_QUEUE];
 	unsigned first, count;
+	struct log_row newest; /* of all that were read, if there are any */
+	bool any;
 	int ended; /* 1: by the end of the file; -EIO */
 	double unit_us;
 	int64_t interval_us;

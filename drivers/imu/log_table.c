@@ -136,6 +136,8 @@ static int rank(int column, const char *name)
 	return *name != '\0' && strcasecmp(name, "index") != 0;
 }
 
+static const int TRIADS[] = {LOG_GYRO, LOG_ACCEL, LOG_MAG, LOG_REFERENCE};
+
 /* The three columns of a triad. */
 static bool any_named(const struct log_header *h, int first)
 {
@@ -145,8 +147,6 @@ static bool any_named(const struct log_header *h, int first)
 /* The first missing column, LOG_NO_COLUMN if all are there. Of a triad that is not needed all three or none. */
 static int missing(const struct log_header *h, unsigned needed)
 {
-	static const int TRIADS[] = {LOG_GYRO, LOG_ACCEL, LOG_MAG, LOG_REFERENCE};
-
 	if (h->field_of[LOG_T] < 0)
 		return LOG_T;
 	for (int i = 0; i < 4; i++)
@@ -154,6 +154,18 @@ static int missing(const struct log_header *h, unsigned needed)
 			if (((needed >> i & 1) || any_named(h, TRIADS[i])) && h->field_of[column] < 0)
 				return column;
 	return LOG_NO_COLUMN;
+}
+
+/* A unit that one column of a triad names is that of all three. */
+static void share_units(struct log_header *h)
+{
+	for (int triad = 0; triad < 4; triad++)
+		for (int i = 0; i < 9; i++) {
+			int from = TRIADS[triad] + i % 3, to = TRIADS[triad] + i / 3;
+
+			if (h->unit_named[from] && !h->unit_named[to])
+				h->scale[to] = h->scale[from];
+		}
 }
 
 /* Reads the names in `text`, which is modified. 0, or -EINVAL and why. */
@@ -190,6 +202,7 @@ static int read_names(
 		h->scale[column] = scale;
 		h->unit_named[column] = unit_named;
 	}
+	share_units(h);
 	column = missing(h, needed);
 	if (column < 0)
 		return 0;

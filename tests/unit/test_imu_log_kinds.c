@@ -95,6 +95,17 @@ static void glitch_first(FILE *file, int k, const struct imu_sample *s)
 	row_at(file, k == 0 ? 4294.9 : t_s(k), s);
 }
 
+static void glitch_last(FILE *file, int k, const struct imu_sample *s)
+{
+	row_at(file, k == ROWS - 1 ? 99999 : t_s(k), s);
+}
+
+static void twice(FILE *file, int k, const struct imu_sample *s)
+{
+	row_at(file, t_s(k), s);
+	row_at(file, t_s(k), s);
+}
+
 static void glitch_back(FILE *file, int k, const struct imu_sample *s)
 {
 	row_at(file, k == 700 ? 0 : t_s(k), s);
@@ -273,6 +284,8 @@ static const struct kind KINDS[] = {
 	{"one glitch forward", HEADER, glitch, ROWS - 1, ":702: time jumps ahead", 0, 0},
 	{"four glitches in a row", HEADER, glitches, ROWS - 4, "4 rows skipped, the first one", 0, 0},
 	{"the first row", HEADER, glitch_first, ROWS - 1, ":2: time jumps ahead", 0, 0},
+	{"the last row", HEADER, glitch_last, ROWS - 1, ":2001: time jumps ahead", 0, 0},
+	{"each row twice", HEADER, twice, ROWS, "2000 rows skipped, the first one: log.imu.csv:3: ", 0, 0},
 	{"one glitch back", HEADER, glitch_back, ROWS - 1, ":702: time does not increase", 0, 0},
 	{"ms", HEADER, milliseconds, ROWS, "taken as ms", 0, 0},
 	{"us", HEADER, microseconds, ROWS, "taken as us", 0, 0},
@@ -293,6 +306,7 @@ static const struct kind KINDS[] = {
 	{"ms, deg/s, g, gauss, named",
 		"t[ms],gx[deg/s],gy[deg/s],gz[deg/s],ax[g],ay[g],az[g],mx[gauss],my[gauss],mz[gauss]\n", other_units,
 		ROWS, NULL, 0, 0},
+	{"named once", "t[ms],gx[deg/s],gy,gz,ax[g],ay,az,mx[gauss],my,mz\n", other_units, ROWS, NULL, 0, 0},
 	{"us, mdps, mg, nT, named otherwise",
 		"t_us,gx (mdps),gy (mdps),gz (mdps),ax_mg,ay_mg,az_mg,mx [nT],my [nT],mz [nT]\n", small_units, ROWS,
 		NULL, 0, 0},
