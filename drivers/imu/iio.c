@@ -16,6 +16,8 @@
 #define STALL_NS     (100 * NS_PER_MS) /* or five sampling intervals, if longer */
 #define START_NS     NS_PER_S	       /* until the first reading: chips power up */
 #define MAG_RETRY_NS (2 * NS_PER_S)
+/* The rate of a chip is within this share of what its driver says. */
+#define CLOCK_TOLERANCE 0.1
 
 /* ---- beginning and ending ---------------------------------------------------------------------------------------- */
 
@@ -55,6 +57,19 @@ static double polled_rate(const struct iio_imu *imu, double wanted_hz)
 	return imu->polling_hz > 0 ? fmin(wanted_hz, imu->polling_hz) : wanted_hz;
 }
 
+/* Of the scans of a device that has no time stamps. */
+static void start_clock(const struct iio_imu *imu, struct capture *c)
+{
+	double interval_ns = 0;
+
+	for (int kind = 0; kind < TRIADS; kind++)
+		if (iio_imu_is_of(c, &imu->triads[kind]))
+			interval_ns = fmax(interval_ns, imu->triads[kind].interval_ns);
+	if (c->timer)
+		interval_ns = 1e9 / imu->rate_hz;
+	sample_clock_start(&c->clock, interval_ns, CLOCK_TOLERANCE);
+}
+
 static int begin(struct iio_imu *imu, char *error, size_t error_size)
 {
 	struct imu_settings settings;
@@ -78,6 +93,8 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 			result = iio_imu_use_timer(imu, &imu->captures[i], error, error_size);
 		if (result == 0)
 			result = iio_imu_open_buffer(imu, &imu->captures[i], error, error_size);
+		if (result == 0)
+			start_clock(imu, &imu->captures[i]);
 	}
 	if (result < 0) {
 		end(imu);
@@ -147,10 +164,17 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	merge_add(&imu->merge, IIO_KINDS[kind].chip, &reading);
 }
 
-static void process_scan(struct iio_imu *imu, const struct capture *c)
+/* Without time stamps several scans may be read at once. */
+static int64_t time_of_scan(const struct capture *c)
 {
-	int64_t t_ns = imu_thread_now_ns();
+	return c->clock.newest >= 0 ? (int64_t)sample_clock_at(&c->clock, c->scans) : imu_thread_now_ns();
+}
 
+static void process_scan(struct iio_imu *imu, struct capture *c)
+{
+	int64_t t_ns = time_of_scan(c);
+
+	c->scans++;
 	if (c->timestamp)
 		iio_channel_convert(c->timestamp, &t_ns, iio_buffer_first(c->buffer, c->timestamp));
 	for (int kind = 0; kind < TRIADS; kind++) {
@@ -170,12 +194,15 @@ static void process_scan(struct iio_imu *imu, const struct capture *c)
 }
 
 /* Processes all scans of the buffer. 0 or -errno. */
-static int drain(struct iio_imu *imu, const struct capture *c)
+static int drain(struct iio_imu *imu, struct capture *c)
 {
+	int64_t begun_ns = imu_thread_now_ns();
 	ssize_t n;
 
-	while ((n = iio_buffer_refill(c->buffer)) > 0)
+	for (; (n = iio_buffer_refill(c->buffer)) > 0; begun_ns = imu_thread_now_ns())
 		process_scan(imu, c);
+	if (!c->timestamp && c->clock.nominal_ns > 0 && n == -EAGAIN) /* the last refill found none */
+		sample_clock_read(&c->clock, c->scans, (double)begun_ns, (double)imu_thread_now_ns());
 	return n == 0 ? -ENODEV : n == -EAGAIN ? 0 : (int)n;
 }
 
@@ -296,7 +323,7 @@ static bool capture(struct iio_imu *imu)
 		fds[i] = (struct pollfd){iio_buffer_get_poll_fd(imu->captures[i].buffer), POLLIN, 0};
 	imu_thread_wait(&imu->thread, imu_thread_now_ns() + WAKE_NS, fds, imu->capture_count);
 	for (size_t i = 0; i < imu->capture_count; i++) {
-		const struct capture *c = &imu->captures[i];
+		struct capture *c = &imu->captures[i];
 
 		if (drain(imu, c) < 0) {
 			fail(imu, IMU_FAULT_SILENT,

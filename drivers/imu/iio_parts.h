@@ -9,6 +9,7 @@
 #include "drivers/imu/frozen.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/merge.h"
+#include "drivers/imu/sample_clock.h"
 
 enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256 };
 /* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, default 2): a separate magnetometer has its own
@@ -43,7 +44,9 @@ struct triad {
 struct capture {
 	struct iio_device *device;
 	struct iio_buffer *buffer;
-	struct iio_channel *timestamp;
+	struct iio_channel *timestamp; /* NULL: none; the clock gives the times then */
+	struct sample_clock clock;
+	int64_t scans;	   /* that were read */
 	const char *timer; /* name of the timer trigger; NULL: the device has its own trigger */
 };
 

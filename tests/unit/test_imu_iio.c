@@ -863,6 +863,39 @@ static void test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_n
 	assert_in_range(fields, 10, samples);
 }
 
+/* Four scans wait after every other step of 20 ms: 100 a second. */
+static void batches_of_four(void)
+{
+	static int16_t turn;
+
+	turn++;
+	for (int i = 0; i < 4 && w.steps % 2; i++) {
+		const int16_t motion[6] = {(int16_t)(turn * 4 + i), 2, 3, 4, 5, 6};
+
+		put_scan(MOTION, 0, motion);
+	}
+}
+
+static void test_without_time_stamps_the_scans_of_a_batch_are_even(void **state)
+{
+	struct imu_sample sample;
+	uint64_t last_us = 0;
+	int n = 0;
+
+	(void)state;
+	w.devices[MOTION].channel_count--;	/* the timestamp */
+	w.devices[MOTION].attrs[1].name = NULL; /* no list of rates: 100 Hz is set */
+	open_sensor("iio:lsm6dso");
+	run(100, batches_of_four);
+	for (; imu_read(port, &sample) == 1; n++) {
+		if (n > 30)
+			assert_in_range(sample.t_us - last_us, 8000, 12000);
+		last_us = sample.t_us;
+	}
+	assert_in_range(n, 150, 200);
+	assert_true((double)last_us > 1e-3 * (double)w.now_ns - 80000);
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static int next_result(void)
@@ -992,6 +1025,7 @@ int main(void)
 		IIO_TEST(test_the_mount_matrix_of_a_device_has_the_prefix_in),
 		IIO_TEST(test_a_rate_without_a_list_is_set),
 		IIO_TEST(test_a_scale_of_one_digit_is_that_of_the_known_chip),
+		IIO_TEST(test_without_time_stamps_the_scans_of_a_batch_are_even),
 		IIO_TEST(test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_not),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
