@@ -427,6 +427,7 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 	log->origin_us = log->shift_us = 0;
 	log->started = log->even = false;
 	log->last_t_us = 0;
+	log->samples = 0;
 	log->units = (struct log_units){0};
 	result = log_rows_open(&log->rows, path, format, error, error_size);
 	if (result < 0)
@@ -435,6 +436,16 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 	if (result < 0)
 		imu_log_close(log);
 	return result;
+}
+
+static bool is_clipped(struct imu_log *log, const struct imu_sample *sample)
+{
+	const struct log_row *next = peek(log, 0), *behind = peek(log, 1);
+	const struct imu_sample *const five[5] = {log->samples > 1 ? &log->before[1] : NULL,
+		log->samples > 0 ? &log->before[0] : NULL, sample, next ? &next->sample : NULL,
+		behind ? &behind->sample : NULL};
+
+	return log_units_clipped(&log->units, five);
 }
 
 static int64_t larger(int64_t a, int64_t b)
@@ -462,6 +473,11 @@ int imu_log_next(struct imu_log *log, struct imu_sample *sample)
 	log->last_t_us = t_us + log->origin_us;
 	*sample = row.sample;
 	sample->t_us = (uint64_t)log->last_t_us;
+	if (is_clipped(log, &row.sample))
+		sample->flags |= SAMPLE_SATURATED;
+	log->before[1] = log->before[0];
+	log->before[0] = row.sample;
+	log->samples++;
 	if (again)
 		sample->flags |= SAMPLE_DISCONTINUITY;
 	log_units_add(&log->units, sample);

@@ -42,8 +42,10 @@ struct imu_log {
 	struct sample_clock clock;
 	int64_t index, bracketed; /* of the clock: of the next sample; number of those that it has seen */
 	int64_t clock_start_us;
-	double late_ns;	   /* by which the end of a burst may be late */
-	int64_t last_t_us; /* of the last sample */
+	double late_ns;		     /* by which the end of a burst may be late */
+	int64_t last_t_us;	     /* of the last sample */
+	struct imu_sample before[2]; /* the last ones, as in the file */
+	uint64_t samples;
 	struct log_units units;
 };
 

@@ -76,6 +76,11 @@ static void add_rate(struct log_units *u, const struct imu_sample *s, double dt_
 	u->start = u->turned_rad = u->turned_deg = up;
 }
 
+static double largest(struct vec3 v)
+{
+	return fmax(fabs(v.x), fmax(fabs(v.y), fabs(v.z)));
+}
+
 void log_units_add(struct log_units *u, const struct imu_sample *s)
 {
 	u->forces++;
@@ -84,8 +89,8 @@ void log_units_add(struct log_units *u, const struct imu_sample *s)
 		u->fields++;
 		count(FIELD, vec3_norm(s->mag_uT), u->field_in);
 	}
-	u->gyro_most_rad_s = fmax(
-		u->gyro_most_rad_s, fmax(fabs(s->gyro_rad_s.x), fmax(fabs(s->gyro_rad_s.y), fabs(s->gyro_rad_s.z))));
+	u->gyro_most_rad_s = fmax(u->gyro_most_rad_s, largest(s->gyro_rad_s));
+	u->accel_most_m_s2 = fmax(u->accel_most_m_s2, largest(s->accel_m_s2));
 	add_rate(u, s, (double)(s->t_us - u->last.t_us) * 1e-6);
 	u->last = *s;
 }
@@ -138,4 +143,53 @@ bool log_units_warning(const struct log_units *u, int i, char *text, size_t size
 	default:
 		return false;
 	}
+}
+
+/* Ends of the ranges of usual chips, as nominal and as 32767 digits: deg/s and g. */
+static const double GYRO_ENDS[] = {124.88, 125, 125.07, 245, 249.95, 250, 250.13, 286.71, 499.5, 500, 500.26, 573.42,
+	998.99, 1000, 1146.8, 1997.99, 2000, 2293.7, 4000};
+static const double ACCEL_ENDS[] = {1.9988, 2, 3.9976, 4, 7.9952, 8, 15.99, 16, 24, 32};
+/* Share by which a printed value differs from them. */
+static const double PRINTED = 3e-4;
+
+static bool at_end(double value, double unit, const double *ends, size_t count)
+{
+	for (size_t i = 0; i < count; i++)
+		if (fabs(fabs(value) - ends[i] * unit) < PRINTED * ends[i] * unit)
+			return true;
+	return false;
+}
+
+static double axis_of(const struct imu_sample *s, int axis)
+{
+	const double values[] = {
+		s->gyro_rad_s.x, s->gyro_rad_s.y, s->gyro_rad_s.z, s->accel_m_s2.x, s->accel_m_s2.y, s->accel_m_s2.z};
+
+	return values[axis];
+}
+
+/* Three samples in a row have the same value, one of them the middle one of the five. */
+static bool stays(const struct imu_sample *const five[5], int axis)
+{
+	for (int i = 0; i < 3; i++)
+		if (five[i] && five[i + 1] && five[i + 2] && axis_of(five[i], axis) == axis_of(five[i + 1], axis) &&
+			axis_of(five[i], axis) == axis_of(five[i + 2], axis))
+			return true;
+	return false;
+}
+
+bool log_units_clipped(const struct log_units *u, const struct imu_sample *const five[5])
+{
+	for (int axis = 0; axis < 6; axis++) {
+		double value = axis_of(five[2], axis);
+
+		if (axis < 3 ? fabs(value) < u->gyro_most_rad_s ||
+					!at_end(value, RAD_PER_DEG, GYRO_ENDS, sizeof GYRO_ENDS / sizeof *GYRO_ENDS)
+			     : fabs(value) < u->accel_most_m_s2 || !at_end(value, STANDARD_GRAVITY_M_S2, ACCEL_ENDS,
+									   sizeof ACCEL_ENDS / sizeof *ACCEL_ENDS))
+			continue;
+		if (stays(five, axis))
+			return true;
+	}
+	return false;
 }

@@ -25,11 +25,15 @@ struct log_units {
 	struct imu_sample last;
 	unsigned steps;
 	double gyro_steps, accel_steps, accel_squares;
-	double gyro_most_rad_s;
+	double gyro_most_rad_s, accel_most_m_s2; /* of one axis */
 };
 
 void log_units_add(struct log_units *units, const struct imu_sample *sample);
 /** The likely mistake of the i-th sensor (gyro, accelerometer, magnetometer) as text; false: none. */
 bool log_units_warning(const struct log_units *units, int i, char *text, size_t size);
+
+/** The middle one of five samples (NULL: there is none) was clipped: a value is the end of a usual range and the largest so
+ * far, and three samples in a row have it. */
+bool log_units_clipped(const struct log_units *units, const struct imu_sample *const five[5]);
 
 #endif

@@ -445,7 +445,26 @@ static void test_the_column_clipped_marks_saturation(void **state)
 	write_kind(&KINDS[sizeof KINDS / sizeof *KINDS - 1]);
 	assert_int_equal(read_log(path, "imu9"), ROWS);
 	for (int k = 0; k < ROWS; k++)
-		assert_int_equal(!!(found[k].flags & SAMPLE_SATURATED), k == 5);
+		assert_true(k != 5 || (found[k].flags & SAMPLE_SATURATED));
+}
+
+/* The motion turns at up to 6 rad/s, a sensor of 250 deg/s measures 4.4. */
+static void test_values_that_stay_at_the_end_of_a_usual_range_are_saturated(void **state)
+{
+	int marked = 0, at_end = 0;
+
+	(void)state;
+	write_kind(&KINDS[0]);
+	assert_int_equal(read_log(path, "imu9"), ROWS);
+	for (int k = 0; k < ROWS; k++) {
+		const struct vec3 w = truth[k].gyro_rad_s;
+		bool end = fmax(fabs(w.x), fmax(fabs(w.y), fabs(w.z))) > 249.9 * RAD_PER_DEG;
+
+		at_end += end;
+		marked += !!(found[k].flags & SAMPLE_SATURATED);
+		assert_true(end || !(found[k].flags & SAMPLE_SATURATED));
+	}
+	assert_true(at_end > 50 && marked > 0.9 * at_end);
 }
 
 static void test_every_kind_of_skipped_row_is_told_with_its_count_and_first_line(void **state)
@@ -671,6 +690,7 @@ int main(void)
 		cmocka_unit_test(test_every_kind_of_log_gives_the_samples_that_were_written),
 		cmocka_unit_test(test_a_second_log_is_a_discontinuity_and_a_wrap_is_none),
 		cmocka_unit_test(test_the_column_clipped_marks_saturation),
+		cmocka_unit_test(test_values_that_stay_at_the_end_of_a_usual_range_are_saturated),
 		cmocka_unit_test(test_every_kind_of_skipped_row_is_told_with_its_count_and_first_line),
 		cmocka_unit_test(test_units_that_the_header_does_not_name_are_recognised_and_told),
 		cmocka_unit_test(test_a_unit_that_is_not_known_is_refused_with_those_that_are),
