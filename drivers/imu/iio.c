@@ -490,9 +490,8 @@ static void tell_mirrors(struct iio_imu *imu)
 	for (int kind = 0; kind < TRIADS; kind++)
 		if (imu->triads[kind].device && imu->triads[kind].mirrored && n < sizeof port->notes)
 			n += (size_t)snprintf(port->notes + n, sizeof port->notes - n,
-				"%siio: the mount_matrix of %s mirrors the axes of the %s: check their signs; "
-				"mount=ignore leaves it "
-				"out",
+				"%siio: the mount_matrix of %s mirrors the axes of the %s: check their signs, or start "
+				"with mount=ignore",
 				n ? "\n" : "", iio_imu_label(imu->triads[kind].device), IIO_KINDS[kind].name);
 }
 

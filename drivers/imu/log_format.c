@@ -13,8 +13,7 @@ enum quantity { TIME, RATE, FORCE, FIELD, REFERENCE, TEMPERATURE, CLIPPED, QUANT
 static const struct log_format FORMATS[] = {
 	{.name = "imu9", .names = {"t", "g*", "a*", "m*", "ref_a*", "temperature", "clipped"}},
 	{.name = "phyphox",
-		.names = {"time", "gyroscope *|gyro *|*", "acceleration *|accelerometer *|*",
-			"magnetic field *|magnetometer *|*"},
+		.names = {"time", "gyroscope *|*", "acceleration *|*", "magnetic field *|*"},
 		.files = {"Gyroscope.csv", "Accelerometer.csv", "Magnetometer.csv"}},
 	{.name = "euroc", .names = {"timestamp", "w_rs_s_*", "a_rs_s_*", "m_rs_s_*"}},
 	{.name = "x-io",

@@ -1,6 +1,7 @@
 #include "drivers/imu/log_rows.h"
 
 #include <errno.h>
+#include <math.h>
 #include <stdarg.h>
 #include <string.h>
 #include <sys/stat.h>
@@ -8,7 +9,7 @@
 /* Readings of different chips closer than this count as simultaneous. By judgement: well below any sampling interval. */
 static const int64_t SIMULTANEOUS_NS = 200000;
 /* s, added to the times of several files while they are merged, which has to be of positive times. */
-static const double MERGE_EPOCH_S = 1e6;
+static const double MERGE_EPOCH_S = 1e6, LATEST_S = 9e9;
 
 static const char *base_name(const char *path)
 {
@@ -159,7 +160,9 @@ static int next_of(struct log_rows *rows, struct log_table *table, struct log_ro
 
 static int64_t ns(const struct log_row *row, const struct log_table *table)
 {
-	return (int64_t)((row->t * table->header.scale[LOG_T] + MERGE_EPOCH_S) * 1e9);
+	double t_s = row->t * table->header.scale[LOG_T] + MERGE_EPOCH_S;
+
+	return (int64_t)(1e9 * fmax(0, fmin(LATEST_S, t_s)));
 }
 
 /* Adds the earliest reading of all files. 1, 0 at the end of all, -EIO. */
