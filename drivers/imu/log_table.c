@@ -257,16 +257,22 @@ static const char *other_format(struct log_table *table)
 	return NULL;
 }
 
+static bool is_blank(const char *text)
+{
+	return text[strspn(text, " \t")] == '\0';
+}
+
 static int read_header(struct log_table *table, char *error, size_t error_size)
 {
-	const char *bad, *other;
+	const char *bad, *other = NULL;
 	char why[200];
-	int got, result;
+	int got;
 
-	do {
-		got = read_line(table, &bad);
-	} while (got > 0 && !bad &&
-		 (is_comment(table->text) ? !take_header(table) : table->text[strspn(table->text, " \t")] == '\0'));
+	while ((got = read_line(table, &bad)) > 0 && !bad && (is_blank(table->text) || is_comment(table->text))) {
+		if (take_header(table))
+			return 0;
+		other = other ? other : other_format(table);
+	}
 	if (got <= 0 || bad) {
 		snprintf(error, error_size, "%s:%ld: %s", table->path, table->line ? table->line : 1,
 			got < 0	   ? strerror(errno)
@@ -274,13 +280,12 @@ static int read_header(struct log_table *table, char *error, size_t error_size)
 				   : bad);
 		return got < 0 ? got : -EINVAL;
 	}
-	result = read_header_line(table, table->format, &table->header, why, sizeof why);
-	if (result < 0) {
-		other = other_format(table);
-		snprintf(error, error_size, "%s:%ld: %s%s%s", table->path, table->line, why,
-			other ? "; it is of another format: imu9-replay --format " : "", other ? other : "");
-	}
-	return result;
+	if (read_header_line(table, table->format, &table->header, why, sizeof why) == 0)
+		return 0;
+	other = other ? other : other_format(table);
+	snprintf(error, error_size, "%s:%ld: %s%s%s", table->path, table->line, why,
+		other ? "; it is of another format: imu9-replay --format " : "", other ? other : "");
+	return -EINVAL;
 }
 
 int log_table_open(struct log_table *table, const char *path, const struct log_format *format, unsigned needed,

@@ -605,6 +605,32 @@ static void write_phyphox(FILE *file, int k, const struct imu_sample *s)
 	fputc('\n', file);
 }
 
+static void test_a_log_of_another_program_is_refused_with_the_name_of_its_format(void **state)
+{
+	static const char *const headers[][2] = {
+		{"euroc",
+			"#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],a_RS_S_x [m s^-2],"
+			"a_RS_S_y [m s^-2],a_RS_S_z [m s^-2]\n1,2,3,4,5,6,7\n"},
+		{"x-io", "Time (s),Gyroscope X (deg/s),Gyroscope Y (deg/s),Gyroscope Z (deg/s),Accelerometer X (g),"
+			 "Accelerometer Y (g),Accelerometer Z (g)\n"},
+		{"pandas", ",gyro_x,gyro_y,gyro_z,acc_x,acc_y,acc_z\n"},
+		{"phyphox", "\"Time (s)\";\"Gyroscope x (rad/s)\";\"Gyroscope y (rad/s)\";\"Gyroscope z (rad/s)\";"
+			    "\"Acceleration x (m/s^2)\";\"Acceleration y (m/s^2)\";\"Acceleration z (m/s^2)\"\n"}};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		char error[512], words[32];
+		FILE *file = create("log.csv");
+
+		fputs(headers[i][1], file);
+		fclose(file);
+		assert_int_equal(imu_log_open(&log_, path, log_format_at(0), error, sizeof error), -EINVAL);
+		snprintf(words, sizeof words, "--format %s", headers[i][0]);
+		if (!strstr(error, words))
+			fail_msg("'%s' does not say '%s'", error, words);
+	}
+}
+
 static void write_phyphox_gyro(FILE *file, int k, const struct imu_sample *s)
 {
 	fprintf(file, "%.9E", t_s(k) - 0.07);
@@ -695,6 +721,7 @@ int main(void)
 		cmocka_unit_test(test_units_that_the_header_does_not_name_are_recognised_and_told),
 		cmocka_unit_test(test_a_unit_that_is_not_known_is_refused_with_those_that_are),
 		cmocka_unit_test_setup(test_logs_of_euroc_x_io_pandas_and_phyphox_are_read, simulate),
+		cmocka_unit_test(test_a_log_of_another_program_is_refused_with_the_name_of_its_format),
 		cmocka_unit_test_setup(test_an_exported_folder_of_phyphox_is_merged, simulate),
 	};
 	int failed;
