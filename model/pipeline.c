@@ -54,8 +54,8 @@ static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1
 /* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The rate has
  * the largest bias in addition. By judgement. */
 static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
-/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after which the
- * derivative of the rates has settled. By judgement. */
+/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after
+ * which the derivative of the rates has settled. By judgement. */
 static const double START_SHARE_M_S2 = 2, START_WAIT_S = 0.05, START_WAIT_INTERVALS = 5;
 /* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
  * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
@@ -297,20 +297,19 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
-/* The first attitude takes what the accelerometer shows for up. A known lever arm's share is taken off before, which needs
- * the angular acceleration: *s waits for it when the centripetal share is large. Returns false: wait for the next sample. */
+/* The first attitude takes what the accelerometer shows for up. When a known lever arm's share is large, it is taken off
+ * before. False: the angular acceleration, which that needs, is not known yet. */
 static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s)
 {
 	const struct body_rates *rates = &p->rates.out[RATES_FROM_GYRO];
-	struct vec3 arm = p->config.estimator.lever_arm_b_m, alpha = rates->alpha_b_rad_s2, share;
+	struct vec3 arm = p->config.estimator.lever_arm_b_m;
 
 	p->turning_s = p->primed ? p->turning_s + dt_s : 0;
 	if (vec3_dot(s->gyro_rad_s, s->gyro_rad_s) * vec3_norm(arm) < START_SHARE_M_S2)
 		return true;
 	if (p->turning_s < fmax(START_WAIT_S, START_WAIT_INTERVALS / p->rate_hz))
 		return false;
-	share = rigid_lever_arm(s->gyro_rad_s, alpha, arm);
-	s->accel_m_s2 = vec3_sub(s->accel_m_s2, share);
+	s->accel_m_s2 = vec3_sub(s->accel_m_s2, rigid_lever_arm(s->gyro_rad_s, rates->alpha_b_rad_s2, arm));
 	return true;
 }
 
@@ -541,8 +540,8 @@ static void guard(struct pipeline *p, struct pipeline_output *out)
 	double lever = of_gyro ? vec3_norm(p->config.estimator.lever_arm_b_m) : 0;
 	double share = lever * (p->most.rate_rad_s * p->most.rate_rad_s + p->most.alpha_rad_s2);
 	double rate = GUARD * p->most.rate_rad_s + GUARD_RATE_RAD_S;
-	double force = p->most.force_m_s2 + p->config.estimator.gravity_m_s2,
-	       accel = fmax(GUARD * force, force + share);
+	double force = p->most.force_m_s2 + p->config.estimator.gravity_m_s2;
+	double accel = fmax(GUARD * force, force + share);
 	bool finite = all_finite(out);
 
 	if (finite && vec3_norm(out->rate_b_rad_s) <= rate && vec3_norm(out->accel_n_m_s2) <= accel) {

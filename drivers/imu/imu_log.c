@@ -232,17 +232,14 @@ static void see_burst(struct imu_log *log, int64_t t_us)
 
 static int64_t even_time_us(struct imu_log *log, int64_t t_us)
 {
-	double period_us = 1e-3 * sample_clock_period(&log->clock);
-	int64_t even_us;
-
 	if (log->index >= log->bracketed) {
-		even_us = log->clock_start_us + (int64_t)(1e-3 * sample_clock_at(&log->clock, log->index));
+		int64_t even_us = log->clock_start_us + (int64_t)(1e-3 * sample_clock_at(&log->clock, log->index));
+
 		if (log->index > 0 && llabs(t_us - even_us) > BURST_US) /* a gap */
-			start_clock(log, t_us, 1e3 * period_us);
+			start_clock(log, t_us, sample_clock_period(&log->clock));
 		see_burst(log, t_us);
 	}
-	even_us = log->clock_start_us + (int64_t)floor(1e-3 * sample_clock_at(&log->clock, log->index++));
-	return even_us;
+	return log->clock_start_us + (int64_t)floor(1e-3 * sample_clock_at(&log->clock, log->index++));
 }
 
 /* ---- the first rows ---------------------------------------------------------------------------------------------- */
