@@ -19,8 +19,8 @@ static const int64_t TRANSFER_US = 2000, BURST_US = 2000000;
 /* Share of the intervals that are in bursts, and their length in mean intervals. By judgement: of even samples with a
  * jitter of a third of the interval fewer are so short. */
 static const double SHORT_SHARE = 0.2, SHORT = 0.25;
-/* Fewer intervals than this share are within this share of the median: their rate is the mean one. By judgement: lost
- * samples leave more. */
+/* Fewer intervals than this share are, within this share of the median, that or a multiple of it (where samples were lost):
+ * their rate is the mean one. By judgement. */
 static const double USUAL_SHARE = 0.7, USUAL = 0.1;
 /* The rate of the first rows is that of the sensor within this share. By judgement. */
 static const double CLOCK_TOLERANCE = 0.05;
@@ -39,8 +39,9 @@ static bool same_vec3(struct vec3 a, struct vec3 b)
 /* A logger wrote the row before once more. */
 static bool same_row(const struct log_row *a, const struct log_row *b)
 {
-	return a->t == b->t && same_vec3(a->sample.gyro_rad_s, b->sample.gyro_rad_s) &&
-	       same_vec3(a->sample.accel_m_s2, b->sample.accel_m_s2);
+	return a->t == b->t && a->sample.flags == b->sample.flags &&
+	       same_vec3(a->sample.gyro_rad_s, b->sample.gyro_rad_s) &&
+	       same_vec3(a->sample.accel_m_s2, b->sample.accel_m_s2) && same_vec3(a->sample.mag_uT, b->sample.mag_uT);
 }
 
 /* The i-th row from here, NULL behind the last one. */
@@ -300,7 +301,7 @@ static void find_time_unit(struct imu_log *log)
 /* The mean interval of the first rows, if they scatter so that the median is none of the sensor's; else 0. */
 static double scattered_interval_us(struct imu_log *log)
 {
-	double sum_us = 0;
+	double sum_us = 0, times;
 	unsigned n = 0, usual = 0;
 
 	for (unsigned i = 1; i < HEAD && peek(log, i); i++) {
@@ -309,7 +310,8 @@ static double scattered_interval_us(struct imu_log *log)
 		if (fabs(d_us) > (double)BURST_US)
 			continue;
 		sum_us += d_us;
-		usual += fabs(d_us - (double)log->interval_us) <= USUAL * (double)log->interval_us;
+		times = d_us / (double)log->interval_us;
+		usual += times > 0.5 && fabs(times - floor(times + 0.5)) <= USUAL;
 		n++;
 	}
 	return usual < USUAL_SHARE * n && sum_us >= n ? sum_us / n : 0;
@@ -398,7 +400,8 @@ static int read_head(struct imu_log *log, char *error, size_t error_size)
 	scattered_us = log->even ? 0 : scattered_interval_us(log);
 	if (log->even) {
 		log_rows_event(&log->rows, LOG_EVEN, peek(log, 0)->line,
-			"the times come in bursts, %.4g ms apart in one: the samples are taken as even, %.4g a second",
+			"the times come in bursts (median interval %.4g ms): the samples are taken as even, %.4g a "
+			"second",
 			1e-3 * interval_us, 1e6 / period_us);
 		use_interval(log, period_us);
 		log->late_ns = 1e3 * lateness_us(log, period_us);

@@ -13,12 +13,16 @@
 
 #include "drivers/imu/imu_log.h"
 #include "model/math/units.h"
+#include "model/sim/rng.h"
 #include "model/sim/sensor.h"
 
 enum { ROWS = 2000, SECOND = 500 /* rows of a second log */, SETTLED = 300 };
 static const double STEP_S = 0.01, GRAVITY = STANDARD_GRAVITY_M_S2;
 
 static struct imu_sample truth[ROWS];
+static bool lossless[ROWS]; /* a radio lets these rows through */
+static int through;
+enum { THREE_OF_FIVE = -1 }; /* their number */
 
 struct kind {
 	const char *name, *header;
@@ -37,12 +41,18 @@ static int simulate(void **state)
 {
 	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20_fine");
 	struct sensor sensor;
+	struct rng rng;
 
 	(void)state;
 	config.rate_hz = 1 / STEP_S;
 	assert_int_equal(sensor_init(&sensor, &config, 3), 0);
-	for (int k = 0; k < ROWS; k++)
+	rng_init(&rng, 1);
+	through = 0;
+	for (int k = 0; k < ROWS; k++) {
 		sensor_next(&sensor, signal_find("tumble"), &truth[k], NULL);
+		lossless[k] = k == 0 || rng_uniform(&rng) < 0.6;
+		through += lossless[k];
+	}
 	return 0;
 }
 
@@ -272,6 +282,12 @@ static void jittered(FILE *file, int k, const struct imu_sample *s)
 	row_at(file, t_s(k) + STEP_S * fmod(k * 0.618034, 1) * fmod(k * 0.618034, 1) * 0.999, s);
 }
 
+static void lossy(FILE *file, int k, const struct imu_sample *s)
+{
+	if (lossless[k])
+		row_at(file, t_s(k), s);
+}
+
 static void clipped(FILE *file, int k, const struct imu_sample *s)
 {
 	fprintf(file, "%d,%.9g", k == 5, t_s(k));
@@ -317,6 +333,7 @@ static const struct kind KINDS[] = {
 	{"doubled", HEADER, doubled, ROWS, "even", 0, 0.015},
 	{"ticks", HEADER, ticks, ROWS, "even", 0, 0.015},
 	{"jittered", HEADER, jittered, ROWS, "the times scatter: the mean rate", 0, STEP_S},
+	{"lossy", HEADER, lossy, THREE_OF_FIVE, NULL, 0, 0},
 	{"clipped", "clipped," HEADER, clipped, ROWS, NULL, 0, 0},
 };
 
@@ -413,7 +430,7 @@ static void test_every_kind_of_log_gives_the_samples_that_were_written(void **st
 
 		write_kind(kind);
 		n = read_log(path, "imu9");
-		if (n != kind->rows)
+		if (n != (kind->rows == THREE_OF_FIVE ? through : kind->rows))
 			fail_msg("%s: %d rows, not %d", kind->name, n, kind->rows);
 		if (says(kind->message) != (kind->message != NULL))
 			fail_msg("%s: does not say '%s'", kind->name, kind->message ? kind->message : "nothing");
