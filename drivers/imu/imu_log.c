@@ -7,7 +7,7 @@
 
 enum { HEAD = 200 };	 /* rows that determine the rate */
 enum { AHEAD = 8 };	 /* rows that decide about a time that jumps */
-enum { ENDS_LEAST = 8 }; /* bursts in the first rows, below which they are gaps */
+enum { ENDS_LEAST = 4 }; /* bursts in the first rows, below which they are gaps */
 /* us. Times beyond are refused (317 years); their sum over logs one behind the other ends here, too. */
 static const int64_t LATEST_US = 10000000000000000, LATEST_SUM_US = 1000000000000000000;
 /* Sampling intervals by which a time that does not jump may be ahead; behind a wrap; as the last one, with none to compare

@@ -265,6 +265,11 @@ static void batches(FILE *file, int k, const struct imu_sample *s)
 	row_at(file, t_s(k / 8 * 8 + 8), s);
 }
 
+static void deep_batches(FILE *file, int k, const struct imu_sample *s)
+{
+	row_at(file, t_s(k / 128 * 128 + 128) + k % 128 * 0.0002, s);
+}
+
 static void doubled(FILE *file, int k, const struct imu_sample *s)
 {
 	row_at(file, t_s(k / 2 * 2 + 2), s);
@@ -330,6 +335,7 @@ static const struct kind KINDS[] = {
 	{"bursts with a glitch", HEADER, bursts_with_a_glitch, ROWS - 1, ":702: time jumps ahead", 0, 0.040},
 	{"bursts, then a second log", HEADER, bursts_then_a_second_log, ROWS, ":1502: another log begins", 0, 0.350},
 	{"batches", HEADER, batches, ROWS, "even", 0, 0.015},
+	{"batches of 128", HEADER, deep_batches, ROWS, "even", 0, 0.045 /* a transfer takes 26 ms */},
 	{"doubled", HEADER, doubled, ROWS, "even", 0, 0.015},
 	{"ticks", HEADER, ticks, ROWS, "even", 0, 0.015},
 	{"jittered", HEADER, jittered, ROWS, "the times scatter: the mean rate", 0, STEP_S},
