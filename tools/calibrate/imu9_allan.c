@@ -28,8 +28,8 @@ static const char usage[] =
 	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
 
 enum { CHANNELS = 6, MIN_SAMPLES = 1000 };
-/* Sampling intervals: a longer one is a gap. */
-static const double GAP_INTERVALS = 1.5;
+/* Sampling intervals: a longer one is a gap. By judgement: one lost sample changes nothing, and times may scatter. */
+static const double GAP_INTERVALS = 2.5;
 /* s; what a sensor at rest scatters by within that time at most (per 100 samples a second), and by how much its mean may
  * change over hours. By judgement: several times that of the noisiest sensors of drivers/; a hand has more. */
 static const double BLOCK_S = 1, STILL_DEG_S = 1.5, STILL_MG = 40, SAME_DEG_S = 1, SAME_MG = 25;
