@@ -7,6 +7,8 @@
 #include "gateway/threshold.h"
 #include "od_index.h"
 
+enum { IMPLAUSIBLE_US = 1000000 /* without another one, and EMCY 5032h is over */ };
+
 /* ---- configuration: objects to pipeline -------------------------------------------------------------------------- */
 
 static void on_configuration_changed(void *ctx, const struct od_entry *entry)
@@ -149,6 +151,8 @@ static void on_reset(void *ctx, enum od_group group)
 	aids_reset(&d->aids);
 	/* persistent faults are detected and reported again */
 	d->sensor_lost = d->position_unsure = false;
+	d->implausible = 0;
+	d->implausible_us = 0;
 	bus_health_reset(&d->bus_health);
 }
 
@@ -340,6 +344,22 @@ static void publish_sensor_counters(struct device *d)
 	d->values.sensor_counters.skipped = d->imu->counters.skipped;
 	d->values.sensor_counters.late = d->imu->counters.late;
 	d->values.sensor_counters.gaps = d->pipeline.gaps;
+	d->values.sensor_counters.implausible = d->pipeline.implausible;
+}
+
+/* The pipeline kept an output back. */
+static void watch_plausibility(struct device *d, uint64_t now_us)
+{
+	bool more = d->pipeline.implausible != d->implausible;
+
+	if (more)
+		canopen_error_set(&d->canopen, EMCY_IMPLAUSIBLE, ERROR_MANUFACTURER, NULL, now_us);
+	else if (d->implausible_us && now_us - d->implausible_us > IMPLAUSIBLE_US)
+		canopen_error_clear(&d->canopen, EMCY_IMPLAUSIBLE, now_us);
+	else
+		return;
+	d->implausible = d->pipeline.implausible;
+	d->implausible_us = more ? now_us : 0;
 }
 
 /* 2040h:9. Not a fault of the sensor: the movement has lasted too long without a zero-velocity update. */
@@ -385,6 +405,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);
 	publish_sensor_counters(d);
 	watch_uncertainty(d, out.status);
+	watch_plausibility(d, now_us);
 	canopen_sample(&d->canopen, now_us);
 }
 

@@ -54,7 +54,9 @@ struct device {
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;
-	uint64_t now_us; /* of the present call */
+	uint32_t implausible;	 /* as of the last sample */
+	uint64_t implausible_us; /* when it last grew; 0: EMCY 5032h is over */
+	uint64_t now_us;	 /* of the present call */
 };
 
 /** device.values are the configuration of file and command line. `storage`: NULL when nothing can be stored. `stored`:

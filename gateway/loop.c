@@ -253,6 +253,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 	struct loop l = {.device = device,
 		.bus = bus,
 		.imu = imu,
+		.last_skipped = imu->counters.skipped, /* of a log: told with its notes */
 		.writer = writer,
 		.epoll = -1,
 		.timer = -1,

@@ -278,6 +278,12 @@ static uint32_t serial_number(const struct config *config)
 	return od_crc32(0, unit, (size_t)size);
 }
 
+static void log_notes(const char *notes)
+{
+	for (; *notes; notes += strcspn(notes, "\n"), notes += *notes == '\n')
+		log_line("%.*s", (int)strcspn(notes, "\n"), notes);
+}
+
 /* 1009h, 100Ah and 1018h:4. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
@@ -352,6 +358,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 				bus->name, imu->name, imu->rate_hz);
 		else
 			log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
+		log_notes(imu->notes);
 		open_leds(config);
 		go_realtime(config->realtime);
 		rc = loop_run(&device, bus, imu, store, damaged);

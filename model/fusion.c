@@ -14,9 +14,12 @@ static const double LEAST_LEVEL = 0.1;
 /* s, for which a yaw from outside holds for the filters without a covariance, and memory of where the field points to
  * meanwhile. The same as those of the Kalman filter. */
 static const double AID_S = 10, NORTH_TIME_S = 10;
-/* s. Over a longer interval the rate was not just between those of its samples. By judgement, as the Kalman filter's
- * gap. */
-static const double STEADY_S = 0.1;
+/* s. Over a longer interval the rate was not just between those of its samples, and the velocity is unknown: a gap. By
+ * judgement: a hand changes its velocity by 1 m/s within that time. */
+static const double GAP_S = 0.1;
+/* Usual intervals, and s, below which there is none. By judgement: two samples are missing; a sensor of less than 5 samples a
+ * second tells nothing about what was between two of them. */
+static const double GAP_INTERVALS = 2.5, GAP_MOST_S = 0.5;
 
 static bool within(double value, double high)
 {
@@ -28,7 +31,8 @@ static bool config_valid(const struct fusion_config *c)
 	return (c->algorithm == FUSION_MADGWICK || c->algorithm == FUSION_MAHONY || c->algorithm == FUSION_KALMAN) &&
 	       (c->use_magnetometer == 0 || c->use_magnetometer == 1) && within(c->madgwick_beta, 10) &&
 	       within(c->mahony_kp_rad_s, 100) && within(c->mahony_ki_rad_s2, 100) &&
-	       fusion_kalman_check(&c->kalman) == 0 && vec3_finite(c->lever_arm_b_m) && within(c->delay_s, 0.1);
+	       fusion_kalman_check(&c->kalman) == 0 && vec3_finite(c->lever_arm_b_m) && within(c->delay_s, 0.1) &&
+	       within(c->interval_s, INFINITY);
 }
 
 int fusion_init(struct fusion *f, const struct fusion_config *config)
@@ -198,6 +202,11 @@ static void correct_by_error(struct fusion *f, const struct imu_sample *sample, 
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
 }
 
+static bool is_gap(const struct fusion *f, double dt_s)
+{
+	return dt_s > fmax(GAP_S, fmin(GAP_MOST_S, GAP_INTERVALS * f->config.interval_s));
+}
+
 static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample, struct vec3 rate_b_rad_s, double dt_s)
 {
 	bool field = f->config.use_magnetometer && (sample->flags & SAMPLE_MAG) && vec3_finite(sample->mag_uT);
@@ -210,6 +219,7 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 		.rest = f->resting,
 		.steady_s = f->steady_s,
 		.saturated = sample->flags & SAMPLE_SATURATED,
+		.gap = is_gap(f, dt_s),
 	};
 
 	if (!f->north_known && !fusion_kalman_field_disagrees(&f->kalman))
@@ -223,7 +233,7 @@ static struct vec3 rotation_since_last(const struct fusion *f, struct vec3 gyro_
 {
 	struct vec3 now = fusion_rate_b(f, gyro_b_rad_s);
 
-	return dt_s > STEADY_S ? vec3_scale(dt_s, now)
+	return is_gap(f, dt_s) ? vec3_scale(dt_s, now)
 			       : rotation_between(fusion_rate_b(f, f->last_gyro_b_rad_s), now, dt_s);
 }
 

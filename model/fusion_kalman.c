@@ -24,9 +24,6 @@ enum {
 /* s between two corrections. By judgement: a tenth of the shortest time constant below (0.25 s), and at 200 samples a
  * second a correction with every sixth sample only. */
 static const double CORRECTION_S = 0.03;
-/* s. Longer intervals between samples are a gap, after which the velocity is unknown. By judgement: a hand changes its
- * velocity by 1 m/s within that time. */
-static const double GAP_S = 0.1;
 
 /* ---- start ---- */
 
@@ -903,7 +900,7 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	struct vec3 lever_n = quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m));
 
 	change_lever_arm(k, s, *q_nb);
-	if (dt_s > GAP_S) {
+	if (s->gap) {
 		skip_gap(k, s->rate_b_rad_s, dt_s);
 		dt_s = CORRECTION_S;
 	}

@@ -194,6 +194,7 @@ struct fusion_kalman_sample {
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
 	bool rest, saturated;
+	bool gap;	 /* samples are missing before this one: the velocity is unknown */
 	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
 

@@ -578,12 +578,13 @@ static void measure_heading(struct navigation *n, double x[N], struct quat q_fus
 
 	if (heading_unknown(n))
 		return;
-	if (fabs(difference.z) > HEADING_JUMP_RAD) {
+	if (n->north_found || fabs(difference.z) > HEADING_JUMP_RAD) {
 		turn_heading(n, difference.z);
 		n->earlier_variance_m2 = vec3_add(
 			n->earlier_variance_m2, by_heading(n->position_n_m, 4 * squared(sin(difference.z / 2))));
 		difference.z = 0;
 	}
+	n->north_found = false;
 	measure(n, x, THETA + 2, difference.z, squared(HEADING_SIGMA_RAD) * HEADING_CORRELATION_S / t);
 	mean->x += share * (difference.x * difference.x - mean->x);
 	mean->y += share * (difference.y * difference.y - mean->y);
@@ -838,6 +839,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->still = still;
 	n->gravity_m_s2 = in->gravity_m_s2;
 	n->fusion_variance_rad2 = in->attitude_variance_rad2;
+	n->north_found |= in->north_found;
 	integrate(n, in, dt_s);
 	ended = n->sums.t_s >= NAVIGATION_INTERVAL_S;
 	if (ended)

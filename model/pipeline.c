@@ -51,6 +51,12 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 
 /* Limits of plausible samples, far beyond any sensor's range. */
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
+/* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The rate has
+ * the largest bias in addition. By judgement. */
+static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
+/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after
+ * which the derivative of the rates has settled. By judgement. */
+static const double START_SHARE_M_S2 = 2, START_WAIT_S = 0.05, START_WAIT_INTERVALS = 5;
 /* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
  * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
 static const double CHANGE_CUTOFF_HZ = 60;
@@ -97,10 +103,11 @@ static int latency_check(const struct latency_config *latency)
 }
 
 /* The fusion uses the estimator's lever arm and the gyro's latency. */
-static struct fusion_config fusion_config(const struct pipeline_config *config)
+static struct fusion_config fusion_config(const struct pipeline_config *config, double rate_hz)
 {
 	struct fusion_config fusion = config->fusion;
 
+	fusion.interval_s = 1 / rate_hz;
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
 	fusion.delay_s = config->latency.sensor_s;
 	fusion.kalman.field_sigma_uT = config->noise.mag_sigma_uT;
@@ -134,7 +141,7 @@ static struct position_config position_config(const struct pipeline_config *conf
 
 int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
-	struct fusion_config fusion = fusion_config(config);
+	struct fusion_config fusion = fusion_config(config, rate_hz);
 	struct position_config position = position_config(config);
 	struct pipeline fresh;
 
@@ -142,6 +149,7 @@ int pipeline_init(struct pipeline *p, const struct pipeline_config *config, doub
 	fresh.config = *config;
 	fresh.rate_hz = rate_hz;
 	fresh.since_mag_s = INFINITY;
+	fresh.last_good.q_nb = QUAT_IDENTITY;
 	if (latency_check(&config->latency) < 0 || calibration_init(&fresh.calibration, &config->calibration) < 0 ||
 		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
 		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
@@ -196,7 +204,7 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
-	struct fusion_config fusion = fusion_config(config);
+	struct fusion_config fusion = fusion_config(config, p->rate_hz);
 	struct position_config position = position_config(config);
 	struct pipeline next = *p;
 
@@ -268,12 +276,15 @@ static void start_over(struct pipeline *p)
 {
 	struct calibration calibration = p->calibration;
 	struct smoother *smoother = p->position.navigation.smoother;
-	uint32_t gaps = p->gaps, refused = p->refused;
+	struct pipeline_output last_good = p->last_good;
+	uint32_t gaps = p->gaps, refused = p->refused, implausible = p->implausible;
 
 	pipeline_init(p, &p->config, p->rate_hz);
 	p->calibration = calibration; /* with the last temperature */
+	p->last_good = last_good;
 	p->gaps = gaps;
 	p->refused = refused;
+	p->implausible = implausible;
 	pipeline_smooth(p, smoother);
 }
 
@@ -286,11 +297,28 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
+/* The first attitude takes what the accelerometer shows for up. When a known lever arm's share is large, it is taken off
+ * before. False: the angular acceleration, which that needs, is not known yet. */
+static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s)
+{
+	const struct body_rates *rates = &p->rates.out[RATES_FROM_GYRO];
+	struct vec3 arm = p->config.estimator.lever_arm_b_m;
+
+	p->turning_s = p->primed ? p->turning_s + dt_s : 0;
+	if (vec3_dot(s->gyro_rad_s, s->gyro_rad_s) * vec3_norm(arm) < START_SHARE_M_S2)
+		return true;
+	if (p->turning_s < fmax(START_WAIT_S, START_WAIT_INTERVALS / p->rate_hz))
+		return false;
+	s->accel_m_s2 = vec3_sub(s->accel_m_s2, rigid_lever_arm(s->gyro_rad_s, rates->alpha_b_rad_s2, arm));
+	return true;
+}
+
 /* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and all that
  * is filtered or differentiated starts again. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
 	bool north_known = fusion_north_known(&p->fusion), rest;
+	struct imu_sample first = *s;
 
 	if (!p->primed)
 		rest_restart(&p->rest);
@@ -305,8 +333,14 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		p->mag_b_uT = s->mag_uT;
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
-	fusion_step(&p->fusion, s, dt_s);
-	if (fusion_north_known(&p->fusion) && !north_known)
+	if (!fusion_started(&p->fusion) && ready_to_start(p, &first, dt_s)) {
+		fusion_step(&p->fusion, &first, dt_s);
+		p->primed = false; /* until now there was no global frame */
+	} else if (fusion_started(&p->fusion)) {
+		fusion_step(&p->fusion, s, dt_s);
+	}
+	p->north_found = fusion_north_known(&p->fusion) && !north_known;
+	if (p->north_found)
 		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
 	return rest && (p->config.fusion.algorithm != FUSION_KALMAN || p->fusion.kalman.resting);
@@ -433,6 +467,7 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 		.gyro_bias_b_rad_s = p->fusion.gyro_errors.bias_b_rad_s,
 		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
+		.north_found = p->north_found,
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
 	};
 
@@ -475,6 +510,59 @@ static struct navigation_sigma with_acceleration(
 	return sigma;
 }
 
+static bool quat_finite(struct quat q)
+{
+	return isfinite(q.w) && isfinite(q.x) && isfinite(q.y) && isfinite(q.z);
+}
+
+static bool all_finite(const struct pipeline_output *o)
+{
+	const struct vec3 v[] = {o->force_b_m_s2, o->mag_b_uT, o->rate_b_rad_s, o->alpha_b_rad_s2, o->angles_rad,
+		o->accel_b_m_s2, o->accel_n_m_s2, o->velocity_n_m_s, o->position_n_m, o->displacement_n_m,
+		o->displacement_sigma_m, o->sigma.attitude_rad, o->sigma.accel_m_s2, o->sigma.velocity_m_s,
+		o->sigma.position_m, o->gyro_errors.bias_b_rad_s, o->gyro_errors.scale_b};
+
+	for (size_t i = 0; i < sizeof v / sizeof *v; i++)
+		if (!vec3_finite(v[i]))
+			return false;
+	return quat_finite(o->q_nb);
+}
+
+/* The largest values measured so far. Their derivative is that of the rates over at least the usual interval. */
+static void remember_most(struct pipeline *p, const struct imu_sample *s, struct vec3 force_b_m_s2, double dt_s)
+{
+	double change = vec3_norm(vec3_sub(s->gyro_rad_s, p->last_gyro_b_rad_s)) / fmax(dt_s, 1 / p->rate_hz);
+
+	p->most.rate_rad_s = fmax(p->most.rate_rad_s, vec3_norm(s->gyro_rad_s));
+	p->most.force_m_s2 = fmax(p->most.force_m_s2, vec3_norm(force_b_m_s2));
+	p->most.alpha_rad_s2 = fmax(p->most.alpha_rad_s2, p->started ? change : 0);
+}
+
+/* The last guard: what is not finite, or beyond what the sensor has measured so far (its lever arm included), is not
+ * published as valid. The last good output takes its place. */
+static void guard(struct pipeline *p, struct pipeline_output *out)
+{
+	bool of_gyro = p->config.estimator.rates_from == RATES_FROM_GYRO;
+	double lever = of_gyro ? vec3_norm(p->config.estimator.lever_arm_b_m) : 0;
+	double share = lever * (p->most.rate_rad_s * p->most.rate_rad_s + p->most.alpha_rad_s2);
+	double rate = GUARD * p->most.rate_rad_s + GUARD_RATE_RAD_S;
+	double force = p->most.force_m_s2 + p->config.estimator.gravity_m_s2;
+	double accel = fmax(GUARD * force, force + share);
+	bool finite = all_finite(out);
+
+	if (finite && vec3_norm(out->rate_b_rad_s) <= rate && vec3_norm(out->accel_n_m_s2) <= accel) {
+		p->last_good = *out;
+		return;
+	}
+	p->last_good.t_us = out->t_us;
+	p->last_good.status = out->status & ~(unsigned)PIPELINE_VALID;
+	*out = p->last_good;
+	p->implausible++;
+	p->primed = false;
+	if (!finite)
+		start_over(p);
+}
+
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
 	struct imu_sample s;
@@ -513,6 +601,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		position_skip(&p->position, accel, p->fusion.q_nb, p->started ? dt_s : 0);
 	else
 		locate(p, &s, accel, rest, dt_s);
+	remember_most(p, &s, force, dt_s);
 	p->last_t_us = s.t_us;
 	p->last_gyro_b_rad_s = s.gyro_rad_s;
 	p->started = p->primed = true;
@@ -537,5 +626,6 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};
+	guard(p, out);
 	return 0;
 }

@@ -109,12 +109,19 @@ struct pipeline {
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
-	bool started; /* there is a sample before this one */
-	bool primed;  /* and the filters may continue from it */
+	bool started;	  /* there is a sample before this one */
+	bool primed;	  /* and the filters may continue from it */
+	double turning_s; /* before the first attitude: since the filters began */
+	bool north_found; /* with the last sample */
 	struct vec3 mag_b_uT;
 	double since_mag_s;
-	uint32_t gaps;	  /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
-	uint32_t refused; /* samples not used: see pipeline_step() */
+	uint32_t gaps;	      /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
+	uint32_t refused;     /* samples not used: see pipeline_step() */
+	uint32_t implausible; /* outputs not published: see pipeline_step() */
+	struct {
+		double rate_rad_s, alpha_rad_s2, force_m_s2;
+	} most; /* the largest lengths measured so far */
+	struct pipeline_output last_good;
 };
 
 enum { PIPELINE_GAP_INTERVALS = 10 };
@@ -137,7 +144,14 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  *
  * After a gap the filters start again from this sample, and velocity and position stay as they were before it. The
  * attitude is carried over by the gyro, or, after more than a second, initialised from this sample (without a
- * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over. */
+ * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over.
+ *
+ * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is valid only
+ * after 0.05 s or five samples, when the angular acceleration is known.
+ *
+ * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three times
+ * the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is more) is
+ * not published: *out is the last good one without PIPELINE_VALID (counted), and the filters start again. */
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out);
 
 /* Aids: what another device measures, given between two samples. It holds at the time stamp of the last one. 0, or

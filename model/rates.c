@@ -3,8 +3,13 @@
 #include <errno.h>
 #include <string.h>
 
+/* Sampling intervals. Samples closer together change neither the filters, which would take each for a whole interval, nor
+ * the derivative of the attitude, whose corrections by the other sensors take no time. By judgement. */
+static const double CLOSE = 0.25;
+
 static void tune(struct rates *r, const struct filter_config *config, double rate_hz)
 {
+	r->close_s = CLOSE / rate_hz;
 	r->delay_s = filter3_delay_s(&r->filter[0], rate_hz);
 	double cutoff_hz = config->type == FILTER_BUTTERWORTH ? config->cutoff_hz : rate_hz;
 
@@ -51,11 +56,18 @@ void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb)
 		r->out[i] = (struct body_rates){.omega_b_rad_s = gyro_b_rad_s};
 	}
 	r->q_nb = q_nb;
+	r->since_s = 0;
 }
 
 void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s)
 {
 	struct quat turn = quat_multiply(quat_conjugate(r->q_nb), q_nb);
+
+	r->since_s += dt_s;
+	if (r->since_s < r->close_s)
+		return;
+	dt_s = r->since_s;
+	r->since_s = 0;
 	const struct vec3 in[RATE_SOURCES] = {
 		[RATES_FROM_GYRO] = gyro_b_rad_s,
 		[RATES_FROM_ANGLES] = vec3_scale(1 / dt_s, quat_to_rotation_vector(turn)),

@@ -14,7 +14,10 @@
 #define NS_PER_S     1000000000LL
 #define WAKE_NS	     (20 * NS_PER_MS)  /* the buffer of a device that was removed does not become readable */
 #define STALL_NS     (100 * NS_PER_MS) /* or five sampling intervals, if longer */
+#define START_NS     NS_PER_S	       /* until the first reading: chips power up */
 #define MAG_RETRY_NS (2 * NS_PER_S)
+/* The rate of a chip is within this share of what its driver says. */
+#define CLOCK_TOLERANCE 0.1
 
 /* ---- beginning and ending ---------------------------------------------------------------------------------------- */
 
@@ -54,6 +57,19 @@ static double polled_rate(const struct iio_imu *imu, double wanted_hz)
 	return imu->polling_hz > 0 ? fmin(wanted_hz, imu->polling_hz) : wanted_hz;
 }
 
+/* Of the scans of a device that has no time stamps. */
+static void start_clock(const struct iio_imu *imu, struct capture *c)
+{
+	double interval_ns = 0;
+
+	for (int kind = 0; kind < TRIADS; kind++)
+		if (iio_imu_is_of(c, &imu->triads[kind]))
+			interval_ns = fmax(interval_ns, imu->triads[kind].interval_ns);
+	if (c->timer)
+		interval_ns = 1e9 / imu->rate_hz;
+	sample_clock_start(&c->clock, interval_ns, CLOCK_TOLERANCE);
+}
+
 static int begin(struct iio_imu *imu, char *error, size_t error_size)
 {
 	struct imu_settings settings;
@@ -77,6 +93,8 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 			result = iio_imu_use_timer(imu, &imu->captures[i], error, error_size);
 		if (result == 0)
 			result = iio_imu_open_buffer(imu, &imu->captures[i], error, error_size);
+		if (result == 0)
+			start_clock(imu, &imu->captures[i]);
 	}
 	if (result < 0) {
 		end(imu);
@@ -85,6 +103,11 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 	if (!imu->choices[GYRO].by_timer && imu->triads[GYRO].interval_ns > 0)
 		imu->rate_hz = 1e9 / imu->triads[GYRO].interval_ns;
 	imu->had_mag |= imu->triads[MAG].device != NULL;
+	for (int kind = 0; kind < TRIADS; kind++) {
+		struct triad *t = &imu->triads[kind];
+
+		t->seen_ns = imu_thread_now_ns() + START_NS - STALL_NS;
+	}
 	imu->mag_retry_ns = imu->next_ns = imu_thread_now_ns();
 	imu->running = true;
 	return 0;
@@ -95,9 +118,19 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 static double raw_of(const struct iio_channel *channel, const void *host)
 {
 	const struct iio_data_format *format = iio_channel_get_data_format(channel);
-	uint64_t value = 0;
+	union {
+		uint8_t u8;
+		uint16_t u16;
+		uint32_t u32;
+		uint64_t u64;
+	} word;
+	uint64_t value;
 
-	memcpy(&value, host, format->length / 8); /* little-endian hosts only */
+	memcpy(&word, host, format->length / 8); /* in the order of this host */
+	value = format->length == 8    ? word.u8
+		: format->length == 16 ? word.u16
+		: format->length == 32 ? word.u32
+				       : word.u64;
 	if (format->is_signed && value >> (format->length - 1) & 1)
 		return (double)(int64_t)(value | UINT64_MAX << (format->length - 1));
 	return (double)value;
@@ -131,10 +164,17 @@ static void add_reading(struct iio_imu *imu, int kind, const double raw[AXES], i
 	merge_add(&imu->merge, IIO_KINDS[kind].chip, &reading);
 }
 
-static void process_scan(struct iio_imu *imu, const struct capture *c)
+/* Without time stamps several scans may be read at once. */
+static int64_t time_of_scan(const struct capture *c)
 {
-	int64_t t_ns = imu_thread_now_ns();
+	return c->clock.newest >= 0 ? (int64_t)sample_clock_at(&c->clock, c->scans) : imu_thread_now_ns();
+}
 
+static void process_scan(struct iio_imu *imu, struct capture *c)
+{
+	int64_t t_ns = time_of_scan(c);
+
+	c->scans++;
 	if (c->timestamp)
 		iio_channel_convert(c->timestamp, &t_ns, iio_buffer_first(c->buffer, c->timestamp));
 	for (int kind = 0; kind < TRIADS; kind++) {
@@ -154,12 +194,15 @@ static void process_scan(struct iio_imu *imu, const struct capture *c)
 }
 
 /* Processes all scans of the buffer. 0 or -errno. */
-static int drain(struct iio_imu *imu, const struct capture *c)
+static int drain(struct iio_imu *imu, struct capture *c)
 {
+	int64_t begun_ns = imu_thread_now_ns();
 	ssize_t n;
 
-	while ((n = iio_buffer_refill(c->buffer)) > 0)
+	for (; (n = iio_buffer_refill(c->buffer)) > 0; begun_ns = imu_thread_now_ns())
 		process_scan(imu, c);
+	if (!c->timestamp && c->clock.nominal_ns > 0 && n == -EAGAIN) /* the last refill found none */
+		sample_clock_read(&c->clock, c->scans, (double)begun_ns, (double)imu_thread_now_ns());
 	return n == 0 ? -ENODEV : n == -EAGAIN ? 0 : (int)n;
 }
 
@@ -171,15 +214,15 @@ static bool read_raw(const struct triad *t, double raw[AXES])
 	return true;
 }
 
-/* Reads each sensor through sysfs; the time of a reading is the middle of the read. False: gyro or accelerometer
- * failed. */
+/* Reads each sensor that is polled through sysfs; the time of a reading is the middle of the read. False: gyro or
+ * accelerometer failed. */
 static bool read_polled(struct iio_imu *imu)
 {
 	for (int kind = 0; kind < TRIADS; kind++) {
 		int64_t begun_ns = imu_thread_now_ns();
 		double raw[AXES];
 
-		if (!imu->triads[kind].device)
+		if (!imu->triads[kind].device || !(imu->polled || imu->triads[kind].polled))
 			continue;
 		if (read_raw(&imu->triads[kind], raw))
 			add_reading(imu, kind, raw, (begun_ns + imu_thread_now_ns()) / 2);
@@ -280,7 +323,7 @@ static bool capture(struct iio_imu *imu)
 		fds[i] = (struct pollfd){iio_buffer_get_poll_fd(imu->captures[i].buffer), POLLIN, 0};
 	imu_thread_wait(&imu->thread, imu_thread_now_ns() + WAKE_NS, fds, imu->capture_count);
 	for (size_t i = 0; i < imu->capture_count; i++) {
-		const struct capture *c = &imu->captures[i];
+		struct capture *c = &imu->captures[i];
 
 		if (drain(imu, c) < 0) {
 			fail(imu, IMU_FAULT_SILENT,
@@ -290,7 +333,13 @@ static bool capture(struct iio_imu *imu)
 			return false;
 		}
 	}
-	return true;
+	if (imu_thread_now_ns() < imu->next_ns)
+		return true;
+	imu->next_ns = imu_thread_now_ns() + (int64_t)(1e9 / imu->rate_hz);
+	if (read_polled(imu))
+		return true;
+	fail(imu, IMU_FAULT_SILENT, imu->triads[GYRO].polled ? IMU_CHIP_GYRO : IMU_CHIP_ACCEL);
+	return false;
 }
 
 static bool poll_once(struct iio_imu *imu)
@@ -403,6 +452,10 @@ static int parse(struct iio_imu *imu, const char *args, char *error, size_t erro
 	while ((name = strsep(&rest, ","))) {
 		if (*name == '\0')
 			continue;
+		if (strcmp(name, "mount=ignore") == 0) {
+			imu->ignore_mount = true;
+			continue;
+		}
 		if (imu->wanted_count == DEVICES_NAMED) {
 			snprintf(error, error_size, "iio: more than %d devices named: use at most %d", DEVICES_NAMED,
 				DEVICES_NAMED);
@@ -428,6 +481,20 @@ static int measure_polling(struct iio_imu *imu, char *error, size_t error_size)
 	return 0;
 }
 
+/* A matrix that mirrors is used, since some chips have left-handed axes; it may as well be a mistake. */
+static void tell_mirrors(struct iio_imu *imu)
+{
+	struct imu_port *port = &imu->thread.port;
+	size_t n = 0;
+
+	for (int kind = 0; kind < TRIADS; kind++)
+		if (imu->triads[kind].device && imu->triads[kind].mirrored && n < sizeof port->notes)
+			n += (size_t)snprintf(port->notes + n, sizeof port->notes - n,
+				"%siio: the mount_matrix of %s mirrors the axes of the %s: check their signs, or start "
+				"with mount=ignore",
+				n ? "\n" : "", iio_imu_label(imu->triads[kind].device), IIO_KINDS[kind].name);
+}
+
 static int start(
 	struct iio_imu *imu, const char *args, const struct imu_settings *settings, char *error, size_t error_size)
 {
@@ -449,6 +516,7 @@ static int start(
 		imu->polled		       ? ", polled"
 		: imu->timers[TIMER_MOTION][0] ? ", by timer"
 					       : "");
+	tell_mirrors(imu);
 	result = imu_thread_start(&imu->thread, "imu9-iio", settings->realtime, run);
 	if (result < 0)
 		snprintf(error, error_size, "cannot start the sensor's thread: %s", strerror(-result));

@@ -9,6 +9,7 @@
 #include "drivers/imu/frozen.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/merge.h"
+#include "drivers/imu/sample_clock.h"
 
 enum { TRIADS = 3, AXES = 3, DEVICES_NAMED = 4, TEXT = 256 };
 /* A trigger serves two devices (CONFIG_IIO_CONSUMERS_PER_TRIGGER, default 2): a separate magnetometer has its own
@@ -30,6 +31,8 @@ struct triad {
 	struct iio_channel *axis[AXES];
 	double scale[AXES], offset[AXES];
 	struct vec3 mount[AXES]; /* rows */
+	bool mirrored;		 /* by them */
+	bool polled;		 /* read through sysfs, while others have buffers */
 	double lowest, highest;	 /* raw values at the ends of the range */
 	double interval_ns;	 /* of the chip's samples; 0: not known */
 	int64_t settled_ns;	 /* earlier readings are dropped: the chip is settling */
@@ -41,7 +44,9 @@ struct triad {
 struct capture {
 	struct iio_device *device;
 	struct iio_buffer *buffer;
-	struct iio_channel *timestamp;
+	struct iio_channel *timestamp; /* NULL: none; the clock gives the times then */
+	struct sample_clock clock;
+	int64_t scans;	   /* that were read */
 	const char *timer; /* name of the timer trigger; NULL: the device has its own trigger */
 };
 
@@ -57,6 +62,7 @@ struct iio_imu {
 	char names[TEXT];
 	const char *wanted[DEVICES_NAMED];
 	size_t wanted_count;
+	bool ignore_mount;
 
 	pthread_mutex_t lock;
 	struct imu_settings settings;  /* written by the port, under `lock` */

@@ -181,21 +181,58 @@ int iio_imu_explain(const struct iio_device *device, const char *what, ssize_t r
 	return (int)result;
 }
 
-static int read_scales(struct triad *t, int kind, char *error, size_t error_size)
+/* Scales that the kernel prints with nine decimals, which leaves one digit of a 32-bit chip: counts per deg/s and per g, of 16
+ * bits (datasheets of ADIS16475 and ADIS16477). */
+static const struct {
+	const char *name;
+	double per_deg_s, per_g;
+} EXACT[] = {{"adis16475-1", 160, 4000}, {"adis16475-2", 40, 4000}, {"adis16475-3", 10, 4000},
+	{"adis16477-1", 160, 800}, {"adis16477-2", 40, 800}, {"adis16477-3", 10, 800}};
+
+/* The scale of a known chip, if the printed one is the same but for its last digit. */
+static double exact_scale(const struct triad *t, int kind, double printed)
+{
+	const char *name = iio_device_get_name(t->device);
+
+	for (size_t i = 0; name && i < sizeof EXACT / sizeof *EXACT; i++) {
+		double exact = ldexp(
+			kind == GYRO ? RAD_PER_DEG / EXACT[i].per_deg_s : STANDARD_GRAVITY_M_S2 / EXACT[i].per_g, -16);
+
+		if (kind != MAG && strcmp(name, EXACT[i].name) == 0 && fabs(printed - exact) < 1e-9)
+			return exact;
+	}
+	return printed;
+}
+
+/* libiio gives a device's attribute with the prefix that it has in sysfs. */
+static ssize_t read_mount_matrix(const struct triad *t, char *text)
+{
+	ssize_t n = read_attr(t, 0, "mount_matrix", text);
+
+	return n > 0 ? n : read_attr(t, 0, "in_mount_matrix", text);
+}
+
+static int read_scales(const struct iio_imu *imu, struct triad *t, int kind, char *error, size_t error_size)
 {
 	const struct iio_data_format *format = iio_channel_get_data_format(t->axis[0]);
 	unsigned bits = format->bits > 0 && format->bits < 64 ? format->bits : 16;
 	char text[TEXT];
+	int mount;
 
 	for (int i = 0; i < AXES; i++) {
-		t->scale[i] = read_number(t, i, "scale", 1) * IIO_KINDS[kind].to_sample;
+		t->scale[i] = exact_scale(t, kind, read_number(t, i, "scale", 1)) * IIO_KINDS[kind].to_sample;
 		t->offset[i] = read_number(t, i, "offset", 0);
 		t->mount[i] = (struct vec3){i == 0, i == 1, i == 2};
 	}
 	t->highest = ldexp(1, (int)bits - (format->is_signed ? 1 : 0)) - 1;
 	t->lowest = format->is_signed ? -t->highest - 1 : -INFINITY;
-	if (read_attr(t, 0, "mount_matrix", text) > 0 && iio_parse_mount_matrix(text, t->mount) < 0) {
-		snprintf(error, error_size, "iio: the mount_matrix of %s is not a rotation: %.60s",
+	mount = !imu->ignore_mount && read_mount_matrix(t, text) > 0 ? iio_parse_mount_matrix(text, t->mount) : 0;
+	t->mirrored = mount > 0;
+	if (mount < 0) {
+		snprintf(error, error_size,
+			"iio: the mount_matrix of %s is not a rotation: %.60s: correct it in the device tree, or start "
+			"with "
+			"mount=ignore",
 			iio_imu_label(t->device), text);
 		return -EINVAL;
 	}
@@ -232,9 +269,14 @@ int iio_imu_set_up(struct iio_imu *imu, int kind, const struct imu_settings *set
 		return iio_imu_explain(t->device, "the range", n, error, error_size);
 	if (rate[0] && (n = write_attr(t, "sampling_frequency", rate)) < 0)
 		return iio_imu_explain(t->device, "the rate", n, error, error_size);
+	if (!rate[0]) { /* no list: the driver takes what is next to it, or has one rate only */
+		snprintf(rate, sizeof rate, "%.9g", wanted_rate(settings, &imu->choices[kind]));
+		if (write_attr(t, "sampling_frequency", rate) < 0) { /* one rate only, which is read below */
+		}
+	}
 	actual_hz = read_number(t, 0, "sampling_frequency", 0);
 	t->interval_ns = actual_hz > 0 ? 1e9 / actual_hz : 0;
 	t->seen_ns = imu_thread_now_ns();
 	t->settled_ns = t->seen_ns + (int64_t)(SETTLING_INTERVALS * t->interval_ns);
-	return read_scales(t, kind, error, error_size);
+	return read_scales(imu, t, kind, error, error_size);
 }

@@ -16,14 +16,16 @@ int iio_parse_mount_matrix(const char *text, struct vec3 rows[3])
 		    &r[1].y, &r[1].z, &r[2].x, &r[2].y, &r[2].z, &end) != 9 ||
 		text[end] != '\0')
 		return -EINVAL;
-	for (int i = 0; i < 3; i++) {
-		struct vec3 d = vec3_sub(vec3_cross(r[i], r[(i + 1) % 3]), r[(i + 2) % 3]);
+	double handed = vec3_dot(vec3_cross(r[0], r[1]), r[2]) < 0 ? -1 : 1;
 
-		if (!(fabs(vec3_norm(r[i]) - 1) < 0.01 && vec3_norm(d) < 0.01))
+	for (int i = 0; i < 3; i++) {
+		struct vec3 cross = vec3_scale(handed, vec3_cross(r[i], r[(i + 1) % 3]));
+
+		if (!(fabs(vec3_norm(r[i]) - 1) < 0.01 && vec3_norm(vec3_sub(cross, r[(i + 2) % 3])) < 0.01))
 			return -EINVAL;
 	}
 	memcpy(rows, r, sizeof r);
-	return 0;
+	return handed < 0;
 }
 
 static int choose_of_range(const char *text, double wanted, char *token, size_t size)

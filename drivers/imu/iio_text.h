@@ -8,7 +8,7 @@
 #include "model/math/vec3.h"
 
 /** "1, 0, 0; 0, 1, 0; 0, 0, 1": rows of the rotation from the axes of the chip to those of the device it is mounted
- * in. 0; -EINVAL: not a matrix or not a rotation; `rows` is unchanged. */
+ * in. 0; 1: orthogonal, but it mirrors; -EINVAL: neither, `rows` is unchanged. */
 int iio_parse_mount_matrix(const char *text, struct vec3 rows[3]);
 
 /** Chooses from *_available, a list or "[FIRST STEP LAST]", the smallest value that is at least `wanted`; `token` is

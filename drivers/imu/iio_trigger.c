@@ -131,24 +131,23 @@ static void add_capture(struct iio_imu *imu, int kind, const char *timer)
 	imu->captures[imu->capture_count++] = (struct capture){.device = t->device, .timer = timer};
 }
 
-/* Chooses how each triad is triggered and creates timer triggers where needed. If that fails, all are polled. */
+/* Chooses how each triad is triggered and creates timer triggers where needed. A triad for which that fails is polled; the
+ * others are not, unless neither gyro nor accelerometer has a buffer. */
 int iio_imu_plan_capture(struct iio_imu *imu, char *error, size_t error_size)
 {
-	enum triggering how[TRIADS] = {OWN_CLOCK, OWN_CLOCK, OWN_CLOCK};
-	bool timer = false;
+	enum triggering how[TRIADS] = {NO_BUFFER, NO_BUFFER, NO_BUFFER};
+	bool polled[TRIADS] = {false}, timer = false;
 	int result = 0;
 
-	imu->polled = false;
 	for (int kind = 0; kind < TRIADS; kind++) {
 		if (!imu->triads[kind].device)
 			continue;
 		how[kind] = how_triggered(&imu->triads[kind]);
-		imu->polled |= how[kind] == NO_BUFFER;
-		timer |= how[kind] == NEEDS_TIMER;
+		polled[kind] =
+			how[kind] == NO_BUFFER || (how[kind] == NEEDS_TIMER && !make_timer(imu, timer_of(imu, kind)));
+		timer |= how[kind] == NEEDS_TIMER && !polled[kind];
 	}
-	for (int kind = 0; kind < TRIADS && timer && !imu->polled; kind++)
-		if (imu->triads[kind].device && how[kind] == NEEDS_TIMER)
-			imu->polled = !make_timer(imu, timer_of(imu, kind));
+	imu->polled = polled[GYRO] && polled[ACCEL];
 	if (timer && !imu->polled) /* a context contains the devices that existed when it was created */
 		result = iio_imu_find_triads(imu, error, error_size);
 	if (result < 0)
@@ -156,8 +155,9 @@ int iio_imu_plan_capture(struct iio_imu *imu, char *error, size_t error_size)
 	for (int kind = 0; kind < TRIADS; kind++) {
 		if (!imu->triads[kind].device)
 			continue;
-		iio_imu_read_choices(imu, kind, imu->polled || how[kind] == NEEDS_TIMER);
-		if (!imu->polled)
+		imu->triads[kind].polled = polled[kind] && !imu->polled;
+		iio_imu_read_choices(imu, kind, imu->polled || polled[kind] || how[kind] == NEEDS_TIMER);
+		if (!imu->polled && !polled[kind])
 			add_capture(imu, kind, how[kind] == NEEDS_TIMER ? imu->timers[timer_of(imu, kind)] : NULL);
 	}
 	return 0;

@@ -100,24 +100,38 @@ static int load(struct replay *r, struct imu_log *log)
 	}
 }
 
+/* What there is to say about the log, a line each; the skipped rows are told by their counter. */
+static void tell(struct replay *r, const struct imu_log *log)
+{
+	size_t n = 0, room = sizeof r->port.notes;
+	char text[256];
+
+	for (int i = 0; n < room && imu_log_message(log, i, text, sizeof text); i++)
+		n += (size_t)snprintf(r->port.notes + n, room - n, "%s%s", n ? "\n" : "", text);
+}
+
 static int load_file(struct replay *r, const char *path, char *error, size_t error_size)
 {
 	const char *slash = strrchr(path, '/');
-	struct imu_log log;
-	int result = imu_log_open(&log, path, error, error_size);
+	struct imu_log *log = malloc(sizeof *log);
+	int result = log ? imu_log_open(log, path, log_format_at(0), error, error_size) : -ENOMEM;
 
-	if (result < 0)
+	if (result < 0) {
+		free(log);
 		return result;
-	result = load(r, &log);
+	}
+	result = load(r, log);
 	if (result < 0)
-		snprintf(error, error_size, "%s:%ld: %s", path, log.line, strerror(-result));
-	imu_log_close(&log);
-	r->port.rate_hz = log.rate_hz;
-	r->port.silence_us = source_silence_us(log.rate_hz * r->speed);
-	r->port.counters.skipped = log.skipped;
-	memcpy(r->port.last_skip, log.last_skip, sizeof r->port.last_skip);
+		snprintf(error, error_size, "%s:%ld: %s", path, log->rows.table[0].line, strerror(-result));
+	imu_log_close(log);
+	r->port.rate_hz = log->rate_hz;
+	r->port.silence_us = source_silence_us(log->rate_hz * r->speed);
+	r->port.counters.skipped = log->rows.events.skipped;
+	memcpy(r->port.last_skip, log->rows.events.last_skip, sizeof r->port.last_skip);
+	tell(r, log);
 	snprintf(r->port.name, sizeof r->port.name, "replay:%.50s", slash ? slash + 1 : path);
-	r->interval_us = (uint64_t)(1e6 / log.rate_hz + 0.5);
+	r->interval_us = (uint64_t)(1e6 / log->rate_hz + 0.5);
+	free(log);
 	return result;
 }
 

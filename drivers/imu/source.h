@@ -9,7 +9,7 @@
 #define SIM_SYNTAX    "sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated]"
 #define REPLAY_SYNTAX "replay:FILE.imu.csv[,loop][,speed=X]"
 #define I2C_SYNTAX    "i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]"
-#define IIO_SYNTAX    "iio[:DEVICE[,DEVICE]...]"
+#define IIO_SYNTAX    "iio[:DEVICE[,DEVICE]...][,mount=ignore]"
 #define WT901_SYNTAX  "wt901:/dev/ttyX[,baud=9600][,address=0x50]"
 
 int replay_open(

@@ -83,6 +83,7 @@ struct imu_port {
 	uint64_t silence_us; /* without a sample for this time, the sensor has failed */
 	char name[64];	     /* "replay:09.imu.csv" */
 	char last_skip[128]; /* reason of the last skip, for the log: "file:line: what" */
+	char notes[1024];    /* what the log should say at the start, a line each, e.g. units that are unlikely */
 	struct imu_counters counters;
 	struct imu_health health; /* updated by read() */
 };

@@ -48,6 +48,8 @@ const char *emcy_code_text(uint16_t code)
 		return "the IMU delivers no samples";
 	case EMCY_SENSOR_DEGRADED:
 		return "a chip of the IMU has a fault, samples continue without it (2124h)";
+	case EMCY_IMPLAUSIBLE:
+		return "outputs beyond what the sensor measures were not published (2121h:5)";
 	case EMCY_STORE_DAMAGED:
 		return "the stored values could not be read, defaults are in use";
 	case EMCY_DATA_SET:

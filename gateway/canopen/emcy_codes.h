@@ -17,6 +17,7 @@ enum emcy_code {
 	EMCY_SLOPE_LATERAL = 0x5020,   /* CiA 410: lateral slope, likewise */
 	EMCY_SENSOR_LOST = 0x5030,     /* this device: no samples; info: enum imu_fault, enum imu_chip */
 	EMCY_SENSOR_DEGRADED = 0x5031, /* this device: fault of a chip that samples do without; info the same */
+	EMCY_IMPLAUSIBLE = 0x5032,     /* this device: outputs not finite or beyond the sensor's range, not published */
 	EMCY_STORE_DAMAGED = 0x5530,   /* this device: stored values unreadable, defaults are in use */
 	EMCY_DATA_SET = 0x6300,	       /* CiA 301: a stored communication parameter is unusable; info: its index */
 	EMCY_CONFIGURATION = 0x6320,   /* this device: configuration objects contradict each other, not applied */

@@ -1,5 +1,6 @@
 #!/bin/bash
-# tools_calibrate.sh [BUS]: imu9-calibrate is interrupted at its question, and has a sensor without samples.
+# tools_calibrate.sh [BUS]: imu9-calibrate is interrupted at its question, and has a sensor without samples; imu9-allan
+# refuses what is no noise.
 . "$(dirname "$0")/tools_common.bash"
 
 start_gateway --imu sim:rest
@@ -36,4 +37,20 @@ for _ in {1..20}; do
 done
 run imu9-calibrate gyro
 check "without samples the calibration is refused with the reason" fails 1 "does the sensor give no samples"
+
+# ---- logs that are no noise at rest
+warns() { [ "$rc" = 0 ] && [[ $err == *"$1"* ]]; }
+near() { awk -F= -v name="noise.$1" -v value="$2" '$1 == name {ok = $2 > 0.95 * value && $2 < 1.05 * value} END {exit !ok}' <<<"$out"; }
+imu9-sim rest -d 40 -o "$work/rest.imu.csv"
+imu9-sim turntable -d 40 -o "$work/turn.imu.csv"
+imu9-sim pendulum -d 40 -o "$work/swing.imu.csv"
+{ head -n 2001 "$work/rest.imu.csv"; tail -n +2 "$work/rest.imu.csv" | tail -n 2000 | awk -F, -v OFS=, '{$1 += 600; print}'; } >"$work/gap.imu.csv"
+run imu9-allan "$work/swing.imu.csv"
+check "imu9-allan refuses motion" fails 1 "moved or was shaken at 0.0 s"
+run imu9-allan "$work/turn.imu.csv"
+check "and a steady turn" fails 1 "it turns by 36"
+run imu9-allan "$work/gap.imu.csv"
+check "it tells a gap" warns "1 gap, 600 s in all"
+check "and uses the parts on both sides: the density is that of the sensor" near gyro_density 0.03
+check "a log of 40 s shows no bias instability" says "# noise.gyro_bias_instability: the log is too short"
 finish

@@ -1,4 +1,4 @@
-/* Settings and faults of the sensor in the whole device: 2058h, 2124h, 6511h, EMCY 5030h, 5031h and 6321h. */
+/* Settings and faults of the sensor in the whole device: 2058h, 2124h, 6511h, EMCY 5030h, 5031h, 5032h and 6321h. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -115,6 +115,35 @@ static void test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_va
 	w->imu.health.degraded = w->imu.health.degraded_chip = 0;
 	world_sample(w);
 	assert_int_equal(world_emcy_code(w), 0);
+}
+
+/* The rates are those of the attitude, which follows an accelerometer that was hit; the gyro measured no turn. */
+static void test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without(
+	void **state)
+{
+	struct world *w = *state;
+	const uint8_t from_angles = 1, madgwick = 0;
+	const float beta = 10;
+	struct imu_sample s;
+
+	assert_int_equal(world_sdo_write(w, 0x2002, 0, &from_angles, 1), 0);
+	assert_int_equal(world_sdo_write(w, OD_INDEX_FUSION, OD_SUB_FUSION_ALGORITHM, &madgwick, 1), 0);
+	assert_int_equal(world_sdo_write(w, OD_INDEX_FUSION, OD_SUB_FUSION_MADGWICK_BETA, &beta, 4), 0);
+	world_samples(w, 20);
+	assert_int_equal(w->device.values.sensor_counters.implausible, 0);
+	sensor_next(&w->sensor, w->signal, &s, NULL);
+	s.accel_m_s2 = (struct vec3){9.81, 0, 0};
+	world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0x5032);
+	assert_int_equal(emcy(w)[2], 0x81);
+	assert_false(w->device.values.sample.status & PIPELINE_VALID);
+	assert_int_equal(w->device.values.sensor_counters.implausible, 1);
+	assert_true(fabs((double)w->device.values.angular_rate.s) < 0.5);
+	world_samples(w, 90);
+	assert_int_equal(world_emcy_code(w), 0x5032);
+	world_samples(w, 120);
+	assert_int_equal(world_emcy_code(w), 0);
+	assert_true(w->device.values.sample.status & PIPELINE_VALID);
 }
 
 static void test_a_saturated_sample_sets_its_status_bit(void **state)
@@ -234,6 +263,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		WORLD(test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs),
 		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
+		WORLD(test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without),
 		WORLD(test_a_saturated_sample_sets_its_status_bit),
 		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
 		WORLD(test_a_temperature_beyond_the_range_of_its_object_is_ignored),

@@ -76,6 +76,53 @@ static void test_there_are_ten_averaging_times_per_decade_up_to_a_ninth_of_the_l
 		assert_true(allan.points[i].tau_s > allan.points[i - 1].tau_s);
 }
 
+/* Over a gap the sensor's bias may have changed: here by a hundred times the noise. */
+static void test_the_parts_of_a_record_with_gaps_count_and_the_gaps_do_not(void **state)
+{
+	const size_t starts[] = {0, 50000, 120000};
+	struct allan whole;
+	struct rng rng;
+
+	(void)state;
+	rng_init(&rng, 7);
+	for (int k = 0; k < N; k++)
+		values[k] = rng_gauss(&rng);
+	allan_deviation(values, N, 100, &whole);
+	rng_init(&rng, 7);
+	for (int k = 0; k < N; k++)
+		values[k] = rng_gauss(&rng) + (k < 50000 ? 100 : k < 120000 ? -100 : 0);
+	allan_deviation_of_parts(values, N, starts, 3, 100, &allan);
+	assert_in_range(allan.count, whole.count - 3, whole.count);
+	for (int i = 0; i < allan.count; i++) {
+		assert_within(allan.points[i].deviation, 1 / sqrt(100 * allan.points[i].tau_s),
+			3.5 * allan.points[i].relative_error);
+		assert_true(allan.points[i].relative_error >= whole.points[i].relative_error);
+	}
+}
+
+/* The same white noise and bias instability: an hour shows both, a minute only the noise. */
+static void test_a_term_that_the_record_is_too_short_for_is_left_out(void **state)
+{
+	const struct allan_noise given = {0, 0.02, 0.01, 0};
+
+	(void)state;
+	for (int minutes = 1; minutes <= 60; minutes *= 60) {
+		struct allan_noise fit, observed;
+
+		allan.count = 0;
+		for (double tau_s = 0.01; tau_s < minutes * 60 / 9; tau_s *= 1.26)
+			allan.points[allan.count++] = (struct allan_point){
+				tau_s, allan_model(&given, tau_s), 1 / sqrt(2 * (minutes * 60 / tau_s - 1))};
+		fit = allan_fit(&allan);
+		observed = allan_observed(&allan, &fit);
+		assert_within(observed.white, given.white, 1e-6);
+		if (minutes == 1)
+			assert_true(observed.bias_instability == 0);
+		else
+			assert_within(observed.bias_instability, given.bias_instability, 1e-6);
+	}
+}
+
 static void fit_of(const struct allan_noise *noise, struct allan_noise *fit)
 {
 	allan.count = 0;
@@ -158,6 +205,8 @@ int main(void)
 		cmocka_unit_test(test_alternating_values_average_out_in_pairs),
 		cmocka_unit_test(test_the_deviation_of_white_noise_falls_with_the_root_of_tau_within_its_stated_error),
 		cmocka_unit_test(test_there_are_ten_averaging_times_per_decade_up_to_a_ninth_of_the_log),
+		cmocka_unit_test(test_the_parts_of_a_record_with_gaps_count_and_the_gaps_do_not),
+		cmocka_unit_test(test_a_term_that_the_record_is_too_short_for_is_left_out),
 		cmocka_unit_test(test_the_fit_finds_the_noise_of_an_exact_curve),
 		cmocka_unit_test(test_the_fit_gives_0_for_absent_noise),
 		cmocka_unit_test(test_without_noise_all_terms_are_0),

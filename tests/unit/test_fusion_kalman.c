@@ -996,7 +996,8 @@ static void test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_time
 
 	(void)state;
 	for (int i = 0; i < 4; i++) {
-		const struct fusion_kalman_sample s = {.rate_b_rad_s = {0, 0.6, 0.8}, .force_b_m_s2 = {0, 0, G}};
+		const struct fusion_kalman_sample s = {
+			.rate_b_rad_s = {0, 0.6, 0.8}, .force_b_m_s2 = {0, 0, G}, .gap = i > 0};
 		struct filter f = started(G);
 		const double least = 0.03 * pow(0.12 * RAD_PER_DEG, 2);
 

@@ -41,7 +41,7 @@ static void test_a_mount_matrix_is_read_row_by_row(void **state)
 static void test_a_mount_matrix_that_is_not_a_rotation_is_refused(void **state)
 {
 	static const char *const wrong[] = {"", "1, 0, 0; 0, 1, 0; 0, 0", "1, 0, 0; 0, 1, 0; 0, 0, 1; 2",
-		"1, 0, 0; 0, 1, 0; 0, 0, -1", "2, 0, 0; 0, 2, 0; 0, 0, 2", "0, 0, 0; 0, 0, 0; 0, 0, 0",
+		"1, 0, 0; 0, 1, 0; 0, 0, -2", "2, 0, 0; 0, 2, 0; 0, 0, 2", "0, 0, 0; 0, 0, 0; 0, 0, 0",
 		"nan, 0, 0; 0, 1, 0; 0, 0, 1", "x"};
 	struct vec3 rows[3] = {{7, 7, 7}};
 
@@ -50,6 +50,17 @@ static void test_a_mount_matrix_that_is_not_a_rotation_is_refused(void **state)
 		assert_int_equal(iio_parse_mount_matrix(wrong[i], rows), -EINVAL);
 		assert_near(rows[0].x, 7);
 	}
+}
+
+static void test_a_mount_matrix_that_mirrors_is_told_apart(void **state)
+{
+	struct vec3 rows[3];
+
+	(void)state;
+	assert_int_equal(iio_parse_mount_matrix("1, 0, 0; 0, 1, 0; 0, 0, -1", rows), 1);
+	assert_near(rows[2].z, -1);
+	assert_int_equal(iio_parse_mount_matrix("0, 1, 0; 1, 0, 0; 0, 0, 1", rows), 1);
+	assert_int_equal(iio_parse_mount_matrix("0, 1, 0; 1, 0, 0; 0, 0, -1", rows), 0);
 }
 
 /* ---- *_available ------------------------------------------------------------------------------------------------- */
@@ -292,6 +303,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_mount_matrix_is_read_row_by_row),
 		cmocka_unit_test(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
+		cmocka_unit_test(test_a_mount_matrix_that_mirrors_is_told_apart),
 		cmocka_unit_test(test_the_smallest_value_that_is_enough_is_chosen_with_its_text),
 		cmocka_unit_test(test_if_no_value_is_enough_the_largest_is_returned),
 		cmocka_unit_test(test_a_range_with_steps_is_parsed),

@@ -517,6 +517,14 @@ static void assert_near(double value, double expected, double tolerance)
 		fail_msg("%.9g, expected %.9g", value, expected);
 }
 
+static void one_scan_of_each(void)
+{
+	static const int16_t motion[6] = {1000, -2000, 3000, 4096, -4096, 100}, field[6] = {2000, -1000, 500};
+
+	put_scan(MAGNETOMETER, w.now_ns - 3 * MS, field);
+	put_scan(MOTION, w.now_ns - 3 * MS, motion);
+}
+
 /* ---- opening ----------------------------------------------------------------------------------------------------- */
 
 static void test_devices_are_found_by_their_channels_and_set_up(void **state)
@@ -603,19 +611,73 @@ static void test_a_mount_matrix_that_is_not_a_rotation_is_refused(void **state)
 {
 	(void)state;
 	w.devices[MOTION].channels[0].attrs[2] =
-		(struct attr){.name = "mount_matrix", .text = "1, 0, 0; 0, 1, 0; 0, 0, -1"};
-	assert_refused("iio", -EINVAL, "mount_matrix");
+		(struct attr){.name = "mount_matrix", .text = "1, 0, 0; 0, 1, 0; 0, 0, 2"};
+	assert_refused("iio", -EINVAL, "mount=ignore");
+	open_sensor("iio:mount=ignore");
+}
+
+static void test_a_mount_matrix_that_mirrors_is_used_and_told(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	w.devices[MOTION].channels[3].attrs[2] =
+		(struct attr){.name = "mount_matrix", .text = "1, 0, 0; 0, -1, 0; 0, 0, 1"};
+	open_sensor("iio");
+	assert_non_null(strstr(port->notes, "lsm6dso mirrors the axes of the accelerometer"));
+	assert_null(strstr(port->notes, "gyro"));
+	w.now_ns += 100 * MS;
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near(sample.accel_m_s2.y, 4096 * 0.002392823, 1e-9);
+	assert_near(sample.gyro_rad_s.y, -2000 * 0.001221731, 1e-9);
+}
+
+/* libiio gives an attribute of the device with its prefix. */
+static void test_the_mount_matrix_of_a_device_has_the_prefix_in(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	w.devices[MAGNETOMETER].attrs[3] =
+		(struct attr){.name = "in_mount_matrix", .text = "0, 1, 0; 1, 0, 0; 0, 0, -1"};
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near(sample.mag_uT.x, -1000 * 0.0146156, 1e-6);
+	assert_near(sample.mag_uT.z, -500 * 0.0146156, 1e-6);
+}
+
+static void test_a_rate_without_a_list_is_set(void **state)
+{
+	(void)state;
+	w.devices[MOTION].attrs[1].name = NULL;
+	strcpy(w.devices[MOTION].attrs[0].text, "2000");
+	open_sensor("iio");
+	assert_string_equal(w.devices[MOTION].attrs[0].text, "100");
+	assert_near(port->rate_hz, 100, 1e-9);
+}
+
+/* 40 counts per deg/s and 4000 per g, each divided by 65536. */
+static void test_a_scale_of_one_digit_is_that_of_the_known_chip(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct imu_sample sample;
+
+	(void)state;
+	strcpy(motion->name, "adis16475-2");
+	for (int i = 0; i < 6; i++)
+		strcpy(motion->channels[i].attrs[0].text, i < 3 ? "0.000000006" : "0.000000037");
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, one_scan_of_each);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near(sample.gyro_rad_s.x, 1000 / 40.0 * (M_PI / 180) / 65536, 1e-12);
+	assert_near(sample.accel_m_s2.x, 4096 / 4000.0 * 9.80665 / 65536, 1e-12);
 }
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
-
-static void one_scan_of_each(void)
-{
-	static const int16_t motion[6] = {1000, -2000, 3000, 4096, -4096, 100}, field[6] = {2000, -1000, 500};
-
-	put_scan(MAGNETOMETER, w.now_ns - 3 * MS, field);
-	put_scan(MOTION, w.now_ns - 3 * MS, motion);
-}
 
 /* 48 ms (five intervals of 104 Hz) until readings are used; of 80 Hz 63 ms. */
 static void test_a_scan_becomes_a_sample_with_scale_offset_and_mounting(void **state)
@@ -875,13 +937,79 @@ static void test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_
 	for (size_t i = 0; i < sizeof(bits) / sizeof(bits[0]); i++) {
 		bool fits = bits[i] >= 8 && bits[i] <= 64;
 
-		w.devices[MOTION].channels[2].format.length = bits[i];
+		for (int channel = 0; channel < 6; channel++)
+			w.devices[MOTION].channels[channel].format.length = bits[i];
 		open_sensor("iio");
 		assert_int_equal(w.devices[MOTION].buffered, fits);
 		assert_string_equal(port->name, fits ? "iio:lsm6dso+lsm6dso" : "iio:lsm6dso+lsm6dso, polled");
 		imu_close(port);
 		port = NULL;
 	}
+}
+
+static void only_motion(void)
+{
+	static const int16_t motion[6] = {1, 2, 3, 4, 5, 6};
+
+	put_scan(MOTION, w.now_ns - MS, motion);
+}
+
+static void test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_not(void **state)
+{
+	struct imu_sample sample;
+	int samples = 0, fields = 0;
+
+	(void)state;
+	w.no_configfs = true;
+	needs_trigger(MAGNETOMETER);
+	w.devices[MAGNETOMETER].channels[0].raw = 2000;
+	open_sensor("iio");
+	assert_string_equal(port->name, "iio:lsm6dso+lsm6dso");
+	assert_near(port->rate_hz, 104, 1e-9);
+	assert_true(w.devices[MOTION].buffered && !w.devices[MAGNETOMETER].buffered);
+	w.now_ns += 100 * MS;
+	run(20, only_motion);
+	for (; imu_read(port, &sample) == 1; samples++) {
+		if (!(sample.flags & SAMPLE_MAG))
+			continue;
+		assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
+		fields++;
+	}
+	assert_in_range(samples, 15, 20);
+	assert_in_range(fields, 10, samples);
+}
+
+/* Four scans wait after every other step of 20 ms: 100 a second. */
+static void batches_of_four(void)
+{
+	static int16_t turn;
+
+	turn++;
+	for (int i = 0; i < 4 && w.steps % 2; i++) {
+		const int16_t motion[6] = {(int16_t)(turn * 4 + i), 2, 3, 4, 5, 6};
+
+		put_scan(MOTION, 0, motion);
+	}
+}
+
+static void test_without_time_stamps_the_scans_of_a_batch_are_even(void **state)
+{
+	struct imu_sample sample;
+	uint64_t last_us = 0;
+	int n = 0;
+
+	(void)state;
+	w.devices[MOTION].channel_count--;	/* the timestamp */
+	w.devices[MOTION].attrs[1].name = NULL; /* no list of rates: 100 Hz is set */
+	open_sensor("iio:lsm6dso");
+	run(100, batches_of_four);
+	for (; imu_read(port, &sample) == 1; n++) {
+		if (n > 30)
+			assert_in_range(sample.t_us - last_us, 8000, 12000);
+		last_us = sample.t_us;
+	}
+	assert_in_range(n, 150, 200);
+	assert_true((double)last_us > 1e-3 * (double)w.now_ns - 80000);
 }
 
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
@@ -925,14 +1053,24 @@ static void test_a_device_that_is_gone_is_silent_and_opened_again(void **state)
 	assert_int_equal(port->health.bus_errors, 1);
 }
 
+static int scans_left;
+
+static void scans(void)
+{
+	if (scans_left-- > 0)
+		one_scan_of_each();
+}
+
 static void test_a_device_without_samples_for_100_ms_has_stopped(void **state)
 {
 	(void)state;
 	open_sensor("iio");
-	run(4, NULL); /* the wait that ends it is the fifth of 20 ms */
-	assert_int_equal(next_result(), 0);
-	run(5, NULL);
-	assert_int_equal(next_result(), -EIO);
+	scans_left = 1;
+	run(5, scans); /* the wait that ends it is the fifth of 20 ms behind the scan */
+	assert_int_equal(last_result(), 0);
+	scans_left = 1;
+	run(6, scans);
+	assert_int_equal(last_result(), -EIO);
 	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
 	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
 }
@@ -950,11 +1088,15 @@ static void test_a_timer_is_removed_once(void **state)
 	assert_int_equal(w.removed_count, 1);
 }
 
-static void only_motion(void)
+static void test_a_device_that_starts_up_has_a_second_for_it(void **state)
 {
-	static const int16_t motion[6] = {1, 2, 3, 4, 5, 6};
-
-	put_scan(MOTION, w.now_ns - MS, motion);
+	(void)state;
+	open_sensor("iio");
+	run(49, NULL);
+	assert_int_equal(last_result(), 0);
+	run(50, NULL);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
 }
 
 static void test_samples_go_on_without_a_magnetometer_that_has_stopped(void **state)
@@ -964,11 +1106,10 @@ static void test_samples_go_on_without_a_magnetometer_that_has_stopped(void **st
 
 	(void)state;
 	open_sensor("iio");
-	w.now_ns += 60 * MS;
-	run(10, only_motion);
+	run(52, only_motion); /* it has a second to start */
 	while (imu_read(port, &sample) == 1)
 		n++;
-	assert_in_range(n, 8, 10);
+	assert_in_range(n, 47, 50);
 	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
 	assert_int_equal(port->health.degraded, IMU_FAULT_STOPPED);
 	assert_int_equal(port->health.degraded_chip, IMU_CHIP_MAG);
@@ -1032,7 +1173,7 @@ static void test_the_capture_starts_again_when_the_magnetometer_is_back(void **s
 
 static void only_the_gyro(void)
 {
-	static const int16_t gyro[6] = {1, 2, 3};
+	const int16_t gyro[6] = {(int16_t)w.steps, 2, 3}; /* not frozen */
 
 	put_scan(2, w.now_ns - MS, gyro);
 }
@@ -1062,7 +1203,7 @@ static void test_an_accelerometer_of_its_own_that_stops_is_named(void **state)
 	run(20, both);
 	assert_int_equal(last_result(), 1);
 	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
-	run(20, only_the_gyro);
+	run(60, only_the_gyro); /* each run begins again, with a second to start */
 	assert_int_equal(last_result(), -EIO);
 	assert_int_equal(port->health.fault, IMU_FAULT_STOPPED);
 	assert_int_equal(port->health.fault_chip, IMU_CHIP_ACCEL);
@@ -1093,6 +1234,12 @@ int main(void)
 		IIO_TEST(test_a_sensor_that_is_missing_or_there_twice_is_refused),
 		IIO_TEST(test_without_a_magnetometer_the_others_are_enough),
 		IIO_TEST(test_a_mount_matrix_that_is_not_a_rotation_is_refused),
+		IIO_TEST(test_a_mount_matrix_that_mirrors_is_used_and_told),
+		IIO_TEST(test_the_mount_matrix_of_a_device_has_the_prefix_in),
+		IIO_TEST(test_a_rate_without_a_list_is_set),
+		IIO_TEST(test_a_scale_of_one_digit_is_that_of_the_known_chip),
+		IIO_TEST(test_without_time_stamps_the_scans_of_a_batch_are_even),
+		IIO_TEST(test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_not),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
@@ -1110,6 +1257,7 @@ int main(void)
 		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
+		IIO_TEST(test_a_device_that_starts_up_has_a_second_for_it),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),
 		IIO_TEST(test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back),
 		IIO_TEST(test_the_capture_starts_again_when_the_magnetometer_is_back),

@@ -101,7 +101,7 @@ static const struct estimates *identify(const char *trial)
 	find_file(trial, "ref", path, sizeof path);
 	assert_int_equal(reference_log_load(&reference, path, error, sizeof error), 0);
 	find_file(trial, "imu", path, sizeof path);
-	assert_int_equal(imu_log_open(&log, path, error, sizeof error), 0);
+	assert_int_equal(imu_log_open(&log, path, log_format_at(0), error, sizeof error), 0);
 	for (int k = 0; k < ESTIMATES; k++) {
 		const struct lever_identification_config config = {.rate_hz = log.rate_hz,
 			.duration_s = 30,

@@ -75,6 +75,7 @@ static struct pipeline_config record(const char *signal)
 	sensor_calibrate(&chip);
 	chip.rate_hz = RATE_HZ;
 	chip.gyro.bias_sigma = 0.003;
+	chip.mag_rate_hz = 0; /* with each sample, the first one as well: it sets the heading */
 	chip.lever_arm_b_m = config.estimator.lever_arm_b_m = (struct vec3){0.1, -0.05, 0.07};
 	assert_int_equal(sensor_init(&sensor, &chip, 3), 0);
 	for (int k = 0; k < SAMPLES; k++)
@@ -140,7 +141,7 @@ static void assert_symmetric(const struct symmetry *as, const struct symmetry *c
 			run(config, as, first);
 			first_movement = smoother.last;
 			run(config, c, second);
-			for (int k = 0; k < SAMPLES; k++)
+			for (int k = 10; k < SAMPLES; k++) /* when the first field has set north */
 				assert_alike(&first[k], &second[k], c);
 			assert_int_equal(smoother.last.count, first_movement.count);
 			for (size_t k = 0; k < first_movement.count; k++) {

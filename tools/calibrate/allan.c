@@ -5,6 +5,11 @@
 
 enum { TERMS = 4 };
 static const double FLICKER = 0.44127122; /* 2 ln 2 / pi */
+/* Up to a ninth of the record. */
+static const double CLUSTERS_LEAST = 8;
+/* A term is observed where it has this share of the variance, at a point of at most this relative error. By judgement: below,
+ * the fit takes the scatter of others for it. */
+static const double SHARE_LEAST = 0.5, ERROR_MOST = 0.2;
 
 /* Replaces values[k] by the sum of all values before k, so that a cluster mean is a difference of two. The last value
  * is not used. */
@@ -22,19 +27,36 @@ static void integrate(double *values, size_t count)
 	}
 }
 
-static double deviation(const double *x, size_t count, size_t m)
+/* Of the parts of the record, that of the i-th value ends before this one. */
+static size_t end_of(const size_t *starts, size_t parts, size_t i, size_t count)
 {
-	double sum = 0;
-
-	for (size_t k = 0; k + 2 * m < count; k++) {
-		double d = x[k + 2 * m] - 2 * x[k + m] + x[k];
-
-		sum += d * d;
-	}
-	return sqrt(sum / (2 * (double)m * (double)m * (double)(count - 2 * m)));
+	return i + 1 < parts ? starts[i + 1] : count;
 }
 
-void allan_deviation(double *values, size_t count, double rate_hz, struct allan *result)
+/* Sum over the parts. *clusters: the number of independent differences between neighbouring clusters of m values. */
+static double deviation(const double *x, size_t count, const size_t *starts, size_t parts, size_t m, double *clusters)
+{
+	size_t differences = 0;
+	double sum = 0;
+
+	*clusters = 0;
+	for (size_t i = 0; i < parts; i++) {
+		size_t end = end_of(starts, parts, i, count), size = end - starts[i];
+
+		if (size > m)
+			*clusters += (double)size / (double)m - 1;
+		for (size_t k = starts[i]; k + 2 * m < end; k++) {
+			double d = x[k + 2 * m] - 2 * x[k + m] + x[k];
+
+			sum += d * d;
+			differences++;
+		}
+	}
+	return differences ? sqrt(sum / (2 * (double)m * (double)m * (double)differences)) : 0;
+}
+
+void allan_deviation_of_parts(
+	double *values, size_t count, const size_t *starts, size_t parts, double rate_hz, struct allan *result)
 {
 	size_t last = 0;
 
@@ -42,18 +64,27 @@ void allan_deviation(double *values, size_t count, double rate_hz, struct allan 
 	integrate(values, count);
 	for (int i = 0; result->count < ALLAN_POINTS_MAX; i++) {
 		size_t m = (size_t)(pow(10, i / 10.0) + 0.5);
+		double clusters, value;
 
-		if (m > 1 && m > count / 9)
-			break;
 		if (m == last)
 			continue;
+		value = deviation(values, count, starts, parts, m, &clusters);
+		if (m > 1 && clusters < CLUSTERS_LEAST)
+			break;
 		last = m;
 		result->points[result->count++] = (struct allan_point){
 			.tau_s = (double)m / rate_hz,
-			.deviation = deviation(values, count, m),
-			.relative_error = 1 / sqrt(2 * ((double)count / (double)m - 1)),
+			.deviation = value,
+			.relative_error = 1 / sqrt(2 * clusters),
 		};
 	}
+}
+
+void allan_deviation(double *values, size_t count, double rate_hz, struct allan *result)
+{
+	const size_t start = 0;
+
+	allan_deviation_of_parts(values, count, &start, 1, rate_hz, result);
 }
 
 static void basis(double tau_s, double terms[TERMS])
@@ -136,6 +167,34 @@ static double misfit(const struct normal *normal, const double x[TERMS])
 			sum += x[i] * normal->a[i][j] * x[j];
 	}
 	return sum;
+}
+
+/* Whether the record is long enough to show each term. */
+static void drop_unobserved(const struct allan *allan, double x[TERMS])
+{
+	bool observed[TERMS] = {false};
+
+	for (int k = 0; k < allan->count; k++) {
+		double terms[TERMS], all = 0;
+
+		basis(allan->points[k].tau_s, terms);
+		for (int i = 0; i < TERMS; i++)
+			all += terms[i] * x[i];
+		for (int i = 0; i < TERMS; i++)
+			observed[i] |=
+				allan->points[k].relative_error <= ERROR_MOST && terms[i] * x[i] > SHARE_LEAST * all;
+	}
+	for (int i = 0; i < TERMS; i++)
+		x[i] = observed[i] ? x[i] : 0;
+}
+
+struct allan_noise allan_observed(const struct allan *allan, const struct allan_noise *fit)
+{
+	double x[TERMS] = {fit->quantisation * fit->quantisation, fit->white * fit->white,
+		fit->bias_instability * fit->bias_instability, fit->random_walk * fit->random_walk};
+
+	drop_unobserved(allan, x);
+	return (struct allan_noise){sqrt(x[0]), sqrt(x[1]), sqrt(x[2]), sqrt(x[3])};
 }
 
 struct allan_noise allan_fit(const struct allan *allan)

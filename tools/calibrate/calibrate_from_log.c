@@ -90,7 +90,7 @@ static int gyro(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_gyro_init(&c, &config);
-	cli_log_open(&input, r->log);
+	cli_log_open(&input, r->log, NULL);
 	while (cli_log_next(&input, &sample))
 		calibrate_gyro_step(&c, &sample);
 	verdict = calibrate_gyro_finish(&c);
@@ -117,7 +117,7 @@ static int accelerometer(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_accelerometer_init(&c, &config);
-	cli_log_open(&input, r->log);
+	cli_log_open(&input, r->log, NULL);
 	while (cli_log_next(&input, &sample))
 		calibrate_accelerometer_step(&c, &sample);
 	verdict = calibrate_accelerometer_finish(&c);
@@ -151,7 +151,7 @@ static int magnetometer(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_magnetometer_init(&c, &config);
-	cli_log_open(&input, r->log);
+	cli_log_open(&input, r->log, NULL);
 	while (cli_log_next(&input, &sample))
 		calibrate_magnetometer_step(&c, &sample);
 	verdict = calibrate_magnetometer_finish(&c);
@@ -179,7 +179,7 @@ static int temperature(const struct calibrate_request *r)
 	enum calibrate_verdict verdict;
 
 	calibrate_temperature_init(&c);
-	cli_log_open(&input, r->log);
+	cli_log_open(&input, r->log, NULL);
 	while (cli_log_next(&input, &sample))
 		calibrate_temperature_step(&c, &sample);
 	verdict = calibrate_temperature_finish(&c);

@@ -57,7 +57,7 @@ static void prepare(struct run *r, const struct options *o)
 	char why[512];
 	struct od od;
 
-	cli_log_open(&r->log, o->log);
+	cli_log_open(&r->log, o->log, NULL);
 	if (o->reference && reference_log_load(&r->reference, o->reference, why, sizeof why) < 0) {
 		cli_error("%s", why);
 		exit(CLI_FAILED);

@@ -15,7 +15,8 @@
 static const char usage[] =
 	"usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
 	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (several hours are\n"
-	"best), and the noise figures fitted to it, in the units of the gateway's objects 2020h.\n"
+	"best), and the noise figures fitted to it, in the units of the gateway's objects 2020h. A log with\n"
+	"motion is refused; of one with gaps each part is used. Figures that it is too short for are left out.\n"
 	"`-` reads standard input.\n"
 	"\n"
 	"  -o, --output PREFIX   write the deviations to PREFIX.csv and plot them to PREFIX.gp, .png and\n"
@@ -27,13 +28,32 @@ static const char usage[] =
 	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
 
 enum { CHANNELS = 6, MIN_SAMPLES = 1000 };
+/* Sampling intervals: a longer one is a gap. By judgement: one lost sample changes nothing, and times may scatter. */
+static const double GAP_INTERVALS = 2.5;
+/* s; what a sensor at rest scatters by within that time at most (per 100 samples a second), and by how much its mean may
+ * change over hours. By judgement: several times that of the noisiest sensors of drivers/; a hand has more. */
+static const double BLOCK_S = 1, STILL_DEG_S = 1.5, STILL_MG = 40, SAME_DEG_S = 1, SAME_MG = 25;
+/* More than any gyro's bias: the zero-rate level of the L3GD20 is 25 deg/s with all that adds up. */
+static const double BIAS_DEG_S = 30;
 static const char *const NAMES[CHANNELS] = {"gx", "gy", "gz", "ax", "ay", "az"};
 
 struct recording {
 	double *values[CHANNELS]; /* deg/s and mg */
 	size_t count, room;
+	size_t *starts, parts, parts_room; /* first value of each part between gaps */
+	double recorded_s, longest_gap_s, missing_s;
 	double rate_hz;
 };
+
+static void *more(void *array, size_t size, const struct recording *r)
+{
+	array = realloc(array, size);
+	if (!array) {
+		cli_error("out of memory after %zu samples: use a shorter log", r->count);
+		exit(CLI_FAILED);
+	}
+	return array;
+}
 
 static void append(struct recording *r, const struct imu_sample *s)
 {
@@ -43,38 +63,128 @@ static void append(struct recording *r, const struct imu_sample *s)
 
 	if (r->count == r->room) {
 		r->room = r->room ? 2 * r->room : 1 << 16;
-		for (int i = 0; i < CHANNELS; i++) {
-			r->values[i] = realloc(r->values[i], r->room * sizeof(double));
-			if (!r->values[i]) {
-				cli_error("out of memory after %zu samples: use a shorter log", r->count);
-				exit(CLI_FAILED);
-			}
-		}
+		for (int i = 0; i < CHANNELS; i++)
+			r->values[i] = more(r->values[i], r->room * sizeof(double), r);
 	}
 	for (int i = 0; i < CHANNELS; i++)
 		r->values[i][r->count] = row[i];
 	r->count++;
 }
 
+static void begin_part(struct recording *r)
+{
+	if (r->parts == r->parts_room) {
+		r->parts_room = r->parts_room ? 2 * r->parts_room : 64;
+		r->starts = more(r->starts, r->parts_room * sizeof *r->starts, r);
+	}
+	r->starts[r->parts++] = r->count;
+}
+
+/* A second of the recording, of which the motion is checked. */
+struct block {
+	double from_s, sum[CHANNELS], square[CHANNELS];
+	size_t count;
+};
+
+static void refuse_motion(
+	const char *path, double from_s, const char *what, double value, double limit, const char *unit)
+{
+	cli_error("%s: the sensor moved or was shaken at %.1f s (%s %.3g %s, limit %.3g): record it at rest, or cut "
+		  "that off",
+		path, from_s, what, value, unit, limit);
+	exit(CLI_FAILED);
+}
+
+/* Length of the vector of deviations, of the gyro (first = 0) or the accelerometer. */
+static double scatter(const struct block *b, int first)
+{
+	double sum = 0;
+
+	for (int i = first; i < first + 3; i++)
+		sum += fmax(0, b->square[i] / (double)b->count - pow(b->sum[i] / (double)b->count, 2));
+	return sqrt(sum);
+}
+
+static double away(const struct block *b, const struct block *from, int first)
+{
+	double sum = 0;
+
+	for (int i = first; i < first + 3; i++)
+		sum += pow(b->sum[i] / (double)b->count - from->sum[i] / (double)from->count, 2);
+	return sqrt(sum);
+}
+
+/* Each second on its own: how much it scatters, and how far its mean is from that of the first one. */
+static void check_rest(const struct block *b, const struct block *first, const char *path, double rate_hz)
+{
+	const struct block still = {.count = 1};
+	double noisier = fmax(1, sqrt(rate_hz / 100)); /* more noise with more bandwidth */
+
+	if (b->count < 2)
+		return;
+	if (scatter(b, 0) > STILL_DEG_S * noisier)
+		refuse_motion(path, b->from_s, "rates scatter by", scatter(b, 0), STILL_DEG_S * noisier, "deg/s");
+	if (scatter(b, 3) > STILL_MG * noisier)
+		refuse_motion(path, b->from_s, "forces scatter by", scatter(b, 3), STILL_MG * noisier, "mg");
+	if (away(b, &still, 0) > BIAS_DEG_S)
+		refuse_motion(path, b->from_s, "it turns by", away(b, &still, 0), BIAS_DEG_S, "deg/s");
+	if (away(b, first, 0) > SAME_DEG_S)
+		refuse_motion(path, b->from_s, "the rate changed by", away(b, first, 0), SAME_DEG_S, "deg/s");
+	if (away(b, first, 3) > SAME_MG)
+		refuse_motion(path, b->from_s, "the force changed by", away(b, first, 3), SAME_MG, "mg");
+}
+
+static void add_to_block(struct block *b, const struct recording *r)
+{
+	for (int i = 0; i < CHANNELS; i++) {
+		double value = r->values[i][r->count - 1];
+
+		b->sum[i] += value;
+		b->square[i] += value * value;
+	}
+	b->count++;
+}
+
 static void load(struct recording *r, const char *path)
 {
 	static struct imu_log log;
+	struct block block = {.count = 0}, first = {.count = 0};
 	struct imu_sample sample;
-	uint64_t first_us = 0;
+	int64_t start_us = 0, last_us = 0;
 
-	cli_log_open(&log, path);
-	while (cli_log_next(&log, &sample)) {
+	cli_log_open(&log, path, NULL);
+	for (; cli_log_next(&log, &sample); last_us = (int64_t)sample.t_us) {
+		double dt_s = 1e-6 * (double)((int64_t)sample.t_us - last_us), now_s;
+
 		if (r->count == 0)
-			first_us = sample.t_us;
+			start_us = (int64_t)sample.t_us;
+		now_s = 1e-6 * (double)((int64_t)sample.t_us - start_us);
+		if (r->count == 0 || dt_s * log.rate_hz > GAP_INTERVALS || (sample.flags & SAMPLE_DISCONTINUITY)) {
+			begin_part(r);
+			r->longest_gap_s = r->count ? fmax(r->longest_gap_s, dt_s) : 0;
+			r->missing_s += r->count ? dt_s : 0;
+		} else {
+			r->recorded_s += dt_s;
+		}
+		if (now_s - block.from_s >= BLOCK_S) {
+			first = first.count ? first : block;
+			check_rest(&block, &first, path, log.rate_hz);
+			block = (struct block){.from_s = now_s};
+		}
 		append(r, &sample);
+		add_to_block(&block, r);
 	}
+	check_rest(&block, first.count ? &first : &block, path, log.rate_hz);
 	if (r->count < MIN_SAMPLES) {
 		cli_error("%s: only %zu samples: record at least %d of a sensor at rest, better several hours", path,
 			r->count, MIN_SAMPLES);
 		exit(CLI_FAILED);
 	}
+	if (r->parts > 1)
+		cli_error("%s: %zu gap%s, %.4g s in all, the longest %.4g s: each of the %zu parts is used on its own",
+			path, r->parts - 1, r->parts == 2 ? "" : "s", r->missing_s, r->longest_gap_s, r->parts);
 	/* the mean rate: over hours the median interval of the first rows (log.rate_hz) is too inaccurate */
-	r->rate_hz = (double)(r->count - 1) * 1e6 / (double)(sample.t_us - first_us);
+	r->rate_hz = r->count > r->parts ? (double)(r->count - r->parts) / r->recorded_s : log.rate_hz;
 }
 
 /* Quantisation step: the smallest difference between successive samples. */
@@ -103,6 +213,14 @@ static void print_deviations(const struct allan all[CHANNELS])
 	}
 }
 
+static void print_figure(double value, int width, const char *unit, int unit_width)
+{
+	if (value > 0)
+		printf(" %*.5g %-*s", width, value, unit_width, unit);
+	else
+		printf(" %*s %-*s", width, "-", unit_width, "");
+}
+
 static void print_noise(const struct allan_noise noise[CHANNELS], const double digits[CHANNELS], double rate_hz)
 {
 	printf("\n%-5s %26s %18s %22s %16s\n", "", "density", "bias instability", "random walk", "digit");
@@ -110,17 +228,30 @@ static void print_noise(const struct allan_noise noise[CHANNELS], const double d
 		const bool gyro = i < 3;
 		double density = allan_density(&noise[i]), sigma = density * sqrt(rate_hz / 2);
 
-		printf("%-5s %12.5g %-13s %12.5g %-5s %12.5g %-13s %8.4g %-5s%s\n", NAMES[i],
-			gyro ? density : 1e3 * density, gyro ? "deg/s/sqrtHz" : "ug/sqrtHz", noise[i].bias_instability,
-			gyro ? "deg/s" : "mg", noise[i].random_walk, gyro ? "deg/s/sqrt(s)" : "mg/sqrt(s)", digits[i],
-			gyro ? "deg/s" : "mg",
+		printf("%-5s", NAMES[i]);
+		print_figure(gyro ? density : 1e3 * density, 12, gyro ? "deg/s/sqrtHz" : "ug/sqrtHz", 13);
+		print_figure(noise[i].bias_instability, 12, gyro ? "deg/s" : "mg", 5);
+		print_figure(noise[i].random_walk, 12, gyro ? "deg/s/sqrt(s)" : "mg/sqrt(s)", 13);
+		printf(" %8.4g %-5s%s\n", digits[i], gyro ? "deg/s" : "mg",
 			digits[i] > 1.5 * sigma ? "  (coarse digits: part of this noise is quantisation)" : "");
 	}
+	printf("-: the log is too short to show it\n");
 }
 
-static double mean3(const double v[3])
+/* The mean over the axes where it was found; a comment if it was on none. */
+static void print_setting(const char *name, const double v[3])
 {
-	return (v[0] + v[1] + v[2]) / 3;
+	double sum = 0;
+	int found = 0;
+
+	for (int i = 0; i < 3; i++) {
+		sum += v[i];
+		found += v[i] > 0;
+	}
+	if (found)
+		printf("%s=%.4g\n", name, sum / found);
+	else
+		printf("# %s: the log is too short to show it\n", name);
 }
 
 static void print_settings(const struct allan_noise noise[CHANNELS])
@@ -128,13 +259,14 @@ static void print_settings(const struct allan_noise noise[CHANNELS])
 	double density[CHANNELS], bias[CHANNELS];
 
 	for (int i = 0; i < CHANNELS; i++) {
-		density[i] = allan_density(&noise[i]);
+		density[i] = (i < 3 ? 1 : 1e3) * allan_density(&noise[i]);
 		bias[i] = noise[i].bias_instability;
 	}
-	printf("\nFor the configuration of the gateway (mean of the axes):\n");
-	printf("noise.gyro_density=%.4g\nnoise.accelerometer_density=%.4g\n", mean3(density), 1e3 * mean3(density + 3));
-	printf("noise.gyro_bias_instability=%.4g\nnoise.accelerometer_bias_instability=%.4g\n", mean3(bias),
-		mean3(bias + 3));
+	printf("\nFor the configuration of the gateway (mean of the axes on which it was found):\n");
+	print_setting("noise.gyro_density", density);
+	print_setting("noise.accelerometer_density", density + 3);
+	print_setting("noise.gyro_bias_instability", bias);
+	print_setting("noise.accelerometer_bias_instability", bias + 3);
 }
 
 static void write_csv(const char *prefix, const struct allan all[CHANNELS], const struct allan_noise noise[CHANNELS])
@@ -197,7 +329,7 @@ int main(int argc, char **argv)
 {
 	static struct recording recording;
 	static struct allan all[CHANNELS];
-	struct allan_noise noise[CHANNELS];
+	struct allan_noise fit[CHANNELS], noise[CHANNELS];
 	double digits[CHANNELS];
 	const char *prefix = NULL;
 	int option;
@@ -223,8 +355,10 @@ int main(int argc, char **argv)
 	load(&recording, argv[optind]);
 	for (int i = 0; i < CHANNELS; i++) {
 		digits[i] = digit(recording.values[i], recording.count);
-		allan_deviation(recording.values[i], recording.count, recording.rate_hz, &all[i]);
-		noise[i] = allan_fit(&all[i]);
+		allan_deviation_of_parts(recording.values[i], recording.count, recording.starts, recording.parts,
+			recording.rate_hz, &all[i]);
+		fit[i] = allan_fit(&all[i]);
+		noise[i] = allan_observed(&all[i], &fit[i]);
 	}
 	printf("%zu samples at %.4g Hz: %.4g s\n\n", recording.count, recording.rate_hz,
 		(double)recording.count / recording.rate_hz);
@@ -233,6 +367,6 @@ int main(int argc, char **argv)
 	print_settings(noise);
 	if (!prefix)
 		return CLI_OK;
-	write_csv(prefix, all, noise);
+	write_csv(prefix, all, fit);
 	return plot(prefix) == 0 ? CLI_OK : CLI_FAILED;
 }

@@ -78,7 +78,7 @@ static void write_truth(struct csv_row *row, const struct signal_truth *truth)
 
 static void write_sample(struct csv_row *row, const struct imu_sample *sample)
 {
-	csv_time(row, sample->t_us);
+	csv_time(row, (int64_t)sample->t_us);
 	csv_vec3(row, sample->gyro_rad_s, 6);
 	csv_vec3(row, sample->accel_m_s2, 5);
 	if (sample->flags & SAMPLE_MAG)

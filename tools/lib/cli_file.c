@@ -29,11 +29,11 @@ void cli_close(FILE *file, const char *path)
 	}
 }
 
-void cli_log_open(struct imu_log *log, const char *path)
+void cli_log_open(struct imu_log *log, const char *path, const struct log_format *format)
 {
 	char error[512];
 
-	if (imu_log_open(log, path, error, sizeof error) < 0) {
+	if (imu_log_open(log, path, format ? format : log_format_at(0), error, sizeof error) < 0) {
 		cli_error("%s", error);
 		exit(CLI_FAILED);
 	}
@@ -42,15 +42,16 @@ void cli_log_open(struct imu_log *log, const char *path)
 bool cli_log_next(struct imu_log *log, struct imu_sample *sample)
 {
 	int got = imu_log_next(log, sample);
+	char text[256];
 
 	if (got == 1)
 		return true;
 	imu_log_close(log);
 	if (got < 0) {
-		cli_error("%s:%ld: %s", log->path, log->line, strerror(-got));
+		cli_error("%s:%ld: %s", log->path, log->rows.table[0].line, strerror(-got));
 		exit(CLI_FAILED);
 	}
-	if (log->skipped)
-		cli_error("%u rows skipped, the last one: %s", log->skipped, log->last_skip);
+	for (int i = 0; imu_log_message(log, i, text, sizeof text); i++)
+		cli_error("%s", text);
 	return false;
 }

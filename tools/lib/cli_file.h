@@ -13,9 +13,9 @@ FILE *cli_create(const char *path);
 /** Closes it, or flushes standard output. Fails unless everything was written. */
 void cli_close(FILE *file, const char *path);
 
-/** Opens a log; "-" is standard input. */
-void cli_log_open(struct imu_log *log, const char *path);
-/** The next sample; false at the end of the log, which it closes after reporting how many rows were skipped. */
+/** Opens a log; "-" is standard input. `format` NULL: an IMU log. */
+void cli_log_open(struct imu_log *log, const char *path, const struct log_format *format);
+/** The next sample; false at the end of the log, which it closes after reporting what there is to say about it. */
 bool cli_log_next(struct imu_log *log, struct imu_sample *sample);
 
 #endif

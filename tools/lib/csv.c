@@ -24,13 +24,17 @@ static int next_field(struct csv_row *row)
 	return 1;
 }
 
-void csv_time(struct csv_row *row, uint64_t t_us)
+void csv_time(struct csv_row *row, int64_t t_us)
 {
+	uint64_t us = t_us < 0 ? 0 - (uint64_t)t_us : (uint64_t)t_us;
+
 	if (!next_field(row))
 		return;
-	put_digits(row, t_us / 1000000, 1);
+	if (t_us < 0)
+		row->text[row->length++] = '-';
+	put_digits(row, us / 1000000, 1);
 	row->text[row->length++] = '.';
-	put_digits(row, t_us % 1000000, 6);
+	put_digits(row, us % 1000000, 6);
 }
 
 void csv_number(struct csv_row *row, double value, int decimals)

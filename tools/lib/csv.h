@@ -16,7 +16,7 @@ struct csv_row { /* all 0: an empty row */
 };
 
 /** Microseconds as seconds with six decimals. */
-void csv_time(struct csv_row *row, uint64_t t_us);
+void csv_time(struct csv_row *row, int64_t t_us);
 /** `decimals`: at most nine. A value of 1e9 or more, or not finite, is written in the format %.9g. */
 void csv_number(struct csv_row *row, double value, int decimals);
 void csv_vec3(struct csv_row *row, struct vec3 v, int decimals);

@@ -18,15 +18,19 @@
 #include "tools/lib/csv.h"
 
 static const char usage[] =
-	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--movements FILE] LOG.imu.csv >OUT.csv\n"
+	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--format FORMAT] [--movements FILE] LOG.imu.csv >OUT.csv\n"
 	"Runs a recorded IMU log through the pipeline of the gateway; `-` reads standard input.\n"
 	"\n"
 	"  -c, --config FILE     configuration file of the gateway (its section [gateway] is ignored)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
+	"      --format FORMAT   the log is of another program: phyphox (a file, or the folder of an export),\n"
+	"                        euroc, x-io, pandas; imu9 is the default\n"
 	"      --movements FILE  write the smoothed path of each movement between two standstills\n"
 	"      --help, --version\n"
 	"\n"
-	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT; magnetometer fields can be empty.\n"
+	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT, or the units that it names, e.g.\n"
+	"     t[ms], gx[deg/s], ax[g], mx[gauss]; magnetometer fields can be empty. What was skipped or\n"
+	"     converted, and units that are unlikely, are told on standard error.\n"
 	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
 	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
 	"     (ENU), the rest flag, the sample counter as in the PDOs (here without wrap-around),\n"
@@ -43,7 +47,7 @@ static const char movements_header[] = "movement,t,t_s,x_m,y_m,z_m,vx_m_s,vy_m_s
 
 /* ---- a row ------------------------------------------------------------------------------------------------------- */
 
-static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t sample)
+static void print_row(const struct pipeline_output *o, int64_t t_us, uint64_t sample)
 {
 	static struct csv_row row;
 
@@ -68,16 +72,16 @@ static void print_row(const struct pipeline_output *o, uint64_t t_us, uint64_t s
 }
 
 /* The movement ended stood_s before t_us. */
-static void print_movement(const struct smoother_movement *m, uint64_t t_us, FILE *file)
+static void print_movement(const struct smoother_movement *m, int64_t t_us, FILE *file)
 {
-	uint64_t start_us = t_us - (uint64_t)llround(1e6 * (m->duration_s + m->stood_s));
+	int64_t start_us = t_us - llround(1e6 * (m->duration_s + m->stood_s));
 	static struct csv_row row;
 
 	for (size_t i = 0; i < m->count; i++) {
 		const struct smoother_point *p = &m->point[i];
 
 		csv_number(&row, m->number, 0);
-		csv_time(&row, start_us + (uint64_t)llround(1e6 * p->t_s));
+		csv_time(&row, start_us + llround(1e6 * p->t_s));
 		csv_number(&row, p->t_s, 6);
 		csv_vec3(&row, p->position_n_m, 6);
 		csv_vec3(&row, p->velocity_n_m_s, 6);
@@ -95,7 +99,7 @@ static int fail(int status, const char *why)
 	return status;
 }
 
-static int replay(const struct config *config, const char *path, FILE *movements)
+static int replay(const struct config *config, const char *path, const struct log_format *format, FILE *movements)
 {
 	static struct pipeline pipeline;
 	static struct smoother smoother;
@@ -107,7 +111,7 @@ static int replay(const struct config *config, const char *path, FILE *movements
 	uint64_t samples = 0, rows = 0;
 	unsigned movement = 0;
 
-	cli_log_open(&log, path);
+	cli_log_open(&log, path, format);
 	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
 	config_apply(config, &od);
 	const struct pipeline_config settings = settings_pipeline(&values);
@@ -118,12 +122,14 @@ static int replay(const struct config *config, const char *path, FILE *movements
 	if (movements)
 		fputs(movements_header, movements);
 	for (; cli_log_next(&log, &sample); samples++) {
+		int64_t t_us = (int64_t)sample.t_us - log.origin_us;
+
 		if (pipeline_step(&pipeline, &sample, &out) < 0)
 			continue;
-		print_row(&out, sample.t_us, samples);
+		print_row(&out, t_us, samples);
 		rows++;
 		if (movements && smoother.last.number != movement)
-			print_movement(&smoother.last, sample.t_us, movements);
+			print_movement(&smoother.last, t_us, movements);
 		movement = smoother.last.number;
 	}
 	if (rows == 0)
@@ -132,12 +138,23 @@ static int replay(const struct config *config, const char *path, FILE *movements
 	return CLI_OK;
 }
 
+static const struct log_format *format_named(const char *name)
+{
+	const struct log_format *format = log_format_named(name);
+
+	if (!format)
+		cli_usage_error("unknown format: use imu9, phyphox, euroc, x-io or pandas");
+	return format;
+}
+
 /* -1: run; else the exit status. */
-static int read_configuration(struct config *config, const char **movements, int argc, char **argv)
+static int read_configuration(
+	struct config *config, const char **movements, const struct log_format **format, int argc, char **argv)
 {
 	static const struct option options[] = {{"config", required_argument, NULL, 'c'},
 		{"set", required_argument, NULL, 's'}, {"movements", required_argument, NULL, 'm'},
-		{"help", no_argument, NULL, 'h'}, {"version", no_argument, NULL, 'v'}, {0}};
+		{"format", required_argument, NULL, 'f'}, {"help", no_argument, NULL, 'h'},
+		{"version", no_argument, NULL, 'v'}, {0}};
 	int option;
 
 	cli_config_files(config, argc, argv, ":c:", options);
@@ -156,6 +173,8 @@ static int read_configuration(struct config *config, const char **movements, int
 			cli_config_set(config, optarg);
 		if (option == 'm')
 			*movements = optarg;
+		if (option == 'f')
+			*format = format_named(optarg);
 	}
 	if (optind != argc - 1)
 		cli_usage_error("give one log, or - for standard input");
@@ -166,14 +185,15 @@ int main(int argc, char **argv)
 {
 	static struct config config;
 	const char *path = NULL;
+	const struct log_format *format = NULL;
 	FILE *movements;
 
 	config_init(&config, &imu9_od_table);
-	int status = read_configuration(&config, &path, argc, argv);
+	int status = read_configuration(&config, &path, &format, argc, argv);
 	if (status >= 0)
 		return status;
 	movements = path ? cli_create(path) : NULL;
-	status = replay(&config, argv[optind], movements);
+	status = replay(&config, argv[optind], format, movements);
 	if (movements)
 		cli_close(movements, path);
 	return status;
