@@ -90,7 +90,8 @@ void canopen_sample(struct canopen_node *node, uint64_t now_us);
  * active already is not sent again. More than EMCY_ERRORS active errors are counted and otherwise ignored. */
 void canopen_error_set(
 	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us);
-/** The error has ended. Sends EMCY 0000h when no other error is active. */
+/** The cause of the error is gone. Sends EMCY 0000h when no other error is active. An error with ERROR_COMMUNICATION
+ * ends at most once a second; canopen_tick() ends it when that has passed. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
 /** Whether an error with this code is active, from any source. */
 bool canopen_error_active(const struct canopen_node *node, uint16_t code);

@@ -84,7 +84,6 @@ void node_bad_data(struct canopen_node *node, uint16_t index)
 /* Applies the values of the dictionary to every service. */
 static void reset_services(struct canopen_node *node)
 {
-	collision_reset(node);
 	heartbeat_reset(node);
 	guard_reset(node);
 	if (node->id == CANOPEN_UNCONFIGURED) {
@@ -202,7 +201,6 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, sync_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));
-	deadline = earlier(deadline, collision_tick(node));
 	deadline = earlier(deadline, emcy_tick(node));
 	return earlier(deadline, sdo_server_tick(node));
 }

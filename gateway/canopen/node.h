@@ -117,7 +117,6 @@ struct rpdo {
 	struct pdo pdo;
 	uint8_t data[8]; /* received last */
 	bool waits;	 /* synchronous: applied at the next SYNC */
-	uint8_t faults;	 /* active ones: a bit for each enum fault */
 	bool monitored;	 /* the event timer runs until deadline_us */
 	uint64_t deadline_us;
 };
@@ -150,6 +149,13 @@ struct emcy_message {
 	uint8_t data[8];
 };
 
+struct emcy_error {
+	uint16_t code;
+	uint8_t source, bits;
+	uint64_t earliest_us; /* it ends then at the earliest */
+	uint64_t over_us;     /* it ends then unless it is found again; UINT64_MAX: with emcy_clear() */
+};
+
 struct emcy {
 	struct od_hook cob_id_hook, history_hook;
 	uint32_t *cob_id; /* NULL: no 1014h, so no EMCY */
@@ -158,11 +164,14 @@ struct emcy {
 	uint8_t *history_count;
 	uint32_t *history[EMCY_HISTORY];
 	size_t history_size;
+	struct emcy_error errors[EMCY_ERRORS]; /* active ones, oldest first */
+	size_t error_count;
 	struct {
 		uint16_t code;
-		uint8_t source, bits;
-	} errors[EMCY_ERRORS]; /* active ones, oldest first */
-	size_t error_count;
+		uint8_t source;
+		uint64_t t_us;
+	} ended[EMCY_ERRORS]; /* communication errors, the oldest is replaced */
+	size_t ended_next;
 	struct emcy_message queue[EMCY_QUEUE]; /* oldest first */
 	size_t queue_count;
 	uint32_t lost; /* errors or messages beyond EMCY_ERRORS and EMCY_QUEUE */
@@ -198,11 +207,6 @@ struct time {
 	uint32_t id; /* consumed; or CAN_ID_NONE */
 };
 
-struct collision {
-	bool active;
-	uint64_t over_us; /* the error ends here unless such a frame is received again */
-};
-
 struct canopen_node {
 	struct od *od;
 	struct can_port *bus;
@@ -222,7 +226,6 @@ struct canopen_node {
 	struct store store;
 	struct lss lss;
 	struct time time;
-	struct collision collision;
 };
 
 #endif

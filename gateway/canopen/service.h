@@ -142,6 +142,12 @@ void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t 
 /** The same with a manufacturer-specific field of its own. */
 void emcy_set_info(
 	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5]);
+/** Raises ERROR_COMMUNICATION for a wrong frame. It ends EMCY_FORGOTTEN_US after the last one; a correct frame ends it
+ * sooner by emcy_clear(), EMCY_QUIET_US after the last wrong one. Whether the error is new. */
+bool emcy_set_frame(struct canopen_node *node, uint16_t code, uint8_t source, const uint8_t info[5]);
+/** The cause is gone: the error ends. A communication error ends once within EMCY_QUIET_US, so that a cause that comes
+ * and goes does not fill the bus. */
+enum { EMCY_QUIET_US = 1000000, EMCY_FORGOTTEN_US = 10000000 };
 void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source);
 /** Whether this is a sub-index of 1003h that has no record yet. */
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);
@@ -160,8 +166,6 @@ enum { COLLISION_IDS_MAX = 2 + SDO_SERVERS + TPDO_MAX };
 size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX]);
 /** True: the frame has one of them. */
 bool collision_receive(struct canopen_node *node, const struct can_msg *msg);
-void collision_reset(struct canopen_node *node);
-uint64_t collision_tick(struct canopen_node *node);
 
 /* ---- lss.c ------------------------------------------------------------------------------------------------------- */
 void lss_init(struct canopen_node *node);

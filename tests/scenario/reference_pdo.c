@@ -134,7 +134,12 @@ enum { CONTENT = 0x8200, SHORT = 0x8210, LONG = 0x8220, ABSENT = 0x8250 };
 
 static void fault(struct reference *r, unsigned n, uint16_t code, uint8_t a, uint8_t b, uint8_t c)
 {
-	ref_error_set(r, code, (uint8_t)(n + 1), 0x10, (const uint8_t[5]){(uint8_t)n, 0x14, a, b, c});
+	const uint8_t info[5] = {(uint8_t)n, 0x14, a, b, c};
+
+	if (code == ABSENT)
+		ref_error_set(r, code, (uint8_t)(n + 1), 0x10, info);
+	else
+		ref_error_frame(r, code, (uint8_t)(n + 1), info);
 }
 
 static void clear_fault(struct reference *r, unsigned n, uint16_t code)

@@ -51,6 +51,7 @@ void world_power_on(struct world *w, const char *const *settings)
 
 	w->device = (struct device){0};
 	config_init(&config, &imu9_od_table);
+	assert_int_equal(config_set(&config, "inhibit_time_emcy=0", why), 0);
 	for (; settings && *settings; settings++)
 		assert_int_equal(config_set(&config, *settings, why), 0);
 	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
