@@ -1,5 +1,7 @@
 #include "gateway/device.h"
 
+#include <stdio.h>
+
 #include "gateway/canopen/deadline.h"
 #include "gateway/publish.h"
 #include "gateway/settings.h"
@@ -192,15 +194,16 @@ static void on_nmt_changed(void *ctx, enum nmt_state state)
 					       : "initialising");
 }
 
+/* The beginning and the end are lines of one kind. */
 static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t info[5])
 {
 	struct device *d = ctx;
+	char what[48] = " is over";
 
 	if (set)
-		event_log_add(&d->log, d->now_us, "error %04Xh (%s), EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", code,
-			emcy_code_text(code), info[0], info[1], info[2], info[3], info[4]);
-	else
-		event_log_add(&d->log, d->now_us, "error %04Xh (%s) is over", code, emcy_code_text(code));
+		snprintf(what, sizeof(what), ", EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", info[0], info[1], info[2],
+			info[3], info[4]);
+	event_log_add_about(&d->log, d->now_us, code, "error %04Xh (%s)%s", code, emcy_code_text(code), what);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
@@ -418,6 +421,7 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	next = earlier(next, utc_tick(&d->utc, now_us));
 	next = earlier(next, canopen_tick(&d->canopen, now_us));
 	next = earlier(next, leds_tick(&d->leds, now_us));
+	next = earlier(next, event_log_tick(&d->log, now_us));
 	if (!d->sensor_lost)
 		next = earlier(next, d->last_sample_us + sensor_watch_silence_us(&d->sensor_watch));
 	return next;
