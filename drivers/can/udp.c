@@ -60,21 +60,21 @@ static int udp_receive(struct can_port *port, struct can_msg *msg, uint64_t now_
 {
 	struct udp *udp = of(port);
 	const struct rx_datagram *datagram;
-	int result;
 
-	for (;;) {
-		result = rx_socket_receive(&udp->rx, &datagram, now_us, &port->counters.rx_dropped);
+	for (unsigned n = 0; rx_socket_may_read(&udp->rx, n); n++) {
+		int result = rx_socket_receive(&udp->rx, &datagram, now_us, &port->counters.rx_dropped);
+
 		if (result <= 0)
 			return result;
 		if (datagram->size == 0)
 			continue; /* own */
+		msg->t_us = datagram->t_us;
 		if (datagram->size > sizeof(datagram->data) || can_udp_decode(datagram->data, datagram->size, msg) < 0)
 			port->counters.rx_dropped++;
 		else if (id_filter_wants(&udp->filter, msg))
-			break;
+			return 1;
 	}
-	msg->t_us = datagram->t_us;
-	return 1;
+	return 0;
 }
 
 static int udp_filter(struct can_port *port, const uint32_t *ids, size_t n)

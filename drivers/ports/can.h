@@ -47,7 +47,8 @@ struct can_ops {
 	/** 0; -ENOBUFS or -EAGAIN: full, send again later; any other -errno: the frame is lost. */
 	int (*send)(struct can_port *port, const struct can_msg *msg);
 	/** 1 and a frame; 0: no more now; -errno: see `state`, and keep polling. Call it until it returns 0 or less:
-	 * the descriptor is not readable for frames that the port has fetched already. Error frames are not returned;
+	 * the descriptor is not readable for frames that the port has fetched already. A call does a bounded amount of
+	 * work: after many unwanted frames it returns 0, and the descriptor remains readable. Error frames are not returned;
 	 * they change `state` and `counters`. */
 	int (*receive)(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 	/** Receive only these 11-bit identifiers from now on; n = 0: all. Best effort: others may be received, too. */

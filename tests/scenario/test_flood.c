@@ -72,8 +72,8 @@ static void flood(struct flooded *f, const struct flood *flood)
 	for (unsigned i = 0; w->now_us < end_us; i++) {
 		w->now_us += FRAME_US;
 		w->bus.state = flood->states[i % 2];
-		world_receive(
-			w, flood->frames[i % flood->count].id, flood->frames[i % flood->count].len, flood->frames[i % flood->count].data);
+		world_receive(w, flood->frames[i % flood->count].id, flood->frames[i % flood->count].len,
+			flood->frames[i % flood->count].data);
 		if (w->now_us < next_sample_us)
 			continue;
 		next_sample_us += SAMPLE_US;
@@ -110,7 +110,13 @@ static void assert_few_lines(const struct flooded *f)
 	}
 }
 
-#define SYNC {0x080, 0, {0}}
+#define SYNC              \
+	{                 \
+		0x080, 0, \
+		{         \
+			0 \
+		}         \
+	}
 static const struct flood FLOODS[] = {
 	{{{0x000, 2, {1, WORLD_NODE_ID}}, {0x000, 2, {0x80, WORLD_NODE_ID}}, {0x000, 2, {2, 0}}}, 3, {0}},
 	{{SYNC, {0x080, 1, {7}}}, 2, {0}},
