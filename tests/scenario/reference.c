@@ -653,6 +653,7 @@ void ref_reset(struct reference *r, bool node)
 	r->node_id = r->lss.next_id;
 	r->lss.configuring = false;
 	r->lss.selected = r->lss.identified = r->lss.scanned = 0;
+	memset(r->lss.confirmed, 0, sizeof(r->lss.confirmed));
 	reset_objects(r, node);
 	ref_sdo_stop(r);
 	ref_sdo_open_second(r);
@@ -914,6 +915,7 @@ static void lss_fastscan(struct reference *r, const uint8_t *f)
 		return;
 	if (bit == 0x80) {
 		r->lss.scanned = 0;
+		memset(r->lss.confirmed, 0, sizeof(r->lss.confirmed));
 		lss_respond(r, 0x4F, 0);
 		return;
 	}
@@ -926,7 +928,9 @@ static void lss_fastscan(struct reference *r, const uint8_t *f)
 	if (bit)
 		return;
 	r->lss.scanned = next;
-	r->lss.configuring = next < number;
+	r->lss.confirmed[number] = true;
+	if (next < number && r->lss.confirmed[0] && r->lss.confirmed[1] && r->lss.confirmed[2] && r->lss.confirmed[3])
+		r->lss.configuring = true;
 }
 
 static void lss_bit_timing(struct reference *r, uint8_t table, uint8_t index)

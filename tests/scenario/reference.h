@@ -154,6 +154,7 @@ struct reference {
 		uint8_t start_id, stored_id, next_id, storing_id;
 		bool configuring;
 		uint8_t selected, identified, scanned;
+		bool confirmed[4];
 		uint32_t bit_s, active_bit_s;
 		unsigned phase; /* of a bit rate switch: 0 none, 1 delay at the old rate, 2 delay at the new rate */
 		uint64_t phase_end_us, delay_us;

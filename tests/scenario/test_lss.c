@@ -681,6 +681,28 @@ static void test_fastscan_restarts_with_a_reset(void **state)
 	(void)state;
 }
 
+static void test_fastscan_that_ends_before_all_four_numbers_are_confirmed_selects_no_node(void **state)
+{
+	static const uint32_t identity[] = {0x00494D55, 9, 0x00010000, 0x12345678};
+	/* the numbers that are confirmed, of which the last one ends the scan */
+	static const uint8_t scans[][4] = {{0, 1}, {0, 1, 2}, {0, 3}, {0, 2, 3}, {0, 1, 3}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(scans) / sizeof(scans[0]); i++) {
+		struct bus *bus = unconfigured();
+		size_t k = 0;
+
+		assert_true(scan(bus, 0, 0x80, 0, 0));
+		do {
+			assert_true(scan(bus, identity[scans[i][k]], 0, scans[i][k], scans[i][(k + 1) % 4]));
+		} while (scans[i][++k]);
+		bus_send(bus, "7E5 5E 00 00 00 00 00 00 00");
+		bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+		bus_expect_nothing(bus);
+		test_free(bus);
+	}
+}
+
 static void test_fastscan_with_numbers_that_do_not_exist_is_ignored(void **state)
 {
 	struct bus *bus = unconfigured();
@@ -749,6 +771,7 @@ int main(void)
 		cmocka_unit_test(test_fastscan_determines_the_lss_address_and_switches_the_node),
 		cmocka_unit_test(test_fastscan_matches_one_number_at_a_time),
 		cmocka_unit_test(test_fastscan_restarts_with_a_reset),
+		cmocka_unit_test(test_fastscan_that_ends_before_all_four_numbers_are_confirmed_selects_no_node),
 		cmocka_unit_test(test_fastscan_with_numbers_that_do_not_exist_is_ignored),
 		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_respond_to_fastscan),
 	};
