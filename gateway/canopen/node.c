@@ -146,7 +146,7 @@ void node_reset(struct canopen_node *node, enum od_group group)
 		node->device.reset(node->device.ctx, group);
 	lss_reset(node, group);
 	reset_services(node);
-	canopen_start(node, node->now_us);
+	nmt_plan_boot_up(node);
 }
 
 static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
@@ -162,7 +162,7 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 	node->now_us = now_us;
 	if (!node->started || lss_silent(node) || msg->extended || msg->len > 8)
 		return;
-	if (node->nmt.state == NMT_INITIALISING) { /* without a node-ID */
+	if (node->nmt.state == NMT_INITIALISING) { /* without a node-ID, or before boot-up */
 		if (msg->id == CAN_ID_LSS_REQUEST && !msg->remote)
 			lss_receive(node, msg);
 		return;

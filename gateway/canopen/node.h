@@ -25,7 +25,7 @@ struct nmt {
 	const uint8_t *error_behaviour; /* 1029h:1 */
 	const uint32_t *startup;	/* 1F80h; NULL: absent, the master starts the node */
 	enum nmt_state state;
-	uint64_t boot_up_us;	    /* after a reset, in initialising */
+	uint64_t boot_up_us;	    /* due after a reset, while initialising; else UINT64_MAX */
 	uint64_t last_heartbeat_us; /* boot-up counts as one (CiA 301, 7.2.8.3.2.2) */
 };
 

@@ -45,6 +45,8 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state);
 bool nmt_communicates(const struct canopen_node *node);
 /** A heartbeat or life guarding event, or bus-off: the state transition of 1029h:1. */
 void nmt_communication_error(struct canopen_node *node);
+/** Reset: the node boots up a little later, by nmt_tick(). */
+void nmt_plan_boot_up(struct canopen_node *node);
 /** Sends boot-up, enters pre-operational, and operational where 1F80h says so (CiA 302-2). */
 void nmt_boot_up(struct canopen_node *node);
 

@@ -283,6 +283,16 @@ void bus_run_until_sent(struct bus *bus, uint64_t us)
 	assert_true(bus->sent_count > sent);
 }
 
+void bus_reset(struct bus *bus, const char *command, const char *boot_up)
+{
+	bus_send(bus, command);
+	bus_run(bus, 9999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, boot_up);
+	bus_expect_nothing(bus);
+}
+
 void bus_expect_error_over(struct bus *bus)
 {
 	bus_run_until_sent(bus, 1000000);

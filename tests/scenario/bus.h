@@ -75,6 +75,8 @@ void bus_send_msg(struct bus *bus, const struct can_msg *msg);
 void bus_expect(struct bus *bus, const char *frame);
 /** Asserts that the node has sent no further frame. */
 void bus_expect_nothing(struct bus *bus);
+/** Sends a command that resets the node, and asserts that it boots up 10 ms later with `boot_up`, its only frame. */
+void bus_reset(struct bus *bus, const char *command, const char *boot_up);
 /** Waits for the end of the error of wrong frames, or of one that has ended before: within 1 s. */
 void bus_expect_error_over(struct bus *bus);
 /** Skips the frames sent so far. */

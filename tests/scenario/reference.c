@@ -662,7 +662,7 @@ void ref_reset(struct reference *r, bool node)
 	r->sync_last_us = r->sync_missing_us = 0;
 	memset(r->consumer, 0, sizeof(r->consumer));
 	memset(r->rpdo, 0, sizeof(r->rpdo));
-	boot(r);
+	r->boot_us = r->node_id == REF_UNCONFIGURED ? 0 : r->now_us + 10000;
 }
 
 static void nmt(struct reference *r, const struct can_msg *msg)
@@ -697,8 +697,14 @@ void reference_bus_off(struct reference *r)
 
 static uint64_t heartbeat_tick(struct reference *r)
 {
-	uint64_t period_us = ref_value(r, 0x1017, 0) * 1000u, due_us = r->heartbeat_us + period_us;
+	uint64_t period_us = ref_value(r, 0x1017, 0) * 1000u, due_us;
 
+	if (r->boot_us && r->now_us < r->boot_us)
+		return r->boot_us;
+	if (r->boot_us)
+		boot(r);
+	r->boot_us = 0;
+	due_us = r->heartbeat_us + period_us;
 	if (r->state == INITIALISING || !period_us)
 		return UINT64_MAX;
 	if (r->now_us < due_us)
@@ -1108,7 +1114,7 @@ void reference_receive(struct reference *r, const struct can_msg *msg)
 {
 	if (ref_lss_silent(r) || msg->extended)
 		return;
-	if (r->node_id == REF_UNCONFIGURED) {
+	if (r->node_id == REF_UNCONFIGURED || r->state == INITIALISING) {
 		if (msg->id == 0x7E5 && !msg->remote)
 			ref_lss_receive(r, msg);
 	} else if (!msg->remote) {

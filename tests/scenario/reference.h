@@ -113,6 +113,7 @@ struct reference {
 
 	uint8_t node_id, state;
 	uint64_t heartbeat_us; /* of the last one */
+	uint64_t boot_us;      /* after a reset; 0: none */
 	uint8_t guard_toggle;
 	bool guarded;
 	uint64_t guard_us;

@@ -562,7 +562,7 @@ static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void 
 	set_error(bus, 0x5000, 0);
 	set_error(bus, 0x8120, 0);
 	bus_forget(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	set_error(bus, 0x8130, 0);
 	bus_expect(bus, "090 30 81 01 00 00 00 00 00");
 	bus_run(bus, 10000000);
@@ -587,7 +587,7 @@ static void test_reset_node_clears_errors_and_history(void **state)
 
 	set_error(bus, 0x5000, 0x80);
 	bus_forget(bus);
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
 	set_error(bus, 0x5000, 0x80);
@@ -601,7 +601,7 @@ static void test_reset_communication_keeps_the_errors_of_the_application(void **
 	set_error(bus, 0x5000, 0x80);
 	bus_send(bus, "080 01"); /* wrong length: an error of the core */
 	bus_forget(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x81);
 	assert_int_equal(bus_read(bus, 0x1003, 0), 2);
 	clear_error(bus, 0x5000);

@@ -200,7 +200,7 @@ static void test_reset_communication_stops_the_consumer_and_ends_the_error(void 
 	consume(bus);
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	bus_send(bus, "720 05");
 	bus_run(bus, 10000000);
@@ -256,7 +256,7 @@ static void test_reset_communication_clears_the_toggle_bit(void **state)
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "710 R", "710 7F");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_exchange(bus, "710 R", "710 7F");
 }
 

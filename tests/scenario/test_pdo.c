@@ -664,7 +664,7 @@ static void test_reset_communication_restores_the_default_mapping(void **state)
 	only_tpdo1(bus, 1);
 	bus_write(bus, 0x1800, 1, 4, INVALID);
 	bus_write(bus, 0x1A00, 0, 1, 0);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "000 01 10");
 	bus_send(bus, "080");
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
@@ -728,7 +728,7 @@ static void test_the_error_of_a_stored_mapping_ends_with_a_reset_to_a_valid_one(
 	bus_expect(bus, "710 00");
 	bus_expect(bus, "090 00 63 01 03 18 00 00 00");
 	bus->power_on.tpdo4_mapping.object_1 = 0x210F0310;
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	assert_int_equal(bus_read(bus, 0x1803, 1), NO_RTR | 0x490);
 	test_free(bus);

@@ -155,7 +155,7 @@ static void test_reset_communication_restores_the_default_parameters(void **stat
 
 	begin_mapping(bus);
 	assert_int_equal(bus_write(bus, 0x1401, 2, 1, 1), 0);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "000 01 10");
 	bus_send(bus, "210 01 00 02 00 03 00 04 00");
 	expect_velocity(bus, 1, 2, 3, 4);
@@ -479,7 +479,7 @@ static void test_reset_communication_ends_the_errors_of_pdos(void **state)
 	bus_send(bus, "510 00 00");
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 50 82 11 03 14 00 00 00");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	bus_send(bus, "000 01 10");
 	bus_exchange(bus, "510 00", "090 10 82 11 03 14 01 02 00");

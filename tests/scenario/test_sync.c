@@ -326,7 +326,7 @@ static void test_reset_communication_ends_the_error_of_a_missing_sync(void **sta
 	await_sync(bus);
 	bus_run(bus, 15000);
 	bus_expect(bus, MISSING);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
@@ -510,7 +510,7 @@ static void test_reset_communication_ends_production(void **state)
 	struct bus *bus = *state;
 
 	produce(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_run(bus, 1000000);
 	bus_expect_nothing(bus);
 	assert_int_equal(bus_read(bus, 0x1005, 0), 0x80);

@@ -90,6 +90,10 @@ void world_receive(struct world *w, uint32_t id, size_t len, const void *data)
 void world_nmt(struct world *w, uint8_t command)
 {
 	world_receive(w, 0x000, 2, (const uint8_t[]){command, w->node_id});
+	if (command < 0x81)
+		return;
+	w->now_us += 10000; /* a reset: until the boot-up message */
+	device_tick(&w->device, w->now_us);
 }
 
 /* The first frame that is still recorded. */
