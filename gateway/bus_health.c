@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/deadline.h"
+#include "gateway/canopen/node.h"
 #include "od_index.h"
 
 enum {
@@ -202,6 +203,19 @@ static void watch_lost_frames(struct bus_health *h)
 	h->dropped_seen = dropped;
 }
 
+/* The standard allows no answer, so the log is the only place that explains the silence. */
+static void watch_short_requests(struct bus_health *h)
+{
+	uint32_t before = h->values->bus_counters.short_sdo_requests, now = h->node->sdo_short;
+
+	h->values->bus_counters.short_sdo_requests = now;
+	if (before == 0 && now > 0)
+		event_log_line(h->log, h->now_us,
+			"%s: an SDO request has fewer than 8 bytes and gets no answer (CiA 301, 7.2.4.3): make the "
+			"master send 8; 2120h:8 counts them",
+			h->bus->name);
+}
+
 /* ---- bit rate ---------------------------------------------------------------------------------------------------- */
 
 static const char *why_not(int rc)
@@ -255,6 +269,7 @@ uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 	watch_state(h);
 	tick_restart(h);
 	watch_lost_frames(h);
+	watch_short_requests(h);
 	publish(h);
 	next_poll_us = h->poll_us + POLL_US;
 	/* a restart that is due while the interface is down waits until it is up */

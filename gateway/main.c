@@ -278,7 +278,7 @@ static uint32_t serial_number(const struct config *config)
 	return od_crc32(0, unit, (size_t)size);
 }
 
-/* 1009h, 100Ah and 1018h:4. */
+/* 1009h, 100Ah, 1018h:4 and 1F56h. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
 	values->identity.serial_number = serial_number(config);
@@ -286,6 +286,7 @@ static void identify(struct od_values *values, const struct config *config, cons
 		imu->name);
 	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",
 		IMU9_VERSION);
+	values->program_software_identification.program_1 = od_crc32(0, IMU9_VERSION, strlen(IMU9_VERSION));
 }
 
 /* The node-ID that LSS stored has precedence over the configured one, as every stored value has. */

@@ -171,7 +171,7 @@ unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16
 	unsigned clipped = publish_slopes(od);
 
 	v->sample.counter = counter;
-	v->sample.time = (uint32_t)out->t_us;
+	v->sample.time = v->high_resolution_time_stamp = (uint32_t)out->t_us;
 	v->sample.status = (uint16_t)(out->status | (saturated || clipped ? STATUS_SATURATED : 0u));
 	return clipped;
 }

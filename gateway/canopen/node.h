@@ -220,6 +220,7 @@ struct canopen_node {
 	struct heartbeat heartbeat;
 	struct guard guard;
 	struct sdo_server sdo_servers[SDO_SERVERS];
+	uint32_t sdo_short;	/* requests of fewer than 8 bytes */
 	struct sdo_server *sdo; /* the channel of the frame or tick under way */
 	struct second_sdo second_sdo;
 	struct pdos pdos;

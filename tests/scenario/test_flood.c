@@ -188,6 +188,25 @@ static void test_lines_a_second_apart_are_all_in_the_log(void **state)
 	assert_int_equal(lines, 2 + 10);
 }
 
+/* Old PLCs send SDO requests of as many bytes as they have: no answer is legal. */
+static void test_sdo_requests_of_fewer_than_eight_bytes_are_counted_and_told_once(void **state)
+{
+	static const uint8_t requests[][6] = {
+		{0x2F, 0x0D, 0x10, 0, 2}, {0x2B, 0x17, 0x10, 0, 0xF4, 1}, {0x40, 0x17, 0x10, 0}};
+	struct flooded *f = *state;
+
+	for (size_t i = 0; i < 3; i++) {
+		world_receive(&f->world, 0x600 + WORLD_NODE_ID, 6 - i % 2, requests[i]);
+		world_seconds(&f->world, 2);
+	}
+	assert_int_equal(f->world.device.values.bus_counters.short_sdo_requests, 3);
+	const char *text = f->world.device.log.text, *end = text + f->world.device.log.used;
+	const char *line = memmem(text, (size_t)(end - text), "an SDO request has fewer than 8 bytes", 37);
+	assert_non_null(line);
+	assert_null(memmem(line + 37, (size_t)(end - line - 37), "fewer than 8 bytes", 18));
+	assert_int_equal(f->world.device.values.producer_heartbeat_time, 1000);
+}
+
 #define FLOODED(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
 
 int main(void)
@@ -195,6 +214,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_no_flood_costs_more_than_two_emcys_and_two_lines_a_second_and_kind),
 		FLOODED(test_the_log_says_how_many_lines_were_left_out_and_has_the_last_one),
+		FLOODED(test_sdo_requests_of_fewer_than_eight_bytes_are_counted_and_told_once),
 		FLOODED(test_lines_a_second_apart_are_all_in_the_log),
 	};
 
