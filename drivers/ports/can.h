@@ -78,6 +78,8 @@ struct can_port {
 	int fd; /* readable when frames were received; the same until can_close(), also over a re-opening */
 	char name[64];
 	enum can_state state;
+	const char *down_why; /* while CAN_STATE_DOWN: why, and what to do; NULL: the interface is down */
+	const char *notice;   /* a line for the log; who logs it sets NULL */
 	struct can_counters counters;
 	uint32_t bit_s;		      /* 0: unknown; a bus without one may have a nominal value, for its load */
 	uint8_t tx_errors, rx_errors; /* TEC and REC of the controller; 0 where unknown */
