@@ -716,10 +716,10 @@ static uint64_t heartbeat_tick(struct reference *r)
 
 static void guard(struct reference *r)
 {
-	if (ref_value(r, 0x1017, 0))
-		return;
 	ref_send(r, 0x700u + r->node_id, (const uint8_t[]){(uint8_t)(r->state | r->guard_toggle << 7)}, 1);
 	r->guard_toggle ^= 1;
+	if (ref_value(r, 0x1017, 0))
+		return;
 	r->guarded = true;
 	r->guard_us = r->now_us;
 	ref_error_clear(r, 0x8130, 0);

@@ -84,7 +84,7 @@ struct reference_rpdo {
 };
 
 struct reference_tpdo {
-	bool event, await_start;
+	bool event, await_start, sent;
 	unsigned syncs;
 	uint8_t sampled[8], sampled_len;
 	uint64_t inhibited_us, timer_us;

@@ -271,6 +271,7 @@ static void transmit(struct reference *r, uint16_t comm)
 
 	ref_send(r, ref_value(r, comm, 1) & 0x7FF, data, len);
 	tpdo->event = false;
+	tpdo->sent = true;
 	tpdo->timer_us = r->now_us;
 	tpdo->inhibited_us = r->now_us + ref_value(r, comm, 3) * 100u;
 }
@@ -339,11 +340,13 @@ void reference_sample(struct reference *r, uint16_t counter, uint16_t accelerati
 {
 	reference_find(r, 0x210F, 1)->value = counter;
 	reference_find(r, 0x2100, 1)->value = acceleration;
-	if (r->state == 5 && !ref_lss_silent(r))
-		for (uint16_t n = 0; n < REF_TPDOS; n++)
-			if (length_in_use(r, 0x1800 + n))
-				r->tpdo[n].event |=
-					ref_value(r, 0x1800 + n, 2) == 0 || ref_value(r, 0x1800 + n, 2) >= 254;
+	for (uint16_t n = 0; r->state == 5 && !ref_lss_silent(r) && n < REF_TPDOS; n++) {
+		uint32_t type = ref_value(r, 0x1800 + n, 2);
+		bool periodic = ref_value(r, 0x1800 + n, 5) && r->tpdo[n].sent;
+
+		if (length_in_use(r, 0x1800 + n))
+			r->tpdo[n].event |= type == 0 || (type >= 254 && !periodic);
+	}
 	reference_tick(r);
 }
 
@@ -378,8 +381,13 @@ uint64_t ref_pdo_tick(struct reference *r)
 
 		if (!length_in_use(r, comm) || ref_value(r, comm, 2) < 254)
 			continue;
-		if (r->now_us >= due_us(r, comm))
+		if (r->now_us >= due_us(r, comm)) {
+			uint64_t period_us = ref_value(r, comm, 5) * 1000u, timer_us = r->tpdo[n].timer_us + period_us;
+
 			transmit(r, comm);
+			if (period_us && r->now_us >= timer_us && r->now_us < timer_us + period_us)
+				r->tpdo[n].timer_us = timer_us;
+		}
 		next = ref_earlier(next, due_us(r, comm));
 	}
 	return next;

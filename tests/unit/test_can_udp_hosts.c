@@ -166,8 +166,9 @@ static void test_by_default_frames_of_other_hosts_are_not_taken_and_it_is_told_o
 
 static void test_frames_of_this_host_are_taken_whatever_hosts_says(void **state)
 {
-	static const char *const buses[] = {"udp", "udp,hosts=any", "udp,hosts=10.1.2.3", "udp:239.74.163.2,interface=net0",
-		"udp,interface=lo", "udp:[ff15::1],interface=net0", "udp:[ff15::1],interface=net0,hosts=fd00::1"};
+	static const char *const buses[] = {"udp", "udp,hosts=any", "udp,hosts=10.1.2.3",
+		"udp:239.74.163.2,interface=net0", "udp,interface=lo", "udp:[ff15::1],interface=net0",
+		"udp:[ff15::1],interface=net0,hosts=fd00::1"};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(buses) / sizeof(buses[0]); i++) {
@@ -197,8 +198,9 @@ static void test_with_a_network_frames_of_its_hosts_are_taken(void **state)
 {
 	static const struct {
 		const char *bus, *host, *stranger;
-	} cases[] = {{"udp,hosts=10.9.0.0/24", "10.9.0.255", "10.9.1.0"}, {"udp,hosts=10.9.0.7", "10.9.0.7", "10.9.0.8"},
-		{"udp,hosts=10.9.0.7/20", "10.9.15.1", "10.9.16.1"}, {"udp,hosts=0.0.0.0/0", "1.2.3.4", NULL}};
+	} cases[] = {{"udp,hosts=10.9.0.0/24", "10.9.0.255", "10.9.1.0"},
+		{"udp,hosts=10.9.0.7", "10.9.0.7", "10.9.0.8"}, {"udp,hosts=10.9.0.7/20", "10.9.15.1", "10.9.16.1"},
+		{"udp,hosts=0.0.0.0/0", "1.2.3.4", NULL}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
@@ -241,8 +243,8 @@ static void test_a_network_that_only_another_process_has_joined_is_not_heard_and
 
 static void test_options_that_do_not_exist_are_refused_with_what_to_use(void **state)
 {
-	static const char *const bad[] = {"udp,hosts=", "udp,hosts=10.0.0.0/33", "udp,hosts=fd09::/64", "udp,hosts=nobody",
-		"udp:[ff15::1],hosts=10.0.0.0/8", "udp,host=any", "udp:239.1.1.1,hosts=10.0.0.0/x"};
+	static const char *const bad[] = {"udp,hosts=", "udp,hosts=10.0.0.0/33", "udp,hosts=fd09::/64",
+		"udp,hosts=nobody", "udp:[ff15::1],hosts=10.0.0.0/8", "udp,host=any", "udp:239.1.1.1,hosts=10.0.0.0/x"};
 	struct can_port *port;
 	char error[300];
 
