@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "gateway/canopen/deadline.h"
+#include "gateway/canopen/node.h"
 #include "od_index.h"
 
 enum {
@@ -136,9 +137,9 @@ static enum od_status on_write(void *ctx, const struct od_entry *entry, const vo
 
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
-static const char *state_text(enum can_state state)
+static const char *state_text(const struct can_port *bus)
 {
-	switch (state) {
+	switch (bus->state) {
 	case CAN_STATE_ACTIVE:
 		return "error active";
 	case CAN_STATE_WARNING:
@@ -150,7 +151,7 @@ static const char *state_text(enum can_state state)
 	case CAN_STATE_DOWN:
 		break;
 	}
-	return "down (ip link set ... up)";
+	return bus->down_why ? bus->down_why : "down (ip link set ... up)";
 }
 
 static void went_off(struct bus_health *h)
@@ -175,7 +176,7 @@ static void watch_state(struct bus_health *h)
 	if (state == seen)
 		return;
 	h->seen = state;
-	event_log_line(h->log, h->now_us, "%s: %s", h->bus->name, state_text(state));
+	event_log_line(h->log, h->now_us, "%s: %s", h->bus->name, state_text(h->bus));
 	if (state == CAN_STATE_BUS_OFF)
 		went_off(h);
 	if (state == CAN_STATE_PASSIVE)
@@ -184,6 +185,13 @@ static void watch_state(struct bus_health *h)
 		canopen_error_clear(h->node, EMCY_ERROR_PASSIVE, h->now_us);
 	if (h->was_off && state != CAN_STATE_BUS_OFF && state != CAN_STATE_DOWN)
 		came_back(h);
+}
+
+static void pass_notice_on(struct bus_health *h)
+{
+	if (h->bus->notice)
+		event_log_line(h->log, h->now_us, "%s: %s.", h->bus->name, h->bus->notice);
+	h->bus->notice = NULL;
 }
 
 /* One error for all frames lost with less than a second between them. */
@@ -200,6 +208,19 @@ static void watch_lost_frames(struct bus_health *h)
 		canopen_error_clear(h->node, EMCY_CAN_OVERRUN, h->now_us);
 	}
 	h->dropped_seen = dropped;
+}
+
+/* The standard allows no answer, so the log is the only place that explains the silence. */
+static void watch_short_requests(struct bus_health *h)
+{
+	uint32_t before = h->values->bus_counters.short_sdo_requests, now = h->node->sdo_short;
+
+	h->values->bus_counters.short_sdo_requests = now;
+	if (before == 0 && now > 0)
+		event_log_line(h->log, h->now_us,
+			"%s: an SDO request has fewer than 8 bytes and gets no answer (CiA 301, 7.2.4.3): make the "
+			"master send 8; 2120h:8 counts them",
+			h->bus->name);
 }
 
 /* ---- bit rate ---------------------------------------------------------------------------------------------------- */
@@ -253,8 +274,10 @@ uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 	h->now_us = now_us;
 	poll_bus(h);
 	watch_state(h);
+	pass_notice_on(h);
 	tick_restart(h);
 	watch_lost_frames(h);
+	watch_short_requests(h);
 	publish(h);
 	next_poll_us = h->poll_us + POLL_US;
 	/* a restart that is due while the interface is down waits until it is up */

@@ -1,5 +1,7 @@
 #include "gateway/device.h"
 
+#include <stdio.h>
+
 #include "gateway/canopen/deadline.h"
 #include "gateway/publish.h"
 #include "gateway/settings.h"
@@ -143,12 +145,14 @@ static void on_reset(void *ctx, enum od_group group)
 	calibration_command_reset(&d->calibration_command);
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	storing_reset(&d->storing, group, d->now_us);
+	pdo_preset_update(&d->pdo_preset);
 	if (group != OD_GROUP_ALL)
 		return;
 	sensor_watch_apply(&d->sensor_watch);
 	sensor_watch_reset(&d->sensor_watch);
 	(void)start_pipeline(d); /* cannot fail: the values of file and command line were valid at the start */
 	aids_reset(&d->aids);
+	d->angle_filter = (struct angle_filter){0};
 	/* persistent faults are detected and reported again */
 	d->sensor_lost = d->position_unsure = false;
 	d->implausible = 0;
@@ -196,15 +200,16 @@ static void on_nmt_changed(void *ctx, enum nmt_state state)
 					       : "initialising");
 }
 
+/* The beginning and the end are lines of one kind. */
 static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t info[5])
 {
 	struct device *d = ctx;
+	char what[48] = " is over";
 
 	if (set)
-		event_log_add(&d->log, d->now_us, "error %04Xh (%s), EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", code,
-			emcy_code_text(code), info[0], info[1], info[2], info[3], info[4]);
-	else
-		event_log_add(&d->log, d->now_us, "error %04Xh (%s) is over", code, emcy_code_text(code));
+		snprintf(what, sizeof(what), ", EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", info[0], info[1], info[2],
+			info[3], info[4]);
+	event_log_add_about(&d->log, d->now_us, code, "error %04Xh (%s)%s", code, emcy_code_text(code), what);
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
@@ -273,7 +278,9 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 	bus_health_init(&d->bus_health, bus, &d->canopen, &d->od, &d->log);
 	leds_init(&d->leds, &d->values, &d->canopen, bus);
 	utc_init(&d->utc, &d->values, &d->canopen);
-	return canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
+	rc = canopen_init(&d->canopen, &d->od, bus, &callbacks, node_id);
+	pdo_preset_attach(&d->pdo_preset, &d->od, &d->values.pdo_preset);
+	return rc;
 }
 
 void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
@@ -395,6 +402,8 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	lever_arm_command_sample(&d->lever_arm_command, sample, now_us);
 	calibration_command_sample(&d->calibration_command, sample);
 	sensor_watch_sample(&d->sensor_watch, sample);
+	out.angles_rad = angle_filter_step(
+		&d->angle_filter, (double)d->values.angle_filter.cutoff, sample->t_us, out.angles_rad);
 	unsigned clipped = publish_sample(&d->od, &out, counter);
 	last_movement_publish(&d->last_movement);
 	slope_range_check(&d->canopen, &d->values, clipped, now_us);
@@ -439,6 +448,7 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	next = earlier(next, utc_tick(&d->utc, now_us));
 	next = earlier(next, canopen_tick(&d->canopen, now_us));
 	next = earlier(next, leds_tick(&d->leds, now_us));
+	next = earlier(next, event_log_tick(&d->log, now_us));
 	if (!d->sensor_lost)
 		next = earlier(next, d->last_sample_us + sensor_watch_silence_us(&d->sensor_watch));
 	return next;

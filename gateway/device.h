@@ -13,6 +13,7 @@
 #include "drivers/ports/can.h"
 #include "drivers/ports/imu.h"
 #include "gateway/aids.h"
+#include "gateway/angle_filter.h"
 #include "gateway/bus_health.h"
 #include "gateway/led.h"
 #include "gateway/utc.h"
@@ -21,6 +22,7 @@
 #include "gateway/lever_arm_command.h"
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
+#include "gateway/pdo_preset.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
@@ -51,6 +53,8 @@ struct device {
 	struct event_log log;
 	struct snapshot snapshot;
 	struct last_movement last_movement;
+	struct angle_filter angle_filter;
+	struct pdo_preset pdo_preset;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;

@@ -284,7 +284,7 @@ static void log_notes(const char *notes)
 		log_line("%.*s", (int)strcspn(notes, "\n"), notes);
 }
 
-/* 1009h, 100Ah and 1018h:4. */
+/* 1009h, 100Ah, 1018h:4 and 1F56h. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
 	values->identity.serial_number = serial_number(config);
@@ -292,6 +292,7 @@ static void identify(struct od_values *values, const struct config *config, cons
 		imu->name);
 	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",
 		IMU9_VERSION);
+	values->program_software_identification.program_1 = od_crc32(0, IMU9_VERSION, strlen(IMU9_VERSION));
 }
 
 /* The node-ID that LSS stored has precedence over the configured one, as every stored value has. */

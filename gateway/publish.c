@@ -131,6 +131,28 @@ void publish_preset(struct od *od, uint16_t index)
 	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
 		(record).c = scaled16((vector).z, lsb, &saturated))
 
+/* The INTEGER16 twins, 2140h to 2147h: quantities that fit a PDO as vectors. */
+static void publish_twins(struct od *od, const struct pipeline_output *out)
+{
+	struct od_values *v = od->values;
+	const double quaternion_lsb = step_of(od, OD_INDEX_QUATERNION16, OD_SUB_QUATERNION16_W);
+	bool saturated = false; /* the status bit is that of the outputs that always existed */
+
+	v->quaternion16.w = scaled16(out->q_nb.w, quaternion_lsb, &saturated);
+	v->quaternion16.x = scaled16(out->q_nb.x, quaternion_lsb, &saturated);
+	v->quaternion16.y = scaled16(out->q_nb.y, quaternion_lsb, &saturated);
+	v->quaternion16.z = scaled16(out->q_nb.z, quaternion_lsb, &saturated);
+	PUBLISH_SCALED(v->angular_rate16, out->rate_b_rad_s, step_of(od, OD_INDEX_ANGULAR_RATE16, 1), l, s, t);
+	PUBLISH_SCALED(v->velocity16, out->velocity_n_m_s, step_of(od, OD_INDEX_VELOCITY16, 1), x, y, z);
+	PUBLISH_SCALED(v->specific_force16, out->force_b_m_s2, step_of(od, OD_INDEX_SPECIFIC_FORCE16, 1), l, s, t);
+	PUBLISH_SCALED(v->magnetic_field16, out->mag_b_uT, step_of(od, OD_INDEX_MAGNETIC_FIELD16, 1), l, s, t);
+	PUBLISH_SCALED(v->attitude_sigma16, vec3_scale(DEG_PER_RAD, out->sigma.attitude_rad),
+		step_of(od, OD_INDEX_ATTITUDE_SIGMA16, 1), x, y, z);
+	PUBLISH_SCALED(
+		v->velocity_sigma16, out->sigma.velocity_m_s, step_of(od, OD_INDEX_VELOCITY_SIGMA16, 1), x, y, z);
+	PUBLISH_SCALED(v->position_sigma16, out->sigma.position_m, step_of(od, OD_INDEX_POSITION_SIGMA16, 1), x, y, z);
+}
+
 unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16_t counter)
 {
 	const double acceleration_lsb_m_s2 = step_of(od, OD_INDEX_ACCELERATION, OD_SUB_ACCELERATION_L);
@@ -168,10 +190,11 @@ unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16
 	v->position_output.x32 = scaled(out->position_n_m.x, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.y32 = scaled(out->position_n_m.y, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.z32 = scaled(out->position_n_m.z, position_lsb_m, INT32_MAX, &saturated);
+	publish_twins(od, out);
 	unsigned clipped = publish_slopes(od);
 
 	v->sample.counter = counter;
-	v->sample.time = (uint32_t)out->t_us;
+	v->sample.time = v->high_resolution_time_stamp = (uint32_t)out->t_us;
 	v->sample.status = (uint16_t)(out->status | (saturated || clipped ? STATUS_SATURATED : 0u));
 	return clipped;
 }

@@ -15,7 +15,8 @@ double threshold_of(const struct od *od, const struct od_entry *entry)
 		{"rad/s", v->change_threshold.angular_rate}, {"m/s", v->change_threshold.velocity},
 		{"m", v->change_threshold.position}};
 
-	if (entry->index == OD_INDEX_SAMPLE && entry->sub != 3) /* counter and time change with each sample */
+	/* counter and time change with each sample */
+	if ((entry->index == OD_INDEX_SAMPLE && entry->sub != 3) || entry->index == OD_INDEX_HIGH_RESOLUTION_TIME_STAMP)
 		return INFINITY;
 	for (size_t i = 0; i < sizeof(kinds) / sizeof(kinds[0]); i++)
 		if (strcmp(entry->unit, kinds[i].unit) == 0)

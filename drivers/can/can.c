@@ -27,7 +27,7 @@ static const struct source {
 		can_slcan_open},
 	{"udp", CAN_UDP_SYNTAX,
 		"UDP multicast in the format of python-can's udp_multicast bus (default " CAN_UDP_GROUP ":" CAN_UDP_PORT
-		")",
+		"); HOSTS that may write beside this one: any, or NETWORK/BITS",
 		can_udp_open},
 };
 enum { SOURCE_COUNT = sizeof(SOURCES) / sizeof(SOURCES[0]) };

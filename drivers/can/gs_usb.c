@@ -22,10 +22,13 @@ enum {
 	PACKET_MAX = 512, /* of a high-speed bulk endpoint */
 	PACKETS_PER_CALL = 2 * PACKETS,
 	CONTROL_TIMEOUT_MS = 500,
-	OPEN_TIMEOUT_MS = 2000,
+	CONTROL_TRIES = 4, /* of a request that a slow adapter does not answer in time */
+	OPEN_TIMEOUT_MS = 4000,
 	CLOSE_TIMEOUT_MS = 1000,
 	LOOK_AGAIN_US = 500000,
-	STUCK_US = 2000000,
+	STUCK_US = 2000000, /* doubles with each restart in vain */
+	STUCK_DOUBLINGS_MAX = 5,
+	STUCK_TOLD = 3,
 };
 #define SYSFS "/sys/bus/usb/devices"
 
@@ -75,9 +78,10 @@ struct gs_usb {
 	struct gs_usb_limits limits;
 
 	enum step step;
-	bool restart; /* continue with STEP_RESET after the control transfer in progress */
-	bool asking;  /* a control transfer is in progress */
-	int answer;   /* -errno of the last step that failed */
+	bool restart;	   /* continue with STEP_RESET after the control transfer in progress */
+	bool asking;	   /* a control transfer is in progress */
+	int answer;	   /* -errno of the last step that failed */
+	unsigned timeouts; /* of this step */
 	struct libusb_transfer *control;
 	uint8_t control_bytes[LIBUSB_CONTROL_SETUP_SIZE + GS_USB_LIMITS_LEN];
 
@@ -90,6 +94,7 @@ struct gs_usb {
 	struct id_filter filter;
 	struct gs_usb_clock clock;
 	uint64_t look_at_us;	/* search for the adapter next at */
+	unsigned restarts;	/* since the last echo */
 	uint64_t full_since_us; /* since when all slots are in use without an echo; 0: they are not */
 };
 
@@ -270,6 +275,9 @@ static void LIBUSB_CALL on_answer(struct libusb_transfer *transfer)
 
 	can->pending--;
 	can->asking = false;
+	if (transfer->status == LIBUSB_TRANSFER_TIMED_OUT && ++can->timeouts < CONTROL_TRIES)
+		return; /* it is requested again */
+	can->timeouts = 0;
 	can->answer = transfer->status == LIBUSB_TRANSFER_COMPLETED
 			      ? evaluate_answer(can, libusb_control_transfer_get_data(transfer),
 					(size_t)transfer->actual_length)
@@ -457,6 +465,7 @@ static void cancel(struct gs_usb *can)
 static void detach(struct gs_usb *can)
 {
 	can->port.state = CAN_STATE_DOWN;
+	can->port.down_why = "unplugged, or it has failed: plug the adapter in, it is searched for";
 	if (!can->cancelled) {
 		free_slots(can);
 		cancel(can);
@@ -498,6 +507,7 @@ static void handle_echo(struct gs_usb *can, uint32_t slot)
 	can->slots[slot].on_bus = false;
 	can->port.retry_at_us = 0; /* a slot is free: no back-off */
 	can->full_since_us = 0;
+	can->restarts = 0;
 }
 
 /* True: *msg is a received frame. */
@@ -553,18 +563,24 @@ static int gs_usb_filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return 0;
 }
 
-/* An adapter that reports an active bus but has echoed none of ten frames for two seconds is restarted. */
+/* An adapter that has echoed none of ten frames for a while is restarted: it hangs, or nobody acknowledges frames. */
 static uint64_t watch_echoes(struct gs_usb *can, uint64_t now_us)
 {
+	uint64_t stuck_us = (uint64_t)STUCK_US
+			    << (can->restarts < STUCK_DOUBLINGS_MAX ? can->restarts : STUCK_DOUBLINGS_MAX);
+
 	for (size_t i = 0; i < GS_USB_SLOTS; i++)
 		if (!can->slots[i].on_bus)
 			return UINT64_MAX;
-	if (can->port.state != CAN_STATE_ACTIVE || can->step != STEP_RUNNING)
+	if (can->port.state == CAN_STATE_BUS_OFF || can->step != STEP_RUNNING)
 		return UINT64_MAX;
 	if (can->full_since_us == 0)
 		can->full_since_us = now_us;
-	if (now_us - can->full_since_us < STUCK_US)
-		return can->full_since_us + STUCK_US;
+	if (now_us - can->full_since_us < stuck_us)
+		return can->full_since_us + stuck_us;
+	if (++can->restarts == STUCK_TOLD)
+		can->port.notice = "the adapter sends nothing, restarts do not help: if cable, termination and the "
+				   "other nodes are right, unplug it and plug it in again";
 	restart(can);
 	return UINT64_MAX;
 }
@@ -721,7 +737,9 @@ static void explain(
 		break;
 	case -EBUSY:
 		snprintf(error, error_size,
-			"another program uses the adapter %s: stop it, or use another adapter (gs_usb:SERIAL)", name);
+			"another program uses the adapter %s (with all its channels): stop it, or use another adapter "
+			"(gs_usb:SERIAL)",
+			name);
 		break;
 	case -ECHRNG:
 		snprintf(error, error_size, "the adapter %s has no channel %u: channels count from 0", name,

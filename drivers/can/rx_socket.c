@@ -1,7 +1,6 @@
 #include "drivers/can/rx_socket.h"
 
 #include <errno.h>
-#include <stdbool.h>
 #include <string.h>
 #include <sys/socket.h>
 #include <time.h>

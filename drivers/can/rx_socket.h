@@ -4,10 +4,11 @@
 #ifndef DRIVERS_CAN_RX_SOCKET_H
 #define DRIVERS_CAN_RX_SOCKET_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
-enum { RX_SOCKET_BATCH = 16 };
+enum { RX_SOCKET_BATCH = 16, RX_SOCKET_PER_CALL = 64 };
 
 struct rx_datagram {
 	char data[256];
@@ -32,5 +33,12 @@ int rx_socket_prepare(int fd);
  * *dropped. now_us: CLOCK_MONOTONIC, now or a little earlier. Call it until it returns 0: the descriptor is not
  * readable for datagrams of a batch that has been fetched. */
 int rx_socket_receive(struct rx_socket *rx, const struct rx_datagram **datagram, uint64_t now_us, uint32_t *dropped);
+
+/** Whether datagram `n` (0, 1, ...) may be read within one call of the port: after RX_SOCKET_PER_CALL only the rest of
+ * the batch, so that unwanted datagrams do not keep the caller. */
+static inline bool rx_socket_may_read(const struct rx_socket *rx, unsigned n)
+{
+	return n < RX_SOCKET_PER_CALL || rx->next < rx->fetched;
+}
 
 #endif

@@ -16,13 +16,23 @@
 #include "drivers/can/slcan_codec.h"
 
 enum {
-	LOOK_AGAIN_US = 500000,
+	BACKOFF_MIN_US = 500000, /* until the device is opened again */
+	BACKOFF_MAX_US = 2000000,
+	ANSWER_US = 100000,   /* firmware that answers commands does so within this time */
+	NO_ANSWER_US = 20000, /* what it has for the next one if it did not answer the first */
 	ASK_STATUS_US = 1000000,
+	STATUS_TRIES = 3,      /* refusals of F, after which it is not asked again */
+	MUTE_US = 3500000,     /* nothing was received, not even the answers to three F */
+	REFUSING_US = 1000000, /* every frame was refused */
 	WRITE_AGAIN_US = 1000,
 	BAUD_DEFAULT = 115200,
 	LINES_PER_CALL = 64,
 	CLOSE_TIMEOUT_MS = 100,
 };
+
+/* The commands that set the adapter up. Each is a write of its own and waits for its answer: some firmware reads one
+ * command of each USB packet. Firmware that answers nothing gets them a little apart. */
+enum step { STEP_CLOSE, STEP_RATE, STEP_OPEN, STEP_OPENED };
 
 struct slcan {
 	struct can_port port; /* port.fd is an epoll descriptor over the device, and `more` */
@@ -30,19 +40,27 @@ struct slcan {
 	char device[BUS_ADDRESS_MAX];
 	speed_t baud;
 	bool listen_only;
+
+	bool awaiting; /* the command of this step was written, its answer is due by answer_by_us */
+	bool silent;   /* a command of this set-up was not answered */
+	bool answers;  /* this adapter has answered a command of the set-up */
+
+	bool status_due;     /* the answer to F */
+	bool status_refused; /* a BEL since F: to F or to a frame */
+	bool status_known;   /* F was answered since the device was opened */
+	bool refusal_told;
+	unsigned status_tries; /* that were refused */
+
 	int fd; /* -1: unplugged */
-	uint64_t look_at_us;
+	enum step step;
+	uint32_t backoff_us;
+	uint64_t look_at_us, answer_by_us, ask_status_at_us;
+	uint64_t heard_us;		      /* the last line */
+	uint64_t refused_us, refused_last_us; /* frames refused since one was accepted; 0: none */
 
-	bool set_up;	 /* the commands C, S and O were written */
-	int answers_due; /* answers to them; 0: all received, or the adapter answers nothing */
-	bool status_due; /* the answer to F */
-	bool no_status;	 /* the adapter does not support F */
-	uint64_t ask_status_at_us;
-
+	size_t out_at, out_length, in_at, in_length;
 	char out[SLCAN_LINE_MAX]; /* a line that the device did not accept at once */
-	size_t out_at, out_length;
 	char in[256];
-	size_t in_at, in_length;
 	struct slcan_reader reader;
 	struct id_filter filter;
 };
@@ -87,6 +105,14 @@ static int set_line(int fd, speed_t baud)
 	return 0;
 }
 
+/* Sets the adapter up from the start. */
+static void restart(struct slcan *can)
+{
+	can->step = STEP_CLOSE;
+	can->awaiting = can->silent = false;
+	can->refused_us = 0;
+}
+
 static int attach(struct slcan *can)
 {
 	struct epoll_event event = {.events = EPOLLIN};
@@ -103,19 +129,29 @@ static int attach(struct slcan *can)
 		return result;
 	}
 	can->fd = fd;
-	can->set_up = can->status_due = can->no_status = false;
-	can->answers_due = 0;
+	restart(can);
+	can->status_due = can->status_refused = can->status_known = false;
+	can->status_tries = 0;
 	can->in_at = can->in_length = can->out_at = can->out_length = 0;
 	can->reader = (struct slcan_reader){.length = 0};
 	return 0;
 }
 
-static void detach(struct slcan *can)
+/* Closes the device, which is opened again after a back-off. */
+static void detach(struct slcan *can, const char *why)
 {
 	(void)tcflush(can->fd, TCOFLUSH); /* close() would wait until it is written */
 	close(can->fd);			  /* also removes it from the epoll set */
 	can->fd = -1;
+	if (can->port.state != CAN_STATE_DOWN)
+		can->port.down_why = why;
 	can->port.state = CAN_STATE_DOWN;
+}
+
+static void unplugged(struct slcan *can)
+{
+	can->answers = false; /* the next one may be another */
+	detach(can, "unplugged: plug the adapter in, it is searched for");
 }
 
 /* Writes the rest of the last line. 0; -EAGAIN: some is left; -ENETDOWN. */
@@ -129,7 +165,7 @@ static int write_rest(struct slcan *can)
 		return 0;
 	n = write(can->fd, can->out + can->out_at, can->out_length - can->out_at);
 	if (n < 0 && errno != EAGAIN) {
-		detach(can);
+		unplugged(can);
 		return -ENETDOWN;
 	}
 	can->out_at += n > 0 ? (size_t)n : 0;
@@ -154,11 +190,32 @@ static int write_line(struct slcan *can, size_t length)
 
 /* ---- answers of the adapter -------------------------------------------------------------------------------------- */
 
+static void frame_accepted(struct slcan *can)
+{
+	can->refused_us = 0;
+	can->refusal_told = false;
+	can->backoff_us = BACKOFF_MIN_US;
+}
+
+static void frame_refused(struct slcan *can)
+{
+	can->port.counters.tx_dropped++;
+	if (can->refused_us == 0)
+		can->refused_us = can->heard_us;
+	can->refused_last_us = can->heard_us;
+	if (!can->refusal_told)
+		can->port.notice = "the adapter refuses frames: its buffer is full, or it left the bus";
+	can->refusal_told = true;
+}
+
 static void handle_status(struct slcan *can, uint8_t flags)
 {
 	struct can_port *port = &can->port;
 
-	can->status_due = false;
+	if (can->status_refused) /* not F was refused, but a frame */
+		frame_refused(can);
+	can->status_due = can->status_refused = false;
+	can->status_known = true;
 	if (flags & (SLCAN_RX_FULL | SLCAN_OVERRUN))
 		port->counters.rx_dropped++;
 	if (flags & SLCAN_BUS_ERROR)
@@ -168,18 +225,32 @@ static void handle_status(struct slcan *can, uint8_t flags)
 						: CAN_STATE_ACTIVE;
 }
 
-/* The answers to C, S and O arrive in this order. An adapter that is closed already refuses C. */
+static void next_step(struct slcan *can)
+{
+	can->awaiting = false;
+	can->step++;
+	if (can->step < STEP_OPENED)
+		return;
+	can->port.state = CAN_STATE_ACTIVE;
+	can->port.retry_at_us = 0; /* what has waited is sent now */
+}
+
+/* CR or BEL. An adapter that is closed already refuses C. */
 static void handle_answer(struct slcan *can, bool refused)
 {
-	if (can->answers_due > 0) {
-		can->answers_due--;
-		if (refused && can->answers_due < 2)
-			detach(can); /* and start again */
-	} else if (refused && can->status_due) {
-		can->no_status = true;
-		can->status_due = false;
-	} else if (refused) {
-		can->port.counters.tx_dropped++;
+	if (can->step < STEP_OPENED) {
+		can->answers = can->answers || can->awaiting;
+		if (refused && can->step > STEP_CLOSE)
+			detach(can, "the adapter refuses to go on the bus: unplug it, or use another bit rate; it is "
+				    "tried again");
+		else if (can->awaiting)
+			next_step(can);
+	} else if (!refused) {
+		frame_accepted(can);
+	} else if (can->status_due && !can->status_refused) {
+		can->status_refused = true;
+	} else {
+		frame_refused(can);
 	}
 }
 
@@ -188,10 +259,14 @@ static bool handle_line(struct slcan *can, enum slcan_kind kind)
 {
 	switch (kind) {
 	case SLCAN_FRAME:
+		can->refused_us = 0; /* it is on the bus */
 		return id_filter_wants(&can->filter, &can->reader.msg);
 	case SLCAN_OK:
 	case SLCAN_REFUSED:
 		handle_answer(can, kind == SLCAN_REFUSED);
+		break;
+	case SLCAN_SENT:
+		frame_accepted(can);
 		break;
 	case SLCAN_STATUS:
 		handle_status(can, can->reader.flags);
@@ -212,7 +287,7 @@ static bool read_more(struct slcan *can)
 	ssize_t n = can->fd < 0 ? 0 : read(can->fd, can->in, sizeof(can->in));
 
 	if (can->fd >= 0 && (n == 0 || (n < 0 && errno != EAGAIN)))
-		detach(can);
+		unplugged(can);
 	can->in_at = 0;
 	can->in_length = n > 0 ? (size_t)n : 0;
 	return can->in_length > 0;
@@ -227,7 +302,7 @@ static int slcan_send(struct can_port *port, const struct can_msg *msg)
 
 	if (can->listen_only)
 		return -EPERM;
-	if (can->fd >= 0 && !can->set_up)
+	if (can->fd >= 0 && can->step < STEP_OPENED)
 		return -EAGAIN;
 	result = write_rest(can);
 	return result < 0 ? result : write_line(can, slcan_encode(msg, can->out));
@@ -242,7 +317,10 @@ static int slcan_receive(struct can_port *port, struct can_msg *msg, uint64_t no
 	while (!received && lines < LINES_PER_CALL && (can->in_at < can->in_length || read_more(can))) {
 		enum slcan_kind kind = slcan_read(&can->reader, can->in[can->in_at++]);
 
-		lines += kind != SLCAN_NOTHING;
+		if (kind != SLCAN_NOTHING) {
+			can->heard_us = now_us;
+			lines++;
+		}
 		received = handle_line(can, kind);
 	}
 	if (received) {
@@ -259,53 +337,105 @@ static int slcan_filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return 0;
 }
 
-static void set_up(struct slcan *can)
+/* Writes `text` as one write; false: later. */
+static bool command(struct slcan *can, const char *text)
 {
-	int n = snprintf(can->out, sizeof(can->out), "C\rS%c\r%c\r", slcan_bit_rate_code(can->port.bit_s),
-		can->listen_only ? 'L' : 'O');
+	size_t length = strlen(text);
 
-	if (write_line(can, (size_t)n) < 0)
-		return;
-	can->set_up = true;
-	can->answers_due = 3;
-	can->port.state = CAN_STATE_ACTIVE;
+	memcpy(can->out, text, length);
+	return write_line(can, length) == 0;
+}
+
+static void set_up(struct slcan *can, uint64_t now_us)
+{
+	const char *const commands[] = {"C\r", (const char[]){'S', slcan_bit_rate_code(can->port.bit_s), '\r', '\0'},
+		can->listen_only ? "L\r" : "O\r"};
+
+	if (can->awaiting && now_us >= can->answer_by_us) {
+		if (can->answers) {
+			detach(can, "the adapter does not answer: unplug it and plug it in again; it is tried again");
+			return;
+		}
+		can->silent = true;
+		next_step(can);
+	}
+	if (can->step < STEP_OPENED && !can->awaiting && command(can, commands[can->step])) {
+		can->awaiting = true;
+		can->answer_by_us = now_us + (can->silent ? NO_ANSWER_US : ANSWER_US);
+	}
+	can->heard_us = now_us;
+	can->ask_status_at_us = now_us + ASK_STATUS_US;
+}
+
+static bool asks_status(const struct slcan *can)
+{
+	return can->status_tries < STATUS_TRIES;
 }
 
 static void ask_status(struct slcan *can, uint64_t now_us)
 {
-	if (now_us < can->ask_status_at_us || can->no_status)
+	if (now_us < can->ask_status_at_us || !asks_status(can))
 		return;
+	can->status_tries = can->status_refused && !can->status_known ? can->status_tries + 1 : 0;
+	can->status_due = can->status_refused = false;
 	can->ask_status_at_us = now_us + ASK_STATUS_US;
-	memcpy(can->out, "F\r", 2);
-	can->status_due = write_line(can, 2) == 0;
-	/* an adapter that has not answered yet does not answer at all */
-	can->answers_due = 0;
+	if (asks_status(can))
+		can->status_due = command(can, "F\r");
+}
+
+static void back_off(struct slcan *can, uint64_t now_us)
+{
+	can->look_at_us = now_us + can->backoff_us;
+	can->backoff_us = can->backoff_us < BACKOFF_MAX_US ? 2 * can->backoff_us : BACKOFF_MAX_US;
+}
+
+/* An adapter that has become mute is opened again, one that refuses every frame is set up again. */
+static void watch(struct slcan *can, uint64_t now_us)
+{
+	if (can->status_known && now_us - can->heard_us >= MUTE_US)
+		detach(can, "the adapter does not answer: unplug it and plug it in again; it is tried again");
+	if (can->fd < 0 || can->refused_us == 0 || can->refused_last_us - can->refused_us < REFUSING_US ||
+		now_us < can->look_at_us)
+		return;
+	back_off(can, now_us);
+	restart(can);
+}
+
+/* False: not now. */
+static bool search(struct slcan *can, uint64_t now_us)
+{
+	if (now_us < can->look_at_us)
+		return false;
+	back_off(can, now_us);
+	if (attach(can) == 0)
+		return true;
+	can->look_at_us = now_us + BACKOFF_MIN_US; /* it was unplugged: looked for often */
+	can->backoff_us = BACKOFF_MIN_US;
+	can->answers = false;
+	return false;
 }
 
 static uint64_t slcan_service(struct can_port *port, uint64_t now_us)
 {
 	struct slcan *can = of(port);
 
-	if (can->fd < 0) {
-		if (now_us < can->look_at_us)
-			return can->look_at_us;
-		can->look_at_us = now_us + LOOK_AGAIN_US;
-		if (attach(can) < 0)
-			return can->look_at_us;
-	}
-	if (write_rest(can) < 0)
-		return can->fd < 0 ? can->look_at_us : now_us + WRITE_AGAIN_US;
-	if (!can->set_up) {
-		set_up(can);
-		can->ask_status_at_us = now_us + ASK_STATUS_US;
-	} else {
-		ask_status(can, now_us);
+	if (can->fd < 0 && !search(can, now_us))
+		return can->look_at_us;
+	if (can->step == STEP_OPENED)
+		watch(can, now_us);
+	if (can->fd >= 0 && write_rest(can) == 0) {
+		if (can->step < STEP_OPENED)
+			set_up(can, now_us);
+		else
+			ask_status(can, now_us);
 	}
 	if (can->fd < 0)
-		return can->look_at_us;
-	return can->out_at < can->out_length || !can->set_up ? now_us + WRITE_AGAIN_US
-	       : can->no_status				     ? UINT64_MAX
-							     : can->ask_status_at_us;
+		return can->look_at_us > now_us ? can->look_at_us : now_us;
+	if (can->out_at < can->out_length || (can->step < STEP_OPENED && !can->awaiting))
+		return now_us + WRITE_AGAIN_US;
+	if (can->step < STEP_OPENED)
+		return can->answer_by_us;
+	return asks_status(can) ? can->ask_status_at_us : UINT64_MAX;
 }
 
 static int slcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
@@ -317,7 +447,7 @@ static int slcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 	if (dry_run || bit_s == port->bit_s)
 		return 0;
 	port->bit_s = bit_s;
-	can->set_up = false;
+	restart(can);
 	return 0;
 }
 
@@ -337,10 +467,8 @@ static void slcan_close(struct can_port *port)
 	struct slcan *can = of(port);
 
 	if (can->fd >= 0) {
-		if (write_rest(can) == 0) {
-			memcpy(can->out, "C\r", 2);
-			(void)write_line(can, 2);
-		}
+		if (write_rest(can) == 0)
+			(void)command(can, "C\r");
 		if (can->fd >= 0) {
 			drain(can->fd);
 			close(can->fd);
@@ -413,6 +541,7 @@ static int set_up_port(struct slcan *can, const struct bus_options *options)
 
 	can->port.bit_s = options->bit_s;
 	can->listen_only = options->listen_only;
+	can->backoff_us = BACKOFF_MIN_US;
 	if (slcan_bit_rate_code(options->bit_s) == '\0')
 		return -EOPNOTSUPP;
 	result = more_open(&can->more, &can->port.fd);

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-enum { CR = '\r', BEL = '\a', TIME_DIGITS = 4 };
+enum { CR = '\r', LF = '\n', BEL = '\a', TIME_DIGITS = 4 };
 
 static size_t put_hex(char *out, uint32_t value, size_t digits)
 {
@@ -87,7 +87,7 @@ static enum slcan_kind parse_line(struct slcan_reader *r)
 		return get_frame(r->line, r->length, &r->msg) ? SLCAN_FRAME : SLCAN_BAD;
 	case 'z':
 	case 'Z':
-		return r->length == 1 ? SLCAN_OK : SLCAN_BAD;
+		return r->length == 1 ? SLCAN_SENT : SLCAN_BAD;
 	case 'F':
 		if (r->length != 3 || !get_hex(r->line + 1, 2, &flags))
 			return SLCAN_BAD;
@@ -106,7 +106,9 @@ enum slcan_kind slcan_read(struct slcan_reader *r, char byte)
 {
 	enum slcan_kind kind;
 
-	if (byte != CR && byte != BEL) {
+	if (byte == LF && r->length == 0)
+		return SLCAN_NOTHING;
+	if (byte != CR && byte != LF && byte != BEL) {
 		if (r->length < sizeof(r->line))
 			r->line[r->length++] = byte;
 		else

@@ -17,6 +17,7 @@ enum slcan_kind {
 	SLCAN_NOTHING, /* the line is not complete */
 	SLCAN_FRAME,   /* `msg` */
 	SLCAN_OK,      /* a command or a frame was accepted */
+	SLCAN_SENT,    /* a frame was accepted: z or Z */
 	SLCAN_REFUSED, /* BEL */
 	SLCAN_STATUS,  /* `flags`, the answer to F */
 	SLCAN_OTHER,   /* another answer: version, serial number */
@@ -41,7 +42,8 @@ struct slcan_reader {
 	uint8_t flags;
 };
 
-/** Processes one byte from the adapter. */
+/** Processes one byte from the adapter. Some firmware ends its lines with LF, or CR LF: LF ends a line that is not
+ * empty. */
 enum slcan_kind slcan_read(struct slcan_reader *reader, char byte);
 
 #endif

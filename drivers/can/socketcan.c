@@ -58,34 +58,40 @@ static int socketcan_send(struct can_port *port, const struct can_msg *msg)
 	return 0;
 }
 
+static void get_frame(const struct can_frame *frame, uint64_t t_us, struct can_msg *msg)
+{
+	msg->extended = (frame->can_id & CAN_EFF_FLAG) != 0;
+	msg->remote = (frame->can_id & CAN_RTR_FLAG) != 0;
+	msg->id = frame->can_id & (msg->extended ? CAN_EFF_MASK : CAN_SFF_MASK);
+	msg->len = frame->can_dlc;
+	memcpy(msg->data, frame->data, sizeof(msg->data));
+	msg->t_us = t_us;
+}
+
 static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_t now_us)
 {
 	struct socketcan *can = of(port);
 	const struct rx_datagram *datagram;
 	struct can_frame frame;
-	int result;
 
-	for (;;) {
-		result = rx_socket_receive(&can->rx, &datagram, now_us, &port->counters.rx_dropped);
+	for (unsigned n = 0; rx_socket_may_read(&can->rx, n); n++) {
+		int result = rx_socket_receive(&can->rx, &datagram, now_us, &port->counters.rx_dropped);
+
 		if (result < 0)
 			return note_error(can, -result);
 		if (result == 0)
 			return 0;
 		memcpy(&frame, datagram->data, sizeof(frame)); /* the buffer is longer */
-		if (datagram->size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN)
+		if (datagram->size != sizeof(frame) || frame.can_dlc > CAN_MAX_DLEN) {
 			port->counters.rx_dropped++;
-		else if ((frame.can_id & CAN_ERR_FLAG) != 0)
+		} else if ((frame.can_id & CAN_ERR_FLAG) != 0) {
 			can_error_frame(port, frame.can_id, frame.data);
-		else
-			break;
+		} else {
+			get_frame(&frame, datagram->t_us, msg);
+			return 1;
+		}
 	}
-	msg->extended = (frame.can_id & CAN_EFF_FLAG) != 0;
-	msg->remote = (frame.can_id & CAN_RTR_FLAG) != 0;
-	msg->id = frame.can_id & (msg->extended ? CAN_EFF_MASK : CAN_SFF_MASK);
-	msg->len = frame.can_dlc;
-	memcpy(msg->data, frame.data, sizeof(msg->data));
-	msg->t_us = datagram->t_us;
-	return 1;
+	return 0;
 }
 
 static int apply_filters(const struct socketcan *can, int fd)

@@ -47,7 +47,8 @@ struct can_ops {
 	/** 0; -ENOBUFS or -EAGAIN: full, send again later; any other -errno: the frame is lost. */
 	int (*send)(struct can_port *port, const struct can_msg *msg);
 	/** 1 and a frame; 0: no more now; -errno: see `state`, and keep polling. Call it until it returns 0 or less:
-	 * the descriptor is not readable for frames that the port has fetched already. Error frames are not returned;
+	 * the descriptor is not readable for frames that the port has fetched already. A call does a bounded amount of
+	 * work: after many unwanted frames it returns 0, and the descriptor remains readable. Error frames are not returned;
 	 * they change `state` and `counters`. */
 	int (*receive)(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 	/** Receive only these 11-bit identifiers from now on; n = 0: all. Best effort: others may be received, too. */
@@ -77,6 +78,8 @@ struct can_port {
 	int fd; /* readable when frames were received; the same until can_close(), also over a re-opening */
 	char name[64];
 	enum can_state state;
+	const char *down_why; /* while CAN_STATE_DOWN: why, and what to do; NULL: the interface is down */
+	const char *notice;   /* a line for the log; who logs it sets NULL */
 	struct can_counters counters;
 	uint32_t bit_s;		      /* 0: unknown; a bus without one may have a nominal value, for its load */
 	uint8_t tx_errors, rx_errors; /* TEC and REC of the controller; 0 where unknown */
@@ -89,7 +92,8 @@ struct can_port {
 	uint32_t backoff_us;
 };
 
-/** Opens BUS: an interface name, `gs_usb[:SERIAL[:CHANNEL]]`, `slcan:DEVICE[@BAUD]`, `udp[:GROUP[:PORT]]`.
+/** Opens BUS: an interface name, `gs_usb[:SERIAL[:CHANNEL]]`, `slcan:DEVICE[@BAUD]`, `udp[:GROUP[:PORT]]`, and
+ * options.
  * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. */
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size);
 void can_close(struct can_port *port);

@@ -42,7 +42,7 @@ struct canopen_device {
 	/** 1011h: discards the stored values of a group; the defaults hold from the next reset on. Status as for
 	 * store(). */
 	enum od_status (*restore)(void *ctx, enum od_group group);
-	/** NMT reset: brings the dictionary back to its power-on values, that is defaults and then stored values, for
+	/** NMT reset, 10 ms before the boot-up message: brings the dictionary back to its power-on values, that is defaults and then stored values, for
 	 * OD_GROUP_COMMUNICATION (reset communication) or OD_GROUP_ALL (reset node, which also restarts the
 	 * application). */
 	void (*reset)(void *ctx, enum od_group group);
@@ -90,7 +90,8 @@ void canopen_sample(struct canopen_node *node, uint64_t now_us);
  * active already is not sent again. More than EMCY_ERRORS active errors are counted and otherwise ignored. */
 void canopen_error_set(
 	struct canopen_node *node, uint16_t code, uint8_t register_bits, const uint8_t *info, uint64_t now_us);
-/** The error has ended. Sends EMCY 0000h when no other error is active. */
+/** The cause of the error is gone. Sends EMCY 0000h when no other error is active. An error with ERROR_COMMUNICATION
+ * ends at most once a second; canopen_tick() ends it when that has passed. */
 void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_us);
 /** Whether an error with this code is active, from any source. */
 bool canopen_error_active(const struct canopen_node *node, uint16_t code);

@@ -3,8 +3,6 @@
  * state stays: both nodes have sent already, and the master decides which of them to stop. */
 #include "gateway/canopen/service.h"
 
-enum { QUIET_US = 10000000 }; /* the error ends after so long without such a frame */
-
 size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX])
 {
 	size_t n = 0;
@@ -34,36 +32,12 @@ static bool is_own_id(const struct canopen_node *node, uint32_t id)
 
 bool collision_receive(struct canopen_node *node, const struct can_msg *msg)
 {
-	struct collision *collision = &node->collision;
 	uint8_t info[5] = {0};
 
 	if (!is_own_id(node, msg->id))
 		return false;
-	collision->over_us = node->now_us + QUIET_US;
-	if (collision->active)
-		return true;
-	collision->active = true;
 	put_u16(info, (uint16_t)msg->id);
-	canopen_error_set(node, EMCY_COLLISION, ERROR_COMMUNICATION, info, node->now_us);
-	if (node->device.collision)
+	if (emcy_set_frame(node, EMCY_COLLISION, EMCY_NO_SOURCE, info) && node->device.collision)
 		node->device.collision(node->device.ctx, msg->id);
 	return true;
-}
-
-void collision_reset(struct canopen_node *node)
-{
-	node->collision.active = false; /* emcy_reset() has ended the error */
-}
-
-uint64_t collision_tick(struct canopen_node *node)
-{
-	struct collision *collision = &node->collision;
-
-	if (!collision->active)
-		return UINT64_MAX;
-	if (node->now_us < collision->over_us)
-		return collision->over_us;
-	collision->active = false;
-	emcy_clear(node, EMCY_COLLISION, EMCY_NO_SOURCE);
-	return UINT64_MAX;
 }

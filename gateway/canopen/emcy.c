@@ -106,37 +106,37 @@ bool canopen_error_active(const struct canopen_node *node, uint16_t code)
 	return false;
 }
 
-static bool remove_error(struct emcy *emcy, uint16_t code, uint8_t source)
+static void remove_error(struct emcy *emcy, size_t i)
 {
-	size_t i = find_error(emcy, code, source);
-
-	if (i == emcy->error_count)
-		return false;
 	emcy->error_count--;
 	memmove(&emcy->errors[i], &emcy->errors[i + 1], (emcy->error_count - i) * sizeof(emcy->errors[0]));
 	update_register(emcy);
-	return true;
+}
+
+static bool is_own(uint16_t code)
+{
+	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_TIME,
+		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT, EMCY_COLLISION};
+	size_t i = 0;
+
+	while (i < sizeof(own) / sizeof(own[0]) && own[i] != code)
+		i++;
+	return i < sizeof(own) / sizeof(own[0]);
 }
 
 /* Reset communication ends the errors that the core raises itself; the application ends its own. */
 void emcy_reset(struct canopen_node *node, enum od_group group)
 {
-	static const uint16_t own[] = {EMCY_DATA_SET, EMCY_HEARTBEAT, EMCY_SYNC_LENGTH, EMCY_SYNC_TIME,
-		EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT, EMCY_COLLISION};
 	struct emcy *emcy = &node->emcy;
 
 	if (node->id != CANOPEN_UNCONFIGURED) /* else nothing could be sent yet: the messages stay */
 		emcy->queue_count = 0;
 	emcy->inhibited_until_us = 0;
-	if (group == OD_GROUP_ALL) {
-		emcy->error_count = 0;
-		update_register(emcy);
+	for (size_t i = emcy->error_count; i-- > 0;)
+		if (group == OD_GROUP_ALL || is_own(emcy->errors[i].code))
+			remove_error(emcy, i);
+	if (group == OD_GROUP_ALL)
 		clear_history(emcy);
-	} else {
-		for (size_t i = 0; i < sizeof(own) / sizeof(own[0]); i++)
-			for (unsigned source = 0; source <= 127; source++)
-				remove_error(emcy, own[i], (uint8_t)source);
-	}
 }
 
 void emcy_check(struct canopen_node *node)
@@ -149,15 +149,23 @@ void emcy_check(struct canopen_node *node)
 	node_bad_data(node, OD_INDEX_COB_ID_EMCY);
 }
 
+/* An error that recurs moves to the front, so that the history keeps the last different ones. */
 static void record(struct emcy *emcy, uint16_t code, const uint8_t *info)
 {
+	uint32_t value = code | (uint32_t)get_u16(info) << 16;
+	size_t i = 0;
+
 	if (emcy->history_size == 0)
 		return;
-	for (size_t i = emcy->history_size - 1; i > 0; i--)
-		*emcy->history[i] = *emcy->history[i - 1];
-	*emcy->history[0] = code | (uint32_t)get_u16(info) << 16;
-	if (*emcy->history_count < emcy->history_size)
+	while (i < *emcy->history_count && *emcy->history[i] != value)
+		i++;
+	if (i == *emcy->history_count && i < emcy->history_size)
 		(*emcy->history_count)++;
+	if (i == emcy->history_size)
+		i--;
+	for (; i > 0; i--)
+		*emcy->history[i] = *emcy->history[i - 1];
+	*emcy->history[0] = value;
 }
 
 static void drop_oldest(struct emcy *emcy)
@@ -182,7 +190,8 @@ static void enqueue(struct emcy *emcy, uint16_t code, uint8_t source, const uint
 	memcpy(message->data + 3, info, 5);
 }
 
-uint64_t emcy_tick(struct canopen_node *node)
+/* Sends what may be sent now. Returns when the next message may be. */
+static uint64_t send_queue(struct canopen_node *node)
 {
 	struct emcy *emcy = &node->emcy;
 
@@ -225,26 +234,71 @@ static void notify(const struct canopen_node *node, uint16_t code, bool set, con
 		node->device.error_changed(node->device.ctx, code, set, info);
 }
 
-void emcy_set_info(
+/* When this communication error may end: EMCY_QUIET_US after it has ended before. */
+static uint64_t earliest_end_us(const struct emcy *emcy, uint16_t code, uint8_t source)
+{
+	for (size_t i = 0; i < EMCY_ERRORS; i++)
+		if (emcy->ended[i].code == code && emcy->ended[i].source == source)
+			return emcy->ended[i].t_us + EMCY_QUIET_US;
+	return 0;
+}
+
+static void note_end(struct emcy *emcy, const struct emcy_error *error, uint64_t now_us)
+{
+	size_t i = 0;
+
+	while (i < EMCY_ERRORS && (emcy->ended[i].code != error->code || emcy->ended[i].source != error->source))
+		i++;
+	if (i == EMCY_ERRORS)
+		i = emcy->ended_next++ % EMCY_ERRORS;
+	emcy->ended[i].code = error->code;
+	emcy->ended[i].source = error->source;
+	emcy->ended[i].t_us = now_us;
+}
+
+/* The error, raised or found active; NULL: there are too many. */
+static struct emcy_error *raise(
 	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5])
 {
 	struct emcy *emcy = &node->emcy;
+	size_t i = find_error(emcy, code, source);
 
-	if (find_error(emcy, code, source) < emcy->error_count)
-		return;
-	if (emcy->error_count == EMCY_ERRORS) {
+	if (i == EMCY_ERRORS) {
 		emcy->lost++;
-		return;
+		return NULL;
 	}
-	emcy->errors[emcy->error_count].code = code;
-	emcy->errors[emcy->error_count].source = source;
-	emcy->errors[emcy->error_count].bits = register_bits;
+	emcy->errors[i].over_us = UINT64_MAX;
+	if (i < emcy->error_count)
+		return &emcy->errors[i];
+	emcy->errors[i].code = code;
+	emcy->errors[i].source = source;
+	emcy->errors[i].bits = register_bits;
+	emcy->errors[i].earliest_us = register_bits & ERROR_COMMUNICATION ? earliest_end_us(emcy, code, source) : 0;
 	emcy->error_count++;
 	update_register(emcy);
 	notify(node, code, true, info);
 	record(emcy, code, info);
 	enqueue(emcy, code, source, info);
-	emcy_tick(node);
+	send_queue(node);
+	return &emcy->errors[i];
+}
+
+void emcy_set_info(
+	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5])
+{
+	(void)raise(node, code, source, register_bits, info);
+}
+
+bool emcy_set_frame(struct canopen_node *node, uint16_t code, uint8_t source, const uint8_t info[5])
+{
+	size_t count = node->emcy.error_count;
+	struct emcy_error *error = raise(node, code, source, ERROR_COMMUNICATION, info);
+
+	if (!error)
+		return false;
+	error->earliest_us = node->now_us + EMCY_QUIET_US;
+	error->over_us = node->now_us + EMCY_FORGOTTEN_US;
+	return node->emcy.error_count > count;
 }
 
 void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits)
@@ -252,17 +306,47 @@ void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t 
 	emcy_set_info(node, code, source, register_bits, (const uint8_t[5]){source});
 }
 
-void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
+static void end_error(struct canopen_node *node, size_t i)
 {
 	static const uint8_t no_info[5];
+	struct emcy *emcy = &node->emcy;
+	uint16_t code = emcy->errors[i].code;
 
-	if (!remove_error(&node->emcy, code, source))
-		return;
+	if (emcy->errors[i].bits & ERROR_COMMUNICATION)
+		note_end(emcy, &emcy->errors[i], node->now_us);
+	remove_error(emcy, i);
 	notify(node, code, false, no_info);
-	if (node->emcy.error_count)
+	if (emcy->error_count)
 		return;
-	enqueue(&node->emcy, EMCY_NO_ERROR, EMCY_NO_SOURCE, no_info);
-	emcy_tick(node);
+	enqueue(emcy, EMCY_NO_ERROR, EMCY_NO_SOURCE, no_info);
+	send_queue(node);
+}
+
+void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source)
+{
+	struct emcy *emcy = &node->emcy;
+	size_t i = find_error(emcy, code, source);
+
+	if (i == emcy->error_count)
+		return;
+	if (emcy->errors[i].earliest_us <= node->now_us)
+		end_error(node, i);
+	else
+		emcy->errors[i].over_us = emcy->errors[i].earliest_us;
+}
+
+uint64_t emcy_tick(struct canopen_node *node)
+{
+	struct emcy *emcy = &node->emcy;
+	uint64_t next_us = UINT64_MAX;
+
+	for (size_t i = emcy->error_count; i-- > 0;) {
+		if (emcy->errors[i].over_us <= node->now_us)
+			end_error(node, i);
+		else
+			next_us = earlier(next_us, emcy->errors[i].over_us);
+	}
+	return earlier(next_us, send_queue(node));
 }
 
 void canopen_error_set(

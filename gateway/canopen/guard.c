@@ -1,6 +1,7 @@
 /* Node guarding, slave (CiA 301, 7.2.8.3.2.1): the response to the master's remote request carries the NMT state and a
- * toggle bit. Life guarding (100Ch, 100Dh) starts with the first request. A heartbeat producer (1017h) disables both.
- */
+ * toggle bit. Life guarding (100Ch, 100Dh) starts with the first request. CiA 301 gives the heartbeat precedence over
+ * both; here a heartbeat producer (1017h, the default) answers requests nevertheless, since masters that guard do not
+ * set it to 0, and has no life guarding. */
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
@@ -32,11 +33,11 @@ void guard_receive(struct canopen_node *node)
 {
 	struct guard *guard = &node->guard;
 
-	if (*node->nmt.heartbeat_ms)
-		return;
 	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){(uint8_t)(node->nmt.state | guard->toggle)},
 		1);
 	guard->toggle ^= TOGGLE;
+	if (*node->nmt.heartbeat_ms)
+		return;
 	guard->alive = true;
 	guard->last_us = node->now_us;
 	emcy_clear(node, EMCY_HEARTBEAT, EMCY_NO_SOURCE);

@@ -65,7 +65,7 @@ void lss_reset(struct canopen_node *node, enum od_group group)
 	if (group == OD_GROUP_ALL)
 		lss->node_id = lss->stored_id;
 	lss->configuring = false;
-	lss->selected = lss->identified = lss->scanned = 0;
+	lss->selected = lss->identified = lss->scanned = lss->confirmed = 0;
 	node->id = lss->node_id;
 	od_follow_node_id(node->od->table, node->od->values, old, node->id);
 	od_follow_node_id(node->od->table, node->od->values, lss->start_id, node->id);
@@ -252,9 +252,9 @@ static bool unconfigured(const struct canopen_node *node)
 	return node->id == CANOPEN_UNCONFIGURED && node->lss.node_id == CANOPEN_UNCONFIGURED;
 }
 
-/* The master determines the LSS address bit by bit: nodes whose number matches from bit 31 down to `bit` respond. After
- * bit 0 of a number, `next` is the number that follows; after the last number it is a smaller one, and the node enters
- * configuration state. */
+/* The master determines the LSS address bit by bit: nodes whose number matches from bit 31 down to `bit` respond. Bit 0
+ * confirms a number, and `next` is the number that follows. After the last one it is a smaller one: then the node enters
+ * configuration state, if all four numbers were confirmed. */
 static void fastscan(struct canopen_node *node, const uint8_t data[8])
 {
 	struct lss *lss = &node->lss;
@@ -264,15 +264,18 @@ static void fastscan(struct canopen_node *node, const uint8_t data[8])
 		return;
 	if (bit == FASTSCAN_RESET) {
 		lss->scanned = VENDOR;
+		lss->confirmed = 0;
 		answer(node, IDENTIFIED, 0);
 		return;
 	}
 	if (bit > 31 || number >= LSS_NUMBERS || next >= LSS_NUMBERS || number != lss->scanned ||
 		(*lss->identity[number] ^ get_u32(data + 1)) >> bit)
 		return;
-	if (bit == 0)
+	if (bit == 0) {
 		lss->scanned = next;
-	lss->configuring = bit == 0 && next < number;
+		lss->confirmed |= (uint8_t)(1u << number);
+		lss->configuring = next < number && lss->confirmed == (1u << LSS_NUMBERS) - 1;
+	}
 	answer(node, IDENTIFIED, 0);
 }
 

@@ -10,6 +10,9 @@ enum nmt_command {
 	NMT_RESET_COMMUNICATION = 130,
 };
 
+/* A master that begins to wait after its reset command receives the boot-up message then. */
+enum { BOOT_UP_DELAY_US = 10000 };
+
 /* Bits of 1F80h. */
 enum { STARTUP_BY_MASTER = 1 << 2 };
 
@@ -31,6 +34,7 @@ void nmt_init(struct canopen_node *node)
 
 	nmt->heartbeat_ms = node_value(node, OD_INDEX_PRODUCER_HEARTBEAT_TIME, 0, sizeof(uint16_t));
 	nmt->error_behaviour = node_value(node, OD_INDEX_ERROR_BEHAVIOUR, 1, sizeof(uint8_t));
+	nmt->boot_up_us = UINT64_MAX;
 	nmt->startup = od_value(node->od, OD_INDEX_NMT_STARTUP, 0, sizeof(uint32_t));
 	nmt->hook = (struct od_hook){
 		.first = OD_INDEX_NMT_STARTUP, .last = OD_INDEX_NMT_STARTUP, .before = before_startup, .ctx = node};
@@ -66,8 +70,15 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state)
 	}
 }
 
+void nmt_plan_boot_up(struct canopen_node *node)
+{
+	if (node->id != CANOPEN_UNCONFIGURED)
+		node->nmt.boot_up_us = node->now_us + BOOT_UP_DELAY_US;
+}
+
 void nmt_boot_up(struct canopen_node *node)
 {
+	node->nmt.boot_up_us = UINT64_MAX;
 	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){0x00}, 1);
 	node->nmt.last_heartbeat_us = node->now_us;
 	nmt_enter(node, NMT_PRE_OPERATIONAL);
@@ -121,11 +132,16 @@ void nmt_receive(struct canopen_node *node, const struct can_msg *msg)
 /* A new 1017h is used at once: the next heartbeat is due one new period after the last one, or now. */
 uint64_t nmt_tick(struct canopen_node *node)
 {
-	uint64_t period_us = *node->nmt.heartbeat_ms * 1000u;
-	uint64_t due_us = node->nmt.last_heartbeat_us + period_us;
+	uint64_t period_us = *node->nmt.heartbeat_ms * 1000u, due_us;
 
-	if (node->nmt.state == NMT_INITIALISING || period_us == 0)
+	if (node->nmt.state == NMT_INITIALISING) {
+		if (node->now_us < node->nmt.boot_up_us)
+			return node->nmt.boot_up_us;
+		nmt_boot_up(node);
+	}
+	if (period_us == 0)
 		return UINT64_MAX;
+	due_us = node->nmt.last_heartbeat_us + period_us;
 	if (node->now_us < due_us)
 		return due_us;
 	node_send(node, CAN_ID_ERROR_CONTROL + node->id, (const uint8_t[]){(uint8_t)node->nmt.state}, 1);

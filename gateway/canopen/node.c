@@ -84,7 +84,6 @@ void node_bad_data(struct canopen_node *node, uint16_t index)
 /* Applies the values of the dictionary to every service. */
 static void reset_services(struct canopen_node *node)
 {
-	collision_reset(node);
 	heartbeat_reset(node);
 	guard_reset(node);
 	if (node->id == CANOPEN_UNCONFIGURED) {
@@ -147,7 +146,7 @@ void node_reset(struct canopen_node *node, enum od_group group)
 		node->device.reset(node->device.ctx, group);
 	lss_reset(node, group);
 	reset_services(node);
-	canopen_start(node, node->now_us);
+	nmt_plan_boot_up(node);
 }
 
 static void receive_remote(struct canopen_node *node, const struct can_msg *msg)
@@ -163,7 +162,7 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 	node->now_us = now_us;
 	if (!node->started || lss_silent(node) || msg->extended || msg->len > 8)
 		return;
-	if (node->nmt.state == NMT_INITIALISING) { /* without a node-ID */
+	if (node->nmt.state == NMT_INITIALISING) { /* without a node-ID, or before boot-up */
 		if (msg->id == CAN_ID_LSS_REQUEST && !msg->remote)
 			lss_receive(node, msg);
 		return;
@@ -202,7 +201,6 @@ uint64_t canopen_tick(struct canopen_node *node, uint64_t now_us)
 	deadline = earlier(deadline, nmt_tick(node));
 	deadline = earlier(deadline, sync_tick(node));
 	deadline = earlier(deadline, pdo_tick(node));
-	deadline = earlier(deadline, collision_tick(node));
 	deadline = earlier(deadline, emcy_tick(node));
 	return earlier(deadline, sdo_server_tick(node));
 }

@@ -25,6 +25,7 @@ struct nmt {
 	const uint8_t *error_behaviour; /* 1029h:1 */
 	const uint32_t *startup;	/* 1F80h; NULL: absent, the master starts the node */
 	enum nmt_state state;
+	uint64_t boot_up_us;	    /* due after a reset, while initialising; else UINT64_MAX */
 	uint64_t last_heartbeat_us; /* boot-up counts as one (CiA 301, 7.2.8.3.2.2) */
 };
 
@@ -117,7 +118,6 @@ struct rpdo {
 	struct pdo pdo;
 	uint8_t data[8]; /* received last */
 	bool waits;	 /* synchronous: applied at the next SYNC */
-	uint8_t faults;	 /* active ones: a bit for each enum fault */
 	bool monitored;	 /* the event timer runs until deadline_us */
 	uint64_t deadline_us;
 };
@@ -150,6 +150,13 @@ struct emcy_message {
 	uint8_t data[8];
 };
 
+struct emcy_error {
+	uint16_t code;
+	uint8_t source, bits;
+	uint64_t earliest_us; /* it ends then at the earliest */
+	uint64_t over_us;     /* it ends then unless it is found again; UINT64_MAX: with emcy_clear() */
+};
+
 struct emcy {
 	struct od_hook cob_id_hook, history_hook;
 	uint32_t *cob_id; /* NULL: no 1014h, so no EMCY */
@@ -158,11 +165,14 @@ struct emcy {
 	uint8_t *history_count;
 	uint32_t *history[EMCY_HISTORY];
 	size_t history_size;
+	struct emcy_error errors[EMCY_ERRORS]; /* active ones, oldest first */
+	size_t error_count;
 	struct {
 		uint16_t code;
-		uint8_t source, bits;
-	} errors[EMCY_ERRORS]; /* active ones, oldest first */
-	size_t error_count;
+		uint8_t source;
+		uint64_t t_us;
+	} ended[EMCY_ERRORS]; /* communication errors, the oldest is replaced */
+	size_t ended_next;
 	struct emcy_message queue[EMCY_QUEUE]; /* oldest first */
 	size_t queue_count;
 	uint32_t lost; /* errors or messages beyond EMCY_ERRORS and EMCY_QUEUE */
@@ -190,17 +200,13 @@ struct lss {
 	bool configuring;	      /* LSS configuration state; else waiting state */
 	uint8_t selected, identified; /* consecutive matching numbers so far */
 	uint8_t scanned;	      /* fastscan: the number that is scanned */
+	uint8_t confirmed;	      /* fastscan: a bit for each number */
 };
 
 struct time {
 	struct od_hook hook; /* 1012h */
 	const uint32_t *cob_id;
 	uint32_t id; /* consumed; or CAN_ID_NONE */
-};
-
-struct collision {
-	bool active;
-	uint64_t over_us; /* the error ends here unless such a frame is received again */
 };
 
 struct canopen_node {
@@ -214,6 +220,7 @@ struct canopen_node {
 	struct heartbeat heartbeat;
 	struct guard guard;
 	struct sdo_server sdo_servers[SDO_SERVERS];
+	uint32_t sdo_short;	/* requests of fewer than 8 bytes */
 	struct sdo_server *sdo; /* the channel of the frame or tick under way */
 	struct second_sdo second_sdo;
 	struct pdos pdos;
@@ -222,7 +229,6 @@ struct canopen_node {
 	struct store store;
 	struct lss lss;
 	struct time time;
-	struct collision collision;
 };
 
 #endif

@@ -5,7 +5,7 @@
 
 #include <string.h>
 
-/* ---- errors: each is sent once, and ends with a correct PDO ------------------------------------------------------ */
+/* ---- errors: each is sent once; a correct PDO ends it ------------------------------------------------------------ */
 
 static const uint16_t codes[] = {EMCY_PDO_CONTENT, EMCY_PDO_SHORT, EMCY_PDO_LONG, EMCY_PDO_TIMEOUT};
 enum fault { FAULT_CONTENT, FAULT_SHORT, FAULT_LONG, FAULT_TIMEOUT };
@@ -17,21 +17,20 @@ static uint8_t source(const struct canopen_node *node, const struct rpdo *rpdo)
 }
 
 /* The manufacturer-specific field: index of the PDO, then `detail`. */
-static void set_fault(struct canopen_node *node, struct rpdo *rpdo, enum fault fault, const uint8_t detail[3])
+static void set_fault(struct canopen_node *node, const struct rpdo *rpdo, enum fault fault, const uint8_t detail[3])
 {
 	uint8_t info[5] = {0};
 
 	put_u16(info, rpdo->pdo.index);
 	memcpy(info + 2, detail, 3);
-	rpdo->faults |= (uint8_t)(1u << fault);
-	emcy_set_info(node, codes[fault], source(node, rpdo), ERROR_COMMUNICATION, info);
+	if (fault == FAULT_TIMEOUT)
+		emcy_set_info(node, codes[fault], source(node, rpdo), ERROR_COMMUNICATION, info);
+	else
+		emcy_set_frame(node, codes[fault], source(node, rpdo), info);
 }
 
-static void clear_fault(struct canopen_node *node, struct rpdo *rpdo, enum fault fault)
+static void clear_fault(struct canopen_node *node, const struct rpdo *rpdo, enum fault fault)
 {
-	if (!(rpdo->faults & 1u << fault))
-		return;
-	rpdo->faults &= (uint8_t) ~(1u << fault);
 	emcy_clear(node, codes[fault], source(node, rpdo));
 }
 
@@ -98,7 +97,7 @@ static const struct od_entry *for_each_value(struct od *od, const struct rpdo *r
 	return refuses;
 }
 
-static void write_values(struct canopen_node *node, struct rpdo *rpdo)
+static void write_values(struct canopen_node *node, const struct rpdo *rpdo)
 {
 	const struct od_entry *refuses = for_each_value(node->od, rpdo, check_one);
 
@@ -126,7 +125,7 @@ void rpdo_sync(struct canopen_node *node)
 /* ---- reception --------------------------------------------------------------------------------------------------- */
 
 /* Of a PDO that is too long the mapped bytes are used; one that is too short is not used (CiA 301, 7.5.2.36). */
-static bool length_fits(struct canopen_node *node, struct rpdo *rpdo, uint8_t len)
+static bool length_fits(struct canopen_node *node, const struct rpdo *rpdo, uint8_t len)
 {
 	const uint8_t detail[3] = {len, rpdo->pdo.bytes};
 

@@ -364,7 +364,8 @@ void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
 	uint8_t ccs = msg->data[0] >> 5;
 
 	node->sdo = sdo;
-	if (msg->len != 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
+	node->sdo_short += msg->len < 8;
+	if (msg->len < 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
 		return;
 	if (ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD)
 		initiate(node, msg->data);

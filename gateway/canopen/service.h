@@ -45,6 +45,8 @@ void nmt_enter(struct canopen_node *node, enum nmt_state state);
 bool nmt_communicates(const struct canopen_node *node);
 /** A heartbeat or life guarding event, or bus-off: the state transition of 1029h:1. */
 void nmt_communication_error(struct canopen_node *node);
+/** Reset: the node boots up a little later, by nmt_tick(). */
+void nmt_plan_boot_up(struct canopen_node *node);
 /** Sends boot-up, enters pre-operational, and operational where 1F80h says so (CiA 302-2). */
 void nmt_boot_up(struct canopen_node *node);
 
@@ -142,6 +144,12 @@ void emcy_set(struct canopen_node *node, uint16_t code, uint8_t source, uint8_t 
 /** The same with a manufacturer-specific field of its own. */
 void emcy_set_info(
 	struct canopen_node *node, uint16_t code, uint8_t source, uint8_t register_bits, const uint8_t info[5]);
+/** Raises ERROR_COMMUNICATION for a wrong frame. It ends EMCY_FORGOTTEN_US after the last one; a correct frame ends it
+ * sooner by emcy_clear(), EMCY_QUIET_US after the last wrong one. Whether the error is new. */
+bool emcy_set_frame(struct canopen_node *node, uint16_t code, uint8_t source, const uint8_t info[5]);
+/** The cause is gone: the error ends. A communication error ends once within EMCY_QUIET_US, so that a cause that comes
+ * and goes does not fill the bus. */
+enum { EMCY_QUIET_US = 1000000, EMCY_FORGOTTEN_US = 10000000 };
 void emcy_clear(struct canopen_node *node, uint16_t code, uint8_t source);
 /** Whether this is a sub-index of 1003h that has no record yet. */
 bool emcy_history_empty(const struct canopen_node *node, uint16_t index, uint8_t sub);
@@ -160,8 +168,6 @@ enum { COLLISION_IDS_MAX = 2 + SDO_SERVERS + TPDO_MAX };
 size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS_MAX]);
 /** True: the frame has one of them. */
 bool collision_receive(struct canopen_node *node, const struct can_msg *msg);
-void collision_reset(struct canopen_node *node);
-uint64_t collision_tick(struct canopen_node *node);
 
 /* ---- lss.c ------------------------------------------------------------------------------------------------------- */
 void lss_init(struct canopen_node *node);

@@ -140,7 +140,7 @@ void sync_receive(struct canopen_node *node, const struct can_msg *msg)
 	if (!nmt_communicates(node))
 		return;
 	if (msg->len != (counted ? 1 : 0)) {
-		canopen_error_set(node, EMCY_SYNC_LENGTH, ERROR_COMMUNICATION, NULL, node->now_us);
+		emcy_set_frame(node, EMCY_SYNC_LENGTH, EMCY_NO_SOURCE, (const uint8_t[5]){0});
 		return;
 	}
 	canopen_error_clear(node, EMCY_SYNC_LENGTH, node->now_us);

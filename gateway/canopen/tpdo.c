@@ -66,8 +66,14 @@ static double distance(const struct od_entry *entry, const uint8_t *a, const uin
 	return memcmp(a, b, entry->size) ? INFINITY : 0;
 }
 
+/* With an event timer the PDO is periodic: samples are no events. */
+static bool is_periodic(const struct tpdo *tpdo)
+{
+	return pdo_event_driven(&tpdo->pdo) && *tpdo->pdo.event_ms;
+}
+
 /* A sample is an event when a mapped value has changed by more than its threshold since the last transmission; without
- * any threshold every sample is. */
+ * any threshold every sample is, unless there is an event timer. */
 static bool is_event(const struct canopen_node *node, const struct tpdo *tpdo)
 {
 	const struct canopen_device *device = &node->device;
@@ -75,8 +81,10 @@ static bool is_event(const struct canopen_node *node, const struct tpdo *tpdo)
 	uint8_t data[PDO_BYTES];
 	size_t at = 0;
 
-	if (!device->change_threshold || !tpdo->sent_before)
+	if (!tpdo->sent_before)
 		return true;
+	if (!device->change_threshold)
+		return !is_periodic(tpdo);
 	pack(node, &tpdo->pdo, data);
 	for (size_t i = 0; i < tpdo->pdo.mapped_count; i++) {
 		const struct od_entry *entry = tpdo->pdo.mapped[i];
@@ -86,7 +94,7 @@ static bool is_event(const struct canopen_node *node, const struct tpdo *tpdo)
 		changed = changed || distance(entry, data + at, tpdo->sent + at) > threshold;
 		at += entry->size;
 	}
-	return changed || !thresholds;
+	return thresholds ? changed : !is_periodic(tpdo);
 }
 
 static bool waits_for_event(const struct tpdo *tpdo)
@@ -172,13 +180,24 @@ void pdo_receive_remote(struct canopen_node *node, uint32_t id)
 
 /* ---- time -------------------------------------------------------------------------------------------------------- */
 
+static uint64_t timer_due_us(const struct tpdo *tpdo)
+{
+	return *tpdo->pdo.event_ms ? tpdo->timer_start_us + *tpdo->pdo.event_ms * 1000u : UINT64_MAX;
+}
+
 static uint64_t event_due_us(const struct tpdo *tpdo)
 {
-	if (tpdo->event)
-		return tpdo->inhibited_until_us;
-	if (*tpdo->pdo.event_ms)
-		return later(tpdo->timer_start_us + *tpdo->pdo.event_ms * 1000u, tpdo->inhibited_until_us);
-	return UINT64_MAX;
+	return later(tpdo->event ? 0 : timer_due_us(tpdo), tpdo->inhibited_until_us);
+}
+
+static void transmit_event(struct canopen_node *node, struct tpdo *tpdo)
+{
+	uint64_t due_us = timer_due_us(tpdo), period_us = *tpdo->pdo.event_ms * 1000u;
+
+	transmit(node, tpdo);
+	/* keep the phase after a small delay */
+	if (due_us <= node->now_us && node->now_us - due_us < period_us)
+		tpdo->timer_start_us = due_us;
 }
 
 uint64_t tpdo_tick(struct canopen_node *node)
@@ -191,7 +210,7 @@ uint64_t tpdo_tick(struct canopen_node *node)
 		if (tpdo->pdo.mapped_count == 0 || !pdo_event_driven(&tpdo->pdo))
 			continue;
 		if (event_due_us(tpdo) <= node->now_us)
-			transmit(node, tpdo);
+			transmit_event(node, tpdo);
 		deadline = earlier(deadline, event_due_us(tpdo));
 	}
 	return deadline;

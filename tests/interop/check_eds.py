@@ -39,6 +39,7 @@ DEVICE_KEYS = {"VendorName", "VendorNumber", "ProductName", "ProductNumber", "Re
                "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging",
                "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"} | {"BaudRate_%d" % b for b in (10, 20, 50, 125, 250, 500, 800, 1000)}
 TIME, DATE = r"(0\d|1[0-2]):[0-5]\d[AP]M", r"\d\d-\d\d-\d{4}"
+FIXED = ("1018", "1200")  # ro, but the same in every device
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
 
 errors = []
@@ -73,6 +74,8 @@ def check_variable(eds, section):
             errors.append("%s: no %s" % (where, key))
             return
     data_type = int(keys["DataType"], 0)
+    expect(data_type != 15 or not {"PDOMapping", "DefaultValue", "LowLimit"} & set(keys), where,
+           "a DOMAIN with a key of values, which strict parsers refuse")
     expect(data_type in BITS or data_type in OTHER, where, "DataType %#x" % data_type)
     expect(keys["AccessType"] in ("ro", "wo", "rw", "rwr", "rww", "const"), where, "AccessType " + keys["AccessType"])
     expect(int(keys["ObjectType"], 0) == (2 if data_type == 15 else 7), where, "ObjectType " + keys["ObjectType"])
@@ -88,6 +91,8 @@ def check_variable(eds, section):
     if data_type in REAL:
         expect(keys.get("DefaultValue", "0") == "0", where, "DefaultValue of a REAL32 other than 0 (tools disagree on its form)")
         expect("LowLimit" not in keys and "HighLimit" not in keys, where, "limits of a REAL32 in an integer's keys")
+    expect(keys["AccessType"] != "ro" or "DefaultValue" not in keys or section[:4] in FIXED, where,
+           "DefaultValue of a value that changes: configuration tools compare it with the device")
     expect(low is None or low <= default, where, "default below LowLimit")
     expect(high is None or default <= high, where, "default above HighLimit")
 

@@ -7,6 +7,7 @@ import struct
 import subprocess
 import time
 import unittest
+import zlib
 
 import canopen_master as canopen
 import eds_file
@@ -128,6 +129,7 @@ class SdoServer(rig.OnTheBus):
             self.assertEqual(self.read(0x1018, sub), u32(OBJECTS[0x1018, sub].default))
         version = rig.run("imu9-gateway", "--version").stdout.split()[1]
         self.assertEqual(self.read(0x100A).decode(), version)
+        self.assertEqual(self.read(0x1F56, 1), u32(zlib.crc32(version.encode())))
 
     def test_the_eds_can_be_read_from_the_device_itself(self):
         self.assertEqual(self.read(0x1022), u8(0))

@@ -37,6 +37,7 @@ def emergencies(frames):
 
 class ThroughTheKernel(unittest.TestCase):
     bus = "can0"
+    down = "(ip link set ... up)"
 
     @classmethod
     def setUpClass(cls):
@@ -74,8 +75,7 @@ class ThroughTheKernel(unittest.TestCase):
         self.gateway = rig.Gateway(*options, bus=self.bus)
         self.addCleanup(self.stop, self.gateway)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
-        self.master.download(NODE, 0x1800, 2, b"\xFE")  # TPDO1 by its event timer
-        self.master.download(NODE, 0x1800, 5, u16(10))  # ms
+        self.master.download(NODE, 0x1800, 2, b"\xFE")  # TPDO1 with each sample
         self.master.nmt(canopen.START, NODE)
         self.pdos_come()
 
@@ -169,7 +169,7 @@ class ThroughTheKernel(unittest.TestCase):
         self.start()
         for _ in range(3):
             adapter.tell("unplug")
-            rig.wait_until(lambda: self.gateway.log.rstrip().endswith("(ip link set ... up)"))
+            rig.wait_until(lambda: self.gateway.log.rstrip().endswith(self.down))
             self.master.drain()
             self.assertEqual(self.master.listen(0.3), [])
             adapter.tell("replug")
@@ -181,6 +181,7 @@ class ThroughTheKernel(unittest.TestCase):
 
 class ThroughLibusb(ThroughTheKernel):
     bus = "gs_usb"
+    down = "plug the adapter in, it is searched for"
 
     @classmethod
     def setUpClass(cls):

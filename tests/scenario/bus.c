@@ -137,6 +137,7 @@ struct bus *bus_new_with_id(uint8_t node_id)
 	bus->now_us = 1000000;
 	bus->node_id = node_id;
 	od_init(&bus->od, &imu9_od_table, &bus->values, node_id);
+	bus_put(bus, 0x1015, 0, 2, 0);
 	bus_put(bus, 0x1017, 0, 2, 0);
 	return bus;
 }
@@ -280,6 +281,22 @@ void bus_run_until_sent(struct bus *bus, uint64_t us)
 	while (bus->deadline_us <= end_us && bus->sent_count == sent)
 		run_to_deadline(bus);
 	assert_true(bus->sent_count > sent);
+}
+
+void bus_reset(struct bus *bus, const char *command, const char *boot_up)
+{
+	bus_send(bus, command);
+	bus_run(bus, 9999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, boot_up);
+	bus_expect_nothing(bus);
+}
+
+void bus_expect_error_over(struct bus *bus)
+{
+	bus_run_until_sent(bus, 1000000);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
 }
 
 void bus_sample(struct bus *bus, uint16_t counter)

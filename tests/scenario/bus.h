@@ -3,7 +3,8 @@
  * 00 10 00 00 00 00 00" (identifier and data in hexadecimal), "710 R" (remote).
  *
  * Time passes only in bus_run() and bus_run_until_sent(). They call the node at exactly the deadlines that it returned,
- * and assert that a microsecond before each of them nothing was due. The node is 10h; its heartbeat is off by default.
+ * and assert that a microsecond before each of them nothing was due. The node is 10h; its heartbeat and the inhibit time
+ * of EMCY are off by default.
  */
 #ifndef TESTS_SCENARIO_BUS_H
 #define TESTS_SCENARIO_BUS_H
@@ -74,6 +75,10 @@ void bus_send_msg(struct bus *bus, const struct can_msg *msg);
 void bus_expect(struct bus *bus, const char *frame);
 /** Asserts that the node has sent no further frame. */
 void bus_expect_nothing(struct bus *bus);
+/** Sends a command that resets the node, and asserts that it boots up 10 ms later with `boot_up`, its only frame. */
+void bus_reset(struct bus *bus, const char *command, const char *boot_up);
+/** Waits for the end of the error of wrong frames, or of one that has ended before: within 1 s. */
+void bus_expect_error_over(struct bus *bus);
 /** Skips the frames sent so far. */
 void bus_forget(struct bus *bus);
 /** Sends `request`, and asserts that `response` is the only frame sent. */

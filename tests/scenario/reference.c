@@ -471,42 +471,119 @@ static void notify(struct reference *r, uint16_t code, uint8_t source, const uin
 	emcy_tick(r);
 }
 
+/* An entry that recurs goes to the front. */
+static void note_history(struct reference *r, uint32_t value)
+{
+	uint32_t kept[REF_HISTORY] = {value};
+	uint8_t count = 1;
+
+	for (uint8_t i = 1; i <= r->history_count && count < REF_HISTORY; i++)
+		if (ref_value(r, 0x1003, i) != value)
+			kept[count++] = ref_value(r, 0x1003, i);
+	r->history_count = count;
+	reference_find(r, 0x1003, 0)->value = count;
+	for (uint8_t i = 0; i < count; i++)
+		reference_find(r, 0x1003, i + 1)->value = kept[i];
+}
+
+static struct reference_error *find_error(struct reference *r, uint16_t code, uint8_t source)
+{
+	for (size_t i = 0; i < r->error_count; i++)
+		if (r->errors[i].code == code && r->errors[i].source == source)
+			return &r->errors[i];
+	return NULL;
+}
+
+/* A communication error ends once a second at most. */
+static uint64_t *end_of(struct reference *r, uint16_t code, uint8_t source)
+{
+	for (size_t i = 0; i < REF_ERRORS; i++)
+		if (r->ended[i].code == code && r->ended[i].source == source)
+			return &r->ended[i].t_us;
+	return NULL;
+}
+
+static void note_end(struct reference *r, const struct reference_error *error)
+{
+	if (!(error->bits & 0x10))
+		return;
+	if (!end_of(r, error->code, error->source)) {
+		r->ended[r->ended_next].code = error->code;
+		r->ended[r->ended_next].source = error->source;
+		r->ended_next = (r->ended_next + 1) % REF_ERRORS;
+	}
+	*end_of(r, error->code, error->source) = r->now_us;
+}
+
 void ref_error_set(struct reference *r, uint16_t code, uint8_t source, uint8_t bits, const uint8_t info[5])
 {
-	if (is_active(r, code, source) || r->error_count == REF_ERRORS)
+	struct reference_error *error = find_error(r, code, source);
+	const uint64_t *end = bits & 0x10 ? end_of(r, code, source) : NULL;
+
+	if (error)
+		error->over_us = UINT64_MAX;
+	if (error || r->error_count == REF_ERRORS)
 		return;
-	r->errors[r->error_count++] = (struct reference_error){code, source, bits};
+	r->errors[r->error_count++] =
+		(struct reference_error){code, source, bits, end ? *end + 1000000 : 0, UINT64_MAX};
 	show_register(r);
-	for (uint8_t i = REF_HISTORY; i > 1; i--)
-		reference_find(r, 0x1003, i)->value = ref_value(r, 0x1003, i - 1);
-	reference_find(r, 0x1003, 1)->value = code | (uint32_t)info[0] << 16 | (uint32_t)info[1] << 24;
-	if (r->history_count < REF_HISTORY)
-		r->history_count++;
-	reference_find(r, 0x1003, 0)->value = r->history_count;
+	note_history(r, code | (uint32_t)info[0] << 16 | (uint32_t)info[1] << 24);
 	notify(r, code, source, info);
 }
 
-static bool remove_errors(struct reference *r, uint16_t code, int source)
+/* A wrong frame, or one of another node: over after 1 s without one, forgotten after 10 s. */
+void ref_error_frame(struct reference *r, uint16_t code, uint8_t source, const uint8_t info[5])
+{
+	struct reference_error *error;
+
+	ref_error_set(r, code, source, 0x10, info);
+	error = find_error(r, code, source);
+	if (!error)
+		return;
+	error->earliest_us = r->now_us + 1000000;
+	error->over_us = r->now_us + 10000000;
+}
+
+static void remove_errors(struct reference *r, uint16_t code, int source)
 {
 	size_t kept = 0;
-	bool any = false;
 
-	for (size_t i = 0; i < r->error_count; i++) {
-		bool goes = r->errors[i].code == code && (source < 0 || r->errors[i].source == source);
-
-		any |= goes;
-		if (!goes)
+	for (size_t i = 0; i < r->error_count; i++)
+		if (r->errors[i].code != code || (source >= 0 && r->errors[i].source != source))
 			r->errors[kept++] = r->errors[i];
-	}
 	r->error_count = kept;
 	show_register(r);
-	return any;
+}
+
+static void end_error(struct reference *r, uint16_t code, uint8_t source)
+{
+	note_end(r, find_error(r, code, source));
+	remove_errors(r, code, source);
+	if (!r->error_count)
+		notify(r, 0, 0, (const uint8_t[5]){0});
 }
 
 void ref_error_clear(struct reference *r, uint16_t code, uint8_t source)
 {
-	if (remove_errors(r, code, source) && !r->error_count)
-		notify(r, 0, 0, (const uint8_t[5]){0});
+	struct reference_error *error = find_error(r, code, source);
+
+	if (error && error->earliest_us > r->now_us)
+		error->over_us = error->earliest_us;
+	else if (error)
+		end_error(r, code, source);
+}
+
+static uint64_t errors_tick(struct reference *r)
+{
+	uint64_t next = UINT64_MAX;
+
+	for (size_t i = r->error_count; i-- > 0;) {
+		if (r->errors[i].over_us > r->now_us)
+			next = ref_earlier(next, r->errors[i].over_us);
+		else
+			end_error(r, r->errors[i].code, r->errors[i].source);
+	}
+	return ref_earlier(next, emcy_tick(r));
 }
 
 /* The most recent message of an active error, or the last one if none is active. */
@@ -576,15 +653,16 @@ void ref_reset(struct reference *r, bool node)
 	r->node_id = r->lss.next_id;
 	r->lss.configuring = false;
 	r->lss.selected = r->lss.identified = r->lss.scanned = 0;
+	memset(r->lss.confirmed, 0, sizeof(r->lss.confirmed));
 	reset_objects(r, node);
 	ref_sdo_stop(r);
 	ref_sdo_open_second(r);
-	r->sync_running = r->collision = r->guarded = false;
+	r->sync_running = r->guarded = false;
 	r->sync_counter = r->guard_toggle = 0;
 	r->sync_last_us = r->sync_missing_us = 0;
 	memset(r->consumer, 0, sizeof(r->consumer));
 	memset(r->rpdo, 0, sizeof(r->rpdo));
-	boot(r);
+	r->boot_us = r->node_id == REF_UNCONFIGURED ? 0 : r->now_us + 10000;
 }
 
 static void nmt(struct reference *r, const struct can_msg *msg)
@@ -619,8 +697,14 @@ void reference_bus_off(struct reference *r)
 
 static uint64_t heartbeat_tick(struct reference *r)
 {
-	uint64_t period_us = ref_value(r, 0x1017, 0) * 1000u, due_us = r->heartbeat_us + period_us;
+	uint64_t period_us = ref_value(r, 0x1017, 0) * 1000u, due_us;
 
+	if (r->boot_us && r->now_us < r->boot_us)
+		return r->boot_us;
+	if (r->boot_us)
+		boot(r);
+	r->boot_us = 0;
+	due_us = r->heartbeat_us + period_us;
 	if (r->state == INITIALISING || !period_us)
 		return UINT64_MAX;
 	if (r->now_us < due_us)
@@ -632,10 +716,10 @@ static uint64_t heartbeat_tick(struct reference *r)
 
 static void guard(struct reference *r)
 {
-	if (ref_value(r, 0x1017, 0))
-		return;
 	ref_send(r, 0x700u + r->node_id, (const uint8_t[]){(uint8_t)(r->state | r->guard_toggle << 7)}, 1);
 	r->guard_toggle ^= 1;
+	if (ref_value(r, 0x1017, 0))
+		return;
 	r->guarded = true;
 	r->guard_us = r->now_us;
 	ref_error_clear(r, 0x8130, 0);
@@ -711,7 +795,7 @@ static void sync(struct reference *r, const struct can_msg *msg)
 	if (!ref_talks(r))
 		return;
 	if (msg->len != counted) {
-		ref_error_set(r, 0x8240, 0, 0x10, (const uint8_t[5]){0});
+		ref_error_frame(r, 0x8240, 0, (const uint8_t[5]){0});
 		return;
 	}
 	ref_error_clear(r, 0x8240, 0);
@@ -778,23 +862,10 @@ static bool is_own_id(struct reference *r, uint32_t id)
 
 static void collide(struct reference *r, uint32_t id)
 {
-	r->collision_over_us = r->now_us + 10000000;
-	if (r->collision)
-		return;
-	r->collision = true;
-	ref_error_set(r, 0x8150, 0, 0x10, (const uint8_t[5]){(uint8_t)id, (uint8_t)(id >> 8)});
-	r->collisions++;
-}
+	bool before = find_error(r, 0x8150, 0);
 
-static uint64_t collision_tick(struct reference *r)
-{
-	if (!r->collision)
-		return UINT64_MAX;
-	if (r->now_us < r->collision_over_us)
-		return r->collision_over_us;
-	r->collision = false;
-	ref_error_clear(r, 0x8150, 0);
-	return UINT64_MAX;
+	ref_error_frame(r, 0x8150, 0, (const uint8_t[5]){(uint8_t)id, (uint8_t)(id >> 8)});
+	r->collisions += !before && find_error(r, 0x8150, 0);
 }
 
 /* ---- LSS --------------------------------------------------------------------------------------------------------- */
@@ -850,6 +921,7 @@ static void lss_fastscan(struct reference *r, const uint8_t *f)
 		return;
 	if (bit == 0x80) {
 		r->lss.scanned = 0;
+		memset(r->lss.confirmed, 0, sizeof(r->lss.confirmed));
 		lss_respond(r, 0x4F, 0);
 		return;
 	}
@@ -862,7 +934,9 @@ static void lss_fastscan(struct reference *r, const uint8_t *f)
 	if (bit)
 		return;
 	r->lss.scanned = next;
-	r->lss.configuring = next < number;
+	r->lss.confirmed[number] = true;
+	if (next < number && r->lss.confirmed[0] && r->lss.confirmed[1] && r->lss.confirmed[2] && r->lss.confirmed[3])
+		r->lss.configuring = true;
 }
 
 static void lss_bit_timing(struct reference *r, uint8_t table, uint8_t index)
@@ -1040,7 +1114,7 @@ void reference_receive(struct reference *r, const struct can_msg *msg)
 {
 	if (ref_lss_silent(r) || msg->extended)
 		return;
-	if (r->node_id == REF_UNCONFIGURED) {
+	if (r->node_id == REF_UNCONFIGURED || r->state == INITIALISING) {
 		if (msg->id == 0x7E5 && !msg->remote)
 			ref_lss_receive(r, msg);
 	} else if (!msg->remote) {
@@ -1065,8 +1139,7 @@ uint64_t reference_tick(struct reference *r)
 	next = ref_earlier(next, heartbeat_tick(r));
 	next = ref_earlier(next, sync_tick(r));
 	next = ref_earlier(next, ref_pdo_tick(r));
-	next = ref_earlier(next, collision_tick(r));
-	next = ref_earlier(next, emcy_tick(r));
+	next = ref_earlier(next, errors_tick(r));
 	return ref_earlier(next, ref_sdo_tick(r));
 }
 

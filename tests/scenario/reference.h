@@ -84,7 +84,7 @@ struct reference_rpdo {
 };
 
 struct reference_tpdo {
-	bool event, await_start;
+	bool event, await_start, sent;
 	unsigned syncs;
 	uint8_t sampled[8], sampled_len;
 	uint64_t inhibited_us, timer_us;
@@ -93,6 +93,7 @@ struct reference_tpdo {
 struct reference_error {
 	uint16_t code;
 	uint8_t source, bits;
+	uint64_t earliest_us, over_us;
 };
 
 struct reference {
@@ -112,6 +113,7 @@ struct reference {
 
 	uint8_t node_id, state;
 	uint64_t heartbeat_us; /* of the last one */
+	uint64_t boot_us;      /* after a reset; 0: none */
 	uint8_t guard_toggle;
 	bool guarded;
 	uint64_t guard_us;
@@ -130,6 +132,12 @@ struct reference {
 
 	struct reference_error errors[REF_ERRORS];
 	size_t error_count;
+	struct {
+		uint16_t code;
+		uint8_t source;
+		uint64_t t_us;
+	} ended[REF_ERRORS];
+	size_t ended_next;
 	struct reference_emcy {
 		uint16_t code;
 		uint8_t source;
@@ -138,8 +146,6 @@ struct reference {
 	size_t emcy_count;
 	uint64_t emcy_inhibited_us;
 	uint8_t history_count;
-	bool collision;
-	uint64_t collision_over_us;
 
 	enum reference_storage storage;
 	bool store_pending, lss_storing;
@@ -149,6 +155,7 @@ struct reference {
 		uint8_t start_id, stored_id, next_id, storing_id;
 		bool configuring;
 		uint8_t selected, identified, scanned;
+		bool confirmed[4];
 		uint32_t bit_s, active_bit_s;
 		unsigned phase; /* of a bit rate switch: 0 none, 1 delay at the old rate, 2 delay at the new rate */
 		uint64_t phase_end_us, delay_us;
@@ -179,6 +186,7 @@ bool ref_talks(const struct reference *r); /* SDO, SYNC, TIME and EMCY are avail
 void ref_send(struct reference *r, uint32_t id, const uint8_t *data, size_t len);
 bool ref_identifier_allowed(uint32_t cob_id);
 void ref_error_set(struct reference *r, uint16_t code, uint8_t source, uint8_t bits, const uint8_t info[5]);
+void ref_error_frame(struct reference *r, uint16_t code, uint8_t source, const uint8_t info[5]);
 void ref_error_clear(struct reference *r, uint16_t code, uint8_t source);
 /** The abort code; 0; or REF_ABORT_LATER: the response has to wait. */
 enum { REF_ABORT_LATER = 1 };

@@ -134,7 +134,12 @@ enum { CONTENT = 0x8200, SHORT = 0x8210, LONG = 0x8220, ABSENT = 0x8250 };
 
 static void fault(struct reference *r, unsigned n, uint16_t code, uint8_t a, uint8_t b, uint8_t c)
 {
-	ref_error_set(r, code, (uint8_t)(n + 1), 0x10, (const uint8_t[5]){(uint8_t)n, 0x14, a, b, c});
+	const uint8_t info[5] = {(uint8_t)n, 0x14, a, b, c};
+
+	if (code == ABSENT)
+		ref_error_set(r, code, (uint8_t)(n + 1), 0x10, info);
+	else
+		ref_error_frame(r, code, (uint8_t)(n + 1), info);
 }
 
 static void clear_fault(struct reference *r, unsigned n, uint16_t code)
@@ -266,6 +271,7 @@ static void transmit(struct reference *r, uint16_t comm)
 
 	ref_send(r, ref_value(r, comm, 1) & 0x7FF, data, len);
 	tpdo->event = false;
+	tpdo->sent = true;
 	tpdo->timer_us = r->now_us;
 	tpdo->inhibited_us = r->now_us + ref_value(r, comm, 3) * 100u;
 }
@@ -334,11 +340,13 @@ void reference_sample(struct reference *r, uint16_t counter, uint16_t accelerati
 {
 	reference_find(r, 0x210F, 1)->value = counter;
 	reference_find(r, 0x2100, 1)->value = acceleration;
-	if (r->state == 5 && !ref_lss_silent(r))
-		for (uint16_t n = 0; n < REF_TPDOS; n++)
-			if (length_in_use(r, 0x1800 + n))
-				r->tpdo[n].event |=
-					ref_value(r, 0x1800 + n, 2) == 0 || ref_value(r, 0x1800 + n, 2) >= 254;
+	for (uint16_t n = 0; r->state == 5 && !ref_lss_silent(r) && n < REF_TPDOS; n++) {
+		uint32_t type = ref_value(r, 0x1800 + n, 2);
+		bool periodic = ref_value(r, 0x1800 + n, 5) && r->tpdo[n].sent;
+
+		if (length_in_use(r, 0x1800 + n))
+			r->tpdo[n].event |= type == 0 || (type >= 254 && !periodic);
+	}
 	reference_tick(r);
 }
 
@@ -373,8 +381,13 @@ uint64_t ref_pdo_tick(struct reference *r)
 
 		if (!length_in_use(r, comm) || ref_value(r, comm, 2) < 254)
 			continue;
-		if (r->now_us >= due_us(r, comm))
+		if (r->now_us >= due_us(r, comm)) {
+			uint64_t period_us = ref_value(r, comm, 5) * 1000u, timer_us = r->tpdo[n].timer_us + period_us;
+
 			transmit(r, comm);
+			if (period_us && r->now_us >= timer_us && r->now_us < timer_us + period_us)
+				r->tpdo[n].timer_us = timer_us;
+		}
 		next = ref_earlier(next, due_us(r, comm));
 	}
 	return next;

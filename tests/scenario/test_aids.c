@@ -279,6 +279,7 @@ static void test_nan_in_an_rpdo_raises_8200h_and_the_next_valid_rpdo_clears_it(v
 	world_sample(w);
 	assert_false(in_use(w));
 	send_yaw(w, 0, 0);
+	world_seconds(w, 1);
 	assert_memory_equal(world_last(w, 0x080 + WORLD_NODE_ID)->data, ((const uint8_t[8]){0}), 8);
 }
 

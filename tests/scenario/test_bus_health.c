@@ -106,6 +106,7 @@ static int set_up(void **state)
 	w->bus = (struct can_port){.ops = &ops, .bit_s = 250000, .name = "can0"};
 	w->now_us = SECOND;
 	od_init(&w->od, &imu9_od_table, &w->values, NODE_ID);
+	w->values.inhibit_time_emcy = 0; /* each EMCY at once */
 	bus_health_init(&w->health, &w->bus, &w->node, &w->od, &w->log);
 	assert_int_equal(canopen_init(&w->node, &w->od, &w->bus, NULL, NODE_ID), 0);
 	canopen_start(&w->node, w->now_us);

@@ -118,7 +118,7 @@ static void test_after_reset_communication_a_collision_is_reported_again(void **
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "710 00", COLLISION_710);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_exchange(bus, "710 7F", COLLISION_710);
 }
 

@@ -388,6 +388,7 @@ static void test_cob_ids_follow_a_node_id_that_lss_removed_and_assigned_again(vo
 	lss_give_node_id(w, 255);
 	world_receive(w, 0x000, 2, (const uint8_t[]){130, 5});
 	lss_give_node_id(w, 7);
+	world_seconds(w, 0.1);
 	assert_non_null(world_last(w, 0x707));
 	assert_int_equal(w->device.values.tpdo1_communication.cob_id & 0x7FF, 0x187);
 }

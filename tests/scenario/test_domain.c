@@ -627,8 +627,8 @@ static void test_a_full_log_drops_whole_lines_the_oldest_first(void **state)
 {
 	struct pair *p = *state;
 
-	for (int i = 0; i < 3000; i++)
-		event_log_add(&p->world.device.log, p->world.now_us, "event %d", i);
+	for (unsigned i = 0; i < 3000; i++)
+		event_log_add_about(&p->world.device.log, p->world.now_us, i, "event %u", i);
 	const char *text = read_log(p);
 	size_t size = p->client.size;
 	assert_true(size <= OD_DOMAIN_MAX && size > OD_DOMAIN_MAX - 100);
@@ -664,8 +664,8 @@ static void test_a_transfer_reads_the_log_as_it_was_at_its_start(void **state)
 
 	sdo_client_upload(&p->client, 0x2131, 0, p->value, sizeof(p->value), p->world.now_us);
 	uint32_t size = p->answers[0].data[4] | (uint32_t)p->answers[0].data[5] << 8;
-	for (int i = 0; i < 3000; i++)
-		event_log_add(&p->world.device.log, p->world.now_us, "event %d", i);
+	for (unsigned i = 0; i < 3000; i++)
+		event_log_add_about(&p->world.device.log, p->world.now_us, i, "event %u", i);
 	assert_int_equal(finish(p), SDO_DONE);
 	assert_int_equal(p->client.size, size);
 	p->value[size] = '\0';

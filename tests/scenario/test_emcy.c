@@ -1,6 +1,8 @@
 /* EMCY: CiA 301, 7.2.7, objects 1001h, 1003h, 1014h, 1015h. */
 #include "tests/scenario/bus.h"
 
+#include <string.h>
+
 static void set_error(struct bus *bus, uint16_t code, uint8_t register_bits)
 {
 	canopen_error_set(&bus->node, code, register_bits, NULL, bus->now_us);
@@ -89,9 +91,9 @@ static void test_the_error_reset_is_sent_when_the_last_error_ends_and_not_before
 	struct bus *bus = *state;
 
 	set_error(bus, 0x5000, 0);
-	set_error(bus, 0x8120, 0x10);
+	set_error(bus, 0x5010, 0x20);
 	bus_forget(bus);
-	clear_error(bus, 0x8120);
+	clear_error(bus, 0x5010);
 	bus_expect_nothing(bus);
 	clear_error(bus, 0x5000);
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
@@ -166,7 +168,7 @@ static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(vo
 
 	set_error(bus, 0x5000, 0);
 	clear_error(bus, 0x5000);
-	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x5010, 0);
 	bus_forget(bus);
 	bus_exchange(bus, "610 2F 03 10 00 01 00 00 00", "590 80 03 10 00 30 00 09 06");
 	bus_exchange(bus, "610 23 03 10 01 00 00 00 00", "590 80 03 10 01 02 00 01 06");
@@ -177,6 +179,159 @@ static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(vo
 	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 1, 4), 0);
 	assert_int_equal(*(uint32_t *)od_value(&bus->od, 0x1003, 2, 4), 0);
 	assert_int_equal(bus_read(bus, 0x1001, 0), 1); /* the error is still active */
+}
+
+static void test_an_error_that_recurs_moves_to_the_front_of_the_history(void **state)
+{
+	struct bus *bus = *state;
+
+	for (uint16_t code = 0xFF01; code <= 0xFF08; code++)
+		set_error(bus, code, 0);
+	for (int i = 0; i < 10; i++) {
+		clear_error(bus, 0xFF03);
+		set_error(bus, 0xFF03, 0);
+	}
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 8);
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0xFF03);
+	assert_int_equal(bus_read(bus, 0x1003, 2), 0xFF08);
+	assert_int_equal(bus_read(bus, 0x1003, 6), 0xFF04);
+	assert_int_equal(bus_read(bus, 0x1003, 7), 0xFF02);
+	assert_int_equal(bus_read(bus, 0x1003, 8), 0xFF01);
+}
+
+/* ---- a bus that misbehaves --------------------------------------------------------------------------------------- */
+
+/* Frames on one bus, a wrong one and a correct one of each kind, and the EMCY of the wrong one. */
+static const struct {
+	const char *wrong, *correct, *emcy;
+} KINDS[] = {
+	{"080 01", "080", "090 40 82 11 00 00 00 00 00"},		       /* SYNC with a counter */
+	{"210", "210 00 00 00 00 00 00 00 00", "090 10 82 11 00 14 00 08 00"}, /* too short */
+	{"510 00 00 00", "510 00 00", "090 20 82 11 03 14 03 02 00"},	       /* too long */
+	{"410 00 00 00 00 00 00 02", "410 00 00 00 00 00 00 00", "090 00 82 11 02 14 72 20 07"}, /* bad value */
+};
+enum { KIND_COUNT = sizeof(KINDS) / sizeof(KINDS[0]) };
+
+static unsigned count_emcy(const struct bus *bus)
+{
+	unsigned n = 0;
+
+	for (size_t i = bus->seen; i < bus->sent_count; i++)
+		n += bus->sent[i].msg.id == 0x090;
+	return n;
+}
+
+static void test_wrong_and_correct_frames_in_turn_are_one_error(void **state)
+{
+	(void)state;
+	for (size_t kind = 0; kind < KIND_COUNT; kind++) {
+		void *fixture;
+
+		bus_operational(&fixture);
+		struct bus *bus = fixture;
+
+		for (uint8_t n = 1; n <= 4; n++) /* nothing but EMCY on the bus */
+			assert_int_equal(bus_write(bus, 0x1800 + n - 1, 1, 4, 0x80000000), 0);
+		bus_exchange(bus, KINDS[kind].wrong, KINDS[kind].emcy);
+		for (int i = 0; i < 1000; i++) {
+			bus_run(bus, 10000);
+			bus_send(bus, i % 2 ? KINDS[kind].wrong : KINDS[kind].correct);
+		}
+		bus_expect_nothing(bus);
+		assert_int_equal(bus_read(bus, 0x1003, 0), 1);
+		bus_send(bus, KINDS[kind].correct);
+		bus_run(bus, 999999);
+		bus_expect_nothing(bus);
+		bus_run(bus, 1);
+		bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+		bus_teardown(&fixture);
+	}
+}
+
+static void test_an_error_of_wrong_frames_is_forgotten_ten_seconds_after_the_last_one(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_exchange(bus, "210 01", "090 10 82 11 00 14 01 08 00");
+	bus_run(bus, 5000000);
+	bus_send(bus, "210 01");
+	bus_run(bus, 9999999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+}
+
+/* Whatever the intervals are: SYNC of both lengths with a period, RPDOs of three lengths with a timeout, a heartbeat
+ * that is watched. */
+static void test_no_flood_sends_more_than_two_emcys_of_a_kind_within_a_second(void **state)
+{
+	static const char *const FRAMES[] = {
+		"080", "080 01", "210", "210 00 00 00 00 00 00 00 00", "510 00 00", "510 00 00 00", "720 05"};
+	struct bus *bus = *state;
+	uint32_t random = 1;
+
+	for (uint8_t n = 1; n <= 4; n++)
+		assert_int_equal(bus_write(bus, 0x1800 + n - 1, 1, 4, 0x80000000), 0);
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 1000), 0);
+	assert_int_equal(bus_write(bus, 0x1029, 1, 1, 1), 0);
+	assert_int_equal(bus_write(bus, 0x1016, 1, 4, 0x00200001), 0);
+	for (uint16_t n = 0; n < 4; n++)
+		assert_int_equal(bus_write(bus, 0x1400 + n, 5, 2, 1), 0);
+	for (int i = 0; i < 100000; i++) {
+		random = random * 1664525 + 1013904223;
+		bus_send(bus, FRAMES[(random >> 8) % 7]);
+		bus_run(bus, random >> 20 << (i % 200 ? 0 : 9)); /* to 4 ms, and pauses of up to 2 s */
+	}
+	assert_true(count_emcy(bus) > 100);
+	for (size_t i = bus->seen; i < bus->sent_count; i++) {
+		const struct can_msg *msg = &bus->sent[i].msg;
+		unsigned same = 0;
+
+		for (size_t k = i; msg->id == 0x090 && k < bus->sent_count; k++)
+			same += bus->sent[k].t_us < bus->sent[i].t_us + 1000000 && bus->sent[k].msg.id == 0x090 &&
+				memcmp(bus->sent[k].msg.data, msg->data, 2) == 0 &&
+				memcmp(bus->sent[k].msg.data + 3, msg->data + 3, 2) == 0;
+		assert_in_range(same, 0, 2);
+	}
+}
+
+static void test_an_error_that_comes_and_goes_ends_once_a_second(void **state)
+{
+	struct bus *bus = *state;
+
+	for (int i = 0; i < 100; i++) {
+		set_error(bus, 0x8120, 0x10);
+		clear_error(bus, 0x8120);
+		bus_run(bus, 1000);
+	}
+	bus_expect(bus, "090 20 81 11 00 00 00 00 00");
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "090 20 81 11 00 00 00 00 00");
+	bus_expect_nothing(bus);
+	bus_run(bus, 899999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	bus_expect_nothing(bus);
+}
+
+static void test_by_default_two_emcys_are_a_tenth_of_a_second_apart(void **state)
+{
+	struct bus *bus = *state;
+	struct od_values defaults;
+	struct od od;
+
+	od_init(&od, &imu9_od_table, &defaults, BUS_NODE_ID);
+	assert_int_equal(defaults.inhibit_time_emcy, 1000); /* 100 us */
+	assert_int_equal(bus_write(bus, 0x1015, 0, 2, defaults.inhibit_time_emcy), 0);
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	set_error(bus, 0x5010, 0);
+	bus_run(bus, 99999);
+	bus_expect_nothing(bus);
+	bus_run(bus, 1);
+	bus_expect(bus, "090 10 50 01 00 00 00 00 00");
 }
 
 /* ---- COB-ID 1014h ------------------------------------------------------------------------------------------------ */
@@ -247,14 +402,14 @@ static void test_within_the_inhibit_time_messages_wait_and_none_is_lost(void **s
 	assert_int_equal(bus_write(bus, 0x1015, 0, 2, 100), 0); /* 10 ms */
 	set_error(bus, 0x5000, 0x80);
 	bus_expect(bus, "090 00 50 81 00 00 00 00 00");
-	set_error(bus, 0x8120, 0x10);
-	clear_error(bus, 0x8120);
+	set_error(bus, 0x5010, 0x20);
+	clear_error(bus, 0x5010);
 	clear_error(bus, 0x5000);
 	bus_expect_nothing(bus);
 	bus_run(bus, 9999);
 	bus_expect_nothing(bus);
 	bus_run(bus, 100000);
-	bus_expect(bus, "090 20 81 91 00 00 00 00 00"); /* the register at the time of the error */
+	bus_expect(bus, "090 10 50 A1 00 00 00 00 00"); /* the register at the time of the error */
 	assert_int_equal(bus->seen_us, start_us + 10000);
 	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
 	assert_int_equal(bus->seen_us, start_us + 20000);
@@ -395,7 +550,8 @@ static void test_an_error_that_ended_in_stopped_is_not_sent_when_operational_end
 	canopen_error_set(&bus->node, 0xFF13, 0, NULL, bus->now_us);
 	canopen_error_clear(&bus->node, 0xFF13, bus->now_us);
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "000 01 10", "090 00 00 00 00 00 00 00 00");
+	bus_send(bus, "000 01 10");
+	bus_expect_error_over(bus);
 }
 
 static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void **state)
@@ -406,7 +562,7 @@ static void test_a_reset_drops_the_messages_that_wait_and_the_inhibit_time(void 
 	set_error(bus, 0x5000, 0);
 	set_error(bus, 0x8120, 0);
 	bus_forget(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	set_error(bus, 0x8130, 0);
 	bus_expect(bus, "090 30 81 01 00 00 00 00 00");
 	bus_run(bus, 10000000);
@@ -431,7 +587,7 @@ static void test_reset_node_clears_errors_and_history(void **state)
 
 	set_error(bus, 0x5000, 0x80);
 	bus_forget(bus);
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	assert_int_equal(bus_read(bus, 0x1003, 0), 0);
 	set_error(bus, 0x5000, 0x80);
@@ -445,7 +601,7 @@ static void test_reset_communication_keeps_the_errors_of_the_application(void **
 	set_error(bus, 0x5000, 0x80);
 	bus_send(bus, "080 01"); /* wrong length: an error of the core */
 	bus_forget(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x81);
 	assert_int_equal(bus_read(bus, 0x1003, 0), 2);
 	clear_error(bus, 0x5000);
@@ -468,6 +624,12 @@ int main(void)
 		PRE_OPERATIONAL(test_an_unused_entry_of_the_history_has_no_data),
 		PRE_OPERATIONAL(test_the_ninth_error_removes_the_first_from_the_history),
 		PRE_OPERATIONAL(test_writing_0_clears_the_history_and_nothing_else_may_be_written),
+		PRE_OPERATIONAL(test_an_error_that_recurs_moves_to_the_front_of_the_history),
+		cmocka_unit_test(test_wrong_and_correct_frames_in_turn_are_one_error),
+		OPERATIONAL(test_an_error_of_wrong_frames_is_forgotten_ten_seconds_after_the_last_one),
+		OPERATIONAL(test_no_flood_sends_more_than_two_emcys_of_a_kind_within_a_second),
+		PRE_OPERATIONAL(test_an_error_that_comes_and_goes_ends_once_a_second),
+		PRE_OPERATIONAL(test_by_default_two_emcys_are_a_tenth_of_a_second_apart),
 		PRE_OPERATIONAL(test_with_bit_31_no_emcy_is_sent_but_errors_are_recorded),
 		PRE_OPERATIONAL(test_the_emcy_identifier_changes_only_while_it_is_invalid),
 		PRE_OPERATIONAL(test_an_emcy_identifier_that_is_restricted_or_29_bits_long_is_refused),

@@ -200,7 +200,7 @@ static void test_reset_communication_stops_the_consumer_and_ends_the_error(void 
 	consume(bus);
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 30 81 11 20 00 00 00 00");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	bus_send(bus, "720 05");
 	bus_run(bus, 10000000);
@@ -256,7 +256,7 @@ static void test_reset_communication_clears_the_toggle_bit(void **state)
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "710 R", "710 7F");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_exchange(bus, "710 R", "710 7F");
 }
 
@@ -266,12 +266,16 @@ static void test_guarding_of_another_node_is_not_answered(void **state)
 	bus_expect_nothing(*state);
 }
 
-static void test_a_node_with_a_heartbeat_is_not_guarded(void **state)
+static void test_a_node_with_a_heartbeat_answers_guarding_and_has_no_life_guarding(void **state)
 {
 	struct bus *bus = *state;
 
-	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 1000), 0);
-	bus_send(bus, "710 R");
+	assert_int_equal(bus_write(bus, 0x1017, 0, 2, 60000), 0);
+	assert_int_equal(bus_write(bus, 0x100C, 0, 2, 100), 0);
+	assert_int_equal(bus_write(bus, 0x100D, 0, 1, 3), 0);
+	bus_exchange(bus, "710 R", "710 7F");
+	bus_exchange(bus, "710 R", "710 FF");
+	bus_run(bus, 10000000);
 	bus_expect_nothing(bus);
 }
 
@@ -376,7 +380,7 @@ int main(void)
 		PRE_OPERATIONAL(test_guarding_is_answered_with_the_state_and_a_toggle_bit),
 		PRE_OPERATIONAL(test_reset_communication_clears_the_toggle_bit),
 		PRE_OPERATIONAL(test_guarding_of_another_node_is_not_answered),
-		PRE_OPERATIONAL(test_a_node_with_a_heartbeat_is_not_guarded),
+		PRE_OPERATIONAL(test_a_node_with_a_heartbeat_answers_guarding_and_has_no_life_guarding),
 		OPERATIONAL(test_a_master_that_stops_its_requests_is_a_life_guarding_event),
 		PRE_OPERATIONAL(test_life_guarding_starts_with_the_first_request),
 		PRE_OPERATIONAL(test_the_next_request_ends_a_life_guarding_event),

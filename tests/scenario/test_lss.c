@@ -111,7 +111,7 @@ static void test_lss_is_available_in_operational_and_stopped(void **state)
 static void test_a_reset_leaves_configuration_state(void **state)
 {
 	configure(*state);
-	bus_exchange(*state, "000 82 10", "710 00");
+	bus_reset(*state, "000 82 10", "710 00");
 	bus_send(*state, "7E5 5E 00 00 00 00 00 00 00");
 	bus_expect_nothing(*state);
 }
@@ -127,7 +127,7 @@ static void test_a_configured_node_id_is_active_from_reset_communication_on(void
 	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E 10 00 00 00 00 00 00");
 	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "000 82 10", "720 00");
+	bus_reset(bus, "000 82 10", "720 00");
 	bus_exchange(bus, "620 40 00 10 00 00 00 00 00", "5A0 43 00 10 00 9A 01 04 00");
 	bus_send(bus, "610 40 00 10 00 00 00 00 00");
 	bus_expect_nothing(bus);
@@ -141,8 +141,8 @@ static void test_identifiers_that_follow_the_node_id_follow_it(void **state)
 
 	configure(bus);
 	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
-	bus_send(bus, "000 82 10");
 	bus_forget(bus);
+	bus_reset(bus, "000 82 10", "720 00");
 	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 A0 00 00 00");
 	bus_exchange(bus, "620 40 00 12 01 00 00 00 00", "5A0 43 00 12 01 20 06 00 00");
 	bus_send(bus, "000 01 20");
@@ -157,8 +157,8 @@ static void test_identifiers_that_were_configured_do_not_follow_the_node_id(void
 	bus->power_on.cob_id_emcy = 0x0AA; /* as a stored value */
 	configure(bus);
 	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
-	bus_send(bus, "000 82 10");
 	bus_forget(bus);
+	bus_reset(bus, "000 82 10", "720 00");
 	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 AA 00 00 00");
 }
 
@@ -168,12 +168,12 @@ static void test_a_node_id_may_change_and_change_back(void **state)
 
 	configure(bus);
 	bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
-	bus_send(bus, "000 82 10");
 	bus_forget(bus);
+	bus_reset(bus, "000 82 10", "720 00");
 	configure(bus);
 	bus_send(bus, "7E5 11 10 00 00 00 00 00 00");
-	bus_send(bus, "000 82 20");
 	bus_forget(bus);
+	bus_reset(bus, "000 82 20", "710 00");
 	assert_int_equal(bus_read(bus, 0x1014, 0), 0x90);
 	assert_int_equal(bus_read(bus, 0x1200, 2), 0x590);
 	assert_int_equal(bus_read(bus, 0x1800, 1), 0x40000190);
@@ -194,8 +194,8 @@ static void test_reset_node_restores_the_stored_node_id(void **state)
 
 	configure(bus);
 	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
-	bus_exchange(bus, "000 82 10", "720 00");
-	bus_exchange(bus, "000 81 20", "710 00");
+	bus_reset(bus, "000 82 10", "720 00");
+	bus_reset(bus, "000 81 20", "710 00");
 	assert_int_equal(bus_read(bus, 0x1014, 0), 0x90);
 }
 
@@ -207,7 +207,7 @@ static void test_a_stored_node_id_is_active_after_reset_node(void **state)
 	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
 	bus_exchange(bus, "7E5 17 00 00 00 00 00 00 00", "7E4 17 00 00 00 00 00 00 00");
 	assert_int_equal(bus->kept_node_id, 0x20);
-	bus_exchange(bus, "000 81 10", "720 00");
+	bus_reset(bus, "000 81 10", "720 00");
 }
 
 static void test_a_failure_of_the_storage_is_reported(void **state)
@@ -237,7 +237,7 @@ static void test_the_response_to_a_store_waits_for_the_storage(void **state)
 	bus_expect_nothing(bus);
 	stored(bus, OD_OK);
 	bus_expect(bus, "7E4 17 00 00 00 00 00 00 00");
-	bus_exchange(bus, "000 81 10", "720 00");
+	bus_reset(bus, "000 81 10", "720 00");
 }
 
 static void test_a_late_failure_of_the_storage_is_reported_and_the_old_node_id_stays(void **state)
@@ -250,7 +250,7 @@ static void test_a_late_failure_of_the_storage_is_reported_and_the_old_node_id_s
 	bus_send(bus, "7E5 17 00 00 00 00 00 00 00");
 	stored(bus, OD_CANNOT_STORE);
 	bus_expect(bus, "7E4 17 02 00 00 00 00 00 00");
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 }
 
 static void test_a_second_store_while_one_is_under_way_fails(void **state)
@@ -277,7 +277,7 @@ static void test_a_store_that_ends_in_waiting_state_has_no_response(void **state
 	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
 	stored(bus, OD_OK);
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "000 81 10", "720 00"); /* stored nevertheless */
+	bus_reset(bus, "000 81 10", "720 00"); /* stored nevertheless */
 }
 
 static void test_a_node_id_configured_during_a_store_is_not_the_stored_one(void **state)
@@ -291,7 +291,7 @@ static void test_a_node_id_configured_during_a_store_is_not_the_stored_one(void 
 	bus_exchange(bus, "7E5 11 21 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
 	stored(bus, OD_OK);
 	bus_forget(bus);
-	bus_exchange(bus, "000 81 10", "720 00");
+	bus_reset(bus, "000 81 10", "720 00");
 }
 
 static void test_a_device_without_storage_responds_not_supported(void **state)
@@ -358,7 +358,7 @@ static void test_a_node_without_a_node_id_boots_up_with_the_configured_one(void 
 	configure(bus);
 	bus_exchange(bus, "7E5 5E 00 00 00 00 00 00 00", "7E4 5E FF 00 00 00 00 00 00");
 	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
-	bus_exchange(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
+	bus_reset(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
 	bus_exchange(bus, "620 40 14 10 00 00 00 00 00", "5A0 43 14 10 00 A0 00 00 00");
 	bus_send(bus, "000 01 20");
 	bus_send(bus, "080");
@@ -375,6 +375,7 @@ static void test_an_error_raised_without_a_node_id_is_sent_after_boot_up(void **
 	configure(bus);
 	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
 	bus_send(bus, "7E5 04 00 00 00 00 00 00 00");
+	bus_run(bus, 10000);
 	bus_expect(bus, "720 00");
 	bus_expect(bus, "0A0 30 55 81 00 00 00 00 00");
 	test_free(bus);
@@ -653,7 +654,7 @@ static void test_fastscan_determines_the_lss_address_and_switches_the_node(void 
 		assert_true(scan(bus, identity[i], 0, i, (i + 1) & 3));
 	}
 	bus_exchange(bus, "7E5 11 20 00 00 00 00 00 00", "7E4 11 00 00 00 00 00 00 00");
-	bus_exchange(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
+	bus_reset(bus, "7E5 04 00 00 00 00 00 00 00", "720 00");
 	test_free(bus);
 	(void)state;
 }
@@ -679,6 +680,28 @@ static void test_fastscan_restarts_with_a_reset(void **state)
 	assert_true(scan(bus, 9, 0, 1, 2));
 	test_free(bus);
 	(void)state;
+}
+
+static void test_fastscan_that_ends_before_all_four_numbers_are_confirmed_selects_no_node(void **state)
+{
+	static const uint32_t identity[] = {0x00494D55, 9, 0x00010000, 0x12345678};
+	/* the numbers that are confirmed, of which the last one ends the scan */
+	static const uint8_t scans[][4] = {{0, 1}, {0, 1, 2}, {0, 3}, {0, 2, 3}, {0, 1, 3}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(scans) / sizeof(scans[0]); i++) {
+		struct bus *bus = unconfigured();
+		size_t k = 0;
+
+		assert_true(scan(bus, 0, 0x80, 0, 0));
+		do {
+			assert_true(scan(bus, identity[scans[i][k]], 0, scans[i][k], scans[i][(k + 1) % 4]));
+		} while (scans[i][++k]);
+		bus_send(bus, "7E5 5E 00 00 00 00 00 00 00");
+		bus_send(bus, "7E5 11 20 00 00 00 00 00 00");
+		bus_expect_nothing(bus);
+		test_free(bus);
+	}
 }
 
 static void test_fastscan_with_numbers_that_do_not_exist_is_ignored(void **state)
@@ -749,6 +772,7 @@ int main(void)
 		cmocka_unit_test(test_fastscan_determines_the_lss_address_and_switches_the_node),
 		cmocka_unit_test(test_fastscan_matches_one_number_at_a_time),
 		cmocka_unit_test(test_fastscan_restarts_with_a_reset),
+		cmocka_unit_test(test_fastscan_that_ends_before_all_four_numbers_are_confirmed_selects_no_node),
 		cmocka_unit_test(test_fastscan_with_numbers_that_do_not_exist_is_ignored),
 		PRE_OPERATIONAL(test_a_node_with_a_node_id_does_not_respond_to_fastscan),
 	};

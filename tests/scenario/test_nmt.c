@@ -164,9 +164,7 @@ static void test_reset_node_restores_every_value_and_boots_up_again(void **state
 	bus_write(bus, 0x2001, 0, 1, 1);
 	bus_write(bus, 0x1019, 0, 1, 10);
 	bus_send(bus, "000 01 10");
-	bus_send(bus, "000 81 10");
-	bus_expect(bus, "710 00");
-	bus_expect_nothing(bus);
+	bus_reset(bus, "000 81 10", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 	assert_int_equal(bus->reset_calls, 1);
 	assert_int_equal(bus->reset, OD_GROUP_ALL);
@@ -180,13 +178,29 @@ static void test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest
 
 	bus_write(bus, 0x2001, 0, 1, 1);
 	bus_write(bus, 0x1019, 0, 1, 10);
-	bus_send(bus, "000 82 00");
-	bus_expect(bus, "710 00");
-	bus_expect_nothing(bus);
+	bus_reset(bus, "000 82 00", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 	assert_int_equal(bus->reset, OD_GROUP_COMMUNICATION);
 	assert_int_equal(bus_read(bus, 0x2001, 0), 1);
 	assert_int_equal(bus_read(bus, 0x1019, 0), 0);
+}
+
+static void test_from_reset_to_boot_up_the_node_neither_sends_nor_receives(void **state)
+{
+	struct bus *bus = *state;
+
+	bus_write(bus, 0x1017, 0, 2, 1);
+	bus_forget(bus);
+	bus_send(bus, "000 82 10");
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_INITIALISING);
+	bus_send(bus, "000 01 10");
+	bus_send(bus, "610 40 00 10 00 00 00 00 00");
+	bus_send(bus, "710 R");
+	bus_send(bus, "080 00");
+	bus_run(bus, 10000);
+	bus_expect(bus, "710 00");
+	bus_expect_nothing(bus);
+	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
 static void test_a_reset_works_from_stopped_too(void **state)
@@ -194,10 +208,10 @@ static void test_a_reset_works_from_stopped_too(void **state)
 	struct bus *bus = *state;
 
 	bus_send(bus, "000 02 10");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 	bus_send(bus, "000 02 10");
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 }
 
@@ -210,7 +224,7 @@ static void test_the_device_is_notified_of_each_state_once(void **state)
 	bus_send(bus, "000 80 10");
 	bus_send(bus, "000 01 10");
 	bus_send(bus, "000 01 10");
-	bus_send(bus, "000 82 10");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "000 02 10");
 	assert_int_equal(bus->state_count, 5);
 	assert_memory_equal(bus->states, expected, sizeof(expected));
@@ -248,7 +262,7 @@ static void test_a_reset_ends_the_sdo_transfer(void **state)
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "610 40 08 10 00 00 00 00 00", "590 41 08 10 00 14 00 00 00");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_run(bus, 5000000);
 	bus_expect_nothing(bus);
 }
@@ -298,7 +312,7 @@ static void test_1F80h_acts_at_boot_up_not_when_it_is_written(void **state)
 	assert_int_equal(bus_write(bus, 0x1F80, 0, 4, 0), 0);
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_PRE_OPERATIONAL);
 	bus->power_on = bus->values; /* as a stored value */
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(canopen_nmt_state(&bus->node), NMT_OPERATIONAL);
 }
 
@@ -502,6 +516,7 @@ int main(void)
 		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_nmt_commands),
 		PRE_OPERATIONAL(test_reset_node_restores_every_value_and_boots_up_again),
 		PRE_OPERATIONAL(test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest),
+		PRE_OPERATIONAL(test_from_reset_to_boot_up_the_node_neither_sends_nor_receives),
 		PRE_OPERATIONAL(test_a_reset_works_from_stopped_too),
 		PRE_OPERATIONAL(test_the_device_is_notified_of_each_state_once),
 		PRE_OPERATIONAL(test_sdo_is_available_in_pre_operational_and_operational_but_not_in_stopped),

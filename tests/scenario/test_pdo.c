@@ -301,12 +301,45 @@ static void test_the_event_timer_sends_without_an_event_and_counts_from_the_last
 	assert_int_equal(bus->seen_us, start_us + 100000);
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
 	assert_int_equal(bus->seen_us, start_us + 200000);
-	bus_sample(bus, 1);
-	bus_expect(bus, "190 00 00 00 00 00 00 01 00");
-	bus_run(bus, 99999);
+	bus_run(bus, 49999);
 	bus_expect_nothing(bus);
 	bus_run(bus, 1);
-	bus_expect(bus, "190 00 00 00 00 00 00 01 00");
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
+static void test_with_an_event_timer_the_pdo_is_periodic_and_samples_are_no_events(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 254);
+	assert_int_equal(bus_write(bus, 0x1800, 5, 2, 50), 0);
+	bus_sample(bus, 0); /* the first one is sent at once */
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	uint64_t start_us = bus->seen_us;
+	for (uint16_t i = 1; i <= 100; i++) {
+		bus_run(bus, 10000);
+		bus_sample(bus, i);
+	}
+	for (unsigned i = 1; i <= 20; i++) {
+		assert_true(bus->seen < bus->sent_count);
+		assert_int_equal(bus->sent[bus->seen++].t_us, start_us + 50000 * i);
+	}
+	bus_expect_nothing(bus);
+}
+
+static void test_a_periodic_pdo_keeps_its_phase_when_it_is_sent_a_little_late(void **state)
+{
+	struct bus *bus = *state;
+
+	only_tpdo1(bus, 254);
+	uint64_t start_us = bus->now_us;
+	assert_int_equal(bus_write(bus, 0x1800, 5, 2, 10), 0);
+	for (unsigned i = 1; i <= 10; i++) {
+		bus->now_us = start_us + 10000 * i + 300;
+		bus_tick(bus);
+		bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+		assert_int_equal(bus->deadline_us, start_us + 10000 * (i + 1));
+	}
 }
 
 static void test_an_event_timer_below_the_inhibit_time_waits_for_it(void **state)
@@ -664,7 +697,7 @@ static void test_reset_communication_restores_the_default_mapping(void **state)
 	only_tpdo1(bus, 1);
 	bus_write(bus, 0x1800, 1, 4, INVALID);
 	bus_write(bus, 0x1A00, 0, 1, 0);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "000 01 10");
 	bus_send(bus, "080");
 	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
@@ -728,7 +761,7 @@ static void test_the_error_of_a_stored_mapping_ends_with_a_reset_to_a_valid_one(
 	bus_expect(bus, "710 00");
 	bus_expect(bus, "090 00 63 01 03 18 00 00 00");
 	bus->power_on.tpdo4_mapping.object_1 = 0x210F0310;
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	assert_int_equal(bus_read(bus, 0x1803, 1), NO_RTR | 0x490);
 	test_free(bus);
@@ -927,6 +960,8 @@ int main(void)
 		OPERATIONAL(test_within_the_inhibit_time_an_event_waits_and_then_carries_the_current_values),
 		OPERATIONAL(test_after_the_inhibit_time_an_event_is_sent_at_once),
 		OPERATIONAL(test_the_event_timer_sends_without_an_event_and_counts_from_the_last_transmission),
+		OPERATIONAL(test_with_an_event_timer_the_pdo_is_periodic_and_samples_are_no_events),
+		OPERATIONAL(test_a_periodic_pdo_keeps_its_phase_when_it_is_sent_a_little_late),
 		OPERATIONAL(test_an_event_timer_below_the_inhibit_time_waits_for_it),
 		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid),
 		OPERATIONAL(test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time),

@@ -23,6 +23,8 @@ static uint32_t next(uint32_t *seed)
 	return *seed;
 }
 
+enum { BOOT_UP_US = 10000 }; /* from a reset */
+
 static uint32_t below(uint32_t *seed, uint32_t n)
 {
 	return next(seed) % n;
@@ -210,6 +212,7 @@ static void test_random_steps_neither_break_nor_block_the_node(void **state)
 		if (i % 1000)
 			continue;
 		wait_for_the_bit_rate(bus);
+		bus_run(bus, BOOT_UP_US);
 		bus_send(bus, "610 80 00 00 00 00 00 00 00");
 		bus_send(bus, "000 80 10");
 		bus_forget(bus);
@@ -218,8 +221,9 @@ static void test_random_steps_neither_break_nor_block_the_node(void **state)
 		bus->sent_count = bus->seen = 0;
 	}
 	wait_for_the_bit_rate(bus);
+	bus_run(bus, BOOT_UP_US);
 	bus_forget(bus);
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	bus_exchange(bus, "610 40 00 10 00 00 00 00 00", "590 43 00 10 00 9A 01 04 00");
 	bus_exchange(bus, "610 2F 01 20 00 01 00 00 00", "590 60 01 20 00 00 00 00 00");
 	bus_send(bus, "000 01 10");
@@ -1218,13 +1222,17 @@ static bool recovers(struct pair *p, struct sequence *s)
 	for (int i = 0; i < 150 && bus->node.lss.switching; i++)
 		if (!wait_and_compare(p, s, 1000000))
 			return false;
-	if (!run_step(p, s, &stored) || !run_step(p, s, &lss_stored) || !run_frame(p, s, 0x000, 2, 129))
+	if (!run_step(p, s, &stored) || !run_step(p, s, &lss_stored) || !wait_and_compare(p, s, BOOT_UP_US) ||
+		!run_frame(p, s, 0x000, 2, 129))
 		return false;
 	if (bus->node.id == CANOPEN_UNCONFIGURED &&
 		(!run_frame(p, s, 0x7E5, 8, 0x0104) || !run_frame(p, s, 0x7E5, 8, 0x1011) ||
 			!run_frame(p, s, 0x7E5, 8, 0x0004)))
 		return false;
+	if (!wait_and_compare(p, s, BOOT_UP_US))
+		return false;
 	give(p, (struct can_msg){.id = 0x000, .len = 2, .data = {130}});
+	wait(p, BOOT_UP_US);
 	if (bus->sent_count < 1 || bus->sent[0].msg.id != 0x700u + bus->node.id || bus->sent[0].msg.data[0] != 0)
 		return deviates(s, "no boot-up", bus->sent_count ? &bus->sent[0].msg : NULL, NULL);
 	give(p, (struct can_msg){.id = 0x600u + bus->node.id, .len = 8, .data = {0x40, 0x00, 0x10}});

@@ -155,7 +155,7 @@ static void test_reset_communication_restores_the_default_parameters(void **stat
 
 	begin_mapping(bus);
 	assert_int_equal(bus_write(bus, 0x1401, 2, 1, 1), 0);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "000 01 10");
 	bus_send(bus, "210 01 00 02 00 03 00 04 00");
 	expect_velocity(bus, 1, 2, 3, 4);
@@ -319,7 +319,8 @@ static void test_a_pdo_that_is_too_short_is_not_used_and_raises_8210h_until_a_co
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
 	bus_send(bus, "210");
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "210 01 00 02 00 03 00 04 00", "090 00 00 00 00 00 00 00 00");
+	bus_send(bus, "210 01 00 02 00 03 00 04 00");
+	bus_expect_error_over(bus);
 	expect_velocity(bus, 1, 2, 3, 4);
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
@@ -333,7 +334,8 @@ static void test_of_a_pdo_that_is_too_long_the_mapped_bytes_are_used_and_it_rais
 	bus_send(bus, "510 04 00 FF FF FF FF FF FF");
 	bus_expect_nothing(bus);
 	assert_int_equal(bus->values.commands, 4);
-	bus_exchange(bus, "510 00 00", "090 00 00 00 00 00 00 00 00");
+	bus_send(bus, "510 00 00");
+	bus_expect_error_over(bus);
 }
 
 static void test_each_pdo_has_its_own_length_error(void **state)
@@ -343,6 +345,7 @@ static void test_each_pdo_has_its_own_length_error(void **state)
 	bus_exchange(bus, "210 01", "090 10 82 11 00 14 01 08 00");
 	bus_exchange(bus, "310 01", "090 10 82 11 01 14 01 08 00");
 	bus_send(bus, "210 00 00 00 00 00 00 00 00");
+	bus_run(bus, 1000000);
 	bus_expect_nothing(bus); /* RPDO2 is still wrong */
 	bus_exchange(bus, "310 00 00 00 00 00 00 00 00", "090 00 00 00 00 00 00 00 00");
 }
@@ -362,8 +365,8 @@ static void test_a_length_error_ends_with_a_new_configuration_of_the_pdo(void **
 	struct bus *bus = *state;
 
 	bus_exchange(bus, "510 05", "090 10 82 11 03 14 01 02 00");
-	bus_send(bus, "610 23 03 14 01 00 00 00 80");
-	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
+	assert_int_equal(bus_write(bus, 0x1403, 1, 4, 0x80000000), 0);
+	bus_expect_error_over(bus);
 }
 
 /* ---- event timer: deadline monitoring ---------------------------------------------------------------------------- */
@@ -476,7 +479,7 @@ static void test_reset_communication_ends_the_errors_of_pdos(void **state)
 	bus_send(bus, "510 00 00");
 	bus_run(bus, 100000);
 	bus_expect(bus, "090 50 82 11 03 14 00 00 00");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 	bus_send(bus, "000 01 10");
 	bus_exchange(bus, "510 00", "090 10 82 11 03 14 01 02 00");
@@ -493,7 +496,8 @@ static void test_a_pdo_with_a_value_beyond_its_limits_is_not_used_and_raises_820
 	assert_int_equal(bus->values.attitude_reset.command, 0);
 	bus_send(bus, "410 01 00 02 00 03 00 02");
 	bus_expect_nothing(bus);
-	bus_exchange(bus, "410 01 00 02 00 03 00 00", "090 00 00 00 00 00 00 00 00");
+	bus_send(bus, "410 01 00 02 00 03 00 00");
+	bus_expect_error_over(bus);
 	assert_int_equal(bus->values.attitude_reset.roll16, 1);
 }
 

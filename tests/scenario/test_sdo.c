@@ -584,7 +584,7 @@ static void test_reset_communication_closes_the_second_channel(void **state)
 	struct bus *bus = *state;
 
 	open_second(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_send(bus, "6A0 40 00 10 00 00 00 00 00");
 	bus_expect_nothing(bus);
 }

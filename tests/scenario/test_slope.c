@@ -152,7 +152,7 @@ static void test_reset_node_reports_a_slope_that_is_still_out_of_range_again(voi
 	bus->power_on = bus->values;
 	tilt(bus, 31, 0);
 	bus_expect(bus, LONG_EMCY);
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	tilt(bus, 31, 0);
 	bus_expect(bus, LONG_EMCY);
 }

@@ -57,7 +57,7 @@ static void test_a_restore_takes_effect_at_the_next_reset(void **state)
 	bus_write(bus, 0x2001, 0, 1, 1);
 	bus_exchange(bus, "610 23 11 10 01 6C 6F 61 64", "590 60 11 10 01 00 00 00 00");
 	assert_int_equal(bus_read(bus, 0x2001, 0), 1);
-	bus_exchange(bus, "000 81 10", "710 00");
+	bus_reset(bus, "000 81 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x2001, 0), 2);
 }
 
@@ -179,7 +179,7 @@ static void test_the_clients_abort_a_stop_and_a_reset_drop_the_answer(void **sta
 	bus_send(bus, "000 80 10");
 
 	bus_send(bus, "610 23 10 10 01 73 61 76 65");
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	done(bus, OD_OK);
 	bus_expect_nothing(bus);
 	assert_int_equal(bus->store_calls, 3);

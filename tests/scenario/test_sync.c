@@ -81,9 +81,8 @@ static void test_a_sync_of_the_right_length_ends_the_error(void **state)
 	tpdo1_only(bus);
 	bus_exchange(bus, "080 01", "090 40 82 11 00 00 00 00 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0x11);
-	bus_send(bus, "080");
-	bus_expect(bus, "090 00 00 00 00 00 00 00 00");
-	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
+	bus_expect_error_over(bus);
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
@@ -298,9 +297,8 @@ static void test_the_error_of_a_missing_sync_ends_with_one_in_pre_operational_or
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
 	bus_run(bus, 15000);
 	bus_expect(bus, MISSING);
-	bus_send(bus, "610 23 06 10 00 00 00 00 00");
-	bus_expect(bus, NO_ERROR);
-	bus_expect(bus, "590 60 06 10 00 00 00 00 00");
+	assert_int_equal(bus_write(bus, 0x1006, 0, 4, 0), 0);
+	bus_expect_error_over(bus); /* a second after the last time */
 	bus_exchange(bus, "080", "190 00 00 00 00 00 00 00 00");
 	bus_run(bus, 1000000);
 	bus_expect_nothing(bus);
@@ -343,7 +341,7 @@ static void test_reset_communication_ends_the_error_of_a_missing_sync(void **sta
 	await_sync(bus);
 	bus_run(bus, 15000);
 	bus_expect(bus, MISSING);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1001, 0), 0);
 }
 
@@ -527,7 +525,7 @@ static void test_reset_communication_ends_production(void **state)
 	struct bus *bus = *state;
 
 	produce(bus);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	bus_run(bus, 1000000);
 	bus_expect_nothing(bus);
 	assert_int_equal(bus_read(bus, 0x1005, 0), 0x80);

@@ -118,7 +118,7 @@ static void test_reset_communication_restores_the_stored_value(void **state)
 	struct bus *bus = *state;
 
 	bus_write(bus, 0x1012, 0, 4, CONSUMER | 0x100);
-	bus_exchange(bus, "000 82 10", "710 00");
+	bus_reset(bus, "000 82 10", "710 00");
 	assert_int_equal(bus_read(bus, 0x1012, 0), 0x100);
 	assert_false(bus_listens_to(bus, 0x100));
 }

@@ -263,9 +263,11 @@ static void test_fastscan_finds_both_unconfigured_nodes_one_after_the_other(void
 	init(p, CANOPEN_UNCONFIGURED, CANOPEN_UNCONFIGURED);
 	assert_int_equal(fastscan(p), SERIAL_A); /* of two the one whose first differing bit is 0 */
 	give_node_id(p, 0x20);
+	run_ms(p, 20);
 	assert_int_equal(world_count(&p->node[A], 0x720), 1);
 	assert_int_equal(fastscan(p), SERIAL_B);
 	give_node_id(p, 0x21);
+	run_ms(p, 20);
 	assert_int_equal(world_count(&p->node[B], 0x721), 1);
 	assert_int_equal(fastscan(p), 0);
 }

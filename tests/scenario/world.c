@@ -51,6 +51,7 @@ void world_power_on(struct world *w, const char *const *settings)
 
 	w->device = (struct device){0};
 	config_init(&config, &imu9_od_table);
+	assert_int_equal(config_set(&config, "inhibit_time_emcy=0", why), 0);
 	for (; settings && *settings; settings++)
 		assert_int_equal(config_set(&config, *settings, why), 0);
 	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
@@ -89,6 +90,10 @@ void world_receive(struct world *w, uint32_t id, size_t len, const void *data)
 void world_nmt(struct world *w, uint8_t command)
 {
 	world_receive(w, 0x000, 2, (const uint8_t[]){command, w->node_id});
+	if (command < 0x81)
+		return;
+	w->now_us += 10000; /* a reset: until the boot-up message */
+	device_tick(&w->device, w->now_us);
 }
 
 /* The first frame that is still recorded. */

@@ -30,6 +30,7 @@ static struct adapter {
 	bool plugged, can_listen_only, stamps;
 	uint8_t channels;
 	uint8_t fails; /* the request that is refused; 0xFF: none */
+	unsigned slow; /* as many answers come too late */
 
 	/* what it was asked and sent */
 	struct request requests[REQUESTS];
@@ -253,8 +254,10 @@ static bool serve_transfer(size_t i)
 	if (t->type == LIBUSB_TRANSFER_TYPE_CONTROL) {
 		uint8_t *b = t->buffer; /* the set-up packet of USB 2.0, 9.3 */
 
-		if (serve_request(b[0], b[1], (uint16_t)(b[2] | b[3] << 8), (uint16_t)(b[4] | b[5] << 8),
-			    (uint16_t)(b[6] | b[7] << 8), b + 8))
+		if (adapter.slow && adapter.slow--)
+			complete(i, LIBUSB_TRANSFER_TIMED_OUT, 0);
+		else if (serve_request(b[0], b[1], (uint16_t)(b[2] | b[3] << 8), (uint16_t)(b[4] | b[5] << 8),
+				 (uint16_t)(b[6] | b[7] << 8), b + 8))
 			complete(i, LIBUSB_TRANSFER_COMPLETED, b[6] | b[7] << 8);
 		else
 			complete(i, LIBUSB_TRANSFER_STALL, 0);
@@ -650,6 +653,50 @@ static void test_an_adapter_that_confirms_nothing_for_two_seconds_is_restarted(v
 	assert_int_equal(adapter.sent_count, 11);
 }
 
+static void test_an_adapter_that_confirms_nothing_is_restarted_when_it_is_passive_too(void **state)
+{
+	(void)state;
+	open_and_start("gs_usb");
+	send_ten();
+	put_error(0x04, 0, 0x20, 0, 0);
+	assert_nothing_received();
+	assert_int_equal(port->state, CAN_STATE_PASSIVE);
+	now_us += 2000000;
+	assert_nothing_received();
+	assert_int_equal(adapter.request_count, 9);
+	assert_started_with_request(6, 0, "\1\0\0\0\0\0\0\0");
+}
+
+static void test_restarts_in_vain_are_ever_rarer_and_told(void **state)
+{
+	static const uint64_t pauses_us[] = {2000000, 4000000, 8000000, 16000000};
+
+	(void)state;
+	open_and_start("gs_usb");
+	for (size_t i = 0; i < 4; i++) {
+		assert_true((port->notice != NULL) == (i >= 3));
+		for (int k = 0; k < 10; k++)
+			assert_int_equal(send_id(0x181), 0);
+		assert_nothing_received();
+		now_us += pauses_us[i] - 1;
+		assert_nothing_received();
+		assert_int_equal(adapter.request_count, 6 + 3 * i);
+		now_us += 1;
+		assert_nothing_received();
+		assert_int_equal(adapter.request_count, 6 + 3 * (i + 1));
+	}
+	assert_non_null(strstr(port->notice, "unplug it"));
+}
+
+static void test_a_request_that_is_answered_too_late_is_repeated(void **state)
+{
+	(void)state;
+	adapter.slow = 3;
+	open_and_start("gs_usb");
+	assert_int_equal(port->state, CAN_STATE_ACTIVE);
+	assert_int_equal(adapter.opened, 1);
+}
+
 static void test_an_echo_in_between_shows_that_the_adapter_works(void **state)
 {
 	(void)state;
@@ -865,6 +912,9 @@ int main(void)
 		ADAPTER_TEST(test_a_slot_is_not_used_again_before_its_transfer_has_completed),
 		ADAPTER_TEST(test_an_echo_of_a_frame_that_was_not_sent_is_counted),
 		ADAPTER_TEST(test_an_adapter_that_confirms_nothing_for_two_seconds_is_restarted),
+		ADAPTER_TEST(test_an_adapter_that_confirms_nothing_is_restarted_when_it_is_passive_too),
+		ADAPTER_TEST(test_restarts_in_vain_are_ever_rarer_and_told),
+		ADAPTER_TEST(test_a_request_that_is_answered_too_late_is_repeated),
 		ADAPTER_TEST(test_an_echo_in_between_shows_that_the_adapter_works),
 		ADAPTER_TEST(test_a_received_frame_has_the_time_of_its_arrival_without_stamps),
 		ADAPTER_TEST(test_with_stamps_the_time_is_that_of_the_adapter),

@@ -373,13 +373,14 @@ static void test_the_deadline_is_the_drivers_own_when_that_is_earlier_than_the_q
 static void test_an_unknown_kind_of_bus_is_refused_with_the_known_kinds(void **state)
 {
 	struct can_port *port = NULL;
-	char error[200] = "";
+	char error[300] = "";
 
 	(void)state;
 	assert_int_equal(can_open("pcan:1", &port, error, sizeof(error)), -EINVAL);
 	assert_string_equal(error, "unknown bus 'pcan:1': use one of INTERFACE, "
 				   "gs_usb[:SERIAL[:CHANNEL]][,bitrate=B][,sample-point=P][,listen-only], "
-				   "slcan:DEVICE[@BAUD][,bitrate=B][,listen-only], udp[:GROUP[:PORT]]");
+				   "slcan:DEVICE[@BAUD][,bitrate=B][,listen-only], "
+				   "udp[:GROUP[:PORT]][,interface=NAME][,hosts=HOSTS]");
 	assert_null(port);
 }
 

@@ -109,16 +109,30 @@ static void say(struct rig *r, const char *text)
 	await(r->port->fd);
 }
 
-/* On the bus, and the adapter has confirmed it. */
-static void go_on_bus(struct rig *r)
+/* The next command of the set-up is a write of its own, and `answer` the adapter's. */
+static void assert_asks(struct rig *r, const char *command, const char *answer)
 {
 	struct can_msg msg;
 
-	open_bus(r, "");
 	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS6\rO\r");
-	say(r, "\r\r\r");
+	assert_hears(r, command);
+	say(r, answer);
 	assert_int_equal(can_receive(r->port, &msg, r->now_us), 0);
+}
+
+/* On the bus, and the adapter has confirmed it. */
+static void set_up_adapter(struct rig *r)
+{
+	assert_asks(r, "C\r", "\r");
+	assert_asks(r, "S6\r", "\r");
+	assert_asks(r, "O\r", "\r");
+	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+}
+
+static void go_on_bus(struct rig *r)
+{
+	open_bus(r, "");
+	set_up_adapter(r);
 }
 
 static bool is_readable(const struct can_port *port)
@@ -148,16 +162,31 @@ static void assert_receives_nothing(struct rig *r)
 	assert_int_equal(can_receive(r->port, &msg, r->now_us), 0);
 }
 
+static void ask(struct rig *r, const char *answer)
+{
+	r->now_us += 1000000;
+	can_service(r->port, r->now_us);
+	assert_hears(r, "F\r");
+	say(r, answer);
+	assert_receives_nothing(r);
+}
+
 /* ---- going on the bus ---- */
 
-static void test_the_adapter_is_closed_set_and_opened_with_the_first_service(void **state)
+static void test_the_adapter_is_closed_set_and_opened_by_one_command_a_write(void **state)
 {
 	struct rig *r = *state;
+	const struct can_msg msg = {.id = 1};
 
 	open_bus(r, "");
 	assert_hears(r, "");
+	assert_int_equal(can_send(r->port, &msg, r->now_us), 0); /* waits in the queue */
+	assert_asks(r, "C\r", "\r");
+	assert_asks(r, "S6\r", "\r");
+	assert_asks(r, "O\r", "\r");
+	r->now_us += 1000;
 	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS6\rO\r");
+	assert_hears(r, "t0010\r");
 }
 
 static void test_bit_rate_and_listening_are_options_of_the_bus(void **state)
@@ -166,8 +195,9 @@ static void test_bit_rate_and_listening_are_options_of_the_bus(void **state)
 	const struct can_msg msg = {.id = 1};
 
 	open_bus(r, "@921600,bitrate=125000,listen-only");
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS4\rL\r");
+	assert_asks(r, "C\r", "\r");
+	assert_asks(r, "S4\r", "\r");
+	assert_asks(r, "L\r", "\r");
 	assert_int_equal(can_send(r->port, &msg, r->now_us), -EPERM);
 	assert_hears(r, "");
 }
@@ -178,8 +208,8 @@ static void test_a_bit_rate_set_after_opening_is_used_from_the_start(void **stat
 
 	open_bus(r, "");
 	assert_int_equal(can_bit_rate(r->port, 250000, false), 0);
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS5\rO\r");
+	assert_asks(r, "C\r", "\r");
+	assert_asks(r, "S5\r", "\r");
 	assert_int_equal(r->port->bit_s, 250000);
 }
 
@@ -193,8 +223,9 @@ static void test_the_bit_rate_can_be_changed_on_the_bus(void **state)
 	can_service(r->port, r->now_us);
 	assert_hears(r, "");
 	assert_int_equal(can_bit_rate(r->port, 1000000, false), 0);
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS8\rO\r");
+	assert_asks(r, "C\r", "\r");
+	assert_asks(r, "S8\r", "\r");
+	assert_asks(r, "O\r", "\r");
 }
 
 static void test_closing_takes_the_adapter_off_the_bus(void **state)
@@ -207,20 +238,106 @@ static void test_closing_takes_the_adapter_off_the_bus(void **state)
 	assert_hears(r, "C\r");
 }
 
-static void test_an_adapter_that_refuses_to_open_is_tried_again(void **state)
+static void test_firmware_that_answers_nothing_is_on_the_bus_after_three_timeouts(void **state)
 {
+	static const char *const commands[] = {"C\r", "S6\r", "O\r"};
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 0x181};
+
+	open_bus(r, "");
+	for (size_t i = 0; i < 3; i++) {
+		const uint64_t wait_us = i == 0 ? 100000 : 20000; /* it has not answered the first one */
+
+		assert_int_equal(can_service(r->port, r->now_us), r->now_us + wait_us);
+		assert_hears(r, commands[i]);
+		r->now_us += wait_us;
+	}
+	can_service(r->port, r->now_us);
+	assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
+	assert_hears(r, "t1810\r");
+	for (int i = 0; i < 60; i++) {
+		r->now_us += 1000000;
+		can_service(r->port, r->now_us);
+		assert_hears(r, "F\r");
+		assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	}
+}
+
+static void test_an_adapter_that_refuses_everything_is_tried_with_a_back_off(void **state)
+{
+	static const uint64_t pauses_us[] = {0, 500000, 1000000, 2000000, 2000000};
 	struct rig *r = *state;
 
 	open_bus(r, "");
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS6\rO\r");
-	say(r, "\a\r\a");
-	assert_receives_nothing(r);
+	for (size_t i = 0; i < 5; i++) {
+		assert_asks(r, "C\r", "\a");
+		assert_asks(r, "S6\r", "\a");
+		assert_int_equal(r->port->state, CAN_STATE_DOWN);
+		assert_non_null(strstr(r->port->down_why, "refuses"));
+		if (i == 0)
+			continue; /* the first pause has passed already */
+		assert_int_equal(can_service(r->port, r->now_us), r->now_us + pauses_us[i]);
+		r->now_us += pauses_us[i];
+	}
+	assert_int_equal(r->port->counters.tx_dropped, 0);
+	set_up_adapter(r); /* it is well again */
+}
+
+/* Reads what the driver has written, until it writes no more. */
+static void drain(struct rig *r)
+{
+	struct pollfd line = {.fd = r->adapter, .events = POLLIN};
+	char heard[256];
+
+	while (poll(&line, 1, 20) == 1 && read(r->adapter, heard, sizeof(heard)) > 0)
+		;
+}
+
+static void test_an_adapter_that_becomes_mute_is_down_until_it_answers(void **state)
+{
+	struct rig *r = *state;
+	uint64_t end_us, next_us = 0;
+
+	go_on_bus(r);
+	ask(r, "F00\r");
+	for (int i = 0; i < 3; i++) {
+		r->now_us += 1000000;
+		can_service(r->port, r->now_us);
+		assert_hears(r, "F\r");
+		assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	}
+	r->now_us += 500000;
+	next_us = can_service(r->port, r->now_us);
 	assert_int_equal(r->port->state, CAN_STATE_DOWN);
-	r->now_us += 600000;
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS6\rO\r");
-	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	assert_non_null(strstr(r->port->down_why, "does not answer"));
+	end_us = r->now_us + 6000000;
+	while (r->now_us < end_us || next_us <= r->now_us + 100000) {
+		r->now_us = next_us;
+		next_us = can_service(r->port, r->now_us);
+		assert_int_equal(r->port->state, CAN_STATE_DOWN);
+	}
+	assert_in_range(next_us - r->now_us, 1, 2000000);
+	drain(r);
+	r->now_us = next_us;
+	set_up_adapter(r);
+}
+
+static void test_an_adapter_that_refuses_every_frame_is_set_up_again(void **state)
+{
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 0x701, .len = 1};
+
+	go_on_bus(r);
+	for (int i = 0; i < 4; i++) {
+		assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
+		assert_hears(r, "t701100\r");
+		say(r, "\a");
+		assert_int_equal(can_receive(r->port, &(struct can_msg){0}, r->now_us), 0);
+		r->now_us += 400000;
+	}
+	assert_int_equal(r->port->counters.tx_dropped, 4);
+	assert_non_null(strstr(r->port->notice, "refuses frames"));
+	set_up_adapter(r);
 }
 
 static void test_an_adapter_that_was_closed_already_may_refuse_to_close(void **state)
@@ -228,11 +345,27 @@ static void test_an_adapter_that_was_closed_already_may_refuse_to_close(void **s
 	struct rig *r = *state;
 
 	open_bus(r, "");
-	can_service(r->port, r->now_us);
-	say(r, "\a\r\r");
-	assert_receives_nothing(r);
+	assert_asks(r, "C\r", "\a");
+	assert_asks(r, "S6\r", "\r");
+	assert_asks(r, "O\r", "\r");
 	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
 	assert_int_equal(r->port->counters.tx_dropped, 0);
+}
+
+static void test_lines_may_end_with_lf_or_cr_lf(void **state)
+{
+	struct rig *r = *state;
+
+	open_bus(r, "");
+	assert_asks(r, "C\r", "\r\n");
+	assert_asks(r, "S6\r", "\r\n");
+	assert_asks(r, "O\r", "\r\n");
+	say(r, "z\r\nt1000\r\nt1010\nZ\nF20\n");
+	assert_receives(r, &(struct can_msg){.id = 0x100});
+	assert_receives(r, &(struct can_msg){.id = 0x101});
+	assert_receives_nothing(r);
+	assert_int_equal(r->port->state, CAN_STATE_PASSIVE);
+	assert_int_equal(r->port->counters.rx_dropped, 0);
 }
 
 static void test_a_wrong_address_or_device_is_refused_with_what_to_do(void **state)
@@ -403,15 +536,6 @@ static void test_frames_wait_while_the_line_is_full_and_none_is_lost_or_split(vo
 
 /* ---- the state of the bus ---- */
 
-static void ask(struct rig *r, const char *answer)
-{
-	r->now_us += 1000000;
-	can_service(r->port, r->now_us);
-	assert_hears(r, "F\r");
-	say(r, answer);
-	assert_receives_nothing(r);
-}
-
 static void test_the_state_is_requested_once_a_second(void **state)
 {
 	struct rig *r = *state;
@@ -435,10 +559,25 @@ static void test_an_adapter_without_the_status_command_is_not_asked_again(void *
 
 	go_on_bus(r);
 	ask(r, "\a");
+	ask(r, "\a");
+	ask(r, "\a");
 	assert_int_equal(r->port->counters.tx_dropped, 0);
 	r->now_us += 5000000;
 	assert_true(can_service(r->port, r->now_us) == UINT64_MAX);
 	assert_hears(r, "");
+}
+
+static void test_a_frame_refused_while_the_status_is_due_does_not_end_the_requests(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	for (uint32_t i = 1; i <= 10; i++) {
+		ask(r, "\aF00\r");
+		assert_int_equal(r->port->counters.tx_dropped, i);
+		say(r, "z\r");
+		assert_receives_nothing(r);
+	}
 }
 
 static void test_a_refused_frame_is_counted_as_lost(void **state)
@@ -471,9 +610,7 @@ static void test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again(
 	assert_int_equal(can_service(r->port, r->now_us), r->now_us + 500000);
 	plug(r);
 	r->now_us += 600000;
-	can_service(r->port, r->now_us);
-	assert_hears(r, "C\rS6\rO\r");
-	assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	set_up_adapter(r);
 	assert_int_equal(r->port->fd, fd);
 	assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
 	assert_hears(r, "t1810\r");
@@ -483,13 +620,23 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(
-			test_the_adapter_is_closed_set_and_opened_with_the_first_service, set_up, tear_down),
+			test_the_adapter_is_closed_set_and_opened_by_one_command_a_write, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_bit_rate_and_listening_are_options_of_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_bit_rate_set_after_opening_is_used_from_the_start, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_the_bit_rate_can_be_changed_on_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_closing_takes_the_adapter_off_the_bus, set_up, tear_down),
-		cmocka_unit_test_setup_teardown(test_an_adapter_that_refuses_to_open_is_tried_again, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_firmware_that_answers_nothing_is_on_the_bus_after_three_timeouts, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_refuses_everything_is_tried_with_a_back_off, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_becomes_mute_is_down_until_it_answers, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_refuses_every_frame_is_set_up_again, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_lines_may_end_with_lf_or_cr_lf, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_a_frame_refused_while_the_status_is_due_does_not_end_the_requests, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_that_was_closed_already_may_refuse_to_close, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(

@@ -50,6 +50,8 @@ static struct kernel {
 	uint32_t filters[1024], error_mask;
 	size_t filter_count;
 	uint32_t overflows;
+	bool endless; /* the frames are received again and again */
+	unsigned fetches;
 
 	/* netlink */
 	uint8_t orders[ORDERS][256]; /* what changes something */
@@ -167,6 +169,9 @@ int recvmmsg(int fd, struct mmsghdr *headers, unsigned n, int flags, struct time
 	unsigned count = 0;
 
 	(void)timeout;
+	k.fetches++;
+	if (k.endless)
+		k.frame_next = 0;
 	assert_int_equal(fd, k.fd);
 	assert_true(flags & MSG_DONTWAIT);
 	for (; count < n && k.frame_next < k.frame_count; count++) {
@@ -499,6 +504,25 @@ static void test_frames_the_kernel_dropped_are_counted_once(void **state)
 	assert_int_equal(port->counters.rx_dropped, 7);
 }
 
+static void test_a_call_reads_a_bounded_number_of_frames_that_are_not_returned(void **state)
+{
+	struct can_msg msg;
+
+	(void)state;
+	open_bus();
+	for (int i = 0; i < 16; i++)
+		put_frame(i % 2 ? 0x20000004 : 0x123, i % 2 ? 8 : 9, "\0\x20\0\0\0\0\x82\7");
+	k.endless = true;
+	k.fetches = 0;
+	assert_int_equal(can_receive(port, &msg, k.now_us), 0);
+	assert_in_range(k.fetches, 1, 10);
+	k.endless = false;
+	k.frame_count = k.frame_next = 0;
+	put_frame(0x181, 1, "\7\0\0\0\0\0\0");
+	assert_int_equal(can_receive(port, &msg, k.now_us), 1);
+	assert_int_equal(msg.id, 0x181);
+}
+
 static void test_an_error_frame_changes_the_state_and_is_not_received(void **state)
 {
 	(void)state;
@@ -828,6 +852,7 @@ int main(void)
 		KERNEL_TEST(test_the_time_of_a_frame_is_the_kernel_s_on_the_monotonic_clock),
 		KERNEL_TEST(test_a_time_in_the_future_or_ten_seconds_old_is_replaced_by_now),
 		KERNEL_TEST(test_frames_the_kernel_dropped_are_counted_once),
+		KERNEL_TEST(test_a_call_reads_a_bounded_number_of_frames_that_are_not_returned),
 		KERNEL_TEST(test_an_error_frame_changes_the_state_and_is_not_received),
 		KERNEL_TEST(test_a_full_interface_keeps_the_frame_waiting),
 		KERNEL_TEST(test_without_a_filter_all_frames_and_all_errors_pass),

@@ -428,6 +428,27 @@ static void test_malformed_datagrams_are_counted_and_the_next_frame_is_read(void
 	close_pair(bus);
 }
 
+static void test_a_call_reads_a_bounded_number_of_unwanted_datagrams(void **state)
+{
+	enum { UNWANTED = 1000 };
+	struct pair bus = open_pair();
+	const struct can_msg unwanted = {.id = 0x300, .len = 8};
+	const uint32_t ids[] = {0x181};
+	struct can_msg msg;
+	int calls = 1;
+
+	(void)state;
+	assert_int_equal(can_filter(bus.b, ids, 1), 0);
+	for (int i = 0; i < UNWANTED; i++)
+		can_send(bus.a, &unwanted, now());
+	can_send(bus.a, &data_frame, now());
+	for (; receive_within(bus.b, &msg, 1000) == 0 && calls < UNWANTED; calls++)
+		;
+	assert_same(&msg, &data_frame);
+	assert_in_range(calls, 3, UNWANTED / 10);
+	close_pair(bus);
+}
+
 /* The kernel reports drops with the next datagram it has room for. The pauses let it move the datagrams to the receive
  * buffer, which holds about 2500. On a busy machine more are lost on the way there, and in no count. */
 static void test_frames_the_kernel_dropped_for_a_slow_reader_are_counted(void **state)
@@ -629,6 +650,7 @@ int main(void)
 		cmocka_unit_test(test_a_burst_of_100_arrives_whole_and_in_order),
 		cmocka_unit_test(test_a_filter_lets_only_its_identifiers_through),
 		cmocka_unit_test(test_malformed_datagrams_are_counted_and_the_next_frame_is_read),
+		cmocka_unit_test(test_a_call_reads_a_bounded_number_of_unwanted_datagrams),
 		cmocka_unit_test(test_frames_the_kernel_dropped_for_a_slow_reader_are_counted),
 		cmocka_unit_test(test_addresses_that_are_not_multicast_groups_are_refused),
 		cmocka_unit_test(test_an_ipv6_group_with_a_port_is_opened),

@@ -854,7 +854,7 @@ static void test_the_factor_of_a_measurement_is_its_default_resolution(void **st
 		assert_true(fabs(entry->factor - od_step(&od, entry)) < 1e-12);
 		assert_string_equal(entry->unit, resolution->unit);
 	}
-	assert_int_equal(scaled, 28); /* 2100h, 2101h, 2102h; slopes, presets and offsets of CiA 410 */
+	assert_int_equal(scaled, 53); /* 2100h to 2102h, 2140h to 2147h; slopes, presets and offsets of CiA 410 */
 }
 
 /* ---- the programs gen-od and eds-revision ---- */

@@ -80,6 +80,7 @@ static void test_counter_and_time_wrap(void **state)
 	publish_sample(&od, &out, 65535);
 	assert_int_equal(values.sample.counter, 65535);
 	assert_int_equal(values.sample.time, 5);
+	assert_int_equal(values.high_resolution_time_stamp, 5); /* 1013h: the same */
 }
 
 static void test_a_lost_sensor_clears_the_valid_bit_and_keeps_the_values(void **state)
