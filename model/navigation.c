@@ -24,11 +24,12 @@ static const struct assumptions {
 	bool dwell;	    /* what is steady for long enough stands, whatever its velocity is estimated to be */
 	bool levelling;	    /* the velocity averages out */
 	bool stances;	    /* short ones, in which a foot rolls on */
+	bool stands_steady; /* what is not steady (it turns, or vibrates) does not stand */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
 	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
 	[MOTION_ROBOT_BASE] = {.slowest_m_s = 0.1},
-	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3},
+	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3, .stands_steady = true},
 	[MOTION_ARM] = {.slowest_m_s = 0.03},
 	[MOTION_FOOT] = {.dwell = true, .stances = true},
 };
@@ -747,7 +748,8 @@ static void weigh_hypotheses(
 		.gyro2_rad2_s2 = n->rest.gyro_square,
 		.accel2_m2_s4 = n->rest.accel_square,
 		.accel_walk_m2_s3 = rest_accel_walk_m2_s3(&n->rest, dt_s),
-		.accelerates = !n->still && !accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS),
+		.accelerates = !n->still && (!accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS) ||
+						    (assumptions(n)->stands_steady && !steady)),
 	};
 	struct zero_velocity_fork *begun = NULL;
 

@@ -627,6 +627,36 @@ static void test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_res
 	assert_int_equal(n.movements, 0);
 }
 
+/* At the turning point of a pendulum, or on an arm that turns about the reference point: the velocity is zero, and nothing
+ * accelerates. A linear axis does not turn. */
+static void test_what_turns_may_stand_except_on_a_linear_axis(void **state)
+{
+	const enum motion_preset presets[] = {MOTION_ANY, MOTION_ROBOT_BASE, MOTION_LINEAR_AXIS, MOTION_ARM};
+
+	(void)state;
+	for (int i = 0; i < 4; i++)
+		for (int turns = 0; turns < 2; turns++) {
+			struct navigation_config config = levelling();
+			struct navigation n = {.started = false};
+			struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .gravity_m_s2 = G};
+
+			config.preset = presets[i];
+			config.levelling = 0;
+			in.gyro_b_rad_s.z = turns ? 0.1 : 0;
+			navigation_start(&n, &config, QUAT_IDENTITY);
+			for (int k = 0; k < (int)(10 / DT_S); k++) {
+				in.q_nb = quat_from_rotation_vector((struct vec3){0, 0, in.gyro_b_rad_s.z * k * DT_S});
+				navigation_step(&n, &in, DT_S);
+			}
+			if (!turns)
+				assert_true(n.still);
+			else if (presets[i] == MOTION_LINEAR_AXIS)
+				assert_true(!n.still && n.zero_velocity.weight == 0);
+			else
+				assert_true(n.still || n.zero_velocity.weight > 0.5);
+		}
+}
+
 /* A foot, or a tool that turns to and fro: the bias seen at the next standstill is not quite that of the movement. */
 static void test_after_turning_to_and_fro_the_accelerometers_bias_is_less_certain(void **state)
 {
@@ -1092,6 +1122,7 @@ int main(void)
 		cmocka_unit_test(test_a_prior_limits_the_velocity),
 		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour),
 		cmocka_unit_test(test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest),
+		cmocka_unit_test(test_what_turns_may_stand_except_on_a_linear_axis),
 		cmocka_unit_test(test_after_turning_to_and_fro_the_accelerometers_bias_is_less_certain),
 		cmocka_unit_test(test_a_gap_makes_position_and_velocity_less_certain),
 		cmocka_unit_test(test_a_position_whose_sigma_exceeds_the_limit_is_reported),
