@@ -219,7 +219,7 @@ static void see_burst(struct imu_log *log, int64_t t_us)
 	unsigned n = 0;
 	bool whole;
 
-	while ((next = peek(log, n)) && n < IMU_LOG_QUEUE - 1 && llabs(time_us(log, next) - t_us) < half_us) {
+	while ((next = peek(log, n)) && n < IMU_LOG_QUEUE - 1 && (double)llabs(time_us(log, next) - t_us) < half_us) {
 		t_us = time_us(log, next);
 		n++;
 	}
