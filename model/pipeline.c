@@ -597,8 +597,8 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	else
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
 	accel = estimate(p, s.accel_m_s2, dt_s);
-	if (gap || !p->started)
-		position_skip(&p->position, accel, p->fusion.q_nb, p->started ? dt_s : 0);
+	if (gap)
+		position_skip(&p->position, accel, p->fusion.q_nb, dt_s);
 	else
 		locate(p, &s, accel, rest, dt_s);
 	remember_most(p, &s, force, dt_s);

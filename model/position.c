@@ -118,15 +118,16 @@ void position_navigate(
 	struct navigation *n = &p->navigation;
 	struct navigation_input with_lever = *in;
 	unsigned movements = n->movements;
+	bool first = !n->started;
 
 	with_lever.lever_b_m = lever_b_m;
-	if (!n->started) {
+	if (first) {
 		navigation_start(n, &p->config.navigation, in->q_nb);
 		/* the reference point is assumed to be at rest; the sensor may turn about it */
 		n->velocity_n_m_s = quat_rotate(in->q_nb, vec3_cross(in->gyro_b_rad_s, lever_b_m));
 		p->anchored = false;
 	}
-	if (navigation_step(n, &with_lever, dt_s))
+	if (navigation_step(n, &with_lever, dt_s) || first)
 		p->sigma = navigation_sigma(n, rate_hz);
 	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)

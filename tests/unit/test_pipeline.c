@@ -486,6 +486,21 @@ static void test_after_a_long_gap_the_attitude_is_initialised_again(void **state
 	assert_vec_near(out.accel_n_m_s2, ZERO, 1e-6);
 }
 
+static void test_the_first_sample_has_its_sigma(void **state)
+{
+	const struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	struct pipeline_output out = run(&p, standing, 0, 1);
+
+	(void)state;
+	assert_true(out.status & PIPELINE_VALID);
+	assert_near(
+		out.sigma.attitude_rad.x, 0.1, 0.02); /* an acceleration of 1 m/s^2 at that moment, see the fusion */
+	assert_near(out.sigma.attitude_rad.z, hypot(3 * 0.1, 2 * RAD_PER_DEG), 0.05);
+	assert_near(out.sigma.velocity_m_s.x, 0.1, 0.01);
+	assert_true(out.sigma.accel_m_s2.x > 0.8);
+}
+
 static void test_a_discontinuity_starts_everything_over(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -499,8 +514,8 @@ static void test_a_discontinuity_starts_everything_over(void **state)
 	out = step(&p, &again); /* its time is earlier */
 	assert_int_equal(out.status, PIPELINE_VALID | PIPELINE_MAG_USED);
 	assert_quat_near(out.q_nb, standing(0).q_nb, 1e-6);
-	assert_vec_near(out.velocity_n_m_s, ZERO, 0);
-	assert_vec_near(out.position_n_m, ZERO, 0);
+	assert_vec_near(out.velocity_n_m_s, ZERO, 1e-6);
+	assert_vec_near(out.position_n_m, ZERO, 1e-6);
 	assert_int_equal(p.gaps + p.refused, 0);
 }
 
@@ -1492,6 +1507,7 @@ int main(void)
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
+		cmocka_unit_test(test_the_first_sample_has_its_sigma),
 		cmocka_unit_test(test_a_discontinuity_starts_everything_over),
 		cmocka_unit_test(test_a_magnetometer_lost_shows_in_the_status_after_a_second),
 		cmocka_unit_test(test_the_jump_of_the_heading_to_the_first_north_is_not_an_angular_rate),
