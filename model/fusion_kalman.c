@@ -395,9 +395,8 @@ static bool blocks_agree(const struct fusion_kalman *k, struct vec3 mean_b_rad_s
  * bias is uncertain by as much. A rate that changes is a motion. */
 static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 {
-	struct vec3 rate = vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), off = vec3_sub(rate, bias_b_rad_s),
-		    changed;
-	const double r[3] = {off.x, off.y, off.z}, noise = squared(REST_GYRO_NOISE) / MEAN_RATE_S;
+	struct vec3 rate = vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), off, changed;
+	const double noise = squared(REST_GYRO_NOISE) / MEAN_RATE_S;
 
 	if (k->since_start_s == 0)
 		k->last_rate_b_rad_s = rate;
@@ -412,6 +411,8 @@ static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 			vec3_norm(rate) > MOST_BIAS_RAD_S;
 	if (k->bias_known || k->has_moved)
 		return;
+	off = vec3_sub(k->first_rate_b_rad_s, bias_b_rad_s); /* not what a motion has added by now */
+	const double r[3] = {off.x, off.y, off.z};
 	for (int i = 0; i < 3; i++)
 		k->covariance[BIAS + i][BIAS + i] = fmax(k->covariance[BIAS + i][BIAS + i], squared(r[i]));
 }

@@ -486,6 +486,32 @@ static void test_after_a_long_gap_the_attitude_is_initialised_again(void **state
 	assert_vec_near(out.accel_n_m_s2, ZERO, 1e-6);
 }
 
+/* Without a magnetometer, and without a standstill of some seconds before: 5 deg/s, reached within a second. */
+static void test_a_turn_that_begins_soon_after_the_start_is_no_bias(void **state)
+{
+	struct pipeline_config config = with_lever();
+
+	(void)state;
+	config.fusion.use_magnetometer = 0;
+	for (double begin_s = 0.4; begin_s < 3; begin_s += 0.2) {
+		struct pipeline p = pipeline(&config);
+		struct pipeline_output out = {.t_us = 0};
+		double yaw = 0;
+
+		for (int k = 0; k < 40 * RATE_HZ; k++) {
+			const double t = (double)k / RATE_HZ;
+			double rate = 5 * RAD_PER_DEG * pow(sin(PI / 2 * fmin(1, fmax(0, t - begin_s))), 2);
+			struct imu_sample s = {.t_us = (uint64_t)k * 1000000 / RATE_HZ,
+				.gyro_rad_s = vec3_add((struct vec3){0, 0, rate}, any_vec(0.002)),
+				.accel_m_s2 = vec3_add((struct vec3){0, 0, G}, any_vec(0.05))};
+
+			yaw += rate / RATE_HZ;
+			out = step(&p, &s);
+		}
+		assert_near(remainder(out.angles_rad.z - yaw, 2 * PI), 0, fmin(3 * out.sigma.attitude_rad.z, 0.2));
+	}
+}
+
 static void test_the_first_sample_has_its_sigma(void **state)
 {
 	const struct pipeline_config config = with_lever();
@@ -1507,6 +1533,7 @@ int main(void)
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
+		cmocka_unit_test(test_a_turn_that_begins_soon_after_the_start_is_no_bias),
 		cmocka_unit_test(test_the_first_sample_has_its_sigma),
 		cmocka_unit_test(test_a_discontinuity_starts_everything_over),
 		cmocka_unit_test(test_a_magnetometer_lost_shows_in_the_status_after_a_second),
