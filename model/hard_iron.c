@@ -35,8 +35,8 @@ static const double PRETENDED_SHARE = 0.03;
 /* Least offset as a share of the field, and in sigmas. Tuned: the recorded fields of buildings pretend up to 0.1. Below the
  * last, the magnet is gone. */
 static const double OFFSET_SHARE = 0.12, OFFSET_SIGMAS = 4, OFFSET_SHARE_LEAST = 0.06;
-/* 1 sigma of the offset along its worst axis, as a share of the field, that needs turns about all axes. By judgement. */
-static const double ALL_AXES_SHARE = 0.05;
+/* Turns about an axis before it is judged. By judgement. */
+static const double AXIS_TURNS_LEAST = 2;
 /* Share of the field's turn (root of the sums of squares) that is unexplained: beyond the first with few turns, beyond the
  * second with more, it disagrees; below the third it agrees; below the fourth an offset explains it. Tuned: recorded fields
  * leave 0.1 to 0.4, swapped or mirrored axes 0.5 to 2. */
@@ -78,10 +78,12 @@ static void add_row(struct hard_iron *h, const double row[4], double value, doub
 static void forget(struct hard_iron *h, double kept)
 {
 	h->length_off2 *= kept;
-	h->unexplained *= kept;
-	h->turned_field *= kept;
-	h->unexplained_solved *= kept;
-	h->turned_field_solved *= kept;
+	for (int i = 0; i < 3; i++) {
+		h->agreement.unexplained[i] *= kept;
+		h->agreement.turned_field[i] *= kept;
+		h->solved.unexplained[i] *= kept;
+		h->solved.turned_field[i] *= kept;
+	}
 	for (int i = 0; i < 4; i++) {
 		for (int j = 0; j < 4; j++)
 			h->information[i][j] *= kept;
@@ -126,23 +128,36 @@ static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4
 	return true;
 }
 
-/* What the turn leaves unexplained with this offset, and how much the field turned; squares. Returns the former. */
-static double count(double *unexplained, double *turned_field, const struct mat3 *turn, struct vec3 field,
+/* Counts what the turn leaves unexplained with this offset, and how much the field turned, for each axis by its share of the
+ * turn: a turn about x says nothing of x. Returns the former. */
+static double count(struct hard_iron_agreement *a, const double share[3], const struct mat3 *turn, struct vec3 field,
 	struct vec3 apart, struct vec3 offset, double weight)
 {
 	struct vec3 rest = vec3_sub(apart, vec3_sub(offset, mat3_apply(*turn, offset)));
 	struct vec3 from = vec3_sub(field, offset), change = vec3_sub(from, mat3_apply(*turn, from));
-	double rest2 = vec3_dot(rest, rest);
+	double rest2 = weight * vec3_dot(rest, rest), change2 = weight * vec3_dot(change, change);
 
-	*unexplained += weight * rest2 - *unexplained / AGREEMENT_TURNS;
-	*turned_field += weight * vec3_dot(change, change) - *turned_field / AGREEMENT_TURNS;
-	return weight * rest2;
+	for (int i = 0; i < 3; i++) {
+		a->unexplained[i] += share[i] * (rest2 - a->unexplained[i] / AGREEMENT_TURNS);
+		a->turned_field[i] += share[i] * (change2 - a->turned_field[i] / AGREEMENT_TURNS);
+	}
+	return rest2;
+}
+
+/* The worst of the axes about which the object has turned. */
+static double unexplained_share(const struct hard_iron *h, const struct hard_iron_agreement *a)
+{
+	double worst = 0;
+
+	for (int i = 0; i < 3; i++)
+		if (h->axis_turns[i] >= AXIS_TURNS_LEAST)
+			worst = fmax(worst, sqrt(a->unexplained[i] / a->turned_field[i]));
+	return worst;
 }
 
 static enum hard_iron_event judge(struct hard_iron *h, const double x[4], double covariance[4][4])
 {
-	double share = sqrt(h->unexplained / h->turned_field),
-	       share_solved = sqrt(h->unexplained_solved / h->turned_field_solved);
+	double share = unexplained_share(h, &h->agreement), share_solved = unexplained_share(h, &h->solved);
 	struct vec3 b = {x[0], x[1], x[2]};
 	double length = vec3_norm(b), variance;
 	bool before = h->disagrees, found = h->known;
@@ -170,8 +185,7 @@ static enum hard_iron_event judge(struct hard_iron *h, const double x[4], double
 			      : h->turns >= AGREEMENT_TURNS_LEAST &&
 					share > (h->turns < AGREEMENT_TURNS_SURE ? DISAGREES_FEW : DISAGREES);
 	h->agreed |= share < EXPLAINED && h->turns >= AGREEMENT_TURNS_SURE &&
-		     fmax(covariance[0][0], fmax(covariance[1][1], covariance[2][2])) <
-			     squared(ALL_AXES_SHARE * h->field_uT);
+		     fmin(h->axis_turns[0], fmin(h->axis_turns[1], h->axis_turns[2])) >= AXIS_TURNS_LEAST;
 	if (found && !h->known) {
 		h->known = true;
 		return HARD_IRON_FOUND;
@@ -181,8 +195,11 @@ static enum hard_iron_event judge(struct hard_iron *h, const double x[4], double
 
 static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, double rate2, double field_sigma_uT)
 {
-	struct mat3 turn = mat3_from_quat(quat_conjugate(h->turned));
+	struct quat q = h->turned;
+	struct mat3 turn = mat3_from_quat(quat_conjugate(q));
 	struct vec3 apart = vec3_sub(field, mat3_apply(turn, h->last_b_uT));
+	const double sin2 = q.x * q.x + q.y * q.y + q.z * q.z,
+		     axis_share[3] = {q.x * q.x / sin2, q.y * q.y / sin2, q.z * q.z / sin2};
 	double covariance[4][4], x[4] = {0}, rest2, length = vec3_norm(vec3_sub(field, h->offset_b_uT)), variance,
 				 weight;
 
@@ -195,11 +212,13 @@ static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, dou
 	length = vec3_norm(vec3_sub(field, (struct vec3){x[0], x[1], x[2]}));
 	h->length_uT += (length - h->length_uT) / fmin(h->turns + 1, h->changes ? RECENT_TURNS : AGREEMENT_TURNS);
 	h->length_off2 += (squared(length / h->length_uT - 1) - h->length_off2) / fmin(h->turns + 1, AGREEMENT_TURNS);
-	count(&h->unexplained, &h->turned_field, &turn, field, apart, h->offset_b_uT, weight);
-	rest2 = count(&h->unexplained_solved, &h->turned_field_solved, &turn, field, apart,
-		(struct vec3){x[0], x[1], x[2]}, weight);
+	for (int i = 0; i < 3; i++)
+		h->axis_turns[i] = fmin(h->axis_turns[i] + axis_share[i], AGREEMENT_TURNS);
+	count(&h->agreement, axis_share, &turn, field, apart, h->offset_b_uT, weight);
+	rest2 = count(&h->solved, axis_share, &turn, field, apart, (struct vec3){x[0], x[1], x[2]}, weight);
+	h->usual += (rest2 - h->usual) / (h->changes ? OFFSET_TURNS : fmin(h->turns + 1, AGREEMENT_TURNS));
 	h->recent += (rest2 - h->recent) / RECENT_TURNS;
-	h->changes = h->recent > CHANGED * h->unexplained_solved / fmin(h->turns + 1, AGREEMENT_TURNS);
+	h->changes = h->recent > CHANGED * h->usual;
 	if (h->changes)
 		forget(h, KEPT);
 	add_turn(h, &turn, field, apart, variance);

@@ -10,7 +10,7 @@
  * - An offset beyond four sigma and beyond 0.12 of the field is subtracted from then on. Its covariance remains as an
  *   error of the heading. A smaller one is what fields of buildings pretend.
  * - A field that does not turn with the object, whatever the offset, is of no use: axes that were swapped or mirrored,
- *   or fields of iron nearby. It disagrees until the turns fit again. A rotation of the field about the vertical alone,
+ *   or fields of iron nearby. Each axis of the turns is judged by itself: one about x does not show that x is mirrored. It disagrees until the turns fit again. A rotation of the field about the vertical alone,
  *   and one turned upside down (a southern magnetic hemisphere), cannot be seen so.
  *
  * An object that does not turn shows nothing of both.
@@ -44,12 +44,15 @@ struct hard_iron {
 	struct quat turned;    /* since the last field that was used: object then -> object now */
 	struct vec3 last_b_uT; /* that field */
 	double last_rate2_rad2_s2, since_s;
-	double field_uT;							   /* mean length, less the offset */
-	double information[4][4], projection[4];				   /* of b and |field|^2 - |b|^2 */
-	double unexplained, turned_field, unexplained_solved, turned_field_solved; /* squares, over the last turns */
-	double recent; /* mean of what the last few left unexplained */
-	double length_uT,
-		length_off2; /* mean length with the offset solved, mean square of what differs from it, as a share */
+	double field_uT;			 /* mean length, less the offset */
+	double information[4][4], projection[4]; /* of b and |field|^2 - |b|^2 */
+	struct hard_iron_agreement {
+		double unexplained[3], turned_field[3]; /* squares, over the last turns about each axis */
+	} agreement, solved;				/* with the offset that is in use, and with the solution */
+	double axis_turns[3];				/* turns about each axis, limited */
+	double recent, usual; /* means of what the last few and all of the last turns left unexplained */
+	/* mean length with the offset solved; mean square of what differs from it, as a share */
+	double length_uT, length_off2;
 	int turns;
 };
 

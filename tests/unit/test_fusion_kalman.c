@@ -260,7 +260,7 @@ static int fields_used_in_changing_halls(struct fusion *f)
 	for (int k = 0; k < 200 * 60; k++) {
 		struct moment m = swinging(k / 200.0, 1, (struct vec3){0, 0, 0});
 
-		if (k >= 200)
+		if (k >= 200 * 15) /* when the turns about all axes have agreed */
 			m.sample.mag_uT = quat_rotate_inverse(
 				m.q_nb, k / 3000 % 2 ? (struct vec3){0, 40, -20} : (struct vec3){0, 50, -75});
 		fusion_step(f, &m.sample, 1.0 / 200);

@@ -71,7 +71,7 @@ static void test_an_offset_of_any_direction_is_found_within_its_sigma(void **sta
 
 		if (vec3_norm(b) < 10)
 			continue;
-		assert_int_equal(turn(&h, &o, 40).found, 1);
+		turn(&h, &o, 60);
 		assert_true(h.known && !h.disagrees);
 		off = vec3_sub(h.offset_b_uT, b);
 		assert_true(vec3_norm(off) < 1);
