@@ -471,7 +471,7 @@ static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_
 }
 
 /* What the mean length of the force lacks to gravity is the accelerometer's error: motion can only add to it. At rest an
- * excess is, too. */
+ * excess is, too. In motion it is that of one direction of many: the mean square of a vector is three times that of a part. */
 static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 {
 	double length = vec3_norm(k->sums.force_n_m_s) / k->sums.time_s, off;
@@ -484,7 +484,7 @@ static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 	if (rest ? fabs(off) < UNCALIBRATED_AT_REST_M_S2 : off < UNCALIBRATED_M_S2)
 		return;
 	for (int i = ACCEL; i < ACCEL + 3; i++)
-		k->covariance[i][i] = fmax(k->covariance[i][i], squared(off));
+		k->covariance[i][i] = fmax(k->covariance[i][i], (rest ? 1 : 3) * squared(off));
 }
 
 struct field {
