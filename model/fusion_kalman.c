@@ -56,9 +56,9 @@ static const double GYRO_ERROR_TIME_S = 0.3;
 static const double SATURATED_SHARE = 0.5;
 /* s, in which the scale's variance returns to its start (10 hours). By judgement: temperature and ageing. */
 static const double SCALE_TIME_S = 36000;
-/* rad/s, limit of the bias estimate. Datasheet: zero-rate level of the L3GD20, 25 deg/s with all that adds up at 2000 deg/s
- * (10) and over temperature. */
-static const double MOST_BIAS_RAD_S = 30 * RAD_PER_DEG;
+/* rad/s, limit of the bias estimate, all axes together. Datasheet: zero-rate level of the L3GD20 at 2000 deg/s, up to 75
+ * deg/s; most chips have a third of it on each axis. What turns steadily faster than that lies on a turntable. */
+static const double MOST_BIAS_RAD_S = 45 * RAD_PER_DEG;
 /* Limit of the scale estimate, in its 1 sigma. By judgement: beyond five sigma the configured sigma is wrong. */
 static const double MOST_SCALE_SIGMAS = 5;
 
@@ -409,7 +409,7 @@ static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 	k->has_moved |= k->sums.steady_s < k->since_start_s - STEADY_SINCE_START_S ||
 			vec3_dot(changed, changed) > squared(TURNING_SIGMAS) * 3 * 2 * noise ||
 			vec3_norm(rate) > MOST_BIAS_RAD_S;
-	if (k->bias_known || k->has_moved)
+	if (k->bias_known || k->has_moved || k->since_start_s < MEAN_RATE_S)
 		return;
 	off = vec3_sub(k->first_rate_b_rad_s, bias_b_rad_s); /* not what a motion has added by now */
 	const double r[3] = {off.x, off.y, off.z};
