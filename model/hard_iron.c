@@ -75,6 +75,16 @@ static void add_row(struct hard_iron *h, const double row[4], double value, doub
 	}
 }
 
+static void keep(struct hard_iron *h, double share)
+{
+	for (int i = 0; i < 4; i++) {
+		for (int j = 0; j < 4; j++)
+			h->information[i][j] *= share;
+		h->projection[i] *= share;
+	}
+}
+
+/* What the earlier turns have shown of the offset and of its agreement. */
 static void forget(struct hard_iron *h, double kept)
 {
 	h->length_off2 *= kept;
@@ -84,11 +94,7 @@ static void forget(struct hard_iron *h, double kept)
 		h->solved.unexplained[i] *= kept;
 		h->solved.turned_field[i] *= kept;
 	}
-	for (int i = 0; i < 4; i++) {
-		for (int j = 0; j < 4; j++)
-			h->information[i][j] *= kept;
-		h->projection[i] *= kept;
-	}
+	keep(h, kept);
 }
 
 /* Both relations of the header for one turn. */
@@ -98,11 +104,7 @@ static void add_turn(
 	const double y[3] = {apart.x, apart.y, apart.z}, length2 = vec3_dot(field, field);
 	const double sphere[4] = {2 * field.x, 2 * field.y, 2 * field.z, 1};
 
-	for (int i = 0; i < 4; i++) {
-		for (int j = 0; j < 4; j++)
-			h->information[i][j] *= 1 - 1 / OFFSET_TURNS;
-		h->projection[i] *= 1 - 1 / OFFSET_TURNS;
-	}
+	keep(h, 1 - 1 / OFFSET_TURNS);
 	for (int i = 0; i < 3; i++) {
 		const double row[4] = {(i == 0) - turn->m[i][0], (i == 1) - turn->m[i][1], (i == 2) - turn->m[i][2], 0};
 
