@@ -217,6 +217,13 @@ void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusio
 	fusion_kalman_reset_scale(k, config);
 }
 
+/* The offset, and what it has done to the heading: with other axes, or after nonsense, none of it means anything. */
+static void forget_offset(struct fusion_kalman *k)
+{
+	k->hard_iron = (struct hard_iron){.turns = 0};
+	k->heading_by_offset_rad_uT = k->field_by_offset_1_uT = (struct vec3){0, 0, 0};
+}
+
 void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat turn,
 	struct gyro_errors *gyro_errors)
 {
@@ -229,7 +236,7 @@ void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalm
 	gyro_errors->bias_b_rad_s = quat_rotate(turn, gyro_errors->bias_b_rad_s);
 	gyro_errors->scale_b = (struct vec3){0, 0, 0};
 	k->lever_arm_b_m = quat_rotate(turn, k->lever_arm_b_m);
-	k->hard_iron = (struct hard_iron){.turns = 0};
+	forget_offset(k);
 	clear_sums(k);
 }
 
@@ -256,7 +263,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 }
 
 /* Of a heading by a field with this horizontal part: it turns with the tilt about the field's own direction. */
-static double heading_variance(
+static double field_heading_variance(
 	const struct fusion_kalman *k, const struct fusion_kalman_config *config, double x, double y)
 {
 	const double(*c)[STATES] = k->covariance;
@@ -291,7 +298,7 @@ double fusion_kalman_heading_variance(const struct fusion_kalman *k)
 void fusion_kalman_set_north(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, struct vec3 field_n_uT)
 {
-	set_variance(k, HEADING, heading_variance(k, config, field_n_uT.x, field_n_uT.y));
+	set_variance(k, HEADING, field_heading_variance(k, config, field_n_uT.x, field_n_uT.y));
 	follow_by_offset(k, q_nb, field_n_uT, 1);
 	k->norm_uT = 0; /* the next field becomes the reference */
 	k->north_from_field = true;
@@ -611,7 +618,7 @@ static bool measure_heading(
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT) || k->hard_iron.disagrees)
 		return false;
-	variance = heading_variance(k, config, m.x, m.y);
+	variance = field_heading_variance(k, config, m.x, m.y);
 	f.dip_rad = atan2(-m.z, f.horizontal_uT);
 	if (k->norm_uT == 0) {
 		k->norm_uT = f.norm_uT;
@@ -786,7 +793,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	field_used = k->sums.fields > 0 && measure_heading(k, config, *q_nb, rest, error);
 	if (!covariance_is_valid(k)) {
 		*gyro_errors = (struct gyro_errors){0};
-		k->hard_iron = (struct hard_iron){.turns = 0};
+		forget_offset(k);
 		fusion_kalman_reset_gyro_errors(k, config);
 		fusion_kalman_start(k, config, 0);
 		return false;
@@ -864,8 +871,10 @@ static void use_field(struct fusion_kalman *k, const struct fusion_kalman_config
 
 	if (s->saturated)
 		hard_iron_skip(h);
-	if (event == HARD_IRON_FOUND)
-		k->norm_uT = 0; /* the next field becomes the reference */
+	if (event == HARD_IRON_FOUND) { /* the next field becomes the reference, and where it points to */
+		k->norm_uT = 0;
+		k->north_unknown |= !k->north_from_field;
+	}
 	if (event == HARD_IRON_DISAGREES && !h->agreed)
 		lose_north(k);
 	if (k->north_from_field && h->changes)

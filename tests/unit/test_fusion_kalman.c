@@ -346,6 +346,40 @@ static void test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_
 	assert_near(acos(vec3_dot(up_of(f.q_nb), up_of(m.q_nb))), 0, 1 * RAD_PER_DEG);
 }
 
+/* A hard-iron offset, on an object whose frame is turned on the way, or whose heading came from outside. */
+static void test_the_heading_holds_when_an_offset_is_found_again_or_under_a_heading_from_outside(void **state)
+{
+	const struct quat mounting = quat_from_rotation_vector((struct vec3){0, 0, 1.5});
+
+	(void)state;
+	for (int outside = 0; outside < 2; outside++) {
+		struct fusion f = fusion(NINE_AXES);
+
+		for (int k = 0; k < 200 * 120; k++) {
+			struct moment m = swinging(k / 200.0, 1, (struct vec3){0, 0, 0});
+			bool turned = !outside && k >= 200 * 60;
+			struct quat truth = turned ? quat_multiply(m.q_nb, quat_conjugate(mounting)) : m.q_nb;
+
+			m.sample.mag_uT = vec3_add(m.sample.mag_uT, (struct vec3){6.5, 0, 4});
+			if (k == 0 && outside)
+				m.sample.flags = 0;
+			if (turned) {
+				m.sample.gyro_rad_s = quat_rotate(mounting, m.sample.gyro_rad_s);
+				m.sample.accel_m_s2 = quat_rotate(mounting, m.sample.accel_m_s2);
+				m.sample.mag_uT = quat_rotate(mounting, m.sample.mag_uT);
+			}
+			if (!outside && k == 200 * 60)
+				fusion_turn_object(&f, mounting);
+			fusion_step(&f, &m.sample, 1.0 / 200);
+			if (k == 0 && outside)
+				fusion_set_attitude(&f, m.q_nb);
+			if (k > 200 * 40)
+				assert_quat_near(f.q_nb, truth, 4 * RAD_PER_DEG);
+		}
+		assert_true(f.kalman.hard_iron.known);
+	}
+}
+
 static void test_a_heading_from_outside_stays_known_when_the_field_is_wrong(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);
@@ -1075,6 +1109,7 @@ int main(void)
 		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight),
 		cmocka_unit_test(test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_the_start),
 		cmocka_unit_test(test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown),
+		cmocka_unit_test(test_the_heading_holds_when_an_offset_is_found_again_or_under_a_heading_from_outside),
 		cmocka_unit_test(test_a_heading_from_outside_stays_known_when_the_field_is_wrong),
 		cmocka_unit_test(test_without_a_magnetometer_the_tilt_is_as_good_and_the_heading_only_drifts),
 		cmocka_unit_test(test_without_further_fields_the_gyro_holds_the_heading),
