@@ -131,12 +131,12 @@ void publish_preset(struct od *od, uint16_t index)
 	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
 		(record).c = scaled16((vector).z, lsb, &saturated))
 
-/* The INTEGER16 twins, 2140h to 2147h: quantities that fit a PDO as vectors. */
-static void publish_twins(struct od *od, const struct pipeline_output *out)
+/* The INTEGER16 twins, 2140h to 2147h: quantities that fit a PDO as vectors. Returns whether one saturates. */
+static bool publish_twins(struct od *od, const struct pipeline_output *out)
 {
 	struct od_values *v = od->values;
 	const double quaternion_lsb = step_of(od, OD_INDEX_QUATERNION16, OD_SUB_QUATERNION16_W);
-	bool saturated = false; /* the status bit is that of the outputs that always existed */
+	bool saturated = false;
 
 	v->quaternion16.w = scaled16(out->q_nb.w, quaternion_lsb, &saturated);
 	v->quaternion16.x = scaled16(out->q_nb.x, quaternion_lsb, &saturated);
@@ -151,6 +151,7 @@ static void publish_twins(struct od *od, const struct pipeline_output *out)
 	PUBLISH_SCALED(
 		v->velocity_sigma16, out->sigma.velocity_m_s, step_of(od, OD_INDEX_VELOCITY_SIGMA16, 1), x, y, z);
 	PUBLISH_SCALED(v->position_sigma16, out->sigma.position_m, step_of(od, OD_INDEX_POSITION_SIGMA16, 1), x, y, z);
+	return saturated;
 }
 
 unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16_t counter)
@@ -190,7 +191,7 @@ unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16
 	v->position_output.x32 = scaled(out->position_n_m.x, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.y32 = scaled(out->position_n_m.y, position_lsb_m, INT32_MAX, &saturated);
 	v->position_output.z32 = scaled(out->position_n_m.z, position_lsb_m, INT32_MAX, &saturated);
-	publish_twins(od, out);
+	saturated |= publish_twins(od, out);
 	unsigned clipped = publish_slopes(od);
 
 	v->sample.counter = counter;

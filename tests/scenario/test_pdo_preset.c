@@ -96,7 +96,7 @@ static void test_preset_4_has_force_rate_and_field(void **state)
 	assert_near(i16(field, 1) * 0.1, v->magnetic_field.s, 0.051);
 }
 
-static void test_a_step_can_be_chosen_and_a_value_beyond_it_saturates_without_a_status_bit(void **state)
+static void test_a_step_can_be_chosen_and_a_value_beyond_it_sets_the_status_bit(void **state)
 {
 	struct world *w = *state;
 	const uint8_t step[] = {1, 0};
@@ -104,10 +104,11 @@ static void test_a_step_can_be_chosen_and_a_value_beyond_it_saturates_without_a_
 	assert_int_equal(world_sdo_write(w, 0x2110, 6, step, 2), 0); /* 1 mm/s^2: up to 32.767 m/s^2 */
 	world_sample(w);
 	assert_near(w->device.values.specific_force16.t * 1e-3, w->device.values.specific_force.t, 0.51e-3);
+	assert_int_equal(w->device.values.sample.status & STATUS_SATURATED, 0);
 	assert_int_equal(world_sdo_write(w, 0x2110, 3, step, 2), 0); /* 1e-6: up to 0.032767 */
 	world_sample(w);
 	assert_true(w->device.values.quaternion16.w == 32767 || w->device.values.quaternion16.w == -32768);
-	assert_int_equal(w->device.values.sample.status & STATUS_SATURATED, 0);
+	assert_true(w->device.values.sample.status & STATUS_SATURATED);
 }
 
 static void test_the_object_reads_which_preset_is_mapped(void **state)
@@ -185,7 +186,7 @@ int main(void)
 		PRESET_TEST(test_preset_2_is_the_inclinometer_of_cia_410),
 		PRESET_TEST(test_preset_3_has_the_quaternion_in_one_frame_at_its_step),
 		PRESET_TEST(test_preset_4_has_force_rate_and_field),
-		PRESET_TEST(test_a_step_can_be_chosen_and_a_value_beyond_it_saturates_without_a_status_bit),
+		PRESET_TEST(test_a_step_can_be_chosen_and_a_value_beyond_it_sets_the_status_bit),
 		PRESET_TEST(test_the_object_reads_which_preset_is_mapped),
 		PRESET_TEST(test_a_preset_is_stored_as_its_mapping),
 		PRESET_TEST(test_other_numbers_are_refused_and_change_nothing),
