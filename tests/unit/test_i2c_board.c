@@ -602,14 +602,25 @@ static void test_each_bandwidth_of_a_gyro_has_the_code_of_the_data_sheets(void *
 		}
 }
 
+struct expected_register {
+	const char *board;
+	enum imu_chip chip;
+	uint8_t address, value;
+};
+
+static void assert_register(const struct world *w, const struct expected_register *e)
+{
+	uint8_t value = sim_board_registers(w->sim, e->chip)[e->address];
+
+	if (value != e->value)
+		fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", e->board, e->chip, e->address, value,
+			e->value);
+}
+
 /* Control registers as the data sheets' tables give them for 100 Hz, 2000 deg/s, 8 g, the finest field range. */
 static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 {
-	static const struct {
-		const char *board;
-		enum imu_chip chip;
-		uint8_t address, value;
-	} expected[] = {
+	static const struct expected_register expected[] = {
 		{"v0", IMU_CHIP_GYRO, 0x20, 0x1F},  /* 100 Hz, 25 Hz, on, all axes */
 		{"v0", IMU_CHIP_GYRO, 0x23, 0xA0},  /* BDU, 2000 deg/s */
 		{"v0", IMU_CHIP_GYRO, 0x2E, 0x40},  /* stream */
@@ -654,13 +665,9 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 	(void)state;
 	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
 		struct world *w = world_new(expected[i].board, "rest", false);
-		uint8_t value;
 
 		world_run(w, 50000);
-		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
-		if (value != expected[i].value)
-			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
-				expected[i].address, value, expected[i].value);
+		assert_register(w, &expected[i]);
 		world_free(w);
 	}
 }
@@ -668,11 +675,7 @@ static void test_the_registers_have_the_values_of_the_data_sheets(void **state)
 /* The same without FIFO, and with the gyro's data-ready signal. */
 static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_of_the_data_sheets(void **state)
 {
-	static const struct {
-		const char *board;
-		enum imu_chip chip;
-		uint8_t address, value;
-	} expected[] = {
+	static const struct expected_register expected[] = {
 		{"v0", IMU_CHIP_GYRO, 0x22, 0x08},  /* I2_DRDY */
 		{"v0", IMU_CHIP_GYRO, 0x24, 0x02},  /* no FIFO, output behind LPF2 */
 		{"v0", IMU_CHIP_GYRO, 0x2E, 0x00},  /* bypass */
@@ -698,17 +701,13 @@ static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_
 	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
 		struct world *w = world_make(expected[i].board, "rest", false);
 		struct board_plan plan;
-		uint8_t value;
 		char why[200];
 
 		world_detect(w);
 		assert_int_equal(board_plan(&w->board, &settings, true, true, &plan, why, sizeof why), 0);
 		board_apply(&w->board, &plan);
 		world_run(w, 50000);
-		value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
-		if (value != expected[i].value)
-			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
-				expected[i].address, value, expected[i].value);
+		assert_register(w, &expected[i]);
 		world_free(w);
 	}
 }
@@ -716,11 +715,7 @@ static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_
 /* What the data sheets give as the values after power-on: of registers that the driver does not write, it finds these. */
 static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on(void **state)
 {
-	static const struct {
-		const char *board;
-		enum imu_chip chip;
-		uint8_t address, value;
-	} expected[] = {
+	static const struct expected_register expected[] = {
 		{"v0", IMU_CHIP_GYRO, 0x0F, 0xD3},
 		{"v0", IMU_CHIP_GYRO, 0x20, 0x07},
 		{"v0", IMU_CHIP_ACCEL, 0x20, 0x07},
@@ -753,11 +748,8 @@ static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_pow
 	(void)state;
 	for (size_t i = 0; i < sizeof expected / sizeof *expected; i++) {
 		struct world *w = world_make(expected[i].board, "rest", false);
-		uint8_t value = sim_board_registers(w->sim, expected[i].chip)[expected[i].address];
 
-		if (value != expected[i].value)
-			fail_msg("%s, chip %d: register %02Xh is %02Xh, not %02Xh", expected[i].board, expected[i].chip,
-				expected[i].address, value, expected[i].value);
+		assert_register(w, &expected[i]);
 		world_free(w);
 	}
 }
