@@ -64,6 +64,9 @@ static const double SET_ANGLE_RAD = 0.0175;
  * behind. With each turn such errors of the accelerometer meet gravity along another axis, so its bias walks, too, up
  * to START_ACCEL_BIAS_M_S2. Tuned: 0.1 % is a calibrated sensor. */
 static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
+/* 1 sigma of the accelerometer's scale and alignment, as a share of the way: no standstill shows it, since its effect on the
+ * velocity vanishes with it. By judgement: a calibrated sensor. */
+static const double ACCEL_SCALE = 0.003;
 /* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a movement in one
  * direction leaves behind. By judgement: a calibrated sensor. */
 static const double GYRO_SCALE = 0.003;
@@ -380,11 +383,30 @@ static struct smoother_point reference_point(const struct navigation *n, const s
 	};
 }
 
+/* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale add up
+ * on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
+static struct vec3 by_accel_scale(const struct navigation *n, double distance2_m2)
+{
+	double variance = squared(ACCEL_SCALE) * (distance2_m2 - n->way2_max_m2);
+
+	return (struct vec3){variance, variance, variance};
+}
+
+/* Of all movements but errors of scale. */
+static struct vec3 end_displacement(struct navigation *n)
+{
+	struct vec3 earlier = vec3_add(n->earlier_variance_m2, vec3_add(variance(n, P), by_accel_scale(n, 0)));
+
+	n->way2_max_m2 = 0;
+	n->way_from_n_m = n->position_n_m;
+	return earlier;
+}
+
 /* From here on the covariance of the position is that of the displacement. Its correlation with errors that are
  * estimated later is dropped, so a movement does not correct the position before it. */
 static void begin_movement(struct navigation *n, struct smoother_point here)
 {
-	n->earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
+	n->earlier_variance_m2 = end_displacement(n);
 	set_variance(n, P, 0);
 	n->high_pass_n_m_s = ZERO;
 	n->high_pass2_max = 0;
@@ -626,7 +648,8 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	fresh.smoother = n->smoother;
 	fresh.position_n_m = n->position_n_m;
 	fresh.gravity_m_s2 = 9.81;
-	fresh.earlier_variance_m2 = vec3_add(n->earlier_variance_m2, variance(n, P));
+	fresh.earlier_variance_m2 = end_displacement(n);
+	fresh.way_from_n_m = n->way_from_n_m;
 	set_variance(&fresh, THETA, squared(START_ANGLE_RAD));
 	set_variance(&fresh, V, squared(START_VELOCITY_M_S));
 	set_variance(&fresh, BG, squared(START_GYRO_BIAS_RAD_S));
@@ -798,6 +821,18 @@ static void add_scale_error(struct navigation *n)
 	n->net_turn2_max_rad2 = turned2;
 }
 
+/* A way in one direction leaves an error of position behind that grows with it. */
+static void add_way_error(struct navigation *n)
+{
+	struct vec3 way = vec3_sub(n->position_n_m, n->way_from_n_m);
+	double way2 = vec3_dot(way, way);
+
+	if (way2 < n->way2_max_m2)
+		return;
+	add_variance(n, P, squared(ACCEL_SCALE) * (way2 - n->way2_max_m2));
+	n->way2_max_m2 = way2;
+}
+
 static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	double t_s = n->sums.t_s;
@@ -814,6 +849,7 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 		n->moved_s += t_s;
 		n->moved_accel2_m2_s3 += n->sums.accel2_m2_s3;
 		n->moved_turned2_rad2_s += n->sums.turned2_rad2_s;
+		add_way_error(n);
 	}
 	propagate(n, &n->sums);
 	correct(n, in);
@@ -883,7 +919,8 @@ void navigation_reset_position(struct navigation *n)
 {
 	if (n->still)
 		smoother_end(n->smoother, n->stood_s, n->p);
-	n->position_n_m = n->earlier_variance_m2 = ZERO;
+	n->position_n_m = n->earlier_variance_m2 = n->way_from_n_m = ZERO;
+	n->way2_max_m2 = 0;
 	set_variance(n, P, 0);
 	n->ended_by_reset = n->still;
 	n->reset_in_motion = !n->still;
@@ -916,7 +953,8 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 	double g2 = squared(n->gravity_m_s2);
 	struct vec3 displacement = vec3_add(variance(n, P), n->zero_velocity.position_variance_m2);
 	struct vec3 velocity = vec3_add(variance(n, V), n->zero_velocity.velocity_variance_m2_s2);
-	struct vec3 position = vec3_add(n->earlier_variance_m2, displacement);
+	struct vec3 position = vec3_add(vec3_add(n->earlier_variance_m2, displacement),
+		by_accel_scale(n, vec3_dot(n->position_n_m, n->position_n_m)));
 
 	if (heading_unknown(n)) {
 		position = vec3_add(position, by_heading(n->position_n_m, UNKNOWN_CHORD2));

@@ -87,7 +87,7 @@ struct navigation {
 	struct vec3 gyro_bias_b_rad_s, accel_bias_b_m_s2;
 	/** Covariance of the errors; that of the position counts from the last standstill. */
 	double p[NAVIGATION_STATES][NAVIGATION_STATES];
-	struct vec3 earlier_variance_m2;     /* of the position at the last standstill */
+	struct vec3 earlier_variance_m2;     /* of the position at the last standstill, without errors of scale */
 	struct vec3 fusion_difference2_rad2; /* mean square of the rotation from q_nb to the fusion's attitude, n */
 	bool north_found;		     /* since the last interval */
 	struct vec3 fusion_variance_rad2;    /* the last of navigation_input.attitude_variance_rad2 */
@@ -112,6 +112,8 @@ struct navigation {
 		moved_turned2_rad2_s; /* since the last standstill: time, integrals of the squares */
 	struct vec3 net_turn_b_rad;   /* integral of the rate since the last standstill, */
 	double net_turn2_max_rad2;    /* .. and its greatest square */
+	struct vec3 way_from_n_m;     /* where the sensor was when the displacement began, */
+	double way2_max_m2;	      /* .. and its greatest squared distance from there */
 	double accelerated_s;	      /* for how long it still counts as accelerating */
 	struct vec3 high_pass_n_m_s;  /* of the reference point's velocity, */
 	double high_pass2_max;	      /* and its greatest square since the last standstill */
