@@ -15,9 +15,9 @@ static const struct vec3 ZERO = {0, 0, 0};
 static const double STANDS_M_S = 0.002;
 /* m/s, the same at the moment of the fork. By judgement: the zero-velocity updates have averaged it. */
 static const double FORK_M_S = 0.001;
-/* s between two forks, so that one integrates for that long at least, unless motion begins earlier. Tuned in simulation:
- * 0.05 m/s reached within a second are seen from 1 s on; from 2 s on the tilt's random walk hides them. */
-static const double FORK_S = 1.5;
+/* s between two forks, and for how long a motion may have lasted before it is seen. Tuned in simulation: 0.05 m/s reached
+ * within a second are seen by a fork of 1 s; from 2 s on the tilt's random walk hides them. */
+static const double FORK_S = 0.75;
 /* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in place.
  * Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
 static const double BEGIN_SIGMAS = 5, BEGIN_TURNING_SIGMAS = 3;
@@ -114,7 +114,8 @@ void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, 
 
 void zero_velocity_restart(struct zero_velocity *z, bool moving)
 {
-	z->forks[0].set = z->forks[1].set = false;
+	for (int i = 0; i < ZERO_VELOCITY_FORKS; i++)
+		z->forks[i].set = false;
 	z->least_odds = moving ? BEGIN_ODDS : 0;
 	z->weight = z->standing_s = 0;
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
@@ -159,7 +160,7 @@ static void integrate_fork(struct zero_velocity_fork *f, const struct navigation
 
 void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s)
 {
-	for (int i = 0; i < 2; i++)
+	for (int i = 0; i < ZERO_VELOCITY_FORKS; i++)
 		if (z->forks[i].set)
 			integrate_fork(&z->forks[i], n, dt_s);
 }
@@ -212,17 +213,36 @@ static void observe_quiet(struct zero_velocity *z, const struct zero_velocity_si
 	z->accel_walk_m2_s3 += share * (s->accel_walk_m2_s3 - z->accel_walk_m2_s3);
 }
 
+/* The youngest fork that is certain to have begun before the motion knows the velocity best. What it was then by the one
+ * before, by drift or since the motion began earlier, it does not know. */
+static struct zero_velocity_fork *before_motion(struct zero_velocity *z)
+{
+	int i = ZERO_VELOCITY_FORKS - 1;
+	struct vec3 apart;
+
+	while (i > 0 && z->forks[i - 1].set && z->forks[i].sums.t_s < FORK_S)
+		i--;
+	if (i > 0 && z->forks[i - 1].set) {
+		apart = vec3_sub(z->forks[i].velocity_n_m_s, z->forks[i - 1].velocity_n_m_s);
+		z->forks[i].p[V][V] += squared(apart.x);
+		z->forks[i].p[V + 1][V + 1] += squared(apart.y);
+		z->forks[i].p[V + 2][V + 2] += squared(apart.z);
+	}
+	return &z->forks[i];
+}
+
 struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 turned_rad, struct vec3 lever_n_m_s, bool turning,
 	double t_s)
 {
 	const double limit = squared(turning ? BEGIN_TURNING_SIGMAS : BEGIN_SIGMAS);
-	struct zero_velocity_fork *begun = NULL, *younger = &z->forks[1];
+	struct zero_velocity_fork *youngest = &z->forks[ZERO_VELOCITY_FORKS - 1];
+	bool begun = false;
 
 	observe_quiet(z, signals, t_s);
 	z->weight = z->standing_s = 0;
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
-	for (int i = 0; i < 2; i++) {
+	for (int i = 0; i < ZERO_VELOCITY_FORKS; i++) {
 		struct zero_velocity_fork *f = &z->forks[i];
 		struct vec3 way = vec3_sub(f->position_n_m, n->position_n_m);
 		double d2, doubt;
@@ -234,14 +254,15 @@ struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const s
 		doubt = fmax(0, fmin(1, (d2 - BEGIN_DOUBT) / (limit - BEGIN_DOUBT)));
 		z->position_variance_m2 = vec3_add(z->position_variance_m2,
 			vec3_scale(doubt, (struct vec3){way.x * way.x, way.y * way.y, way.z * way.z}));
-		if (d2 > limit)
-			begun = f; /* the younger one knows the velocity better */
+		begun |= d2 > limit;
 	}
-	if (begun || (younger->set && younger->sums.t_s < FORK_S))
-		return begun;
-	if (younger->set)
-		z->forks[0] = *younger;
-	begin_fork(younger, z, n, lever_n_m_s);
+	if (begun)
+		return before_motion(z);
+	if (youngest->set && youngest->sums.t_s < FORK_S)
+		return NULL;
+	if (youngest->set)
+		memmove(&z->forks[0], &z->forks[1], (ZERO_VELOCITY_FORKS - 1) * sizeof(z->forks[0]));
+	begin_fork(youngest, z, n, lever_n_m_s);
 	return NULL;
 }
 

@@ -3,10 +3,11 @@
  * an instant; what does is the velocity that led there, with its sigma. So neither is taken for granted, and what is
  * published is the mixture of both.
  *
- * While it stands, zero-velocity updates hold the velocity at zero and would absorb a motion that begins gently. So two
- * forks of the navigation, up to START_WINDOW_S apart, integrate without updates since the biases and the tilt were known
- * best. A motion has begun when the velocity of a fork differs from zero by more than its sigma allows. Then the fork is
- * adopted: its state is that of a motion from its first moment on. 0.05 m/s reached within a second are seen so.
+ * While it stands, zero-velocity updates hold the velocity at zero and would absorb a motion that begins gently. So
+ * forks of the navigation, each FORK_S younger than the last, integrate without updates. A motion has begun when the
+ * velocity of a fork differs from zero by more than its sigma allows. Then the youngest fork that is older than the
+ * beginning is adopted: its state is that of a motion from its first moment on. 0.05 m/s reached within a second are
+ * seen so.
  *
  * While it moves, the odds of standing follow from the estimated velocity v with its covariance P: the likelihood ratio of
  * v = 0 against a speed of any scale (a Gaussian each, the slowest given by the user's assumptions), times prior odds. The
@@ -43,6 +44,8 @@ struct zero_velocity_fork {
 	struct mat3 r_nb;		/* attitude, at that moment */
 };
 
+enum { ZERO_VELOCITY_FORKS = 3 };
+
 struct zero_velocity {
 	/** Weight of "it stands", 0..1, while it moves. */
 	double weight;
@@ -53,7 +56,7 @@ struct zero_velocity {
 	/** For how long the odds have been those of standing. */
 	double standing_s;
 	/* PRIVATE */
-	struct zero_velocity_fork forks[2]; /* the older and the younger one */
+	struct zero_velocity_fork forks[ZERO_VELOCITY_FORKS]; /* from the oldest to the youngest */
 	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
 	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */

@@ -249,7 +249,7 @@ static struct standing standing_with_fork(const struct noise_config *noise, doub
 	const struct navigation_config config = {
 		.preset = MOTION_ANY, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5, .noise = *noise};
 	struct standing s = {.z = {.vibration_m2_s2 = 0}};
-	struct zero_velocity_fork *fork = &s.z.forks[1];
+	struct zero_velocity_fork *fork = &s.z.forks[ZERO_VELOCITY_FORKS - 1];
 
 	navigation_start(&s.n, &config, QUAT_IDENTITY);
 	s.n.gravity_m_s2 = G;
@@ -268,8 +268,33 @@ static bool begins(const struct standing *s, struct vec3 velocity_n_m_s, bool tu
 {
 	struct standing copy = *s;
 
-	copy.z.forks[1].velocity_n_m_s = velocity_n_m_s;
+	copy.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = velocity_n_m_s;
 	return zero_velocity_stands(&copy.z, &copy.n, &QUIET, (struct vec3){0}, (struct vec3){0}, turning, 0.1) != NULL;
+}
+
+/* 0.75 s: what had begun to move when a fork was made has lost its velocity at that time. */
+static void test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_beginning(void **state)
+{
+	static const struct noise_config noise = {.accel_density_m_s2_sqrt_hz = 0.002};
+
+	(void)state;
+	for (int young = 0; young < 2; young++) {
+		struct standing s = standing_with_fork(&noise, 0, young ? 0.2 : 0.8);
+		struct zero_velocity_fork *f = s.z.forks, *begun;
+		double variance;
+
+		f[0] = f[1] = f[2];
+		f[1].sums.t_s += 0.75;
+		f[0].sums.t_s += 1.5;
+		f[2].velocity_n_m_s.x = 0.06;
+		f[1].velocity_n_m_s.x = 0.07;
+		f[0].velocity_n_m_s.x = 0.09;
+		variance = f[1].p[NAVIGATION_V][NAVIGATION_V];
+		begun = zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.04);
+		assert_ptr_equal(begun, young ? &f[1] : &f[2]);
+		/* the one before it says otherwise */
+		assert_near(begun->p[NAVIGATION_V][NAVIGATION_V], variance + pow(young ? 0.02 : 0.01, 2), 1e-12);
+	}
 }
 
 /* A walk of its own, if it is worse than that of 2020h, and twice the instability of 2020h. */
@@ -285,10 +310,10 @@ static void test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instabili
 		const double up = sqrt(0.001 * 0.001 + 0.002 * 0.002 + walk * t + pow(2 * 0.001 * t, 2));
 		const struct zero_velocity_signals moved = {.steady = true, .accel_walk_m2_s3 = walks[i]};
 
-		s.z.forks[1].velocity_n_m_s = (struct vec3){0, 0, 4.9 * up};
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 4.9 * up};
 		assert_null(zero_velocity_stands(&s.z, &s.n, &moved, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 		s = standing_with_fork(&noise, 0, t);
-		s.z.forks[1].velocity_n_m_s = (struct vec3){0, 0, 5.1 * up};
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 5.1 * up};
 		assert_non_null(
 			zero_velocity_stands(&s.z, &s.n, &moved, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 	}
@@ -333,8 +358,8 @@ static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **st
 	for (int i = 0; i < 3; i++) {
 		struct standing s = standing_with_fork(&none, 0, 0);
 
-		s.z.forks[1].velocity_n_m_s.x = sqrt(chi2[i] * (0.001 * 0.001 + 0.002 * 0.002));
-		s.z.forks[1].position_n_m = vec3_add(s.n.position_n_m, (struct vec3){1, -2, 3});
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s.x = sqrt(chi2[i] * (0.001 * 0.001 + 0.002 * 0.002));
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].position_n_m = vec3_add(s.n.position_n_m, (struct vec3){1, -2, 3});
 		assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 		assert_vec_near(s.z.position_variance_m2, vec3_scale(doubts[i], (struct vec3){1, 4, 9}), 1e-6);
 	}
@@ -526,6 +551,7 @@ int main(void)
 			test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows),
 		cmocka_unit_test(
 			test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill),
+		cmocka_unit_test(test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_beginning),
 		cmocka_unit_test(test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instability),
 		cmocka_unit_test(test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_object_turns),
 		cmocka_unit_test(test_a_way_that_may_be_one_makes_the_position_less_certain),
