@@ -25,11 +25,12 @@ static const struct assumptions {
 	bool levelling;	    /* the velocity averages out */
 	bool stances;	    /* short ones, in which a foot rolls on */
 	bool stands_steady; /* what is not steady (it turns, or vibrates) does not stand */
+	bool guided;	    /* it does not turn while it moves, see guide.h */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
 	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
 	[MOTION_ROBOT_BASE] = {.slowest_m_s = 0.1},
-	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3, .stands_steady = true},
+	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3, .stands_steady = true, .guided = true},
 	[MOTION_ARM] = {.slowest_m_s = 0.03},
 	[MOTION_FOOT] = {.dwell = true, .stances = true},
 };
@@ -215,8 +216,13 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 	kalman_transpose(N, n->p[0]);
 	navigation_sums_propagate(s, n->p, n->still);
 
-	add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
-	add_variance(n, THETA, squared(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
+	if (s->held) {
+		for (int i = V; i < V + 2; i++)
+			n->p[i][i] += guide_walk_m2_s3(c->gyro_density_rad_s_sqrt_hz, n->gravity_m_s2) * t;
+	} else {
+		add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
+		add_variance(n, THETA, squared(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
+	}
 	add_variance(n, V, walk + squared(ACCEL_SCALE_SQRT_S) * s->accel2_m2_s3 / 3);
 	if (!n->still)
 		for (int i = 0; i < 3; i++) {
@@ -668,7 +674,7 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	memset(&n->sums, 0, sizeof(n->sums));
 	rest_restart(&n->rest);
 	zero_velocity_restart(&n->zero_velocity, false);
-	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = false;
+	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = n->guide.holds = false;
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
@@ -833,6 +839,44 @@ static void add_way_error(struct navigation *n)
 	n->way2_max_m2 = way2;
 }
 
+/* It turned while it was held: the state is what it would be without that, but for the covariance's cross terms. */
+static void release(struct navigation *n)
+{
+	const struct guide *g = &n->guide;
+	struct vec3 bias = variance(n, BG);
+	double t = g->t_s, walk = squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 * t,
+	       g2 = squared(n->gravity_m_s2);
+	double drift = (bias.x + bias.y + bias.z) / 3 * squared(t);
+
+	n->q_nb = quat_multiply(quat_from_rotation_vector(g->taken_n_rad), n->q_nb);
+	n->velocity_n_m_s = vec3_add(n->velocity_n_m_s, g->taken_n_m_s);
+	n->position_n_m = vec3_add(n->position_n_m, g->taken_n_m);
+	add_variance(n, THETA, walk + drift);
+	add_variance(n, V, g2 * squared(t) * (walk / 3 + drift / 4));
+	add_variance(n, P, g2 * squared(squared(t)) * (walk / 20 + drift / 36));
+	smoother_break(n->smoother);
+	n->guide.holds = false;
+}
+
+/* Once an interval, before its transition. */
+static void follow_guide(struct navigation *n)
+{
+	struct vec3 bias = variance(n, BG), back;
+	struct mat3 r_nb = mat3_from_quat(n->q_nb);
+
+	if (n->still) {
+		guide_engage(&n->guide);
+		return;
+	}
+	if (!n->guide.holds)
+		return;
+	n->sums.held = true;
+	back = guide_hold(&n->guide, &r_nb, &n->sums);
+	n->q_nb = quat_multiply(quat_from_rotation_vector(vec3_scale(-1, back)), n->q_nb);
+	if (guide_turns(&n->guide, n->config.noise.gyro_density_rad_s_sqrt_hz, bias.x + bias.y + bias.z))
+		release(n);
+}
+
 static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	double t_s = n->sums.t_s;
@@ -851,6 +895,8 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 		n->moved_turned2_rad2_s += n->sums.turned2_rad2_s;
 		add_way_error(n);
 	}
+	if (assumptions(n)->guided)
+		follow_guide(n);
 	propagate(n, &n->sums);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
@@ -910,7 +956,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 {
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
-	n->last_gyro_known = false;
+	n->last_gyro_known = n->guide.holds = false;
 	reset_errors(n, THETA, squared(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
 }

@@ -24,6 +24,7 @@
 #ifndef MODEL_NAVIGATION_H
 #define MODEL_NAVIGATION_H
 
+#include "model/guide.h"
 #include "model/navigation_sums.h"
 #include "model/noise.h"
 #include "model/rest.h"
@@ -41,7 +42,7 @@ enum motion_preset {
 	MOTION_ANY = 0,		/* nothing: it may creep, cruise and stop */
 	MOTION_HAND_HELD = 1,	/* a hand moves to and fro, and nothing moves it steadily */
 	MOTION_ROBOT_BASE = 2,	/* a vehicle or robot base: cruises, but does not creep */
-	MOTION_LINEAR_AXIS = 3, /* a lift or a linear axis: cruises without vibration, but does not creep */
+	MOTION_LINEAR_AXIS = 3, /* a lift or a linear axis: cruises without vibration, but does not creep, nor turn */
 	MOTION_ARM = 4,		/* the link of a robot arm, moves to and fro */
 	MOTION_FOOT = 5,	/* a shoe: stands for a moment in each step, and rolls on */
 	MOTION_PRESETS
@@ -103,6 +104,7 @@ struct navigation {
 	double contradicted_s; /* for how long velocity or acceleration contradict the detector */
 	bool assumed;	       /* for so long that the standstill holds against them */
 	struct zero_velocity zero_velocity;
+	struct guide guide;
 	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
 	bool stood;		       /* since the start */
 	bool turning;		       /* it differs from zero: the object turns in place */

@@ -73,11 +73,14 @@ void navigation_sums_propagate(const struct navigation_sums *s, double p[N][N], 
 			for (int j = 0; j < N; j++)
 				p[P + i][j] += s->t_s * p[V + i][j];
 		kalman_add_rows(N, p[0], P, 3, 1, minus_ff.m[0], THETA);
-		kalman_add_rows(N, p[0], P, 3, 1, s->w.m[0], BG);
 		kalman_add_rows(N, p[0], P, 3, -1, s->u.m[0], BA);
 	}
 	kalman_add_rows(N, p[0], V, 3, 1, minus_f.m[0], THETA);
-	kalman_add_rows(N, p[0], V, 3, 1, s->v.m[0], BG);
 	kalman_add_rows(N, p[0], V, 3, -1, s->s.m[0], BA);
+	if (s->held)
+		return;
+	if (!still)
+		kalman_add_rows(N, p[0], P, 3, 1, s->w.m[0], BG);
+	kalman_add_rows(N, p[0], V, 3, 1, s->v.m[0], BG);
 	kalman_add_rows(N, p[0], THETA, 3, -1, s->s.m[0], BG);
 }

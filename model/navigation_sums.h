@@ -23,6 +23,7 @@ enum {
 /** Zeroed it is the transition over no samples: the identity. */
 struct navigation_sums {
 	double t_s;
+	bool held;		  /* the gyro does not turn the attitude: no error depends on its bias */
 	struct vec3 f, ff;	  /* integral of the specific force in the global frame, m/s; and of that, F, m */
 	struct mat3 s, u, v, w;	  /* integrals of the rotation matrix: s of itself, u of s, v of [force]x s, w of v */
 	struct vec3 turned_b_rad; /* integral of the rate, less the bias */

@@ -259,8 +259,10 @@ static void path_at(const struct path *path, double t, struct signal_truth *trut
 	};
 }
 
-/* The position at the end; the fusion's attitude has an error of 0.5 degrees in roll and pitch. */
-static struct position travel(const struct path *path, const struct navigation_config *navigation, uint64_t seed)
+/* The position at the end; the fusion's attitude has an error of 0.5 degrees in roll and pitch. accel_scale: 1 sigma of the
+ * accelerometer's. */
+static struct position travel_by_scale(
+	const struct path *path, const struct navigation_config *navigation, double accel_scale, uint64_t seed)
 {
 	struct position_config config = {.mode = POSITION_NAVIGATION, .navigation = *navigation};
 	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
@@ -269,6 +271,7 @@ static struct position travel(const struct path *path, const struct navigation_c
 
 	chip.rate_hz = 200;
 	sensor_calibrate(&chip);
+	chip.accel.scale_sigma = accel_scale;
 	assert_int_equal(sensor_init(&sensor, &chip, seed), 0);
 	assert_int_equal(position_init(&p, &config), 0);
 	for (int k = 0; k < (int)lround((REST_S + path->time_s + END_S) / DT_S); k++) {
@@ -285,6 +288,74 @@ static struct position travel(const struct path *path, const struct navigation_c
 		position_navigate(&p, &in, ZERO, 1 / DT_S, DT_S);
 	}
 	return p;
+}
+
+static struct position travel(const struct path *path, const struct navigation_config *navigation, uint64_t seed)
+{
+	return travel_by_scale(path, navigation, 0, seed);
+}
+
+/* No standstill shows an error of scale. */
+static void test_after_a_long_way_sigma_counts_the_accelerometers_scale(void **state)
+{
+	const struct path lift = {10, {0, 0, 40}, {0, 0, 0}};
+	struct navigation_config axis = levelling();
+	double sum = 0;
+
+	(void)state;
+	axis.preset = MOTION_LINEAR_AXIS;
+	axis.levelling = 0;
+	for (uint64_t seed = 1; seed <= 20; seed++) {
+		struct position p = travel_by_scale(&lift, &axis, 0.003, seed);
+
+		assert_true(p.navigation.still);
+		sum += pow((p.displacement_n_m.z - lift.to_n_m.z) / p.displacement_sigma_m.z, 2) / 20;
+	}
+	print_message("40 m in 10 s by 0.3 %% of scale: normalised %.2f\n", sum);
+	assert_true(sum > 0.4 && sum < 2);
+}
+
+/* The gyro's noise and bias tilt what is not guided. */
+static void test_a_guided_way_is_held_level(void **state)
+{
+	const struct path path = {10, {8, 0, 0}, {0, 0, 0}};
+	struct navigation_config axis = levelling(), base;
+	double guided_m = 0, free_m = 0;
+
+	(void)state;
+	axis.preset = MOTION_LINEAR_AXIS;
+	axis.levelling = 0;
+	base = axis;
+	base.preset = MOTION_ROBOT_BASE;
+	for (uint64_t seed = 1; seed <= 20; seed++) {
+		struct position guided = travel(&path, &axis, seed), unguided = travel(&path, &base, seed);
+		struct vec3 e = vec3_sub(guided.position_n_m, path.to_n_m), s = guided.sigma.position_m;
+
+		assert_true(fabs(e.x) < 3 * s.x && fabs(e.y) < 3 * s.y && fabs(e.z) < 3 * s.z);
+		guided_m = fmax(guided_m, vec3_norm(e));
+		free_m = fmax(free_m, vec3_norm(vec3_sub(unguided.position_n_m, path.to_n_m)));
+	}
+	print_message("8 m in 10 s: worst error %.3f m guided, %.3f m not\n", guided_m, free_m);
+	assert_true(guided_m < free_m / 2);
+}
+
+/* As soon as it does turn, it is as if it had never been held. */
+static void test_what_turns_on_its_way_is_not_held(void **state)
+{
+	const struct path path = {6, {3, 2, 0}, {0.2, -0.3, 0.5}};
+	struct navigation_config axis = levelling(), base;
+
+	(void)state;
+	axis.levelling = 0;
+	axis.preset = MOTION_LINEAR_AXIS;
+	base = axis;
+	base.preset = MOTION_ROBOT_BASE;
+	for (uint64_t seed = 1; seed <= 5; seed++) {
+		struct position held = travel(&path, &axis, seed), not_held = travel(&path, &base, seed);
+
+		assert_near(vec3_norm(vec3_sub(held.displacement_n_m, not_held.displacement_n_m)), 0, 0.02);
+		assert_true(vec3_norm(held.displacement_sigma_m) > 0.8 * vec3_norm(not_held.displacement_sigma_m));
+	}
 }
 
 static void test_the_displacement_at_rest_is_right_and_its_sigma_honest(void **state)
@@ -1028,7 +1099,7 @@ static void test_an_aided_motion_is_no_standstill_for_5_s(void **state)
 static void test_when_a_motion_begins_position_and_velocity_are_those_since_it_stood(void **state)
 {
 	struct navigation n = started(MOTION_ANY);
-	struct zero_velocity_fork *fork = &n.zero_velocity.forks[1];
+	struct zero_velocity_fork *fork = &n.zero_velocity.forks[ZERO_VELOCITY_FORKS - 1];
 
 	(void)state;
 	n.config.noise = (struct noise_config){.gyro_density_rad_s_sqrt_hz = 1e-5, .accel_density_m_s2_sqrt_hz = 1e-3};
@@ -1110,6 +1181,9 @@ int main(void)
 		cmocka_unit_test(test_the_sums_of_a_constant_motion_are_in_closed_form),
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
+		cmocka_unit_test(test_after_a_long_way_sigma_counts_the_accelerometers_scale),
+		cmocka_unit_test(test_a_guided_way_is_held_level),
+		cmocka_unit_test(test_what_turns_on_its_way_is_not_held),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
 		cmocka_unit_test(test_a_gentle_drive_is_not_a_standstill),
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_drive),
