@@ -991,6 +991,12 @@ static struct vec3 attitude_variance(const struct navigation *n)
 	return vec3_add(var, (struct vec3){0, 0, squared(NORTH_SIGMA_RAD)});
 }
 
+/* m^2/s^2, of each axis at a standstill, where zero is published: what vibrates, or turns, may move beside that. */
+static double standstill_velocity_variance(const struct navigation *n)
+{
+	return n->zero_velocity.vibration_m2_s2 + (n->turning ? squared(assumptions(n)->creep_m_s) : 0);
+}
+
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
@@ -1002,6 +1008,11 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 	struct vec3 position = vec3_add(vec3_add(n->earlier_variance_m2, displacement),
 		by_accel_scale(n, vec3_dot(n->position_n_m, n->position_n_m)));
 
+	if (n->still) {
+		double variance = standstill_velocity_variance(n);
+
+		velocity = vec3_add(velocity, (struct vec3){variance, variance, variance});
+	}
 	if (heading_unknown(n)) {
 		position = vec3_add(position, by_heading(n->position_n_m, UNKNOWN_CHORD2));
 		velocity = vec3_add(velocity, by_heading(n->velocity_n_m_s, UNKNOWN_CHORD2));

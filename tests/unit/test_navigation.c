@@ -1174,6 +1174,21 @@ static void test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_
 	assert_near(s.attitude_rad.z, sqrt(6e-4 + pow(1.49 * RAD_PER_DEG, 2)), 1e-4);
 }
 
+/* Published is zero: a support vibrates, and what turns in place may creep at 3 cm/s. */
+static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a_creeping_turn(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+
+	(void)state;
+	memset(n.p, 0, sizeof(n.p));
+	n.zero_velocity.vibration_m2_s2 = 4e-4;
+	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ZERO, 1e-12); /* in motion it is part of the velocity */
+	n.still = true;
+	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ((struct vec3){0.02, 0.02, 0.02}), 1e-12);
+	n.turning = true;
+	assert_near(navigation_sigma(&n, 100).velocity_m_s.y, hypot(0.02, 0.03), 1e-12);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1181,6 +1196,7 @@ int main(void)
 		cmocka_unit_test(test_the_sums_of_a_constant_motion_are_in_closed_form),
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
+		cmocka_unit_test(test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a_creeping_turn),
 		cmocka_unit_test(test_after_a_long_way_sigma_counts_the_accelerometers_scale),
 		cmocka_unit_test(test_a_guided_way_is_held_level),
 		cmocka_unit_test(test_what_turns_on_its_way_is_not_held),
