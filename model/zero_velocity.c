@@ -124,8 +124,10 @@ void zero_velocity_restart(struct zero_velocity *z, bool moving)
 /* ---- it stands ---- */
 
 static void begin_fork(struct zero_velocity_fork *f, const struct zero_velocity *z, const struct navigation *n,
-	struct vec3 lever_n_m_s)
+	struct vec3 lever_n_m_s, struct vec3 doubtful_m_s)
 {
+	const double doubtful[3] = {doubtful_m_s.x, doubtful_m_s.y, doubtful_m_s.z};
+
 	*f = (struct zero_velocity_fork){.set = true,
 		.gyro_bias_b_rad_s = n->gyro_bias_b_rad_s,
 		.accel_bias_b_m_s2 = n->accel_bias_b_m_s2,
@@ -133,8 +135,8 @@ static void begin_fork(struct zero_velocity_fork *f, const struct zero_velocity 
 		.position_n_m = n->position_n_m,
 		.velocity_n_m_s = lever_n_m_s};
 	memcpy(f->p, n->p, sizeof(f->p));
-	for (int i = V; i < V + 3; i++)
-		kalman_set_variance(N, f->p[0], i, squared(FORK_M_S) + z->vibration_m2_s2);
+	for (int i = 0; i < 3; i++)
+		kalman_set_variance(N, f->p[0], V + i, squared(FORK_M_S) + squared(doubtful[i]) + z->vibration_m2_s2);
 	f->r_nb = mat3_from_quat(n->q_nb);
 	navigation_accel_variance(n, f->accel_variance_m2_s4);
 	f->bias_variance_rad2_s2 = (f->p[BG][BG] + f->p[BG + 1][BG + 1] + f->p[BG + 2][BG + 2]) / 3;
@@ -213,21 +215,13 @@ static void observe_quiet(struct zero_velocity *z, const struct zero_velocity_si
 	z->accel_walk_m2_s3 += share * (s->accel_walk_m2_s3 - z->accel_walk_m2_s3);
 }
 
-/* The youngest fork that is certain to have begun before the motion knows the velocity best. What it was then by the one
- * before, by drift or since the motion began earlier, it does not know. */
+/* The youngest fork that began before the motion knows the velocity best. */
 static struct zero_velocity_fork *before_motion(struct zero_velocity *z)
 {
 	int i = ZERO_VELOCITY_FORKS - 1;
-	struct vec3 apart;
 
 	while (i > 0 && z->forks[i - 1].set && z->forks[i].sums.t_s < FORK_S)
 		i--;
-	if (i > 0 && z->forks[i - 1].set) {
-		apart = vec3_sub(z->forks[i].velocity_n_m_s, z->forks[i - 1].velocity_n_m_s);
-		z->forks[i].p[V][V] += squared(apart.x);
-		z->forks[i].p[V + 1][V + 1] += squared(apart.y);
-		z->forks[i].p[V + 2][V + 2] += squared(apart.z);
-	}
 	return &z->forks[i];
 }
 
@@ -237,6 +231,7 @@ struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const s
 {
 	const double limit = squared(turning ? BEGIN_TURNING_SIGMAS : BEGIN_SIGMAS);
 	struct zero_velocity_fork *youngest = &z->forks[ZERO_VELOCITY_FORKS - 1];
+	struct vec3 doubtful_m_s = ZERO; /* 1 sigma of what the youngest fork says that it moves already */
 	bool begun = false;
 
 	observe_quiet(z, signals, t_s);
@@ -254,6 +249,7 @@ struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const s
 		doubt = fmax(0, fmin(1, (d2 - BEGIN_DOUBT) / (limit - BEGIN_DOUBT)));
 		z->position_variance_m2 = vec3_add(z->position_variance_m2,
 			vec3_scale(doubt, (struct vec3){way.x * way.x, way.y * way.y, way.z * way.z}));
+		doubtful_m_s = vec3_scale(sqrt(doubt), vec3_sub(f->velocity_n_m_s, lever_n_m_s));
 		begun |= d2 > limit;
 	}
 	if (begun)
@@ -262,7 +258,7 @@ struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const s
 		return NULL;
 	if (youngest->set)
 		memmove(&z->forks[0], &z->forks[1], (ZERO_VELOCITY_FORKS - 1) * sizeof(z->forks[0]));
-	begin_fork(youngest, z, n, lever_n_m_s);
+	begin_fork(youngest, z, n, lever_n_m_s, doubtful_m_s);
 	return NULL;
 }
 

@@ -280,20 +280,34 @@ static void test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_b
 	(void)state;
 	for (int young = 0; young < 2; young++) {
 		struct standing s = standing_with_fork(&noise, 0, young ? 0.2 : 0.8);
-		struct zero_velocity_fork *f = s.z.forks, *begun;
-		double variance;
+		struct zero_velocity_fork *f = s.z.forks;
 
 		f[0] = f[1] = f[2];
 		f[1].sums.t_s += 0.75;
 		f[0].sums.t_s += 1.5;
-		f[2].velocity_n_m_s.x = 0.06;
-		f[1].velocity_n_m_s.x = 0.07;
-		f[0].velocity_n_m_s.x = 0.09;
-		variance = f[1].p[NAVIGATION_V][NAVIGATION_V];
-		begun = zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.04);
-		assert_ptr_equal(begun, young ? &f[1] : &f[2]);
-		/* the one before it says otherwise */
-		assert_near(begun->p[NAVIGATION_V][NAVIGATION_V], variance + pow(young ? 0.02 : 0.01, 2), 1e-12);
+		f[0].velocity_n_m_s.x = f[1].velocity_n_m_s.x = f[2].velocity_n_m_s.x = 0.1;
+		assert_ptr_equal(
+			zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.04),
+			young ? &f[1] : &f[2]);
+	}
+}
+
+/* When the last one doubts that it stands: of 25 squared sigmas, at which it moves, 3 are noise. */
+static void test_a_fork_begins_with_the_velocity_that_the_last_one_suspects(void **state)
+{
+	static const struct noise_config noise = {0};
+	const double sigma = hypot(0.001, 0.002);
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct standing s = standing_with_fork(&noise, 0, 0.75);
+		struct zero_velocity_fork *f = s.z.forks;
+		const double chi2 = i ? 14 : 2.9, doubt = i ? 0.5 : 0;
+
+		f[2].velocity_n_m_s.y = sigma * sqrt(chi2);
+		assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.04));
+		assert_near(f[2].p[NAVIGATION_V + 1][NAVIGATION_V + 1], 1e-6 + doubt * chi2 * sigma * sigma, 1e-12);
+		assert_near(f[2].p[NAVIGATION_V][NAVIGATION_V], 1e-6, 1e-12);
 	}
 }
 
@@ -552,6 +566,7 @@ int main(void)
 		cmocka_unit_test(
 			test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill),
 		cmocka_unit_test(test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_beginning),
+		cmocka_unit_test(test_a_fork_begins_with_the_velocity_that_the_last_one_suspects),
 		cmocka_unit_test(test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instability),
 		cmocka_unit_test(test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_object_turns),
 		cmocka_unit_test(test_a_way_that_may_be_one_makes_the_position_less_certain),
