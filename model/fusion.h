@@ -117,11 +117,12 @@ static inline bool fusion_north_known(const struct fusion *f)
 	return f->north_known;
 }
 
-/** The magnetometer is configured, but its field does not turn as the gyro says; FUSION_KALMAN only. */
+/** The magnetometer is configured, but its field does not turn as the gyro says, or is not the one that set the heading
+ * shortly before; FUSION_KALMAN only. */
 static inline bool fusion_field_disagrees(const struct fusion *f)
 {
 	return f->config.use_magnetometer && f->config.algorithm == FUSION_KALMAN &&
-	       fusion_kalman_field_disagrees(&f->kalman);
+	       (fusion_kalman_field_disagrees(&f->kalman) || f->kalman.north_on_trial);
 }
 
 /** The last step used a magnetometer measurement. */

@@ -155,8 +155,8 @@ static const double RECOVERY = 2;
 static const double REJECTED_WEIGHT = 16;
 /* rad, innovation of the heading beyond which it is an outlier. By judgement: no working gyro drifts by 60 degrees. */
 static const double OUTLIER_RAD = 60 * RAD_PER_DEG;
-/* s, age of the reference below which there are no outliers: after a start in motion the first heading may be as wrong.
- * Tuned on simulated starts in motion, of which 2 in 30 kept a wrong heading for a minute. */
+/* s, age of the reference below which there are no outliers, and which is given up when the field is another one for longer:
+ * after a start in motion, or beside iron, the first heading may be as wrong. Tuned on simulated starts in motion, of which 2 in 30 kept a wrong heading for a minute. */
 static const double OUTLIER_REFERENCE_S = 10;
 
 /* ---- aids ---- */
@@ -291,8 +291,9 @@ double fusion_kalman_heading_variance(const struct fusion_kalman *k)
 
 	if (!k->north_from_field)
 		return k->covariance[HEADING][HEADING];
-	return k->hard_iron.disagrees && !k->hard_iron.agreed ? squared(UNKNOWN_HEADING_RAD)
-							      : fmin(squared(UNKNOWN_HEADING_RAD), variance);
+	if (k->north_on_trial || (k->hard_iron.disagrees && !k->hard_iron.agreed))
+		return squared(UNKNOWN_HEADING_RAD);
+	return fmin(squared(UNKNOWN_HEADING_RAD), variance);
 }
 
 void fusion_kalman_set_north(
@@ -313,7 +314,7 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 		fusion_kalman_reset_gyro_errors(k, config);
 	k->norm_uT = 0;
 	k->north_unknown = true;
-	k->north_from_field = false;
+	k->north_from_field = k->north_on_trial = false;
 	clear_sums(k);
 }
 
@@ -535,7 +536,18 @@ static void update_candidate_reference(struct fusion_kalman *k, const struct fie
 	k->dip_rad = k->candidate_dip_rad;
 }
 
-/* Lets the reference follow the undisturbed field and keeps the times of rejection. Returns the factor of the heading's
+/* The heading was set by a field that was wrong: the next one sets it. */
+static void lose_north(struct fusion_kalman *k)
+{
+	k->north_lost = k->north_from_field;
+	k->north_unknown = !k->north_from_field;
+	k->sums.field_n_uT = k->sums.field_b_uT = (struct vec3){0, 0, 0};
+	k->sums.fields = 0;
+}
+
+/* Lets the reference follow the undisturbed field and keeps the times of rejection. A reference that was seen for less time
+ * than it has been contradicted since (an object that was switched on beside iron) is as likely wrong as right: the next
+ * field sets the heading, which is on trial until that one has been seen for long enough. Returns the factor of the heading's
  * variance, or 0 for a field that is rejected. */
 static double update_field_reference(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
@@ -546,12 +558,18 @@ static double update_field_reference(
 	if (!f->within) {
 		k->undisturbed_s = 0;
 		k->rejected_s = fmin(k->rejected_s + k->sums.time_s, config->rejection_time_s);
+		if (k->north_from_field && k->reference_s < OUTLIER_REFERENCE_S &&
+			k->rejected_s > OUTLIER_REFERENCE_S) {
+			lose_north(k);
+			k->north_on_trial = true;
+		}
 		return k->rejected_s < config->rejection_time_s ? 0 : REJECTED_WEIGHT;
 	}
 	known_s = k->sums.time_s * squared(DIP_TILT_RAD) /
 		  (squared(DIP_TILT_RAD) + k->covariance[0][0] + k->covariance[1][1]);
 	k->reference_s = fmin(k->reference_s + known_s, REFERENCE_TIME_S);
 	share = fmin(1, known_s / k->reference_s);
+	k->north_on_trial &= k->reference_s < OUTLIER_REFERENCE_S;
 	k->norm_uT += share * f->off_norm_uT;
 	k->dip_rad += share * f->off_dip_rad;
 	k->undisturbed_s += k->sums.time_s;
@@ -685,7 +703,7 @@ void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 	reset_velocity(k);
 	clear_sums(k);
 	k->north_unknown = true;
-	k->north_from_field = false;
+	k->north_from_field = k->north_on_trial = false;
 	k->aided_heading_s = AID_S;
 	k->heading_rejections = 0;
 }
@@ -827,15 +845,6 @@ static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double d
 	clear_sums(k);
 	k->lever_known = false;
 	hard_iron_skip(&k->hard_iron);
-}
-
-/* The heading was set by a field that was wrong: the next one sets it. */
-static void lose_north(struct fusion_kalman *k)
-{
-	k->north_lost = k->north_from_field;
-	k->north_unknown = !k->north_from_field;
-	k->sums.field_n_uT = k->sums.field_b_uT = (struct vec3){0, 0, 0};
-	k->sums.fields = 0;
 }
 
 /* What the heading owes to earlier fields says nothing of an offset that changes now. */

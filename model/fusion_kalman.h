@@ -154,6 +154,7 @@ struct fusion_kalman {
 		heading_by_offset_rad_uT; /* how an offset of the field in the object frame has turned the heading, */
 	struct vec3 field_by_offset_1_uT; /* .. and the share by which it added to the horizontal field */
 	bool north_from_field;		  /* the heading was set by the field, not from outside */
+	bool north_on_trial; /* .. in place of another one, and that field has not been seen for long enough to be believed */
 	bool north_lost; /* and the field has shown since that it was wrong: to be set anew by the next one */
 	double aided_velocity_n_m_s[2], aided_velocity_s; /* the last from outside, and for how long it holds */
 };
@@ -203,7 +204,8 @@ static inline bool fusion_kalman_field_disagrees(const struct fusion_kalman *k)
 {
 	return k->hard_iron.disagrees;
 }
-/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used. */
+/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used, or that has just
+ * replaced another one. */
 double fusion_kalman_heading_variance(const struct fusion_kalman *k);
 
 /** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true

@@ -305,6 +305,19 @@ static void test_a_field_disturbed_for_longer_than_the_rejection_time_counts_wit
 
 /* ---- a magnetometer that nobody calibrated ---- */
 
+/* Continues the motion from one time to another, in this field; returns the true attitude at the end. */
+static struct quat continue_motion(struct fusion *f, double from_s, double to_s, struct vec3 field_n_uT)
+{
+	struct moment m = swinging(from_s, 1, (struct vec3){0, 0, 0});
+
+	for (int k = 0; k < (to_s - from_s) * 200; k++) {
+		m = swinging(from_s + k / 200.0, 1, (struct vec3){0, 0, 0});
+		m.sample.mag_uT = quat_rotate_inverse(m.q_nb, field_n_uT);
+		fusion_step(f, &m.sample, 0.005);
+	}
+	return m.q_nb;
+}
+
 static double heading_sigma_rad(const struct fusion *f)
 {
 	return sqrt(fusion_kalman_heading_variance(&f->kalman));
@@ -344,6 +357,28 @@ static void test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_
 	off = quat_apart_rad(f.q_nb, m.q_nb);
 	assert_true(off > 60 * RAD_PER_DEG && off < 3 * heading_sigma_rad(&f));
 	assert_near(acos(vec3_dot(up_of(f.q_nb), up_of(m.q_nb))), 0, 1 * RAD_PER_DEG);
+}
+
+/* The field of iron has another length and dip than the room's. */
+static void test_what_was_switched_on_beside_iron_finds_north_once_it_is_away_from_it(void **state)
+{
+	const struct vec3 iron_n = {40, -30, 40};
+	struct fusion f = fusion(NINE_AXES);
+	struct quat truth;
+	double off;
+
+	(void)state;
+	continue_motion(&f, 0, 3, iron_n);
+	continue_motion(&f, 3, 15, FIELD_N);
+	assert_true(heading_sigma_rad(&f) > 1.8 && fusion_field_disagrees(&f)); /* which of both is right? */
+	truth = continue_motion(&f, 15, 40, FIELD_N);
+	off = quat_apart_rad(f.q_nb, truth);
+	assert_true(off < 3 * RAD_PER_DEG && off < 3 * heading_sigma_rad(&f));
+	assert_true(heading_sigma_rad(&f) < 10 * RAD_PER_DEG && !fusion_field_disagrees(&f));
+	/* what it has known for longer than 10 s it believes */
+	truth = continue_motion(&f, 40, 65, iron_n);
+	off = quat_apart_rad(f.q_nb, truth);
+	assert_true(off < 4 * RAD_PER_DEG && off < 3 * heading_sigma_rad(&f));
 }
 
 /* A hard-iron offset, on an object whose frame is turned on the way, or whose heading came from outside. */
@@ -523,19 +558,6 @@ static void test_the_filter_recovers_from_nonsense_measurements(void **state)
 		assert_true(vec3_finite(f.gyro_errors.bias_b_rad_s));
 	}
 	assert_true(follow(&f, &e, 1, 120).tilt_rad < 2 * RAD_PER_DEG);
-}
-
-/* Continues the motion from one time to another, in this field; returns the true attitude at the end. */
-static struct quat continue_motion(struct fusion *f, double from_s, double to_s, struct vec3 field_n_uT)
-{
-	struct moment m = swinging(from_s, 1, (struct vec3){0, 0, 0});
-
-	for (int k = 0; k < (to_s - from_s) * 200; k++) {
-		m = swinging(from_s + k / 200.0, 1, (struct vec3){0, 0, 0});
-		m.sample.mag_uT = quat_rotate_inverse(m.q_nb, field_n_uT);
-		fusion_step(f, &m.sample, 0.005);
-	}
-	return m.q_nb;
 }
 
 static double tilt_off_rad(const struct fusion *f, struct quat truth)
@@ -1108,6 +1130,7 @@ int main(void)
 		cmocka_unit_test(test_another_homogeneous_field_becomes_the_reference_after_20_seconds_of_turning),
 		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight),
 		cmocka_unit_test(test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_the_start),
+		cmocka_unit_test(test_what_was_switched_on_beside_iron_finds_north_once_it_is_away_from_it),
 		cmocka_unit_test(test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown),
 		cmocka_unit_test(test_the_heading_holds_when_an_offset_is_found_again_or_under_a_heading_from_outside),
 		cmocka_unit_test(test_a_heading_from_outside_stays_known_when_the_field_is_wrong),
