@@ -562,6 +562,41 @@ static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(v
 	}
 }
 
+/* What lies still was turned unnoticed. The mean force follows until it is off by 60 degrees; there the attitude is turned
+ * back by as much or a bit more, about the right axis, and once. */
+static void test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis(void **state)
+{
+	const double turns[] = {90 * RAD_PER_DEG, 110 * RAD_PER_DEG, 130 * RAD_PER_DEG}, limit = 60 * RAD_PER_DEG;
+
+	(void)state;
+	for (int i = 0; i < 12; i++) {
+		const double turn = turns[i % 3], direction = i * 0.55;
+		struct fusion f = fusion(NINE_AXES);
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+		double before = turn;
+		int jumps = 0;
+
+		for (int k = 0; k < 200; k++)
+			fusion_step(&f, &m.sample, 0.005);
+		f.q_nb = quat_multiply(
+			quat_from_rotation_vector((struct vec3){turn * cos(direction), turn * sin(direction), 0}),
+			f.q_nb);
+		for (int k = 0; k < 40 * 200; k++) {
+			double off;
+
+			fusion_step(&f, &m.sample, 0.005);
+			off = tilt_off_rad(&f, m.q_nb);
+			if (off < before - 0.3) {
+				assert_near(off, turn - limit, 12 * RAD_PER_DEG);
+				jumps++;
+			}
+			before = off;
+		}
+		assert_int_equal(jumps, 1);
+		assert_true(before < 1 * RAD_PER_DEG);
+	}
+}
+
 /* RMS error of the tilt in the 5 s after the gyro was saturated, of several times. */
 static double tilt_after_clipping_rad(unsigned flag)
 {
@@ -1120,6 +1155,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
 		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
 		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
+		cmocka_unit_test(test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis),
 		cmocka_unit_test(test_after_saturation_of_the_gyro_the_tilt_follows_the_accelerometer),
 		cmocka_unit_test(test_a_field_from_the_opposite_direction_is_a_heading_outlier),
 		cmocka_unit_test(test_the_heading_converges_within_half_a_minute_of_a_start_in_violent_motion),

@@ -289,6 +289,45 @@ static void test_the_rate_is_that_of_the_median_interval(void **state)
 	imu_log_close(&log);
 }
 
+/* The interval in the middle is a lost sample. */
+static void test_the_median_is_that_of_the_sorted_intervals(void **state)
+{
+	static const char *const texts[] = {
+		HEADER ROW("0") ROW("0.004") ROW("0.008") ROW("0.012") ROW("0.020") ROW("0.024") ROW("0.028")
+			ROW("0.032"),
+		HEADER ROW("0") ROW("0.008") ROW("0.012") ROW("0.020") ROW("0.024") ROW("0.028") ROW("0.032")
+			ROW("0.036"),
+	};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct imu_log log = opened(texts[i], strlen(texts[i]));
+
+		assert_true(log.rate_hz == 250);
+		imu_log_close(&log);
+	}
+}
+
+static void test_a_log_has_a_reference_in_whichever_column(void **state)
+{
+	static const struct {
+		const char *text;
+		bool reference;
+	} logs[] = {
+		{HEADER ROW("0") ROW("1"), false},
+		{"ref_al,ref_as,ref_at,t,gx,gy,gz,ax,ay,az\n1,2,3,0,1,2,3,4,5,6\n1,2,3,1,1,2,3,4,5,6\n", true},
+		{"t,ref_al,ref_as,ref_at,gx,gy,gz,ax,ay,az\n0,1,2,3,1,2,3,4,5,6\n1,1,2,3,1,2,3,4,5,6\n", true},
+	};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct imu_log log = opened(logs[i].text, strlen(logs[i].text));
+
+		assert_int_equal(imu_log_has_reference(&log), logs[i].reference);
+		imu_log_close(&log);
+	}
+}
+
 static void test_a_pipe_loses_no_row(void **state)
 {
 	char error[256], name[32];
@@ -359,6 +398,8 @@ int main(void)
 		cmocka_unit_test(test_a_log_without_two_valid_rows_is_refused_with_the_last_skip),
 		cmocka_unit_test(test_a_missing_file_and_a_directory_are_refused),
 		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
+		cmocka_unit_test(test_the_median_is_that_of_the_sorted_intervals),
+		cmocka_unit_test(test_a_log_has_a_reference_in_whichever_column),
 		cmocka_unit_test(test_a_pipe_loses_no_row),
 		cmocka_unit_test(test_three_minutes_of_log_are_read_in_well_under_a_second),
 	};
