@@ -462,6 +462,27 @@ static void test_a_second_log_is_a_discontinuity_and_a_wrap_is_none(void **state
 			}
 }
 
+/* The host paused for 10 s. */
+static void test_after_a_gap_bursts_have_the_time_of_their_rows_again(void **state)
+{
+	FILE *file = create("log.imu.csv");
+	int n;
+
+	(void)state;
+	fputs(HEADER, file);
+	for (int k = 0; k < ROWS; k++)
+		row_at(file, t_s(k / 8 * 8 + 8) + (k < 1000 ? 0 : 10), &truth[k]);
+	fclose(file);
+	n = read_log(path, "imu9");
+	assert_int_equal(n, ROWS);
+	assert_true(fabs(log_.rate_hz - 100) < 1e-6);
+	for (int k = SETTLED; k < n; k++) {
+		double late_s = 1e-6 * (double)found[k].t_us - t_s(k) - (k < 1000 ? 0 : 10);
+
+		assert_true(fabs(late_s) < (k < 1000 || k > 1000 + SETTLED ? 0.015 : 0.1));
+	}
+}
+
 static void test_the_column_clipped_marks_saturation(void **state)
 {
 	(void)state;
@@ -755,6 +776,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_every_kind_of_log_gives_the_samples_that_were_written),
 		cmocka_unit_test(test_a_second_log_is_a_discontinuity_and_a_wrap_is_none),
+		cmocka_unit_test(test_after_a_gap_bursts_have_the_time_of_their_rows_again),
 		cmocka_unit_test(test_the_column_clipped_marks_saturation),
 		cmocka_unit_test(test_values_that_stay_at_the_end_of_a_usual_range_are_saturated),
 		cmocka_unit_test(test_every_kind_of_skipped_row_is_told_with_its_count_and_first_line),
