@@ -32,6 +32,7 @@ static struct world {
 	unsigned bad_read;		 /* the answer to this read of the measurements is bad, from 1; 0: none */
 	int16_t words[13];
 	bool live;
+	bool left_over; /* bytes that nobody asked for were received; a flush drops them */
 	int baud, address;
 	uint32_t response_timeout_us, byte_timeout_us;
 	struct {
@@ -127,6 +128,7 @@ int modbus_connect(modbus_t *line)
 	if (w.connect_error)
 		return failed(w.connect_error);
 	w.connections++;
+	w.left_over = true; /* from before */
 	return 0;
 }
 
@@ -144,12 +146,13 @@ void modbus_free(modbus_t *line)
 int modbus_flush(modbus_t *line)
 {
 	(void)line;
+	w.left_over = false;
 	return 0;
 }
 
 static int transfer(void)
 {
-	int error = w.answer_error;
+	int error = w.left_over ? EMBBADCRC : w.answer_error; /* libmodbus reads old bytes first */
 
 	w.now_ns += w.request_ns + (error == ETIMEDOUT ? (int64_t)w.response_timeout_us * 1000 : w.answer_ns);
 	return error ? failed(error) : 0;
@@ -167,8 +170,10 @@ int modbus_read_registers(modbus_t *line, int at, int n, uint16_t *words)
 	}
 	assert_int_equal(at, 0x34);
 	assert_int_equal(n, 13);
-	if (++w.reads == w.bad_read)
+	if (++w.reads == w.bad_read) {
+		w.left_over = true; /* the rest of the answer is on its way */
 		return failed(EMBBADCRC);
+	}
 	memcpy(words, w.words, sizeof(w.words));
 	w.words[0] = (int16_t)(w.words[0] ^ w.live); /* the last digit of an accelerometer changes always */
 	return n;
@@ -182,6 +187,7 @@ int modbus_write_register(modbus_t *line, int at, const uint16_t value)
 	assert_true(w.write_count < WRITES);
 	w.writes[w.write_count].at = at;
 	w.writes[w.write_count++].value = value;
+	w.left_over = at == 0x1F; /* another answer, of the sensor's own accord */
 	return 1;
 }
 
@@ -356,8 +362,8 @@ static void test_the_narrowest_bandwidth_that_is_enough_is_chosen(void **state)
 	static const struct {
 		double hz;
 		int code;
-	} cases[] = {
-		{1, 6}, {5, 6}, {5.1, 5}, {10, 5}, {42, 3}, {43, 2}, {98, 2}, {188, 1}, {189, 0}, {256, 0}, {400, 0}};
+	} cases[] = {{1, 6}, {5, 6}, {5.1, 5}, {10, 5}, {42, 3}, {43, 2}, {98, 2}, {188, 1}, {189, 0}, {256, 0},
+		{400, 0}, {188.5, 0}, {98.5, 1}, {42.5, 2}, {20.5, 3}, {20, 4}, {10.5, 4}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(cases) / sizeof(*cases); i++) {
