@@ -326,6 +326,20 @@ static void test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_th
 	}
 }
 
+/* In other axes it would be another one. */
+static void test_an_offset_is_forgotten_when_the_object_has_other_axes(void **state)
+{
+	struct errors e = {.magnet_b = {50, 0, 0}, .magnet_to_s = 1e9};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	follow(&f, &e, 1, 60);
+	assert_true(f.kalman.hard_iron.known);
+	fusion_turn_object(&f, quat_from_rotation_vector((struct vec3){0, 0, 1}));
+	assert_false(f.kalman.hard_iron.known || f.kalman.hard_iron.agreed);
+	assert_vec_near(f.kalman.hard_iron.offset_b_uT, ((struct vec3){0, 0, 0}), 0);
+}
+
 /* The first heading came from that field. */
 static void test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown(void **state)
 {
@@ -1143,6 +1157,7 @@ int main(void)
 		cmocka_unit_test(test_another_homogeneous_field_becomes_the_reference_after_20_seconds_of_turning),
 		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight),
 		cmocka_unit_test(test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_the_start),
+		cmocka_unit_test(test_an_offset_is_forgotten_when_the_object_has_other_axes),
 		cmocka_unit_test(test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown),
 		cmocka_unit_test(test_the_heading_holds_when_an_offset_is_found_again_or_under_a_heading_from_outside),
 		cmocka_unit_test(test_a_heading_from_outside_stays_known_when_the_field_is_wrong),
