@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 struct rig {
 	int adapter; /* its end of the pseudo terminal */
@@ -662,5 +663,5 @@ int main(void)
 			test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again, set_up, tear_down),
 	};
 
-	return cmocka_run_group_tests_name("can_slcan", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("can_slcan", tests, count_descriptors, no_descriptor_is_left);
 }

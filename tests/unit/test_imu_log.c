@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "drivers/imu/imu_log.h"
+#include "tests/unit/descriptors.h"
 
 #define HEADER "t,gx,gy,gz,ax,ay,az,mx,my,mz\n"
 #define ROW(t) t ",1,2,3,4,5,6,7,8,9\n"
@@ -474,5 +475,5 @@ int main(void)
 		cmocka_unit_test(test_three_minutes_of_log_are_read_in_well_under_a_second),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

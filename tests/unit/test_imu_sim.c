@@ -10,6 +10,7 @@
 #include <time.h>
 
 #include "drivers/ports/imu.h"
+#include "tests/unit/descriptors.h"
 
 static double now_s(void)
 {
@@ -209,5 +210,5 @@ int main(void)
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

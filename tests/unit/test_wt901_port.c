@@ -17,6 +17,7 @@
 #include <time.h>
 
 #include "drivers/imu/imu_thread.h"
+#include "tests/unit/descriptors.h"
 
 enum { WRITES = 32, MS = 1000000 };
 
@@ -493,5 +494,5 @@ int main(void)
 		LINE_TEST(test_thirty_equal_measurements_are_a_fault_until_they_change),
 	};
 
-	return cmocka_run_group_tests_name("wt901_port", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("wt901_port", tests, count_descriptors, no_descriptor_is_left);
 }
