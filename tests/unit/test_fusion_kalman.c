@@ -1042,6 +1042,35 @@ static void test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_
 	}
 }
 
+/* While it holds the field does not correct the heading, and the velocity is not measured as zero. */
+static void test_a_yaw_and_a_velocity_from_outside_hold_for_10_s(void **state)
+{
+	struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+	struct fusion f = fusion(NINE_AXES);
+	double used_from_s = 0, velocity_until_s = 0;
+	int used_before = 0;
+
+	(void)state;
+	for (int k = 0; k < 200 * 30; k++) {
+		const double since_s = (k - 2000) / 200.0;
+
+		if (k == 2000) {
+			assert_true(used_before > 100);
+			fusion_aid_yaw(&f, 0, 0.01, m.sample.gyro_rad_s);
+			fusion_aid_velocity(&f, (struct vec3){1, 0, 0}, 0.1, m.sample.gyro_rad_s);
+		}
+		m.sample.gyro_rad_s.x = 0.3 * sin(k * 0.3); /* no rest */
+		fusion_step(&f, &m.sample, 0.005);
+		used_before += k < 2000 && fusion_mag_used(&f);
+		if (k > 2000 && used_from_s == 0 && fusion_mag_used(&f))
+			used_from_s = since_s;
+		if (k > 2000 && f.kalman.aided_velocity_s > 0)
+			velocity_until_s = since_s;
+	}
+	assert_near(used_from_s, 10, 0.1);
+	assert_near(velocity_until_s, 10, 0.1);
+}
+
 static void test_a_yaw_from_outside_counts_up_to_5_sigma(void **state)
 {
 	const double own = 0.1, sigma = 0.05, limit = 5 * hypot(own, sigma);
@@ -1182,6 +1211,7 @@ int main(void)
 		cmocka_unit_test(test_at_the_start_the_tilt_is_known_as_well_as_the_length_of_the_force_fits_gravity),
 		cmocka_unit_test(test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors),
 		cmocka_unit_test(test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest),
+		cmocka_unit_test(test_a_yaw_and_a_velocity_from_outside_hold_for_10_s),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
 		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),

@@ -511,6 +511,25 @@ static void test_values_that_stay_at_the_end_of_a_usual_range_are_saturated(void
 	assert_true(at_end > 50 && marked > 0.9 * at_end);
 }
 
+/* Three rows in a row are at the end of the range of 250 deg/s, the largest values so far. */
+static void test_all_of_three_samples_at_the_end_of_a_range_are_saturated(void **state)
+{
+	FILE *file = create("log.imu.csv");
+
+	(void)state;
+	fputs(HEADER, file);
+	for (int k = 0; k < 40; k++) {
+		struct imu_sample s = truth[k];
+
+		s.gyro_rad_s = (struct vec3){0.1, (k >= 20 && k < 23 ? 250 : 100 - k) * RAD_PER_DEG, 0.2};
+		row_at(file, t_s(k), &s);
+	}
+	fclose(file);
+	assert_int_equal(read_log(path, "imu9"), 40);
+	for (int k = 0; k < 40; k++)
+		assert_int_equal(!!(found[k].flags & SAMPLE_SATURATED), k >= 20 && k < 23);
+}
+
 static void test_every_kind_of_skipped_row_is_told_with_its_count_and_first_line(void **state)
 {
 	FILE *file = create("log.imu.csv");
@@ -779,6 +798,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_bursts_have_the_time_of_their_rows_again),
 		cmocka_unit_test(test_the_column_clipped_marks_saturation),
 		cmocka_unit_test(test_values_that_stay_at_the_end_of_a_usual_range_are_saturated),
+		cmocka_unit_test(test_all_of_three_samples_at_the_end_of_a_range_are_saturated),
 		cmocka_unit_test(test_every_kind_of_skipped_row_is_told_with_its_count_and_first_line),
 		cmocka_unit_test(test_units_that_the_header_does_not_name_are_recognised_and_told),
 		cmocka_unit_test(test_a_unit_that_is_not_known_is_refused_with_those_that_are),
