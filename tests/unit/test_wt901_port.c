@@ -393,6 +393,39 @@ static void test_a_range_that_it_does_not_have_is_refused(void **state)
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), -EINVAL);
 }
 
+/* Registers 34h to 40h: acceleration, rate, field, three angles that are not used, temperature. At its end a word of the first
+ * two is saturated. */
+static void test_each_word_has_its_place_its_unit_and_its_end(void **state)
+{
+	const double g = 16 * 9.80665 / 32768, dps = 2000 / 32768.0 * 3.14159265358979323846 / 180, ut = 0.013;
+	const double unit[13] = {g, g, g, dps, dps, dps, ut, ut, ut, 0, 0, 0, 0.01};
+	static const int16_t values[] = {1000, -1000, 32766, -32767, INT16_MAX, INT16_MIN};
+
+	(void)state;
+	for (int i = 0; i < 13; i++)
+		for (size_t k = 0; k < sizeof(values) / sizeof(values[0]); k++) {
+			const double expected = unit[i] * values[k];
+			struct imu_sample s;
+
+			memset(w.words, 0, sizeof(w.words));
+			w.words[i] = values[k];
+			w.live = i != 0;
+			w.write_count = 0;
+			open_sensor(",baud=115200", NULL);
+			run(0);
+			assert_int_equal(imu_read(port, &s), 1);
+			const double found[13] = {s.accel_m_s2.x, s.accel_m_s2.y, s.accel_m_s2.z, s.gyro_rad_s.x,
+				s.gyro_rad_s.y, s.gyro_rad_s.z, s.mag_uT.x, s.mag_uT.y, s.mag_uT.z, 0, 0, 0,
+				s.temperature_degC};
+
+			for (int other = 0; other < 13; other++)
+				assert_near(
+					found[other], other == i ? expected : 0, 1e-9 + (other == 0 ? 1.01 * g : 0));
+			assert_int_equal(!!(s.flags & SAMPLE_SATURATED), i < 6 && k >= 4);
+			close_sensor();
+		}
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static void test_two_answers_that_are_missing_are_a_fault_and_one_is_not(void **state)
@@ -488,6 +521,7 @@ int main(void)
 		LINE_TEST(test_the_bandwidth_is_unlocked_and_written_and_never_saved),
 		LINE_TEST(test_the_narrowest_bandwidth_that_is_enough_is_chosen),
 		LINE_TEST(test_a_range_that_it_does_not_have_is_refused),
+		LINE_TEST(test_each_word_has_its_place_its_unit_and_its_end),
 		LINE_TEST(test_two_answers_that_are_missing_are_a_fault_and_one_is_not),
 		LINE_TEST(test_an_answer_that_is_not_valid_is_never_a_sample),
 		LINE_TEST(test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again),
