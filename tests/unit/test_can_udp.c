@@ -449,7 +449,7 @@ static void test_a_call_reads_a_bounded_number_of_unwanted_datagrams(void **stat
 			can_send(bus.a, &data_frame, now());
 	}
 	assert_same(&msg, &data_frame);
-	assert_in_range(calls, 3, UNWANTED / 10);
+	assert_in_range(calls, 3, UNWANTED / 20); /* 64 a call; a busy machine needs more */
 	close_pair(bus);
 }
 
