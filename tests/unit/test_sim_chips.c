@@ -221,6 +221,10 @@ static void test_the_fifo_of_words_shows_its_level_and_the_place_in_the_set(void
 	get(IMU_CHIP_GYRO, 0x3E, bytes, 2);
 	get(IMU_CHIP_GYRO, 0x3A, status, 4);
 	assert_int_equal(status[0] | status[1] << 8, 4095);
+	put(IMU_CHIP_GYRO, 0x0A, 0x00); /* bypass empties it */
+	put(IMU_CHIP_GYRO, 0x0A, 0x26);
+	get(IMU_CHIP_GYRO, 0x3A, status, 4);
+	assert_int_equal(status[0] | status[1] << 8 | status[2] | status[3], 0);
 	world_free(w);
 }
 
@@ -252,6 +256,10 @@ static void test_the_fifo_of_tagged_entries_shows_its_level_and_tags(void **stat
 	}
 	assert_int_equal(status[0] | (status[1] & 3) << 8, 512 & 0x3FF);
 	assert_int_equal(status[1] & 0x40, 0x40);
+	put(IMU_CHIP_GYRO, 0x0A, 0x00); /* bypass empties it */
+	put(IMU_CHIP_GYRO, 0x0A, 0x06);
+	get(IMU_CHIP_GYRO, 0x3A, status, 2);
+	assert_int_equal(status[0] | status[1] << 8, 0);
 	world_free(w);
 }
 
