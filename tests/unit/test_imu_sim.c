@@ -108,6 +108,20 @@ static void test_the_sensor_is_5_cm_ahead_of_the_reference_point(void **state)
 	imu_close(port);
 }
 
+/* So long may a busy machine stall a simulation. */
+static void test_a_simulated_sensor_is_silent_after_10_s_at_any_rate(void **state)
+{
+	static const char *const rates[] = {"sim:rest,rate=800", "sim:rest", "sim:rest,rate=12.5"};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct imu_port *port = opened(rates[i]);
+
+		assert_int_equal(port->silence_us, 10000000);
+		imu_close(port);
+	}
+}
+
 /* As shipped it has the bias of the preset, calibrated it has none. */
 static void test_an_uncalibrated_sensor_has_its_bias(void **state)
 {
@@ -206,6 +220,7 @@ int main(void)
 		cmocka_unit_test(test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay),
 		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
 		cmocka_unit_test(test_the_sensor_is_5_cm_ahead_of_the_reference_point),
+		cmocka_unit_test(test_a_simulated_sensor_is_silent_after_10_s_at_any_rate),
 		cmocka_unit_test(test_an_uncalibrated_sensor_has_its_bias),
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};
