@@ -518,6 +518,28 @@ static void test_a_line_without_an_end_is_bounded(void **state)
 	assert_int_equal(r->port->counters.rx_dropped, 1);
 }
 
+static void test_a_call_reads_64_lines_at_most(void **state)
+{
+	struct rig *r = *state;
+	const uint32_t wanted[] = {0x181};
+
+	go_on_bus(r);
+	assert_int_equal(can_filter(r->port, wanted, 1), 0);
+	for (int unwanted = 63; unwanted <= 64; unwanted++) {
+		char text[1000] = "";
+		struct can_msg msg;
+
+		for (int i = 0; i < unwanted; i++)
+			strcat(text, "t3000\r");
+		strcat(text, "t1810\r");
+		say(r, text);
+		if (unwanted == 64)
+			assert_receives_nothing(r);
+		assert_int_equal(can_receive(r->port, &msg, r->now_us), 1);
+		assert_int_equal(msg.id, 0x181);
+	}
+}
+
 static void test_the_descriptor_stays_readable_while_frames_wait_in_the_driver(void **state)
 {
 	struct rig *r = *state;
@@ -687,6 +709,7 @@ int main(void)
 			test_a_frame_refused_while_the_status_is_due_does_not_end_the_requests, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_that_was_closed_already_may_refuse_to_close, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_call_reads_64_lines_at_most, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_each_usual_baud_rate_is_that_of_the_line, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus, set_up, tear_down),
