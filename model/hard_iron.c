@@ -224,7 +224,7 @@ static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, dou
 	if (h->changes)
 		forget(h, KEPT);
 	add_turn(h, &turn, field, apart, variance);
-	h->turns += h->turns < 1000;
+	h->turns = fmin(h->turns + 1, OFFSET_TURNS);
 	if (!solve(h, covariance, x)) { /* after nonsense measurements */
 		*h = (struct hard_iron){.turns = 0};
 		return HARD_IRON_NOTHING;

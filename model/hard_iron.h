@@ -49,11 +49,10 @@ struct hard_iron {
 	struct hard_iron_agreement {
 		double unexplained[3], turned_field[3]; /* squares, over the last turns about each axis */
 	} agreement, solved;				/* with the offset that is in use, and with the solution */
-	double axis_turns[3];				/* turns about each axis, limited */
+	double turns, axis_turns[3];			/* turns, and those about each axis, limited */
 	double recent, usual; /* means of what the last few and all of the last turns left unexplained */
 	/* mean length with the offset solved; mean square of what differs from it, as a share */
 	double length_uT, length_off2;
-	int turns;
 };
 
 /** One sample, after a calibration: the rate, and the field where there is one (NULL: none), of 1 sigma field_sigma_uT

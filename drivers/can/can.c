@@ -148,7 +148,7 @@ static void enqueue(struct can_port *port, const struct can_msg *msg)
 
 static void flush(struct can_port *port, uint64_t now_us)
 {
-	if (port->queue_count > 0 && now_us < port->retry_at_us)
+	if (now_us < port->retry_at_us)
 		return;
 	while (port->queue_count > 0) {
 		if (bus_is_full(send_now(port, &port->queue[port->queue_head], now_us)))

@@ -317,12 +317,13 @@ static double scattered_interval_us(struct imu_log *log)
 	return usual < USUAL_SHARE * n && sum_us >= n ? sum_us / n : 0;
 }
 
-/* The mean interval of samples that come in bursts, from the end of the first burst to that of the last; else 0. */
+/* The mean interval of samples that come in bursts, from the end of one burst to that of the next, without gaps; else 0. */
 static double bursts_interval_us(struct imu_log *log)
 {
-	int64_t first_end_us = 0, gaps_us = 0, sum_us = 0;
-	unsigned n = 0, brief = 0, ends = 0, first_end = 0, last_end = 0;
-	double mean_us, all_us = 0;
+	int64_t end_us = 0, all_us = 0, sum_us = 0;
+	unsigned n = 0, brief = 0, ends = 0, end = 0, samples = 0;
+	bool after_end = false;
+	double mean_us;
 
 	for (unsigned i = 1; i < IMU_LOG_QUEUE && peek(log, i); i++) {
 		int64_t d_us = time_us(log, peek(log, i)) - time_us(log, peek(log, i - 1));
@@ -340,37 +341,41 @@ static double bursts_interval_us(struct imu_log *log)
 
 		brief += llabs(d_us) < TRANSFER_US && (double)d_us < SHORT * mean_us;
 		if (llabs(d_us) > BURST_US) {
-			gaps_us += ends ? d_us : 0;
+			after_end = false;
 		} else if ((double)d_us > mean_us / 2) {
-			if (ends++ == 0) {
-				first_end = i - 1;
-				first_end_us = before_us;
-			}
-			last_end = i - 1;
-			all_us = (double)(before_us - first_end_us - gaps_us);
+			all_us += after_end ? before_us - end_us : 0;
+			samples += after_end ? i - 1 - end : 0;
+			end_us = before_us;
+			end = i - 1;
+			after_end = true;
+			ends++;
 		}
 	}
 	if (ends < ENDS_LEAST || brief < SHORT_SHARE * n)
 		return 0;
-	return all_us >= last_end - first_end ? all_us / (last_end - first_end) : 0;
+	return samples > 0 && all_us >= samples ? (double)all_us / samples : 0;
 }
 
 /* By how much the ends of the bursts of the first rows are later than others, beyond the interval that even samples read at
  * any time explain. */
 static double lateness_us(struct imu_log *log, double interval_us)
 {
-	double least_us = INFINITY, most_us = -INFINITY, even_us = 0;
+	double least_us = INFINITY, most_us = -INFINITY, even_us = 0, late_us = 0;
 
 	for (unsigned i = 1; i < IMU_LOG_QUEUE && peek(log, i); i++) {
 		int64_t before_us = time_us(log, peek(log, i - 1)), d_us = time_us(log, peek(log, i)) - before_us;
 
-		if (llabs(d_us) <= BURST_US && (double)d_us > interval_us / 2) {
+		if (llabs(d_us) > BURST_US) { /* a gap, behind which the samples begin at another time */
+			least_us = INFINITY;
+			most_us = -INFINITY;
+		} else if ((double)d_us > interval_us / 2) {
 			least_us = fmin(least_us, (double)before_us - even_us);
 			most_us = fmax(most_us, (double)before_us - even_us);
+			late_us = fmax(late_us, most_us - least_us);
 		}
-		even_us += llabs(d_us) > BURST_US ? (double)d_us : interval_us;
+		even_us += interval_us;
 	}
-	return fmax(0, most_us - least_us - interval_us);
+	return fmax(0, late_us - interval_us);
 }
 
 static void use_interval(struct imu_log *log, double interval_us)
@@ -427,7 +432,7 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 	log->origin_us = log->shift_us = 0;
 	log->started = log->even = false;
 	log->last_t_us = 0;
-	log->samples = 0;
+	memset(log->before, 0, sizeof log->before);
 	log->units = (struct log_units){0};
 	result = log_rows_open(&log->rows, path, format, error, error_size);
 	if (result < 0)
@@ -441,9 +446,8 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 static bool is_clipped(struct imu_log *log, const struct imu_sample *sample)
 {
 	const struct log_row *next = peek(log, 0), *behind = peek(log, 1);
-	const struct imu_sample *const five[5] = {log->samples > 1 ? &log->before[1] : NULL,
-		log->samples > 0 ? &log->before[0] : NULL, sample, next ? &next->sample : NULL,
-		behind ? &behind->sample : NULL};
+	const struct imu_sample *const five[5] = {
+		&log->before[1], &log->before[0], sample, next ? &next->sample : NULL, behind ? &behind->sample : NULL};
 
 	return log_units_clipped(&log->units, five);
 }
@@ -477,7 +481,6 @@ int imu_log_next(struct imu_log *log, struct imu_sample *sample)
 		sample->flags |= SAMPLE_SATURATED;
 	log->before[1] = log->before[0];
 	log->before[0] = row.sample;
-	log->samples++;
 	if (again)
 		sample->flags |= SAMPLE_DISCONTINUITY;
 	log_units_add(&log->units, sample);

@@ -44,8 +44,7 @@ struct imu_log {
 	int64_t clock_start_us;
 	double late_ns;		     /* by which the end of a burst may be late */
 	int64_t last_t_us;	     /* of the last sample */
-	struct imu_sample before[2]; /* the last ones, as in the file */
-	uint64_t samples;
+	struct imu_sample before[2]; /* the last ones, as in the file; zeros at first */
 	struct log_units units;
 };
 

@@ -146,7 +146,7 @@ bool log_units_warning(const struct log_units *u, int i, char *text, size_t size
 }
 
 /* Ends of the ranges of usual chips, as nominal and as 32767 digits: deg/s and g. */
-static const double GYRO_ENDS[] = {124.88, 125, 125.07, 245, 249.95, 250, 250.13, 286.71, 499.5, 500, 500.26, 573.42,
+static const double GYRO_ENDS[] = {124.88, 125, 125.07, 245, 249.75, 250, 250.13, 286.71, 499.5, 500, 500.26, 573.42,
 	998.99, 1000, 1146.8, 1997.99, 2000, 2293.7, 4000};
 static const double ACCEL_ENDS[] = {1.9988, 2, 3.9976, 4, 7.9952, 8, 15.99, 16, 24, 32};
 /* Share by which a printed value differs from them. */

@@ -361,7 +361,7 @@ static int begin(struct wt901 *w, const struct imu_settings *settings, char *err
 		if (result == 0 || !is_answer_error(-result))
 			break;
 	}
-	if (result < 0 && is_answer_error(-result))
+	if (is_answer_error(-result))
 		snprintf(error, error_size,
 			"%s: no answer from address %02Xh at %d Bd: check the wires A and B and power, or set baud= "
 			"and "

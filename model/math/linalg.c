@@ -121,7 +121,7 @@ static void sort(int n, double *values, double *vectors)
 
 int linalg_eigen(int n, double *a, double *values, double *vectors)
 {
-	double size = 0, off = 1;
+	double size = 0;
 
 	for (int i = 0; i < n * n; i++) {
 		vectors[i] = i % (n + 1) == 0;
@@ -129,15 +129,11 @@ int linalg_eigen(int n, double *a, double *values, double *vectors)
 	}
 	if (!isfinite(size))
 		return -EDOM;
-	for (int sweep = 0; sweep < SWEEPS_MAX && off > 1e-17 * size; sweep++) {
-		off = 0;
+	for (int sweep = 0; sweep < SWEEPS_MAX; sweep++)
 		for (int p = 0; p < n - 1; p++)
-			for (int q = p + 1; q < n; q++) {
-				off += fabs(a[p * n + q]);
+			for (int q = p + 1; q < n; q++)
 				if (fabs(a[p * n + q]) > 1e-300)
 					rotate(n, a, vectors, p, q);
-			}
-	}
 	for (int i = 0; i < n; i++)
 		values[i] = a[i * n + i];
 	sort(n, values, vectors);

@@ -124,6 +124,25 @@ static void test_a_noise_out_of_range_is_refused(void **state)
 		assert_int_equal(angle_fusion_init(&f, &bad[i]), -EINVAL);
 }
 
+/* Where the angles tell next to nothing, the bias becomes less certain by its instability in 100 s; at the start it is known
+ * to ten of them. */
+static void test_the_bias_is_known_to_ten_instabilities_and_walks_by_one_in_100_s(void **state)
+{
+	const double instability = NOISE.gyro_bias_instability_rad_s;
+	struct noise_config blind = NOISE;
+	struct angle_fusion f;
+
+	(void)state;
+	blind.angle_sigma_rad = 1e6;
+	assert_int_equal(angle_fusion_init(&f, &blind), 0);
+	for (int k = 0; k < 10001; k++) {
+		double grown = f.p_bias / (instability * instability);
+
+		assert_true(fabs(grown - 100 - fmax(0, (k - 1) / 1e4)) < 1e-3);
+		angle_fusion_step(&f, (struct vec3){0, 0, 0}, (struct quat){1, 0, 0, 0}, DT_S);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -132,6 +151,7 @@ int main(void)
 		cmocka_unit_test(test_the_gyro_bias_is_estimated),
 		cmocka_unit_test(test_its_variance_is_that_of_its_errors),
 		cmocka_unit_test(test_the_sign_of_a_given_quaternion_does_not_matter),
+		cmocka_unit_test(test_the_bias_is_known_to_ten_instabilities_and_walks_by_one_in_100_s),
 		cmocka_unit_test(test_a_noise_out_of_range_is_refused),
 	};
 

@@ -16,6 +16,7 @@
 
 #include "drivers/can/gs_usb_find.h"
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 enum { REQUESTS = 64, TRANSFERS = 64, SENT = 64, HOST_FORMAT = 0, BIT_TIMING = 1, MODE = 2, LIMITS = 4, CONFIG = 5 };
 
@@ -928,5 +929,5 @@ int main(void)
 		ADAPTER_TEST(test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again),
 	};
 
-	return cmocka_run_group_tests_name("gs_usb_port", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("gs_usb_port", tests, count_descriptors, no_descriptor_is_left);
 }

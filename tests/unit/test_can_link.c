@@ -6,6 +6,7 @@
 #include <cmocka.h>
 
 #include "drivers/can/can_link.h"
+#include "tests/unit/descriptors.h"
 
 /* an SJA1000 with a 16 MHz crystal runs at 8 MHz */
 static const struct can_link sja1000 = {.controller = true,
@@ -69,5 +70,5 @@ int main(void)
 		cmocka_unit_test(test_a_bus_without_a_controller_supports_none),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -12,9 +12,11 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <termios.h>
 #include <unistd.h>
 
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 struct rig {
 	int adapter; /* its end of the pseudo terminal */
@@ -202,6 +204,27 @@ static void test_bit_rate_and_listening_are_options_of_the_bus(void **state)
 	assert_hears(r, "");
 }
 
+static void test_each_usual_baud_rate_is_that_of_the_line(void **state)
+{
+	static const struct {
+		const char *options;
+		speed_t speed;
+	} rates[] = {{"@9600", B9600}, {"@19200", B19200}, {"@38400", B38400}, {"@57600", B57600}, {"@115200", B115200},
+		{"@230400", B230400}, {"@460800", B460800}, {"@500000", B500000}, {"@921600", B921600},
+		{"@1000000", B1000000}, {"@2000000", B2000000}, {"@3000000", B3000000}};
+	struct rig *r = *state;
+
+	for (size_t i = 0; i < sizeof(rates) / sizeof(rates[0]); i++) {
+		struct termios line;
+
+		open_bus(r, rates[i].options);
+		assert_int_equal(tcgetattr(r->adapter, &line), 0);
+		assert_int_equal(cfgetospeed(&line), rates[i].speed);
+		can_close(r->port);
+		r->port = NULL;
+	}
+}
+
 static void test_a_bit_rate_set_after_opening_is_used_from_the_start(void **state)
 {
 	struct rig *r = *state;
@@ -340,6 +363,31 @@ static void test_an_adapter_that_refuses_every_frame_is_set_up_again(void **stat
 	set_up_adapter(r);
 }
 
+/* Each frame that it accepts, and each that it receives, shows that it is on the bus. */
+static void test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus(void **state)
+{
+	static const char *const signs[] = {"z\r", "t0000\r", "T000000010\r"};
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 0x701, .len = 1};
+
+	go_on_bus(r);
+	for (int i = 0; i < 12; i++) {
+		assert_int_equal(can_send(r->port, &msg, r->now_us), 0);
+		assert_hears(r, "t701100\r");
+		say(r, "\a");
+		assert_receives_nothing(r);
+		can_service(r->port, r->now_us); /* it may ask for the state */
+		drain(r);
+		say(r, "F00\r");
+		assert_receives_nothing(r);
+		r->now_us += 700000;
+		say(r, signs[i % 3]);
+		assert_int_equal(can_receive(r->port, &(struct can_msg){0}, r->now_us), i % 3 > 0);
+		assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
+	}
+	assert_int_equal(r->port->counters.tx_dropped, 12);
+}
+
 static void test_an_adapter_that_was_closed_already_may_refuse_to_close(void **state)
 {
 	struct rig *r = *state;
@@ -468,6 +516,28 @@ static void test_a_line_without_an_end_is_bounded(void **state)
 	say(r, "\rt1000\r");
 	assert_receives(r, &(struct can_msg){.id = 0x100});
 	assert_int_equal(r->port->counters.rx_dropped, 1);
+}
+
+static void test_a_call_reads_64_lines_at_most(void **state)
+{
+	struct rig *r = *state;
+	const uint32_t wanted[] = {0x181};
+
+	go_on_bus(r);
+	assert_int_equal(can_filter(r->port, wanted, 1), 0);
+	for (int unwanted = 63; unwanted <= 64; unwanted++) {
+		char text[1000] = "";
+		struct can_msg msg;
+
+		for (int i = 0; i < unwanted; i++)
+			strcat(text, "t3000\r");
+		strcat(text, "t1810\r");
+		say(r, text);
+		if (unwanted == 64)
+			assert_receives_nothing(r);
+		assert_int_equal(can_receive(r->port, &msg, r->now_us), 1);
+		assert_int_equal(msg.id, 0x181);
+	}
 }
 
 static void test_the_descriptor_stays_readable_while_frames_wait_in_the_driver(void **state)
@@ -639,6 +709,10 @@ int main(void)
 			test_a_frame_refused_while_the_status_is_due_does_not_end_the_requests, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_that_was_closed_already_may_refuse_to_close, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_a_call_reads_64_lines_at_most, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_each_usual_baud_rate_is_that_of_the_line, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_wrong_address_or_device_is_refused_with_what_to_do, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_frames_are_sent_as_lines, set_up, tear_down),
@@ -662,5 +736,5 @@ int main(void)
 			test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again, set_up, tear_down),
 	};
 
-	return cmocka_run_group_tests_name("can_slcan", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("can_slcan", tests, count_descriptors, no_descriptor_is_left);
 }

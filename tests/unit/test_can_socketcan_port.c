@@ -23,6 +23,7 @@
 
 #include "drivers/can/can_link.h"
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 enum { INDEX = 7, CAN_TYPE = 280, ETHERNET_TYPE = 1, FRAMES = 40, ORDERS = 8, CAN_RAW_LEVEL = 101 };
 enum { NETDEV_UP = 1, REALTIME_AHEAD_S = 1000 };
@@ -870,5 +871,5 @@ int main(void)
 		KERNEL_TEST(test_bus_off_is_ended_where_the_kernel_does_not_do_it),
 	};
 
-	return cmocka_run_group_tests_name("socketcan_port", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("socketcan_port", tests, count_descriptors, no_descriptor_is_left);
 }

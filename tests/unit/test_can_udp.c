@@ -18,6 +18,7 @@
 
 #include "drivers/can/udp_codec.h"
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 /* Made by python3-can 4.1.0: can.interfaces.udp_multicast.utils.pack_message(can.Message(...)). */
 #define MAP(TIME, ID, EXTENDED, REMOTE, ERROR, CHANNEL, DLC, DATA, FD)                                                \
@@ -448,7 +449,7 @@ static void test_a_call_reads_a_bounded_number_of_unwanted_datagrams(void **stat
 			can_send(bus.a, &data_frame, now());
 	}
 	assert_same(&msg, &data_frame);
-	assert_in_range(calls, 3, UNWANTED / 10);
+	assert_in_range(calls, 3, UNWANTED / 20); /* 64 a call; a busy machine needs more */
 	close_pair(bus);
 }
 
@@ -659,5 +660,5 @@ int main(void)
 		cmocka_unit_test(test_an_ipv6_group_with_a_port_is_opened),
 	};
 
-	return cmocka_run_group_tests_name("can_udp", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("can_udp", tests, count_descriptors, no_descriptor_is_left);
 }

@@ -217,14 +217,24 @@ static void test_with_a_network_frames_of_its_hosts_are_taken(void **state)
 
 static void test_networks_of_ipv6_work_alike(void **state)
 {
-	struct can_port *port = open_bus("udp:[ff15::1],interface=net0,hosts=fd09::/64");
+	static const struct {
+		const char *hosts, *host, *stranger;
+	} cases[] = {{"fd09::/64", "fd09::7", "fd09:0:0:1::7"}, {"fd09::7", "fd09::7", "fd09::8"},
+		{"fd09::1:0:0:0/80", "fd09::1:9:0:7", "fd09::2:9:0:7"}, {"fd08::/15", "fd09::7", "fd0a::7"}};
 
 	(void)state;
-	host_sends_v6("wire0", "fd09::7");
-	assert_int_equal(frames_of(port), 1);
-	host_sends_v6("wire0", "fd09:0:0:1::7");
-	assert_int_equal(frames_of(port), 0);
-	can_close(port);
+	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+		struct can_port *port;
+		char bus[100];
+
+		snprintf(bus, sizeof(bus), "udp:[ff15::1],interface=net0,hosts=%s", cases[i].hosts);
+		port = open_bus(bus);
+		host_sends_v6("wire0", cases[i].host);
+		assert_int_equal(frames_of(port), 1);
+		host_sends_v6("wire0", cases[i].stranger);
+		assert_int_equal(frames_of(port), 0);
+		can_close(port);
+	}
 }
 
 /* Another process on this host joins the group on the second network. */

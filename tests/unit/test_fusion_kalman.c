@@ -339,6 +339,20 @@ static void test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_th
 	}
 }
 
+/* In other axes it would be another one. */
+static void test_an_offset_is_forgotten_when_the_object_has_other_axes(void **state)
+{
+	struct errors e = {.magnet_b = {50, 0, 0}, .magnet_to_s = 1e9};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	follow(&f, &e, 1, 60);
+	assert_true(f.kalman.hard_iron.known);
+	fusion_turn_object(&f, quat_from_rotation_vector((struct vec3){0, 0, 1}));
+	assert_false(f.kalman.hard_iron.known || f.kalman.hard_iron.agreed);
+	assert_vec_near(f.kalman.hard_iron.offset_b_uT, ((struct vec3){0, 0, 0}), 0);
+}
+
 /* The first heading came from that field. */
 static void test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown(void **state)
 {
@@ -581,6 +595,41 @@ static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(v
 		assert_true(tilt_off_rad(&f, truth) < 1 * RAD_PER_DEG);
 		truth = continue_motion(&f, 40, 140, FIELD_N);
 		assert_quat_near(f.q_nb, truth, 3 * RAD_PER_DEG);
+	}
+}
+
+/* What lies still was turned unnoticed. The mean force follows until it is off by 60 degrees; there the attitude is turned
+ * back by as much or a bit more, about the right axis, and once. */
+static void test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis(void **state)
+{
+	const double turns[] = {90 * RAD_PER_DEG, 110 * RAD_PER_DEG, 130 * RAD_PER_DEG}, limit = 60 * RAD_PER_DEG;
+
+	(void)state;
+	for (int i = 0; i < 12; i++) {
+		const double turn = turns[i % 3], direction = i * 0.55;
+		struct fusion f = fusion(NINE_AXES);
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+		double before = turn;
+		int jumps = 0;
+
+		for (int k = 0; k < 200; k++)
+			fusion_step(&f, &m.sample, 0.005);
+		f.q_nb = quat_multiply(
+			quat_from_rotation_vector((struct vec3){turn * cos(direction), turn * sin(direction), 0}),
+			f.q_nb);
+		for (int k = 0; k < 40 * 200; k++) {
+			double off;
+
+			fusion_step(&f, &m.sample, 0.005);
+			off = tilt_off_rad(&f, m.q_nb);
+			if (off < before - 0.3) {
+				assert_near(off, turn - limit, 12 * RAD_PER_DEG);
+				jumps++;
+			}
+			before = off;
+		}
+		assert_int_equal(jumps, 1);
+		assert_true(before < 1 * RAD_PER_DEG);
 	}
 }
 
@@ -863,6 +912,30 @@ static void test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it(voi
 	}
 }
 
+/* From then on the field keeps the heading that was set: it points where it points under that heading. */
+static void test_under_a_heading_that_was_set_the_field_is_the_reference_again(void **state)
+{
+	const struct vec3 still = {0, 0, 0};
+
+	(void)state;
+	for (int by_yaw = 0; by_yaw < 2; by_yaw++) {
+		const struct quat set = quat_from_rotation_vector((struct vec3){0, 0, 1});
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+		struct fusion f = fusion(NINE_AXES);
+
+		for (int k = 0; k < 200 * 120; k++) {
+			m.sample.gyro_rad_s = (struct vec3){0.3 * sin(k * 0.3), 0, 0};
+			fusion_step(&f, &m.sample, 0.005);
+			if (by_yaw && k >= 2000 && k < 2010)
+				fusion_aid_yaw(&f, 1, RAD_PER_DEG, still);
+			if (!by_yaw && k == 2000)
+				fusion_set_attitude(&f, set);
+		}
+		assert_quat_near(f.q_nb, set, 2 * RAD_PER_DEG);
+		assert_true(fusion_mag_used(&f) || f.kalman.sums.time_s > 0);
+	}
+}
+
 /* Straight up there is no yaw: a quarter turn about z is one, a quarter turn about y is not. */
 static void test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up(void **state)
 {
@@ -1015,6 +1088,82 @@ static void test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_
 	}
 }
 
+/* While it holds the field does not correct the heading, and the velocity is not measured as zero. */
+static void test_a_yaw_and_a_velocity_from_outside_hold_for_10_s(void **state)
+{
+	struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+	struct fusion f = fusion(NINE_AXES);
+	double used_from_s = 0, velocity_until_s = 0;
+	int used_before = 0;
+
+	(void)state;
+	for (int k = 0; k < 200 * 30; k++) {
+		const double since_s = (k - 2000) / 200.0;
+
+		if (k == 2000) {
+			assert_true(used_before > 100);
+			fusion_aid_yaw(&f, 0, 0.01, m.sample.gyro_rad_s);
+			fusion_aid_velocity(&f, (struct vec3){1, 0, 0}, 0.1, m.sample.gyro_rad_s);
+		}
+		m.sample.gyro_rad_s.x = 0.3 * sin(k * 0.3); /* no rest */
+		fusion_step(&f, &m.sample, 0.005);
+		used_before += k < 2000 && fusion_mag_used(&f);
+		if (k > 2000 && used_from_s == 0 && fusion_mag_used(&f))
+			used_from_s = since_s;
+		if (k > 2000 && f.kalman.aided_velocity_s > 0)
+			velocity_until_s = since_s;
+	}
+	assert_near(used_from_s, 10, 0.1);
+	assert_near(velocity_until_s, 10, 0.1);
+}
+
+/* At any sample between two corrections. The velocity since the last one counts as if the arm had always been the new one. */
+static void test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_last_correction_on(void **state)
+{
+	const struct vec3 rate = {0, 0, 2}, arm = {0.3, 0, 0}, new_arm = {0, 0.5, 0};
+	struct fusion_kalman_sample s = {.gyro_b_rad_s = rate, .rate_b_rad_s = rate, .force_b_m_s2 = {0, 0, G}};
+
+	(void)state;
+	for (int at = 100; at < 140; at++) {
+		struct filter f = started(G);
+
+		for (int k = 0; k <= at; k++) {
+			s.lever_arm_b_m = k < at ? arm : new_arm;
+			fusion_kalman_step(&f.k, &KALMAN, &s, 1e-3, &f.q_nb, &f.errors);
+			f.q_nb = QUAT_IDENTITY;
+		}
+		assert_vec_near(f.k.lever_n_m_s, vec3_cross(rate, new_arm), 1e-9);
+		if (f.k.sums.time_s > 0)
+			assert_vec_near(f.k.sums.lever_from_n_m_s, vec3_cross(rate, new_arm), 1e-9);
+	}
+}
+
+/* Turned the one way or the other, fast or slowly. */
+static void test_after_missing_samples_the_velocity_before_them_does_not_count(void **state)
+{
+	struct filter after[2];
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct fusion_kalman_sample s = {
+			.rate_b_rad_s = {0, 0, i ? 2 : -2}, .force_b_m_s2 = {0, 0, G}, .lever_arm_b_m = {0.3, 0, 0}};
+
+		after[i] = started(G);
+		for (int k = 0; k < 115; k++) {
+			fusion_kalman_step(&after[i].k, &KALMAN, &s, 1e-3, &after[i].q_nb, &after[i].errors);
+			after[i].q_nb = QUAT_IDENTITY;
+			after[i].k.velocity_n_m_s[i] += 0.01;
+		}
+		s.rate_b_rad_s = (struct vec3){0, 0, 1};
+		s.gap = true;
+		fusion_kalman_step(&after[i].k, &KALMAN, &s, 0.5, &after[i].q_nb, &after[i].errors);
+		assert_true(sigma_of(&after[i], KALMAN_VELOCITY) > 0.15); /* unknown, but for one measurement of zero */
+	}
+	assert_quat_near(after[0].q_nb, after[1].q_nb, 1e-9);
+	for (int i = 0; i < 2; i++)
+		assert_near(after[0].k.velocity_n_m_s[i], after[1].k.velocity_n_m_s[i], 1e-9);
+}
+
 static void test_a_yaw_from_outside_counts_up_to_5_sigma(void **state)
 {
 	const double own = 0.1, sigma = 0.05, limit = 5 * hypot(own, sigma);
@@ -1131,6 +1280,7 @@ int main(void)
 		cmocka_unit_test(test_a_field_disturbed_for_longer_than_the_rejection_time_counts_with_a_small_weight),
 		cmocka_unit_test(test_the_heading_gets_over_a_hard_iron_offset_that_was_there_from_the_start),
 		cmocka_unit_test(test_what_was_switched_on_beside_iron_finds_north_once_it_is_away_from_it),
+		cmocka_unit_test(test_an_offset_is_forgotten_when_the_object_has_other_axes),
 		cmocka_unit_test(test_while_the_field_turns_otherwise_than_the_gyro_says_the_heading_is_unknown),
 		cmocka_unit_test(test_the_heading_holds_when_an_offset_is_found_again_or_under_a_heading_from_outside),
 		cmocka_unit_test(test_a_heading_from_outside_stays_known_when_the_field_is_wrong),
@@ -1143,6 +1293,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
 		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
 		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
+		cmocka_unit_test(test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis),
 		cmocka_unit_test(test_after_saturation_of_the_gyro_the_tilt_follows_the_accelerometer),
 		cmocka_unit_test(test_a_field_from_the_opposite_direction_is_a_heading_outlier),
 		cmocka_unit_test(test_the_heading_converges_within_half_a_minute_of_a_start_in_violent_motion),
@@ -1154,6 +1305,9 @@ int main(void)
 		cmocka_unit_test(test_at_the_start_the_tilt_is_known_as_well_as_the_length_of_the_force_fits_gravity),
 		cmocka_unit_test(test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors),
 		cmocka_unit_test(test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest),
+		cmocka_unit_test(test_a_yaw_and_a_velocity_from_outside_hold_for_10_s),
+		cmocka_unit_test(test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_last_correction_on),
+		cmocka_unit_test(test_after_missing_samples_the_velocity_before_them_does_not_count),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
 		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
@@ -1164,6 +1318,7 @@ int main(void)
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),
 		cmocka_unit_test(test_a_field_beyond_the_limits_of_length_or_dip_is_not_used),
 		cmocka_unit_test(test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it),
+		cmocka_unit_test(test_under_a_heading_that_was_set_the_field_is_the_reference_again),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up),
 	};
 

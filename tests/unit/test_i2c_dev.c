@@ -16,6 +16,7 @@
 #include <sys/ioctl.h>
 
 #include "drivers/i2c/i2c.h"
+#include "tests/unit/descriptors.h"
 
 static struct kernel {
 	int open_error, funcs_error;
@@ -264,5 +265,5 @@ int main(void)
 		cmocka_unit_test(test_a_bus_that_cannot_be_used_is_refused_with_what_to_do),
 	};
 
-	return cmocka_run_group_tests_name("i2c_dev", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("i2c_dev", tests, count_descriptors, no_descriptor_is_left);
 }

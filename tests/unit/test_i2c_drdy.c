@@ -16,6 +16,7 @@
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/pololu/i2c_imu.h"
 #include "drivers/imu/sim/sim_chips.h"
+#include "tests/unit/descriptors.h"
 
 enum { LINE = 17, LINE_FD = 1000, LATENCY_NS = 20000 };
 
@@ -229,5 +230,5 @@ int main(void)
 		cmocka_unit_test(test_a_line_that_cannot_be_used_is_refused),
 	};
 
-	return cmocka_run_group_tests_name("i2c_drdy", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("i2c_drdy", tests, count_descriptors, no_descriptor_is_left);
 }

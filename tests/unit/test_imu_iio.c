@@ -19,6 +19,7 @@
 #include <unistd.h>
 
 #include "drivers/imu/imu_thread.h"
+#include "tests/unit/descriptors.h"
 
 enum { BUFFER_FD = 77, ATTRS = 8, CHANNELS = 8, DEVICES = 8, SCANS = 32, X = IIO_MOD_X, TIMERS = 2 };
 #define MS 1000000LL
@@ -1265,5 +1266,5 @@ int main(void)
 		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
 	};
 
-	return cmocka_run_group_tests_name("imu_iio", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("imu_iio", tests, count_descriptors, no_descriptor_is_left);
 }

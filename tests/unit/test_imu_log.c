@@ -6,10 +6,12 @@
 #include <errno.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "drivers/imu/imu_log.h"
+#include "tests/unit/descriptors.h"
 
 #define HEADER "t,gx,gy,gz,ax,ay,az,mx,my,mz\n"
 #define ROW(t) t ",1,2,3,4,5,6,7,8,9\n"
@@ -265,6 +267,7 @@ static void test_a_log_without_two_valid_rows_is_refused_with_the_last_skip(void
 {
 	(void)state;
 	assert_refused(HEADER ROW("0"), -EINVAL, "fewer than two valid rows");
+	assert_refused(HEADER ROW("0"), -EINVAL, path);
 	assert_refused(HEADER ROW("0") "1,x,2,3,4,5,6,7,8,9\n", -EINVAL, ":3: gx is not a finite number: 'x'");
 }
 
@@ -287,6 +290,110 @@ static void test_the_rate_is_that_of_the_median_interval(void **state)
 	(void)state;
 	assert_true(log.rate_hz == 250);
 	imu_log_close(&log);
+}
+
+/* The interval in the middle is a lost sample. */
+static void test_the_median_is_that_of_the_sorted_intervals(void **state)
+{
+	static const char *const texts[] = {
+		HEADER ROW("0") ROW("0.004") ROW("0.008") ROW("0.012") ROW("0.020") ROW("0.024") ROW("0.028")
+			ROW("0.032"),
+		HEADER ROW("0") ROW("0.008") ROW("0.012") ROW("0.020") ROW("0.024") ROW("0.028") ROW("0.032")
+			ROW("0.036"),
+	};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct imu_log log = opened(texts[i], strlen(texts[i]));
+
+		assert_true(log.rate_hz == 250);
+		imu_log_close(&log);
+	}
+}
+
+/* Between two units: 3.3 and 4 samples a second of the one are 4000 of the other. Ten rows are needed. */
+static void test_the_unit_of_the_time_is_found_by_its_interval(void **state)
+{
+	static const struct {
+		double interval;
+		int rows;
+		double unit_s;
+	} at[] = {{0.29, 20, 1}, {0.31, 20, 1e-3}, {249, 20, 1e-3}, {251, 20, 1e-6}, {2.49e5, 20, 1e-6},
+		{2.51e5, 20, 1e-9}, {10, 10, 1e-3}, {10, 9, 1}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof at / sizeof *at; i++) {
+		char text[2000] = HEADER;
+		struct imu_log log;
+
+		for (int k = 0; k < at[i].rows; k++)
+			sprintf(text + strlen(text), ROW("%.9g"), k * at[i].interval);
+		log = opened(text, strlen(text));
+		if (!(log.rate_hz * at[i].interval * at[i].unit_s > 0.999 &&
+			    log.rate_hz * at[i].interval * at[i].unit_s < 1.001))
+			fail_msg("an interval of %g: %g samples a second", at[i].interval, log.rate_hz);
+		imu_log_close(&log);
+	}
+}
+
+static void test_a_log_has_a_reference_in_whichever_column(void **state)
+{
+	static const struct {
+		const char *text;
+		bool reference;
+	} logs[] = {
+		{HEADER ROW("0") ROW("1"), false},
+		{"ref_al,ref_as,ref_at,t,gx,gy,gz,ax,ay,az\n1,2,3,0,1,2,3,4,5,6\n1,2,3,1,1,2,3,4,5,6\n", true},
+		{"t,ref_al,ref_as,ref_at,gx,gy,gz,ax,ay,az\n0,1,2,3,1,2,3,4,5,6\n1,1,2,3,1,2,3,4,5,6\n", true},
+	};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct imu_log log = opened(logs[i].text, strlen(logs[i].text));
+
+		assert_int_equal(imu_log_has_reference(&log), logs[i].reference);
+		imu_log_close(&log);
+	}
+}
+
+/* Two rows behind a step back do not make another log, three do. */
+static void test_a_step_back_just_before_the_end_is_no_second_log(void **state)
+{
+	static const char *const ends[] = {"", ROW("0.00"), ROW("0.00") ROW("0.01"),
+		ROW("0.00") ROW("0.01") ROW("0.02"), ROW("0.00") ROW("0.01") ROW("0.02") ROW("0.03")};
+	static const int rows[] = {4, 4, 4, 7, 8};
+
+	(void)state;
+	for (int i = 0; i < 5; i++) {
+		char text[500];
+		struct imu_log log;
+
+		snprintf(text, sizeof text, HEADER ROW("0.50") ROW("0.51") ROW("0.52") ROW("0.53") "%s", ends[i]);
+		log = opened(text, strlen(text));
+		assert_int_equal(count(&log), rows[i]);
+	}
+}
+
+/* Of the one that each open file has. */
+static void test_no_log_leaves_a_descriptor_open(void **state)
+{
+	static const char good[] = HEADER ROW("0") ROW("1"), bad_header[] = "t,gx\n", one_row[] = HEADER ROW("0");
+	struct rlimit old, few;
+	char error[256];
+
+	(void)state;
+	assert_int_equal(getrlimit(RLIMIT_NOFILE, &old), 0);
+	few = (struct rlimit){32, old.rlim_max};
+	assert_int_equal(setrlimit(RLIMIT_NOFILE, &few), 0);
+	for (int i = 0; i < 40; i++) {
+		struct imu_log log = opened(good, strlen(good));
+
+		assert_int_equal(count(&log), 2);
+		assert_refused(bad_header, -EINVAL, "no column");
+		assert_refused(one_row, -EINVAL, "fewer than two");
+		assert_int_equal(imu_log_open(&log, "/tmp", log_format_at(0), error, sizeof error), -EIO);
+	}
+	assert_int_equal(setrlimit(RLIMIT_NOFILE, &old), 0);
 }
 
 static void test_a_pipe_loses_no_row(void **state)
@@ -359,9 +466,14 @@ int main(void)
 		cmocka_unit_test(test_a_log_without_two_valid_rows_is_refused_with_the_last_skip),
 		cmocka_unit_test(test_a_missing_file_and_a_directory_are_refused),
 		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
+		cmocka_unit_test(test_the_median_is_that_of_the_sorted_intervals),
+		cmocka_unit_test(test_the_unit_of_the_time_is_found_by_its_interval),
+		cmocka_unit_test(test_a_log_has_a_reference_in_whichever_column),
+		cmocka_unit_test(test_a_step_back_just_before_the_end_is_no_second_log),
+		cmocka_unit_test(test_no_log_leaves_a_descriptor_open),
 		cmocka_unit_test(test_a_pipe_loses_no_row),
 		cmocka_unit_test(test_three_minutes_of_log_are_read_in_well_under_a_second),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

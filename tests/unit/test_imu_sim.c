@@ -10,6 +10,7 @@
 #include <time.h>
 
 #include "drivers/ports/imu.h"
+#include "tests/unit/descriptors.h"
 
 static double now_s(void)
 {
@@ -107,6 +108,38 @@ static void test_the_sensor_is_5_cm_ahead_of_the_reference_point(void **state)
 	imu_close(port);
 }
 
+/* So long may a busy machine stall a simulation. */
+static void test_a_simulated_sensor_is_silent_after_10_s_at_any_rate(void **state)
+{
+	static const char *const rates[] = {"sim:rest,rate=800", "sim:rest", "sim:rest,rate=12.5"};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct imu_port *port = opened(rates[i]);
+
+		assert_int_equal(port->silence_us, 10000000);
+		imu_close(port);
+	}
+}
+
+/* As shipped it has the bias of the preset, calibrated it has none. */
+static void test_an_uncalibrated_sensor_has_its_bias(void **state)
+{
+	(void)state;
+	for (int uncalibrated = 0; uncalibrated < 2; uncalibrated++) {
+		struct imu_port *port = opened(uncalibrated ? "sim:rest,rate=800,uncalibrated" : "sim:rest,rate=800");
+		struct vec3 accel = {0, 0, 0};
+		struct imu_sample sample;
+
+		for (int i = 0; i < 100; i++) {
+			wait_and_read(port, &sample);
+			accel = vec3_add(accel, vec3_scale(0.01, sample.accel_m_s2));
+		}
+		assert_int_equal(vec3_norm(vec3_sub(accel, (struct vec3){0, 0, 9.81})) > 0.1, uncalibrated);
+		imu_close(port);
+	}
+}
+
 static void test_an_unknown_scenario_or_option_is_refused_with_what_to_use(void **state)
 {
 	const char *const bad[][2] = {{"sim:circle", "use one of square, boat, roll_step, rest"},
@@ -187,8 +220,10 @@ int main(void)
 		cmocka_unit_test(test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay),
 		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
 		cmocka_unit_test(test_the_sensor_is_5_cm_ahead_of_the_reference_point),
+		cmocka_unit_test(test_a_simulated_sensor_is_silent_after_10_s_at_any_rate),
+		cmocka_unit_test(test_an_uncalibrated_sensor_has_its_bias),
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -12,6 +12,7 @@
 #include <cmocka.h>
 
 #include "drivers/imu/imu_thread.h"
+#include "tests/unit/descriptors.h"
 
 static int set_up(void **state)
 {
@@ -293,5 +294,5 @@ int main(void)
 		THREAD_TEST(test_a_wait_ends_with_a_wake_or_one_of_its_descriptors),
 	};
 
-	return cmocka_run_group_tests_name("imu_thread", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("imu_thread", tests, count_descriptors, no_descriptor_is_left);
 }

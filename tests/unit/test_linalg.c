@@ -104,12 +104,26 @@ static void test_a_singular_an_indefinite_and_a_non_finite_matrix_are_refused(vo
 	assert_int_equal(linalg_eigen(2, not_finite, values, vectors), -EDOM);
 }
 
+/* The second pivot is this share of its diagonal element, at any size of the matrix. */
+static void test_a_matrix_that_is_singular_but_for_rounding_is_refused_at_any_size(void **state)
+{
+	(void)state;
+	for (double size = 1e-9; size < 1e10; size *= 1e3)
+		for (int regular = 0; regular < 2; regular++) {
+			double share = regular ? 4e-13 : 0.4e-13, a[] = {size, size, size, size * (1 + share)};
+			double b[] = {1, 2};
+
+			assert_int_equal(linalg_solve(2, a, b), regular ? 0 : -EDOM);
+		}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_solution_satisfies_its_system),
 		cmocka_unit_test(test_a_matrix_times_its_inverse_is_the_identity),
 		cmocka_unit_test(test_eigenvectors_are_scaled_by_their_eigenvalues_in_ascending_order),
+		cmocka_unit_test(test_a_matrix_that_is_singular_but_for_rounding_is_refused_at_any_size),
 		cmocka_unit_test(test_a_singular_an_indefinite_and_a_non_finite_matrix_are_refused),
 	};
 

@@ -10,6 +10,7 @@
 #include <unistd.h>
 
 #include "gateway/log.h"
+#include "tests/unit/descriptors.h"
 
 static int stderr_to(int fd)
 {
@@ -85,5 +86,5 @@ int main(void)
 		cmocka_unit_test(test_a_reader_that_does_not_read_does_not_block_the_gateway),
 	};
 
-	return cmocka_run_group_tests_name("log", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("log", tests, count_descriptors, no_descriptor_is_left);
 }

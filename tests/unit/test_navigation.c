@@ -1019,6 +1019,93 @@ static void test_the_fusions_heading_counts_with_2_degrees_once_in_3_s(void **st
 	assert_near(n.p[2][2] / (before * noise / (before + noise)), 1, 0.002);
 }
 
+/* At rest until it stands. Then nothing has an error but the velocity, 1 m/s each, and the gyro bias, 1 rad/s. */
+static struct navigation standing(enum motion_preset preset, struct vec3 rate_b_rad_s, struct vec3 accel_n_m_s2)
+{
+	struct navigation n = started(preset);
+
+	for (int k = 0; k < 200; k++)
+		one_interval(&n, rate_b_rad_s, accel_n_m_s2);
+	assert_true(n.still);
+	memset(n.p, 0, sizeof(n.p));
+	for (int i = 0; i < 3; i++)
+		n.p[NAVIGATION_V + i][NAVIGATION_V + i] = n.p[NAVIGATION_BG + i][NAVIGATION_BG + i] = 1;
+	return n;
+}
+
+/* 0.01 m/s; of a foot that rolls about a point 0.1 m away, and accelerates for 0.1 s, 0.03 m/s and those. By a hand
+ * it does not turn: the mean rate is the gyro's bias but for its white noise and 1e-5 rad/s. */
+static void test_a_standstill_by_dwell_is_measured_with_what_may_still_move(void **state)
+{
+	const struct vec3 rate = {0.02, 0, 0}, accel = {0.1, 0, 0};
+	const struct {
+		enum motion_preset preset;
+		struct vec3 rate, accel;
+		double sigma;
+	} cases[] = {{MOTION_HAND_HELD, ZERO, ZERO, 0.01}, {MOTION_FOOT, ZERO, ZERO, 0.03},
+		{MOTION_FOOT, rate, ZERO, hypot(0.03, 0.002)}, {MOTION_FOOT, ZERO, accel, hypot(0.03, 0.01)}};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct navigation n = standing(cases[i].preset, cases[i].rate, cases[i].accel);
+		double t, bias2;
+
+		n.config.noise.accel_density_m_s2_sqrt_hz = n.config.noise.gyro_bias_instability_rad_s = 0;
+		n.accel_bias_b_m_s2 = ZERO;
+		t = one_interval(&n, cases[i].rate, cases[i].accel);
+		bias2 = 4e-6 / 2 / t + 1e-10;
+		assert_near(sqrt(n.p[NAVIGATION_V][NAVIGATION_V]) / cases[i].sigma, 1, 0.002);
+		if (i == 0)
+			assert_near(n.p[NAVIGATION_BG + 1][NAVIGATION_BG + 1] / bias2, 1, 0.01);
+	}
+}
+
+/* After 5 s of movement the velocity is measured as zero ten times a second, with a sigma for each axis of its greatest high-pass:
+ * of motions whose greatest square is 3.3 times the mean; and 0.05 m/s. */
+static void test_levelling_measures_the_velocity_by_its_spread(void **state)
+{
+	static const struct {
+		double moving_s, high_pass2_max;
+	} cases[] = {{4.5, 1}, {5.5, 0}, {5.5, 1}, {60, 4}};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct navigation n = started(MOTION_HAND_HELD);
+		double t, noise;
+
+		memset(n.p, 0, sizeof(n.p));
+		n.config.noise = (struct noise_config){0};
+		n.p[NAVIGATION_V][NAVIGATION_V] = 1;
+		n.moving_s = cases[i].moving_s;
+		n.high_pass2_max = cases[i].high_pass2_max;
+		t = one_interval(&n, ZERO, (struct vec3){0.5, 0, 0});
+		assert_true(!n.still && n.high_pass2_max < cases[i].high_pass2_max + 0.01);
+		noise = (n.high_pass2_max / 3 / 3.3 + 0.05 * 0.05) * 0.1 / t;
+		assert_near(n.p[NAVIGATION_V][NAVIGATION_V], cases[i].moving_s < 5 ? 1 : noise / (1 + noise), 1e-3);
+	}
+}
+
+/* The bias at a standstill differs from that in the movement by 0.006 of the acceleration, as far as it has turned within 0.3 s. */
+static void test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion(void **state)
+{
+	(void)state;
+	for (int fast = 0; fast < 2; fast++) {
+		struct navigation n = started(MOTION_ANY);
+		const double rate2 = fast ? 25 : 4, accel2 = 100, moved_s = 1000;
+
+		memset(n.p, 0, sizeof(n.p));
+		n.config.noise = (struct noise_config){0};
+		n.moved_s = moved_s;
+		n.moved_accel2_m2_s3 = accel2 * moved_s;
+		n.moved_turned2_rad2_s = rate2 * moved_s;
+		n.zero_velocity.standing_s = 1;	     /* as seen by the last correction */
+		n.zero_velocity.vibration_m2_s2 = 1; /* the first measurement of zero tells nothing of it */
+		one_interval(&n, ZERO, ZERO);
+		assert_true(n.still);
+		assert_near(sqrt(n.p[NAVIGATION_BA][NAVIGATION_BA]) / (0.006 * 10 * (fast ? 1 : 0.3 * 2)), 1, 0.02);
+	}
+}
+
 /* A hand or a robot may have accelerated at 2 m/s^2 meanwhile, and went on with its velocity. */
 static void test_after_a_gap_sigma_has_grown_by_what_may_have_happened(void **state)
 {
@@ -1226,6 +1313,9 @@ int main(void)
 		cmocka_unit_test(test_at_the_start_nothing_is_known_better_than_after_a_calibration),
 		cmocka_unit_test(test_noise_and_errors_of_scale_add_up_within_an_interval),
 		cmocka_unit_test(test_the_fusions_heading_counts_with_2_degrees_once_in_3_s),
+		cmocka_unit_test(test_a_standstill_by_dwell_is_measured_with_what_may_still_move),
+		cmocka_unit_test(test_levelling_measures_the_velocity_by_its_spread),
+		cmocka_unit_test(test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion),
 		cmocka_unit_test(test_after_a_gap_sigma_has_grown_by_what_may_have_happened),
 		cmocka_unit_test(test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before),
 		cmocka_unit_test(test_an_aided_velocity_beyond_5_sigma_replaces_the_velocity),

@@ -59,6 +59,21 @@ static void test_the_trapezoidal_rule_is_used_with_the_actual_time(void **state)
 	assert_near(p.position_n_m.x, 0.085, 1e-15);
 }
 
+/* Over missing samples nothing is integrated; the mean of the next interval is with the acceleration at their end. */
+static void test_after_missing_samples_integration_continues_from_the_acceleration_then(void **state)
+{
+	struct position p = no_limit();
+
+	(void)state;
+	position_step(&p, (struct vec3){2, 0, 0}, false, 0.1);
+	position_skip(&p, (struct vec3){6, 0, 0}, QUAT_IDENTITY, 0.5);
+	assert_near(p.velocity_n_m_s.x, 0.1, 1e-15);
+	assert_near(p.moving_s, 0.6, 1e-15);
+	position_step(&p, (struct vec3){4, 0, 0}, false, 0.2); /* mean 5 */
+	assert_near(p.velocity_n_m_s.x, 1.1, 1e-15);
+	assert_near(p.position_n_m.x, 0.005 + 0.12, 1e-15);
+}
+
 static void test_rest_zeroes_the_velocity_and_holds_the_position(void **state)
 {
 	struct position p = no_limit();
@@ -216,6 +231,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_position_is_the_double_integral_of_the_acceleration),
 		cmocka_unit_test(test_the_trapezoidal_rule_is_used_with_the_actual_time),
+		cmocka_unit_test(test_after_missing_samples_integration_continues_from_the_acceleration_then),
 		cmocka_unit_test(test_rest_zeroes_the_velocity_and_holds_the_position),
 		cmocka_unit_test(test_the_mean_acceleration_at_rest_is_subtracted_in_the_movement_after_it),
 		cmocka_unit_test(test_after_the_longest_integration_time_the_position_is_held),

@@ -61,6 +61,19 @@ static void test_uneven_sampling_times_do_not_disturb_the_derivative_of_a_ramp(v
 	assert_vec_near(rate, along(4), 1e-6);
 }
 
+/* Within 30 % of the interval the poles are those of even sampling; beyond, those of the interval itself. */
+static void test_the_poles_are_those_of_even_sampling_within_30_percent(void **state)
+{
+	(void)state;
+	for (double share = 0.62; share < 1.5; share += 0.05) {
+		struct differentiator3 even = differentiator(20), uneven = differentiator(20);
+		double by_even = differentiator3_step(&even, along(1), DT_S).x;
+		double by_uneven = share * differentiator3_step(&uneven, along(1), share * DT_S).x;
+
+		assert_int_equal(fabs(by_uneven / by_even - 1) < 1e-9, fabs(share - 1) < 0.299);
+	}
+}
+
 static void test_a_lower_cutoff_lets_less_noise_through(void **state)
 {
 	struct differentiator3 slow = differentiator(10), fast = differentiator(40);
@@ -227,6 +240,7 @@ int main(void)
 		cmocka_unit_test(test_a_primed_differentiator_has_a_derivative_of_zero),
 		cmocka_unit_test(test_the_derivative_of_a_parabola_is_followed_without_lag),
 		cmocka_unit_test(test_uneven_sampling_times_do_not_disturb_the_derivative_of_a_ramp),
+		cmocka_unit_test(test_the_poles_are_those_of_even_sampling_within_30_percent),
 		cmocka_unit_test(test_a_lower_cutoff_lets_less_noise_through),
 		cmocka_unit_test(test_the_fastest_cutoff_is_stable),
 		cmocka_unit_test(test_both_sources_give_rate_and_acceleration_of_a_swinging_body),

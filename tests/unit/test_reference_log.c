@@ -6,6 +6,7 @@
 
 #include "tests/unit/model_test.h"
 #include "tools/lib/reference_log.h"
+#include "tests/unit/descriptors.h"
 
 #define HEADER "t,qw,qx,qy,qz,arx,ary,arz\n"
 
@@ -119,5 +120,5 @@ int main(void)
 		cmocka_unit_test(test_a_missing_file_is_reported),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

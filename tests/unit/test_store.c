@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include "gateway/store.h"
+#include "tests/unit/descriptors.h"
 
 static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
 
@@ -330,5 +331,5 @@ int main(void)
 		TEST(test_closing_waits_for_a_write_in_progress),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }
