@@ -39,7 +39,7 @@ int64_t i2c_imu_now_ns(void *unused)
 
 static void sleep_until(void *unused, int64_t ns)
 {
-	struct timespec at = {ns / NS_PER_S, ns % NS_PER_S};
+	struct timespec at = {ns / NS_PER_S, (long)(ns % NS_PER_S)};
 
 	(void)unused;
 	while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR)
