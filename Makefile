@@ -1,6 +1,7 @@
 # IMU9 CANopen gateway. `make help` lists the targets.
 #
 #   CC=clang        another compiler            BUILD=DIR       where everything is built (default build)
+#   CC=aarch64-linux-gnu-gcc: cross build       CC_FOR_BUILD    the compiler for what runs while building
 #   DEPS=no         do not install packages     SAN=FLAGS       e.g. -fsanitize=thread
 #   WERROR=yes      a warning is an error (for developers and CI)
 #   PREFIX, DESTDIR where `make install` puts things
@@ -16,6 +17,16 @@ SEED ?= 1
 LAYERS ?= model,od,canopen
 JOBS ?= 1
 SAN ?=
+
+# A cross compiler PREFIX-gcc brings PREFIX-ar and PREFIX-pkg-config, and its tests run in qemu. The generator is for the
+# machine that builds.
+CROSS := $(if $(findstring -gcc,$(lastword $(CC))),$(firstword $(subst -gcc,- ,$(lastword $(CC)))))
+CC_FOR_BUILD ?= $(if $(CROSS),gcc,$(CC))
+AR := $(CROSS)ar
+PKG_CONFIG ?= $(CROSS)pkg-config
+EMULATOR ?= $(if $(CROSS),qemu-$(firstword $(subst -, ,$(notdir $(CROSS)))))
+# the two APIs of libgpiod, 1 and 2, have a file each
+GPIOD_API := $(or $(shell $(PKG_CONFIG) --modversion libgpiod 2>/dev/null | cut -d. -f1),-missing)
 
 CFLAGS ?= -O2 -g
 WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Wmissing-prototypes \
@@ -33,6 +44,7 @@ GEN := $(BUILD)/gen/od_index.h $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c 
 MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/i2c/*.c drivers/imu/*.c drivers/imu/*/*.c)
+DRIVERS_SRC := $(filter-out drivers/imu/pololu/drdy_gpiod%,$(DRIVERS_SRC)) drivers/imu/pololu/drdy_gpiod$(GPIOD_API).c
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
@@ -62,11 +74,14 @@ $(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
 
+drivers/imu/pololu/drdy_gpiod-missing.c:
+	@echo "$(PKG_CONFIG) finds no libgpiod: tools/deps build" >&2; exit 1
+
 # the generator is built before anything that needs what it generates
 GEN_OD_SRC := $(call sources,tools/eds/*.c) $(OD_SRC)
 $(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds/*.h)
 	@mkdir -p $(@D)
-	$(Q)$(CC) $(filter-out -MMD -MP,$(ALL_CFLAGS)) -o $@ $(GEN_OD_SRC) $(LDLIBS)
+	$(Q)$(CC_FOR_BUILD) $(filter-out -MMD -MP,$(ALL_CFLAGS)) -o $@ $(GEN_OD_SRC) -linih -lm
 
 $(GEN) &: eds/imu9-gateway.eds $(BUILD)/gen-od
 	@mkdir -p $(BUILD)/gen
@@ -96,6 +111,8 @@ $(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a %.so,$^) -lcmocka $(LDLIBS)
+
+$(BUILD)/tests/unit/test_i2c_drdy: $(BUILD)/obj/tests/unit/gpiod/gpiod$(GPIOD_API)_stub.o
 
 $(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
 	@mkdir -p $(@D)
@@ -131,12 +148,15 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers check-objects \
+.PHONY: tests check distros asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers check-objects \
 	readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
-	@BUILD=$(BUILD) tests/run unit scenario
+	@BUILD=$(BUILD) EMULATOR=$(EMULATOR) tests/run unit scenario
+
+distros: ## build and test in clean roots of Debian 12 and 13, also cross-built (half an hour; tests/distros --help)
+	@tests/distros
 
 # With sanitizers gcc warns of overflows that are none: there a warning is no error.
 asan: ## unit and scenario tests with AddressSanitizer and UBSan

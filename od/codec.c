@@ -67,7 +67,7 @@ bool od_dcf_valid(const uint8_t *in, size_t size)
 		used += HEAD_SIZE;
 		if (length > size - used)
 			return false;
-		used += length;
+		used += (size_t)length;
 	}
 	return count == 0 && used == size;
 }

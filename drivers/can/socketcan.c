@@ -295,7 +295,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 	int result;
 
 	if (strlen(interface) >= IFNAMSIZ) {
-		snprintf(error, error_size, "'%s' is too long for an interface name: use at most %d characters",
+		snprintf(error, error_size, "'%.60s' is too long for an interface name: use at most %d characters",
 			interface, IFNAMSIZ - 1);
 		return -EINVAL;
 	}

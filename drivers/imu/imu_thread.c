@@ -76,7 +76,7 @@ void imu_thread_wait(struct imu_thread *t, int64_t until_ns, struct pollfd *fds,
 	uint64_t count;
 
 	if (left_ns > 0)
-		timeout = (struct timespec){left_ns / NS_PER_S, left_ns % NS_PER_S};
+		timeout = (struct timespec){left_ns / NS_PER_S, (long)(left_ns % NS_PER_S)};
 	for (size_t i = 0; i < n; i++)
 		all[1 + i] = fds[i];
 	if (ppoll(all, (nfds_t)(1 + n), &timeout, NULL) > 0 && all[0].revents &&

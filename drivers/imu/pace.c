@@ -18,7 +18,7 @@ static int64_t now_ns(void)
 /* Setting the timer also makes the descriptor unreadable. */
 static void wake_at(const struct pace *pace, int64_t at_ns)
 {
-	struct itimerspec timer = {.it_value = {at_ns / NS_PER_S, at_ns % NS_PER_S}};
+	struct itimerspec timer = {.it_value = {at_ns / NS_PER_S, (long)(at_ns % NS_PER_S)}};
 
 	timerfd_settime(pace->fd, TFD_TIMER_ABSTIME, &timer, NULL);
 }

@@ -9,6 +9,12 @@ static uint8_t node_of(uint32_t value)
 	return (uint8_t)(value >> 16);
 }
 
+/* A product of 64 bits: in one of 32 bits gcc 14 for arm64 loses the mask (-O2). */
+static uint64_t time_us(uint32_t value)
+{
+	return (uint64_t)(value & 0xFFFF) * 1000;
+}
+
 /* An entry without a node-ID or a time is not in use. */
 static bool in_use(uint32_t value)
 {
@@ -102,7 +108,7 @@ void heartbeat_receive(struct canopen_node *node, const struct can_msg *msg)
 			emcy_clear(node, EMCY_HEARTBEAT, consumer->node_id);
 		consumer->lost = false;
 		consumer->alive = true;
-		consumer->deadline_us = node->now_us + (*consumer->value & 0xFFFF) * 1000u;
+		consumer->deadline_us = node->now_us + time_us(*consumer->value);
 		return;
 	}
 }

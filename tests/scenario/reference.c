@@ -754,7 +754,8 @@ static void heartbeat_of(struct reference *r, const struct can_msg *msg)
 			ref_error_clear(r, 0x8130, node_id);
 		r->consumer[i].lost = false;
 		r->consumer[i].alive = true;
-		r->consumer[i].deadline_us = r->now_us + (ref_value(r, 0x1016, (uint8_t)(i + 1)) & 0xFFFF) * 1000u;
+		r->consumer[i].deadline_us =
+			r->now_us + (uint64_t)(ref_value(r, 0x1016, (uint8_t)(i + 1)) & 0xFFFF) * 1000;
 		return;
 	}
 }

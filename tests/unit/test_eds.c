@@ -514,10 +514,10 @@ static void test_a_line_too_long_is_refused(void **state)
 	(void)state;
 	memset(line + 5, 'x', sizeof(line) - 6);
 	assert_int_equal(load(changed("Unit=m", line), EDS_LENIENT), -EINVAL);
-	assert_non_null(strstr(error, "is longer than 199 characters"));
-	line[199] = '\0';
+	assert_non_null(strstr(error, "is longer than 198 characters"));
+	line[198] = '\0';
 	assert_int_equal(load(changed("Unit=m", line), EDS_STRICT), 0);
-	assert_int_equal(strlen(entry_of(0x2000, 1)->unit), 199 - 5);
+	assert_int_equal(strlen(entry_of(0x2000, 1)->unit), 198 - 5);
 }
 
 static void test_a_nul_byte_is_refused(void **state)

@@ -1,5 +1,5 @@
-/* The data-ready line of a board on I2C, drdy=GPIOCHIP:LINE: libgpiod is simulated, its functions are defined here. The
- * driver's thread runs within run(), on simulated chips, in a time that moves only here. */
+/* The data-ready line of a board on I2C, drdy=GPIOCHIP:LINE: libgpiod is simulated by tests/unit/gpiod/. The driver's
+ * thread runs within run(), on simulated chips, in a time that moves only here. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -7,9 +7,9 @@
 #include <cmocka.h>
 
 #include <errno.h>
-#include <gpiod.h>
 #include <poll.h>
 #include <pthread.h>
+#include <signal.h>
 #include <string.h>
 #include <time.h>
 
@@ -17,24 +17,13 @@
 #include "drivers/imu/pololu/i2c_imu.h"
 #include "drivers/imu/sim/sim_chips.h"
 #include "tests/unit/descriptors.h"
+#include "tests/unit/gpiod/gpiod_stub.h"
 
-enum { LINE = 17, LINE_FD = 1000, LATENCY_NS = 20000 };
-
-struct gpiod_chip {
-	int unused;
-};
-struct gpiod_line {
-	int unused;
-};
+enum { LATENCY_NS = 20000 };
 
 static struct world {
-	struct gpiod_chip chip;
-	struct gpiod_line line;
-	bool no_chip, no_line, busy;
-	unsigned open_chips, requests, events_read;
-
 	struct sim_board *sim;
-	int64_t now_ns, edge_ns;
+	int64_t now_ns, edge_ns; /* edge_ns: the sample of the last edge */
 	void *(*thread)(void *);
 	void *thread_ctx;
 	unsigned waits;
@@ -47,7 +36,7 @@ static struct imu_port *port;
 int clock_gettime(clockid_t clock, struct timespec *t)
 {
 	(void)clock;
-	*t = (struct timespec){w.now_ns / 1000000000, w.now_ns % 1000000000};
+	*t = (struct timespec){w.now_ns / 1000000000, (long)(w.now_ns % 1000000000)};
 	return 0;
 }
 
@@ -81,75 +70,28 @@ int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const si
 		sim_board_taken(w.sim, IMU_CHIP_GYRO, &newest_ns);
 		if (n == 1 || (int64_t)newest_ns <= w.edge_ns || w.now_ns < (int64_t)newest_ns + LATENCY_NS)
 			continue;
-		assert_int_equal(fds[1].fd, LINE_FD);
+		assert_int_equal(fds[1].fd, GPIOD_STUB_FD);
 		w.edge_ns = (int64_t)newest_ns;
+		gpiod_stub.edge_ns = w.edge_ns + LATENCY_NS;
 		fds[1].revents = POLLIN;
 		return 1;
 	}
 	return 0;
 }
 
-/* ---- libgpiod ---------------------------------------------------------------------------------------------------- */
-
-struct gpiod_chip *gpiod_chip_open_lookup(const char *name)
-{
-	assert_string_equal(name, "gpiochip3");
-	errno = ENOENT;
-	w.open_chips += !w.no_chip;
-	return w.no_chip ? NULL : &w.chip;
-}
-
-void gpiod_chip_close(struct gpiod_chip *chip)
-{
-	(void)chip;
-	w.open_chips--;
-}
-
-struct gpiod_line *gpiod_chip_get_line(struct gpiod_chip *chip, unsigned line)
-{
-	(void)chip;
-	assert_int_equal(line, LINE);
-	errno = EINVAL;
-	return w.no_line ? NULL : &w.line;
-}
-
-int gpiod_line_request_rising_edge_events(struct gpiod_line *line, const char *consumer)
-{
-	assert_non_null(line);
-	assert_string_equal(consumer, "imu9-gateway");
-	w.requests++;
-	errno = EBUSY;
-	return w.busy ? -1 : 0;
-}
-
-int gpiod_line_event_get_fd(struct gpiod_line *line)
-{
-	(void)line;
-	return LINE_FD;
-}
-
-int gpiod_line_event_read(struct gpiod_line *line, struct gpiod_line_event *event)
-{
-	const int64_t ns = w.edge_ns + LATENCY_NS;
-
-	(void)line;
-	w.events_read++;
-	*event = (struct gpiod_line_event){.ts = {ns / 1000000000, ns % 1000000000}};
-	return 0;
-}
-
 /* ---- the gateway's side ------------------------------------------------------------------------------------------ */
 
-static int start(char *error, size_t error_size)
+static int start(struct gpiod_stub gpio, const char *drdy_chip, char *error, size_t error_size)
 {
 	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
-	const struct i2c_imu_config driver = {.name = "i2c:test", .drdy_chip = "gpiochip3", .drdy_line = LINE};
+	const struct i2c_imu_config driver = {.name = "i2c:test", .drdy_chip = drdy_chip, .drdy_line = GPIOD_STUB_LINE};
 	struct sim_config config = {.board = "v3",
 		.signal = signal_find("rest"),
 		.sensor = *sensor_preset("lsm303dlhc_l3gd20"),
 		.now_ns = i2c_imu_now_ns};
 
-	w.now_ns = 1000000000;
+	gpiod_stub = gpio;
+	w = (struct world){.now_ns = 1000000000};
 	assert_int_equal(sim_board_open(&config, &w.sim), 0);
 	return i2c_imu_start(sim_board_bus(w.sim), &driver, &settings, &port, error, error_size);
 }
@@ -166,13 +108,12 @@ static void test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro(voi
 	char error[200];
 
 	(void)state;
-	w = (struct world){0};
-	assert_int_equal(start(error, sizeof(error)), 0);
-	assert_int_equal(w.requests, 1);
+	assert_int_equal(start((struct gpiod_stub){0}, "gpiochip3", error, sizeof(error)), 0);
+	assert_int_equal(gpiod_stub.requests, 1);
 	run(20);
 	assert_int_equal(sim_board_registers(w.sim, IMU_CHIP_GYRO)[0x22], 0x08); /* I2_DRDY */
 	imu_close(port);
-	assert_int_equal(w.open_chips, 0);
+	assert_int_equal(gpiod_stub.open_objects, 0);
 }
 
 static void test_each_edge_is_read_and_times_its_sample(void **state)
@@ -183,8 +124,7 @@ static void test_each_edge_is_read_and_times_its_sample(void **state)
 	int n = 0;
 
 	(void)state;
-	w = (struct world){0};
-	assert_int_equal(start(error, sizeof(error)), 0);
+	assert_int_equal(start((struct gpiod_stub){0}, "gpiochip3", error, sizeof(error)), 0);
 	run(2000);
 	while (imu_read(port, &sample) == 1) {
 		double newest_ns, periods;
@@ -199,27 +139,39 @@ static void test_each_edge_is_read_and_times_its_sample(void **state)
 		last_us = sample.t_us;
 	}
 	assert_true(n > 100);
-	assert_true(w.events_read > 100);
+	assert_true(gpiod_stub.events_read > 100);
 	imu_close(port);
 }
 
-static void assert_refused(struct world world, int result)
+static void assert_refused(struct gpiod_stub gpio, int result)
 {
 	char error[200] = "";
 
-	w = world;
-	assert_int_equal(start(error, sizeof(error)), result);
+	assert_int_equal(start(gpio, "gpiochip3", error, sizeof(error)), result);
 	assert_non_null(strstr(error, "data-ready line gpiochip3:17"));
 	assert_non_null(strstr(error, "gpioinfo"));
-	assert_int_equal(w.open_chips, 0);
+	assert_int_equal(gpiod_stub.open_objects, 0);
 }
 
 static void test_a_line_that_cannot_be_used_is_refused(void **state)
 {
 	(void)state;
-	assert_refused((struct world){.no_chip = true}, -ENOENT);
-	assert_refused((struct world){.no_line = true}, -EINVAL);
-	assert_refused((struct world){.busy = true}, -EBUSY);
+	assert_refused((struct gpiod_stub){.no_chip = true}, -ENOENT);
+	assert_refused((struct gpiod_stub){.no_line = true}, -EINVAL);
+	assert_refused((struct gpiod_stub){.busy = true}, -EBUSY);
+}
+
+static void test_a_chip_has_a_name_a_number_and_a_path(void **state)
+{
+	static const char *const names[] = {"gpiochip3", "3", "/dev/gpiochip3"};
+	char error[200];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(names) / sizeof(names[0]); i++) {
+		assert_int_equal(start((struct gpiod_stub){0}, names[i], error, sizeof(error)), 0);
+		imu_close(port);
+		assert_int_equal(gpiod_stub.open_objects, 0);
+	}
 }
 
 int main(void)
@@ -228,6 +180,7 @@ int main(void)
 		cmocka_unit_test(test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro),
 		cmocka_unit_test(test_each_edge_is_read_and_times_its_sample),
 		cmocka_unit_test(test_a_line_that_cannot_be_used_is_refused),
+		cmocka_unit_test(test_a_chip_has_a_name_a_number_and_a_path),
 	};
 
 	return cmocka_run_group_tests_name("i2c_drdy", tests, count_descriptors, no_descriptor_is_left);

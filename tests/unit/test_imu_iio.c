@@ -89,7 +89,7 @@ static struct imu_port *port;
 int clock_gettime(clockid_t clock, struct timespec *t)
 {
 	(void)clock;
-	*t = (struct timespec){w.now_ns / (1000 * MS), w.now_ns % (1000 * MS)};
+	*t = (struct timespec){w.now_ns / (1000 * MS), (long)(w.now_ns % (1000 * MS))};
 	return 0;
 }
 

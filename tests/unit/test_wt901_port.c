@@ -55,7 +55,7 @@ static struct imu_port *port;
 int clock_gettime(clockid_t clock, struct timespec *t)
 {
 	(void)clock;
-	*t = (struct timespec){w.now_ns / 1000000000, w.now_ns % 1000000000};
+	*t = (struct timespec){w.now_ns / 1000000000, (long)(w.now_ns % 1000000000)};
 	return 0;
 }
 

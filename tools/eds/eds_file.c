@@ -97,7 +97,7 @@ static bool is_comment_key(const char *from, size_t size)
 }
 
 /* Line reader for inih. Counts lines and section headers for error messages, and removes leading blanks, which inih
- * would read as a continuation of the line before. */
+ * would read as a continuation of the line before. Each line ends with \n alone, and has room for it. */
 static char *read_line(char *buffer, int capacity, void *ctx)
 {
 	struct eds_file *file = ctx;
@@ -112,6 +112,8 @@ static char *read_line(char *buffer, int capacity, void *ctx)
 	file->line++;
 	while (from < end && (*from == ' ' || *from == '\t'))
 		from++;
+	if (end > from && end[-1] == '\r')
+		end--;
 	size = (size_t)(end - from);
 	if (size && *from == ';' && is_comment_key(from + 1, size - 1)) {
 		from++;
@@ -123,14 +125,14 @@ static char *read_line(char *buffer, int capacity, void *ctx)
 		eds_fail(file, file->line, "contains a NUL byte; an EDS is plain text");
 		return NULL;
 	}
-	if (size >= (size_t)capacity) {
-		eds_fail(file, file->line, "is longer than %d characters; shorten it", capacity - 1);
+	if (size + sizeof("\n") > (size_t)capacity) {
+		eds_fail(file, file->line, "is longer than %d characters; shorten it", capacity - 2);
 		return NULL;
 	}
 	if (size && *from == '[')
 		file->header = file->line;
 	memcpy(buffer, from, size);
-	buffer[size] = '\0';
+	memcpy(buffer + size, "\n", sizeof("\n")); /* to inih 59 a full buffer without it is a part of a line */
 	return buffer;
 }
 

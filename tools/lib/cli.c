@@ -4,6 +4,7 @@
 #include <ctype.h>
 #include <errno.h>
 #include <getopt.h>
+#include <inttypes.h>
 #include <math.h>
 #include <poll.h>
 #include <signal.h>
@@ -63,19 +64,27 @@ void cli_bad_option(int getopt_result, char *const argv[])
 	cli_usage_error("unknown option %s", word);
 }
 
-bool cli_integer(const char *text, long low, long high, long *value)
+/* In 64 bits: a long of 32-bit processors does not hold every UNSIGNED32. */
+static bool whole_number(const char *text, int64_t low, int64_t high, int64_t *value)
 {
 	const char *digits = text + (text[0] == '-');
 	bool hex = digits[0] == '0' && (digits[1] == 'x' || digits[1] == 'X');
 	char *end;
 
 	if (!isdigit((unsigned char)digits[0]))
-		return false; /* strtol() would accept spaces and a '+' */
+		return false; /* strtoll() would accept spaces and a '+' */
 	errno = 0;
-	long n = strtol(text, &end, hex ? 16 : 10);
-	if (*end || errno || n < low || n > high)
+	*value = strtoll(text, &end, hex ? 16 : 10);
+	return !*end && !errno && *value >= low && *value <= high;
+}
+
+bool cli_integer(const char *text, long low, long high, long *value)
+{
+	int64_t n;
+
+	if (!whole_number(text, low, high, &n))
 		return false;
-	*value = n;
+	*value = (long)n;
 	return true;
 }
 
@@ -97,6 +106,15 @@ long cli_integer_option(const char *option, const char *text, long low, long hig
 	if (!cli_integer(text, low, high, &value))
 		cli_usage_error("%s %s: not a whole number from %ld to %ld", option, text, low, high);
 	return value;
+}
+
+uint32_t cli_u32_option(const char *option, const char *text)
+{
+	int64_t value;
+
+	if (!whole_number(text, 0, UINT32_MAX, &value))
+		cli_usage_error("%s %s: not a whole number from 0 to %" PRIu32, option, text, UINT32_MAX);
+	return (uint32_t)value;
 }
 
 double cli_real_option(const char *option, const char *text, double low, double high)

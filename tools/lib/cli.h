@@ -23,6 +23,7 @@ bool cli_integer(const char *text, long low, long high, long *value);
 bool cli_real(const char *text, double low, double high, double *value);
 /** Likewise for the value of an option, e.g. "-n"; an invalid one ends the program with CLI_USAGE. */
 long cli_integer_option(const char *option, const char *text, long low, long high);
+uint32_t cli_u32_option(const char *option, const char *text);
 double cli_real_option(const char *option, const char *text, double low, double high);
 
 /** Bus and node-ID when the command line has none: $IMU9_CAN or vcan0, $IMU9_NODE or 1. */

@@ -21,8 +21,8 @@ static void move_to_node(struct settings *settings, long node_id)
 		if (!(setting->entry->access & OD_NODE_ID) || setting->size != 4)
 			continue;
 		memcpy(&base, (const char *)table->defaults + setting->entry->offset, 4);
-		if (sdo_number(setting->wire, 4) == (uint32_t)(base + settings->node_id))
-			sdo_put_u32(setting->wire, (uint32_t)(base + node_id));
+		if (sdo_number(setting->wire, 4) == base + (uint32_t)settings->node_id)
+			sdo_put_u32(setting->wire, base + (uint32_t)node_id);
 	}
 }
 

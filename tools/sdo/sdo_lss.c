@@ -308,7 +308,7 @@ static void extract_identity(struct lss *lss, int *argc, char **argv)
 		snprintf(option, sizeof(option), "--%s", number_names[i]);
 		const char *text = sdo_extract_value(argc, argv, option);
 		if (text)
-			lss->wanted[i] = (uint32_t)cli_integer_option(option, text, 0, 0xFFFFFFFF);
+			lss->wanted[i] = cli_u32_option(option, text);
 		else if (entry && entry->size == 4)
 			memcpy(&lss->wanted[i], (const uint8_t *)table->defaults + entry->offset, 4);
 		lss->selective |= text != NULL;

@@ -1,7 +1,6 @@
 #include "drivers/imu/pololu/i2c_imu.h"
 
 #include <errno.h>
-#include <gpiod.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -9,6 +8,7 @@
 #include <unistd.h>
 
 #include "drivers/imu/pololu/board.h"
+#include "drivers/imu/pololu/drdy.h"
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
@@ -21,8 +21,7 @@ struct i2c_imu {
 
 	/* used by the thread only */
 	struct board board;
-	struct gpiod_chip *gpio;
-	struct gpiod_line *drdy;
+	struct drdy *drdy; /* or NULL */
 
 	/* set by the port, read by the thread */
 	atomic_bool self_test, replan;
@@ -40,7 +39,7 @@ int64_t i2c_imu_now_ns(void *unused)
 
 static void sleep_until(void *unused, int64_t ns)
 {
-	struct timespec at = {ns / NS_PER_S, ns % NS_PER_S};
+	struct timespec at = {ns / NS_PER_S, (long)(ns % NS_PER_S)};
 
 	(void)unused;
 	while (clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &at, NULL) == EINTR)
@@ -65,13 +64,13 @@ static void deliver(struct i2c_imu *imu)
 static void wait_until(struct i2c_imu *imu, int64_t wake_ns)
 {
 	struct pollfd fd = {.events = POLLIN};
-	struct gpiod_line_event event;
+	int64_t edge_ns;
 
 	if (imu->drdy)
-		fd.fd = gpiod_line_event_get_fd(imu->drdy);
+		fd.fd = drdy_fd(imu->drdy);
 	imu_thread_wait(&imu->thread, wake_ns, &fd, imu->drdy ? 1 : 0);
-	if (fd.revents && gpiod_line_event_read(imu->drdy, &event) == 0)
-		board_data_ready(&imu->board, (int64_t)event.ts.tv_sec * NS_PER_S + event.ts.tv_nsec);
+	if (fd.revents && drdy_read(imu->drdy, &edge_ns) == 0)
+		board_data_ready(&imu->board, edge_ns);
 }
 
 static void apply_requests(struct i2c_imu *imu)
@@ -154,8 +153,7 @@ static void port_self_test(struct imu_port *port)
 
 static void release(struct i2c_imu *imu)
 {
-	if (imu->gpio)
-		gpiod_chip_close(imu->gpio);
+	drdy_close(imu->drdy);
 	pthread_mutex_destroy(&imu->plan_lock);
 	imu_thread_release(&imu->thread);
 	i2c_close(imu->bus);
@@ -182,9 +180,8 @@ static int open_drdy(struct i2c_imu *imu, char *error, size_t error_size)
 
 	if (!config->drdy_chip)
 		return 0;
-	imu->gpio = gpiod_chip_open_lookup(config->drdy_chip);
-	imu->drdy = imu->gpio ? gpiod_chip_get_line(imu->gpio, config->drdy_line) : NULL;
-	if (imu->drdy && gpiod_line_request_rising_edge_events(imu->drdy, "imu9-gateway") == 0)
+	imu->drdy = drdy_open(config->drdy_chip, config->drdy_line);
+	if (imu->drdy)
 		return 0;
 	result = errno ? -errno : -EIO;
 	snprintf(error, error_size, "data-ready line %s:%u: %s: use one that `gpioinfo` lists as unused",
