@@ -22,6 +22,7 @@
 #include "gateway/lever_arm_command.h"
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
+#include "gateway/lever_arm_um.h"
 #include "gateway/pdo_preset.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
@@ -55,6 +56,7 @@ struct device {
 	struct last_movement last_movement;
 	struct angle_filter angle_filter;
 	struct pdo_preset pdo_preset;
+	struct lever_arm_um lever_arm_um;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;
@@ -77,7 +79,7 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 /** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second.
  * */
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);
-/** The save in progress has ended: 0 or -errno. */
+/** The save in progress has ended, `result` as of store_write(). */
 void device_saved(struct device *d, int result, uint64_t now_us);
 /** The process was not scheduled for up to `us` (stopped, or the machine overloaded): the sensor's timeout does not
  * count this time. */

@@ -14,6 +14,9 @@
 #include "gateway/device.h"
 #include "gateway/log.h"
 #include "gateway/loop.h"
+#include "gateway/process_guard.h"
+#include "gateway/serial.h"
+#include "gateway/store_name.h"
 #include "od_values.h"
 
 enum { EXIT_USAGE = 2 };
@@ -32,7 +35,8 @@ static const char usage[] =
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
-	"      --serial N        1018h:4, unique among all units   (default: from machine, SRC, BUS)\n"
+	"      --serial N        1018h:4, unique among all units   (default: from the hardware, kept)\n"
+	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
@@ -52,6 +56,7 @@ static const struct option options[] = {
 	{"store", required_argument, NULL, OPT_KEY},
 	{"realtime", required_argument, NULL, OPT_KEY},
 	{"serial", required_argument, NULL, OPT_KEY},
+	{"vendor-id", required_argument, NULL, OPT_KEY},
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"help", no_argument, NULL, OPT_HELP},
@@ -144,6 +149,8 @@ static int apply_environment(struct config *config, const char *variable, const 
 	return EXIT_USAGE;
 }
 
+static struct process_guard guard;
+
 /* The file before the other options, in any order on the command line. -1: run, else the exit status. */
 static int read_configuration(struct config *config, int argc, char **argv)
 {
@@ -156,8 +163,11 @@ static int read_configuration(struct config *config, int argc, char **argv)
 		return status;
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
-		if (option == 'c' && config_file(config, optarg, why) < 0)
-			return bad_configuration(why);
+		if (option == 'c') {
+			process_guard_opening(&guard, optarg);
+			if (config_file(config, optarg, why) < 0)
+				return bad_configuration(why);
+		}
 	optind = 0; /* glibc: start again */
 	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
 		status = apply_option(config, option, index, argv);
@@ -180,27 +190,6 @@ static void store_folder(char *folder, size_t size, const struct config *config)
 		snprintf(folder, size, "%.400s/imu9-gateway", state);
 	else
 		snprintf(folder, size, "%.400s/.local/state/imu9-gateway", home);
-}
-
-/* One file for each bus, since the node-ID can change. */
-static void store_path(char *path, size_t size, const char *folder, const char *bus)
-{
-	int n = snprintf(path, size, "%s/", folder);
-
-	snprintf(path + n, size - (size_t)n, "%s.store", bus);
-	for (char *p = path + n; *p; p++)
-		if (strchr("/:[] ", *p))
-			*p = '_';
-}
-
-/* Version 0.1 named the file after the node-ID. */
-static void rename_old_store(const char *path, const char *folder, unsigned node_id)
-{
-	char old[STORE_PATH_MAX];
-
-	snprintf(old, sizeof(old), "%.500s/node-%u.store", folder, node_id);
-	if (access(path, F_OK) < 0 && errno == ENOENT && rename(old, path) == 0)
-		log_line("%s renamed to %s", old, path);
 }
 
 static void go_realtime(unsigned priority)
@@ -231,7 +220,7 @@ static struct store_writer writer;
  * gateway from running. */
 static struct store_writer *open_store(const struct config *config, bool *damaged)
 {
-	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX];
+	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX], old[sizeof(path)];
 
 	*damaged = false;
 	store_folder(folder, sizeof(folder), config);
@@ -243,13 +232,19 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 			path);
 		return NULL;
 	}
-	rename_old_store(path, folder, config->node_id);
-	int rc = store_read(&stored, path);
+	int rc = store_take_over(path, folder, config->can, config->node_id, old, sizeof(old));
+	if (rc > 0)
+		log_line("%s renamed to %s", old, path);
+	else if (rc < 0)
+		log_line("%s has the values stored before; it cannot be renamed to %s: %s", old, path, strerror(-rc));
+	rc = store_read(&stored, path);
 	*damaged = rc < 0;
 	if (rc < 0)
 		log_line("%s: stored values not used: %s", path,
 			rc == -EBADMSG	 ? "damaged; kept as .bad"
 			: rc == -ENOTSUP ? "of a later version; kept as .bad"
+			: rc == -EINVAL	 ? "not a regular file"
+			: rc == -ELOOP	 ? "a symbolic link; use the folder it points to with --store"
 					 : strerror(-rc));
 	if (opened < 0) {
 		log_line("%s: %s: 1010h cannot store; use another folder with --store", path, strerror(-opened));
@@ -259,35 +254,22 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	return &writer;
 }
 
-/* Different for each gateway on each machine, and the same after each start. */
-static uint32_t serial_number(const struct config *config)
-{
-	char machine[64] = "", unit[2 * CONFIG_TEXT_MAX + 64];
-	FILE *f;
-
-	if (config->serial)
-		return config->serial;
-	f = fopen("/etc/machine-id", "re");
-	if (f) {
-		if (!fgets(machine, sizeof(machine), f))
-			machine[0] = '\0';
-		fclose(f);
-	}
-	int size = snprintf(
-		unit, sizeof(unit), "%.*s %s %s", (int)strcspn(machine, "\n"), machine, config->imu, config->can);
-	return od_crc32(0, unit, (size_t)size);
-}
-
 static void log_notes(const char *notes)
 {
 	for (; *notes; notes += strcspn(notes, "\n"), notes += *notes == '\n')
 		log_line("%.*s", (int)strcspn(notes, "\n"), notes);
 }
 
-/* 1009h, 100Ah, 1018h:4 and 1F56h. */
+/* 1009h, 100Ah, 1018h and 1F56h. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
-	values->identity.serial_number = serial_number(config);
+	char folder[CONFIG_TEXT_MAX * 2], note[SERIAL_NOTE_MAX];
+
+	store_folder(folder, sizeof(folder), config);
+	values->identity.serial_number = serial_number("", folder, config->can, config->serial, note);
+	log_notes(note);
+	if (config->vendor_id)
+		values->identity.vendor_id = config->vendor_id;
 	snprintf(values->manufacturer_hardware_version, sizeof(values->manufacturer_hardware_version), "%.31s",
 		imu->name);
 	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",
@@ -340,7 +322,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
 	bool damaged;
 
+	process_guard_opening(&guard, config->store[0] ? config->store : "the store");
 	struct store_writer *store = open_store(config, &damaged);
+	process_guard_opening(&guard, NULL);
 	uint8_t node_id = start_node_id(config);
 	start_bit_rate(config, bus);
 	od_init(&device.od, &imu9_od_table, &device.values, node_id);
@@ -362,7 +346,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		log_notes(imu->notes);
 		open_leds(config);
 		go_realtime(config->realtime);
+		process_guard_rest(&guard);
 		rc = loop_run(&device, bus, imu, store, damaged);
+		process_guard_stop(&guard);
 		if (rc < 0)
 			log_line("cannot run: %s", strerror(-rc));
 		leds_close(&device.leds);
@@ -392,16 +378,18 @@ int main(int argc, char **argv)
 	struct can_port *bus;
 	char why[CONFIG_ERROR_MAX];
 
+	process_guard_start(&guard);
 	config_init(&config, &imu9_od_table);
 	int status = read_configuration(&config, argc, argv);
 	if (status >= 0)
 		return status;
-	loop_hold_signals();
 	const struct imu_settings settings = settings_of(&config);
+	process_guard_opening(&guard, config.imu);
 	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		return EXIT_FAILURE;
 	}
+	process_guard_opening(&guard, config.can);
 	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		imu_close(imu);
