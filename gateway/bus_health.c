@@ -79,7 +79,7 @@ static void plan_restart(struct bus_health *h)
 	if (delay_ms == 0)
 		return;
 	if (limit > 0 && h->tries >= limit) {
-		event_log_line(h->log, h->now_us,
+		event_log_warning(h->log, h->now_us,
 			"%s: remains bus-off after %u restarts (limit: 2122h:8); write 1 to 2122h:11 to restart it",
 			h->bus->name, h->tries);
 		return;
@@ -98,7 +98,7 @@ static void restart(struct bus_health *h)
 		h->restarted_us = h->now_us;
 		h->values->bus_health.restarts++;
 	} else if (rc == -EPERM) {
-		event_log_line(h->log, h->now_us,
+		event_log_warning(h->log, h->now_us,
 			"%s: restart needs CAP_NET_ADMIN; or let the kernel do it: `ip link set %s type can restart-ms "
 			"100`",
 			h->bus->name, h->bus->name);
@@ -176,7 +176,10 @@ static void watch_state(struct bus_health *h)
 	if (state == seen)
 		return;
 	h->seen = state;
-	event_log_line(h->log, h->now_us, "%s: %s", h->bus->name, state_text(h->bus));
+	if (state == CAN_STATE_ACTIVE)
+		event_log_line(h->log, h->now_us, "%s: %s", h->bus->name, state_text(h->bus));
+	else
+		event_log_warning(h->log, h->now_us, "%s: %s", h->bus->name, state_text(h->bus));
 	if (state == CAN_STATE_BUS_OFF)
 		went_off(h);
 	if (state == CAN_STATE_PASSIVE)
@@ -217,7 +220,7 @@ static void watch_short_requests(struct bus_health *h)
 
 	h->values->bus_counters.short_sdo_requests = now;
 	if (before == 0 && now > 0)
-		event_log_line(h->log, h->now_us,
+		event_log_warning(h->log, h->now_us,
 			"%s: an SDO request has fewer than 8 bytes and gets no answer (CiA 301, 7.2.4.3): make the "
 			"master send 8; 2120h:8 counts them",
 			h->bus->name);

@@ -51,10 +51,10 @@ static void on_snapshot_done(void *ctx, enum od_status status, unsigned entries,
 	if (status == OD_OK)
 		event_log_line(&d->log, d->now_us, "configuration snapshot of %u entries applied", entries);
 	else if (index)
-		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %04Xh:%02X: %s", index, sub,
+		event_log_warning(&d->log, d->now_us, "configuration snapshot refused: %04Xh:%02X: %s", index, sub,
 			od_status_text(status));
 	else
-		event_log_line(&d->log, d->now_us, "configuration snapshot refused: %s", od_status_text(status));
+		event_log_warning(&d->log, d->now_us, "configuration snapshot refused: %s", od_status_text(status));
 }
 
 /* 2040h:6 = 1 resets velocity and position to zero. */
@@ -180,7 +180,7 @@ static void on_collision(void *ctx, uint32_t id)
 {
 	struct device *d = ctx;
 
-	event_log_line(&d->log, d->now_us,
+	event_log_warning(&d->log, d->now_us,
 		"another node sends with COB-ID %03Xh of this node: is node-ID %u assigned twice?", id, d->canopen.id);
 }
 
@@ -316,7 +316,7 @@ static void sensor_lost(struct device *d)
 	d->sensor_lost = true;
 	sensor_watch_info(&d->sensor_watch, info);
 	sensor_fault_text(info, why, sizeof(why));
-	event_log_line(&d->log, d->now_us, "no samples from %s%s: EMCY %04Xh, outputs marked invalid", d->imu->name,
+	event_log_warning(&d->log, d->now_us, "no samples from %s%s: EMCY %04Xh, outputs marked invalid", d->imu->name,
 		why, EMCY_SENSOR_LOST);
 	invalidate_outputs(d);
 	d->values.sample.status |= (uint16_t)sensor_watch_status(&d->sensor_watch);

@@ -54,8 +54,7 @@ static void put(
 		make_room(log, size);
 	memcpy(log->text + log->used, line, size);
 	log->used += size;
-	if (kind->on_stderr)
-		log_line("%s%s", text, more);
+	log_at(kind->severity, "%s%s", text, more);
 }
 
 /* The entry of this kind; a new one replaces the one that had no line for the longest time. */
@@ -82,11 +81,11 @@ static void count(struct event_kind *kind, uint64_t now_us)
 }
 
 __attribute__((format(printf, 5, 0))) static void add(
-	struct event_log *log, uint64_t now_us, unsigned number, bool on_stderr, const char *format, va_list args)
+	struct event_log *log, uint64_t now_us, unsigned number, int severity, const char *format, va_list args)
 {
 	struct event_kind *kind = find_kind(log, format, number);
 
-	kind->on_stderr = on_stderr;
+	kind->severity = severity;
 	kind->latest_us = now_us;
 	vsnprintf(kind->latest, sizeof(kind->latest), format, args);
 	if (kind->left_out || now_us < kind->before_us) {
@@ -118,7 +117,7 @@ void event_log_add(struct event_log *log, uint64_t now_us, const char *format, .
 	va_list args;
 
 	va_start(args, format);
-	add(log, now_us, 0, false, format, args);
+	add(log, now_us, 0, LOG_DEBUG, format, args);
 	va_end(args);
 }
 
@@ -127,7 +126,7 @@ void event_log_add_about(struct event_log *log, uint64_t now_us, unsigned number
 	va_list args;
 
 	va_start(args, format);
-	add(log, now_us, number, false, format, args);
+	add(log, now_us, number, LOG_DEBUG, format, args);
 	va_end(args);
 }
 
@@ -136,6 +135,15 @@ void event_log_line(struct event_log *log, uint64_t now_us, const char *format, 
 	va_list args;
 
 	va_start(args, format);
-	add(log, now_us, 0, true, format, args);
+	add(log, now_us, 0, LOG_INFO, format, args);
+	va_end(args);
+}
+
+void event_log_warning(struct event_log *log, uint64_t now_us, const char *format, ...)
+{
+	va_list args;
+
+	va_start(args, format);
+	add(log, now_us, 0, LOG_WARNING, format, args);
 	va_end(args);
 }

@@ -20,9 +20,9 @@ struct event_log {
 	size_t used;
 	char text[OD_DOMAIN_MAX];
 	struct event_kind {
-		const char *format; /* NULL: unused */
-		unsigned number;    /* 0, or that of event_log_add_about() */
-		bool on_stderr;
+		const char *format;	     /* NULL: unused */
+		unsigned number;	     /* 0, or that of event_log_add_about() */
+		int severity;		     /* on standard error */
 		uint64_t last_us, before_us; /* 1 s after the last two lines; 0: none */
 		unsigned left_out;	     /* since the last line; the latest of them: */
 		uint64_t latest_us;
@@ -44,8 +44,11 @@ void event_log_add(struct event_log *log, uint64_t now_us, const char *format, .
 /** The same for one of several things, of which each is a kind. */
 void event_log_add_about(struct event_log *log, uint64_t now_us, unsigned number, const char *format, ...)
 	__attribute__((format(printf, 4, 5)));
-/** event_log_add(), and the line goes to standard error, too. */
+/** event_log_add(), and the line goes to standard error, too (those of event_log_add() do with log_level debug). */
 void event_log_line(struct event_log *log, uint64_t now_us, const char *format, ...)
+	__attribute__((format(printf, 3, 4)));
+/** event_log_line() about something that does not work. */
+void event_log_warning(struct event_log *log, uint64_t now_us, const char *format, ...)
 	__attribute__((format(printf, 3, 4)));
 
 #endif

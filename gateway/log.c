@@ -3,15 +3,40 @@
 #include <ctype.h>
 #include <poll.h>
 #include <stdarg.h>
+#include <stdatomic.h>
+#include <stdbool.h>
 #include <stdio.h>
+#include <stdlib.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
-void log_line(const char *format, ...)
+static atomic_int log_threshold = LOG_INFO; /* of the process, as standard error is */
+
+void log_set_level(int severity)
 {
-	char text[512] = "imu9-gateway: ";
-	const size_t prefix = sizeof("imu9-gateway: ") - 1;
+	atomic_store(&log_threshold, severity);
+}
+
+/* $JOURNAL_STREAM names the journal's end of standard error, unless that was redirected since. */
+static bool journal_reads(void)
+{
+	const char *stream = getenv("JOURNAL_STREAM");
+	unsigned long long device, inode;
+	struct stat s;
+
+	return stream && sscanf(stream, "%llu:%llu", &device, &inode) == 2 && fstat(STDERR_FILENO, &s) == 0 &&
+	       s.st_dev == device && s.st_ino == inode;
+}
+
+void log_at(int severity, const char *format, ...)
+{
+	char text[512];
 	va_list args;
 
+	if (severity > atomic_load(&log_threshold))
+		return;
+	size_t prefix = (size_t)(journal_reads() ? snprintf(text, sizeof(text), "<%d>", severity)
+						 : snprintf(text, sizeof(text), "imu9-gateway: "));
 	va_start(args, format);
 	int n = vsnprintf(text + prefix, sizeof(text) - prefix - 1, format, args);
 	va_end(args);

@@ -72,7 +72,7 @@ static bool configure(struct sensor_watch *w, const struct imu_settings *setting
 			     : 0;
 
 	if (result < 0)
-		event_log_line(w->log, w->canopen->now_us,
+		event_log_warning(w->log, w->canopen->now_us,
 			"the sensor does not support 2058h, its settings are unchanged: %s", why);
 	return result == 0;
 }
@@ -168,7 +168,7 @@ static void report_degraded(struct sensor_watch *w, uint64_t now_us)
 	w->degraded_chip = h->degraded_chip;
 	if (!w->degraded)
 		return;
-	event_log_line(w->log, now_us, "%s %s: EMCY %04Xh, samples continue", chip_text(w->degraded_chip),
+	event_log_warning(w->log, now_us, "%s %s: EMCY %04Xh, samples continue", chip_text(w->degraded_chip),
 		fault_text(w->degraded), EMCY_SENSOR_DEGRADED);
 	canopen_error_set(w->canopen, EMCY_SENSOR_DEGRADED, ERROR_MANUFACTURER,
 		(const uint8_t[5]){w->degraded, w->degraded_chip}, now_us);

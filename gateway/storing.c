@@ -73,9 +73,9 @@ void storing_saved(struct storing *s, int result, uint64_t now_us)
 	enum od_status status = storage_result(s, result);
 
 	if (result < 0)
-		event_log_line(s->log, now_us, "values could not be stored: %s", strerror(-result));
+		event_log_warning(s->log, now_us, "values could not be stored: %s", strerror(-result));
 	else if (result > 0)
-		event_log_line(s->log, now_us,
+		event_log_warning(s->log, now_us,
 			"values stored, but a power cut may bring back the old ones: %s; store again",
 			strerror(result));
 	else
@@ -124,7 +124,7 @@ static void leave_out_changed(struct storing *s, struct store_group *g)
 		if (!what)
 			od_dcf_add(kept.dcf, sizeof(kept.dcf), &kept.size, &item);
 		else
-			event_log_line(s->log, 0,
+			event_log_warning(s->log, 0,
 				"stored %s (%04Xh:%u) not applied: it %s; set both, then store again (1010h)",
 				od_find(s->od->table, item.index, item.sub, NULL)->name, item.index, item.sub, what);
 	}
@@ -147,7 +147,7 @@ void storing_apply(struct storing *s, enum od_group group, uint64_t now_us)
 		skipped += refused;
 	}
 	if (skipped > 0)
-		event_log_line(s->log, now_us,
+		event_log_warning(s->log, now_us,
 			"%zu stored values not applied: unknown or out of range in this version; store again (1010h)",
 			skipped);
 }

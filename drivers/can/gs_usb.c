@@ -810,9 +810,9 @@ int can_gs_usb_open(const char *address, struct can_port **port, char *error, si
 		snprintf(error, error_size, "bad bus 'gs_usb:%s': use " CAN_GS_USB_SYNTAX, address);
 		result = -EINVAL;
 	}
-	if (result == 0)
+	if (result == 0 && port != NULL)
 		result = set_up(can, error, error_size);
-	if (result < 0) {
+	if (result < 0 || port == NULL) {
 		gs_usb_close(&can->port);
 		return result;
 	}

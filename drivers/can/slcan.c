@@ -535,16 +535,11 @@ static void explain(int result, const struct slcan *can, char *error, size_t err
 	}
 }
 
-static int set_up_port(struct slcan *can, const struct bus_options *options)
+static int set_up_port(struct slcan *can)
 {
-	int result;
+	int result = more_open(&can->more, &can->port.fd);
 
-	can->port.bit_s = options->bit_s;
-	can->listen_only = options->listen_only;
 	can->backoff_us = BACKOFF_MIN_US;
-	if (slcan_bit_rate_code(options->bit_s) == '\0')
-		return -EOPNOTSUPP;
-	result = more_open(&can->more, &can->port.fd);
 	return result < 0 ? result : attach(can);
 }
 
@@ -561,9 +556,17 @@ int can_slcan_open(const char *address, struct can_port **port, char *error, siz
 		return -ENOMEM;
 	can->port.ops = &slcan_ops;
 	can->port.fd = can->more.fd = can->fd = -1;
-	result = parse(can, options.address) ? set_up_port(can, &options) : -EINVAL;
-	if (result < 0) {
+	can->port.bit_s = options.bit_s;
+	can->listen_only = options.listen_only;
+	if (!parse(can, options.address))
+		result = -EINVAL;
+	else if (slcan_bit_rate_code(options.bit_s) == '\0')
+		result = -EOPNOTSUPP;
+	else if (port != NULL)
+		result = set_up_port(can);
+	if (result < 0)
 		explain(result, can, error, error_size);
+	if (result < 0 || port == NULL) {
 		slcan_close(&can->port);
 		return result;
 	}

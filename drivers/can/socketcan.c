@@ -299,6 +299,8 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 			interface, IFNAMSIZ - 1);
 		return -EINVAL;
 	}
+	if (port == NULL)
+		return 0;
 	can = calloc(1, sizeof(*can));
 	if (can == NULL)
 		return -ENOMEM;

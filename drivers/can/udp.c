@@ -483,10 +483,13 @@ int can_udp_open(const char *address, struct can_port **port, char *error, size_
 	snprintf(udp->port.name, sizeof(udp->port.name), address[0] == '\0' ? "udp" : "udp:%s", address);
 	snprintf(copy, sizeof(copy), "%s", address);
 	result = strlen(address) < sizeof(copy) ? parse(udp, copy, &bad) : -EINVAL;
-	if (result == 0)
+	if (port == NULL && result == -ENODEV)
+		result = 0; /* the interface may appear later */
+	else if (port != NULL && result == 0)
 		result = open_sockets(udp);
-	if (result < 0) {
+	if (result < 0)
 		explain(result, address, bad, error, error_size);
+	if (result < 0 || port == NULL) {
 		udp_close(&udp->port);
 		return result;
 	}

@@ -495,15 +495,12 @@ static void tell_mirrors(struct iio_imu *imu)
 				n ? "\n" : "", iio_imu_label(imu->triads[kind].device), IIO_KINDS[kind].name);
 }
 
-static int start(
-	struct iio_imu *imu, const char *args, const struct imu_settings *settings, char *error, size_t error_size)
+static int start(struct iio_imu *imu, const struct imu_settings *settings, char *error, size_t error_size)
 {
 	struct imu_port *port = &imu->thread.port;
 	int result = imu_thread_init(&imu->thread);
 
 	imu->settings = *settings;
-	if (result == 0)
-		result = parse(imu, args, error, error_size);
 	if (result == 0)
 		result = begin(imu, error, error_size);
 	if (result == 0 && imu->polled)
@@ -530,9 +527,14 @@ int iio_open(char *args, const struct imu_settings *settings, struct imu_port **
 
 	if (!imu)
 		return -ENOMEM;
+	result = parse(imu, args, error, error_size);
+	if (result < 0 || !port) {
+		free(imu);
+		return result;
+	}
 	imu->thread.port.ops = &OPS;
 	pthread_mutex_init(&imu->lock, NULL);
-	result = start(imu, args, settings, error, error_size);
+	result = start(imu, settings, error, error_size);
 	if (result < 0) {
 		release(imu);
 		return result;

@@ -123,8 +123,11 @@ int iio_imu_find_triads(struct iio_imu *imu, char *error, size_t error_size)
 	if (!imu->context) {
 		int result = errno ? -errno : -ENODEV;
 
-		snprintf(error, error_size, "iio: %s: this kernel has no IIO devices: load the sensor's driver",
-			strerror(-result));
+		if (result == -ELIBACC)
+			snprintf(error, error_size, "iio: libiio is missing: apt install libiio0");
+		else
+			snprintf(error, error_size, "iio: %s: this kernel has no IIO devices: load the sensor's driver",
+				strerror(-result));
 		return result;
 	}
 	for (int kind = 0; kind < TRIADS; kind++) {

@@ -75,6 +75,7 @@ void imu_thread_wait(struct imu_thread *t, int64_t until_ns, struct pollfd *fds,
 	struct timespec timeout = {0};
 	uint64_t count;
 
+	atomic_fetch_add_explicit(&t->port.turns, 1, memory_order_relaxed);
 	if (left_ns > 0)
 		timeout = (struct timespec){left_ns / NS_PER_S, (long)(left_ns % NS_PER_S)};
 	for (size_t i = 0; i < n; i++)

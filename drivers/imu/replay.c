@@ -152,13 +152,13 @@ int replay_open(char *args, const struct imu_settings *settings, struct imu_port
 	r->port.ops = &REPLAY_OPS;
 	r->speed = 1;
 	result = parse_options(r, options, error, error_size);
-	if (result == 0)
+	if (result == 0 && port)
 		result = load_file(r, path, error, error_size);
-	if (result == 0) {
+	if (result == 0 && port) {
 		r->pass_us = r->samples[r->count - 1].t_us - r->samples[0].t_us + r->interval_us;
 		result = pace_start(&r->pace);
 	}
-	if (result < 0) {
+	if (result < 0 || !port) {
 		free(r->samples);
 		free(r);
 		return result;

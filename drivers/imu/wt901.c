@@ -388,7 +388,7 @@ int wt901_open(char *args, const struct imu_settings *settings, struct imu_port 
 		return -ENOMEM;
 	w->thread.port.fd = -1;
 	result = parse(w, args, error, error_size);
-	if (result < 0) {
+	if (result < 0 || !port) {
 		free(w);
 		return result;
 	}

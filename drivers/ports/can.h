@@ -94,7 +94,8 @@ struct can_port {
 
 /** Opens BUS: an interface name, `gs_usb[:SERIAL[:CHANNEL]]`, `slcan:DEVICE[@BAUD]`, `udp[:GROUP[:PORT]]`, and
  * options.
- * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. */
+ * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. `port` NULL: only checks
+ * how BUS is written: 0, or -errno and the line. */
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size);
 void can_close(struct can_port *port);
 

@@ -7,6 +7,7 @@
 #ifndef DRIVERS_PORTS_IMU_H
 #define DRIVERS_PORTS_IMU_H
 
+#include <stdatomic.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -86,10 +87,12 @@ struct imu_port {
 	char notes[1024];    /* what the log should say at the start, a line each, e.g. units that are unlikely */
 	struct imu_counters counters;
 	struct imu_health health; /* updated by read() */
+	atomic_uint turns; /* of the driver's own thread: grows every 2 s at least, unless it hangs. 0: no thread */
 };
 
 /** Opens SRC, e.g. `i2c:/dev/i2c-1` (drivers/README.md lists the kinds). `settings` NULL: IMU_SETTINGS_DEFAULTS.
- * 0 and *port (close with imu_close()), or -errno and one line in `error` that says what is wrong and what to do. */
+ * 0 and *port (close with imu_close()), or -errno and one line in `error` that says what is wrong and what to do.
+ * `port` NULL: only checks how SRC is written, 0 or -EINVAL. */
 int imu_open(
 	const char *src, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int imu_read(struct imu_port *port, struct imu_sample *sample);

@@ -7,6 +7,9 @@
 #include <cmocka.h>
 
 #include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <sys/stat.h>
 #include <unistd.h>
 
 #include "gateway/log.h"
@@ -58,6 +61,50 @@ static void test_control_codes_are_replaced(void **state)
 	close(ends[1]);
 }
 
+static void test_the_journal_gets_priorities_and_a_redirected_stderr_does_not(void **state)
+{
+	char text[100] = "", stream[64];
+	int ends[2], kept;
+	struct stat s;
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	assert_int_equal(fstat(ends[1], &s), 0);
+	snprintf(stream, sizeof(stream), "%llu:%llu", (unsigned long long)s.st_dev, (unsigned long long)s.st_ino);
+	setenv("JOURNAL_STREAM", stream, 1);
+	kept = stderr_to(ends[1]);
+	log_warning("no samples");
+	log_error("bad\n");
+	setenv("JOURNAL_STREAM", "1:1", 1);
+	log_line("elsewhere");
+	stderr_back(kept);
+	unsetenv("JOURNAL_STREAM");
+	assert_true(read(ends[0], text, sizeof(text) - 1) > 0);
+	assert_string_equal(text, "<4>no samples\n<3>bad?\nimu9-gateway: elsewhere\n");
+	close(ends[0]);
+	close(ends[1]);
+}
+
+static void test_the_level_leaves_out_what_is_less_severe(void **state)
+{
+	char text[100] = "";
+	int ends[2], kept;
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	kept = stderr_to(ends[1]);
+	log_at(LOG_DEBUG, "not by default");
+	log_set_level(LOG_WARNING);
+	log_line("fine");
+	log_warning("not fine");
+	log_set_level(LOG_INFO);
+	stderr_back(kept);
+	assert_true(read(ends[0], text, sizeof(text) - 1) > 0);
+	assert_string_equal(text, "imu9-gateway: not fine\n");
+	close(ends[0]);
+	close(ends[1]);
+}
+
 static void test_a_reader_that_does_not_read_does_not_block_the_gateway(void **state)
 {
 	char block[4096] = "";
@@ -83,6 +130,8 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_line_is_written_in_one_piece_and_ends_with_a_newline),
 		cmocka_unit_test(test_control_codes_are_replaced),
+		cmocka_unit_test(test_the_journal_gets_priorities_and_a_redirected_stderr_does_not),
+		cmocka_unit_test(test_the_level_leaves_out_what_is_less_severe),
 		cmocka_unit_test(test_a_reader_that_does_not_read_does_not_block_the_gateway),
 	};
 

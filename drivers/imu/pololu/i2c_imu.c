@@ -279,6 +279,8 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 			snprintf(error, error_size, "i2c: unknown option '%.40s': use " I2C_SYNTAX, option);
 			return -EINVAL;
 		}
+	if (!port)
+		return 0;
 	snprintf(name, sizeof name, "i2c:%.40s", path);
 	result = i2c_dev_open(path, &bus, error, error_size);
 	if (result < 0)
