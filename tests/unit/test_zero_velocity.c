@@ -473,6 +473,40 @@ static void test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05(void **st
 	}
 }
 
+static void assert_nothing_is_mixed(const struct zero_velocity *z)
+{
+	const struct vec3 zero = {0, 0, 0};
+
+	assert_near(z->weight, 0, 0);
+	assert_near(z->standing_s, 0, 0);
+	assert_vec_near(z->position_shift_n_m, zero, 0);
+	assert_vec_near(z->velocity_shift_n_m_s, zero, 0);
+	assert_vec_near(z->position_variance_m2, zero, 0);
+	assert_vec_near(z->velocity_variance_m2_s2, zero, 0);
+}
+
+/* What stands, and what begins again after missing samples or a new attitude. */
+static void test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct standing s = moving_with(0.01);
+
+		for (int k = 0; k < 10; k++)
+			weight_of(&s, &NOISY, 0.002);
+		assert_true(s.z.weight > 0.5 && s.z.standing_s > 0);
+		assert_true(vec3_norm(s.z.velocity_shift_n_m_s) > 0);
+		if (i == 0)
+			assert_null(zero_velocity_stands(
+				&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
+		else if (i < 3)
+			zero_velocity_restart(&s.z, i == 1);
+		else
+			zero_velocity_moves(&s.z, &s.n, &NOISY, (struct vec3){0.2, 0, 0}, 0.03, true, 0.1); /* known */
+		assert_nothing_is_mixed(&s.z);
+	}
+}
+
 /* Of two states, the one that moves and the one after a measurement of zero velocity with 2 mm/s, by their weights. */
 static void test_position_and_velocity_are_the_moments_of_the_mixture(void **state)
 {
@@ -571,6 +605,7 @@ int main(void)
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
 		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
 		cmocka_unit_test(test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill),
+		cmocka_unit_test(test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again),
 		cmocka_unit_test(test_position_and_velocity_are_the_moments_of_the_mixture),
 		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
