@@ -158,6 +158,27 @@ static void test_fd_frames_and_error_frames_are_not_supported(void **state)
 }
 
 /* The page behind the bytes is unmapped: a read beyond them crashes. */
+/* In a map of any order; the first is the same map with its last value. */
+static void test_a_map_whose_last_value_is_missing_is_refused(void **state)
+{
+#define FIRST "85ae6172626974726174696f6e5f6964cd0181ae69735f657874656e6465645f6964c2a3646c6300a464617461c400"
+	static const char *const last[][2] = {{"a76368616e6e656c", "c0"}, {"a974696d657374616d70", "cb" NO_TIME},
+		{"af69735f72656d6f74655f6672616d65", "c2"}, {"a569735f6664", "c2"},
+		{"ae69735f6572726f725f6672616d65", "c2"}, {"ae626974726174655f737769746368", "c2"}};
+	struct can_msg msg;
+	char hex[400];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(last) / sizeof(last[0]); i++) {
+		snprintf(hex, sizeof(hex), FIRST "%s%s", last[i][0], last[i][1]);
+		assert_int_equal(decode(hex, &msg), 0);
+		snprintf(hex, sizeof(hex), FIRST "%s", last[i][0]);
+		assert_true(decode(hex, &msg) < 0);
+		snprintf(hex, sizeof(hex), FIRST);
+		assert_true(decode(hex, &msg) < 0);
+	}
+}
+
 static void test_every_truncation_is_refused_without_reading_on(void **state)
 {
 	size_t page = (size_t)sysconf(_SC_PAGESIZE);
@@ -653,6 +674,7 @@ int main(void)
 		cmocka_unit_test(test_a_frame_with_a_channel_name_and_a_time_is_read),
 		cmocka_unit_test(test_every_length_and_identifier_size_survives_the_way_there_and_back),
 		cmocka_unit_test(test_fd_frames_and_error_frames_are_not_supported),
+		cmocka_unit_test(test_a_map_whose_last_value_is_missing_is_refused),
 		cmocka_unit_test(test_every_truncation_is_refused_without_reading_on),
 		cmocka_unit_test(test_what_is_not_a_valid_frame_is_refused),
 		cmocka_unit_test(test_a_map_with_another_number_of_entries_than_it_says_is_refused),

@@ -237,6 +237,26 @@ static void test_networks_of_ipv6_work_alike(void **state)
 	}
 }
 
+static void test_without_its_network_the_bus_is_down_and_says_why_until_it_is_back(void **state)
+{
+	struct can_port *port = open_bus("udp");
+
+	(void)state;
+	assert_int_equal(can_send(port, &FRAME, 1000000), 0);
+	assert_int_equal(port->state, CAN_STATE_ACTIVE);
+	assert_int_equal(system("ip link set net0 down"), 0);
+	assert_true(can_send(port, &FRAME, 2000000) < 0);
+	assert_int_equal(port->state, CAN_STATE_DOWN);
+	assert_non_null(port->down_why);
+	assert_non_null(strstr(port->down_why, "the network of the group is down"));
+	assert_int_equal(system("ip link set net0 up && ip route add 239.0.0.0/8 dev net0 && "
+				"ip -6 addr add fd09::1/64 dev net0 nodad"),
+		0);
+	assert_int_equal(can_send(port, &FRAME, 3000000), 0);
+	assert_int_equal(port->state, CAN_STATE_ACTIVE);
+	can_close(port);
+}
+
 /* Another process on this host joins the group on the second network. */
 static void test_a_network_that_only_another_process_has_joined_is_not_heard_and_doubles_nothing(void **state)
 {
@@ -276,6 +296,7 @@ int main(void)
 		cmocka_unit_test(test_with_a_network_frames_of_its_hosts_are_taken),
 		cmocka_unit_test(test_networks_of_ipv6_work_alike),
 		cmocka_unit_test(test_a_network_that_only_another_process_has_joined_is_not_heard_and_doubles_nothing),
+		cmocka_unit_test(test_without_its_network_the_bus_is_down_and_says_why_until_it_is_back),
 		cmocka_unit_test(test_options_that_do_not_exist_are_refused_with_what_to_use),
 	};
 

@@ -598,6 +598,34 @@ static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(v
 	}
 }
 
+/* Nothing that was estimated under the wrong tilt is kept, nor its certainty. */
+static void test_a_lost_tilt_takes_bias_and_scale_with_it(void **state)
+{
+	struct fusion f = fusion(NINE_AXES);
+	struct fusion fresh = fusion(NINE_AXES);
+	struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+	double known, before = PI, off = PI;
+
+	(void)state;
+	fusion_step(&fresh, &m.sample, 0.005);
+	for (int k = 0; k < 200 * 20; k++)
+		fusion_step(&f, &m.sample, 0.005);
+	known = f.kalman.covariance[KALMAN_BIAS][KALMAN_BIAS];
+	assert_true(known < 0.1 * fresh.kalman.covariance[KALMAN_BIAS][KALMAN_BIAS]);
+	f.gyro_errors.scale_b = (struct vec3){0.001, -0.001, 0.001};
+	f.q_nb = quat_multiply(quat_from_rotation_vector((struct vec3){2, 0, 0}), f.q_nb);
+	for (int k = 0; k < 200 * 10 && off > before - 0.3; k++) {
+		before = off;
+		fusion_step(&f, &m.sample, 0.005);
+		off = tilt_off_rad(&f, m.q_nb);
+		before = k == 0 ? off : before;
+	}
+	assert_true(off < before - 0.3);
+	assert_near(f.kalman.covariance[KALMAN_BIAS][KALMAN_BIAS] / fresh.kalman.covariance[KALMAN_BIAS][KALMAN_BIAS],
+		1, 0.2);
+	assert_vec_near(f.gyro_errors.scale_b, ((struct vec3){0, 0, 0}), 0);
+}
+
 /* What lies still was turned unnoticed. The mean force follows until it is off by 60 degrees; there the attitude is turned
  * back by as much or a bit more, about the right axis, and once. */
 static void test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis(void **state)
@@ -1293,6 +1321,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
 		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
 		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
+		cmocka_unit_test(test_a_lost_tilt_takes_bias_and_scale_with_it),
 		cmocka_unit_test(test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis),
 		cmocka_unit_test(test_after_saturation_of_the_gyro_the_tilt_follows_the_accelerometer),
 		cmocka_unit_test(test_a_field_from_the_opposite_direction_is_a_heading_outlier),

@@ -149,11 +149,44 @@ static void test_a_fifo_that_begins_inside_a_set_is_read_from_the_next_one_on(vo
 	}
 }
 
+/* Whatever the chips and the machine do meanwhile: stopped, silent, out of power, or not read for a while. */
+static void test_the_times_of_samples_increase_over_every_fault(void **state)
+{
+	(void)state;
+	for (int i = 0; i < BOARD_COUNT; i++) {
+		struct world *w = world_new(BOARDS[i], "tumble", false);
+		struct imu_sample sample;
+		uint64_t last_us = 0;
+
+		w->late_ns = 3000000;
+		for (int k = 0; k < 60; k++) {
+			const enum imu_chip chip = k % 2 ? IMU_CHIP_GYRO : IMU_CHIP_ACCEL;
+
+			for (int64_t end_ns = w->now_ns + (int64_t)(rng_u64(&w->rng) % 700) * 1000000;
+				w->now_ns < end_ns;)
+				if (world_sample(w, &sample, 20000)) {
+					assert_true(sample.t_us > last_us);
+					assert_true((int64_t)sample.t_us * 1000 <= w->now_ns);
+					last_us = sample.t_us;
+				}
+			sim_board_silence(w->sim, chip, k % 5 == 0);
+			sim_board_stop(w->sim, chip, k % 5 == 1);
+			if (k % 5 == 2)
+				sim_board_brown_out(w->sim, chip);
+			if (k % 5 == 3)
+				w->now_ns += 1000000 * (int64_t)(rng_u64(&w->rng) % 500);
+		}
+		assert_true(last_us > 0);
+		world_free(w);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_what_was_in_the_registers_before_does_not_matter),
 		cmocka_unit_test(test_every_register_has_the_value_that_was_written_last),
+		cmocka_unit_test(test_the_times_of_samples_increase_over_every_fault),
 		cmocka_unit_test(test_a_fifo_that_begins_inside_a_set_is_read_from_the_next_one_on),
 	};
 

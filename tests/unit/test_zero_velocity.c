@@ -512,6 +512,77 @@ static void test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05(void **st
 	}
 }
 
+static void assert_nothing_is_mixed(const struct zero_velocity *z)
+{
+	const struct vec3 zero = {0, 0, 0};
+
+	assert_near(z->weight, 0, 0);
+	assert_near(z->standing_s, 0, 0);
+	assert_vec_near(z->position_shift_n_m, zero, 0);
+	assert_vec_near(z->velocity_shift_n_m_s, zero, 0);
+	assert_vec_near(z->position_variance_m2, zero, 0);
+	assert_vec_near(z->velocity_variance_m2_s2, zero, 0);
+}
+
+/* What stands, and what begins again after missing samples or a new attitude. */
+static void test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct standing s = moving_with(0.01);
+
+		for (int k = 0; k < 10; k++)
+			weight_of(&s, &NOISY, 0.002);
+		assert_true(s.z.weight > 0.5 && s.z.standing_s > 0);
+		assert_true(vec3_norm(s.z.velocity_shift_n_m_s) > 0);
+		if (i == 0)
+			assert_null(zero_velocity_stands(
+				&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
+		else if (i < 3)
+			zero_velocity_restart(&s.z, i == 1);
+		else
+			zero_velocity_moves(&s.z, &s.n, &NOISY, (struct vec3){0.2, 0, 0}, 0.03, true, 0.1); /* known */
+		assert_nothing_is_mixed(&s.z);
+	}
+}
+
+/* Of two states, the one that moves and the one after a measurement of zero velocity with 2 mm/s, by their weights. */
+static void test_position_and_velocity_are_the_moments_of_the_mixture(void **state)
+{
+	const double velocity[3] = {0.03, -0.02, 0.05}, own[3] = {0.05, 0.04, 0.06}, position_of[3] = {0.3, -0.2, 0.5};
+
+	(void)state;
+	for (int far = 0; far < 2; far++) {
+		struct standing s = moving_with(0.04);
+		double w;
+
+		for (int i = 0; i < 3; i++) {
+			const int v = NAVIGATION_V + i, p = NAVIGATION_P + i;
+
+			s.n.p[v][v] = own[i] * own[i];
+			s.n.p[p][v] = s.n.p[v][p] = position_of[i] * s.n.p[v][v];
+			s.n.p[p][p] = 1;
+		}
+		zero_velocity_moves(&s.z, &s.n, &NOISY,
+			vec3_scale(far ? 20 : 1, (struct vec3){velocity[0], velocity[1], velocity[2]}), 0.03, false,
+			0.1);
+		w = s.z.weight;
+		assert_true(far ? w < 0.001 : w > 0.1 && w < 0.99);
+		for (int i = 0; i < 3; i++) {
+			double gain = own[i] * own[i] / (own[i] * own[i] + 0.002 * 0.002), by = -gain * velocity[i];
+			double less = gain * own[i] * own[i], c = position_of[i];
+
+			if (far) /* the motion alone */
+				w = by = less = 0;
+			assert_near((&s.z.velocity_shift_n_m_s.x)[i], w * by, 1e-9);
+			assert_near((&s.z.position_shift_n_m.x)[i], w * c * by, 1e-9);
+			assert_near((&s.z.velocity_variance_m2_s2.x)[i], w * (1 - w) * by * by - w * less, 1e-9);
+			assert_near((&s.z.position_variance_m2.x)[i], w * (1 - w) * c * c * by * by - w * c * c * less,
+				1e-9);
+		}
+	}
+}
+
 /* The navigation's own sigma of the gyro's bias is that of a calibration, until it has stood; the fusion may know better. */
 static void test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill(void **state)
 {
@@ -575,6 +646,8 @@ int main(void)
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
 		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
 		cmocka_unit_test(test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill),
+		cmocka_unit_test(test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again),
+		cmocka_unit_test(test_position_and_velocity_are_the_moments_of_the_mixture),
 		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
 	};
