@@ -34,7 +34,7 @@ static void wait_and_read(struct imu_port *port, struct imu_sample *sample)
 	struct pollfd fd = {port->fd, POLLIN, 0};
 
 	do
-		assert_int_equal(poll(&fd, 1, 2000), 1);
+		assert_int_equal(poll(&fd, 1, 120000), 1);
 	while (imu_read(port, sample) == 0);
 }
 
