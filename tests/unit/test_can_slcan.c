@@ -77,7 +77,7 @@ static void await(int fd)
 {
 	struct pollfd poll_fd = {.fd = fd, .events = POLLIN};
 
-	assert_int_equal(poll(&poll_fd, 1, 10000), 1);
+	assert_int_equal(poll(&poll_fd, 1, 120000), 1);
 }
 
 static void assert_hears(struct rig *r, const char *expected)

@@ -66,7 +66,7 @@ static int wait_and_read(struct imu_port *port, struct imu_sample *sample)
 	int got;
 
 	do {
-		assert_int_equal(poll(&fd, 1, 2000), 1);
+		assert_int_equal(poll(&fd, 1, 120000), 1);
 		got = imu_read(port, sample);
 	} while (got == 0);
 	return got;

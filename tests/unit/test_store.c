@@ -273,7 +273,7 @@ static void test_the_thread_creates_the_folder_writes_and_signals_the_end(void *
 	assert_int_equal(store_writer_result(&writer), -EAGAIN);
 	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&image, bytes)), 0);
 	struct pollfd p = {.fd = writer.fd, .events = POLLIN};
-	assert_int_equal(poll(&p, 1, 5000), 1);
+	assert_int_equal(poll(&p, 1, 120000), 1);
 	assert_int_equal(store_writer_result(&writer), 0);
 	store_writer_close(&writer);
 	assert_int_equal(store_read(&back, deep), 0);

@@ -241,7 +241,7 @@ static int next(struct imu_port *port, struct imu_sample *sample)
 	int result;
 
 	while ((result = imu_read(port, sample)) == 0)
-		assert_int_equal(poll(&fd, 1, 10000), 1);
+		assert_int_equal(poll(&fd, 1, 120000), 1);
 	return result;
 }
 
