@@ -13,7 +13,7 @@
 
 #include "od/od.h"
 
-enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 256 };
+enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 512 };
 
 struct config {
 	char imu[CONFIG_TEXT_MAX];

@@ -11,9 +11,13 @@ static bool enabled(const struct emcy *emcy)
 
 static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
+	const struct canopen_node *node = ctx;
+	uint32_t value = get_u32(wire);
+	enum od_status status = cob_id_change(*node->emcy.cob_id, value);
+
 	(void)entry;
 	(void)size;
-	return cob_id_change(*((struct canopen_node *)ctx)->emcy.cob_id, get_u32(wire));
+	return status == OD_OK && !(value & COB_ID_INVALID) && sdo_server_uses(node, value) ? OD_INCOMPATIBLE : status;
 }
 
 static void after_cob_id(void *ctx, const struct od_entry *entry)

@@ -22,7 +22,7 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[6 + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {CAN_ID_LSS_REQUEST};
+	uint32_t ids[4 + SDO_SERVERS + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {CAN_ID_LSS_REQUEST};
 	size_t n = 1;
 
 	if (node->id == CANOPEN_UNCONFIGURED) {
@@ -30,13 +30,11 @@ void node_filter(struct canopen_node *node)
 		return;
 	}
 	ids[n++] = CAN_ID_NMT;
-	ids[n++] = node->sdo_servers[0].request_id;
+	n += sdo_server_ids(node, ids + n);
 	if (node->sync.id != CAN_ID_NONE)
 		ids[n++] = node->sync.id;
 	if (node->time.id != CAN_ID_NONE)
 		ids[n++] = node->time.id;
-	if (node->sdo_servers[1].request_id != CAN_ID_NONE)
-		ids[n++] = node->sdo_servers[1].request_id;
 	for (size_t i = 0; i < node->heartbeat.count; i++)
 		if (node->heartbeat.consumer[i].node_id)
 			ids[n++] = CAN_ID_ERROR_CONTROL + node->heartbeat.consumer[i].node_id;
@@ -175,8 +173,8 @@ void canopen_receive(struct canopen_node *node, const struct can_msg *msg, uint6
 		nmt_receive(node, msg);
 	else if (msg->id == node->sync.id)
 		sync_receive(node, msg);
-	else if (msg->id == node->sdo_servers[0].request_id || msg->id == node->sdo_servers[1].request_id)
-		sdo_server_receive(node, msg);
+	else if (sdo_server_receive(node, msg))
+		return;
 	else if (msg->id == CAN_ID_LSS_REQUEST)
 		lss_receive(node, msg);
 	else if (msg->id == node->time.id)

@@ -15,7 +15,7 @@ enum {
 	EMCY_QUEUE = 16,  /* EMCY messages that wait for the inhibit time or for NMT stopped to end */
 	EMCY_HISTORY = 8, /* entries of 1003h */
 	HEARTBEAT_CONSUMERS = 8,
-	SDO_SERVERS = 2,
+	SDO_SERVERS = 8, /* 1200h to 1207h */
 	LSS_NUMBERS = 4, /* of the LSS address: vendor-ID, product code, revision, serial number */
 };
 
@@ -84,9 +84,9 @@ struct sdo_server {
 	} block;
 };
 
-struct second_sdo {
+struct sdo_channels {
 	struct od_hook hook;
-	const uint32_t *cob_id[2]; /* 1201h:1 and 2: request and response */
+	uint32_t *cob_id[SDO_SERVERS][2]; /* 1201h to 1207h, sub-indices 1 and 2: request and response; NULL: absent */
 };
 
 struct pdo {
@@ -222,7 +222,7 @@ struct canopen_node {
 	struct sdo_server sdo_servers[SDO_SERVERS];
 	uint32_t sdo_short;	/* requests of fewer than 8 bytes */
 	struct sdo_server *sdo; /* the channel of the frame or tick under way */
-	struct second_sdo second_sdo;
+	struct sdo_channels sdo_channels;
 	struct pdos pdos;
 	struct sync sync;
 	struct emcy emcy;

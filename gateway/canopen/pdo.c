@@ -160,13 +160,18 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 {
 	struct canopen_node *node = ctx;
 	const struct pdo *pdo = of_entry(node, entry);
+	enum od_status status;
 
 	(void)size;
 	if (!pdo)
 		return OD_OK;
 	if (entry->index & PDO_MAPPING)
 		return before_mapping(node->od, pdo, entry->sub, wire);
-	return before_communication(node->od, pdo, entry->sub, wire);
+	status = before_communication(node->od, pdo, entry->sub, wire);
+	if (status == OD_OK && entry->sub == 1 && !(get_u32(wire) & COB_ID_INVALID) &&
+		sdo_server_uses(node, get_u32(wire)))
+		return OD_INCOMPATIBLE;
+	return status;
 }
 
 static void after_write(void *ctx, const struct od_entry *entry)

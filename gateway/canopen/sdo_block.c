@@ -11,7 +11,7 @@ enum {
 	/* Segments in a sub-block of a download. Up to 31 a sequence number differs from every command specifier, so
 	 * that a new request within a sub-block is recognised; the cost is one response for 31 frames. */
 	DOWNLOAD_BLOCK_SIZE = 31,
-	/* An upload sends so many segments per call, so that PDOs do not wait for a whole sub-block. */
+	/* All uploads together send so many segments per call, so that PDOs do not wait for whole sub-blocks. */
 	BURST = 16,
 	BURST_PAUSE_US = 1,
 	BUS_FULL_PAUSE_US = 1000,
@@ -190,15 +190,25 @@ static void send_segment(struct canopen_node *node)
 	sdo_send(node, segment);
 }
 
+static int uploads(const struct canopen_node *node)
+{
+	int n = 0;
+
+	for (size_t i = 0; i < SDO_SERVERS; i++)
+		n += node->sdo_servers[i].state == SDO_SERVER_BLOCK_UPLOAD;
+	return n;
+}
+
 /* Nothing is added to the queue of a full bus: PDOs would have to wait behind it. */
 static uint64_t send_burst(struct canopen_node *node)
 {
 	struct sdo_server *sdo = node->sdo;
 	size_t segments = sub_block_segments(sdo);
+	int burst = BURST / uploads(node);
 
 	if (sdo->block.sequence < segments && node->now_us < sdo->block.next_us)
 		return sdo->block.next_us;
-	for (int i = 0; i < BURST && sdo->block.sequence < segments && !bus_full(node); i++) {
+	for (int i = 0; i < burst && sdo->block.sequence < segments && !bus_full(node); i++) {
 		send_segment(node);
 		sdo_wait(node, SDO_SERVER_BLOCK_UPLOAD);
 	}

@@ -31,25 +31,76 @@ enum {
 	TOGGLE = 1 << 4,    /* segment */
 };
 
-/* ---- channels: the default one, and 1201h ------------------------------------------------------------------------ */
+/* ---- channels: the default one, and 1201h to 1207h ---------------------------------------------------------------- */
+
+static bool has_id(uint32_t cob_id, uint32_t id)
+{
+	return !(cob_id & COB_ID_INVALID) && (cob_id & COB_ID_MASK) == id;
+}
+
+/* Whether an identifier belongs to one of 1201h to 1207h, other than by the COB-ID at `except`. */
+static bool channel_has(const struct canopen_node *node, uint32_t id, const uint32_t *except)
+{
+	for (size_t i = 1; i < SDO_SERVERS; i++)
+		for (size_t k = 0; k < 2; k++) {
+			const uint32_t *cob_id = node->sdo_channels.cob_id[i][k];
+			if (cob_id && cob_id != except && has_id(*cob_id, id))
+				return true;
+		}
+	return false;
+}
+
+bool sdo_server_uses(const struct canopen_node *node, uint32_t cob_id)
+{
+	return channel_has(node, cob_id & COB_ID_MASK, NULL);
+}
+
+/* Whether another service has it. The identifiers of the default channel and of error control are restricted. */
+static bool service_has(const struct canopen_node *node, uint32_t id)
+{
+	const struct pdos *pdos = &node->pdos;
+
+	for (size_t i = 0; i < pdos->rpdo_count; i++)
+		if (has_id(*pdos->rpdo[i].pdo.cob_id, id))
+			return true;
+	for (size_t i = 0; i < pdos->tpdo_count; i++)
+		if (has_id(*pdos->tpdo[i].pdo.cob_id, id))
+			return true;
+	return (node->emcy.cob_id && has_id(*node->emcy.cob_id, id)) || (*node->sync.cob_id & COB_ID_MASK) == id ||
+	       (*node->time.cob_id & (COB_ID_CONSUMES | COB_ID_PRODUCES) && (*node->time.cob_id & COB_ID_MASK) == id);
+}
+
+static bool collides(const struct canopen_node *node, uint32_t value, const uint32_t *except)
+{
+	uint32_t id = value & COB_ID_MASK;
+
+	return !(value & COB_ID_INVALID) && (channel_has(node, id, except) || service_has(node, id));
+}
+
+static size_t channel_of(const struct od_entry *entry)
+{
+	return entry->index - OD_INDEX_SDO_SERVER_PARAMETER;
+}
 
 static enum od_status before_cob_id(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
 	const struct canopen_node *node = ctx;
+	const uint32_t *old = node->sdo_channels.cob_id[channel_of(entry)][entry->sub - 1];
+	enum od_status status = cob_id_change(*old, get_u32(wire));
 
 	(void)size;
-	return cob_id_change(*node->second_sdo.cob_id[entry->sub - 1], get_u32(wire));
+	return status == OD_OK && collides(node, get_u32(wire), old) ? OD_INCOMPATIBLE : status;
 }
 
 /* response_id stays when the channel is closed: a client that closes its own channel still receives the response. */
-static void open_second(struct canopen_node *node)
+static void open_channel(struct canopen_node *node, size_t n)
 {
-	struct sdo_server *sdo = &node->sdo_servers[1];
-	const uint32_t *const *cob_id = node->second_sdo.cob_id;
+	struct sdo_server *sdo = &node->sdo_servers[n];
+	uint32_t *const *cob_id = node->sdo_channels.cob_id[n];
 
 	sdo->state = SDO_SERVER_IDLE;
 	sdo->request_id = CAN_ID_NONE;
-	if (!cob_id[0] || !cob_id[1] || !cob_id_in_use(*cob_id[0]) || !cob_id_in_use(*cob_id[1]))
+	if (!cob_id[0] || !cob_id[1] || (*cob_id[0] | *cob_id[1]) & COB_ID_INVALID)
 		return;
 	sdo->request_id = *cob_id[0];
 	sdo->response_id = *cob_id[1];
@@ -57,25 +108,25 @@ static void open_second(struct canopen_node *node)
 
 static void after_cob_id(void *ctx, const struct od_entry *entry)
 {
-	(void)entry;
-	open_second(ctx);
+	open_channel(ctx, channel_of(entry));
 	node_filter(ctx);
 }
 
 void sdo_server_init(struct canopen_node *node)
 {
-	struct second_sdo *second = &node->second_sdo;
+	struct sdo_channels *channels = &node->sdo_channels;
 
 	node->sdo = &node->sdo_servers[0];
-	for (uint8_t i = 0; i < 2; i++)
-		second->cob_id[i] =
-			od_value(node->od, OD_INDEX_SECOND_SDO_SERVER_PARAMETER, (uint8_t)(i + 1), sizeof(uint32_t));
-	second->hook = (struct od_hook){.first = OD_INDEX_SECOND_SDO_SERVER_PARAMETER,
-		.last = OD_INDEX_SECOND_SDO_SERVER_PARAMETER,
+	for (uint16_t i = 1; i < SDO_SERVERS; i++)
+		for (uint8_t k = 0; k < 2; k++)
+			channels->cob_id[i][k] = od_value(node->od, (uint16_t)(OD_INDEX_SDO_SERVER_PARAMETER + i),
+				(uint8_t)(k + 1), sizeof(uint32_t));
+	channels->hook = (struct od_hook){.first = OD_INDEX_SDO_SERVER_PARAMETER + 1,
+		.last = OD_INDEX_SDO_SERVER_PARAMETER + SDO_SERVERS - 1,
 		.before = before_cob_id,
 		.after = after_cob_id,
 		.ctx = node};
-	od_attach(node->od, &second->hook);
+	od_attach(node->od, &channels->hook);
 }
 
 void sdo_server_stop(struct canopen_node *node)
@@ -84,16 +135,38 @@ void sdo_server_stop(struct canopen_node *node)
 		node->sdo_servers[i].state = SDO_SERVER_IDLE;
 }
 
+/* Stored values did not pass the hooks. As for PDOs, an unusable COB-ID becomes invalid where a master can read it. */
+static void check_channel(struct canopen_node *node, uint16_t n)
+{
+	for (size_t k = 0; k < 2; k++) {
+		uint32_t *cob_id = node->sdo_channels.cob_id[n][k];
+
+		if (!cob_id || *cob_id & COB_ID_INVALID || (cob_id_in_use(*cob_id) && !collides(node, *cob_id, cob_id)))
+			continue;
+		*cob_id |= COB_ID_INVALID;
+		node_bad_data(node, (uint16_t)(OD_INDEX_SDO_SERVER_PARAMETER + n));
+	}
+}
+
 void sdo_server_reset(struct canopen_node *node)
 {
 	sdo_server_stop(node);
 	node->sdo_servers[0].request_id = CAN_ID_SDO_REQUEST + node->id;
 	node->sdo_servers[0].response_id = CAN_ID_SDO_RESPONSE + node->id;
-	open_second(node);
-	for (size_t i = 0; i < 2; i++)
-		if (node->second_sdo.cob_id[i] && !(*node->second_sdo.cob_id[i] & COB_ID_INVALID) &&
-			!cob_id_in_use(*node->second_sdo.cob_id[i]))
-			node_bad_data(node, OD_INDEX_SECOND_SDO_SERVER_PARAMETER);
+	for (uint16_t i = 1; i < SDO_SERVERS; i++) {
+		check_channel(node, i);
+		open_channel(node, i);
+	}
+}
+
+size_t sdo_server_ids(const struct canopen_node *node, uint32_t ids[SDO_SERVERS])
+{
+	size_t n = 0;
+
+	for (size_t i = 0; i < SDO_SERVERS; i++)
+		if (node->sdo_servers[i].request_id != CAN_ID_NONE)
+			ids[n++] = node->sdo_servers[i].request_id;
+	return n;
 }
 
 /* ---- responses --------------------------------------------------------------------------------------------------- */
@@ -358,24 +431,35 @@ static void refuse(struct canopen_node *node, const uint8_t request[8])
 	sdo_abort(node, SDO_ABORT_COMMAND);
 }
 
-void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
+static void receive(struct canopen_node *node, const struct can_msg *msg)
 {
-	struct sdo_server *sdo = &node->sdo_servers[msg->id == node->sdo_servers[0].request_id ? 0 : 1];
+	const struct sdo_server *sdo = node->sdo;
 	uint8_t ccs = msg->data[0] >> 5;
 
-	node->sdo = sdo;
 	node->sdo_short += msg->len < 8;
 	if (msg->len < 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
 		return;
 	if (ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD)
 		initiate(node, msg->data);
 	else if (ccs == CCS_ABORT)
-		sdo->state = SDO_SERVER_IDLE;
+		node->sdo->state = SDO_SERVER_IDLE;
 	else if ((ccs == CCS_DOWNLOAD_SEGMENT && sdo->state == SDO_SERVER_DOWNLOAD) ||
 		 (ccs == CCS_UPLOAD_SEGMENT && sdo->state == SDO_SERVER_UPLOAD))
 		segment(node, msg->data);
 	else
 		refuse(node, msg->data);
+}
+
+bool sdo_server_receive(struct canopen_node *node, const struct can_msg *msg)
+{
+	for (size_t i = 0; i < SDO_SERVERS; i++) {
+		if (msg->id != node->sdo_servers[i].request_id)
+			continue;
+		node->sdo = &node->sdo_servers[i];
+		receive(node, msg);
+		return true;
+	}
+	return false;
 }
 
 static uint64_t tick(struct canopen_node *node)

@@ -72,7 +72,12 @@ void sdo_server_init(struct canopen_node *node);
 void sdo_server_reset(struct canopen_node *node);
 /** Ends the transfers without an abort message. */
 void sdo_server_stop(struct canopen_node *node);
-void sdo_server_receive(struct canopen_node *node, const struct can_msg *msg);
+/** False: the frame is no request to an SDO channel that is in use. */
+bool sdo_server_receive(struct canopen_node *node, const struct can_msg *msg);
+/** The identifiers of the requests; returns how many. */
+size_t sdo_server_ids(const struct canopen_node *node, uint32_t ids[SDO_SERVERS]);
+/** Whether 1201h to 1207h have this identifier, for a request or a response. */
+bool sdo_server_uses(const struct canopen_node *node, uint32_t cob_id);
 uint64_t sdo_server_tick(struct canopen_node *node);
 /** Sends the response that waited for the device (OD_PENDING). */
 void sdo_server_done(struct canopen_node *node, enum od_status status);

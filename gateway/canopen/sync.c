@@ -11,11 +11,13 @@ enum {
 };
 
 /* The identifier cannot change while SYNC is produced. */
-static enum od_status before_cob_id(uint32_t old, uint32_t value)
+static enum od_status before_cob_id(const struct canopen_node *node, uint32_t value)
 {
+	uint32_t old = *node->sync.cob_id;
+
 	if (!cob_id_usable(value) || (old & COB_ID_PRODUCES && (old ^ value) & COB_ID_MASK))
 		return OD_BAD_VALUE;
-	return OD_OK;
+	return sdo_server_uses(node, value) ? OD_INCOMPATIBLE : OD_OK;
 }
 
 /* Nor the counter overflow value while there is a period. */
@@ -28,12 +30,13 @@ static enum od_status before_counter(const struct sync *sync, uint8_t value)
 
 static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	const struct sync *sync = &((struct canopen_node *)ctx)->sync;
+	const struct canopen_node *node = ctx;
+	const struct sync *sync = &node->sync;
 
 	(void)size;
 	switch (entry->index) {
 	case OD_INDEX_COB_ID_SYNC: /* bit 31 has no meaning */
-		return before_cob_id(*sync->cob_id, get_u32(wire));
+		return before_cob_id(node, get_u32(wire));
 	case OD_INDEX_COMMUNICATION_CYCLE_PERIOD:
 		return get_u32(wire) && get_u32(wire) < PERIOD_MIN_US ? OD_BAD_VALUE : OD_OK;
 	case OD_INDEX_SYNCHRONOUS_COUNTER_OVERFLOW_VALUE:

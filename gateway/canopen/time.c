@@ -8,13 +8,15 @@ enum { TIME_SIZE = 6, MS_PER_DAY = 86400000 };
 /* The identifier cannot change while TIME is consumed or produced. */
 static enum od_status before_write(void *ctx, const struct od_entry *entry, const void *wire, size_t size)
 {
-	uint32_t old = *((struct canopen_node *)ctx)->time.cob_id, value = get_u32(wire);
+	const struct canopen_node *node = ctx;
+	uint32_t old = *node->time.cob_id, value = get_u32(wire);
+	const uint32_t in_use = COB_ID_CONSUMES | COB_ID_PRODUCES;
 
 	(void)entry;
 	(void)size;
-	if (!cob_id_usable(value) || (old & (COB_ID_CONSUMES | COB_ID_PRODUCES) && (old ^ value) & COB_ID_MASK))
+	if (!cob_id_usable(value) || (old & in_use && (old ^ value) & COB_ID_MASK))
 		return OD_BAD_VALUE;
-	return OD_OK;
+	return value & in_use && sdo_server_uses(node, value) ? OD_INCOMPATIBLE : OD_OK;
 }
 
 static void update_id(struct canopen_node *node)

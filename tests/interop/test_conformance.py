@@ -121,24 +121,25 @@ class BlockTransfer(rig.OnTheBus):
         self.assertEqual(self.request(0xA4, 0x00, 0x10, 0, 10, 3)[0], 0xC6)
 
 
-class TwoChannels(rig.OnTheBus):
+class SeveralClients(rig.OnTheBus):
     """On vcan1, because the dissector that checks vcan0 decodes the predefined COB-IDs only."""
 
     bus = rig.ROUGH_BUS
 
-    def test_two_clients_have_transfers_at_the_same_time(self):
-        self.write(0x1201, 1, u32(0x6A0))
-        self.write(0x1201, 2, u32(0x6B0))
-        answers = lambda f: f.arbitration_id == 0x6B0
-        self.master.send(0x6A0, bytes.fromhex("4008100000000000"))  # a string of 20 bytes, on the second channel
-        self.assertEqual(self.master.wait(answers).data[:4].hex(), "41081000")
-        text, toggle = b"", 0
-        for _ in range(3):
-            self.assertEqual(self.read(0x1000), u32(0x0004019A))
-            self.master.send(0x6A0, bytes((0x60 | toggle,)) + bytes(7))
-            segment = self.master.wait(answers).data
-            text, toggle = text + segment[1:8 - (segment[0] >> 1 & 7)], toggle ^ 0x10
-        self.assertEqual(text, self.read(0x1008))
+    def test_eight_clients_have_transfers_at_the_same_time(self):
+        channels = [(0x600 + NODE, 0x580 + NODE)] + [(0x680 + n, 0x690 + n) for n in range(1, 8)]
+        for n, (request, response) in list(enumerate(channels))[1:]:
+            self.write(0x1200 + n, 1, u32(request))
+            self.write(0x1200 + n, 2, u32(response))
+        requests = [bytes.fromhex("4008100000000000")] + [bytes((0x60 | t,)) + bytes(7) for t in (0, 0x10, 0)]
+        texts = [b""] * len(channels)
+        for request in requests:  # a string of 20 bytes, segment by segment on all channels in turn
+            for n, (to, back) in enumerate(channels):
+                self.master.send(to, request)
+                answer = self.master.wait(lambda f, back=back: f.arbitration_id == back).data
+                if request[0] != 0x40:
+                    texts[n] += answer[1:8 - (answer[0] >> 1 & 7)]
+        self.assertEqual(texts, [self.read(0x1008)] * len(channels))
 
 
 class ErrorControl(rig.OnTheBus):

@@ -30,7 +30,7 @@ struct bus {
 	size_t sent_count, seen; /* the test has expected `seen` of them */
 	uint64_t seen_us;	 /* of the last one that was expected */
 	bool full;		 /* the bus accepts no frame */
-	uint32_t filter[32];
+	uint32_t filter[48];
 	size_t filter_count;
 
 	uint8_t node_id;

@@ -156,9 +156,11 @@ static void add_communication(struct reference *r)
 	add(r, 0x1200, 0, 1, RO, 2);
 	add(r, 0x1200, 1, 4, RO | REF_NODE_ID, 0x600);
 	add(r, 0x1200, 2, 4, RO | REF_NODE_ID, 0x580);
-	add(r, 0x1201, 0, 1, RO, 2);
-	add(r, 0x1201, 1, 4, CONFIG, INVALID);
-	add(r, 0x1201, 2, 4, CONFIG, INVALID);
+	for (uint16_t channel = 0x1201; channel <= 0x1207; channel++) {
+		add(r, channel, 0, 1, RO, 2);
+		add(r, channel, 1, 4, CONFIG, INVALID);
+		add(r, channel, 2, 4, CONFIG, INVALID);
+	}
 	add(r, 0x1F80, 0, 4, CONFIG, 4);
 }
 
@@ -310,7 +312,36 @@ static uint32_t before_storage(struct reference *r, const struct reference_objec
 	return r->storage == REF_STORED ? 0 : r->storage == REF_STORING ? REF_ABORT_LATER : CANNOT;
 }
 
-static uint32_t before(struct reference *r, const struct reference_object *o, uint32_t value)
+static bool is_channel(const struct reference_object *o)
+{
+	return o->index > 0x1200 && o->index < 0x1208 && o->sub;
+}
+
+/* The identifier that the node uses when the object has this value; 0: none. */
+static uint32_t identifier_of(const struct reference_object *o, uint32_t value)
+{
+	bool pdo = o->index >= 0x1400 && o->index < 0x1C00 && !(o->index & 0x200) && o->sub == 1;
+
+	if (o->index == 0x1005 || (o->index == 0x1012 && value >> 30))
+		return value & 0x7FF;
+	return (is_channel(o) || pdo || o->index == 0x1014) && !(value >> 31) ? value & 0x7FF : 0;
+}
+
+/* The channels of 1201h to 1207h share no identifier with another object. */
+static bool used_twice(const struct reference *r, const struct reference_object *o, uint32_t value)
+{
+	uint32_t id = identifier_of(o, value);
+
+	for (size_t i = 0; i < r->object_count && id; i++) {
+		const struct reference_object *other = &r->objects[i];
+
+		if (other != o && (is_channel(o) || is_channel(other)) && identifier_of(other, other->value) == id)
+			return true;
+	}
+	return false;
+}
+
+static uint32_t allowed(struct reference *r, const struct reference_object *o, uint32_t value)
 {
 	uint32_t moved = (o->value ^ value) & 0x7FF;
 
@@ -328,6 +359,12 @@ static uint32_t before(struct reference *r, const struct reference_object *o, ui
 		return !ref_identifier_allowed(value) || (o->value >> 30 && moved) ? BAD_VALUE : 0;
 	case 0x1014:
 	case 0x1201:
+	case 0x1202:
+	case 0x1203:
+	case 0x1204:
+	case 0x1205:
+	case 0x1206:
+	case 0x1207:
 		return plain_cob_id(o->value, value);
 	case 0x1016:
 		return before_consumer(r, o, value);
@@ -338,6 +375,13 @@ static uint32_t before(struct reference *r, const struct reference_object *o, ui
 	default:
 		return o->index >= 0x1400 && o->index < 0x1C00 ? ref_pdo_before(r, o, value) : 0;
 	}
+}
+
+static uint32_t before(struct reference *r, const struct reference_object *o, uint32_t value)
+{
+	uint32_t code = allowed(r, o, value);
+
+	return code ? code : used_twice(r, o, value) ? 0x06040043 : 0;
 }
 
 static void watch(struct reference *r, unsigned i)
@@ -370,10 +414,9 @@ static void after(struct reference *r, const struct reference_object *o)
 	case 0x1016:
 		watch(r, o->sub - 1u);
 		break;
-	case 0x1201:
-		ref_sdo_open_second(r);
-		break;
 	default:
+		if (o->index > 0x1200 && o->index < 0x1208)
+			ref_sdo_open(r, o->index);
 		if (o->index >= 0x1400 && o->index < 0x1C00)
 			ref_pdo_after(r, o);
 	}
@@ -656,7 +699,8 @@ void ref_reset(struct reference *r, bool node)
 	memset(r->lss.confirmed, 0, sizeof(r->lss.confirmed));
 	reset_objects(r, node);
 	ref_sdo_stop(r);
-	ref_sdo_open_second(r);
+	for (uint16_t channel = 0x1201; channel <= 0x1207; channel++)
+		ref_sdo_open(r, channel);
 	r->sync_running = r->guarded = false;
 	r->sync_counter = r->guard_toggle = 0;
 	r->sync_last_us = r->sync_missing_us = 0;
@@ -1081,7 +1125,8 @@ void reference_init(struct reference *r, uint8_t node_id, uint64_t now_us)
 	qsort(r->objects, r->object_count, sizeof(r->objects[0]), compare);
 	reset_objects(r, true);
 	ref_sdo_stop(r);
-	ref_sdo_open_second(r);
+	for (uint16_t channel = 0x1201; channel <= 0x1207; channel++)
+		ref_sdo_open(r, channel);
 }
 
 void reference_start(struct reference *r)

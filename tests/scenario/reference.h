@@ -38,7 +38,7 @@ enum {
 	REF_CONSUMERS = 8,
 	REF_RPDOS = 4,
 	REF_TPDOS = 8,
-	REF_CHANNELS = 2,
+	REF_CHANNELS = 8,
 	REF_UNCONFIGURED = 255,
 };
 
@@ -194,7 +194,8 @@ uint32_t ref_write(struct reference *r, uint16_t index, uint8_t sub, const uint8
 uint32_t ref_check(const struct reference_object *o, const uint8_t *data, size_t size);
 
 void ref_sdo_stop(struct reference *r);
-void ref_sdo_open_second(struct reference *r);
+/** Opens or closes the channel of 1201h to 1207h as its COB-IDs say. */
+void ref_sdo_open(struct reference *r, uint16_t index);
 bool ref_sdo_receive(struct reference *r, const struct can_msg *msg);
 void ref_sdo_done(struct reference *r, bool stored);
 uint64_t ref_sdo_tick(struct reference *r);

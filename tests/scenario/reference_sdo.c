@@ -1,4 +1,4 @@
-/* The SDO server of the model (CiA 301, 7.2.4): two channels. */
+/* The SDO server of the model (CiA 301, 7.2.4): 1200h to 1207h. */
 #include <string.h>
 
 #include "tests/scenario/reference.h"
@@ -22,19 +22,21 @@ uint16_t reference_crc(const uint8_t *data, size_t size)
 
 void ref_sdo_stop(struct reference *r)
 {
-	r->sdo[0].state = r->sdo[1].state = REF_IDLE;
+	for (int i = 0; i < REF_CHANNELS; i++)
+		r->sdo[i].state = REF_IDLE;
 	r->sdo[0].request = 0x600u + r->node_id;
 	r->sdo[0].response = 0x580u + r->node_id;
 }
 
-void ref_sdo_open_second(struct reference *r)
+void ref_sdo_open(struct reference *r, uint16_t index)
 {
-	uint32_t request = ref_value(r, 0x1201, 1), response = ref_value(r, 0x1201, 2);
+	uint32_t request = ref_value(r, index, 1), response = ref_value(r, index, 2);
+	struct reference_transfer *t = &r->sdo[index & 7];
 
-	r->sdo[1].state = REF_IDLE;
-	r->sdo[1].request = request >> 31 || response >> 31 ? 0 : request;
-	if (r->sdo[1].request)
-		r->sdo[1].response = response;
+	t->state = REF_IDLE;
+	t->request = request >> 31 || response >> 31 ? 0 : request;
+	if (t->request)
+		t->response = response;
 }
 
 static void respond(struct reference *r, struct reference_transfer *t, uint8_t command, uint32_t value)

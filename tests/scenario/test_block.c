@@ -1,5 +1,6 @@
 /* SDO block transfer: CiA 301, 7.2.4.3.9 to 7.2.4.3.16. The CRC of "123456789" is 31C3h; the other CRCs were
  * computed by a bitwise implementation outside this project. */
+#include "od/little_endian.h"
 #include "tests/scenario/bus.h"
 
 #include <string.h>
@@ -239,6 +240,70 @@ static void test_pdos_are_sent_between_the_segments_of_a_sub_block(void **state)
 	assert_int_equal(bus->sent[bus->sent_count - 1].msg.data[0], 127);
 }
 
+static uint16_t crc_bit_by_bit(const uint8_t *data, size_t size)
+{
+	uint16_t crc = 0;
+
+	for (size_t i = 0; i < size * 8; i++) {
+		unsigned bit = data[i / 8] >> (7 - i % 8) & 1;
+
+		crc = (uint16_t)((crc >> 15 ^ bit) & 1 ? crc << 1 ^ 0x1021 : crc << 1);
+	}
+	return crc;
+}
+
+/* The data bytes of the segments on one channel, each in order. */
+static size_t received_on(const struct bus *bus, uint32_t id, uint8_t *got)
+{
+	size_t segments = 0;
+
+	for (size_t i = bus->seen; i < bus->sent_count; i++) {
+		const struct can_msg *msg = &bus->sent[i].msg;
+
+		if (msg->id != id)
+			continue;
+		assert_int_equal(msg->data[0] & 0x7F, segments + 1);
+		memcpy(got + segments++ * 7, msg->data + 1, 7);
+	}
+	return segments * 7;
+}
+
+static void test_eight_uploads_share_the_segments_sent_at_a_time_and_each_is_complete(void **state)
+{
+	struct bus *bus = *state;
+	static uint8_t content[889], got[BUS_FRAMES * 7]; /* 127 segments */
+	uint16_t crc;
+
+	for (size_t i = 0; i < sizeof(content); i++)
+		content[i] = (uint8_t)(i * i >> 3);
+	crc = crc_bit_by_bit(content, sizeof(content));
+	set_domain(bus, content, sizeof(content));
+	for (uint16_t n = 1; n < 8; n++) {
+		assert_int_equal(bus_write(bus, 0x1200 + n, 1, 4, 0x680u + n), 0);
+		assert_int_equal(bus_write(bus, 0x1200 + n, 2, 4, 0x690u + n), 0);
+	}
+	for (uint32_t n = 1; n < 8; n++)
+		bus_send_msg(bus, &(struct can_msg){.id = 0x680 + n, .len = 8, .data = {0xA4, 0x21, 0x10, 0, 127}});
+	bus_forget(bus);
+	for (uint32_t n = 1; n < 8; n++)
+		bus_send_msg(bus, &(struct can_msg){.id = 0x680 + n, .len = 8, .data = {0xA3}});
+	for (int i = 0; i < 200; i++) {
+		size_t before = bus->sent_count;
+		bus_run(bus, 1);
+		assert_in_range(bus->sent_count - before, 0, 16);
+	}
+	for (uint32_t n = 1; n < 8; n++) {
+		assert_int_equal(received_on(bus, 0x690 + n, got), sizeof(content));
+		assert_memory_equal(got, content, sizeof(content));
+	}
+	for (uint32_t n = 1; n < 8; n++) {
+		bus_forget(bus);
+		bus_send_msg(bus, &(struct can_msg){.id = 0x680 + n, .len = 8, .data = {0xA2, 127, 127}});
+		assert_int_equal(bus->sent[bus->seen].msg.data[0], 0xC1);
+		assert_int_equal(get_u16(bus->sent[bus->seen].msg.data + 1), crc);
+	}
+}
+
 static void test_a_full_bus_delays_the_segments_and_none_is_lost(void **state)
 {
 	struct bus *bus = *state;
@@ -309,18 +374,6 @@ static uint32_t next(uint32_t *seed)
 	*seed ^= *seed >> 17;
 	*seed ^= *seed << 5;
 	return *seed;
-}
-
-static uint16_t crc_bit_by_bit(const uint8_t *data, size_t size)
-{
-	uint16_t crc = 0;
-
-	for (size_t i = 0; i < size * 8; i++) {
-		unsigned bit = data[i / 8] >> (7 - i % 8) & 1;
-
-		crc = (uint16_t)((crc >> 15 ^ bit) & 1 ? crc << 1 ^ 0x1021 : crc << 1);
-	}
-	return crc;
 }
 
 /* Receives the segments of one sub-block, each of which is lost with a probability of 1 / `odds`. Returns the number of
@@ -692,6 +745,7 @@ int main(void)
 		PRE_OPERATIONAL(test_an_upload_without_a_response_of_the_client_times_out),
 		PRE_OPERATIONAL(test_an_abort_or_a_new_request_ends_an_upload),
 		OPERATIONAL(test_pdos_are_sent_between_the_segments_of_a_sub_block),
+		OPERATIONAL(test_eight_uploads_share_the_segments_sent_at_a_time_and_each_is_complete),
 		OPERATIONAL(test_a_full_bus_delays_the_segments_and_none_is_lost),
 		PRE_OPERATIONAL(test_a_sub_block_does_not_time_out_on_a_slow_bus),
 		PRE_OPERATIONAL(test_a_bus_that_stays_full_ends_the_upload),

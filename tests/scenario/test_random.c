@@ -334,13 +334,17 @@ static void write_frame(char *text, size_t size, const struct can_msg *msg)
 		n += snprintf(text + n, size - (size_t)n, " %02X", msg->data[i]);
 }
 
-/* The core may spread the segments of a sub-block over some microseconds. */
+/* The core may spread the segments of a sub-block over some microseconds, the more channels the more. */
+enum { BLOCK_US = 100 };
+
 static bool same_time(const struct reference *r, uint64_t a, uint64_t b, uint32_t id)
 {
-	bool sdo = id == r->sdo[0].response || id == r->sdo[1].response;
 	uint64_t apart = a > b ? a - b : b - a;
+	bool sdo = false;
 
-	return apart <= (sdo ? 20 : 0);
+	for (int i = 0; i < REF_CHANNELS; i++)
+		sdo |= id == r->sdo[i].response;
+	return apart <= (sdo ? BLOCK_US : 0);
 }
 
 static bool deviates(struct sequence *s, const char *why, const struct can_msg *sent, const struct can_msg *expected)
@@ -555,7 +559,9 @@ static uint32_t request_id(struct generator *g)
 {
 	const struct reference *r = g->reference;
 
-	return r->sdo[1].request && below(&g->seed, 3) == 0 ? r->sdo[1].request : 0x600u + r->node_id;
+	uint32_t other = r->sdo[below(&g->seed, REF_CHANNELS)].request;
+
+	return other && below(&g->seed, 3) == 0 ? other : 0x600u + r->node_id;
 }
 
 static void plan_sdo(struct generator *g, uint32_t id, uint8_t command, uint16_t index, uint8_t sub, uint32_t value)
@@ -711,7 +717,7 @@ static void plan_time(struct generator *g)
 	plan_frame(g, msg);
 }
 
-/* Producers, consumers, the second SDO server, and faults. */
+/* Producers, consumers, SDO channels, and faults. */
 static void plan_service(struct generator *g)
 {
 	static const uint8_t overflows[] = {0, 0, 2, 3, 240, 1};
@@ -726,8 +732,10 @@ static void plan_service(struct generator *g)
 		plan_wait(g, below(&g->seed, 300000));
 		break;
 	case 1:
-		plan_write(g, 0x1201, 1, 0x680);
-		plan_write(g, 0x1201, 2, 0x690);
+		for (uint32_t n = 1 + below(&g->seed, REF_CHANNELS - 1); n > 0; n--) {
+			plan_write(g, (uint16_t)(0x1200 + n), 1, 0x680 + n);
+			plan_write(g, (uint16_t)(0x1200 + n), 2, 0x690 + n);
+		}
 		break;
 	case 2:
 		plan_write(g, 0x100C, 0, 1 + below(&g->seed, 100));
@@ -1199,7 +1207,7 @@ static bool run_step(struct pair *p, struct sequence *s, const struct random_ste
 	do_step(p, step);
 	for (int i = 0; i < REF_CHANNELS; i++)
 		if (p->reference->sdo[i].state == REF_BLOCK_UPLOAD)
-			wait(p, 20); /* until the sub-block is sent */
+			wait(p, BLOCK_US); /* until the sub-block is sent */
 	return compare(p, s);
 }
 

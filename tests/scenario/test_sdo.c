@@ -2,6 +2,7 @@
 #include "gateway/canopen/sdo_abort.h"
 #include "tests/scenario/bus.h"
 
+#include <stdio.h>
 #include <string.h>
 
 /* ---- expedited --------------------------------------------------------------------------------------------------- */
@@ -477,7 +478,7 @@ static void test_every_object_reads_by_sdo_as_in_the_dictionary(void **state)
 	}
 }
 
-/* ---- the second channel (1201h) ---------------------------------------------------------------------------------- */
+/* ---- the further channels (1201h to 1207h) ----------------------------------------------------------------------- */
 
 static void open_second(struct bus *bus)
 {
@@ -604,6 +605,162 @@ static void test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_k
 	(void)state;
 }
 
+enum { CHANNELS = 8 }; /* 1200h to 1207h */
+
+/* Channel n of 1201h to 1207h has 680h + n for requests and 690h + n for responses. */
+static void open_all(struct bus *bus)
+{
+	for (uint16_t n = 1; n < CHANNELS; n++) {
+		assert_int_equal(bus_write(bus, 0x1200 + n, 1, 4, 0x680u + n), 0);
+		assert_int_equal(bus_write(bus, 0x1200 + n, 2, 4, 0x690u + n), 0);
+	}
+}
+
+static void send_on(struct bus *bus, unsigned n, const char *data)
+{
+	char text[64];
+
+	snprintf(text, sizeof(text), "%X %s", n ? 0x680 + n : 0x610, data);
+	bus_send(bus, text);
+}
+
+static void expect_on(struct bus *bus, unsigned n, const char *data)
+{
+	char text[64];
+
+	snprintf(text, sizeof(text), "%X %s", n ? 0x690 + n : 0x590, data);
+	bus_expect(bus, text);
+	bus_expect_nothing(bus);
+}
+
+static void test_eight_clients_have_transfers_of_their_own_at_the_same_time(void **state)
+{
+	static const struct {
+		const char *request, *response;
+	} steps[] = {{"40 08 10 00 00 00 00 00", "41 08 10 00 14 00 00 00"},
+		{"60 00 00 00 00 00 00 00", "00 49 4D 55 39 20 43 41"},
+		{"70 00 00 00 00 00 00 00", "10 4E 6F 70 65 6E 20 67"},
+		{"60 00 00 00 00 00 00 00", "03 61 74 65 77 61 79 00"}};
+	struct bus *bus = *state;
+
+	open_all(bus);
+	for (size_t i = 0; i < sizeof(steps) / sizeof(steps[0]); i++)
+		for (unsigned n = 0; n < CHANNELS; n++) {
+			send_on(bus, n, steps[i].request);
+			expect_on(bus, n, steps[i].response);
+		}
+}
+
+static void test_a_client_that_gives_up_or_is_silent_ends_its_own_transfer_only(void **state)
+{
+	struct bus *bus = *state;
+
+	open_all(bus);
+	for (unsigned n = 0; n < CHANNELS; n++) {
+		send_on(bus, n, "40 08 10 00 00 00 00 00");
+		expect_on(bus, n, "41 08 10 00 14 00 00 00");
+		bus_run(bus, 100000);
+	}
+	send_on(bus, 3, "80 08 10 00 00 00 04 05");
+	bus_expect_nothing(bus);
+	bus_run(bus, 199999); /* channel 0 was asked 1 s ago, less 1 us */
+	bus_expect_nothing(bus);
+	for (unsigned n = 0; n < CHANNELS; n++) {
+		bus_run(bus, 1);
+		if (n != 3)
+			expect_on(bus, n, "80 08 10 00 00 00 04 05");
+		bus_run(bus, 99999);
+		bus_expect_nothing(bus);
+	}
+}
+
+static void test_two_clients_write_the_same_object_and_the_last_value_stays(void **state)
+{
+	struct bus *bus = *state;
+
+	open_all(bus);
+	send_on(bus, 1, "21 00 20 01 04 00 00 00"); /* segmented: 1.0 */
+	expect_on(bus, 1, "60 00 20 01 00 00 00 00");
+	send_on(bus, 7, "23 00 20 01 00 00 00 40"); /* 2.0 */
+	expect_on(bus, 7, "60 00 20 01 00 00 00 00");
+	send_on(bus, 0, "40 00 20 01 00 00 00 00");
+	expect_on(bus, 0, "43 00 20 01 00 00 00 40");
+	send_on(bus, 1, "07 00 00 80 3F 00 00 00");
+	expect_on(bus, 1, "20 00 00 00 00 00 00 00");
+	send_on(bus, 0, "40 00 20 01 00 00 00 00");
+	expect_on(bus, 0, "43 00 20 01 00 00 80 3F");
+}
+
+static void test_a_second_client_cannot_store_while_the_first_one_waits(void **state)
+{
+	struct bus *bus = *state;
+
+	open_all(bus);
+	bus->storage_answer = OD_PENDING;
+	send_on(bus, 2, "23 10 10 01 73 61 76 65");
+	bus_expect_nothing(bus);
+	send_on(bus, 5, "23 10 10 01 73 61 76 65");
+	expect_on(bus, 5, "80 10 10 01 22 00 00 08");
+	canopen_store_done(&bus->node, OD_OK, bus->now_us);
+	expect_on(bus, 2, "60 10 10 01 00 00 00 00");
+}
+
+static void test_an_identifier_that_the_node_uses_already_is_refused_for_a_channel(void **state)
+{
+	static const uint32_t used[] = {
+		0x080, /* SYNC */
+		0x090, /* EMCY */
+		0x190, /* TPDO1 */
+		0x210, /* RPDO1 */
+		0x681, /* the request and the response of another channel */
+		0x691,
+	};
+	struct bus *bus = *state;
+
+	open_all(bus);
+	assert_int_equal(bus_write(bus, 0x1202, 1, 4, 0x80000000), 0);
+	for (size_t i = 0; i < sizeof(used) / sizeof(used[0]); i++)
+		assert_int_equal(bus_write(bus, 0x1202, 1, 4, used[i]), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1202, 1, 4, 0x692), 0x06040043); /* its own response */
+	assert_int_equal(bus_write(bus, 0x1012, 0, 4, 0x80000100), 0);
+	assert_int_equal(bus_write(bus, 0x1202, 1, 4, 0x100), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1012, 0, 4, 0x100), 0); /* TIME is not used any more */
+	assert_int_equal(bus_write(bus, 0x1202, 1, 4, 0x100), 0);
+}
+
+static void test_an_identifier_of_a_channel_is_refused_for_another_object(void **state)
+{
+	struct bus *bus = *state;
+
+	open_all(bus);
+	assert_int_equal(bus_write(bus, 0x1005, 0, 4, 0x681), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1012, 0, 4, 0x80000681), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x80000000), 0);
+	assert_int_equal(bus_write(bus, 0x1014, 0, 4, 0x691), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1400, 1, 4, 0x80000000), 0);
+	assert_int_equal(bus_write(bus, 0x1400, 1, 4, 0x687), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x80000000), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x697), 0x06040043);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, 0x698), 0);
+}
+
+static void test_of_two_stored_channels_with_one_identifier_one_is_closed_and_reported(void **state)
+{
+	struct bus *bus = bus_new();
+
+	for (uint16_t n = 1; n <= 2; n++) {
+		bus_put(bus, 0x1200 + n, 1, 4, 0x680);
+		bus_put(bus, 0x1200 + n, 2, 4, 0x690u + n);
+	}
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	bus_expect(bus, "090 00 63 01 01 12 00 00 00");
+	assert_int_equal(bus_read(bus, 0x1201, 1), 0x80000680);
+	bus_exchange(bus, "680 40 00 10 00 00 00 00 00", "692 43 00 10 00 9A 01 04 00");
+	test_free(bus);
+	(void)state;
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -656,6 +813,13 @@ int main(void)
 		PRE_OPERATIONAL(test_a_client_that_closes_its_own_channel_receives_the_response),
 		PRE_OPERATIONAL(test_reset_communication_closes_the_second_channel),
 		cmocka_unit_test(test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_keeps_it_closed),
+		PRE_OPERATIONAL(test_eight_clients_have_transfers_of_their_own_at_the_same_time),
+		PRE_OPERATIONAL(test_a_client_that_gives_up_or_is_silent_ends_its_own_transfer_only),
+		PRE_OPERATIONAL(test_two_clients_write_the_same_object_and_the_last_value_stays),
+		PRE_OPERATIONAL(test_a_second_client_cannot_store_while_the_first_one_waits),
+		PRE_OPERATIONAL(test_an_identifier_that_the_node_uses_already_is_refused_for_a_channel),
+		PRE_OPERATIONAL(test_an_identifier_of_a_channel_is_refused_for_another_object),
+		cmocka_unit_test(test_of_two_stored_channels_with_one_identifier_one_is_closed_and_reported),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -204,6 +204,30 @@ static void test_a_set_without_a_value_shows_the_syntax(void **state)
 	assert_int_equal(config_set(&config, "=1", why), -EINVAL);
 }
 
+/* What imu9-sdo save writes of a node in which all differs from the defaults. */
+static void test_all_configuration_objects_fit_one_file(void **state)
+{
+	char text[OD_VALUE_MAX * 4], *all = NULL;
+	uint8_t wire[OD_VALUE_MAX];
+	size_t size, n = 0;
+	FILE *f = open_memstream(&all, &size);
+
+	(void)state;
+	for (size_t i = 0; i < imu9_od_table.count; i++) {
+		const struct od_entry *e = &imu9_od_table.entries[i];
+
+		if (!(e->access & OD_STORED) || !(e->access & OD_WRITE) || e->type == OD_VISIBLE_STRING)
+			continue;
+		assert_true(od_format(e, wire, od_get(&od, e, wire, sizeof(wire)), text, sizeof(text)) > 0);
+		fprintf(f, "%s = %s\n", e->name, text);
+		n++;
+	}
+	fclose(f);
+	assert_int_equal(read_file(all), 0);
+	assert_int_equal(config.object_count, n);
+	free(all);
+}
+
 #define TEST(f) cmocka_unit_test_setup(f, set_up)
 
 int main(void)
@@ -225,6 +249,7 @@ int main(void)
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
+		TEST(test_all_configuration_objects_fit_one_file),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
