@@ -77,7 +77,7 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 /** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second.
  * */
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);
-/** The save in progress has ended: 0 or -errno. */
+/** The save in progress has ended, `result` as of store_write(). */
 void device_saved(struct device *d, int result, uint64_t now_us);
 /** The process was not scheduled for up to `us` (stopped, or the machine overloaded): the sensor's timeout does not
  * count this time. */

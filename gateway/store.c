@@ -106,24 +106,68 @@ int store_decode(struct store_image *image, const uint8_t *in, size_t size)
 
 /* ---- the file ---------------------------------------------------------------------------------------------------- */
 
+/* Nothing that is not a regular file: a FIFO or a device would block, a symbolic link is another's file. */
+static int open_regular(const char *path, int flags)
+{
+	struct stat status;
+	int fd = open(path, flags | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, 0644);
+
+	if (fd < 0)
+		return -errno;
+	int rc = fstat(fd, &status) < 0 ? -errno : S_ISREG(status.st_mode) ? fd : -EINVAL;
+	if (rc < 0)
+		close(fd);
+	return rc;
+}
+
+static bool exists(const char *path)
+{
+	struct stat status;
+
+	return lstat(path, &status) == 0 || errno != ENOENT;
+}
+
+/* An earlier one may be all that is left of somebody's configuration. */
+static void keep_as_bad(const char *path)
+{
+	char bad[STORE_PATH_MAX + 8];
+
+	snprintf(bad, sizeof(bad), "%s.bad", path);
+	for (int n = 1; n < 100 && exists(bad); n++)
+		snprintf(bad, sizeof(bad), "%s.bad.%d", path, n);
+	if (!exists(bad))
+		rename(path, bad);
+}
+
+static ssize_t read_all(int fd, uint8_t *bytes, size_t capacity)
+{
+	size_t size = 0;
+	ssize_t n = 1;
+
+	while (size < capacity && n != 0) {
+		n = read(fd, bytes + size, capacity - size);
+		if (n < 0 && errno != EINTR)
+			return -errno;
+		size += n > 0 ? (size_t)n : 0;
+	}
+	return (ssize_t)size;
+}
+
 int store_read(struct store_image *image, const char *path)
 {
 	uint8_t bytes[STORE_FILE_MAX + 1];
-	char bad[STORE_PATH_MAX + 8];
+	int fd = open_regular(path, O_RDONLY);
 
 	*image = (struct store_image){0};
-	FILE *f = fopen(path, "rbe");
-	if (!f)
-		return errno == ENOENT ? 0 : -errno;
-	size_t size = fread(bytes, 1, sizeof(bytes), f);
-	int rc = ferror(f) ? -EIO : 0;
-	fclose(f);
-	if (rc == 0)
-		rc = store_decode(image, bytes, size);
-	if (rc == -EBADMSG || rc == -ENOTSUP) {
-		snprintf(bad, sizeof(bad), "%s.bad", path);
-		rename(path, bad);
-	}
+	if (fd < 0)
+		return fd == -ENOENT ? 0 : fd;
+	ssize_t size = read_all(fd, bytes, sizeof(bytes));
+	close(fd);
+	if (size < 0)
+		return (int)size;
+	int rc = store_decode(image, bytes, (size_t)size);
+	if (rc == -EBADMSG || rc == -ENOTSUP)
+		keep_as_bad(path);
 	return rc;
 }
 
@@ -142,7 +186,7 @@ static int write_all(int fd, const uint8_t *bytes, size_t size)
 	return fsync(fd) < 0 ? -errno : 0;
 }
 
-/* A rename is durable only when its folder is synced, too. */
+/* A rename is durable only when its folder is synced, too. Some file systems cannot: EINVAL. */
 static int sync_folder_of(const char *path)
 {
 	char folder[STORE_PATH_MAX];
@@ -152,7 +196,7 @@ static int sync_folder_of(const char *path)
 	int fd = open(folder, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
 	if (fd < 0)
 		return -errno;
-	int rc = fsync(fd) < 0 ? -errno : 0;
+	int rc = fsync(fd) < 0 && errno != EINVAL ? -errno : 0;
 	close(fd);
 	return rc;
 }
@@ -162,16 +206,17 @@ int store_write(const char *path, const uint8_t *bytes, size_t size)
 	char temp[STORE_PATH_MAX + 8];
 
 	snprintf(temp, sizeof(temp), "%s.new", path);
-	int fd = open(temp, O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, 0644);
+	unlink(temp); /* of a power cut; whatever else has the name is not followed or opened */
+	int fd = open_regular(temp, O_WRONLY | O_CREAT | O_EXCL);
 	if (fd < 0)
-		return -errno;
+		return fd;
 	int rc = write_all(fd, bytes, size);
 	if (close(fd) < 0 && rc == 0)
 		rc = -errno;
 	if (rc == 0 && rename(temp, path) < 0)
 		rc = -errno;
 	if (rc == 0)
-		return sync_folder_of(path);
+		return -sync_folder_of(path);
 	unlink(temp);
 	return rc;
 }
@@ -218,9 +263,9 @@ static int lock_path(const char *path)
 	char name[STORE_PATH_MAX + 8];
 
 	snprintf(name, sizeof(name), "%s.lock", path);
-	int fd = open(name, O_RDWR | O_CREAT | O_CLOEXEC, 0644);
+	int fd = open_regular(name, O_RDWR | O_CREAT);
 	if (fd < 0)
-		return -errno;
+		return fd;
 	if (flock(fd, LOCK_EX | LOCK_NB) == 0)
 		return fd;
 	int rc = errno == EWOULDBLOCK ? -EADDRINUSE : -errno;

@@ -45,9 +45,11 @@ size_t store_encode(const struct store_image *image, uint8_t *out);
 int store_decode(struct store_image *image, const uint8_t *in, size_t size);
 
 /** 0 and the image (empty when there is no file yet); -EBADMSG or -ENOTSUP as store_decode(): the file has been renamed
- * to PATH.bad, so that nothing is lost; other -errno: it cannot be read. Blocks. */
+ * to PATH.bad, or PATH.bad.1 to .99 if that exists, so that nothing is lost; -ELOOP: a symbolic link, -EINVAL: not a
+ * regular file; other -errno: it cannot be read. Blocks. */
 int store_read(struct store_image *image, const char *path);
-/** Blocks until the file is on the disk. 0, or -errno and the old file is unchanged. */
+/** Blocks until the file is on the disk. 0; -errno: the old file is unchanged; a positive errno: the new file is in its
+ * place, but its folder could not be synced, so that a power cut may still bring back the old one. */
 int store_write(const char *path, const uint8_t *bytes, size_t size);
 
 /** A thread that calls store_write(). `fd` becomes readable when a write has ended. One other thread calls the

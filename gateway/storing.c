@@ -12,7 +12,7 @@ static const enum od_group groups[STORE_GROUPS] = {OD_GROUP_COMMUNICATION, OD_GR
 static enum od_status storage_result(struct storing *s, int rc)
 {
 	s->in_progress = rc == -EINPROGRESS;
-	if (rc == 0)
+	if (rc >= 0) /* the file has the new values, durable or not */
 		s->stored = s->saving;
 	return rc == 0 ? OD_OK : rc == -EINPROGRESS ? OD_PENDING : OD_CANNOT_STORE;
 }
@@ -74,6 +74,10 @@ void storing_saved(struct storing *s, int result, uint64_t now_us)
 
 	if (result < 0)
 		event_log_line(s->log, now_us, "values could not be stored: %s", strerror(-result));
+	else if (result > 0)
+		event_log_line(s->log, now_us,
+			"values stored, but a power cut may bring back the old ones: %s; store again",
+			strerror(result));
 	else
 		event_log_add(s->log, now_us, "values of 1010h, 1011h or LSS stored");
 	if (s->lss)

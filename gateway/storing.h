@@ -14,7 +14,7 @@
 #include "gateway/store.h"
 #include "od_values.h"
 
-/** Where the file goes. save() returns 0: saved; -EINPROGRESS: storing_saved() will be called; other -errno: failed.
+/** Where the file goes. save() returns 0: saved; -EINPROGRESS: storing_saved() will be called; else as store_write().
  * NULL: this device cannot store (1010h answers 08000020h). */
 struct storing_port {
 	void *ctx;
@@ -46,7 +46,7 @@ enum od_status storing_store(struct storing *s, enum od_group group);
 enum od_status storing_restore(struct storing *s, enum od_group group);
 enum od_status storing_store_lss(struct storing *s, uint8_t node_id, uint32_t bit_s);
 
-/** The save in progress has ended: 0 or -errno. Answers the SDO or LSS request. */
+/** The save in progress has ended, `result` as of store_write(). Answers the SDO or LSS request. */
 void storing_saved(struct storing *s, int result, uint64_t now_us);
 
 /** NMT reset: the objects of the group take the values of file and command line, then the stored ones. */

@@ -515,6 +515,25 @@ static void test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_s
 	assert_near(w->device.values.lever_arm.l, 3, 1e-7);
 }
 
+/* The folder of the file could not be synced (store_write()). */
+static void test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored(void **state)
+{
+	struct world *w = *state;
+	static uint8_t bytes[STORE_FILE_MAX];
+
+	write_lever_arm(w, 3, 0, 0);
+	w->disk_answer = -EINPROGRESS;
+	world_receive(w, 0x600 + WORLD_NODE_ID, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	assert_int_equal(store_decode(&w->disk, bytes, store_encode(&w->device.storing.saving, bytes)), 0);
+	device_saved(&w->device, EIO, w->now_us);
+	assert_memory_equal(
+		world_last(w, 0x580 + WORLD_NODE_ID)->data, ((const uint8_t[]){0x80, 0x10, 0x10, 1, 0x20, 0, 0, 8}), 8);
+	w->disk_answer = 0;
+	lss_store_node_id(w, 5); /* keeps what the file has */
+	world_power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 3, 0);
+}
+
 static void test_a_slow_disk_delays_the_answer_and_not_the_samples(void **state)
 {
 	struct world *w = *state;
@@ -798,6 +817,7 @@ int main(void)
 		TEST(test_lss_does_not_store_while_1010h_does),
 		TEST(test_the_status_shows_that_2117h_is_utc),
 		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
+		TEST(test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored),
 		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
 		TEST(test_a_second_store_during_a_store_is_refused),
 		TEST(test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it),

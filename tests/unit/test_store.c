@@ -6,16 +6,32 @@
 #include <cmocka.h>
 
 #include <errno.h>
+#include <fcntl.h>
 #include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "gateway/store.h"
 
 static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
+
+/* What the disk answers for a folder; files are synced. */
+static int folder_sync_errno;
+
+int fsync(int fd)
+{
+	struct stat status;
+
+	if (fstat(fd, &status) == 0 && S_ISDIR(status.st_mode) && folder_sync_errno) {
+		errno = folder_sync_errno;
+		return -1;
+	}
+	return (int)syscall(SYS_fsync, fd);
+}
 
 static int make_folder(void **state)
 {
@@ -37,6 +53,7 @@ static int remove_folder(void **state)
 	unlink(bad_path);
 	unlink(new_path);
 	unlink(lock_path);
+	folder_sync_errno = 0;
 	return rmdir(folder);
 }
 
@@ -120,7 +137,7 @@ static void test_every_truncation_is_detected_and_the_file_is_kept_as_bad(void *
 		assert_int_equal(store_read(&back, path), -EBADMSG);
 		assert_int_equal(back.groups[0].size, 0);
 		assert_false(exists(path));
-		assert_true(exists(bad_path));
+		assert_int_equal(unlink(bad_path), 0);
 	}
 }
 
@@ -159,6 +176,78 @@ static void test_a_power_cut_during_a_write_keeps_the_old_values(void **state)
 	assert_int_equal(store_write(path, bytes, size), 0); /* a left-over temporary file is replaced */
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&new, &back);
+}
+
+static void test_a_bad_file_is_never_overwritten(void **state)
+{
+	struct store_image image;
+	uint8_t byte;
+	char name[200];
+
+	(void)state;
+	for (uint8_t n = 0; n < 3; n++) {
+		write_bytes(&n, 1);
+		assert_int_equal(store_read(&image, path), -EBADMSG);
+		assert_false(exists(path));
+	}
+	for (uint8_t n = 0; n < 3; n++) {
+		snprintf(name, sizeof(name), n ? "%s.%d" : "%s", bad_path, n);
+		FILE *f = fopen(name, "rb");
+		assert_non_null(f);
+		assert_int_equal(fread(&byte, 1, 1, f), 1);
+		assert_int_equal(byte, n);
+		fclose(f);
+		unlink(name);
+	}
+}
+
+/* None of them is opened in a way that waits, and none is written through. */
+static void test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one(void **state)
+{
+	const struct store_image image = example(4, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+	size_t size = store_encode(&image, bytes);
+
+	(void)state;
+	assert_int_equal(mkfifo(path, 0600), 0);
+	assert_int_equal(mkfifo(new_path, 0600), 0);
+	assert_int_equal(store_read(&back, path), -EINVAL);
+	assert_int_equal(store_write(path, bytes, size), 0);
+	assert_int_equal(store_read(&back, path), 0);
+	unlink(path);
+	assert_int_equal(symlink(lock_path, path), 0);
+	assert_int_equal(symlink(lock_path, new_path), 0);
+	assert_int_equal(store_read(&back, path), -ELOOP);
+	assert_int_equal(store_write(path, bytes, size), 0);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+	assert_false(exists(lock_path));
+}
+
+static void test_a_lock_that_is_a_link_is_not_followed(void **state)
+{
+	static struct store_writer writer;
+
+	(void)state;
+	assert_int_equal(symlink(bad_path, lock_path), 0);
+	assert_int_equal(store_writer_open(&writer, path), -ELOOP);
+	assert_false(exists(bad_path));
+}
+
+static void test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so(void **state)
+{
+	const struct store_image image = example(5, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	folder_sync_errno = EIO;
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), EIO);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+	folder_sync_errno = EINVAL; /* a file system that has no such thing */
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
 }
 
 static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
@@ -318,6 +407,10 @@ int main(void)
 		TEST(test_every_truncation_is_detected_and_the_file_is_kept_as_bad),
 		cmocka_unit_test(test_every_flipped_bit_is_detected),
 		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
+		TEST(test_a_bad_file_is_never_overwritten),
+		TEST(test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one),
+		TEST(test_a_lock_that_is_a_link_is_not_followed),
+		TEST(test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
 		TEST(test_the_thread_creates_the_folder_writes_and_signals_the_end),
 		TEST(test_one_file_has_one_writer),
