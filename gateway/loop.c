@@ -225,9 +225,10 @@ static sigset_t stop_signals(void)
 
 void loop_hold_signals(void)
 {
-	sigset_t stop = stop_signals();
+	sigset_t held = stop_signals();
 
-	sigprocmask(SIG_BLOCK, &stop, NULL);
+	sigaddset(&held, SIGHUP);
+	sigprocmask(SIG_BLOCK, &held, NULL);
 	signal(SIGPIPE, SIG_IGN);
 }
 

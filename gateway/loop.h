@@ -7,8 +7,8 @@
 #include "gateway/device.h"
 #include "gateway/store.h"
 
-/** Blocks SIGINT and SIGTERM until the loop reads them. To be called before any thread is started: threads inherit it.
- * */
+/** Blocks SIGINT and SIGTERM until the loop reads them, and SIGHUP, which has no effect. To be called before any thread
+ * is started: threads inherit it. */
 void loop_hold_signals(void);
 
 /** Runs until SIGINT or SIGTERM. 0, or -errno when the loop itself cannot be set up. `writer`: NULL when nothing can be

@@ -14,6 +14,7 @@
 #include "gateway/device.h"
 #include "gateway/log.h"
 #include "gateway/loop.h"
+#include "gateway/process_guard.h"
 #include "od_values.h"
 
 enum { EXIT_USAGE = 2 };
@@ -144,6 +145,8 @@ static int apply_environment(struct config *config, const char *variable, const 
 	return EXIT_USAGE;
 }
 
+static struct process_guard guard;
+
 /* The file before the other options, in any order on the command line. -1: run, else the exit status. */
 static int read_configuration(struct config *config, int argc, char **argv)
 {
@@ -156,8 +159,11 @@ static int read_configuration(struct config *config, int argc, char **argv)
 		return status;
 	opterr = 0;
 	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
-		if (option == 'c' && config_file(config, optarg, why) < 0)
-			return bad_configuration(why);
+		if (option == 'c') {
+			process_guard_opening(&guard, optarg);
+			if (config_file(config, optarg, why) < 0)
+				return bad_configuration(why);
+		}
 	optind = 0; /* glibc: start again */
 	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
 		status = apply_option(config, option, index, argv);
@@ -250,6 +256,8 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 		log_line("%s: stored values not used: %s", path,
 			rc == -EBADMSG	 ? "damaged; kept as .bad"
 			: rc == -ENOTSUP ? "of a later version; kept as .bad"
+			: rc == -EINVAL	 ? "not a regular file"
+			: rc == -ELOOP	 ? "a symbolic link; use the folder it points to with --store"
 					 : strerror(-rc));
 	if (opened < 0) {
 		log_line("%s: %s: 1010h cannot store; use another folder with --store", path, strerror(-opened));
@@ -340,7 +348,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
 	bool damaged;
 
+	process_guard_opening(&guard, config->store[0] ? config->store : "the store");
 	struct store_writer *store = open_store(config, &damaged);
+	process_guard_opening(&guard, NULL);
 	uint8_t node_id = start_node_id(config);
 	start_bit_rate(config, bus);
 	od_init(&device.od, &imu9_od_table, &device.values, node_id);
@@ -362,7 +372,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		log_notes(imu->notes);
 		open_leds(config);
 		go_realtime(config->realtime);
+		process_guard_rest(&guard);
 		rc = loop_run(&device, bus, imu, store, damaged);
+		process_guard_stop(&guard);
 		if (rc < 0)
 			log_line("cannot run: %s", strerror(-rc));
 		leds_close(&device.leds);
@@ -392,16 +404,18 @@ int main(int argc, char **argv)
 	struct can_port *bus;
 	char why[CONFIG_ERROR_MAX];
 
+	process_guard_start(&guard);
 	config_init(&config, &imu9_od_table);
 	int status = read_configuration(&config, argc, argv);
 	if (status >= 0)
 		return status;
-	loop_hold_signals();
 	const struct imu_settings settings = settings_of(&config);
+	process_guard_opening(&guard, config.imu);
 	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		return EXIT_FAILURE;
 	}
+	process_guard_opening(&guard, config.can);
 	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
 		log_line("%s", why);
 		imu_close(imu);
