@@ -15,6 +15,7 @@
 #include "gateway/log.h"
 #include "gateway/loop.h"
 #include "gateway/process_guard.h"
+#include "gateway/store_name.h"
 #include "od_values.h"
 
 enum { EXIT_USAGE = 2 };
@@ -188,27 +189,6 @@ static void store_folder(char *folder, size_t size, const struct config *config)
 		snprintf(folder, size, "%.400s/.local/state/imu9-gateway", home);
 }
 
-/* One file for each bus, since the node-ID can change. */
-static void store_path(char *path, size_t size, const char *folder, const char *bus)
-{
-	int n = snprintf(path, size, "%s/", folder);
-
-	snprintf(path + n, size - (size_t)n, "%s.store", bus);
-	for (char *p = path + n; *p; p++)
-		if (strchr("/:[] ", *p))
-			*p = '_';
-}
-
-/* Version 0.1 named the file after the node-ID. */
-static void rename_old_store(const char *path, const char *folder, unsigned node_id)
-{
-	char old[STORE_PATH_MAX];
-
-	snprintf(old, sizeof(old), "%.500s/node-%u.store", folder, node_id);
-	if (access(path, F_OK) < 0 && errno == ENOENT && rename(old, path) == 0)
-		log_line("%s renamed to %s", old, path);
-}
-
 static void go_realtime(unsigned priority)
 {
 	struct sched_param param = {.sched_priority = (int)priority};
@@ -237,7 +217,7 @@ static struct store_writer writer;
  * gateway from running. */
 static struct store_writer *open_store(const struct config *config, bool *damaged)
 {
-	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX];
+	char folder[CONFIG_TEXT_MAX * 2], path[STORE_PATH_MAX + CONFIG_TEXT_MAX], old[sizeof(path)];
 
 	*damaged = false;
 	store_folder(folder, sizeof(folder), config);
@@ -249,8 +229,12 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 			path);
 		return NULL;
 	}
-	rename_old_store(path, folder, config->node_id);
-	int rc = store_read(&stored, path);
+	int rc = store_take_over(path, folder, config->can, config->node_id, old, sizeof(old));
+	if (rc > 0)
+		log_line("%s renamed to %s", old, path);
+	else if (rc < 0)
+		log_line("%s has the values stored before; it cannot be renamed to %s: %s", old, path, strerror(-rc));
+	rc = store_read(&stored, path);
 	*damaged = rc < 0;
 	if (rc < 0)
 		log_line("%s: stored values not used: %s", path,
