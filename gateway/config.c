@@ -74,9 +74,11 @@ int config_option(struct config *c, const char *key, const char *value, char *er
 		return set_number(&c->realtime, key, value, 0, 99, error);
 	if (strcmp(key, "serial") == 0)
 		return set_number(&c->serial, key, value, 0, UINT32_MAX, error);
+	if (strcmp(key, "vendor_id") == 0)
+		return set_number(&c->vendor_id, key, value, 0, UINT32_MAX, error);
 	snprintf(error, CONFIG_ERROR_MAX,
 		"unknown key '%s' in [gateway]; the keys are imu, can, node_id, bitrate, store, realtime, serial, "
-		"run_led and error_led",
+		"vendor_id, run_led and error_led",
 		key);
 	return -ENOENT;
 }

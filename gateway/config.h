@@ -3,7 +3,7 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * run_led, error_led), and configuration objects by their EDS names, in their units: `lever_arm.l = 0.05` before any
+ * vendor_id, run_led, error_led), and configuration objects by their EDS names, in their units: `lever_arm.l = 0.05` before any
  * section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One thread. */
 #ifndef GATEWAY_CONFIG_H
 #define GATEWAY_CONFIG_H
@@ -23,7 +23,8 @@ struct config {
 	unsigned node_id;					   /* 1..127; 255: unconfigured, LSS assigns one */
 	unsigned bitrate;					   /* bit/s; 0: unchanged */
 	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
-	unsigned serial; /* 1018h:4; 0: derived from machine, sensor and bus */
+	unsigned serial;					   /* 1018h:4; 0: see serial.h */
+	unsigned vendor_id;					   /* 1018h:1; 0: that of the EDS */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

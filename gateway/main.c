@@ -15,6 +15,7 @@
 #include "gateway/log.h"
 #include "gateway/loop.h"
 #include "gateway/process_guard.h"
+#include "gateway/serial.h"
 #include "gateway/store_name.h"
 #include "od_values.h"
 
@@ -34,7 +35,8 @@ static const char usage[] =
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
-	"      --serial N        1018h:4, unique among all units   (default: from machine, SRC, BUS)\n"
+	"      --serial N        1018h:4, unique among all units   (default: from the hardware, kept)\n"
+	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --help, --version\n"
 	"\n"
@@ -54,6 +56,7 @@ static const struct option options[] = {
 	{"store", required_argument, NULL, OPT_KEY},
 	{"realtime", required_argument, NULL, OPT_KEY},
 	{"serial", required_argument, NULL, OPT_KEY},
+	{"vendor-id", required_argument, NULL, OPT_KEY},
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"help", no_argument, NULL, OPT_HELP},
@@ -251,35 +254,22 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	return &writer;
 }
 
-/* Different for each gateway on each machine, and the same after each start. */
-static uint32_t serial_number(const struct config *config)
-{
-	char machine[64] = "", unit[2 * CONFIG_TEXT_MAX + 64];
-	FILE *f;
-
-	if (config->serial)
-		return config->serial;
-	f = fopen("/etc/machine-id", "re");
-	if (f) {
-		if (!fgets(machine, sizeof(machine), f))
-			machine[0] = '\0';
-		fclose(f);
-	}
-	int size = snprintf(
-		unit, sizeof(unit), "%.*s %s %s", (int)strcspn(machine, "\n"), machine, config->imu, config->can);
-	return od_crc32(0, unit, (size_t)size);
-}
-
 static void log_notes(const char *notes)
 {
 	for (; *notes; notes += strcspn(notes, "\n"), notes += *notes == '\n')
 		log_line("%.*s", (int)strcspn(notes, "\n"), notes);
 }
 
-/* 1009h, 100Ah, 1018h:4 and 1F56h. */
+/* 1009h, 100Ah, 1018h and 1F56h. */
 static void identify(struct od_values *values, const struct config *config, const struct imu_port *imu)
 {
-	values->identity.serial_number = serial_number(config);
+	char folder[CONFIG_TEXT_MAX * 2], note[SERIAL_NOTE_MAX];
+
+	store_folder(folder, sizeof(folder), config);
+	values->identity.serial_number = serial_number("", folder, config->can, config->serial, note);
+	log_notes(note);
+	if (config->vendor_id)
+		values->identity.vendor_id = config->vendor_id;
 	snprintf(values->manufacturer_hardware_version, sizeof(values->manufacturer_hardware_version), "%.31s",
 		imu->name);
 	snprintf(values->manufacturer_software_version, sizeof(values->manufacturer_software_version), "%s",

@@ -80,6 +80,27 @@ class Lss(unittest.TestCase):
         rig.wait_until(lambda: "belongs to another gateway" in other.log)
         self.boot_up(35)
 
+    def test_the_serial_number_stays_with_another_spelling_of_the_sensor(self):
+        self.begin("--vendor-id", "0x12345678")
+        self.boot_up(NODE)
+        identity = [self.master.upload(NODE, 0x1018, sub) for sub in (1, 4)]
+        self.gateway.end()
+        self.gateway.command[self.gateway.command.index("--imu") + 1] = "sim:square,board=v3"
+        self.gateway.start()
+        self.boot_up(NODE)
+        self.assertEqual([self.master.upload(NODE, 0x1018, sub) for sub in (1, 4)], identity)
+        self.assertEqual(identity[0], struct.pack("<I", 0x12345678))
+
+    def test_two_nodes_with_one_identity_are_told_by_scan(self):
+        self.begin("--serial", "77")
+        self.boot_up(NODE)
+        other = rig.Gateway("--node-id", "35", "--serial", "77", bus=self.bus)
+        self.addCleanup(other.close)
+        self.boot_up(35)
+        self.assertIn("serial number 0000004Dh is that of another gateway of this host", other.log)
+        scan = rig.run("imu9-sdo", "-i", self.bus, "scan")
+        self.assertIn("nodes %d and 35 have the same identity (1018h)" % NODE, scan.stderr)
+
     def test_another_node_with_the_same_node_id_raises_an_emcy(self):
         self.begin()
         self.boot_up(NODE)

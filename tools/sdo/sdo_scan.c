@@ -1,5 +1,6 @@
 /* imu9-sdo scan: the nodes on the bus. Requests the device type from each node-ID and listens for heartbeats. */
 #include <stdio.h>
+#include <string.h>
 
 #include "gateway/canopen/cia301.h"
 #include "tools/sdo/sdo_session.h"
@@ -7,9 +8,12 @@
 
 enum { NODES = 128, LISTEN_MS = 1100, STATE_UNKNOWN = 0xFF };
 
+enum { IDENTITY_NUMBERS = 4 };
+
 struct seen {
 	bool answers;
-	uint8_t state; /* in its heartbeat */
+	uint8_t state;			     /* in its heartbeat */
+	uint32_t identity[IDENTITY_NUMBERS]; /* 1018h; 0: not read */
 };
 
 static void on_frame(struct seen nodes[NODES], const struct can_msg *msg)
@@ -63,16 +67,20 @@ static const char *state_text(uint8_t state)
 	}
 }
 
-static void print_number(struct cli_node *node, const char *name, uint16_t index, uint8_t sub)
+/* 0: the node does not have it. */
+static uint32_t print_number(struct cli_node *node, const char *name, uint16_t index, uint8_t sub)
 {
 	uint8_t wire[4];
 
-	if (cli_node_read(node, index, sub, wire, sizeof(wire)) && node->sdo.size == 4)
-		printf("  %s %08Xh", name, (unsigned int)sdo_number(wire, 4));
+	if (!cli_node_read(node, index, sub, wire, sizeof(wire)) || node->sdo.size != 4)
+		return 0;
+	printf("  %s %08Xh", name, (unsigned int)sdo_number(wire, 4));
+	return (uint32_t)sdo_number(wire, 4);
 }
 
-static void print_node(struct session *s, struct can_port *bus, uint8_t id, const struct seen *seen)
+static void print_node(struct session *s, struct can_port *bus, uint8_t id, struct seen *seen)
 {
+	static const char *const identity[IDENTITY_NUMBERS] = {"vendor", "product", "revision", "serial"};
 	static const struct od_entry TEXT = {.type = OD_VISIBLE_STRING};
 	struct cli_node node;
 	char name[65];
@@ -82,15 +90,26 @@ static void print_node(struct session *s, struct can_port *bus, uint8_t id, cons
 	if (seen->answers) {
 		cli_node_use(&node, bus, s->bus, id, s->timeout_ms);
 		print_number(&node, "type", OD_INDEX_DEVICE_TYPE, 0);
-		print_number(&node, "vendor", OD_INDEX_IDENTITY, 1);
-		print_number(&node, "product", OD_INDEX_IDENTITY, 2);
-		print_number(&node, "revision", OD_INDEX_IDENTITY, 3);
-		print_number(&node, "serial", OD_INDEX_IDENTITY, 4);
+		for (uint8_t i = 0; i < IDENTITY_NUMBERS; i++)
+			seen->identity[i] = print_number(&node, identity[i], OD_INDEX_IDENTITY, (uint8_t)(i + 1));
 		if (cli_node_read(&node, OD_INDEX_MANUFACTURER_DEVICE_NAME, 0, wire, sizeof(wire)) &&
 			od_format(&TEXT, wire, node.sdo.size, name, sizeof(name)) > 0)
 			printf("  %s", name);
 	}
 	putchar('\n');
+}
+
+/* CiA 301, 7.5.2.20: the four numbers together are unique. */
+static void tell_equal(const struct seen nodes[NODES])
+{
+	for (int a = 1; a < NODES; a++)
+		for (int b = a + 1; b < NODES && nodes[a].identity[IDENTITY_NUMBERS - 1]; b++)
+			if (memcmp(nodes[a].identity, nodes[b].identity, sizeof(nodes[a].identity)) == 0)
+				fprintf(stderr,
+					"imu9-sdo: nodes %d and %d have the same identity (1018h): LSS cannot tell "
+					"them "
+					"apart; give one another serial number\n",
+					a, b);
 }
 
 int sdo_command_scan(struct session *s, int argc, char **argv)
@@ -113,6 +132,7 @@ int sdo_command_scan(struct session *s, int argc, char **argv)
 		found++;
 	}
 	can_close(bus);
+	tell_equal(nodes);
 	if (sent && !s->quiet)
 		fprintf(stderr, "imu9-sdo: %d node%s on %s%s\n", found, found == 1 ? "" : "s", s->bus,
 			found ? "" : "; nodes without a node-ID: 'imu9-sdo lss scan'");

@@ -1,0 +1,262 @@
+/* 1018h:4. Each start of a gateway is a process, whose machine is a folder with the files that the kernel shows. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <setjmp.h>
+#include <cmocka.h>
+
+#include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include "gateway/serial.h"
+
+static char base[64], pi[128], other_pi[128], store[128], other_store[128];
+
+static void run(const char *format, const char *a, const char *b, const char *c)
+{
+	char command[1024];
+
+	snprintf(command, sizeof(command), format, a, b, c);
+	assert_int_equal(system(command), 0);
+}
+
+static void put(const char *machine, const char *file, const char *text)
+{
+	run("mkdir -p \"$(dirname %s/%s)\"", machine, file, "");
+	run("printf '%%s' '%3$s' >%1$s/%2$s", machine, file, text);
+}
+
+static void put_mac(const char *machine, const char *interface, const char *address, const char *assign_type)
+{
+	char file[128];
+
+	snprintf(file, sizeof(file), "sys/class/net/%s/address", interface);
+	put(machine, file, address);
+	snprintf(file, sizeof(file), "sys/class/net/%s/addr_assign_type", interface);
+	put(machine, file, assign_type);
+	snprintf(file, sizeof(file), "sys/class/net/%s/type", interface);
+	put(machine, file, "1");
+}
+
+static int make_machines(void **state)
+{
+	(void)state;
+	strcpy(base, "/tmp/imu9-serial-XXXXXX");
+	if (!mkdtemp(base))
+		return -1;
+	snprintf(pi, sizeof(pi), "%s/pi", base);
+	snprintf(other_pi, sizeof(other_pi), "%s/other", base);
+	snprintf(store, sizeof(store), "%s/store", base);
+	snprintf(other_store, sizeof(other_store), "%s/other-store", base);
+	put(pi, "proc/device-tree/serial-number", "10000000c0ffee01");
+	put(other_pi, "proc/device-tree/serial-number", "10000000c0ffee02");
+	put(pi, "etc/machine-id", "0123456789abcdef0123456789abcdef"); /* the same card image */
+	put(other_pi, "etc/machine-id", "0123456789abcdef0123456789abcdef");
+	run("mkdir %s %s", store, other_store, "");
+	return 0;
+}
+
+static int remove_machines(void **state)
+{
+	(void)state;
+	run("rm -r %s", base, "", "");
+	return 0;
+}
+
+struct gateway {
+	pid_t pid;
+	uint32_t serial;
+	char note[SERIAL_NOTE_MAX];
+};
+
+static struct gateway start(const char *machine, const char *folder, const char *bus, uint32_t configured)
+{
+	struct gateway g = {0};
+	int result[2];
+
+	assert_int_equal(pipe(result), 0);
+	g.pid = fork();
+	if (g.pid == 0) {
+		g.serial = serial_number(machine, folder, bus, configured, g.note);
+		_exit(write(result[1], &g, sizeof(g)) == sizeof(g) && pause());
+	}
+	pid_t pid = g.pid;
+	assert_int_equal(read(result[0], &g, sizeof(g)), sizeof(g));
+	g.pid = pid;
+	close(result[0]);
+	close(result[1]);
+	assert_int_not_equal(g.serial, 0);
+	return g;
+}
+
+static void stop(struct gateway g)
+{
+	kill(g.pid, SIGKILL);
+	assert_int_equal(waitpid(g.pid, NULL, 0), g.pid);
+}
+
+/* Started and stopped, without a note. */
+static uint32_t serial_of(const char *machine, const char *folder, const char *bus)
+{
+	struct gateway g = start(machine, folder, bus, 0);
+
+	stop(g);
+	assert_string_equal(g.note, "");
+	return g.serial;
+}
+
+static void test_the_serial_number_stays_with_another_bus_name_and_its_options(void **state)
+{
+	uint32_t serial = serial_of(pi, store, "can0");
+
+	(void)state;
+	assert_int_equal(serial_of(pi, store, "can0"), serial);
+	assert_int_equal(serial_of(pi, store, "udp,hosts=any"), serial);
+	assert_int_equal(serial_of(pi, store, "slcan:/dev/ttyACM0@115200"), serial);
+	assert_int_equal(serial_of(pi, store, "can0"), serial);
+}
+
+static void test_a_new_installation_on_the_same_board_has_the_same_serial_number(void **state)
+{
+	uint32_t serial = serial_of(pi, store, "can0");
+
+	(void)state;
+	put(pi, "etc/machine-id", "fedcba9876543210fedcba9876543210");
+	assert_int_equal(serial_of(pi, other_store, "can0"), serial);
+}
+
+static void test_a_copied_card_has_another_serial_number_on_another_board_and_says_so(void **state)
+{
+	uint32_t serial = serial_of(pi, store, "can0");
+
+	(void)state;
+	run("cp -r %s/. %s", store, other_store, "");
+	struct gateway copy = start(other_pi, other_store, "can0", 0);
+	stop(copy);
+	assert_int_not_equal(copy.serial, serial);
+	assert_non_null(strstr(copy.note, "is of other hardware"));
+	assert_int_equal(serial_of(other_pi, other_store, "can0"), copy.serial);
+	assert_int_equal(serial_of(pi, store, "can0"), serial);
+}
+
+static void test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order(void **state)
+{
+	struct gateway a = start(pi, store, "can0", 0), b = start(pi, store, "can1", 0);
+
+	(void)state;
+	stop(a);
+	stop(b);
+	assert_int_not_equal(a.serial, b.serial);
+	assert_int_equal(serial_of(pi, store, "can1"), b.serial);
+	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
+	a = start(pi, store, "can0", 0);
+	struct gateway c = start(pi, other_store, "can0", 0); /* another folder, as for two nodes of one bus */
+	assert_int_not_equal(c.serial, a.serial);
+	stop(a);
+	stop(c);
+	assert_int_equal(serial_of(pi, other_store, "can0"), c.serial);
+}
+
+static void test_a_serial_number_that_another_gateway_of_the_host_has_is_told(void **state)
+{
+	struct gateway a = start(pi, store, "can0", 1234), b = start(pi, store, "can1", 1234);
+
+	(void)state;
+	assert_string_equal(a.note, "");
+	assert_non_null(strstr(b.note, "000004D2h is that of another gateway of this host"));
+	assert_int_equal(b.serial, 1234);
+	stop(a);
+	stop(b);
+}
+
+static void test_a_usb_network_adapter_changes_nothing(void **state)
+{
+	uint32_t serial;
+
+	(void)state;
+	run("rm %s/proc/device-tree/serial-number", pi, "", "");
+	put_mac(pi, "eth0", "b8:27:eb:12:34:56", "0");
+	put_mac(pi, "wlan0", "00:11:22:33:44:66", "3"); /* set at random, not the hardware's */
+	serial = serial_of(pi, store, "can0");
+	put_mac(pi, "usb0", "00:01:02:03:04:05", "0");
+	put_mac(pi, "wlan0", "00:11:22:33:44:77", "3");
+	assert_int_equal(serial_of(pi, store, "can0"), serial);
+	put_mac(other_pi, "eth0", "b8:27:eb:12:34:57", "0");
+	run("rm %s/proc/device-tree/serial-number", other_pi, "", "");
+	struct gateway copy = start(other_pi, store, "can0", 0);
+	stop(copy);
+	assert_int_not_equal(copy.serial, serial);
+}
+
+static void test_what_vendors_write_instead_of_a_number_is_none(void **state)
+{
+	static const char *const texts[] = {"Default string", "To be filled by O.E.M.", "00000000", "0123456789",
+		"123456789", "None", "03000200-0400-0500-0006-000700080009", ""};
+	uint32_t without;
+
+	(void)state;
+	run("rm -r %s/proc %s/proc", pi, other_pi, "");
+	without = serial_of(pi, store, "can0"); /* of the machine-id */
+	for (size_t i = 0; i < sizeof(texts) / sizeof(texts[0]); i++) {
+		put(pi, "sys/class/dmi/id/board_serial", texts[i]);
+		run("rm -f %s/serial", store, "", "");
+		assert_int_equal(serial_of(pi, store, "can0"), without);
+	}
+	put(pi, "sys/class/dmi/id/board_serial", "PF3ABCDE");
+	run("rm %s/serial", store, "", "");
+	assert_int_not_equal(serial_of(pi, store, "can0"), without);
+}
+
+static void test_a_usb_can_adapter_has_a_number_where_the_machine_has_none(void **state)
+{
+	(void)state;
+	run("rm -r %s/proc %s/proc", pi, other_pi, "");
+	run("mkdir -p %s/sys/class/net/can0/device %s/sys/class/net/can0/device", pi, other_pi, "");
+	put(pi, "sys/class/net/can0/serial", "001E00345246"); /* where device/.. leads here */
+	put(other_pi, "sys/class/net/can0/serial", "001E00345247");
+	assert_int_not_equal(serial_of(pi, store, "can0"), serial_of(other_pi, other_store, "can0"));
+}
+
+static void test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_of_the_board(void **state)
+{
+	struct gateway g = start(pi, "/proc/no", "can0", 0);
+
+	(void)state;
+	stop(g);
+	assert_non_null(strstr(g.note, "cannot be kept in /proc/no/serial"));
+	assert_int_equal(serial_of(pi, store, "can0"), g.serial);
+}
+
+static void test_a_damaged_file_is_no_number(void **state)
+{
+	uint32_t serial = serial_of(pi, store, "can0");
+
+	(void)state;
+	put(store, "serial", "zz can0\n\n00000000 can0 1\nFFFF\n");
+	assert_int_equal(serial_of(pi, store, "can0"), serial);
+}
+
+#define TEST(f) cmocka_unit_test_setup_teardown(f, make_machines, remove_machines)
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		TEST(test_the_serial_number_stays_with_another_bus_name_and_its_options),
+		TEST(test_a_new_installation_on_the_same_board_has_the_same_serial_number),
+		TEST(test_a_copied_card_has_another_serial_number_on_another_board_and_says_so),
+		TEST(test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order),
+		TEST(test_a_serial_number_that_another_gateway_of_the_host_has_is_told),
+		TEST(test_a_usb_network_adapter_changes_nothing),
+		TEST(test_what_vendors_write_instead_of_a_number_is_none),
+		TEST(test_a_usb_can_adapter_has_a_number_where_the_machine_has_none),
+		TEST(test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_of_the_board),
+		TEST(test_a_damaged_file_is_no_number),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
