@@ -146,6 +146,7 @@ static void on_reset(void *ctx, enum od_group group)
 	event_log_add(&d->log, d->now_us, group == OD_GROUP_ALL ? "reset node" : "reset communication");
 	storing_reset(&d->storing, group, d->now_us);
 	pdo_preset_update(&d->pdo_preset);
+	lever_arm_um_update(&d->lever_arm_um);
 	if (group != OD_GROUP_ALL)
 		return;
 	sensor_watch_apply(&d->sensor_watch);
@@ -228,6 +229,7 @@ static void attach_hooks(struct device *d)
 		.last = OD_INDEX_SLOPE_LATERAL32_PRESET_VALUE,
 		.after = on_preset,
 		.ctx = d};
+	lever_arm_um_attach(&d->lever_arm_um, &d->od, &d->values);
 	aids_init(&d->aids, &d->od, &d->values, &d->pipeline);
 	od_attach(&d->od, &d->command_hook);
 	od_attach(&d->od, &d->configuration_hook);

@@ -22,6 +22,7 @@
 #include "gateway/lever_arm_command.h"
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
+#include "gateway/lever_arm_um.h"
 #include "gateway/pdo_preset.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
@@ -55,6 +56,7 @@ struct device {
 	struct last_movement last_movement;
 	struct angle_filter angle_filter;
 	struct pdo_preset pdo_preset;
+	struct lever_arm_um lever_arm_um;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;

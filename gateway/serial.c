@@ -224,8 +224,8 @@ static bool claim(uint32_t serial)
 
 	if (fd < 0)
 		return true;
-	if (bind(fd, (struct sockaddr *)&name, (socklen_t)(offsetof(struct sockaddr_un, sun_path) + 1 + (size_t)length)) ==
-		0)
+	if (bind(fd, (struct sockaddr *)&name,
+		    (socklen_t)(offsetof(struct sockaddr_un, sun_path) + 1 + (size_t)length)) == 0)
 		return true; /* open until the process ends */
 	bool taken = errno == EADDRINUSE;
 	close(fd);
@@ -275,8 +275,8 @@ static struct line *choose(
 	struct line *line = find(table, bus);
 
 	if (line && !claim(line->serial))
-		snprintf(note, SERIAL_NOTE_MAX, "serial number %08Xh is that of another gateway of this host, too: set --serial",
-			line->serial);
+		snprintf(note, SERIAL_NOTE_MAX,
+			"serial number %08Xh is that of another gateway of this host, too: set --serial", line->serial);
 	else if (!line && table->count == 1 && claim(table->lines[0].serial))
 		line = &table->lines[0];
 	return line ? line : new_line(table, derive(table, first_number(h, root)));
@@ -309,7 +309,8 @@ uint32_t serial_number(
 	if (configured) {
 		if (!claim(configured))
 			snprintf(note, SERIAL_NOTE_MAX,
-				"serial number %08Xh is that of another gateway of this host, too: set another --serial",
+				"serial number %08Xh is that of another gateway of this host, too: set another "
+				"--serial",
 				configured);
 		return configured;
 	}
@@ -323,8 +324,8 @@ uint32_t serial_number(
 	bool foreign = read_table(&table, path, &hardware);
 	struct line *line = choose(&table, bus_name, &hardware, root, note);
 	if (foreign)
-		snprintf(note, SERIAL_NOTE_MAX, "the serial number in %.100s is of other hardware; this one has %08Xh", path,
-			line->serial);
+		snprintf(note, SERIAL_NOTE_MAX, "the serial number in %.100s is of other hardware; this one has %08Xh",
+			path, line->serial);
 	keep(&table, line, bus_name, &hardware, path, note);
 	uint32_t serial = line->serial;
 	if (lock >= 0)

@@ -490,6 +490,53 @@ static void test_lss_does_not_store_while_1010h_does(void **state)
 	assert_int_equal(world_last(w, 0x580 + WORLD_NODE_ID)->data[0], 0x60);
 }
 
+static uint32_t write_um(struct world *w, uint8_t sub, int32_t um)
+{
+	return world_sdo_write(w, 0x2004, sub, &um, 4);
+}
+
+static void test_the_lever_arm_in_micrometres_is_the_one_in_metres(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_um(w, 1, 50000), 0);
+	assert_int_equal(write_um(w, 3, -1), 0);
+	assert_true(w->device.values.lever_arm.l == 0.05f);
+	assert_true(w->device.values.lever_arm.t == -1e-6f);
+	world_sample(w);
+	assert_near(w->device.pipeline.config.estimator.lever_arm_b_m.x, 0.05, 1e-9);
+	write_lever_arm(w, 0.1f, -9.999999f, 0.0000014f);
+	assert_int_equal(w->device.values.lever_arm_in_um.l, 100000);
+	assert_int_equal(w->device.values.lever_arm_in_um.s, -9999999);
+	assert_int_equal(w->device.values.lever_arm_in_um.t, 1);
+	assert_int_equal(write_um(w, 2, 10000001), 0x06090031);
+	assert_int_equal(w->device.values.lever_arm_in_um.s, -9999999);
+}
+
+static void test_every_micrometre_is_read_back_as_written(void **state)
+{
+	struct world *w = *state;
+
+	for (int32_t um = -10000000; um <= 10000000; um += 9973) {
+		assert_int_equal(write_um(w, 2, um), 0);
+		assert_int_equal(w->device.values.lever_arm_in_um.s, um);
+	}
+}
+
+static void test_the_lever_arm_in_micrometres_follows_reset_and_store(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_um(w, 1, 123456), 0);
+	assert_int_equal(store_all(w), 0);
+	assert_int_equal(write_um(w, 1, 7), 0);
+	world_nmt(w, 129);
+	assert_int_equal(w->device.values.lever_arm_in_um.l, 123456);
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.lever_arm_in_um.l, 123456);
+	assert_near(w->device.values.lever_arm.l, 0.123456, 1e-8);
+}
+
 static void test_the_status_shows_that_2117h_is_utc(void **state)
 {
 	struct world *w = *state;
@@ -815,6 +862,9 @@ int main(void)
 		TEST(test_lss_answers_a_store_only_when_a_slow_disk_has_finished),
 		TEST(test_a_failed_disk_is_answered_to_lss),
 		TEST(test_lss_does_not_store_while_1010h_does),
+		TEST(test_the_lever_arm_in_micrometres_is_the_one_in_metres),
+		TEST(test_every_micrometre_is_read_back_as_written),
+		TEST(test_the_lever_arm_in_micrometres_follows_reset_and_store),
 		TEST(test_the_status_shows_that_2117h_is_utc),
 		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored),
