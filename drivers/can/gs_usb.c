@@ -3,11 +3,15 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <libusb-1.0/libusb.h>
+#include <linux/usbdevice_fs.h>
 #include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/ioctl.h>
 #include <unistd.h>
 
 #include "drivers/can/bus_options.h"
@@ -29,6 +33,7 @@ enum {
 	STUCK_US = 2000000, /* doubles with each restart in vain */
 	STUCK_DOUBLINGS_MAX = 5,
 	STUCK_TOLD = 3,
+	STUCK_RESET = 5, /* every fifth time the whole USB device is reset instead */
 };
 #define SYSFS "/sys/bus/usb/devices"
 
@@ -59,6 +64,15 @@ struct slot {
 	uint8_t bytes[GS_USB_FRAME_LEN];
 };
 
+/* A reset of the USB device, as if it had been unplugged. It can take a second, so it has a thread. */
+struct usb_reset {
+	bool wanted; /* when the handle is closed */
+	bool started;
+	pthread_t thread;
+	_Atomic bool ended;
+	char node[GS_USB_TEXT];
+};
+
 struct gs_usb {
 	struct can_port port; /* port.fd is an epoll descriptor over libusb's, and `more` */
 	struct more more;
@@ -71,7 +85,8 @@ struct gs_usb {
 
 	libusb_device_handle *handle; /* NULL: unplugged */
 	int node;		      /* descriptor of the handle */
-	bool lost;		      /* close the handle and search for the adapter */
+	struct usb_reset reset;
+	bool lost; /* close the handle and search for the adapter */
 	bool cancelled;
 	uint8_t interface, in, out;
 	int packet_size;
@@ -444,11 +459,39 @@ static int attach(struct gs_usb *can, struct gs_usb_adapter *adapter, char *erro
 		return result;
 	}
 	fill_transfers(can);
+	memcpy(can->reset.node, adapter->node, sizeof(can->reset.node));
 	can->step = STEP_HOST_FORMAT;
 	can->lost = can->cancelled = can->restart = false;
 	can->done_count = 0;
 	can->clock = (struct gs_usb_clock){0};
 	return 0;
+}
+
+static void *usb_reset_main(void *arg)
+{
+	struct usb_reset *reset = arg;
+	int fd = open(reset->node, O_WRONLY | O_CLOEXEC);
+
+	if (fd >= 0) {
+		(void)ioctl(fd, USBDEVFS_RESET, NULL);
+		close(fd);
+	}
+	atomic_store(&reset->ended, true);
+	return NULL;
+}
+
+static void start_usb_reset(struct usb_reset *reset)
+{
+	reset->wanted = false;
+	atomic_store(&reset->ended, false);
+	reset->started = pthread_create(&reset->thread, NULL, usb_reset_main, reset) == 0;
+}
+
+static void end_usb_reset(struct usb_reset *reset)
+{
+	if (reset->started)
+		pthread_join(reset->thread, NULL);
+	reset->started = false;
 }
 
 static void cancel(struct gs_usb *can)
@@ -470,8 +513,11 @@ static void detach(struct gs_usb *can)
 		free_slots(can);
 		cancel(can);
 	}
-	if (can->pending == 0)
-		close_handle(can);
+	if (can->pending > 0)
+		return;
+	close_handle(can);
+	if (can->reset.wanted)
+		start_usb_reset(&can->reset);
 }
 
 /* ---- the port ---------------------------------------------------------------------------------------------------- */
@@ -581,8 +627,11 @@ static uint64_t watch_echoes(struct gs_usb *can, uint64_t now_us)
 	if (++can->restarts == STUCK_TOLD)
 		can->port.notice = "the adapter sends nothing, restarts do not help: if cable, termination and the "
 				   "other nodes are right, unplug it and plug it in again";
-	restart(can);
-	return UINT64_MAX;
+	if (can->restarts % STUCK_RESET == 0)
+		can->lost = can->reset.wanted = true;
+	else
+		restart(can);
+	return can->lost ? now_us : UINT64_MAX;
 }
 
 static uint64_t search_adapter(struct gs_usb *can, uint64_t now_us)
@@ -593,6 +642,9 @@ static uint64_t search_adapter(struct gs_usb *can, uint64_t now_us)
 	if (now_us < can->look_at_us)
 		return can->look_at_us;
 	can->look_at_us = now_us + LOOK_AGAIN_US;
+	if (can->reset.started && !atomic_load(&can->reset.ended))
+		return can->look_at_us;
+	end_usb_reset(&can->reset);
 	return attach(can, &adapter, error, sizeof(error)) < 0 ? can->look_at_us : now_us;
 }
 
@@ -654,6 +706,8 @@ static void gs_usb_close(struct can_port *port)
 {
 	struct gs_usb *can = of(port);
 
+	can->reset.wanted = false;
+	end_usb_reset(&can->reset);
 	if (can->handle != NULL) {
 		if (!can->lost)
 			leave_bus(can);

@@ -2,10 +2,11 @@
 """check_eds.py: checks the EDS and the generated DBC by rules of other readers.
 
 The EDS is read with Python's configparser, key by key like python-canopen (case-sensitive keys, int(x, 0), float()), and
-compared with the lists, counts and types of CiA 306 and with what lely's dcfchk accepts: a key that is not in CiA 306, or
-a number in another notation, makes the file invalid, so additional keys are in comments. The DBC is checked by its grammar
-and signal by signal against the mapping objects. Needs no bus. Status 1 and one line for each error; also uses
-python-canopen and dcfchk if they are installed. With --fix it first puts ';' before additional keys.
+compared with the lists, counts and types of CiA 306; by the rules of lely's dcfchk (a key that is not in CiA 306, or a
+number in another notation, makes the file invalid, so additional keys are in comments), of CANopenEditor, and of a strict
+parser in JavaScript. The DBC is checked by its grammar and signal by signal against the mapping objects. Needs no bus.
+Status 1 and one line for each error; also uses python-canopen and dcfchk if they are installed. With --fix it first puts
+';' before additional keys.
 """
 import configparser
 import os
@@ -144,6 +145,68 @@ def check_strictly(text):
             expect(name in LISTS + ("Comments",), where, "unknown section")
 
 
+def base_of(text):
+    """The base in which CANopenEditor reads a number: a leading 0 is octal."""
+    return 16 if re.fullmatch(r"\s*0[xX][0-9A-Fa-f]+\s*", text) else 8 if re.match("0[0-7]", text) else 10
+
+
+def check_as_canopeneditor(text):
+    """What libEDSsharp, which CANopenEditor and others use, reads: line by line. A semicolon before a section does not make
+    it a comment, a sub-index needs its object before it and must be a VAR, numbers have at most the width of their field."""
+    sections, name = {}, None
+    for n, line in enumerate(text.splitlines(), 1):
+        bare = line.lstrip(";")
+        section, key = re.match(r"\[([A-Za-z0-9]+)\]", bare), re.match(r"([A-Za-z0-9_]+) *= *(.*)", bare)
+        where = "CANopenEditor, line %d" % n
+        if section:
+            expect(not line.startswith(";"), where, "a section in a comment")
+            expect(section[1] not in sections, where, "the section is there twice")
+            sections.setdefault(name := section[1], {})
+        elif key and not line.startswith(";"):
+            expect(key[1] not in sections[name], where, "the key is there twice")
+            sections[name][key[1]] = key[2].rstrip()
+        else:
+            expect(not line or line.startswith(";"), where, "neither section nor key")
+            expect(not key or key[1] not in ("StorageLocation", "TPDODetectCos"), where, "a key of its own")
+    widths = {"ObjectType": 0x7FFF, "DataType": 0x7FFF, "PDOMapping": 0x7FFF, "ObjFlags": 0xFFFFFFFF, "FileVersion": 255,
+              "FileRevision": 255, "Granularity": 255, "NrOfRXPDO": 0xFFFF, "NrOfTXPDO": 0xFFFF, "SubNumber": 255}
+    objects = set()
+    for name, keys in sections.items():
+        where = "CANopenEditor, [%s]" % name
+        for key, value in keys.items():
+            if key in widths:
+                expect(int(value, base_of(value)) <= widths[key], where, key)
+            if key in widths or key in ("DefaultValue", "LowLimit", "HighLimit"):
+                expect(base_of(value) != 8, where, "%s=%s is octal" % (key, value))
+        match = re.fullmatch("([A-Fa-f0-9]+)(sub)?([0-9A-Fa-f]*)", name)
+        if not match or "ParameterName" not in keys:
+            continue
+        kind = int(keys.get("ObjectType", "7"), base_of(keys.get("ObjectType", "7")))
+        if match[2]:
+            expect(int(match[1], 16) in objects, where, "a sub-index before its object")
+            expect(kind == 7, where, "a sub-index that is not a VAR is lost")
+        else:
+            objects.add(int(match[1], 16))
+        expect(kind in (2, 7, 8, 9), where, "ObjectType")
+        expect(kind not in (8, 9) or "SubNumber" in keys, where, "no SubNumber")
+    return {(name, key): value for name, keys in sections.items() for key, value in keys.items()}
+
+
+def check_as_javascript(eds):
+    """What the npm package canopen refuses: keys of values in records and DOMAINs, limits in the wrong order as text."""
+    for name in eds.sections():
+        match, keys = re.fullmatch("[0-9A-F]{4}(sub[0-9A-F]+)?", name), eds[name]
+        if not match:
+            continue
+        kind, where = int(keys.get("ObjectType", "7"), 0), "JavaScript, [%s]" % name
+        refused = {7: {"CompactSubObj"}, 2: {"PDOMapping", "LowLimit", "HighLimit", "CompactSubObj"}}.get(
+            kind, {"DataType", "AccessType", "DefaultValue", "PDOMapping", "LowLimit", "HighLimit"})
+        expect(not refused & set(keys), where, "%s is not supported" % sorted(refused & set(keys)))
+        expect("ParameterName" in keys and (kind != 7 or "DataType" in keys), where, "a mandatory key is missing")
+        if {"LowLimit", "HighLimit"} <= set(keys):
+            expect(int(keys["LowLimit"], 0) <= int(keys["HighLimit"], 0), where, "limits")
+
+
 def check_eds():
     raw = EDS.read_bytes()
     expect(raw.count(b"\r\n") == raw.count(b"\n"), EDS.name, "a line without CRLF")
@@ -152,6 +215,11 @@ def check_eds():
     eds = configparser.RawConfigParser(inline_comment_prefixes=(";",), strict=True)
     eds.optionxform = str
     check_strictly(text)
+    eds.read_string(text)
+    check_as_javascript(eds)
+    expect(check_as_canopeneditor(text) == {(s, k): eds[s][k] for s in eds.sections() for k in eds[s]}, EDS.name,
+           "CANopenEditor reads other values")
+    eds.clear()
     eds.read_string(with_own_keys(text))
     for section in eds.sections():
         for key, value in eds[section].items():

@@ -9,10 +9,14 @@
 
 #include <errno.h>
 #include <libusb-1.0/libusb.h>
+#include <linux/usbdevice_fs.h>
 #include <poll.h>
+#include <sched.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/ioctl.h>
 
 #include "drivers/can/gs_usb_find.h"
 #include "drivers/ports/can.h"
@@ -298,6 +302,18 @@ int LIBUSB_CALL libusb_handle_events_timeout_completed(libusb_context *context, 
 	return 0;
 }
 
+/* ---- the kernel's file of the USB device -------------------------------------------------------------------------- */
+
+static _Atomic unsigned resets;
+
+int ioctl(int fd, unsigned long request, ...)
+{
+	(void)fd;
+	if (request == (unsigned long)USBDEVFS_RESET)
+		resets++;
+	return 0;
+}
+
 /* ---- in place of gs_usb_find.c ----------------------------------------------------------------------------------- */
 
 size_t gs_usb_list(const char *root, struct gs_usb_adapter list[GS_USB_ADAPTERS])
@@ -329,6 +345,7 @@ static int set_up(void **state)
 	(void)state;
 	adapter = (struct adapter){.plugged = true, .can_listen_only = true, .channels = 1, .fails = 0xFF};
 	port = NULL;
+	resets = 0;
 	now_us = 1000000000;
 	return 0;
 }
@@ -689,6 +706,36 @@ static void test_restarts_in_vain_are_ever_rarer_and_told(void **state)
 	assert_non_null(strstr(port->notice, "unplug it"));
 }
 
+static void test_after_four_restarts_in_vain_the_usb_device_is_reset_and_set_up_again(void **state)
+{
+	static const uint64_t pauses_us[] = {2000000, 4000000, 8000000, 16000000, 32000000};
+
+	(void)state;
+	open_and_start("gs_usb");
+	for (size_t i = 0; i < 5; i++) {
+		assert_int_equal(resets, 0);
+		for (int k = 0; k < 10; k++)
+			assert_int_equal(send_id(0x181), 0);
+		assert_nothing_received();
+		now_us += pauses_us[i];
+		assert_nothing_received();
+	}
+	while (resets == 0) { /* by a thread */
+		now_us += 500000;
+		assert_int_equal(adapter.opened, 1);
+		sched_yield();
+		assert_nothing_received();
+	}
+	while (adapter.opened == 1) {
+		now_us += 500000;
+		assert_nothing_received();
+	}
+	assert_nothing_received();
+	assert_int_equal(resets, 1);
+	assert_int_equal(port->state, CAN_STATE_ACTIVE);
+	assert_int_equal(adapter.request_count, 6 + 3 * 4 + 6);
+}
+
 static void test_a_request_that_is_answered_too_late_is_repeated(void **state)
 {
 	(void)state;
@@ -915,6 +962,7 @@ int main(void)
 		ADAPTER_TEST(test_an_adapter_that_confirms_nothing_for_two_seconds_is_restarted),
 		ADAPTER_TEST(test_an_adapter_that_confirms_nothing_is_restarted_when_it_is_passive_too),
 		ADAPTER_TEST(test_restarts_in_vain_are_ever_rarer_and_told),
+		ADAPTER_TEST(test_after_four_restarts_in_vain_the_usb_device_is_reset_and_set_up_again),
 		ADAPTER_TEST(test_a_request_that_is_answered_too_late_is_repeated),
 		ADAPTER_TEST(test_an_echo_in_between_shows_that_the_adapter_works),
 		ADAPTER_TEST(test_a_received_frame_has_the_time_of_its_arrival_without_stamps),

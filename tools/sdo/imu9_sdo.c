@@ -32,6 +32,7 @@ static const char help[] =
 	"  dcf save FILE         save the configuration as a DCF (CiA 306), from the EDS\n"
 	"  dcf apply FILE        load a DCF, or a concise DCF from 'read snapshot -o FILE'\n"
 	"  dcf compare FILE      print the differences between node and FILE; status 1 if there are any\n"
+	"  dbc [FILE]            write a DBC of the PDOs as the node has them now (default: standard output)\n"
 	"  store [GROUP]         store the configuration in the node, safe against power loss (1010h)\n"
 	"  restore [GROUP]       delete the stored configuration (1011h)\n"
 	"                        GROUP: all (default), communication, application, manufacturer\n"
@@ -73,6 +74,7 @@ static const struct command {
 	{"save", sdo_command_save, 1, 1, "FILE", false},
 	{"load", sdo_command_load, 1, 1, "FILE", false},
 	{"dcf", sdo_command_dcf, 2, 2, "apply|compare|save FILE", false},
+	{"dbc", sdo_command_dbc, 0, 1, "[FILE]", false},
 	{"store", sdo_command_store, 0, 1, "[all|communication|application|manufacturer]", false},
 	{"restore", sdo_command_restore, 0, 1, "[all|communication|application|manufacturer]", false},
 	{"nmt", sdo_command_nmt, 1, 1, "start|stop|preop|reset|reset-comm", true},
@@ -143,9 +145,9 @@ int main(int argc, char **argv)
 	argc -= optind;
 	argv += optind;
 	if (argc == 0)
-		cli_usage_error(
-			"no command given: read, write, watch, dump, objects, log, save, load, dcf, store, restore, "
-			"nmt, scan or lss");
+		cli_usage_error("no command given: read, write, watch, dump, objects, log, save, load, dcf, dbc, "
+				"store, restore, "
+				"nmt, scan or lss");
 	const struct command *command = find_command(argv[0]);
 	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
 		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);

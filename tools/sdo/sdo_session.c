@@ -118,8 +118,7 @@ void sdo_put_u32(uint8_t *wire, uint32_t value)
 		wire[i] = (uint8_t)(value >> 8 * i);
 }
 
-/* The physical value of one step by the resolution objects of the node. */
-static double step_of(struct session *s, const struct od_entry *entry)
+double sdo_step(struct session *s, const struct od_entry *entry)
 {
 	const struct od_entry *resolution = od_resolution(s->table, entry);
 	uint8_t wire[OD_VALUE_MAX];
@@ -150,7 +149,7 @@ void sdo_value_text(
 		if (od_format(target->entry, wire, size, text, capacity) < 0)
 			cli_hex_text(wire, size, text, capacity);
 	} else {
-		cli_value_text(target->entry, step_of(s, target->entry), wire, size, text, capacity);
+		cli_value_text(target->entry, sdo_step(s, target->entry), wire, size, text, capacity);
 	}
 }
 

@@ -36,6 +36,8 @@ size_t sdo_targets(const struct session *s, const char *text, struct target *tar
 /** "0.05 m", or the value without unit with -q. */
 void sdo_value_text(
 	struct session *s, const struct target *target, const uint8_t *wire, size_t size, char *text, size_t capacity);
+/** The physical value of one step by the resolution objects of the node. */
+double sdo_step(struct session *s, const struct od_entry *entry);
 void sdo_target_name(const struct target *target, char *name, size_t capacity);
 
 void sdo_open(struct session *s);
@@ -78,6 +80,8 @@ int sdo_command_nmt(struct session *s, int argc, char **argv);
 int sdo_command_scan(struct session *s, int argc, char **argv);
 /* sdo_lss.c */
 int sdo_command_lss(struct session *s, int argc, char **argv);
+/* sdo_dbc.c */
+int sdo_command_dbc(struct session *s, int argc, char **argv);
 /* sdo_dcf.c */
 int sdo_command_dcf(struct session *s, int argc, char **argv);
 
