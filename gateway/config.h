@@ -3,8 +3,9 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * vendor_id, run_led, error_led, log_level), and configuration objects by their EDS names, in their units: `lever_arm.l = 0.05` before any
- * section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One thread. */
+ * vendor_id, run_led, error_led, log_level), and configuration objects by their EDS names, in their units:
+ * `lever_arm.l = 0.05` before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One
+ * thread. */
 #ifndef GATEWAY_CONFIG_H
 #define GATEWAY_CONFIG_H
 

@@ -242,29 +242,29 @@ static void wake(struct loop *l)
 
 static sigset_t signals_read(void)
 {
-	sigset_t read;
+	sigset_t signals;
 
-	sigemptyset(&read);
-	sigaddset(&read, SIGINT);
-	sigaddset(&read, SIGTERM);
-	sigaddset(&read, SIGHUP);
-	return read;
+	sigemptyset(&signals);
+	sigaddset(&signals, SIGINT);
+	sigaddset(&signals, SIGTERM);
+	sigaddset(&signals, SIGHUP);
+	return signals;
 }
 
 void loop_hold_signals(void)
 {
-	sigset_t read = signals_read();
+	sigset_t signals = signals_read();
 
-	sigprocmask(SIG_BLOCK, &read, NULL);
+	sigprocmask(SIG_BLOCK, &signals, NULL);
 	signal(SIGPIPE, SIG_IGN);
 }
 
 static int open_descriptors(struct loop *l)
 {
-	sigset_t read = signals_read();
+	sigset_t signals = signals_read();
 	int rc;
 
-	l->signals = signalfd(-1, &read, SFD_NONBLOCK | SFD_CLOEXEC);
+	l->signals = signalfd(-1, &signals, SFD_NONBLOCK | SFD_CLOEXEC);
 	l->timer = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
 	l->epoll = epoll_create1(EPOLL_CLOEXEC);
 	if (l->signals < 0 || l->timer < 0 || l->epoll < 0)
