@@ -2,17 +2,43 @@
 
 #include <errno.h>
 #include <ini.h>
+#include <stddef.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <strings.h>
+#include <syslog.h>
 
 void config_init(struct config *config, const struct od_table *table)
 {
-	*config = (struct config){.imu = "sim", .can = "vcan0", .node_id = 1, .table = table};
+	*config = (struct config){.imu = "sim", .can = "vcan0", .node_id = 1, .log_level = LOG_INFO, .table = table};
 }
 
 /* ---- keys of the process ----------------------------------------------------------------------------------------- */
+
+enum kind { TEXT, NUMBER, NODE_ID, LOG_LEVEL };
+
+static const struct key {
+	const char *name;
+	size_t at; /* in struct config */
+	enum kind kind;
+	unsigned low, high; /* of a NUMBER */
+} KEYS[] = {
+	{"imu", offsetof(struct config, imu), TEXT, 0, 0},
+	{"can", offsetof(struct config, can), TEXT, 0, 0},
+	{"node_id", offsetof(struct config, node_id), NODE_ID, 0, 0},
+	{"bitrate", offsetof(struct config, bitrate), NUMBER, 10000, 1000000},
+	{"store", offsetof(struct config, store), TEXT, 0, 0},
+	{"realtime", offsetof(struct config, realtime), NUMBER, 0, 99},
+	{"serial", offsetof(struct config, serial), NUMBER, 0, UINT32_MAX},
+	{"run_led", offsetof(struct config, run_led), TEXT, 0, 0},
+	{"error_led", offsetof(struct config, error_led), TEXT, 0, 0},
+	{"log_level", offsetof(struct config, log_level), LOG_LEVEL, 0, 0},
+};
+enum { KEY_COUNT = sizeof(KEYS) / sizeof(KEYS[0]) };
+
+static const char *const SEVERITIES[] = {
+	[LOG_ERR] = "error", [LOG_WARNING] = "warning", [LOG_INFO] = "info", [LOG_DEBUG] = "debug"};
 
 static int set_text(char *out, const char *key, const char *value, char *error)
 {
@@ -54,31 +80,56 @@ static int set_node_id(unsigned *out, const char *key, const char *value, char *
 	return rc;
 }
 
-int config_option(struct config *c, const char *key, const char *value, char *error)
+static int set_log_level(unsigned *out, const char *key, const char *value, char *error)
 {
-	if (strcmp(key, "imu") == 0)
-		return set_text(c->imu, key, value, error);
-	if (strcmp(key, "can") == 0)
-		return set_text(c->can, key, value, error);
-	if (strcmp(key, "store") == 0)
-		return set_text(c->store, key, value, error);
-	if (strcmp(key, "run_led") == 0)
-		return set_text(c->run_led, key, value, error);
-	if (strcmp(key, "error_led") == 0)
-		return set_text(c->error_led, key, value, error);
-	if (strcmp(key, "node_id") == 0)
-		return set_node_id(&c->node_id, key, value, error);
-	if (strcmp(key, "bitrate") == 0)
-		return set_number(&c->bitrate, key, value, 10000, 1000000, error);
-	if (strcmp(key, "realtime") == 0)
-		return set_number(&c->realtime, key, value, 0, 99, error);
-	if (strcmp(key, "serial") == 0)
-		return set_number(&c->serial, key, value, 0, UINT32_MAX, error);
-	snprintf(error, CONFIG_ERROR_MAX,
-		"unknown key '%s' in [gateway]; the keys are imu, can, node_id, bitrate, store, realtime, serial, "
-		"run_led and error_led",
-		key);
+	for (unsigned i = 0; i < sizeof(SEVERITIES) / sizeof(SEVERITIES[0]); i++)
+		if (SEVERITIES[i] && strcmp(SEVERITIES[i], value) == 0) {
+			*out = i;
+			return 0;
+		}
+	snprintf(error, CONFIG_ERROR_MAX, "%s: '%.100s' is none of error, warning, info and debug", key, value);
+	return -EINVAL;
+}
+
+static int set_key(struct config *c, const struct key *key, const char *value, char *error)
+{
+	void *at = (char *)c + key->at;
+
+	switch (key->kind) {
+	case TEXT:
+		return set_text(at, key->name, value, error);
+	case NUMBER:
+		return set_number(at, key->name, value, key->low, key->high, error);
+	case NODE_ID:
+		return set_node_id(at, key->name, value, error);
+	case LOG_LEVEL:
+		return set_log_level(at, key->name, value, error);
+	}
+	return -EINVAL;
+}
+
+int config_option(struct config *c, const char *name, const char *value, char *error)
+{
+	int used = snprintf(error, CONFIG_ERROR_MAX, "unknown key '%.100s' in [gateway]; the keys are", name);
+
+	for (size_t i = 0; i < KEY_COUNT; i++) {
+		if (strcmp(name, KEYS[i].name) == 0)
+			return set_key(c, &KEYS[i], value, error);
+		used += snprintf(error + used, CONFIG_ERROR_MAX - (size_t)used, "%s %s", i ? "," : "", KEYS[i].name);
+	}
 	return -ENOENT;
+}
+
+const char *config_changed(const struct config *before, const struct config *after, size_t *from)
+{
+	while (*from < KEY_COUNT) {
+		const struct key *key = &KEYS[(*from)++];
+		const char *a = (const char *)before + key->at, *b = (const char *)after + key->at;
+
+		if (key->kind == TEXT ? strcmp(a, b) != 0 : memcmp(a, b, sizeof(unsigned)) != 0)
+			return key->name;
+	}
+	return NULL;
 }
 
 /* ---- objects ----------------------------------------------------------------------------------------------------- */

@@ -3,8 +3,8 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * run_led, error_led), and configuration objects by their EDS names, in their units: `lever_arm.l = 0.05` before any
- * section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One thread. */
+ * run_led, error_led, log_level), and configuration objects by their EDS names, in their units: `lever_arm.l = 0.05`
+ * before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One thread. */
 #ifndef GATEWAY_CONFIG_H
 #define GATEWAY_CONFIG_H
 
@@ -23,7 +23,8 @@ struct config {
 	unsigned node_id;					   /* 1..127; 255: unconfigured, LSS assigns one */
 	unsigned bitrate;					   /* bit/s; 0: unchanged */
 	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
-	unsigned serial; /* 1018h:4; 0: derived from machine, sensor and bus */
+	unsigned serial;    /* 1018h:4; 0: derived from machine, sensor and bus */
+	unsigned log_level; /* severity of syslog(3): lines that are less severe are not written */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {
@@ -42,6 +43,8 @@ void config_init(struct config *config, const struct od_table *table);
 int config_file(struct config *config, const char *path, char *error);
 /** A key of [gateway], e.g. ("node_id", "5"). */
 int config_option(struct config *config, const char *key, const char *value, char *error);
+/** The first key of [gateway], from number *from on (0 at first), that differs; *from is that behind it. NULL: none. */
+const char *config_changed(const struct config *before, const struct config *after, size_t *from);
 /** The argument "NAME=VALUE" of --set. */
 int config_set(struct config *config, const char *assignment, char *error);
 /** Writes the objects into the dictionary (od_put()). */

@@ -2,15 +2,19 @@
 
 #include <errno.h>
 #include <signal.h>
+#include <stdlib.h>
+#include <string.h>
 #include <sys/epoll.h>
 #include <sys/signalfd.h>
 #include <sys/timerfd.h>
 #include <sys/timex.h>
+#include <termios.h>
 #include <time.h>
 #include <unistd.h>
 
 #include "gateway/canopen/deadline.h"
 #include "gateway/log.h"
+#include "gateway/service.h"
 
 /* Limits for each wake-up, so that no source starves the others; what is left is read at the next one. */
 enum { SAMPLES_PER_WAKE = 16, FRAMES_PER_WAKE = 64 };
@@ -28,6 +32,8 @@ struct loop {
 	struct can_port *bus;
 	struct imu_port *imu;
 	struct store_writer *writer;
+	struct service service;
+	loop_reload *reload;
 	int epoll, timer, signals;
 	uint64_t now_us;   /* the last reading */
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
@@ -84,6 +90,7 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 		device_sample(l->device, read, &sample, now_us);
 		if (read < 0)
 			break;
+		service_ready(&l->service, l->imu->name);
 	}
 	log_skips(l, now_us);
 }
@@ -123,14 +130,26 @@ static void on_bus(struct loop *l)
 	l->frames_left = true;
 }
 
+/* The user has closed it, and does not want the configuration to be read. */
+static bool terminal_is_gone(void)
+{
+	struct termios settings;
+
+	return tcgetattr(STDERR_FILENO, &settings) < 0 && errno == EIO;
+}
+
 static void on_signal(struct loop *l)
 {
 	struct signalfd_siginfo info;
 
-	if (read(l->signals, &info, sizeof(info)) == sizeof(info)) {
-		log_line("stopping on %s", info.ssi_signo == SIGINT ? "SIGINT" : "SIGTERM");
-		l->quit = true;
+	if (read(l->signals, &info, sizeof(info)) != sizeof(info))
+		return;
+	if (info.ssi_signo == SIGHUP && !terminal_is_gone()) {
+		l->reload(l->device, l->now_us);
+		return;
 	}
+	log_line("stopping on SIG%s", sigabbrev_np((int)info.ssi_signo));
+	l->quit = true;
 }
 
 static void on_store(struct loop *l, uint64_t now_us)
@@ -196,6 +215,12 @@ static void read_host_clock(struct loop *l, uint64_t now_us)
 	device_host_clock(l->device, synchronised, (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)now());
 }
 
+static uint64_t watch_threads(struct loop *l)
+{
+	return service_tick(&l->service, atomic_load_explicit(&l->imu->turns, memory_order_relaxed),
+		l->writer && store_writer_busy(l->writer), l->now_us);
+}
+
 static void wake(struct loop *l)
 {
 	uint64_t slept_us = l->now_us, due_us = l->armed_us;
@@ -206,37 +231,40 @@ static void wake(struct loop *l)
 		on_bus(l);
 	for (int i = 0; i < n; i++)
 		on_event(l, (enum source)events[i].data.u32);
-	if (l->now_us > due_us && l->now_us - due_us > AWAY_US)
+	if (l->now_us > due_us && l->now_us - due_us > AWAY_US) {
 		device_away(l->device, l->now_us - slept_us, l->now_us);
+		service_away(&l->service, l->now_us - slept_us);
+	}
 	read_host_clock(l, l->now_us);
-	uint64_t next_us = device_tick(l->device, l->now_us);
+	uint64_t next_us = earlier(device_tick(l->device, l->now_us), watch_threads(l));
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
 }
 
-static sigset_t stop_signals(void)
+static sigset_t signals_read(void)
 {
-	sigset_t stop;
+	sigset_t signals;
 
-	sigemptyset(&stop);
-	sigaddset(&stop, SIGINT);
-	sigaddset(&stop, SIGTERM);
-	return stop;
+	sigemptyset(&signals);
+	sigaddset(&signals, SIGINT);
+	sigaddset(&signals, SIGTERM);
+	sigaddset(&signals, SIGHUP);
+	return signals;
 }
 
 void loop_hold_signals(void)
 {
-	sigset_t stop = stop_signals();
+	sigset_t signals = signals_read();
 
-	sigprocmask(SIG_BLOCK, &stop, NULL);
+	sigprocmask(SIG_BLOCK, &signals, NULL);
 	signal(SIGPIPE, SIG_IGN);
 }
 
 static int open_descriptors(struct loop *l)
 {
-	sigset_t stop = stop_signals();
+	sigset_t signals = signals_read();
 	int rc;
 
-	l->signals = signalfd(-1, &stop, SFD_NONBLOCK | SFD_CLOEXEC);
+	l->signals = signalfd(-1, &signals, SFD_NONBLOCK | SFD_CLOEXEC);
 	l->timer = timerfd_create(CLOCK_MONOTONIC, TFD_NONBLOCK | TFD_CLOEXEC);
 	l->epoll = epoll_create1(EPOLL_CLOEXEC);
 	if (l->signals < 0 || l->timer < 0 || l->epoll < 0)
@@ -248,26 +276,30 @@ static int open_descriptors(struct loop *l)
 }
 
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	bool stored_damaged)
+	bool stored_damaged, loop_reload *reload)
 {
 	struct loop l = {.device = device,
 		.bus = bus,
 		.imu = imu,
 		.last_skipped = imu->counters.skipped, /* of a log: told with its notes */
 		.writer = writer,
+		.reload = reload,
 		.epoll = -1,
 		.timer = -1,
 		.signals = -1,
 		.armed_us = UINT64_MAX};
 	int rc = open_descriptors(&l);
 
+	service_open(&l.service, getenv("NOTIFY_SOCKET"), getenv("WATCHDOG_USEC"), getenv("WATCHDOG_PID"));
 	if (rc == 0) {
 		l.now_us = now();
 		device_start(device, stored_damaged, l.now_us);
 		arm(&l, l.now_us);
 		while (!l.quit)
 			wake(&l);
+		service_stopping(&l.service);
 	}
+	service_close(&l.service);
 	close(l.epoll);
 	close(l.timer);
 	close(l.signals);

@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <getopt.h>
 #include <sched.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,39 +15,48 @@
 #include "gateway/device.h"
 #include "gateway/log.h"
 #include "gateway/loop.h"
+#include "gateway/reload.h"
+#include "gateway/settings.h"
 #include "od_values.h"
 
 enum { EXIT_USAGE = 2 };
 
 static const char usage[] =
-	"usage: imu9-gateway [OPTION]...\n"
+	"Usage: imu9-gateway [OPTION]...\n"
 	"Turns a 9-axis IMU into a CANopen device (CiA 301, CiA 410).\n"
 	"\n"
 	"  -c, --config FILE     INI file: [gateway] with the options below as keys (node_id = 5), and\n"
 	"                        objects by name; 'imu9-sdo save FILE' writes one\n"
 	"      --imu SRC         where samples come from, see below            (default: sim)\n"
-	"      --can BUS         the CAN bus, see below               (default: $IMU9_CAN or vcan0)\n"
-	"      --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
+	"  -i, --can BUS         the CAN bus, see below               (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node-id N       1 to 127, or 255: waits for one by LSS  (default: $IMU9_NODE or 1)\n"
 	"      --bitrate B       bit/s, set where that is permitted: CAP_NET_ADMIN  (default: unchanged)\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
 	"      --serial N        1018h:4, unique among all units   (default: from machine, SRC, BUS)\n"
-	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
-	"      --help, --version\n"
+	"      --run-led NAME    LED under /sys/class/leds, run of CiA 303-3        (default: none)\n"
+	"      --error-led NAME  the same for error\n"
+	"      --log-level LEVEL error, warning, info or debug                      (default: info)\n"
+	"      --check           only tell whether the configuration is good\n"
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
 	"\n"
 	"Precedence: defaults < FILE < command line < what 1010h and LSS stored.\n"
-	"Exit status: 0 stopped by a signal, 1 failed, 2 wrong usage or configuration.\n"
+	"SIGHUP reads FILE again; the log says what is changed by it and what needs a restart.\n"
+	"\n"
+	"Exit status: 0 stopped by a signal or --check is good, 1 failed, 2 wrong usage or configuration.\n"
 	"Example: imu9-gateway --imu i2c:/dev/i2c-1 --can can0 --node-id 5\n";
 
-enum { OPT_KEY = 256, OPT_SET, OPT_HELP, OPT_VERSION }; /* OPT_KEY: a key of [gateway] */
+enum { OPT_KEY = 256, OPT_SET, OPT_CHECK }; /* OPT_KEY: a key of [gateway] */
 
+static const char letters[] = ":c:i:n:hV";
 static const struct option options[] = {
 	{"config", required_argument, NULL, 'c'},
 	{"imu", required_argument, NULL, OPT_KEY},
-	{"can", required_argument, NULL, OPT_KEY},
-	{"node-id", required_argument, NULL, OPT_KEY},
+	{"can", required_argument, NULL, 'i'},
+	{"node-id", required_argument, NULL, 'n'},
 	{"bitrate", required_argument, NULL, OPT_KEY},
 	{"set", required_argument, NULL, OPT_SET},
 	{"store", required_argument, NULL, OPT_KEY},
@@ -54,8 +64,10 @@ static const struct option options[] = {
 	{"serial", required_argument, NULL, OPT_KEY},
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
-	{"help", no_argument, NULL, OPT_HELP},
-	{"version", no_argument, NULL, OPT_VERSION},
+	{"log-level", required_argument, NULL, OPT_KEY},
+	{"check", no_argument, NULL, OPT_CHECK},
+	{"help", no_argument, NULL, 'h'},
+	{"version", no_argument, NULL, 'V'},
 	{0},
 };
 
@@ -70,13 +82,13 @@ static void print_help(void)
 
 static int usage_error(const char *why)
 {
-	log_line("%s (imu9-gateway --help)", why);
+	log_error("%s (imu9-gateway --help)", why);
 	return EXIT_USAGE;
 }
 
 static int bad_configuration(const char *why)
 {
-	log_line("%s", why);
+	log_error("%s", why);
 	return EXIT_USAGE;
 }
 
@@ -105,7 +117,7 @@ static int set_key(struct config *config, const char *option, const char *value,
 	return config_option(config, key, value, why);
 }
 
-/* One option of the command line; --config was handled before all others. -1: continue, else the exit status. */
+/* One option of the command line; --config and --check were handled before all others. -1: continue, else the exit status. */
 static int apply_option(struct config *config, int option, int index, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];
@@ -113,17 +125,24 @@ static int apply_option(struct config *config, int option, int index, char *cons
 
 	switch (option) {
 	case 'c':
+	case OPT_CHECK:
 		break;
 	case OPT_KEY:
 		rc = set_key(config, options[index].name, optarg, why);
 		break;
+	case 'i':
+		rc = config_option(config, "can", optarg, why);
+		break;
+	case 'n':
+		rc = config_option(config, "node_id", optarg, why);
+		break;
 	case OPT_SET:
 		rc = config_set(config, optarg, why);
 		break;
-	case OPT_HELP:
+	case 'h':
 		print_help();
 		return EXIT_SUCCESS;
-	case OPT_VERSION:
+	case 'V':
 		puts("imu9-gateway " IMU9_VERSION);
 		return EXIT_SUCCESS;
 	default:
@@ -140,26 +159,32 @@ static int apply_environment(struct config *config, const char *variable, const 
 
 	if (!value || !value[0] || config_option(config, key, value, why) == 0)
 		return -1;
-	log_line("%s: %s", variable, why);
+	log_error("%s: %s", variable, why);
 	return EXIT_USAGE;
 }
 
 /* The file before the other options, in any order on the command line. -1: run, else the exit status. */
-static int read_configuration(struct config *config, int argc, char **argv)
+static int read_configuration(struct config *config, bool *check, int argc, char **argv)
 {
 	char why[CONFIG_ERROR_MAX];
-	int option, index = 0, status = apply_environment(config, "IMU9_CAN", "can");
+	int option, index = 0, status;
 
+	config_init(config, &imu9_od_table);
+	status = apply_environment(config, "IMU9_CAN", "can");
 	if (status < 0)
 		status = apply_environment(config, "IMU9_NODE", "node_id");
 	if (status >= 0)
 		return status;
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1)
+	optind = 0; /* glibc: start again */
+	*check = false;
+	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1) {
 		if (option == 'c' && config_file(config, optarg, why) < 0)
 			return bad_configuration(why);
-	optind = 0; /* glibc: start again */
-	while (status < 0 && (option = getopt_long(argc, argv, ":c:", options, &index)) != -1)
+		*check |= option == OPT_CHECK;
+	}
+	optind = 0;
+	while (status < 0 && (option = getopt_long(argc, argv, letters, options, &index)) != -1)
 		status = apply_option(config, option, index, argv);
 	if (status < 0 && optind < argc) {
 		snprintf(why, sizeof(why), "'%.100s' is not an option", argv[optind]);
@@ -210,9 +235,9 @@ static void go_realtime(unsigned priority)
 	if (priority == 0)
 		return;
 	if (mlockall(MCL_CURRENT | MCL_FUTURE) < 0)
-		log_line("cannot lock the memory: %s (raise ulimit -l, or grant CAP_IPC_LOCK)", strerror(errno));
+		log_warning("cannot lock the memory: %s (raise ulimit -l, or grant CAP_IPC_LOCK)", strerror(errno));
 	if (sched_setscheduler(0, SCHED_FIFO, &param) < 0)
-		log_line("cannot set real-time priority %u: %s (raise ulimit -r, or grant CAP_SYS_NICE)", priority,
+		log_warning("cannot set real-time priority %u: %s (raise ulimit -r, or grant CAP_SYS_NICE)", priority,
 			strerror(errno));
 }
 
@@ -238,8 +263,9 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	store_path(path, sizeof(path), folder, config->can);
 	int opened = store_writer_open(&writer, path);
 	if (opened == -EADDRINUSE) {
-		log_line("%s belongs to another gateway that is running: 1010h cannot store; use another folder with "
-			 "--store",
+		log_warning(
+			"%s belongs to another gateway that is running: 1010h cannot store; use another folder with "
+			"--store",
 			path);
 		return NULL;
 	}
@@ -247,12 +273,12 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	int rc = store_read(&stored, path);
 	*damaged = rc < 0;
 	if (rc < 0)
-		log_line("%s: stored values not used: %s", path,
+		log_warning("%s: stored values not used: %s", path,
 			rc == -EBADMSG	 ? "damaged; kept as .bad"
 			: rc == -ENOTSUP ? "of a later version; kept as .bad"
 					 : strerror(-rc));
 	if (opened < 0) {
-		log_line("%s: %s: 1010h cannot store; use another folder with --store", path, strerror(-opened));
+		log_warning("%s: %s: 1010h cannot store; use another folder with --store", path, strerror(-opened));
 		return NULL;
 	}
 	log_line("1010h and LSS store in %s", path);
@@ -316,13 +342,13 @@ static void start_bit_rate(const struct config *config, struct can_port *bus)
 	if (rc == 0)
 		log_line("%s: %u bit/s set%s", bus->name, bit_s, stored.lss.bit_s ? ", as stored by LSS" : "");
 	else if (rc == -EPERM)
-		log_line("%s runs at %u bit/s; setting %u needs CAP_NET_ADMIN; as root: `ip link set %s down; "
-			 "ip link set %s up type can bitrate %u`",
+		log_warning("%s runs at %u bit/s; setting %u needs CAP_NET_ADMIN; as root: `ip link set %s down; "
+			    "ip link set %s up type can bitrate %u`",
 			bus->name, bus->bit_s, bit_s, bus->name, bus->name, bit_s);
 	else if (rc == -EOPNOTSUPP && bus->bit_s == 0)
 		log_line("%s has no bit rate; its load is calculated for %u bit/s", bus->name, bus->bit_s = bit_s);
 	else
-		log_line("%s: %u bit/s cannot be set: %s", bus->name, bit_s,
+		log_warning("%s: %u bit/s cannot be set: %s", bus->name, bit_s,
 			rc == -EOPNOTSUPP ? "the controller does not support this bit rate" : strerror(-rc));
 }
 
@@ -332,12 +358,66 @@ static void open_leds(const struct config *config)
 	int rc = leds_open(&device.leds, "/sys/class/leds", config->run_led, config->error_led, &name);
 
 	if (rc < 0)
-		log_line("/sys/class/leds/%s/brightness: %s: this LED is not used", name, strerror(-rc));
+		log_warning("/sys/class/leds/%s/brightness: %s: this LED is not used", name, strerror(-rc));
+}
+
+static const char INCONSISTENT[] = "the configuration is inconsistent: check for a singular calibration matrix or a "
+				   "filter order 0";
+
+/* Wrong however often it is tried, whether the device is there or not. -1: good, else the exit status. */
+static int check_configuration(const struct config *config)
+{
+	char why[CONFIG_ERROR_MAX];
+
+	if (imu_open(config->imu, NULL, NULL, why, sizeof(why)) < 0 ||
+		can_open(config->can, NULL, why, sizeof(why)) < 0)
+		return bad_configuration(why);
+	return -1;
+}
+
+static int tell_good(const struct config *config)
+{
+	struct od_values values;
+	struct od od;
+
+	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
+	config_apply(config, &od);
+	if (!settings_valid(&values))
+		return bad_configuration(INCONSISTENT);
+	printf("good: node %u on %s, sensor %s\n", config->node_id, config->can, config->imu);
+	return EXIT_SUCCESS;
+}
+
+static struct invocation {
+	int argc;
+	char **argv;
+	struct config config; /* as read last */
+} invocation;
+
+/* SIGHUP */
+static void read_again(struct device *d, uint64_t now_us)
+{
+	static struct config config;
+	bool check;
+
+	log_line("reading the configuration again");
+	int status = read_configuration(&config, &check, invocation.argc, invocation.argv);
+	if (status < 0)
+		status = check_configuration(&config);
+	if (status < 0 && reload(d, &invocation.config, &config, now_us) < 0)
+		status = bad_configuration(INCONSISTENT);
+	if (status >= 0) {
+		log_error("the configuration is not changed");
+		return;
+	}
+	log_set_level((int)config.log_level);
+	invocation.config = config;
 }
 
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
 {
 	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
+	int status = EXIT_FAILURE;
 	bool damaged;
 
 	struct store_writer *store = open_store(config, &damaged);
@@ -348,10 +428,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	identify(&device.values, config, imu);
 	int rc = device_init(&device, bus, imu, store ? &storage : NULL, &stored, node_id);
 	if (rc == -EINVAL)
-		log_line("the configuration is inconsistent: check for a singular calibration matrix "
-			 "or a filter order 0");
+		status = bad_configuration(INCONSISTENT);
 	else if (rc < 0)
-		log_line("cannot start the device: %s", strerror(-rc));
+		log_error("cannot start the device: %s", strerror(-rc));
 	if (rc == 0) {
 		if (node_id == CANOPEN_UNCONFIGURED)
 			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waiting for LSS to assign one (imu9-sdo lss "
@@ -362,14 +441,14 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		log_notes(imu->notes);
 		open_leds(config);
 		go_realtime(config->realtime);
-		rc = loop_run(&device, bus, imu, store, damaged);
+		rc = loop_run(&device, bus, imu, store, damaged, read_again);
 		if (rc < 0)
-			log_line("cannot run: %s", strerror(-rc));
+			log_error("cannot run: %s", strerror(-rc));
 		leds_close(&device.leds);
 	}
 	if (store)
 		store_writer_close(store);
-	return rc < 0 ? EXIT_FAILURE : EXIT_SUCCESS;
+	return rc == 0 ? EXIT_SUCCESS : status;
 }
 
 /* The sensor is opened before the device is initialised; its stored settings (1010h) are applied at device_init(). */
@@ -387,27 +466,34 @@ static struct imu_settings settings_of(const struct config *config)
 
 int main(int argc, char **argv)
 {
-	static struct config config;
+	const struct config *config = &invocation.config;
 	struct imu_port *imu;
 	struct can_port *bus;
 	char why[CONFIG_ERROR_MAX];
+	bool check;
 
-	config_init(&config, &imu9_od_table);
-	int status = read_configuration(&config, argc, argv);
+	invocation.argc = argc;
+	invocation.argv = argv;
+	int status = read_configuration(&invocation.config, &check, argc, argv);
+	if (status < 0)
+		status = check_configuration(config);
 	if (status >= 0)
 		return status;
+	if (check)
+		return tell_good(config);
+	log_set_level((int)config->log_level);
 	loop_hold_signals();
-	const struct imu_settings settings = settings_of(&config);
-	if (imu_open(config.imu, &settings, &imu, why, sizeof(why)) < 0) {
-		log_line("%s", why);
+	const struct imu_settings settings = settings_of(config);
+	if (imu_open(config->imu, &settings, &imu, why, sizeof(why)) < 0) {
+		log_error("%s", why);
 		return EXIT_FAILURE;
 	}
-	if (can_open(config.can, &bus, why, sizeof(why)) < 0) {
-		log_line("%s", why);
+	if (can_open(config->can, &bus, why, sizeof(why)) < 0) {
+		log_error("%s", why);
 		imu_close(imu);
 		return EXIT_FAILURE;
 	}
-	status = run(&config, bus, imu);
+	status = run(config, bus, imu);
 	can_close(bus);
 	imu_close(imu);
 	return status;

@@ -105,6 +105,14 @@ static void put_real32(uint8_t wire[sizeof(float)], float value)
 	put_u32(wire, bits);
 }
 
+bool settings_valid(const struct od_values *values)
+{
+	const struct pipeline_config config = settings_pipeline(values);
+	struct pipeline pipeline;
+
+	return pipeline_init(&pipeline, &config, values->sensor.rate) == 0;
+}
+
 enum od_status settings_write(struct od *od, uint16_t index, const float *values, uint8_t count)
 {
 	enum od_status status = OD_OK;

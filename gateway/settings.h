@@ -4,11 +4,16 @@
 #ifndef GATEWAY_SETTINGS_H
 #define GATEWAY_SETTINGS_H
 
+#include <stdbool.h>
+
 #include "model/pipeline.h"
 #include "od/od.h"
 #include "od_values.h"
 
 struct pipeline_config settings_pipeline(const struct od_values *values);
+
+/** Whether these objects, each within its limits, agree with one another, at the rate of 2058h. */
+bool settings_valid(const struct od_values *values);
 
 /** Writes REAL32 values to the sub-indices 1 to `count` of an object: all of them and OD_OK, or none and the reason. */
 enum od_status settings_write(struct od *od, uint16_t index, const float *values, uint8_t count);

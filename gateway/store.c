@@ -286,6 +286,14 @@ int store_writer_result(struct store_writer *w)
 	return rc;
 }
 
+bool store_writer_busy(struct store_writer *w)
+{
+	pthread_mutex_lock(&w->lock);
+	bool busy = w->busy;
+	pthread_mutex_unlock(&w->lock);
+	return busy;
+}
+
 void store_writer_close(struct store_writer *w)
 {
 	if (w->fd < 0)

@@ -71,6 +71,8 @@ int store_writer_open(struct store_writer *w, const char *path);
 int store_writer_submit(struct store_writer *w, const uint8_t *bytes, size_t size);
 /** When `fd` is readable: the result of store_write(). -EAGAIN: no write has ended. */
 int store_writer_result(struct store_writer *w);
+/** A write is in progress. */
+bool store_writer_busy(struct store_writer *w);
 /** Waits for a write in progress. */
 void store_writer_close(struct store_writer *w);
 

@@ -1,5 +1,8 @@
 """Sources of the configuration and their precedence; messages for errors in it or in the input."""
+import os
 import re
+import signal
+import socket
 import struct
 import unittest
 
@@ -55,8 +58,64 @@ class Precedence(ARunningGateway):
         self.assertEqual(self.master.upload(NODE, 0x2002), b"\x01")
 
 
+class Reload(ARunningGateway):
+    """SIGHUP."""
+
+    def hang_up(self, text):
+        self.file.write_text(text)
+        before = self.gateway.log.count("reading the configuration again")
+        self.gateway.process.send_signal(signal.SIGHUP)
+        rig.wait_until(lambda: self.gateway.log.count("reading the configuration again") > before)
+
+    def setUp(self):
+        self.file = rig.written("[lever_arm]\nl = 0.1\n")
+        self.start("-c", self.file)
+
+    def test_what_changed_is_applied_and_what_needs_a_restart_is_told(self):
+        self.hang_up("[gateway]\nbitrate = 250000\n[lever_arm]\nl = 0.2\n")
+        rig.wait_until(lambda: "snapshot of 1 entries applied" in self.gateway.log)
+        self.assertAlmostEqual(self.real(0x2000, 1), 0.2, places=6)
+        self.assertRegex(self.gateway.log, "bitrate: not changed: a restart is needed")
+        self.assertNotIn("node_id", self.gateway.log)
+
+    def test_a_wrong_file_changes_nothing(self):
+        self.hang_up("[lever_arm]\nl = 0.2\nx = 1\n")
+        rig.wait_until(lambda: "not changed" in self.gateway.log)
+        self.assertIn("%s:3: " % self.file, self.gateway.log)
+        self.assertAlmostEqual(self.real(0x2000, 1), 0.1, places=6)
+
+    def test_the_log_level_is_applied(self):
+        self.hang_up("[gateway]\nlog_level = error\n[lever_arm]\nl = 0.1\n")
+        self.master.nmt(canopen.START, NODE)
+        self.master.wait_state(NODE, canopen.STATE_OPERATIONAL)
+        self.assertNotIn("NMT state: operational", self.gateway.log)
+
+
+class Service(ARunningGateway):
+    """A service manager with a watchdog of half a second, as the environment of sd_notify(3) tells it."""
+
+    def test_it_tells_when_it_is_ready_gives_signs_of_life_and_tells_when_it_stops(self):
+        manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.addCleanup(manager.close)
+        path = rig.scratch(".notify")
+        manager.bind(str(path))
+        manager.settimeout(60)
+        os.environ.update(NOTIFY_SOCKET=str(path), WATCHDOG_USEC="500000")
+        try:
+            self.start()
+        finally:
+            del os.environ["NOTIFY_SOCKET"], os.environ["WATCHDOG_USEC"]
+        messages = [manager.recv(1000) for _ in range(4)]
+        self.assertTrue([m for m in messages if m.startswith(b"READY=1\nSTATUS=sim:square")], messages)
+        self.assertGreaterEqual(messages.count(b"WATCHDOG=1"), 3)
+        self.gateway.end()
+        while messages[-1] != b"STOPPING=1":
+            messages.append(manager.recv(1000))
+
+
 class BadInput(unittest.TestCase):
-    """Status 2 for wrong usage, 1 for missing files and devices; one line that names the cause and says what to do."""
+    """Status 2 for wrong usage or configuration, 1 for missing files and devices; one line that names the cause and says
+    what to do."""
 
     def refused(self, status, pattern, *args):
         result = rig.run("imu9-gateway", *args)
@@ -117,7 +176,27 @@ class BadInput(unittest.TestCase):
         self.refused(1, "lo\\b", "--can", "lo")
 
     def test_an_unknown_kind_of_sensor(self):
-        self.refused(1, "crystal.*replay:", "--imu", "crystal:ball")
+        self.refused(2, "crystal.*replay:", "--imu", "crystal:ball")
+
+    def test_a_wrong_option_of_sensor_or_bus_is_refused_before_either_is_opened(self):
+        for imu in ("sim:nowhere", "sim:,board=v9", "i2c", "i2c:/dev/x,drdy=1", "wt901:/dev/x,baud=3",
+                    "replay:/no/such.imu.csv,speed=0", "iio:a,b,c,d,e"):
+            self.refused(2, imu.split(":")[0], "--imu", imu, "--can", "nocan7")
+        for bus in ("udp:1.2.3.4", "udp,hosts=x", "gs_usb:x:y:z", "slcan:/dev/x,bitrate=3", "slcan:/dev/x,bitrate=300000",
+                    "can0:1", "a-name-that-is-too-long"):
+            self.refused(2, "use|name", "--can", bus)
+
+    def test_check_tells_whether_a_configuration_is_good_and_opens_nothing(self):
+        good = rig.run("imu9-gateway", "--imu", "i2c:/dev/i2c-99", "-i", "nocan7", "-n", "5", "--check")
+        self.assertEqual((good.returncode, good.stderr), (0, ""))
+        self.assertEqual(good.stdout, "good: node 5 on nocan7, sensor i2c:/dev/i2c-99\n")
+        self.refused(2, "crystal", "--imu", "crystal", "--check")
+        self.refused(2, "inconsistent", "--set", "accelerometer_calibration.xx=0", "--check")
+        self.file_refused(2, "lever_arm.x", "[lever_arm]\nx = 3\n")
+
+    def test_a_contradiction_in_the_configuration(self):
+        self.refused(2, "inconsistent", "--set", "accelerometer_calibration.xx=0", "--store", rig.scratch(".store"),
+                     "--can", rig.BUS)
 
     def test_a_missing_log(self):
         self.refused(1, "/no/such.imu.csv.*No such file", "--imu", "replay:/no/such.imu.csv")

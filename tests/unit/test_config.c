@@ -188,12 +188,28 @@ static void test_the_example_file_holds_the_defaults(void **state)
 static void test_process_keys_are_checked(void **state)
 {
 	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"}, {"node_id", "5x"}, {"node_id", ""},
-		{"node_id", "-1"}, {"bitrate", "1"}, {"realtime", "100"}, {"imu", ""}};
+		{"node_id", "-1"}, {"bitrate", "1"}, {"realtime", "100"}, {"imu", ""}, {"log_level", "loud"}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)
 		assert_int_equal(config_option(&config, bad[i][0], bad[i][1], why), -EINVAL);
 	assert_int_equal(config.node_id, 1);
+}
+
+static void test_the_keys_that_differ_are_found(void **state)
+{
+	static struct config other;
+	size_t from = 0;
+
+	(void)state;
+	other = config;
+	assert_null(config_changed(&config, &other, &from));
+	assert_int_equal(config_option(&other, "can", "can7", why), 0);
+	assert_int_equal(config_option(&other, "log_level", "debug", why), 0);
+	from = 0;
+	assert_string_equal(config_changed(&config, &other, &from), "can");
+	assert_string_equal(config_changed(&config, &other, &from), "log_level");
+	assert_null(config_changed(&config, &other, &from));
 }
 
 static void test_a_set_without_a_value_shows_the_syntax(void **state)
@@ -224,6 +240,7 @@ int main(void)
 		TEST(test_a_missing_file_is_an_error),
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
+		TEST(test_the_keys_that_differ_are_found),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
 	};
 
