@@ -38,7 +38,7 @@ static const char usage[] =
 	"      --serial N        1018h:4, unique among all units   (default: from machine, SRC, BUS)\n"
 	"      --run-led NAME    LED under /sys/class/leds, run of CiA 303-3        (default: none)\n"
 	"      --error-led NAME  the same for error\n"
-	"      --log-level LEVEL error, warning, info or debug                      (default: info)\n"
+	"      --log-level LEVEL  error, warning, info or debug                      (default: info)\n"
 	"      --check           only tell whether the configuration is good\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
@@ -47,6 +47,7 @@ static const char usage[] =
 	"SIGHUP reads FILE again; the log says what is changed by it and what needs a restart.\n"
 	"\n"
 	"Exit status: 0 stopped by a signal or --check is good, 1 failed, 2 wrong usage or configuration.\n"
+	"\n"
 	"Example: imu9-gateway --imu i2c:/dev/i2c-1 --can can0 --node-id 5\n";
 
 enum { OPT_KEY = 256, OPT_SET, OPT_CHECK }; /* OPT_KEY: a key of [gateway] */

@@ -210,11 +210,26 @@ class BadInput(unittest.TestCase):
         self.refused(1, re.escape(str(path)), "--imu", "replay:%s" % path)
 
     def test_every_program_has_help_and_version(self):
-        for name in ("imu9-gateway", "imu9-replay", "imu9-sdo", "imu9-monitor"):
-            for option in ("--help", "--version"):
-                result = rig.run(name, option)
+        programs = [[name] for name in ("imu9-gateway", "imu9-replay", "imu9-sdo", "imu9-monitor", "imu9-calibrate",
+                                        "imu9-sim", "imu9-allan")]
+        for name, *word in programs + [["imu9-calibrate", "gyro"], ["imu9-calibrate", "lever-arm"]]:
+            said = {option: rig.run(name, *word, option) for option in ("--help", "-h", "--version", "-V")}
+            for option, result in said.items():
                 self.assertEqual((result.returncode, result.stderr), (0, ""), (name, option))
                 self.assertIn(name, result.stdout)
+            self.assertEqual(said["--help"].stdout, said["-h"].stdout)
+            self.assertEqual(said["--version"].stdout, said["-V"].stdout)
+            self.assertRegex(said["--help"].stdout, "\nExit status: 0 .*, 1 failed.*, 2 wrong usage or configuration.\n")
+
+    def test_bus_and_node_have_one_spelling_and_that_of_earlier_versions(self):
+        for spelling in (("-i", "-n"), ("--can", "--node-id"), ("--bus", "--node")):
+            for name, word in (("imu9-sdo", "dump"), ("imu9-monitor", "--once"), ("imu9-calibrate", "gyro")):
+                result = rig.run(name, spelling[0], "nocan7", spelling[1], "5", word)
+                self.assertEqual(result.returncode, 1, (name, spelling))
+                self.assertIn("nocan7", result.stderr)
+                result = rig.run(name, spelling[0], "nocan7", spelling[1], "128", word)
+                self.assertEqual(result.returncode, 2, (name, spelling))
+        self.refused(1, "nocan7", "-i", "nocan7", "-n", "5")
 
 
 class BadLogs(ARunningGateway):

@@ -138,7 +138,7 @@ static void test_wrong_usage_exits_with_2_and_an_unreadable_file_with_1(void **s
 	assert_int_equal(run(text, "--reference", "/nowhere.csv", log_path), 1);
 	assert_contains(text, "/nowhere.csv: No such file");
 	assert_int_equal(run(text, "--help", NULL, NULL), 0);
-	assert_contains(text, "usage: imu9-calibrate lever-arm");
+	assert_contains(text, "Usage: imu9-calibrate lever-arm");
 }
 
 int main(void)

@@ -12,7 +12,7 @@
 #include "tools/lib/reference_log.h"
 
 static const char usage[] =
-	"usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
+	"Usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
 	"Identifies the lever arm (2000h: from the reference point to the accelerometer) from a log in\n"
 	"which either\n"
 	"  - the reference point was held still while the object was turned about all its axes for 30 s, or\n"
@@ -28,9 +28,10 @@ static const char usage[] =
 	"                        time stamps\n"
 	"  -c, --config FILE     configuration of the gateway: its calibration and mounting are applied\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name\n"
-	"      --help\n"
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
 	"\n"
-	"Calibrate gyro and accelerometer first. Exit status: 0 found, 1 not found or failed, 2 wrong usage.\n";
+	"Calibrate gyro and accelerometer first.\n" CLI_EXIT_STATUS;
 
 struct options {
 	const char *reference, *log;
@@ -134,7 +135,7 @@ static void print(const struct run *r, const struct lever_estimate *e)
 
 static const struct option known[] = {{"reference", required_argument, NULL, 'r'},
 	{"estimate-delay", no_argument, NULL, 'd'}, {"config", required_argument, NULL, 'c'},
-	{"set", required_argument, NULL, 's'}, {"help", no_argument, NULL, 'h'}, {0}};
+	{"set", required_argument, NULL, 's'}, CLI_COMMON_OPTIONS};
 
 static void apply_option(struct options *o, int option, char **argv)
 {
@@ -151,6 +152,9 @@ static void apply_option(struct options *o, int option, char **argv)
 	case 'h':
 		fputs(usage, stdout);
 		exit(CLI_OK);
+	case 'V':
+		puts("imu9-calibrate " IMU9_VERSION);
+		exit(CLI_OK);
 	case 'c':
 		break; /* read by cli_config_files() */
 	default:
@@ -160,7 +164,7 @@ static void apply_option(struct options *o, int option, char **argv)
 
 static void parse_options(struct options *o, int argc, char **argv)
 {
-	static const char letters[] = ":r:dc:";
+	static const char letters[] = ":r:dc:hV";
 	int option;
 
 	config_init(&o->config, &imu9_od_table);

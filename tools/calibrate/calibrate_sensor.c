@@ -10,7 +10,7 @@
 #include "tools/lib/cli_config.h"
 
 static const char usage[] =
-	"usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
+	"Usage: imu9-calibrate gyro|accelerometer|magnetometer|temperature [OPTION]... LOG.imu.csv\n"
 	"       imu9-calibrate gyro|accelerometer|magnetometer [-i BUS] [-n NODE] [OPTION]...\n"
 	"Estimates bias, scale factors and cross-axis terms of a sensor from a log of its raw values, or,\n"
 	"without a log, in the gateway on the bus (2061h). Unsuitable data are refused with the reason.\n"
@@ -29,15 +29,15 @@ static const char usage[] =
 	"  -c, --config FILE   present configuration: gravity, noise, temperature compensation\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name\n"
 	"On the bus:\n"
-	"  -i, --bus BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
-	"  -n, --node NODE     node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -i, --can BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node-id NODE  node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -y, --yes           accept a good result without asking\n"
 	"  -t, --timeout MS    for one SDO answer (default 1000)\n"
-	"      --help\n"
-	"\n"
-	"Exit status: 0 found (and accepted), 1 refused, discarded or failed, 2 wrong usage.\n";
+	"  -h, --help          this text\n"
+	"  -V, --version       the version\n"
+	"\n" CLI_EXIT_STATUS;
 
-enum { OPT_SIX = 256, OPT_FIELD, OPT_SET, OPT_HELP };
+enum { OPT_SIX = 256, OPT_FIELD, OPT_SET };
 
 static const struct option options[] = {
 	{"six", no_argument, NULL, OPT_SIX},
@@ -45,12 +45,10 @@ static const struct option options[] = {
 	{"output", required_argument, NULL, 'o'},
 	{"config", required_argument, NULL, 'c'},
 	{"set", required_argument, NULL, OPT_SET},
-	{"bus", required_argument, NULL, 'i'},
-	{"node", required_argument, NULL, 'n'},
+	CLI_BUS_OPTIONS,
 	{"yes", no_argument, NULL, 'y'},
 	{"timeout", required_argument, NULL, 't'},
-	{"help", no_argument, NULL, OPT_HELP},
-	{0},
+	CLI_COMMON_OPTIONS,
 };
 
 static void apply_option(struct calibrate_request *r, int option, char **argv)
@@ -82,8 +80,11 @@ static void apply_option(struct calibrate_request *r, int option, char **argv)
 	case 't':
 		r->timeout_ms = (unsigned)cli_integer_option("-t", optarg, 1, 600000);
 		break;
-	case OPT_HELP:
+	case 'h':
 		fputs(usage, stdout);
+		exit(CLI_OK);
+	case 'V':
+		puts("imu9-calibrate " IMU9_VERSION);
 		exit(CLI_OK);
 	default:
 		cli_bad_option(option, argv);
@@ -104,7 +105,7 @@ static void check(const struct calibrate_request *r)
 
 int calibrate_sensor(int argc, char **argv)
 {
-	static const char letters[] = ":o:c:i:n:yt:";
+	static const char letters[] = ":o:c:i:n:yt:hV";
 	static struct calibrate_request r;
 	static struct od_values values;
 	struct od od;

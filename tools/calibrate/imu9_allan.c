@@ -13,19 +13,21 @@
 #include "tools/lib/plot.h"
 
 static const char usage[] =
-	"usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
-	"Overlapping Allan deviation of gyro and accelerometer from a log at rest (several hours are\n"
-	"best), and the noise figures fitted to it, in the units of the gateway's objects 2020h. A log with\n"
-	"motion is refused; of one with gaps each part is used. Figures that it is too short for are left out.\n"
+	"Usage: imu9-allan [-o PREFIX] LOG.imu.csv\n"
+	"Identifies the noise of a sensor from a log at rest (several hours are best): the overlapping Allan\n"
+	"deviation of gyro and accelerometer, and the figures fitted to it, in the units of the gateway's\n"
+	"objects 2020h. A log with motion is refused; of one with gaps each part is used. Figures that it is\n"
+	"too short for are left out.\n"
 	"`-` reads standard input.\n"
 	"\n"
 	"  -o, --output PREFIX   write the deviations to PREFIX.csv and plot them to PREFIX.gp, .png and\n"
 	"                        .svg (needs gnuplot)\n"
-	"      --help, --version\n"
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
 	"\n"
 	"Densities are one-sided, as in datasheets: white noise of density n has the Allan deviation\n"
 	"n / sqrt(2 tau), bias instability B a floor of 0.664 B, random walk K a rise of K sqrt(tau / 3).\n"
-	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
+	"\n" CLI_EXIT_STATUS;
 
 enum { CHANNELS = 6, MIN_SAMPLES = 1000 };
 /* Sampling intervals: a longer one is a gap. By judgement: one lost sample changes nothing, and times may scatter. */
@@ -322,8 +324,7 @@ static int plot(const char *prefix)
 	return plot_figure(directory, &figure);
 }
 
-static const struct option options[] = {{"output", required_argument, NULL, 'o'}, {"help", no_argument, NULL, 'h'},
-	{"version", no_argument, NULL, 'v'}, {0}};
+static const struct option options[] = {{"output", required_argument, NULL, 'o'}, CLI_COMMON_OPTIONS};
 
 int main(int argc, char **argv)
 {
@@ -335,7 +336,7 @@ int main(int argc, char **argv)
 	int option;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":o:", options, NULL)) != -1) {
+	while ((option = getopt_long(argc, argv, ":o:hV", options, NULL)) != -1) {
 		switch (option) {
 		case 'o':
 			prefix = optarg;
@@ -343,7 +344,7 @@ int main(int argc, char **argv)
 		case 'h':
 			fputs(usage, stdout);
 			return CLI_OK;
-		case 'v':
+		case 'V':
 			puts("imu9-allan " IMU9_VERSION);
 			return CLI_OK;
 		default:

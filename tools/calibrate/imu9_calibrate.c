@@ -22,12 +22,16 @@ static const struct subcommand {
 
 static void print_usage(void)
 {
-	puts("usage: imu9-calibrate SUBCOMMAND [OPTION]... LOG.imu.csv\n"
-	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer [OPTION]...\n");
+	puts("Usage: imu9-calibrate SUBCOMMAND [OPTION]... LOG.imu.csv\n"
+	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer [OPTION]...\n"
+	     "Calibrates a sensor and finds its lever arm, from a log or in the gateway on the bus.\n");
 	for (const struct subcommand *s = subcommands; s->name; s++)
 		printf("  %-14s %s\n", s->name, s->about);
 	puts("\nWithout a log the gateway on the bus is calibrated. More: imu9-calibrate SUBCOMMAND --help\n"
-	     "Exit status: 0 done, 1 failed or refused, 2 wrong usage.");
+	     "\n"
+	     "  -h, --help            this text\n"
+	     "  -V, --version         the version\n");
+	fputs(CLI_EXIT_STATUS, stdout);
 }
 
 /* The name of the subcommand can follow options; it is moved to the front. */
@@ -43,11 +47,11 @@ int main(int argc, char **argv)
 {
 	if (argc < 2)
 		cli_usage_error("give a quantity: gyro, accelerometer, magnetometer, temperature or lever-arm");
-	if (strcmp(argv[1], "--help") == 0) {
+	if (strcmp(argv[1], "--help") == 0 || strcmp(argv[1], "-h") == 0) {
 		print_usage();
 		return CLI_OK;
 	}
-	if (strcmp(argv[1], "--version") == 0) {
+	if (strcmp(argv[1], "--version") == 0 || strcmp(argv[1], "-V") == 0) {
 		puts("imu9-calibrate " IMU9_VERSION);
 		return CLI_OK;
 	}

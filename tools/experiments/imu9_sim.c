@@ -13,7 +13,7 @@
 #include "tools/experiments/experiments.h"
 
 static const char usage[] =
-	"usage: imu9-sim [OPTION]... SIGNAL >LOG.imu.csv\n"
+	"Usage: imu9-sim [OPTION]... SIGNAL >LOG.imu.csv\n"
 	"       imu9-sim experiments [-o DIR]\n"
 	"       imu9-sim --list\n"
 	"Writes the log of a simulated IMU: t,gx,gy,gz,ax,ay,az,mx,my,mz in s, rad/s, m/s^2, uT. Or\n"
@@ -36,9 +36,9 @@ static const char usage[] =
 	"  -o, --output FILE     output file (default: standard output); experiments: a directory\n"
 	"                        (default: build/experiments)\n"
 	"  -l, --list            list the signals and sensor presets\n"
-	"      --help, --version\n"
-	"\n"
-	"Exit status: 0 done, 1 failed, 2 wrong usage.\n";
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
+	"\n" CLI_EXIT_STATUS;
 
 static const char HEADER[] = "t,gx,gy,gz,ax,ay,az,mx,my,mz";
 static const char TRUTH_HEADER[] = ",qw,qx,qy,qz,wl,ws,wt,dwl,dws,dwt,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz";
@@ -146,8 +146,6 @@ enum {
 	OPT_LEVER_ARM,
 	OPT_ANGLE,
 	OPT_CHANGE,
-	OPT_HELP,
-	OPT_VERSION
 };
 
 static const struct option options[] = {
@@ -164,9 +162,7 @@ static const struct option options[] = {
 	{"truth", no_argument, NULL, 't'},
 	{"output", required_argument, NULL, 'o'},
 	{"list", no_argument, NULL, 'l'},
-	{"help", no_argument, NULL, OPT_HELP},
-	{"version", no_argument, NULL, OPT_VERSION},
-	{0},
+	CLI_COMMON_OPTIONS,
 };
 
 /* The command line; 0: the value of the signal, whose name is known after the options. */
@@ -221,10 +217,10 @@ static void apply_option(struct arguments *a, int option, char **argv)
 	case 'l':
 		list();
 		exit(CLI_OK);
-	case OPT_HELP:
+	case 'h':
 		fputs(usage, stdout);
 		exit(CLI_OK);
-	case OPT_VERSION:
+	case 'V':
 		puts("imu9-sim " IMU9_VERSION);
 		exit(CLI_OK);
 	default:
@@ -275,7 +271,7 @@ int main(int argc, char **argv)
 	int option;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":d:r:s:to:l", options, NULL)) != -1) {
+	while ((option = getopt_long(argc, argv, ":d:r:s:to:lhV", options, NULL)) != -1) {
 		apply_option(&arguments, option, argv);
 		log_options |= option != 'o';
 	}

@@ -9,7 +9,22 @@
 
 #include "drivers/ports/can.h"
 
-enum { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2 }; /* exit codes */
+enum { CLI_OK = 0, CLI_FAILED = 1, CLI_USAGE = 2 }; /* exit status, as every --help says: */
+#define CLI_EXIT_STATUS "Exit status: 0 done, 1 failed or refused, 2 wrong usage or configuration.\n"
+
+/* every program of the bus has these, and the names that versions before 0.4 had */
+#define CLI_BUS_OPTIONS                                                               \
+	{"can", required_argument, NULL, 'i'}, {"bus", required_argument, NULL, 'i'}, \
+		{"node-id", required_argument, NULL, 'n'},                            \
+	{                                                                             \
+		"node", required_argument, NULL, 'n'                                  \
+	}
+/* every program has these */
+#define CLI_COMMON_OPTIONS                                                     \
+	{"help", no_argument, NULL, 'h'}, {"version", no_argument, NULL, 'V'}, \
+	{                                                                      \
+		0                                                              \
+	}
 
 /** "name: what, and what to do" on stderr. */
 void cli_error(const char *format, ...) __attribute__((format(printf, 1, 2)));

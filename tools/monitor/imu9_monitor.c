@@ -22,8 +22,8 @@ static const char help[] =
 	"It reads the PDO mapping from the node by SDO. Use --passive while another SDO client\n"
 	"accesses the same node.\n"
 	"\n"
-	"  -i, --bus BUS      the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
-	"  -n, --node NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -i, --can BUS      the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node-id NODE node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -s, --start        send NMT start to the node first, and after each boot-up\n"
 	"  -S, --sync HZ      send SYNC HZ times a second. PDOs are synchronous by default: they\n"
 	"                     are sent only if this option or a master on the bus produces SYNC\n"
@@ -39,9 +39,8 @@ static const char help[] =
 	"The counter in a PDO identifies its sample. \"Skipped\" counts samples that were in no PDO,\n"
 	"\"repeated\" counts PDOs with the same sample as the one before. Both are normal if SYNC and\n"
 	"sensor have different clocks.\n"
-	"\n"
-	"Exit codes: 0 done, 1 failed (with -t or --once also: no PDO received), 2 wrong usage.\n"
-	"Example: imu9-monitor -n 5 --start --sync 100\n";
+	"\n" CLI_EXIT_STATUS "No PDO received is a failure with -t and --once.\n"
+	"\nExample: imu9-monitor -n 5 --start --sync 100\n";
 
 struct monitor {
 	const char *bus_name;
@@ -457,8 +456,7 @@ static bool run(struct monitor *m, int signal_fd)
 static void parse_options(struct monitor *m, int argc, char **argv)
 {
 	static const struct option options[] = {
-		{"bus", required_argument, NULL, 'i'},
-		{"node", required_argument, NULL, 'n'},
+		CLI_BUS_OPTIONS,
 		{"start", no_argument, NULL, 's'},
 		{"sync", required_argument, NULL, 'S'},
 		{"passive", no_argument, NULL, 'p'},
@@ -466,9 +464,7 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 		{"line", no_argument, NULL, 'l'},
 		{"rate", required_argument, NULL, 'r'},
 		{"time", required_argument, NULL, 't'},
-		{"help", no_argument, NULL, 'h'},
-		{"version", no_argument, NULL, 'V'},
-		{0},
+		CLI_COMMON_OPTIONS,
 	};
 	int option;
 

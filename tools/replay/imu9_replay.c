@@ -18,7 +18,7 @@
 #include "tools/lib/csv.h"
 
 static const char usage[] =
-	"usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--format FORMAT] [--movements FILE] LOG.imu.csv >OUT.csv\n"
+	"Usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--format FORMAT] [--movements FILE] LOG.imu.csv >OUT.csv\n"
 	"Runs a recorded IMU log through the pipeline of the gateway; `-` reads standard input.\n"
 	"\n"
 	"  -c, --config FILE     configuration file of the gateway (its section [gateway] is ignored)\n"
@@ -26,7 +26,8 @@ static const char usage[] =
 	"      --format FORMAT   the log is of another program: phyphox (a file, or the folder of an export),\n"
 	"                        euroc, x-io, pandas; imu9 is the default\n"
 	"      --movements FILE  write the smoothed path of each movement between two standstills\n"
-	"      --help, --version\n"
+	"  -h, --help            this text\n"
+	"  -V, --version         the version\n"
 	"\n"
 	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT, or the units that it names, e.g.\n"
 	"     t[ms], gx[deg/s], ax[g], mx[gauss]; magnetometer fields can be empty. What was skipped or\n"
@@ -38,7 +39,7 @@ static const char usage[] =
 	"     1 sigma of the attitude (srx..srz, about x y z of ENU, radians), of aw, v and p.\n"
 	"FILE: movement (from 1), t (as in LOG), t_s (since it began), position x_m..z_m since then,\n"
 	"     velocity vx_m_s..vz_m_s (ENU), 1 sigma of the position sx_m..sz_m, whole (0: interrupted by a gap).\n"
-	"Exit status: 0 done, 1 failed, 2 wrong usage or configuration.\n";
+	"\n" CLI_EXIT_STATUS;
 
 static const char header[] = "t,qw,qx,qy,qz,al,as,at,awx,awy,awz,vx,vy,vz,px,py,pz,rest,sample,roll,pitch,yaw,"
 			     "wl,ws,wt,dwl,dws,dwt,status,srx,sry,srz,sawx,sawy,sawz,svx,svy,svz,spx,spy,spz\n";
@@ -153,17 +154,16 @@ static int read_configuration(
 {
 	static const struct option options[] = {{"config", required_argument, NULL, 'c'},
 		{"set", required_argument, NULL, 's'}, {"movements", required_argument, NULL, 'm'},
-		{"format", required_argument, NULL, 'f'}, {"help", no_argument, NULL, 'h'},
-		{"version", no_argument, NULL, 'v'}, {0}};
+		{"format", required_argument, NULL, 'f'}, CLI_COMMON_OPTIONS};
 	int option;
 
-	cli_config_files(config, argc, argv, ":c:", options);
-	while ((option = getopt_long(argc, argv, ":c:", options, NULL)) != -1) {
+	cli_config_files(config, argc, argv, ":c:hV", options);
+	while ((option = getopt_long(argc, argv, ":c:hV", options, NULL)) != -1) {
 		if (option == 'h') {
 			fputs(usage, stdout);
 			return CLI_OK;
 		}
-		if (option == 'v') {
+		if (option == 'V') {
 			puts("imu9-replay " IMU9_VERSION);
 			return CLI_OK;
 		}

@@ -23,6 +23,7 @@ static const char help[] =
 	"                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
 	"  watch OBJECT...       print a line of values twice a second until Ctrl-C; --rate HZ, --count N\n"
 	"  dump                  print all readable objects of the EDS\n"
+	"  objects               list the objects of the EDS, without a node; -q: only their names\n"
 	"  log                   print the event log of the gateway since its start (2131h)\n"
 	"  save FILE             save the configuration to FILE ('-': standard output), in the\n"
 	"                        format that 'load' and 'imu9-gateway -c' read\n"
@@ -47,16 +48,14 @@ static const char help[] =
 	"                        To select one of several nodes: --serial N, and --vendor N,\n"
 	"                        --product N, --revision N if they are not those of the EDS\n"
 	"\n"
-	"  -i, --bus BUS         the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
-	"  -n, --node NODE       node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -i, --can BUS         the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node-id NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -e, --eds EDS         EDS of the node (default: built-in EDS of the IMU9 gateway)\n"
 	"  -t, --timeout MS      timeout of each answer (default: 500; lss: 50)\n"
 	"  -q, --quiet           print bare values, without names and units\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
-	"\n"
-	"Exit codes: 0 done, 1 failed, 2 wrong usage.\n"
-	"Example: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
+	"\n" CLI_EXIT_STATUS "\nExample: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
 
 static const struct command {
 	const char *name;
@@ -69,6 +68,7 @@ static const struct command {
 	{"write", sdo_command_write, 2, 3, "OBJECT VALUE [--block|--no-block]", false},
 	{"watch", sdo_command_watch, 1, SDO_TARGETS_MAX + 4, "OBJECT... [--rate HZ] [--count N]", false},
 	{"dump", sdo_command_dump, 0, 0, "(no arguments)", false},
+	{"objects", sdo_command_objects, 0, 0, "(no arguments)", true},
 	{"log", sdo_command_log, 0, 0, "(no arguments)", false},
 	{"save", sdo_command_save, 1, 1, "FILE", false},
 	{"load", sdo_command_load, 1, 1, "FILE", false},
@@ -91,14 +91,11 @@ static const struct command *find_command(const char *name)
 static void parse_options(struct session *s, int argc, char **argv)
 {
 	static const struct option options[] = {
-		{"bus", required_argument, NULL, 'i'},
-		{"node", required_argument, NULL, 'n'},
+		CLI_BUS_OPTIONS,
 		{"eds", required_argument, NULL, 'e'},
 		{"timeout", required_argument, NULL, 't'},
 		{"quiet", no_argument, NULL, 'q'},
-		{"help", no_argument, NULL, 'h'},
-		{"version", no_argument, NULL, 'V'},
-		{0},
+		CLI_COMMON_OPTIONS,
 	};
 	int option;
 
@@ -146,8 +143,9 @@ int main(int argc, char **argv)
 	argc -= optind;
 	argv += optind;
 	if (argc == 0)
-		cli_usage_error("no command given: read, write, watch, dump, log, save, load, dcf, store, restore, "
-				"nmt, scan or lss");
+		cli_usage_error(
+			"no command given: read, write, watch, dump, objects, log, save, load, dcf, store, restore, "
+			"nmt, scan or lss");
 	const struct command *command = find_command(argv[0]);
 	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
 		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);

@@ -171,6 +171,23 @@ static bool is_highest_subindex(const struct od_entry *entry)
 	return entry->sub == 0 && (entry->access & OD_CONST) && entry->type == OD_UNSIGNED8 && strchr(entry->name, '.');
 }
 
+int sdo_command_objects(struct session *s, int argc, char **argv)
+{
+	(void)argc, (void)argv;
+	for (size_t i = 0; i < s->table->count; i++) {
+		const struct od_entry *entry = &s->table->entries[i];
+
+		if (is_highest_subindex(entry))
+			continue;
+		if (s->quiet)
+			puts(entry->name);
+		else
+			printf("%04Xh:%02X  %-44s %-8s %s\n", entry->index, entry->sub, entry->name, entry->unit,
+				entry->description);
+	}
+	return CLI_OK;
+}
+
 int sdo_command_dump(struct session *s, int argc, char **argv)
 {
 	(void)argc, (void)argv;

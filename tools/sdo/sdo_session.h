@@ -63,6 +63,7 @@ uint8_t *sdo_read_file(const char *path, size_t *size);
 /* sdo_object.c */
 int sdo_command_read(struct session *s, int argc, char **argv);
 int sdo_command_write(struct session *s, int argc, char **argv);
+int sdo_command_objects(struct session *s, int argc, char **argv);
 int sdo_command_dump(struct session *s, int argc, char **argv);
 int sdo_command_log(struct session *s, int argc, char **argv);
 int sdo_command_watch(struct session *s, int argc, char **argv);
