@@ -237,20 +237,46 @@ check-objects: $(BUILD)/gen/od_table.c ## fail when nothing in the gateway uses 
 	@tests/check-objects $(BUILD) "$(CC)"
 
 # ---- installing ----------------------------------------------------------------------------------------------------
-.PHONY: install uninstall clean help check-docs
-share = $(DESTDIR)$(PREFIX)/share/imu9-gateway
-install: all ## install programs, EDS, udev rule, systemd unit and an example configuration under $(DESTDIR)$(PREFIX)
-	install -d $(DESTDIR)$(PREFIX)/bin $(share) $(addprefix $(DESTDIR)$(PREFIX)/lib/,udev/rules.d systemd/system)
+.PHONY: man deb install uninstall clean help check-docs
+MAN := $(patsubst $(BUILD)/%,$(BUILD)/man/%.1,$(PROGRAMS))
+man: $(MAN) ## manual pages, made from --help (needs help2man)
+$(MAN): $(BUILD)/man/%.1: $(BUILD)/% tools/man-page
+	@mkdir -p $(@D)
+	$(Q)tools/man-page $< >$@
+
+# where the system looks for units and rules; a package knows better
+LIBDIR ?= $(PREFIX)/lib
+UNITDIR ?= $(LIBDIR)/systemd/system
+UDEVDIR ?= $(LIBDIR)/udev
+COMPLETIONS ?= $(PREFIX)/share/bash-completion/completions
+share = $(PREFIX)/share/imu9-gateway
+UNIT := tools/service/imu9-gateway.service
+OWN_NAMES := $(notdir $(PROGRAMS))
+install: all $(if $(shell command -v help2man),man) ## install programs, manual pages, completion, EDS, udev rule, systemd units and an example configuration under $(DESTDIR)$(PREFIX)
+	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) $(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/service/imu9-gateway.conf $(share)
-	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(PREFIX)/lib/udev/rules.d
-	sed 's|@PREFIX@|$(PREFIX)|g' tools/service/imu9-gateway.service >$(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
+	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/service/imu9-gateway.conf \
+		tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
+	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d
+	install -m 644 tools/service/sysusers.conf $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
+	for name in imu9-gateway imu9-sdo; do install -m 644 tools/service/completion.bash $(DESTDIR)$(COMPLETIONS)/$$name; done
+	for name in $(filter-out imu9-gateway imu9-sdo,$(OWN_NAMES)); do ln -sf imu9-sdo $(DESTDIR)$(COMPLETIONS)/$$name; done
+	$(foreach page,$(wildcard $(MAN)),install -m 644 $(page) $(DESTDIR)$(PREFIX)/share/man/man1 &&) :
+	sed 's|@PREFIX@|$(PREFIX)|g' $(UNIT) >$(DESTDIR)$(UNITDIR)/imu9-gateway.service
+	sed 's|@PREFIX@|$(PREFIX)|g; s|/etc/imu9-gateway.conf|/etc/imu9-gateway/%i.conf|g; s|^Description=.*|& %i|; s|^\[Service\]|&\nEnvironment=IMU9_CAN=%i|' \
+		$(UNIT) >$(DESTDIR)$(UNITDIR)/imu9-gateway@.service
+	$(if $(DESTDIR),,-systemd-sysusers $(LIBDIR)/sysusers.d/imu9-gateway.conf)
 
 uninstall: ## remove what install put there
-	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(notdir $(PROGRAMS)))
-	rm -rf $(share)
-	rm -f $(DESTDIR)$(PREFIX)/lib/udev/rules.d/70-imu9-gateway.rules
-	rm -f $(DESTDIR)$(PREFIX)/lib/systemd/system/imu9-gateway.service
+	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(OWN_NAMES)) $(addprefix $(DESTDIR)$(COMPLETIONS)/,$(OWN_NAMES))
+	rm -f $(patsubst %,$(DESTDIR)$(PREFIX)/share/man/man1/%.1,$(OWN_NAMES))
+	rm -rf $(DESTDIR)$(share)
+	rm -f $(DESTDIR)$(UDEVDIR)/rules.d/70-imu9-gateway.rules $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
+	rm -f $(DESTDIR)$(UNITDIR)/imu9-gateway.service $(DESTDIR)$(UNITDIR)/imu9-gateway@.service
+
+deb: ## Debian packages: $(BUILD)/deb (needs debhelper, help2man and fakeroot: tools/deps package)
+	@DEPS=$(DEPS) tools/deps build package
+	@BUILD=$(BUILD) VERSION=$(VERSION) debian/build
 
 clean: ## remove everything built
 	rm -rf $(BUILD)
@@ -258,4 +284,4 @@ clean: ## remove everything built
 help: ## this list
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-14s %s\n", $$1, $$2}' Makefile
 
--include $(shell find $(BUILD) -name '*.d' 2>/dev/null)
+-include $(shell find $(BUILD) -name '*.d' -type f 2>/dev/null)
