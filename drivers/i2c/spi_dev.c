@@ -51,7 +51,8 @@ static const struct i2c_ops SPI = {spi_read, spi_write, spi_close};
 
 static const char *advice(int error)
 {
-	return error == ENOENT	 ? ": enable the bus (on a Raspberry Pi dtparam=spi=on); `ls /dev/spidev*` lists its devices"
+	return error == ENOENT
+		       ? ": enable the bus (on a Raspberry Pi dtparam=spi=on); `ls /dev/spidev*` lists its devices"
 	       : error == EACCES ? ": add this user to the group spi, or permit it by a udev rule"
 	       : error == ENOTTY ? ": not an SPI device: use /dev/spidevB.C"
 	       : error == EINVAL ? ": its controller does not support this mode: use mode=0 or mode=3"

@@ -192,7 +192,8 @@ static void test_what_cannot_be_opened_is_refused_with_what_to_do(void **state)
 static void test_mode_and_speed_are_those_of_the_options(void **state)
 {
 	(void)state;
-	assert_refused((struct kernel){.answer = 0x33}, "spi:/dev/spidev0.0,/dev/spidev0.1,mode=0,speed=5e6", "no gyro");
+	assert_refused(
+		(struct kernel){.answer = 0x33}, "spi:/dev/spidev0.0,/dev/spidev0.1,mode=0,speed=5e6", "no gyro");
 	assert_int_equal(k.mode[0], 0);
 	assert_int_equal(k.mode[1], 0);
 	assert_int_equal(k.speed_hz[0], 5000000);

@@ -5,29 +5,37 @@
 
 #include <errno.h>
 
-#define DPS(full_scale, code)                                            \
-	{                                                                \
+#define DPS(full_scale, code)                                             \
+	{                                                                 \
 		full_scale, (full_scale) / 32768.0 * RAD_PER_DEG, 0, code \
 	}
-#define G(full_scale, code)                                                        \
-	{                                                                          \
+#define G(full_scale, code)                                                         \
+	{                                                                           \
 		full_scale, (full_scale) / 32768.0 * STANDARD_GRAVITY_M_S2, 0, code \
 	}
 static const struct chip_range GYRO_RANGES[] = {
 	DPS(125, 4), DPS(250, 3), DPS(500, 2), DPS(1000, 1), DPS(2000, 0), {.full_scale = 0}};
 static const struct chip_range ACCEL_RANGES[] = {G(2, 0), G(4, 1), G(8, 2), G(16, 3), {.full_scale = 0}};
 /* bandwidths with fourfold and twofold oversampling and without, about */
-#define RATE(hz, code)                                                    \
-	{                                                                 \
-		hz, code,                                                 \
-		{                                                         \
-			(hz) * 0.1, (hz) * 0.2, (hz) * 0.4 \
-		}                                                         \
+#define RATE(hz, code)                                 \
+	{                                              \
+		hz, code,                              \
+		{                                      \
+			(hz) * 0.1, (hz)*0.2, (hz)*0.4 \
+		}                                      \
 	}
 static const struct chip_rate RATES[] = {
 	RATE(50, 7), RATE(100, 8), RATE(200, 9), RATE(400, 10), RATE(800, 11), RATE(1600, 12), {.hz = 0}};
 
-enum { CONFIGURATION = 8192, COMMAND = 0x7E, SOFT_RESET = 0xB6, FLUSH = 0xB0, RESET_MS = 3, AWAKE_MS = 1, LOAD_MS = 150 };
+enum {
+	CONFIGURATION = 8192,
+	COMMAND = 0x7E,
+	SOFT_RESET = 0xB6,
+	FLUSH = 0xB0,
+	RESET_MS = 3,
+	AWAKE_MS = 1,
+	LOAD_MS = 150
+};
 
 static bool is_loaded(const struct board *b, const struct chip *chip, uint8_t address)
 {
@@ -85,10 +93,10 @@ static void registers(const struct chip_setup *setup, struct chip_registers *out
 {
 	unsigned filter = (unsigned)setup->bandwidth_code << 4 | setup->rate->code;
 
-	chip_put(out, 0x7C, 0x02);			      /* no power saving */
-	chip_put(out, 0x40, 0x80u | filter);		      /* ACC_CONF: performance */
+	chip_put(out, 0x7C, 0x02);	     /* no power saving */
+	chip_put(out, 0x40, 0x80u | filter); /* ACC_CONF: performance */
 	chip_put(out, 0x41, setup->range[1]->code);
-	chip_put(out, 0x42, 0xC0u | filter);		      /* GYR_CONF: performance */
+	chip_put(out, 0x42, 0xC0u | filter); /* GYR_CONF: performance */
 	chip_put(out, 0x43, setup->range[0]->code);
 	chip_put(out, 0x6D, 0x00);			      /* no self-test */
 	chip_put(out, 0x45, 0x88);			      /* FIFO: filtered data, each sample */
@@ -130,11 +138,7 @@ const struct chip CHIP_BMI270 = {.name = "BMI270",
 			.ranges = ACCEL_RANGES,
 			.order = {0, 1, 2},
 			.density = 160e-6 * STANDARD_GRAVITY_M_S2,
-			.self_test = {0x6D,
-				0x0D,
-				0x0D,
-				.before = 0x09,
-				.widest = true,
+			.self_test = {0x6D, 0x0D, 0x0D, .before = 0x09, .widest = true,
 				.least = {16 * STANDARD_GRAVITY_M_S2, 15 * STANDARD_GRAVITY_M_S2,
 					10 * STANDARD_GRAVITY_M_S2},
 				.most = {32 * STANDARD_GRAVITY_M_S2, 32 * STANDARD_GRAVITY_M_S2,

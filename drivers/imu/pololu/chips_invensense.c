@@ -4,12 +4,12 @@
 #include "model/math/units.h"
 
 /* both chips: the full scale is 32768 digits */
-#define DPS(full_scale, code)                                            \
-	{                                                                \
+#define DPS(full_scale, code)                                             \
+	{                                                                 \
 		full_scale, (full_scale) / 32768.0 * RAD_PER_DEG, 0, code \
 	}
-#define G(full_scale, code)                                                        \
-	{                                                                          \
+#define G(full_scale, code)                                                         \
+	{                                                                           \
 		full_scale, (full_scale) / 32768.0 * STANDARD_GRAVITY_M_S2, 0, code \
 	}
 
@@ -19,8 +19,8 @@ static const struct chip_range GYRO_42688[] = {
 	DPS(125, 0x80), DPS(250, 0x60), DPS(500, 0x40), DPS(1000, 0x20), DPS(2000, 0x00), {.full_scale = 0}};
 static const struct chip_range ACCEL_42688[] = {G(2, 0x60), G(4, 0x40), G(8, 0x20), G(16, 0x00), {.full_scale = 0}};
 /* Bandwidths: half the rate, then max(400 Hz, rate) / 4, 5, 8, 10, 16, 20, 40 */
-#define FILTERS_42688(hz, base)                                                                                      \
-	{                                                                                                            \
+#define FILTERS_42688(hz, base)                                                                                    \
+	{                                                                                                          \
 		(hz) / 2.0, (base) / 4.0, (base) / 5.0, (base) / 8.0, (base) / 10.0, (base) / 16.0, (base) / 20.0, \
 			(base) / 40.0                                                                              \
 	}
@@ -37,7 +37,7 @@ static void icm42688p(const struct chip_setup *setup, struct chip_registers *out
 	chip_put(out, 0x64, 0x00);				      /* INT_ASYNC_RESET must be 0 */
 	chip_put(out, 0x65, setup->data_ready ? 0x08 : 0x00);	      /* UI_DRDY_INT1_EN */
 	chip_put(out, 0x52, (unsigned)setup->bandwidth_code * 0x11u); /* of both */
-	chip_put(out, 0x5F, 0x07);				      /* packets with accelerometer, gyro, temperature */
+	chip_put(out, 0x5F, 0x07); /* packets with accelerometer, gyro, temperature */
 	chip_put(out, 0x4F, (unsigned)setup->range[0]->code | setup->rate->code);
 	chip_put(out, 0x50, (unsigned)setup->range[1]->code | setup->rate->code);
 	chip_put(out, 0x16, setup->fifo ? 0x40 : 0x00); /* stream */
@@ -84,8 +84,8 @@ const struct chip CHIP_ICM42688P = {.name = "ICM-42688-P",
 static const struct chip_range GYRO_20948[] = {DPS(250, 0), DPS(500, 2), DPS(1000, 4), DPS(2000, 6), {.full_scale = 0}};
 static const struct chip_range ACCEL_20948[] = {G(2, 0), G(4, 2), G(8, 4), G(16, 6), {.full_scale = 0}};
 /* of the gyro; those of the accelerometer differ by less than a quarter from code 2 on */
-#define FILTERS_20948                                         \
-	{                                                     \
+#define FILTERS_20948                                             \
+	{                                                         \
 		196.6, 151.8, 119.5, 51.2, 23.9, 11.6, 5.7, 361.4 \
 	}
 static const struct chip_rate RATES_20948[] = {{1125 / 22.0, 21, FILTERS_20948}, {1125 / 11.0, 10, FILTERS_20948},
@@ -95,9 +95,9 @@ static void icm20948(const struct chip_setup *setup, struct chip_registers *out)
 {
 	unsigned filter = (unsigned)setup->bandwidth_code << 3 | 1; /* DLPFCFG, FCHOICE */
 
-	chip_put(out, 0x06, 0x01);			       /* awake, best clock */
-	chip_put(out, 0x67, 0x00);			       /* nothing into the FIFO */
-	chip_put_bank(out, 2, 0x00, setup->rate->code);	       /* GYRO_SMPLRT_DIV */
+	chip_put(out, 0x06, 0x01);			/* awake, best clock */
+	chip_put(out, 0x67, 0x00);			/* nothing into the FIFO */
+	chip_put_bank(out, 2, 0x00, setup->rate->code); /* GYRO_SMPLRT_DIV */
 	chip_put_bank(out, 2, 0x01, filter | setup->range[0]->code);
 	chip_put_bank(out, 2, 0x09, 0x01); /* ODR_ALIGN_EN */
 	chip_put_bank(out, 2, 0x10, 0x00);

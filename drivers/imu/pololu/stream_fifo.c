@@ -64,8 +64,8 @@ static int read_pairs(struct board *b, struct stream *s)
 	stream_observe(b, s, level, source & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, board_read_clock(b));
 	for (int n = 0; n < level; n++) {
 		for (size_t i = 0; i < chip->triad_count; i++) {
-			result = board_read_chip(b, chip, s->address, (uint8_t)(chip->data + chip->triads[i].byte),
-				set + 6 * i, 6);
+			result = board_read_chip(
+				b, chip, s->address, (uint8_t)(chip->data + chip->triads[i].byte), set + 6 * i, 6);
 			if (result < 0)
 				return result;
 		}

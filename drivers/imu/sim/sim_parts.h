@@ -62,10 +62,10 @@ struct sim_chip {
 	unsigned word_phase; /* LSM6DS33: position of the next word in its set */
 	size_t entry_byte;   /* of the oldest entry, to be read next */
 	unsigned tag_count;
-	bool locked;	     /* AK09916: its data are being read */
-	size_t configured;   /* BMI270: bytes of the configuration file, in order */
-	size_t written;	     /* bytes of this transfer */
-	double loaded_ns;    /* BMI270: when it will have started with it; 0: it has not been told to */
+	bool locked;	   /* AK09916: its data are being read */
+	size_t configured; /* BMI270: bytes of the configuration file, in order */
+	size_t written;	   /* bytes of this transfer */
+	double loaded_ns;  /* BMI270: when it will have started with it; 0: it has not been told to */
 };
 
 static inline bool sim_is_l3g(enum sim_kind kind)

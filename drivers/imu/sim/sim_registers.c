@@ -156,7 +156,8 @@ static void effect_lsm9ds1(struct sim_chip *c)
 	set_axes(a, r[0x1F] >> 3);
 	set_scale(g, rate, -rate, rate, 1); /* left-handed */
 	set_scale(a, digit, -digit, digit, 1);
-	g->self_test = vec3_scale(r[0x24] >> 2 & 1, (struct vec3){500 * RAD_PER_DEG, -500 * RAD_PER_DEG, 500 * RAD_PER_DEG});
+	g->self_test =
+		vec3_scale(r[0x24] >> 2 & 1, (struct vec3){500 * RAD_PER_DEG, -500 * RAD_PER_DEG, 500 * RAD_PER_DEG});
 	a->self_test = vec3_scale(r[0x24] & 1, (struct vec3){700 * M_S2_PER_MG, 700 * M_S2_PER_MG, 700 * M_S2_PER_MG});
 	c->fifo_on = r[0x23] & 2 && r[0x2E] >> 5 == 6;
 }
@@ -181,7 +182,8 @@ static void effect_icm42688p(struct sim_chip *c)
 	static const double odr[16] = {0, 32e3, 16e3, 8e3, 4e3, 2e3, 1e3, 200, 100, 50, 25, 12.5, 0, 0, 0, 500};
 	const uint8_t *r = c->regs;
 	struct sim_triad *g = &c->triads[0], *a = &c->triads[1];
-	double rate = halved(2000, r[0x4F] >> 5) * RAD_PER_DEG, digit = halved(16, r[0x50] >> 5) * STANDARD_GRAVITY_M_S2;
+	double rate = halved(2000, r[0x4F] >> 5) * RAD_PER_DEG,
+	       digit = halved(16, r[0x50] >> 5) * STANDARD_GRAVITY_M_S2;
 
 	g->rate_hz = (r[0x4E] >> 2 & 3) == 3 ? odr[r[0x4F] & 15] : 0;
 	a->rate_hz = (r[0x4E] & 3) == 3 ? odr[r[0x50] & 15] : 0;
