@@ -120,6 +120,8 @@ void sensor_watch_init(struct sensor_watch *w, struct imu_port *imu, const struc
 	w->hook = (struct od_hook){
 		.first = OD_INDEX_SENSOR, .last = OD_INDEX_SENSOR, .before = before, .after = after, .ctx = w};
 	od_attach(od, &w->hook);
+	values->sensor_state.temperature = SENSOR_NO_TEMPERATURE;
+	values->device_temperature = SENSOR_NO_TEMPERATURE;
 }
 
 void sensor_watch_reset(struct sensor_watch *w)

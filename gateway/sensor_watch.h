@@ -11,6 +11,9 @@
 #include "gateway/event_log.h"
 #include "od_values.h"
 
+/** 6511h and 2124h:10 as long as no sample has had a temperature, degC. */
+#define SENSOR_NO_TEMPERATURE (-300)
+
 struct sensor_watch {
 	/* PRIVATE */
 	struct imu_port *imu;

@@ -36,11 +36,12 @@ static int rdwr_read(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t 
 	return rdwr((struct i2c_dev *)bus, messages, 2);
 }
 
-static int rdwr_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t value)
+static int rdwr_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, const uint8_t *bytes, size_t n)
 {
-	uint8_t bytes[] = {sub, value};
-	struct i2c_msg message = {.addr = address, .len = 2, .buf = bytes};
+	uint8_t all[1 + I2C_BLOCK_MAX] = {sub};
+	struct i2c_msg message = {.addr = address, .len = (uint16_t)(1 + n), .buf = all};
 
+	memcpy(all + 1, bytes, n);
 	return rdwr((struct i2c_dev *)bus, &message, 1);
 }
 
@@ -69,11 +70,15 @@ static int smbus_read(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t
 	return 0;
 }
 
-static int smbus_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t value)
+static int smbus_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, const uint8_t *bytes, size_t n)
 {
-	union i2c_smbus_data data = {.byte = value};
+	union i2c_smbus_data data = {.byte = bytes[0]};
 
-	return smbus((struct i2c_dev *)bus, address, I2C_SMBUS_WRITE, sub, I2C_SMBUS_BYTE_DATA, &data);
+	if (n == 1)
+		return smbus((struct i2c_dev *)bus, address, I2C_SMBUS_WRITE, sub, I2C_SMBUS_BYTE_DATA, &data);
+	data.block[0] = (uint8_t)n;
+	memcpy(data.block + 1, bytes, n);
+	return smbus((struct i2c_dev *)bus, address, I2C_SMBUS_WRITE, sub, I2C_SMBUS_I2C_BLOCK_DATA, &data);
 }
 
 static void dev_close(struct i2c_bus *bus)

@@ -8,13 +8,15 @@
 
 #define SIM_SYNTAX    "sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated]"
 #define REPLAY_SYNTAX "replay:FILE.imu.csv[,loop][,speed=X]"
-#define I2C_SYNTAX    "i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE]"
+#define I2C_SYNTAX    "i2c:/dev/i2c-N[,drdy=GPIOCHIP:LINE][,config=FILE]"
+#define SPI_SYNTAX    "spi:/dev/spidevB.C[,/dev/spidevB.C][,mode=3][,speed=1000000][,drdy=GPIOCHIP:LINE][,config=FILE]"
 #define IIO_SYNTAX    "iio[:DEVICE[,DEVICE]...][,mount=ignore]"
 #define WT901_SYNTAX  "wt901:/dev/ttyX[,baud=9600][,address=0x50]"
 
 int replay_open(
 	char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
+int spi_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int iio_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int wt901_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);
 int sim_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size);

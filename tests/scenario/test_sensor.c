@@ -157,6 +157,17 @@ static void test_a_saturated_sample_sets_its_status_bit(void **state)
 	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), 0);
 }
 
+/* A temperature of 0 would look like a measured one. */
+static void test_without_a_temperature_it_is_not_known(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(w->device.values.device_temperature, -300);
+	sample_with(w, 0, 20);
+	assert_int_equal(w->device.values.device_temperature, -300);
+	assert_true(w->device.values.sensor_state.temperature == -300);
+}
+
 static void test_the_temperature_is_that_of_the_last_sample_that_had_one(void **state)
 {
 	struct world *w = *state;
@@ -265,6 +276,7 @@ int main(void)
 		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
 		WORLD(test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without),
 		WORLD(test_a_saturated_sample_sets_its_status_bit),
+		WORLD(test_without_a_temperature_it_is_not_known),
 		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
 		WORLD(test_a_temperature_beyond_the_range_of_its_object_is_ignored),
 		WORLD(test_settings_are_applied_with_reset_node),

@@ -33,7 +33,8 @@ static void feed_at(struct i2c_stub *stub, int64_t ns)
 
 	stub->world->now_ns = stub->fed_ns = ns;
 	for (enum imu_chip chip = IMU_CHIP_GYRO; chip <= IMU_CHIP_MAG; chip++)
-		copy_registers(stub, chip);
+		if (sim_board_has(stub->world->sim, chip))
+			copy_registers(stub, chip);
 	stub->world->now_ns = now_ns;
 }
 
@@ -69,13 +70,14 @@ static int stub_read(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t 
 	return 0;
 }
 
-static int stub_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, uint8_t value)
+static int stub_write(struct i2c_bus *bus, uint8_t address, uint8_t sub, const uint8_t *bytes, size_t n)
 {
 	struct i2c_stub *stub = (struct i2c_stub *)bus;
 
 	catch_up(stub);
 	stub->world->now_ns += TRANSFER_NS;
-	stub->registers[address][sub] = value;
+	for (size_t i = 0; i < n; i++)
+		stub->registers[address][(uint8_t)(sub + i)] = bytes[i];
 	return 0;
 }
 

@@ -3,6 +3,9 @@
 #include <assert.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
+
+static const uint8_t firmware[8192]; /* a simulated chip takes any */
 
 enum { BYTE_NS = 22500 /* 9 bits at 400 kHz */ };
 
@@ -41,11 +44,15 @@ static void after(void *ctx, const struct sim_access *access)
 struct world *world_make(const char *board, const char *scenario, bool ideal)
 {
 	struct world *w = calloc(1, sizeof *w);
+	const size_t length = strcspn(board, "/");
 
-	assert(w);
+	assert(w && length < sizeof w->name);
+	memcpy(w->name, board, length);
 	w->now_ns = w->start_ns = 5000000000;
+	w->firmware = firmware;
 	rng_init(&w->rng, 1);
-	w->config = (struct sim_config){.board = board,
+	w->config = (struct sim_config){.board = w->name,
+		.spi = strcmp(board + length, "/spi") == 0,
 		.signal = signal_find(scenario),
 		.sensor = *sensor_preset(ideal ? "ideal" : "lsm303dlhc_l3gd20"),
 		.seed = 7,
@@ -71,6 +78,7 @@ void world_detect(struct world *w)
 		fprintf(stderr, "%s\n", why);
 		abort();
 	}
+	w->board.firmware = w->firmware;
 }
 
 void world_set_up(struct world *w, const struct imu_settings *settings, bool fifo)

@@ -15,6 +15,8 @@ struct world {
 	struct i2c_bus *bus;
 	struct board board;
 	struct sim_config config;
+	char name[16];
+	const uint8_t *firmware; /* for board.firmware */
 	struct rng rng;
 	int64_t late_ns; /* upper limit of the delay of a wake-up */
 	unsigned long accesses;
@@ -25,7 +27,7 @@ struct world {
 	void (*after)(struct world *world, const struct sim_access *access);
 };
 
-/** The board in `scenario`, detected and set up at 100 Hz; with the noise of real chips unless `ideal`. */
+/** The board, with "/spi" behind its name on SPI, in `scenario`, detected and set up at 100 Hz; with the noise of real chips unless `ideal`. */
 struct world *world_new(const char *board, const char *scenario, bool ideal);
 /** The same in separate steps, so that a test can change something between them. */
 struct world *world_make(const char *board, const char *scenario, bool ideal);

@@ -33,7 +33,7 @@ static struct kernel {
 	unsigned long slave;
 	unsigned slave_calls;
 	struct i2c_smbus_ioctl_data smbus;
-	uint8_t smbus_byte, smbus_block;
+	uint8_t smbus_byte, smbus_block, written[5];
 	uint8_t answer[I2C_BLOCK_MAX], answer_size; /* bytes that the chip gives */
 } k;
 
@@ -77,6 +77,7 @@ static int smbus(const struct i2c_smbus_ioctl_data *data)
 	k.smbus = *data;
 	if (data->read_write == I2C_SMBUS_WRITE) {
 		k.smbus_byte = data->data->byte;
+		memcpy(k.written, data->data->block, sizeof(k.written));
 	} else {
 		k.smbus_block = data->data->block[0]; /* so many are asked for */
 		data->data->block[0] = k.answer_size;
@@ -161,6 +162,25 @@ static void test_a_register_is_written_in_one_message(void **state)
 	assert_int_equal(k.message[0].flags, 0);
 	assert_int_equal(k.message[0].length, 2);
 	assert_memory_equal(k.message[0].bytes, "\x20\x8F", 2);
+	i2c_close(bus);
+}
+
+static void test_a_block_is_written_in_one_message(void **state)
+{
+	static const uint8_t block[] = {1, 2, 3, 4};
+
+	(void)state;
+	open_with(I2C_FUNC_I2C);
+	assert_int_equal(i2c_write_block(bus, 0x68, 0x5E, block, sizeof block), 0);
+	assert_int_equal(k.messages, 1);
+	assert_int_equal(k.message[0].length, 5);
+	assert_memory_equal(k.message[0].bytes, "\x5E\x01\x02\x03\x04", 5);
+	i2c_close(bus);
+	open_with(I2C_FUNC_SMBUS_READ_I2C_BLOCK | I2C_FUNC_SMBUS_WRITE_BYTE_DATA);
+	assert_int_equal(i2c_write_block(bus, 0x68, 0x5E, block, sizeof block), 0);
+	assert_int_equal(k.smbus.size, I2C_SMBUS_I2C_BLOCK_DATA);
+	assert_int_equal(k.smbus.command, 0x5E);
+	assert_memory_equal(k.written, "\x04\x01\x02\x03\x04", 5);
 	i2c_close(bus);
 }
 
@@ -258,6 +278,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_register_is_read_by_a_write_of_its_number_and_a_repeated_start),
 		cmocka_unit_test(test_a_register_is_written_in_one_message),
+		cmocka_unit_test(test_a_block_is_written_in_one_message),
 		cmocka_unit_test(test_an_adapter_without_i2c_messages_is_read_by_smbus_blocks),
 		cmocka_unit_test(test_the_chip_is_selected_when_it_is_another_one),
 		cmocka_unit_test(test_what_the_kernel_refuses_is_an_error_and_so_is_a_short_block),

@@ -21,12 +21,12 @@
 #include "drivers/imu/imu_thread.h"
 #include "tests/unit/descriptors.h"
 
-enum { BUFFER_FD = 77, ATTRS = 8, CHANNELS = 8, DEVICES = 8, SCANS = 32, X = IIO_MOD_X, TIMERS = 2 };
+enum { BUFFER_FD = 77, ATTRS = 8, CHANNELS = 12, DEVICES = 8, SCANS = 32, WORDS = 9, X = IIO_MOD_X, TIMERS = 2 };
 #define MS 1000000LL
 
 struct attr {
 	const char *name;
-	char text[64];
+	char text[160];
 };
 
 struct iio_channel {
@@ -41,7 +41,7 @@ struct iio_channel {
 
 struct scan {
 	int64_t t_ns;
-	int16_t words[6];
+	int64_t words[WORDS]; /* as libiio converts them */
 };
 
 struct iio_buffer {
@@ -268,7 +268,7 @@ ssize_t iio_device_attr_write(const struct iio_device *device, const char *name,
 
 const char *iio_channel_find_attr(const struct iio_channel *channel, const char *name)
 {
-	char text[64];
+	char text[160];
 
 	return get(channel->attrs, name, text, sizeof(text)) >= 0 ? name : NULL;
 }
@@ -500,7 +500,8 @@ static void put_scan(int device, int64_t t_ns, const int16_t words[6])
 	struct scan *s = &d->scans[d->scan_count++];
 
 	*s = (struct scan){.t_ns = t_ns};
-	memcpy(s->words, words, sizeof(s->words));
+	for (int i = 0; i < 6; i++)
+		s->words[i] = words[i];
 }
 
 /* The thread runs for so many waits, then returns as if it were to be stopped; its buffers are closed then. */
@@ -767,6 +768,312 @@ static void test_a_sample_has_the_temperature_once_a_second(void **state)
 	assert_true(n > 90);
 	assert_int_equal(with, 3); /* at 0, 1 and 2 s */
 	assert_near((double)port->health.rate_hz, 50, 1);
+}
+
+/* ---- devices as the kernel's drivers show them ------------------------------------------------------------------- */
+
+struct shown_triad {
+	enum iio_chan_type type;		   /* 0: none, except for IIO_VOLTAGE, which is 0, too */
+	const char *scale, *scales, *rate, *rates; /* of the channels; NULL: not there */
+	const char *mount;
+	unsigned bits, length; /* 0: 16 */
+};
+
+struct shown_device {
+	const char *name, *rate, *rates, *mount; /* of the device */
+	enum { FIFO, OWN_TRIGGER, NO_TRIGGER } trigger;
+	struct shown_triad triads[3];
+};
+
+#define LSM6_RATES "12.500 26.000 52.000 104.000 208.000 416.000 833.000"
+#define ICM_RATES  "12.500000 25.000000 50.000000 100.000000 200.000000 1000.000000 2000.000000 4000.000000"
+#define BMI_ACCEL  "0.78125 1.5625 3.125 6.25 12.5 25 50 100 200 400 800 1600"
+#define BMI_GYRO   "25 50 100 200 400 800 1600 3200"
+#define BMI323_RATES \
+	"0.781250 1.562500 3.125000 6.250000 12.500000 25.000000 50.000000 100.000000 200.000000 400.000000"
+#define MPU_ACCEL   "0.000598 0.001196 0.002392 0.004785"
+#define MPU_GYRO    "0.000133090 0.000266181 0.000532362 0.001064724"
+#define NO_ROTATION "1, 0, 0; 0, 1, 0; 0, 0, 1"
+#define AKM_ON_MPU  "0, 1, 0; 1, 0, 0; 0, 0, -1"
+
+static const struct description {
+	const char *name; /* of the port */
+	struct shown_device devices[3];
+	const char *gyro_scale, *accel_scale; /* for 2000 deg/s and 8 g */
+	double rate_hz;			      /* for 100 Hz */
+	const char *accel_rate;		      /* as written */
+	bool has_mag;
+} DESCRIPTIONS[] = {
+	{"iio:mpu6050+mpu6050",
+		{{"mpu6050", "50", "10 20 50 100 200 500", NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.000598", MPU_ACCEL, NULL, NULL, NULL, 0, 0},
+				{IIO_ANGL_VEL, "0.001064724", MPU_GYRO, NULL, NULL, NULL, 0, 0}}}},
+		"0.001064724", "0.002392", 100, "100", false},
+	{"iio:mpu9250+mpu9250", /* with the AK8963 in it */
+		{{"mpu9250", "50", "10 20 50 100 200 500", NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.000598", MPU_ACCEL, NULL, NULL, NO_ROTATION, 0, 0},
+				{IIO_ANGL_VEL, "0.001064724", MPU_GYRO, NULL, NULL, NO_ROTATION, 0, 0},
+				{IIO_MAGN, "0.001498", NULL, NULL, NULL, AKM_ON_MPU, 0, 0}}}},
+		"0.001064724", "0.002392", 100, "100", true},
+	{"iio:mpu9250+mpu9250", /* with the AK8963 as a device of its own, without a trigger */
+		{{"mpu9250", "50", "10 20 50 100 200 500", NULL, OWN_TRIGGER,
+			 {{IIO_ACCEL, "0.000598", MPU_ACCEL, NULL, NULL, NULL, 0, 0},
+				 {IIO_ANGL_VEL, "0.001064724", MPU_GYRO, NULL, NULL, NULL, 0, 0}}},
+			{"ak8963", NULL, NULL, AKM_ON_MPU, NO_TRIGGER,
+				{{IIO_MAGN, "0.001498", NULL, NULL, NULL, NULL, 0, 0}}}},
+		"0.001064724", "0.002392", 100, "100", true},
+	{"iio:icm42688-gyro+icm42688-accel",
+		{{"icm42688-gyro", "50.000000", ICM_RATES, NO_ROTATION, FIFO,
+			 {{IIO_ANGL_VEL, "0.001065264", "0.001065264 0.000532632 0.000266316 0.000133158", NULL, NULL,
+				 NULL, 0, 0}}},
+			{"icm42688-accel", "50.000000", ICM_RATES, NO_ROTATION, FIFO,
+				{{IIO_ACCEL, "0.004788403", "0.004788403 0.002394202 0.001197101 0.000598550", NULL,
+					NULL, NULL, 0, 0}}}},
+		"0.001065264", "0.002394202", 100, "100.000000", false},
+	{"iio:bmi160+bmi160",
+		{{"bmi160", NULL, NULL, NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.000598", "0.000598 0.001197 0.002394 0.004788", "100.000000", BMI_ACCEL, NULL,
+				 0, 0},
+				{IIO_ANGL_VEL, "0.001065", "0.001065 0.000532 0.000266 0.000133 0.000066", "100.000000",
+					BMI_GYRO, NULL, 0, 0}}}},
+		"0.001065", "0.002394", 100, "100", false},
+	{"iio:bmi160+bmi160, by timer", /* without its interrupt line */
+		{{"bmi160", NULL, NULL, NULL, NO_TRIGGER,
+			{{IIO_ACCEL, "0.000598", "0.000598 0.001197 0.002394 0.004788", "100.000000", BMI_ACCEL, NULL,
+				 0, 0},
+				{IIO_ANGL_VEL, "0.001065", "0.001065 0.000532 0.000266 0.000133 0.000066", "100.000000",
+					BMI_GYRO, NULL, 0, 0}}}},
+		"0.001065", "0.002394", 100, "200", false},
+	{"iio:bmi323-imu+bmi323-imu",
+		{{"bmi323-imu", NULL, NULL, NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.000598", "0.000598 0.001197 0.002394 0.004788", "50.000000", BMI323_RATES, NULL,
+				 0, 0},
+				{IIO_ANGL_VEL, "0.000066", "0.000066 0.000133 0.000266 0.000532 0.001065", "50.000000",
+					BMI323_RATES, NULL, 0, 0}}}},
+		"0.001065", "0.002394", 100, "100.000000", false},
+	{"iio:lsm6dso_gyro+lsm6dso_accel",
+		{{"lsm6dso_gyro", "12.500", LSM6_RATES, NO_ROTATION, FIFO,
+			 {{IIO_ANGL_VEL, "0.000152716", "0.000152716 0.000305432 0.000610865 0.001221730", NULL, NULL,
+				 NULL, 0, 0}}},
+			{"lsm6dso_accel", "12.500", LSM6_RATES, NO_ROTATION, FIFO,
+				{{IIO_ACCEL, "0.000598205", "0.000598205 0.001196411 0.002392822 0.004785645", NULL,
+					NULL, NULL, 0, 0}}}},
+		"0.001221730", "0.002392822", 104, "104.000", false},
+	{"iio:ism330dlc_gyro+ism330dlc_accel",
+		{{"ism330dlc_gyro", "12.500", LSM6_RATES, NO_ROTATION, FIFO,
+			 {{IIO_ANGL_VEL, "0.000152716", "0.000152716 0.000305432 0.000610865 0.001221730", NULL, NULL,
+				 NULL, 0, 0}}},
+			{"ism330dlc_accel", "12.500", LSM6_RATES, NO_ROTATION, FIFO,
+				{{IIO_ACCEL, "0.000598205", "0.000598205 0.001196411 0.002392822 0.004785645", NULL,
+					NULL, NULL, 0, 0}}}},
+		"0.001221730", "0.002392822", 104, "104.000", false},
+	{"iio:lsm9ds1_gyro+lsm9ds1_accel, by timer", /* without a FIFO in the driver */
+		{{"lsm9ds1_gyro", "14.900", "14.900 59.500 119.000 238.000 476.000 952.000", NULL, NO_TRIGGER,
+			 {{IIO_ANGL_VEL, "0.000152716", "0.000152716 0.000305432 0.001221730", NULL, NULL, NULL, 0,
+				 0}}},
+			{"lsm9ds1_accel", "10.000", "10.000 50.000 119.000 238.000 476.000 952.000", NULL, NO_TRIGGER,
+				{{IIO_ACCEL, "0.000598205", "0.000598205 0.001196411 0.002392822 0.007178468", NULL,
+					NULL, NULL, 0, 0}}},
+			{"lsm9ds1_magn", "1", "0.625 1.25 2.5 5 10 20 40 80", NULL, NO_TRIGGER,
+				{{IIO_MAGN, "0.000146", "0.000146 0.000292 0.000438 0.000584", NULL, NULL, NULL, 0,
+					0}}}},
+		"0.001221730", "0.002392822", 100, "238.000", true},
+	{"iio:icm20948+icm20948, by timer", /* of a driver outside the kernel */
+		{{"icm20948", NULL, NULL, NULL, NO_TRIGGER,
+			{{IIO_ACCEL, "0.000598550", "0.000598550 0.001197101 0.002394202 0.004788403", "112.500000",
+				 NULL, NULL, 0, 0},
+				{IIO_ANGL_VEL, "0.000133158", "0.000133158 0.000266316 0.000532632 0.001065264",
+					"112.500000", NULL, NULL, 0, 0},
+				{IIO_MAGN, "0.001500", NULL, "100.000000", NULL, "1, 0, 0; 0, -1, 0; 0, 0, -1", 0,
+					0}}}},
+		"0.001065264", "0.002394202", 100, "200", true},
+	{"iio:adis16475-2+adis16475-2", /* 40 digits per deg/s and 4000 per g in the upper 16 of 32 bits */
+		{{"adis16475-2", "2000.000000", NULL, NULL, OWN_TRIGGER,
+			{{IIO_ANGL_VEL, "0.000000006", NULL, NULL, NULL, NULL, 32, 32},
+				{IIO_ACCEL, "0.000000037", NULL, NULL, NULL, NULL, 32, 32}}}},
+		"0.000000006", "0.000000037", 100, "100", false},
+	{"iio:bno055+bno055", /* a range of rates */
+		{{"bno055", "100", "[1 1 100]", NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.010000", NULL, NULL, NULL, NULL, 0, 0},
+				{IIO_ANGL_VEL, "0.001090830", NULL, NULL, NULL, NULL, 0, 0},
+				{IIO_MAGN, "0.000625000", NULL, NULL, NULL, NULL, 0, 0}}}},
+		"0.001090830", "0.010000", 100, "100", true},
+	{"iio:le12of16+le12of16", /* twelve bits */
+		{{"le12of16", "100", NULL, NULL, OWN_TRIGGER,
+			{{IIO_ACCEL, "0.039227", NULL, NULL, NULL, NULL, 12, 16},
+				{IIO_ANGL_VEL, "0.001221730", NULL, NULL, NULL, NULL, 0, 0}}}},
+		"0.001221730", "0.039227", 100, "100", false},
+};
+enum { DESCRIPTION_COUNT = sizeof DESCRIPTIONS / sizeof *DESCRIPTIONS };
+
+static void add_attr(struct attr *attrs, const char *name, const char *text)
+{
+	if (!text)
+		return;
+	while (attrs->name)
+		attrs++;
+	attrs->name = name;
+	assert_in_range(strlen(text), 1, sizeof(attrs->text) - 1);
+	strcpy(attrs->text, text);
+}
+
+static void show(const struct shown_device *shown)
+{
+	static struct iio_device own = {.id = "trigger0", .name = "own-dev0", .is_trigger = true};
+	struct iio_device *d = add_device(shown->name, "", "");
+
+	memset(d->attrs, 0, sizeof(d->attrs));
+	add_attr(d->attrs, "sampling_frequency", shown->rate);
+	add_attr(d->attrs, "sampling_frequency_available", shown->rates);
+	add_attr(d->attrs, "in_mount_matrix", shown->mount); /* with the prefix that libiio gives it */
+	add_attr(d->attrs, "current_timestamp_clock", "realtime");
+	d->trigger_result = shown->trigger == FIFO ? -ENOENT : 0;
+	d->trigger = shown->trigger == OWN_TRIGGER ? &own : NULL;
+	for (size_t i = 0; i < 3 && shown->triads[i].scale; i++) {
+		const struct shown_triad *t = &shown->triads[i];
+
+		add_triad(d, t->type, t->scale, 3 * i);
+		for (unsigned k = d->channel_count - 3; k < d->channel_count; k++) {
+			struct iio_channel *c = &d->channels[k];
+
+			if (t->length > 0)
+				c->format = (struct iio_data_format){
+					.length = t->length, .bits = t->bits, .is_signed = true};
+			add_attr(c->attrs, "scale_available", t->scales);
+			add_attr(c->attrs, "sampling_frequency", t->rate);
+			add_attr(c->attrs, "sampling_frequency_available", t->rates);
+			add_attr(c->attrs, "mount_matrix", t->mount);
+		}
+	}
+	add_timestamp(d);
+}
+
+/* What the sensors measure, along the axes of the board: rad/s, m/s^2, gauss. */
+static const double MEASURED[3][3] = {{0.3, -0.2, 0.1}, {1, -2, 9.80665}, {0.05, 0.2, -0.45}};
+static int measurements;
+
+static size_t quantity_of(const struct iio_channel *c)
+{
+	return c->type == IIO_ANGL_VEL ? 0 : c->type == IIO_ACCEL ? 1 : 2;
+}
+
+/* The value along an axis of the chip. The matrices used are their own inverses. */
+static double along(const struct iio_device *d, const struct iio_channel *c)
+{
+	double m[9] = {1, 0, 0, 0, 1, 0, 0, 0, 1};
+	const double *v = MEASURED[quantity_of(c)], *row = m + 3 * (c->modifier - X);
+	char text[160];
+
+	if (get(c->attrs, "mount_matrix", text, sizeof(text)) > 0 ||
+		get(d->attrs, "in_mount_matrix", text, sizeof(text)) > 0)
+		assert_int_equal(sscanf(text, "%lf, %lf, %lf; %lf, %lf, %lf; %lf, %lf, %lf", &m[0], &m[1], &m[2], &m[3],
+					 &m[4], &m[5], &m[6], &m[7], &m[8]),
+			9);
+	return row[0] * v[0] + row[1] * v[1] + row[2] * v[2];
+}
+
+/* Digits per unit: the reciprocal of the scale, or, where its print has one digit, of the data sheet's. */
+static double digit_of(const struct iio_device *d, const struct iio_channel *c)
+{
+	char text[160];
+
+	if (strcmp(d->name, "adis16475-2") == 0)
+		return (c->type == IIO_ANGL_VEL ? M_PI / 180 / 40 : 9.80665 / 4000) / 65536;
+	assert_true(get(c->attrs, "scale", text, sizeof(text)) > 0);
+	return strtod(text, NULL);
+}
+
+static void scans_of_all(void)
+{
+	measurements++;
+	for (unsigned i = 0; i < w.device_count; i++) {
+		struct iio_device *d = &w.devices[i];
+		struct scan *s = &d->scans[d->scan_count];
+
+		if (!d->buffered)
+			continue;
+		*s = (struct scan){.t_ns = w.now_ns - 3 * MS};
+		for (unsigned k = 0; k < d->channel_count; k++)
+			if (d->channels[k].type != IIO_TIMESTAMP)
+				s->words[d->channels[k].place] =
+					(int64_t)floor(along(d, &d->channels[k]) / digit_of(d, &d->channels[k]) + 0.5) +
+					(k < 6 ? measurements % 2 : 0); /* not frozen */
+		d->scan_count++;
+	}
+}
+
+static const char *attr_of(enum iio_chan_type type, const char *name)
+{
+	static char text[160];
+
+	for (unsigned i = 0; i < w.device_count; i++)
+		for (unsigned k = 0; k < w.devices[i].channel_count; k++)
+			if (w.devices[i].channels[k].type == type &&
+				(get(w.devices[i].channels[k].attrs, name, text, sizeof(text)) > 0 ||
+					get(w.devices[i].attrs, name, text, sizeof(text)) > 0))
+				return text;
+	return "";
+}
+
+static void test_devices_as_the_kernels_drivers_show_them_give_samples_of_the_right_scale_axes_and_rate(void **state)
+{
+	(void)state;
+	for (int i = 0; i < DESCRIPTION_COUNT; i++) {
+		const struct description *d = &DESCRIPTIONS[i];
+		struct imu_sample sample;
+		int samples = 0, fields = 0;
+
+		w = (struct world){.now_ns = 100000 * MS};
+		for (size_t k = 0; k < 3 && d->devices[k].name; k++)
+			show(&d->devices[k]);
+		open_sensor("iio");
+		assert_string_equal(port->name, d->name);
+		assert_string_equal(port->notes, "");
+		assert_near(port->rate_hz, d->rate_hz, 1e-6);
+		assert_string_equal(attr_of(IIO_ANGL_VEL, "scale"), d->gyro_scale);
+		assert_string_equal(attr_of(IIO_ACCEL, "scale"), d->accel_scale);
+		assert_string_equal(attr_of(IIO_ACCEL, "sampling_frequency"), d->accel_rate);
+		w.now_ns += 300 * MS;
+		run(20, scans_of_all);
+		for (; imu_read(port, &sample) == 1; samples++) {
+			const double digit = strtod(d->accel_scale, NULL);
+
+			assert_near(sample.gyro_rad_s.x, 0.3, 0.0025);
+			assert_near(sample.gyro_rad_s.y, -0.2, 0.0025);
+			assert_near(sample.gyro_rad_s.z, 0.1, 0.0025);
+			assert_near(sample.accel_m_s2.x, 1, 2 * digit);
+			assert_near(sample.accel_m_s2.y, -2, 2 * digit);
+			assert_near(sample.accel_m_s2.z, 9.80665, 2 * digit);
+			assert_int_equal(sample.flags & ~(unsigned)SAMPLE_MAG, 0);
+			if (!(sample.flags & SAMPLE_MAG))
+				continue;
+			fields++;
+			assert_near(sample.mag_uT.x, 5, 0.4);
+			assert_near(sample.mag_uT.y, 20, 0.4);
+			assert_near(sample.mag_uT.z, -45, 0.4);
+		}
+		if (samples < 15 || (fields > 10) != d->has_mag)
+			fail_msg("%s: %d samples, %d with a field", d->name, samples, fields);
+		imu_close(port);
+		port = NULL;
+	}
+}
+
+static void test_a_temperature_that_cannot_be_read_is_not_known(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct iio_channel *c = &motion->channels[motion->channel_count++];
+	struct imu_sample sample;
+	int n = 0;
+
+	(void)state;
+	*c = (struct iio_channel){.type = IIO_TEMP, .raw = 512}; /* without a scale */
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(60, one_scan_of_each);
+	for (; imu_read(port, &sample) == 1; n++)
+		assert_int_equal(sample.flags & SAMPLE_TEMPERATURE, 0);
+	assert_in_range(n, 40, 60);
 }
 
 /* ---- triggers ---------------------------------------------------------------------------------------------------- */
@@ -1243,8 +1550,10 @@ int main(void)
 		IIO_TEST(test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_not),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),
+		IIO_TEST(test_devices_as_the_kernels_drivers_show_them_give_samples_of_the_right_scale_axes_and_rate),
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
 		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
+		IIO_TEST(test_a_temperature_that_cannot_be_read_is_not_known),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
 		IIO_TEST(test_a_new_rate_is_that_of_the_timer_where_there_is_one),
 		IIO_TEST(test_a_magnetometer_of_its_own_has_a_timer_of_its_own),

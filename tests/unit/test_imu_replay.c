@@ -188,8 +188,7 @@ static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **
 {
 	(void)state;
 	assert_refused("", "unknown IMU source '': use one of sim");
-	assert_refused(
-		"spi:/dev/spidev0.0", "use one of sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated], replay:FILE");
+	assert_refused("usb:/dev/ttyUSB0", "use one of sim[:SCENARIO][,board=B][,rate=HZ][,uncalibrated], replay:FILE");
 	assert_refused("replay", "no file");
 	assert_refused("replay:", "no file");
 	assert_refused("replay:/nonexistent.csv", "/nonexistent.csv: No such file");
@@ -203,7 +202,7 @@ static void test_an_unknown_source_or_option_is_refused_with_what_to_use(void **
 static void test_a_wrong_option_of_i2c_is_refused_with_what_to_use(void **state)
 {
 	static const char *const wrong[] = {"foo", "drdy=", "drdy=gpiochip0", "drdy=gpiochip0:", "drdy=gpiochip0:x",
-		"drdy=gpiochip0:3x", "drdy=:3", "stub,foo", ""};
+		"drdy=gpiochip0:3x", "drdy=:3", "stub,foo", "config=", "speed=1e6", ""};
 
 	(void)state;
 	assert_refused("i2c", "no bus: use i2c:");
@@ -243,7 +242,7 @@ static void test_a_source_of_4096_characters_is_too_long(void **state)
 static void test_the_list_of_sources_has_syntax_and_description_of_each(void **state)
 {
 	static const char *const words[] = {
-		"sim[:SCENARIO]", "replay:FILE", "i2c:", "iio", "wt901:", "real time", "WitMotion", "Pololu"};
+		"sim[:SCENARIO]", "replay:FILE", "i2c:", "spi:", "iio", "wt901:", "real time", "WitMotion", "Pololu"};
 	char text[2000] = "";
 	FILE *out = fmemopen(text, sizeof text, "w");
 

@@ -43,8 +43,8 @@ void board_update_health(struct board *b)
 
 	h->fault = (uint8_t)bad->fault;
 	h->fault_chip = bad->fault ? (uint8_t)(bad == b->gyro ? IMU_CHIP_GYRO : IMU_CHIP_ACCEL) : 0;
-	h->degraded = (uint8_t)b->mag->fault;
-	h->degraded_chip = b->mag->fault ? (uint8_t)IMU_CHIP_MAG : 0;
+	h->degraded = b->mag ? (uint8_t)b->mag->fault : 0;
+	h->degraded_chip = h->degraded ? (uint8_t)IMU_CHIP_MAG : 0;
 	if (!h->degraded && b->self_test_failed) {
 		h->degraded = IMU_FAULT_SELF_TEST;
 		h->degraded_chip = b->self_test_chip;
@@ -230,7 +230,7 @@ static int accel_at(struct board *b, const struct reading *gyro, struct vec3 *va
 /* Rotates the field to the time of the gyro sample: dv/dt = v x omega. */
 static void add_mag(struct board *b, double t_ns, struct imu_sample *sample)
 {
-	for (struct stream *m = b->mag; m->count > 0 && peek(m, 0)->t_ns <= t_ns; drop(m)) {
+	for (struct stream *m = b->mag; m && m->count > 0 && peek(m, 0)->t_ns <= t_ns; drop(m)) {
 		const struct vec3 field = peek(m, 0)->value[0];
 		const double age_s = fmin((t_ns - peek(m, 0)->t_ns) * 1e-9, 0.05);
 

@@ -1,5 +1,5 @@
 /* drivers/imu/pololu/board.h
- * A Pololu IMU 9 of any version on an I2C bus: detects its chips, sets them up, reads them, and estimates when each
+ * The chips of chips.h on an I2C or SPI bus, as on a Pololu IMU 9 of any version: detects them, sets them up, reads them, and estimates when each
  * sample was taken. Passive: clock and sleep are injected, so that tests run in simulated time. Not thread-safe;
  * transfers block, so that it runs in its own thread (i2c_imu.c).
  *
@@ -10,7 +10,8 @@
  * its range (60 ms), or a register differs from what was written (each chip's registers are read back in turn, one in
  * 10 ms). Equal raw values are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms,
  * for the magnetometers of LSM303DLH, DLM and DLHC 140 ms, for the L3GD20H 320 ms; never in ranges with digits coarser
- * than the noise. Faults are derived from the data that reads return, not from how long they take: a slow machine is
+ * than the noise. On SPI, where
+ * a chip that is not there reads as FFh or 00h, IMU_FAULT_CONFIGURATION is reported for it. Faults are derived from the data that reads return, not from how long they take: a slow machine is
  * not a fault. A faulty chip is initialised again after a back-off of 10 ms, 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_H
 #define DRIVERS_IMU_POLOLU_BOARD_H
@@ -45,8 +46,9 @@ struct stream {
 	int64_t next; /* index of the next sample to read */
 	struct reading readings[STREAM_READINGS];
 	size_t first, count;
-	uint8_t partial[CHIP_TRIADS * 6]; /* CHIP_FIFO_TAGGED: a set of which one half has been read */
+	uint8_t partial[CHIP_SET]; /* CHIP_FIFO_TAGGED: a set of which one half has been read */
 	unsigned partial_have;
+	bool flushed; /* the FIFO, so that samples may have been lost */
 
 	enum stream_state state;
 	enum imu_fault fault;
@@ -57,13 +59,16 @@ struct stream {
 	int64_t fresh_ns, none_ns; /* end of the last read with a sample, start of the last read without one */
 	int64_t failing_ns;	   /* time of the first of consecutive failed transfers */
 	unsigned failures;
-	uint8_t last[CHIP_TRIADS * 6];
+	uint8_t last[CHIP_SET];
 	unsigned same, same_limit, saturated; /* consecutive samples */
 };
 
 struct board {
-	char name[32]; /* "v3", or the names of the chips */
+	char name[32];	/* "v3", or the names of the chips */
+	char note[160]; /* what the log should say at the start; "": nothing */
 	struct imu_health health;
+	/* chip->firmware_size bytes for the gyro's chip; set between board_detect() and board_apply(), the caller's */
+	const uint8_t *firmware;
 
 	/* PRIVATE */
 	struct i2c_bus *bus;
@@ -71,7 +76,8 @@ struct board {
 	int64_t now_ns; /* time of the last board_read_clock() */
 	struct stream streams[BOARD_STREAMS];
 	size_t stream_count;
-	struct stream *gyro, *accel, *mag; /* accel == gyro if they are one chip */
+	struct stream *gyro, *accel; /* the same if they are one chip */
+	struct stream *mag;	     /* NULL: none */
 	double last_t_ns;
 	int64_t temperature_ns; /* next read */
 	double temperature_degC;
@@ -86,7 +92,7 @@ struct board_plan {
 	double rate_hz; /* nominal */
 };
 
-/** Detects the chips. 0, or -ENODEV or the error of the bus, and one line in `error`. */
+/** Detects the chips; a magnetometer is no condition. 0, or -ENODEV or the error of the bus, and one line in `error`. */
 int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 

@@ -1,6 +1,6 @@
 /* drivers/imu/pololu/board_parts.h
  * Shared by the files behind board.h: board_detect.c detects the chips, board_plan.c chooses their settings, stream.c
- * initialises and reads one chip, stream_watch.c detects its faults, board.c schedules the reads and makes samples,
+ * initialises one chip and makes samples of its data, stream_fifo.c reads its FIFO, stream_watch.c detects its faults, board.c schedules the reads and makes samples,
  * board_self_test.c runs the self-test. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_PARTS_H
 #define DRIVERS_IMU_POLOLU_BOARD_PARTS_H
@@ -36,8 +36,21 @@ void stream_start(struct board *board, struct stream *s);
 void stream_fail(struct board *board, struct stream *s, enum imu_fault fault);
 /** Reads the new samples. Their number, or -errno. */
 int stream_read(struct board *board, struct stream *s);
+enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
+/** Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were lost
+ * before it is derived from the sample clock. */
+void stream_observe(
+	struct board *board, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns);
+/** Adds the next sample. `set`: the words of the triads, six bytes each. */
+void stream_add(struct board *board, struct stream *s, const uint8_t *set);
+/** Makes a set of the data registers. */
+void stream_pack(const struct chip *chip, const uint8_t *data, uint8_t set[CHIP_SET]);
 int16_t stream_word(const struct chip *chip, const uint8_t *bytes);
 struct vec3 stream_decode(const struct stream *s, size_t triad, const uint8_t *set, bool *saturated);
+
+/* ---- stream_fifo.c ---- */
+/** Reads at most 32 samples of the FIFO, the rest next time. Result as that of stream_read(). */
+int stream_read_fifo(struct board *board, struct stream *s);
 
 /* ---- stream_watch.c ---- */
 /** Number of equal samples that are a fault; 0: never, since a digit is coarser than the noise. Then only the chip's

@@ -99,6 +99,7 @@ int board_plan(const struct board *b, const struct imu_settings *settings, bool 
 			      : s == b->accel ? choose_rate(s->chip, accel_rate(gyro->hz), true)
 					      : choose_rate(s->chip, INFINITY, true);
 		setup->stub = stub;
+		setup->spi = b->bus->spi;
 		setup->fifo = !stub && s->chip->fifo != CHIP_NO_FIFO;
 		setup->data_ready = data_ready && s == b->gyro;
 		choose_bandwidth(setup, bandwidth_hz);

@@ -10,15 +10,16 @@ enum { TEST_READS = 16, TEST_SETTLE_MS = 200 };
 static int mean_of(struct board *b, const struct stream *s, struct vec3 mean[CHIP_TRIADS])
 {
 	int64_t next_ns = board_read_clock(b), period_ns = (int64_t)(1e9 / s->setup.rate->hz);
-	uint8_t set[CHIP_TRIADS * 6];
+	uint8_t data[I2C_BLOCK_MAX], set[CHIP_SET];
 	bool saturated = false;
 
 	memset(mean, 0, CHIP_TRIADS * sizeof *mean);
 	for (int n = 0; n < TEST_READS; n++) {
-		int result = board_read_chip(b, s->chip, s->address, s->chip->data, set, s->chip->data_size);
+		int result = board_read_chip(b, s->chip, s->address, s->chip->data, data, s->chip->data_size);
 
 		if (result < 0)
 			return result;
+		stream_pack(s->chip, data, set);
 		for (size_t i = 0; i < s->chip->triad_count; i++)
 			mean[i] = vec3_add(mean[i], vec3_scale(1.0 / TEST_READS, stream_decode(s, i, set, &saturated)));
 		board_sleep_until(b, next_ns += period_ns);
@@ -31,24 +32,30 @@ static bool within(double change, double least, double most)
 	return fabs(change) >= least && fabs(change) <= most;
 }
 
+/* Writes the excitation and waits until it has its effect. */
+static int excite(struct board *b, const struct stream *s, const struct chip_self_test *test, uint8_t on)
+{
+	uint8_t value;
+	int result = board_read_chip(b, s->chip, s->address, test->address, &value, 1);
+
+	if (result == 0)
+		result = i2c_write(b->bus, s->address, test->address, (uint8_t)((value & ~test->mask) | on));
+	board_sleep_until(b, b->now_ns + TEST_SETTLE_MS * BOARD_MS);
+	return result;
+}
+
 static bool test_triad(struct board *b, const struct stream *s, size_t i)
 {
-	const struct chip_triad *t = &s->chip->triads[i];
+	const struct chip_self_test *test = &s->chip->triads[i].self_test;
 	struct vec3 off[CHIP_TRIADS], on[CHIP_TRIADS], change;
-	uint8_t value;
 
-	if (mean_of(b, s, off) < 0 || board_read_chip(b, s->chip, s->address, t->self_test.address, &value, 1) < 0)
+	if (test->before && excite(b, s, test, test->before) < 0)
 		return false;
-	value = (uint8_t)((value & ~t->self_test.mask) | t->self_test.on);
-	if (i2c_write(b->bus, s->address, t->self_test.address, value) < 0)
-		return false;
-	board_sleep_until(b, b->now_ns + TEST_SETTLE_MS * BOARD_MS);
-	if (mean_of(b, s, on) < 0)
+	if (mean_of(b, s, off) < 0 || excite(b, s, test, test->on) < 0 || mean_of(b, s, on) < 0)
 		return false;
 	change = vec3_sub(on[i], off[i]);
-	return within(change.x, t->self_test.least, t->self_test.most) &&
-	       within(change.y, t->self_test.least, t->self_test.most) &&
-	       within(change.z, t->self_test.least, t->self_test.most);
+	return within(change.x, test->least.x, test->most.x) && within(change.y, test->least.y, test->most.y) &&
+	       within(change.z, test->least.z, test->most.z);
 }
 
 static const struct chip_range *widest(const struct chip_triad *triad)
@@ -69,10 +76,10 @@ static void test_stream(struct board *b, struct stream *s)
 		const struct chip_triad *t = &s->chip->triads[i];
 		bool passed;
 
-		if (t->self_test.most <= 0)
+		if (t->self_test.most.x <= 0)
 			continue;
 		s->setup.fifo = false;
-		if (t->what == IMU_CHIP_GYRO) /* its limits are specified for it */
+		if (t->self_test.widest)
 			s->setup.range[i] = widest(t);
 		s->registers = (struct chip_registers){0};
 		s->chip->registers(&s->setup, &s->registers);

@@ -18,8 +18,9 @@ static void dlh_accel(const struct chip_setup *setup, struct chip_registers *out
 	chip_put(out, 0x20, 0x27u | (unsigned)setup->rate->code << 3);	   /* normal mode, all axes */
 }
 
+/* 19h: with SA0 high, where the DLHC is, too (board_detect.c) */
 const struct chip CHIP_LSM303DLH_ACCEL = {.name = "LSM303DLH",
-	.addresses = {0x18},
+	.addresses = {0x18, 0x19},
 	.increment = 0x80,
 	.status = 0x27,
 	.ready = 0x08,
@@ -32,7 +33,8 @@ const struct chip CHIP_LSM303DLH_ACCEL = {.name = "LSM303DLH",
 		.digit = 16,
 		.order = {0, 1, 2},
 		.density = 218e-6 * STANDARD_GRAVITY_M_S2,
-		.self_test = {0x23, 0x0A, 0x02, 120 * M_S2_PER_MG, 750 * M_S2_PER_MG}}},
+		.self_test = {0x23, 0x0A, 0x02, .least = {120 * M_S2_PER_MG, 120 * M_S2_PER_MG, 140 * M_S2_PER_MG},
+			.most = {550 * M_S2_PER_MG, 550 * M_S2_PER_MG, 750 * M_S2_PER_MG}}}},
 	.triad_count = 1,
 	.registers = dlh_accel};
 
@@ -163,6 +165,7 @@ const struct chip CHIP_LSM303D_ACCEL = {.name = "LSM303D",
 	.identity = {0x49},
 	.identity_size = 1,
 	.increment = 0x80,
+	.spi = {.has = true, .multiple = 0x40},
 	.status = 0x27,
 	.ready = 0x08,
 	.overrun = 0x80,
@@ -174,7 +177,8 @@ const struct chip CHIP_LSM303D_ACCEL = {.name = "LSM303D",
 		.ranges = D_RANGES,
 		.order = {0, 1, 2},
 		.density = 150e-6 * STANDARD_GRAVITY_M_S2,
-		.self_test = {0x21, 0x02, 0x02, 70 * M_S2_PER_MG, 1700 * M_S2_PER_MG}}},
+		.self_test = {0x21, 0x02, 0x02, .least = {70 * M_S2_PER_MG, 70 * M_S2_PER_MG, 70 * M_S2_PER_MG},
+			.most = {1700 * M_S2_PER_MG, 1700 * M_S2_PER_MG, 1700 * M_S2_PER_MG}}}},
 	.triad_count = 1,
 	.registers = d_accel};
 
@@ -184,6 +188,7 @@ const struct chip CHIP_LSM303D_MAG = {.name = "LSM303D",
 	.identity = {0x49},
 	.identity_size = 1,
 	.increment = 0x80,
+	.spi = {.has = true, .multiple = 0x40},
 	.status = 0x07,
 	.ready = 0x08,
 	.overrun = 0x80,

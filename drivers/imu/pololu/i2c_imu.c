@@ -12,12 +12,16 @@
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/source.h"
 
+static const char FIRMWARE[] = "/lib/firmware/bmi270-init-data.fw"; /* as the kernel's driver names it */
+
 enum { NS_PER_S = 1000000000, HANGS_US = 300000, SIMULATED_US = 10000000 };
 
 struct i2c_imu {
 	struct imu_thread thread;
 	struct i2c_bus *bus;
 	struct i2c_imu_config config;
+
+	uint8_t *firmware; /* of the chip; NULL: it needs none */
 
 	/* used by the thread only */
 	struct board board;
@@ -157,6 +161,7 @@ static void release(struct i2c_imu *imu)
 	pthread_mutex_destroy(&imu->plan_lock);
 	imu_thread_release(&imu->thread);
 	i2c_close(imu->bus);
+	free(imu->firmware);
 	free(imu);
 }
 
@@ -189,6 +194,40 @@ static int open_drdy(struct i2c_imu *imu, char *error, size_t error_size)
 	return result;
 }
 
+static int read_file(const char *path, uint8_t *bytes, size_t size)
+{
+	FILE *file = fopen(path, "rb");
+	int result = file ? 0 : -errno;
+
+	if (file && (fread(bytes, 1, size, file) != size || fgetc(file) != EOF))
+		result = -EINVAL;
+	if (file)
+		fclose(file);
+	return result;
+}
+
+/* A simulated chip takes any file; here one of zeroes. */
+static int load_firmware(struct i2c_imu *imu, char *error, size_t error_size)
+{
+	const struct chip *chip = imu->board.gyro->chip;
+	const char *path = imu->config.firmware ? imu->config.firmware : FIRMWARE;
+	int result;
+
+	if (chip->firmware_size == 0)
+		return 0;
+	imu->board.firmware = imu->firmware = calloc(1, chip->firmware_size);
+	if (!imu->firmware)
+		return -ENOMEM;
+	result = imu->config.simulated ? 0 : read_file(path, imu->firmware, chip->firmware_size);
+	if (result < 0)
+		snprintf(error, error_size,
+			"%s: the %s needs its configuration file %.80s: %s: take the array bmi270_config_file of its "
+			"manufacturer's BMI270_SensorAPI (%zu bytes), and name it by config=FILE or put it there",
+			imu->config.name, chip->name, path,
+			result == -EINVAL ? "it has another size" : strerror(-result), chip->firmware_size);
+	return result;
+}
+
 /* All that can fail before the thread is started. */
 static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, char *error, size_t error_size)
 {
@@ -199,12 +238,16 @@ static int prepare(struct i2c_imu *imu, const struct imu_settings *settings, cha
 		snprintf(error, error_size, "%s: %s", imu->config.name, why);
 		return result;
 	}
-	result = open_drdy(imu, error, error_size);
+	result = load_firmware(imu, error, error_size);
+	if (result == 0)
+		result = open_drdy(imu, error, error_size);
 	if (result == 0)
 		result = make_plan(imu, settings, &imu->plan, error, error_size);
 	if (result < 0)
 		return result;
 	snprintf(imu->thread.port.name, sizeof imu->thread.port.name, "%.40s %.20s", imu->config.name, imu->board.name);
+	snprintf(imu->thread.port.notes, sizeof imu->thread.port.notes, "%s%s%s",
+		imu->board.note[0] ? imu->config.name : "", imu->board.note[0] ? ": " : "", imu->board.note);
 	use_rate(imu, imu->plan.rate_hz);
 	board_apply(&imu->board, &imu->plan);
 	if (settings->self_test)
@@ -232,7 +275,7 @@ int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, cons
 	else
 		result = prepare(imu, settings, error, error_size);
 	if (result == 0) {
-		imu->config.name = imu->config.drdy_chip = NULL; /* the caller's */
+		imu->config.name = imu->config.drdy_chip = imu->config.firmware = NULL; /* the caller's */
 		result = imu_thread_start(&imu->thread, "imu9-i2c", settings->realtime, run);
 		if (result < 0)
 			snprintf(error, error_size, "cannot start the sensor's thread: %s", strerror(-result));
@@ -245,22 +288,32 @@ int i2c_imu_start(struct i2c_bus *bus, const struct i2c_imu_config *config, cons
 	return 0;
 }
 
-/* ---- i2c:/dev/i2c-N ---------------------------------------------------------------------------------------------- */
+/* ---- i2c:/dev/i2c-N and spi:/dev/spidevB.C ----------------------------------------------------------------------- */
 
+static int parse_drdy(char *value, struct i2c_imu_config *config)
+{
+	char *line = strchr(value, ':'), *end;
+
+	if (!line || line == value)
+		return -EINVAL;
+	*line++ = '\0';
+	config->drdy_chip = value;
+	config->drdy_line = (unsigned)strtoul(line, &end, 10);
+	return *line >= '0' && *line <= '9' && *end == '\0' ? 0 : -EINVAL;
+}
+
+/* The options of both buses. */
 static int parse_option(char *option, struct i2c_imu_config *config)
 {
-	char *line, *end;
-
 	if (strcmp(option, "stub") == 0) {
 		config->stub = true;
 		return 0;
 	}
-	if (strncmp(option, "drdy=", 5) != 0 || !(line = strchr(option, ':')) || line == option + 5)
-		return -EINVAL;
-	*line++ = '\0';
-	config->drdy_chip = option + 5;
-	config->drdy_line = (unsigned)strtoul(line, &end, 10);
-	return *line >= '0' && *line <= '9' && *end == '\0' ? 0 : -EINVAL;
+	if (strncmp(option, "config=", 7) == 0 && option[7]) {
+		config->firmware = option + 7;
+		return 0;
+	}
+	return strncmp(option, "drdy=", 5) == 0 ? parse_drdy(option + 5, config) : -EINVAL;
 }
 
 int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
@@ -283,6 +336,59 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 		return 0;
 	snprintf(name, sizeof name, "i2c:%.40s", path);
 	result = i2c_dev_open(path, &bus, error, error_size);
+	if (result < 0)
+		return result;
+	return i2c_imu_start(bus, &config, settings, port, error, error_size);
+}
+
+struct spi_args {
+	const char *paths[SPI_DEVICES_MAX];
+	size_t count;
+	struct spi_options options;
+};
+
+static int parse_spi(char *option, struct spi_args *spi, struct i2c_imu_config *config)
+{
+	double number;
+
+	if (option[0] == '/') {
+		if (spi->count == SPI_DEVICES_MAX)
+			return -EINVAL;
+		spi->paths[spi->count++] = option;
+		return 0;
+	}
+	if (strcmp(option, "mode=0") == 0 || strcmp(option, "mode=3") == 0) {
+		spi->options.mode = (unsigned)(option[5] - '0');
+		return 0;
+	}
+	if (strncmp(option, "speed=", 6) != 0)
+		return parse_option(option, config);
+	if (source_positive(option + 6, &number) < 0 || number < 1e4 || number > 24e6)
+		return -EINVAL;
+	spi->options.speed_hz = (unsigned)number;
+	return 0;
+}
+
+/* Mode 3 and 1 MHz suit all chips. */
+int spi_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
+{
+	char *rest = args, *option, name[48];
+	struct i2c_imu_config config = {.name = name};
+	struct spi_args spi = {.options = {.mode = 3, .speed_hz = 1000000}};
+	struct i2c_bus *bus;
+	int result;
+
+	while ((option = strsep(&rest, ",")))
+		if (parse_spi(option, &spi, &config) < 0) {
+			snprintf(error, error_size, "spi: '%.40s': use " SPI_SYNTAX, option);
+			return -EINVAL;
+		}
+	if (spi.count == 0) {
+		snprintf(error, error_size, "spi: no device: use " SPI_SYNTAX);
+		return -EINVAL;
+	}
+	snprintf(name, sizeof name, "spi:%.40s", spi.paths[0]);
+	result = spi_dev_open(spi.paths, spi.count, &spi.options, &bus, error, error_size);
 	if (result < 0)
 		return result;
 	return i2c_imu_start(bus, &config, settings, port, error, error_size);

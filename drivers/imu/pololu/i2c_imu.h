@@ -1,5 +1,5 @@
 /* drivers/imu/pololu/i2c_imu.h
- * A board on an I2C bus as an IMU port. The transfers are made in its own thread (imu_thread.h). */
+ * A board on an I2C or SPI bus as an IMU port. The transfers are made in its own thread (imu_thread.h). */
 #ifndef DRIVERS_IMU_POLOLU_I2C_IMU_H
 #define DRIVERS_IMU_POLOLU_I2C_IMU_H
 
@@ -15,6 +15,7 @@ struct i2c_imu_config {
 	bool stub;	       /* the bus is an i2c-stub */
 	const char *drdy_chip; /* "gpiochip0"; NULL: timed reads */
 	unsigned drdy_line;
+	const char *firmware; /* file of the chip that needs one (BMI270); NULL: where Linux has it */
 };
 
 /** Detects the board and starts reading it. Owns the bus, also on failure. The times of the samples are

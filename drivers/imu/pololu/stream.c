@@ -15,17 +15,25 @@ enum {
 	 * reads too unevenly for that. */
 	SETTLE_SAMPLES = 16,
 	SATURATED_WORD = 32752, /* the end of the range of left-justified 12 bits */
-	FIFO_SOURCE = 0x2F,
-	FIFO_DEPTH = 32,
+	SPI_READ = 0x80,
 };
 
 int board_read_chip(
 	const struct board *b, const struct chip *chip, uint8_t address, uint8_t at, uint8_t *bytes, size_t n)
 {
-	return i2c_read(b->bus, address, n > 1 ? at | chip->increment : at, bytes, n);
+	uint8_t all[I2C_BLOCK_MAX + SPI_DUMMY_MAX];
+	int result;
+
+	if (!b->bus->spi)
+		return i2c_read(b->bus, address, n > 1 ? at | chip->increment : at, bytes, n);
+	result = i2c_read(
+		b->bus, address, (uint8_t)(SPI_READ | at | (n > 1 ? chip->spi.multiple : 0)), all, n + chip->spi.dummy);
+	if (result == 0)
+		memcpy(bytes, all + chip->spi.dummy, n);
+	return result;
 }
 
-int board_identify(const struct board *b, const struct chip *chip, uint8_t address)
+static int read_identity(const struct board *b, const struct chip *chip, uint8_t address)
 {
 	uint8_t bytes[sizeof chip->identity];
 	size_t n = chip->identity_size ? chip->identity_size : 1;
@@ -34,6 +42,22 @@ int board_identify(const struct board *b, const struct chip *chip, uint8_t addre
 	if (result < 0)
 		return result;
 	return memcmp(bytes, chip->identity, chip->identity_size) == 0 ? 0 : -ENODEV;
+}
+
+static int select_bank(const struct board *b, const struct chip *chip, uint8_t address, uint8_t bank)
+{
+	return chip->bank_select ? i2c_write(b->bus, address, chip->bank_select, (uint8_t)(bank << 4)) : 0;
+}
+
+/* The identity is in bank 0, another one may have been left selected. */
+int board_identify(const struct board *b, const struct chip *chip, uint8_t address)
+{
+	int result = read_identity(b, chip, address);
+
+	if (result != -ENODEV || !chip->bank_select)
+		return result;
+	result = select_bank(b, chip, address, 0);
+	return result < 0 ? result : read_identity(b, chip, address);
 }
 
 /* ---- starting a chip --------------------------------------------------------------------------------------------- */
@@ -59,7 +83,7 @@ void stream_fail(struct board *b, struct stream *s, enum imu_fault fault)
 int stream_expected(const struct chip_registers *list, size_t i)
 {
 	for (size_t later = i + 1; later < list->n; later++)
-		if (list->at[later].address == list->at[i].address)
+		if (list->at[later].address == list->at[i].address && list->at[later].bank == list->at[i].bank)
 			return -1;
 	return list->at[i].value;
 }
@@ -82,15 +106,38 @@ static enum imu_fault fault_of(int error)
 	return error == -EBADMSG ? IMU_FAULT_CONFIGURATION : error == -ENODEV ? IMU_FAULT_WRONG_CHIP : IMU_FAULT_SILENT;
 }
 
+static int write_register(struct board *b, const struct stream *s, size_t i)
+{
+	return i2c_write(b->bus, s->address, s->registers.at[i].address, s->registers.at[i].value);
+}
+
+/* Calls `each` for the registers of the list in turn, in their banks. Bank 0 is selected before and afterwards. */
+static int for_all_registers(
+	struct board *b, const struct stream *s, int (*each)(struct board *, const struct stream *, size_t))
+{
+	uint8_t bank = 0;
+	int result = select_bank(b, s->chip, s->address, bank);
+
+	for (size_t i = 0; i < s->registers.n && result == 0; i++) {
+		if (s->registers.at[i].bank != bank) {
+			bank = s->registers.at[i].bank;
+			result = select_bank(b, s->chip, s->address, bank);
+		}
+		if (result == 0)
+			result = each(b, s, i);
+	}
+	return result == 0 && bank != 0 ? select_bank(b, s->chip, s->address, 0) : result;
+}
+
 int stream_set_up(struct board *b, struct stream *s)
 {
 	int result = board_identify(b, s->chip, s->address);
 
-	for (size_t i = 0; i < s->registers.n && result == 0; i++)
-		result = i2c_write(b->bus, s->address, s->registers.at[i].address, s->registers.at[i].value);
-	for (size_t i = 0; i < s->registers.n && result == 0; i++)
-		result = stream_verify(b, s, i);
-	return result;
+	if (result == 0 && s->chip->prepare)
+		result = s->chip->prepare(b, s->chip, s->address);
+	if (result == 0)
+		result = for_all_registers(b, s, write_register);
+	return result == 0 ? for_all_registers(b, s, stream_verify) : result;
 }
 
 void stream_start(struct board *b, struct stream *s)
@@ -110,6 +157,7 @@ void stream_start(struct board *b, struct stream *s)
 	s->next = 0;
 	s->first = s->count = s->verify = 0;
 	s->partial_have = s->failures = s->saturated = s->same = 0;
+	s->flushed = false;
 	s->failing_ns = 0;
 	s->fresh_ns = s->none_ns = s->due_ns = s->since_ns;
 	s->verify_ns = s->since_ns + STREAM_VERIFY_MS * BOARD_MS;
@@ -132,22 +180,30 @@ struct vec3 stream_decode(const struct stream *s, size_t triad, const uint8_t *s
 {
 	const struct chip_triad *t = &s->chip->triads[triad];
 	const struct chip_range *r = s->setup.range[triad];
-	int16_t w[3];
+	int w[3];
 
 	for (int i = 0; i < 3; i++) {
-		w[i] = stream_word(s->chip, set + t->byte + 2 * t->order[i]);
+		w[i] = stream_word(s->chip, set + 6 * triad + 2 * t->order[i]);
 		*saturated |= t->overflow ? w[i] == t->overflow : w[i] >= SATURATED_WORD || w[i] <= -SATURATED_WORD;
+		if (t->negative >> i & 1)
+			w[i] = -w[i];
 	}
 	return (struct vec3){w[0] * r->step, w[1] * r->step, w[2] * (r->step_z > 0 ? r->step_z : r->step)};
 }
 
+void stream_pack(const struct chip *chip, const uint8_t *data, uint8_t set[CHIP_SET])
+{
+	for (size_t i = 0; i < chip->triad_count; i++)
+		memcpy(set + 6 * i, data + chip->triads[i].byte, 6);
+}
+
 static void watch_data(struct stream *s, const uint8_t *set, bool saturated)
 {
-	if (s->same > 0 && memcmp(set, s->last, s->chip->data_size) == 0)
+	if (s->same > 0 && memcmp(set, s->last, 6 * s->chip->triad_count) == 0)
 		s->same++;
 	else
 		s->same = 1;
-	memcpy(s->last, set, s->chip->data_size);
+	memcpy(s->last, set, 6 * s->chip->triad_count);
 	s->saturated = saturated ? s->saturated + 1 : 0;
 }
 
@@ -159,7 +215,7 @@ static bool recovered(const struct stream *s)
 	return (s->fault != IMU_FAULT_FROZEN || s->same == 1) && (s->fault != IMU_FAULT_SATURATED || s->saturated == 0);
 }
 
-static void add_sample(struct board *b, struct stream *s, const uint8_t *set)
+void stream_add(struct board *b, struct stream *s, const uint8_t *set)
 {
 	struct reading reading = {.t_ns = sample_clock_at(&s->clock, s->next++)};
 	bool saturated = false;
@@ -182,11 +238,7 @@ static void add_sample(struct board *b, struct stream *s, const uint8_t *set)
 	s->readings[(s->first + s->count++) % STREAM_READINGS] = reading;
 }
 
-enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
-
-/* Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were
- * lost before it is derived from the sample clock. */
-static void observe(
+void stream_observe(
 	struct board *b, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns)
 {
 	if (losses != LOST_NONE && s->clock.newest >= 0) {
@@ -211,13 +263,21 @@ static enum losses losses_of(const struct stream *s, uint8_t status)
 	return status & s->chip->overrun ? LOST_SOME : LOST_NONE;
 }
 
+/* On SPI, a chip that is not there reads as FFh. */
+static bool is_absent(const struct board *b, const uint8_t *bytes, size_t n)
+{
+	while (b->bus->spi && n > 0 && bytes[n - 1] == 0xFF)
+		n--;
+	return b->bus->spi && n == 0;
+}
+
 /* Without FIFO: reads status and data, in one transfer if they are close enough. */
 static int read_registers(struct board *b, struct stream *s)
 {
 	const struct chip *chip = s->chip;
 	const size_t offset = (uint8_t)(chip->data - chip->status);
 	const bool together = chip->data > chip->status && offset + chip->data_size <= I2C_BLOCK_MAX;
-	uint8_t bytes[I2C_BLOCK_MAX], *set = bytes + (together ? offset : 1);
+	uint8_t bytes[1 + I2C_BLOCK_MAX], *data = bytes + (together ? offset : 1), set[CHIP_SET];
 	int64_t from_ns = board_read_clock(b), to_ns;
 	bool fresh;
 	int result = board_read_chip(b, chip, s->address, chip->status, bytes, together ? offset + chip->data_size : 1);
@@ -227,126 +287,24 @@ static int read_registers(struct board *b, struct stream *s)
 		return result;
 	fresh = bytes[0] & chip->ready;
 	if (fresh && !together) {
-		result = board_read_chip(b, chip, s->address, chip->data, set, chip->data_size);
+		result = board_read_chip(b, chip, s->address, chip->data, data, chip->data_size);
 		board_read_clock(b);
 		if (result < 0)
 			return result;
 	}
+	if (fresh && is_absent(b, data, chip->data_size))
+		return -EIO;
+	stream_pack(chip, data, set);
 	/* the data-ready bit of a stub stays set: a sample is new if its data differ */
-	if (fresh && s->setup.stub && s->same > 0 && memcmp(set, s->last, chip->data_size) == 0)
+	if (fresh && s->setup.stub && s->same > 0 && memcmp(set, s->last, 6 * chip->triad_count) == 0)
 		fresh = false;
-	observe(b, s, fresh ? 1 : 0, fresh ? losses_of(s, bytes[0]) : LOST_NONE, from_ns, to_ns);
+	stream_observe(b, s, fresh ? 1 : 0, fresh ? losses_of(s, bytes[0]) : LOST_NONE, from_ns, to_ns);
 	if (fresh)
-		add_sample(b, s, set);
+		stream_add(b, s, set);
 	return fresh;
-}
-
-static int read_sets(struct board *b, struct stream *s, uint8_t at, int64_t level)
-{
-	const size_t size = s->chip->data_size;
-	uint8_t bytes[I2C_BLOCK_MAX];
-
-	for (int64_t left = level; left > 0;) {
-		size_t sets = I2C_BLOCK_MAX / size;
-		int result;
-
-		if ((int64_t)sets > left)
-			sets = (size_t)left;
-		result = board_read_chip(b, s->chip, s->address, at, bytes, sets * size);
-		if (result < 0)
-			return result;
-		for (size_t i = 0; i < sets; i++)
-			add_sample(b, s, bytes + i * size);
-		left -= (int64_t)sets;
-	}
-	return (int)level;
-}
-
-static int read_fifo_sets(struct board *b, struct stream *s)
-{
-	int64_t from_ns = board_read_clock(b);
-	uint8_t source;
-	int result = board_read_chip(b, s->chip, s->address, FIFO_SOURCE, &source, 1);
-	int64_t level = source & 0x40 ? FIFO_DEPTH : source & 0x1F;
-
-	if (result < 0)
-		return result;
-	observe(b, s, level, source & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, board_read_clock(b));
-	return read_sets(b, s, s->chip->data, level);
-}
-
-/* LSM6DS33: the status contains the position of the next word in its set; after an overrun it may be in the middle. */
-static int read_fifo_words(struct board *b, struct stream *s)
-{
-	int64_t from_ns = board_read_clock(b), words;
-	uint8_t status[4], skipped[10];
-	int result = board_read_chip(b, s->chip, s->address, 0x3A, status, sizeof status), next;
-
-	if (result < 0)
-		return result;
-	words = get_u16(status) & 0x0FFF;
-	next = get_u16(status + 2) & 0x03FF;
-	if (next > 0 && next < 6 && words >= 6 - next) {
-		words -= 6 - next;
-		if ((result = board_read_chip(b, s->chip, s->address, 0x3E, skipped, (size_t)(6 - next) * 2)) < 0)
-			return result;
-	}
-	observe(b, s, words / 6, status[1] & 0x40 ? LOST_PERHAPS : LOST_NONE, from_ns, board_read_clock(b));
-	return read_sets(b, s, 0x3E, words / 6 < FIFO_DEPTH ? words / 6 : FIFO_DEPTH);
-}
-
-static void add_tagged(struct board *b, struct stream *s, const uint8_t *entry)
-{
-	enum { TAG_GYRO = 1, TAG_ACCEL = 2 };
-	unsigned tag = entry[0] >> 3;
-
-	if (tag != TAG_GYRO && tag != TAG_ACCEL)
-		return;
-	memcpy(s->partial + (tag == TAG_GYRO ? 0 : 6), entry + 1, 6);
-	s->partial_have |= tag;
-	if (s->partial_have != (TAG_GYRO | TAG_ACCEL))
-		return;
-	s->partial_have = 0;
-	add_sample(b, s, s->partial);
-}
-
-/* LSM6DSO: each entry is a tag and one triad. */
-static int read_fifo_tagged(struct board *b, struct stream *s)
-{
-	enum { ENTRY = 7, AT_ONCE = 4 };
-	int64_t from_ns = board_read_clock(b), entries;
-	uint8_t status[2], bytes[ENTRY * AT_ONCE];
-	int result = board_read_chip(b, s->chip, s->address, 0x3A, status, sizeof status);
-
-	if (result < 0)
-		return result;
-	entries = get_u16(status) & 0x03FF;
-	observe(b, s, (entries + (s->partial_have != 0)) / 2, status[1] & 0x48 ? LOST_PERHAPS : LOST_NONE, from_ns,
-		board_read_clock(b));
-	if (entries > 2 * FIFO_DEPTH) /* the rest next time */
-		entries = 2 * FIFO_DEPTH;
-	for (int64_t left = entries; left > 0; left -= AT_ONCE) {
-		size_t n = left < AT_ONCE ? (size_t)left : AT_ONCE;
-
-		if ((result = board_read_chip(b, s->chip, s->address, 0x78, bytes, n * ENTRY)) < 0)
-			return result;
-		for (size_t i = 0; i < n; i++)
-			add_tagged(b, s, bytes + i * ENTRY);
-	}
-	return (int)entries;
 }
 
 int stream_read(struct board *b, struct stream *s)
 {
-	switch (s->setup.fifo ? s->chip->fifo : CHIP_NO_FIFO) {
-	case CHIP_FIFO_SETS:
-		return read_fifo_sets(b, s);
-	case CHIP_FIFO_WORDS:
-		return read_fifo_words(b, s);
-	case CHIP_FIFO_TAGGED:
-		return read_fifo_tagged(b, s);
-	case CHIP_NO_FIFO:
-		break;
-	}
-	return read_registers(b, s);
+	return s->setup.fifo ? stream_read_fifo(b, s) : read_registers(b, s);
 }

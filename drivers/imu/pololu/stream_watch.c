@@ -70,7 +70,8 @@ void stream_verify_next(struct board *b, struct stream *s)
 {
 	int result;
 
-	while (stream_expected(&s->registers, s->verify) < 0)
+	/* not those of other banks, which would have to be selected for it */
+	while (stream_expected(&s->registers, s->verify) < 0 || s->registers.at[s->verify].bank != 0)
 		s->verify = (s->verify + 1) % s->registers.n;
 	result = stream_verify(b, s, s->verify);
 	if (result == -EBADMSG && (result = stream_verify(b, s, s->verify)) == -EBADMSG) {

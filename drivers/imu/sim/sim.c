@@ -8,6 +8,7 @@
 #include "drivers/imu/sim/sim_chips.h"
 #include "drivers/imu/source.h"
 
+#define BOARDS "v0, v1, v2, v3, v5, v6, lsm9ds1, icm20948, icm42688 or bmi270"
 static const char PRESET[] = "lsm303dlhc_l3gd20", BOARD[] = "v3";
 enum { SEED = 1 };
 /* from the robot's reference point to the sensor: the seed's 5 cm */
@@ -58,8 +59,8 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	while ((option = strsep(&rest, ",")))
 		if (parse_option(option, &config, &driver, &uncalibrated) < 0) {
 			snprintf(error, error_size,
-				"sim: unknown option '%.40s': use rate=HZ, board=v0, v1, v2, v3, v5 or v6, or "
-				"uncalibrated",
+				"sim: unknown option '%.40s': use rate=HZ, board=B with one of " BOARDS
+				", or uncalibrated",
 				option);
 			return -EINVAL;
 		}
@@ -70,7 +71,7 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	snprintf(name, sizeof name, "sim:%s", config.signal->name);
 	result = sim_board_open(&config, &board);
 	if (result < 0) {
-		snprintf(error, error_size, "sim: unknown board '%.10s': use v0, v1, v2, v3, v5 or v6", config.board);
+		snprintf(error, error_size, "sim: unknown board '%.10s': use " BOARDS, config.board);
 		return result;
 	}
 	if (!port) {
