@@ -72,13 +72,19 @@ struct fusion_kalman_config {
 	double gyro_scale_sigma;
 	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white. noise_config.mag_sigma_uT. */
 	double field_sigma_uT;
+	/** 1 sigma of what each sensor's calibration leaves, each axis: rad/s, 0..10, default 0.5 deg/s, of the gyro's bias
+	 * at the start, as in VQF; m/s^2, 0..10, default 0.03 (3 mg), of the accelerometer's, by judgement what six
+	 * attitudes leave; uT, 0..1000, default 0, of a hard-iron offset that no motion has shown yet. Smaller ones claim
+	 * more than is known, larger ones let the sensor count less. The pipeline sets them. */
+	double bias_sigma_rad_s, accel_sigma_m_s2, offset_sigma_uT;
 };
 
 #define FUSION_KALMAN_DEFAULTS                                                                               \
 	{                                                                                                    \
 		.velocity_sigma_m_s = 1, .heading_sigma_rad = 2 * RAD_PER_DEG, .field_limit = 0.1,           \
 		.rejection_time_s = 60, .gyro_error = 0.001, .bias_walk_rad_s_sqrt_s = 0.0025 * RAD_PER_DEG, \
-		.gyro_scale_sigma = 0.002, .field_sigma_uT = 0.5,                                            \
+		.gyro_scale_sigma = 0.002, .field_sigma_uT = 0.5, .bias_sigma_rad_s = 0.5 * RAD_PER_DEG,     \
+		.accel_sigma_m_s2 = 0.03,                                                                    \
 	}
 
 /** Estimated errors of the gyro: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes, which
@@ -104,6 +110,8 @@ enum {
 struct fusion_kalman_sums {
 	double time_s, rest_s;		     /* and how much of it the object was at rest */
 	double turned_rad2_s;		     /* of the squared rate */
+	double force_noise_m2_s2;	     /* variance of the velocity by white noise of the force */
+	double force_error_m_s2;	     /* the largest of the samples */
 	double unmeasured_turn_rad;	     /* 1 sigma of the turn that a saturated gyro did not measure */
 	double rotation_s[3][3];	     /* of the rotation matrix object -> global */
 	double rotation_rate_rad[3][3];	     /* of its columns times the rates about the object's axes */
@@ -138,6 +146,10 @@ struct fusion_kalman {
 	bool turning;					   /* that one differs from the bias by more than its sigma */
 	double since_start_s;
 	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */
+	double accel_variance;		      /* of the accelerometer's error, m^2/s^4, without that of vibration */
+	bool doubted;			      /* it is larger now */
+	double velocity2_m2_s2;		      /* mean square of the measured velocity */
+	double lost_s;			      /* for how long the mean force has been far from the vertical */
 	/* the field's reference, and the candidate that may replace it */
 	double norm_uT, dip_rad, reference_s; /* norm 0: no reference; reference_s: time of fields behind it, limited */
 	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
@@ -170,6 +182,8 @@ void fusion_kalman_set_north(
 /** The estimates of the gyro's errors, or of its scale alone, were reset: their variances are those of the start. */
 void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The accelerometer has another calibration. */
+void fusion_kalman_reset_accelerometer(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 
 /** The attitude was set from outside, heading included, with a 1 sigma of one degree. */
 void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kalman_config *config);
@@ -194,8 +208,11 @@ struct fusion_kalman_sample {
 	struct vec3 force_b_m_s2;		/* specific force; 0: none */
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
-	bool rest, saturated;
-	bool gap;	 /* samples are missing before this one: the velocity is unknown */
+	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample, and 1
+	 * sigma of what stays the same for seconds */
+	double force_noise_m2_s4, force_error_m_s2;
+	bool rest, saturated; /* saturated: the gyro */
+	bool gap;	      /* samples are missing before this one: the velocity is unknown */
 	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
 
@@ -203,6 +220,11 @@ struct fusion_kalman_sample {
 static inline bool fusion_kalman_field_disagrees(const struct fusion_kalman *k)
 {
 	return k->hard_iron.disagrees;
+}
+/** The error of the force exceeds that of the calibration by a 1 sigma of 0.1 m/s^2 (0.6 degrees of tilt). */
+static inline bool fusion_kalman_force_doubted(const struct fusion_kalman *k)
+{
+	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + 0.01;
 }
 /** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used, or that has just
  * replaced another one. */

@@ -23,6 +23,7 @@
 #include "model/rates.h"
 #include "model/rest.h"
 #include "model/sample.h"
+#include "model/vibration.h"
 
 /** The latency of a sensor: by how much its samples are older than their time stamps, because of its low-pass and its
  * buffers. */
@@ -39,6 +40,9 @@ struct latency_config {
 /** Start from PIPELINE_DEFAULTS. The header of each step says meaning, unit, range and default of its fields. */
 struct pipeline_config {
 	struct calibration_config calibration;
+	/** (2055h) PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, default 0. Their errors are those of data
+	 * sheets then (UNCALIBRATED_...), which count in the attitude's sigma until the motion shows less. */
+	unsigned uncalibrated;
 	/** (2010h) Low-pass of the reference point's acceleration in the global frame. Off by default. */
 	struct filter_config accel_filter;
 	/** (2011h) Low-pass of the rates, or of the angles before they are differentiated. */
@@ -54,6 +58,20 @@ struct pipeline_config {
 	struct position_config position;
 };
 
+enum {
+	PIPELINE_UNCALIBRATED_GYRO = 1 << 0,
+	PIPELINE_UNCALIBRATED_ACCEL = 1 << 1,
+	PIPELINE_UNCALIBRATED_MAG = 1 << 2,
+};
+
+/* 1 sigma of the errors of chips as delivered, from data sheets (L3GD20, LSM303DLHC, LSM6DS33, MPU-6050): zero-rate level 10
+ * deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg; a hard-iron offset of 50 uT, half the zero-gauss level of an
+ * LIS3MDL, and what a board's supply lines make. */
+#define UNCALIBRATED_GYRO_RAD_S (10 * RAD_PER_DEG)
+#define UNCALIBRATED_GYRO_SCALE 0.02
+#define UNCALIBRATED_ACCEL_M_S2 0.6
+#define UNCALIBRATED_MAG_UT	50.0
+
 extern const struct pipeline_config PIPELINE_DEFAULTS;
 
 /** Bits of pipeline_output.status, as published in the status word (210Fh:3). */
@@ -66,6 +84,8 @@ enum {
 	PIPELINE_UNSURE = 1 << 5,     /* 1 sigma of the position exceeds its limit */
 	PIPELINE_ASSUMED = 1 << 6,    /* a standstill is assumed against the estimated velocity */
 	PIPELINE_DISAGREES = 1 << 7,  /* the magnetic field does not turn as the gyro says, and is not used */
+	/* bits 8 to 13 are the gateway's (gateway/status.h) */
+	PIPELINE_VIBRATION = 1 << 14, /* vibration or clipping falsifies the force, and the sigmas are larger */
 };
 
 struct pipeline_output {
@@ -87,7 +107,10 @@ struct pipeline_output {
 	struct vec3 displacement_n_m, displacement_sigma_m;
 	struct navigation_sigma sigma;
 	struct gyro_errors gyro_errors; /* estimated by the fusion, and taken off the rates */
-	double accel_delay_s;		/* of the acceleration filter, by which the accelerations are older than t_us */
+	/* vibration of the specific force (RMS), and samples at the end of the sensors' ranges (model/vibration.h) */
+	double vibration_m_s2;
+	uint32_t clipped_accel, clipped_gyro;
+	double accel_delay_s; /* of the acceleration filter, by which the accelerations are older than t_us */
 	unsigned status;
 };
 
@@ -106,12 +129,16 @@ struct pipeline {
 	struct auto_correction auto_correction, auto_change;
 	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
+	struct vibration vibration;
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
-	bool started;	  /* there is a sample before this one */
-	bool primed;	  /* and the filters may continue from it */
-	double turning_s; /* before the first attitude: since the filters began */
+	bool started; /* there is a sample before this one */
+	bool primed;  /* and the filters may continue from it */
+	/* before the first attitude: since the filters began, and the mean force of these samples */
+	double starting_s;
+	int start_samples;
+	struct vec3 start_force_b_m_s2;
 	bool north_found; /* with the last sample */
 	struct vec3 mag_b_uT;
 	double since_mag_s;

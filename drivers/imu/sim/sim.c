@@ -78,5 +78,8 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 		i2c_close(sim_board_bus(board));
 		return 0;
 	}
-	return i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);
+	result = i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);
+	if (result == 0 && uncalibrated)
+		(*port)->uncalibrated = IMU_UNCALIBRATED;
+	return result;
 }
