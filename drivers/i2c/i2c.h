@@ -1,9 +1,9 @@
 /* drivers/i2c/i2c.h
  * A bus of chips with 8-bit registers, I2C or SPI, real or simulated. Transfers block.
  *
- * On SPI a chip has no address: `address` is the place of its device in the list that was opened, 0 for the first. `sub`
- * is the first byte of the transfer, as the chip wants it: bit 7 set for a read. A chip that is not there reads as FFh
- * or 00h, without an error. */
+ * On SPI a chip has no address: `address` is the place of its device in the list that was opened, 0 for the first.
+ * `sub` is the first byte of the transfer, as the chip wants it: bit 7 set for a read. A chip that is not there reads
+ * as FFh or 00h, without an error. */
 #ifndef DRIVERS_I2C_I2C_H
 #define DRIVERS_I2C_I2C_H
 
@@ -40,7 +40,8 @@ struct spi_options {
 /** Opens /dev/i2c-N of Linux. 0, or -errno and one line in `error` that says what is wrong and what to do. */
 int i2c_dev_open(const char *path, struct i2c_bus **bus, char *error, size_t error_size);
 
-/** Opens count of /dev/spidevB.C of Linux as one bus; their addresses are 0, 1... Results as those of i2c_dev_open(). */
+/** Opens count of /dev/spidevB.C of Linux as one bus; their addresses are 0, 1... Results as those of
+ * i2c_dev_open(). */
 int spi_dev_open(const char *const paths[], size_t count, const struct spi_options *options, struct i2c_bus **bus,
 	char *error, size_t error_size);
 

@@ -1,5 +1,5 @@
-/* The data-ready line of a board on I2C, drdy=GPIOCHIP:LINE: libgpiod is simulated by tests/unit/gpiod/. The driver's
- * thread runs within run(), on simulated chips, in a time that moves only here. */
+/* The port of a board on I2C, its data-ready line (drdy=GPIOCHIP:LINE) and its configuration file. libgpiod is simulated by
+ * tests/unit/gpiod/. The driver's thread runs within run(), on simulated chips, in a time that moves only here. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -10,8 +10,11 @@
 #include <poll.h>
 #include <pthread.h>
 #include <signal.h>
+#include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "drivers/imu/imu_thread.h"
 #include "drivers/imu/pololu/i2c_imu.h"
@@ -46,6 +49,16 @@ int pthread_create(
 	(void)thread, (void)attr;
 	w.thread = start;
 	w.thread_ctx = ctx;
+	return 0;
+}
+
+int clock_nanosleep(clockid_t clock, int flags, const struct timespec *t, struct timespec *left)
+{
+	const int64_t ns = t->tv_sec * 1000000000 + t->tv_nsec;
+
+	(void)clock, (void)flags, (void)left;
+	if (ns > w.now_ns)
+		w.now_ns = ns;
 	return 0;
 }
 
@@ -174,11 +187,43 @@ static void test_a_chip_has_a_name_a_number_and_a_path(void **state)
 	}
 }
 
+/* 8192 bytes over 100 kHz take a second, in which the sensor has not failed. */
+static void test_a_bmi270_gets_its_configuration_file_and_has_time_for_it(void **state)
+{
+	static const uint8_t zeroes[8192];
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	char path[] = "/tmp/imu9-bmi270-XXXXXX", error[300] = "";
+	struct i2c_imu_config driver = {.name = "i2c:test", .firmware = path};
+	struct sim_config config = {.board = "bmi270",
+		.signal = signal_find("rest"),
+		.sensor = *sensor_preset("lsm303dlhc_l3gd20"),
+		.now_ns = i2c_imu_now_ns};
+	int fd = mkstemp(path);
+	struct imu_sample sample;
+
+	(void)state;
+	assert_int_equal(write(fd, zeroes, sizeof(zeroes)), sizeof(zeroes));
+	close(fd);
+	w = (struct world){.now_ns = 1000000000};
+	assert_int_equal(sim_board_open(&config, &w.sim), 0);
+	if (i2c_imu_start(sim_board_bus(w.sim), &driver, &settings, &port, error, sizeof(error)) < 0)
+		fail_msg("%s", error);
+	remove(path);
+	assert_true(port->silence_us >= 2000000);
+	assert_string_equal(port->name, "i2c:test BMI270");
+	assert_string_equal(port->notes, "i2c:test: the BMI270 has no magnetometer: the heading is not known");
+	run(200);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_true(sample.accel_m_s2.z > 9.5 && sample.accel_m_s2.z < 10.1);
+	imu_close(port);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro),
 		cmocka_unit_test(test_each_edge_is_read_and_times_its_sample),
+		cmocka_unit_test(test_a_bmi270_gets_its_configuration_file_and_has_time_for_it),
 		cmocka_unit_test(test_a_line_that_cannot_be_used_is_refused),
 		cmocka_unit_test(test_a_chip_has_a_name_a_number_and_a_path),
 	};

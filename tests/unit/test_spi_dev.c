@@ -11,9 +11,11 @@
 #include <fcntl.h>
 #include <linux/spi/spidev.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/eventfd.h>
 #include <sys/ioctl.h>
+#include <unistd.h>
 
 #include "drivers/i2c/i2c.h"
 #include "drivers/ports/imu.h"
@@ -206,18 +208,17 @@ static void test_mode_and_speed_are_those_of_the_options(void **state)
 /* The dummy byte is 23h, CHIP_ID behind it 24h: a BMI270. */
 static void test_a_bmi270_without_its_configuration_file_is_refused_with_what_to_do(void **state)
 {
-	static const char small[] = "/tmp/imu9-test-bmi270.fw";
-	FILE *file = fopen(small, "w");
+	char small[] = "/tmp/imu9-bmi270-XXXXXX", src[100];
+	int fd = mkstemp(small);
 
 	(void)state;
-	assert_non_null(file);
-	fputs("not the file", file);
-	fclose(file);
+	assert_int_equal(write(fd, "not the file", 12), 12);
+	close(fd);
 	assert_refused((struct kernel){.answer = 0x23}, "spi:/dev/spidev0.0,config=/nowhere/bmi.fw",
 		"the BMI270 needs its configuration file /nowhere/bmi.fw: No such file");
 	assert_refused((struct kernel){.answer = 0x23}, "spi:/dev/spidev0.0,config=/nowhere/bmi.fw", "8192 bytes");
-	assert_refused((struct kernel){.answer = 0x23}, "spi:/dev/spidev0.0,config=/tmp/imu9-test-bmi270.fw",
-		"it has another size");
+	snprintf(src, sizeof src, "spi:/dev/spidev0.0,config=%s", small);
+	assert_refused((struct kernel){.answer = 0x23}, src, "it has another size");
 	remove(small);
 }
 

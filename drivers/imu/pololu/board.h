@@ -1,17 +1,17 @@
 /* drivers/imu/pololu/board.h
- * The chips of chips.h on an I2C or SPI bus, as on a Pololu IMU 9 of any version: detects them, sets them up, reads them, and estimates when each
- * sample was taken. Passive: clock and sleep are injected, so that tests run in simulated time. Not thread-safe;
- * transfers block, so that it runs in its own thread (i2c_imu.c).
+ * The chips of chips.h on an I2C or SPI bus, as on a Pololu IMU 9 of any version: detects them, sets them up, reads
+ * them, and estimates when each sample was taken. Passive: clock and sleep are injected, so that tests run in simulated
+ * time. Not thread-safe; transfers block, so that it runs in its own thread (i2c_imu.c).
  *
  * Each chip samples by its own oscillator (sample_clock.h). A sample of the board has the time of a gyro sample; the
  * acceleration is interpolated to it.
  *
  * A fault of a chip is detected within 100 ms: it does not answer (20 ms), has no new samples (50 ms), is at the end of
  * its range (60 ms), or a register differs from what was written (each chip's registers are read back in turn, one in
- * 10 ms). Equal raw values are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms,
- * for the magnetometers of LSM303DLH, DLM and DLHC 140 ms, for the L3GD20H 320 ms; never in ranges with digits coarser
- * than the noise. On SPI, where
- * a chip that is not there reads as FFh or 00h, IMU_FAULT_CONFIGURATION is reported for it. Faults are derived from the data that reads return, not from how long they take: a slow machine is
+ * 10 ms). On SPI, where a chip that is gone reads as FFh or 00h, the last is what is reported then. Equal raw values
+ * are a fault when noise cannot explain them: with IMU_SETTINGS_DEFAULTS after at most 100 ms, for the magnetometers of
+ * LSM303DLH, DLM and DLHC 140 ms, for the AK09916 200 ms, for the L3GD20H 320 ms; never in ranges with digits coarser
+ * than the noise. Faults are derived from the data that reads return, not from how long they take: a slow machine is
  * not a fault. A faulty chip is initialised again after a back-off of 10 ms, 20 ms, ... 1 s. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_H
 #define DRIVERS_IMU_POLOLU_BOARD_H
@@ -92,7 +92,8 @@ struct board_plan {
 	double rate_hz; /* nominal */
 };
 
-/** Detects the chips; a magnetometer is no condition. 0, or -ENODEV or the error of the bus, and one line in `error`. */
+/** Detects the chips; a magnetometer is no condition. 0, or -ENODEV or the error of the bus, and one line in `error`.
+ */
 int board_detect(
 	struct board *board, struct i2c_bus *bus, const struct board_clock *clock, char *error, size_t error_size);
 

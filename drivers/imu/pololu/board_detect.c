@@ -63,7 +63,9 @@ static int missing(
 {
 	if (b->bus->spi)
 		snprintf(error, error_size,
-			"no %s answers on SPI: check power, wiring and chip select, and try speed=100000", what);
+			"no %s answers on SPI: name the device of each chip, check power and wiring, and try "
+			"speed=100000",
+			what);
 	else
 		snprintf(error, error_size,
 			"no %s answers at %s (%s): check power and wiring, and that no kernel driver is bound to the "

@@ -1,7 +1,7 @@
 /* drivers/imu/pololu/board_parts.h
  * Shared by the files behind board.h: board_detect.c detects the chips, board_plan.c chooses their settings, stream.c
- * initialises one chip and makes samples of its data, stream_fifo.c reads its FIFO, stream_watch.c detects its faults, board.c schedules the reads and makes samples,
- * board_self_test.c runs the self-test. */
+ * initialises one chip and makes samples of its data, stream_fifo.c reads its FIFO, stream_watch.c detects its faults,
+ * board.c schedules the reads and makes samples, board_self_test.c runs the self-test. */
 #ifndef DRIVERS_IMU_POLOLU_BOARD_PARTS_H
 #define DRIVERS_IMU_POLOLU_BOARD_PARTS_H
 
@@ -37,8 +37,8 @@ void stream_fail(struct board *board, struct stream *s, enum imu_fault fault);
 /** Reads the new samples. Their number, or -errno. */
 int stream_read(struct board *board, struct stream *s);
 enum losses { LOST_NONE, LOST_PERHAPS, LOST_SOME };
-/** Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were lost
- * before it is derived from the sample clock. */
+/** Between from_ns and to_ns the chip had `level` samples, of which the oldest is the next to be read. How many were
+ * lost before it is derived from the sample clock. */
 void stream_observe(
 	struct board *board, struct stream *s, int64_t level, enum losses losses, int64_t from_ns, int64_t to_ns);
 /** Adds the next sample. `set`: the words of the triads, six bytes each. */

@@ -1,7 +1,7 @@
 /* drivers/imu/pololu/chips.h
- * Descriptions of the chips: identity, settings and the registers for them, address and format of the data. Sources: the
- * manufacturers' data sheets, named in each chips_*.c. A device with one oscillator is one struct chip; the LSM303D,
- * whose accelerometer and magnetometer sample independently, is two. */
+ * Descriptions of the chips: identity, settings and the registers for them, address and format of the data. Sources:
+ * the manufacturers' data sheets, named in each chips_*.c. A device with one oscillator is one struct chip; the
+ * LSM303D, whose accelerometer and magnetometer sample independently, is two. */
 #ifndef DRIVERS_IMU_POLOLU_CHIPS_H
 #define DRIVERS_IMU_POLOLU_CHIPS_H
 

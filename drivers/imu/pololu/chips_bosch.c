@@ -1,5 +1,5 @@
-/* BMI270 (BST-BMI270-DS000). It measures only after a configuration file of 8192 bytes has been written to it, which its
- * manufacturer publishes. */
+/* BMI270 (BST-BMI270-DS000). It measures only after a configuration file of 8192 bytes, which its manufacturer
+ * publishes, has been written to it. */
 #include "drivers/imu/pololu/board_parts.h"
 #include "model/math/units.h"
 

@@ -79,7 +79,7 @@ const struct chip CHIP_ICM42688P = {.name = "ICM-42688-P",
 	.temperature = {0x1D, 2, 1 / 132.48, 25},
 	.registers = icm42688p};
 
-/* ---- ICM-20948: the codes are at their places in GYRO_CONFIG_1 and ACCEL_CONFIG; those of the rates divide 1125 Hz -- */
+/* ---- ICM-20948: codes at their places in GYRO_CONFIG_1 and ACCEL_CONFIG; those of the rates divide 1125 Hz ------ */
 
 static const struct chip_range GYRO_20948[] = {DPS(250, 0), DPS(500, 2), DPS(1000, 4), DPS(2000, 6), {.full_scale = 0}};
 static const struct chip_range ACCEL_20948[] = {G(2, 0), G(4, 2), G(8, 4), G(16, 6), {.full_scale = 0}};
@@ -149,7 +149,7 @@ const struct chip CHIP_ICM20948 = {.name = "ICM-20948",
 	.temperature = {0x39, 2, 1 / 333.87, 21},
 	.registers = icm20948};
 
-/* ---- AK09916: little-endian; the read of ST2 behind the data ends it ---------------------------------------------- */
+/* ---- AK09916: little-endian; the read of ST2 behind the data ends it --------------------------------------------- */
 
 static const struct chip_range FIELD_09916[] = {{4912, 0.15, 0, 0}, {.full_scale = 0}};
 static const struct chip_rate FIELD_RATES_09916[] = {
@@ -160,8 +160,8 @@ static void ak09916(const struct chip_setup *setup, struct chip_registers *out)
 	chip_put(out, 0x31, setup->rate->code); /* continuous */
 }
 
-/* Its y and z point against those of the ICM-20948. The data sheet gives no noise: a small one, so that equal values are
- * not taken for a fault too soon. */
+/* Its y and z point against those of the ICM-20948. The data sheet gives no noise: a small one, so that equal values
+ * are not taken for a fault too soon. */
 const struct chip CHIP_AK09916 = {.name = "AK09916",
 	.addresses = {0x0C},
 	.identity_at = 0x00,

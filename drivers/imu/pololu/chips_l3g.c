@@ -37,7 +37,7 @@ static void registers_h(const struct chip_setup *setup, struct chip_registers *o
 	{                                                                       \
 		(value) * RAD_PER_DEG, (value)*RAD_PER_DEG, (value)*RAD_PER_DEG \
 	}
-/* OUT_TEMP falls by a digit per degree. The data sheets give no zero: 25 degC here, so that only changes are measured. */
+/* OUT_TEMP falls by a digit per degree. The data sheets give no zero: 25 degC here; only changes are measured. */
 #define L3G(chip_name, first, second, who, rate_list, range_list, noise, least_dps, most_dps, put)             \
 	{                                                                                                      \
 		.name = (chip_name), .addresses = {first, second}, .identity_at = 0x0F, .identity = {who},     \
@@ -53,7 +53,7 @@ static void registers_h(const struct chip_setup *setup, struct chip_registers *o
 		.triad_count = 1, .temperature = {0x26, 1, -1, 25}, .registers = (put)                         \
 	}
 
-/* Self-test: the data sheet of the L3GD20H has limits at 2000 deg/s, those of the others only a typical value of 530. */
+/* Self-test: the data sheet of the L3GD20H has limits at 2000 deg/s, those of the others a typical value of 530. */
 const struct chip CHIP_L3G4200D = L3G("L3G4200D", 0x69, 0x68, 0xD3, RATES_4200, RANGES, 0.03, 40, 1500, registers);
 const struct chip CHIP_L3GD20 = L3G("L3GD20", 0x6B, 0x6A, 0xD4, RATES_20, RANGES, 0.03, 40, 1500, registers);
 const struct chip CHIP_L3GD20H = L3G("L3GD20H", 0x6B, 0x6A, 0xD7, RATES_20H, RANGES_H, 0.011, 200, 800, registers_h);

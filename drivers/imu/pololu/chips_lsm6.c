@@ -125,8 +125,8 @@ static void lsm9ds1(const struct chip_setup *setup, struct chip_registers *out)
 	chip_put(out, 0x2E, setup->fifo ? 0xC0 : 0x00); /* continuous */
 }
 
-/* The axes of gyro and accelerometer are left-handed, those of the magnetometer are not: its x points against theirs. The
- * board has x and z of the accelerometer. The data sheet gives no noise; that of the LSM6DS0, the same chip without
+/* The axes of gyro and accelerometer are left-handed, those of the magnetometer are not: its x points against theirs.
+ * The board has x and z of the accelerometer. The data sheet gives no noise; that of the LSM6DS0, the same chip without
  * magnetometer, is taken. Limits of the self-test: the manufacturer's example. */
 const struct chip CHIP_LSM9DS1 = {.name = "LSM9DS1",
 	.addresses = {0x6B, 0x6A},

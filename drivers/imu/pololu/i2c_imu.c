@@ -14,7 +14,7 @@
 
 static const char FIRMWARE[] = "/lib/firmware/bmi270-init-data.fw"; /* as the kernel's driver names it */
 
-enum { NS_PER_S = 1000000000, HANGS_US = 300000, SIMULATED_US = 10000000 };
+enum { NS_PER_S = 1000000000, HANGS_US = 300000, LOADS_US = 3000000, SIMULATED_US = 10000000 };
 
 struct i2c_imu {
 	struct imu_thread thread;
@@ -118,10 +118,10 @@ static int make_plan(struct i2c_imu *imu, const struct imu_settings *settings, s
 }
 
 /* The thread reports faults of the bus itself. The port's silence is the limit for a hanging thread, and tolerates a
- * slow machine. */
+ * slow machine, and the time that a chip's configuration file takes on a slow bus. */
 static void use_rate(struct i2c_imu *imu, double rate_hz)
 {
-	uint64_t hangs_us = imu->config.simulated ? SIMULATED_US : HANGS_US;
+	uint64_t hangs_us = imu->config.simulated ? SIMULATED_US : imu->firmware ? LOADS_US : HANGS_US;
 	struct imu_port *port = &imu->thread.port;
 
 	source_use_rate(port, rate_hz);

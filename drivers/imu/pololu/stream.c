@@ -91,7 +91,7 @@ int stream_expected(const struct chip_registers *list, size_t i)
 int stream_verify(struct board *b, const struct stream *s, size_t i)
 {
 	int value = stream_expected(&s->registers, i), result;
-	uint8_t byte;
+	uint8_t byte = 0;
 
 	if (value < 0)
 		return 0;
@@ -277,7 +277,7 @@ static int read_registers(struct board *b, struct stream *s)
 	const struct chip *chip = s->chip;
 	const size_t offset = (uint8_t)(chip->data - chip->status);
 	const bool together = chip->data > chip->status && offset + chip->data_size <= I2C_BLOCK_MAX;
-	uint8_t bytes[1 + I2C_BLOCK_MAX], *data = bytes + (together ? offset : 1), set[CHIP_SET];
+	uint8_t bytes[1 + I2C_BLOCK_MAX] = {0}, *data = bytes + (together ? offset : 1), set[CHIP_SET];
 	int64_t from_ns = board_read_clock(b), to_ns;
 	bool fresh;
 	int result = board_read_chip(b, chip, s->address, chip->status, bytes, together ? offset + chip->data_size : 1);

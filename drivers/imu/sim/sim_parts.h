@@ -1,6 +1,6 @@
 /* drivers/imu/sim/sim_parts.h
- * Shared by the files behind sim_chips.h: sim_registers.c knows what the registers of each chip mean, sim_chips.c samples,
- * fills the FIFOs and answers on the bus. */
+ * Shared by the files behind sim_chips.h: sim_registers.c knows what the registers of each chip mean, sim_chips.c
+ * samples, fills the FIFOs and answers on the bus. */
 #ifndef DRIVERS_IMU_SIM_SIM_PARTS_H
 #define DRIVERS_IMU_SIM_SIM_PARTS_H
 
