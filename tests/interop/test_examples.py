@@ -1,6 +1,7 @@
 """The examples of tools/examples, on a real bus against a running gateway."""
 import importlib.util
 import math
+import os
 import re
 import struct
 import subprocess
@@ -24,6 +25,24 @@ def tilted_log():
         push = 1.5 if i >= 50 else 0
         rows.append("%.2f,0,0,0,%g,1.5,9.3,20,-8,-40" % (i / 100, -2.5 + push))
     return rig.written("\n".join(rows) + "\n", ".imu.csv")
+
+
+class RobotCi(unittest.TestCase):
+    def run_beside(self, command, **settings):
+        environment = dict(os.environ, IMU9_CAN=rig.BUS, IMU9_NODE="21", PATH="%s:%s" % (rig.BUILD, os.environ["PATH"]),
+                           **settings)
+        return subprocess.run([EXAMPLES / "robot-ci", "sh", "-c", command], env=environment, capture_output=True,
+                              text=True, timeout=60)
+
+    def test_a_command_reaches_the_gateway_and_its_status_is_returned(self):
+        done = self.run_beside("imu9-sdo -q read 0x1000 && exit 7")
+        self.assertEqual((done.returncode, done.stdout.strip()), (7, str(0x0004019A)), done.stderr)
+        self.assertIn("stopping on SIGTERM", done.stderr)
+
+    def test_a_wrong_sensor_is_told_and_the_command_not_run(self):
+        done = self.run_beside("echo run", SENSOR="crystal")
+        self.assertEqual((done.returncode, done.stdout), (1, ""))
+        self.assertIn("crystal", done.stderr)
 
 
 class PlcExample(unittest.TestCase):
