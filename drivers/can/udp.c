@@ -449,6 +449,10 @@ static void explain(int result, const char *address, const char *bad, char *erro
 			"bad bus 'udp:%s': use udp[:GROUP[:PORT]][,OPTION] with a multicast group, e.g. "
 			"udp:" CAN_UDP_GROUP ":" CAN_UDP_PORT " or udp:[ff15::1]:" CAN_UDP_PORT,
 			address);
+	else if (result == -EAFNOSUPPORT)
+		snprintf(error, error_size,
+			"cannot open bus 'udp:%s': IP is not permitted here: a service needs the drop-in udp.conf",
+			address);
 	else
 		snprintf(error, error_size,
 			"cannot open bus 'udp:%s': %s: check that this host has a network interface with multicast",

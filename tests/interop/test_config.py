@@ -91,6 +91,15 @@ class Reload(ARunningGateway):
         self.assertNotIn("NMT state: operational", self.gateway.log)
 
 
+class Libraries(ARunningGateway):
+    def test_libiio_and_what_it_needs_are_loaded_for_iio_only(self):
+        self.start()
+        with open("/proc/%d/maps" % self.gateway.process.pid) as maps:
+            loaded = maps.read()
+        self.assertIn("libc.so", loaded)
+        self.assertNotRegex(loaded, "libiio|libxml2|libicu|libavahi|libdbus|libsystemd")
+
+
 class Service(ARunningGateway):
     """A service manager with a watchdog of half a second, as the environment of sd_notify(3) tells it."""
 

@@ -25,7 +25,7 @@ _imu9() {
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
 	if [[ $word == -* ]]; then
-		COMPREPLY=($(compgen -W "$("$program" --help 2>/dev/null | grep -oE '(^|[ ,])--[a-z][a-z-]*')" -- "$word"))
+		COMPREPLY=($(compgen -W "$("$program" --help 2>/dev/null | grep -oE '(^|[ ,])--[a-z][a-z-]*' | sort -u)" -- "$word"))
 		return
 	fi
 	case ${program##*/} in
