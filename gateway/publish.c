@@ -183,6 +183,9 @@ unsigned publish_sample(struct od *od, const struct pipeline_output *out, uint16
 	PUBLISH_REAL32(v->displacement_sigma, out->displacement_sigma_m, x, y, z);
 	PUBLISH_REAL32(v->gyro_errors, vec3_scale(DEG_PER_RAD, out->gyro_errors.bias_b_rad_s), bias_l, bias_s, bias_t);
 	PUBLISH_REAL32(v->gyro_errors, vec3_scale(100, out->gyro_errors.scale_b), scale_l, scale_s, scale_t);
+	v->sensor_state.vibration = (float)out->vibration_m_s2;
+	v->sensor_state.clipped_accelerometer = out->clipped_accel;
+	v->sensor_state.clipped_gyro = out->clipped_gyro;
 	v->latency.acceleration_filter = (float)out->accel_delay_s;
 
 	PUBLISH_SCALED(v->acceleration, out->accel_b_m_s2, acceleration_lsb_m_s2, l, s, t);

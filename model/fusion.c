@@ -219,6 +219,8 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 		.rest = f->resting,
 		.steady_s = f->steady_s,
 		.saturated = sample->flags & SAMPLE_SATURATED,
+		.force_noise_m2_s4 = f->force_noise_m2_s4,
+		.force_error_m_s2 = f->force_error_m_s2,
 		.gap = is_gap(f, dt_s),
 	};
 

@@ -58,6 +58,7 @@ struct fusion {
 	struct vec3 last_gyro_b_rad_s;
 	bool started, north_known, mag_used, resting;
 	double steady_s;
+	double force_noise_m2_s4, force_error_m_s2; /* of the next sample, see fusion_kalman_sample */
 };
 
 /** 0, or -EINVAL with *f untouched: a field out of its range. */
@@ -122,6 +123,12 @@ static inline bool fusion_field_disagrees(const struct fusion *f)
 {
 	return f->config.use_magnetometer && f->config.algorithm == FUSION_KALMAN &&
 	       fusion_kalman_field_disagrees(&f->kalman);
+}
+
+/** The force is more wrong than the accelerometer as calibrated, by 0.1 m/s^2 or more; FUSION_KALMAN only. */
+static inline bool fusion_force_doubted(const struct fusion *f)
+{
+	return f->config.algorithm == FUSION_KALMAN && fusion_kalman_force_doubted(&f->kalman);
 }
 
 /** The last step used a magnetometer measurement. */

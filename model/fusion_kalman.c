@@ -79,6 +79,21 @@ static const double STEADY_VELOCITY_M_S = 3;
 /* rad/s/sqrt(Hz), of the gyro at rest: the density in datasheets (L3GD20: 0.03 deg/s/sqrt(Hz)). */
 static const double REST_GYRO_NOISE = 0.03 * RAD_PER_DEG;
 
+/* s, correlation time of the errors of vibration and clipping. By judgement: the beat of a vibration against the samples. */
+static const double FORCE_ERROR_S = 4;
+/* Sigmas of the mean force at rest, or of the velocity, beyond which the force is wrong. Convention. */
+static const double CONTRADICTS = 3, FAST = 2;
+/* s, for which a motion has no constant acceleration, unless it turns faster than this. By judgement: a lever arm of a metre
+ * has 0.04 m/s^2 then. */
+static const double STEADY_S = 1, STEADY_TURN_RAD_S = 0.2;
+/* m/s^2, 1 sigma of the mean force of a second at rest. By judgement: slow motion of the support. */
+static const double STEADY_FORCE_M_S2 = 0.02;
+/* s, for which the first attitude is not independent of the accelerometer. By judgement: two memories of the velocity. */
+static const double YOUNG_S = 6;
+/* s, for which, and m/s^2, by which the mean length of the force may differ when its direction shows that the tilt is lost. By judgement: a hand
+ * in fast motion. */
+static const double LOST_S = 3, LOST_LENGTH_M_S2 = 3;
+
 /* ---- bias at rest ---- */
 
 /* s, over which the rate is averaged before it counts as bias, once the next mean agrees with it: a motion that begins
@@ -102,6 +117,11 @@ static const double MEAN_LENGTH_S = 10, MEAN_LENGTH_LEAST_S = 0.5;
 static const double UNCALIBRATED_M_S2 = 0.2;
 /* m/s^2, by which it may differ at rest: three sigma of the calibration. */
 static const double UNCALIBRATED_AT_REST_M_S2 = 0.09;
+/* s, memory of that mean while it is further off than any calibration explains, so that it ends soon after the vibration. */
+static const double SHORT_MEMORY_S = 2;
+/* m/s^2, by which a mean length differs that no calibration explains: vibration beyond the sensor's bandwidth or range. By
+ * judgement: data sheets have 3 % of scale and 80 mg of offset. */
+static const double VIBRATES_M_S2 = 1;
 /* m/s^2, of gravity: half a percent of error on Earth, which START_ACCEL_M_S2 covers. */
 static const double GRAVITY_M_S2 = 9.81;
 
@@ -252,8 +272,9 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
+	k->accel_variance = squared(START_ACCEL_M_S2);
 	for (int i = ACCEL; i < ACCEL + 3; i++)
-		set_variance(k, i, squared(START_ACCEL_M_S2));
+		set_variance(k, i, k->accel_variance);
 	k->mean_force_s = k->since_start_s = 0;
 	k->has_moved = false;
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
@@ -331,6 +352,22 @@ static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 	kalman_add_rows(STATES, p, VELOCITY, 2, -1, k->sums.rotation_s[0], ACCEL);
 }
 
+/* What exceeds the accelerometer's error as calibrated is a Gauss-Markov process. */
+static void forget_force_error(struct fusion_kalman *k, double t)
+{
+	double kept = exp(-t / FORCE_ERROR_S);
+
+	for (int i = ACCEL; i < ACCEL + 3; i++) {
+		double variance = k->covariance[i][i];
+
+		if (variance < 1.001 * k->accel_variance)
+			continue;
+		for (int j = 0; j < STATES; j++)
+			k->covariance[j][i] = k->covariance[i][j] *= kept;
+		k->covariance[i][i] = squared(kept) * variance + (1 - squared(kept)) * k->accel_variance;
+	}
+}
+
 /* P = F P F^T + Q over the samples since the last correction. P is symmetric, so F (F P)^T = F P F^T. */
 static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
@@ -343,6 +380,11 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 	propagate_rows(k, force);
 	kalman_transpose(STATES, k->covariance[0]);
 	propagate_rows(k, force);
+	if (!k->doubted)
+		forget_force_error(k, t);
+	k->doubted = false;
+	for (int i = VELOCITY; i < VELOCITY + 2; i++)
+		k->covariance[i][i] += k->sums.force_noise_m2_s2;
 	for (int i = 0; i < 3; i++) {
 		k->covariance[i][i] += turn_noise;
 		k->covariance[BIAS + i][BIAS + i] += t * squared(config->bias_walk_rad_s_sqrt_s);
@@ -363,6 +405,52 @@ static void measure(struct fusion_kalman *k, double *error, int i, double measur
 	kalman_update(STATES, estimated, k->covariance[0], error, ph, innovation, innovation_variance);
 }
 
+static void widen_attitude(struct fusion_kalman *k, double force2_m2_s4)
+{
+	double variance = fmin(1, force2_m2_s4 / squared(GRAVITY_M_S2));
+
+	for (int i = 0; i < HEADING; i++)
+		k->covariance[i][i] = fmax(k->covariance[i][i], variance);
+	if (k->north_from_field)
+		k->covariance[HEADING][HEADING] =
+			fmax(k->covariance[HEADING][HEADING], squared(HEADING_BY_TILT) * variance);
+}
+
+/* The error of the force is at least this, each axis. It stays as it is while that holds, and what exceeds the error as
+ * calibrated ends with FORCE_ERROR_S. A young attitude rests on that force. */
+static void doubt_force(struct fusion_kalman *k, double variance)
+{
+	for (int i = ACCEL; i < ACCEL + 3; i++)
+		k->covariance[i][i] = fmax(k->covariance[i][i], variance);
+	k->doubted |= variance > k->accel_variance;
+	if (k->since_start_s < YOUNG_S)
+		widen_attitude(k, variance);
+}
+
+/* Nothing moves so for long: a constant force without a turn. */
+static bool is_steady(const struct fusion_kalman *k)
+{
+	return k->sums.steady_s > STEADY_S &&
+	       k->sums.turned_rad2_s < squared(STEADY_TURN_RAD_S) * k->sums.time_s;
+}
+
+/* The mean force differs from gravity by more than attitude and accelerometer can be wrong by: at rest by itself, in motion
+ * when its velocity is beyond all that was expected. So it is wrong by as much. */
+static void doubt_mean_force(
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, double velocity2, bool rest)
+{
+	double(*c)[STATES] = k->covariance;
+	double off2 = squared(k->mean_force_n_m_s2.x) + squared(k->mean_force_n_m_s2.y);
+	double variance = squared(GRAVITY_M_S2) * (c[0][0] + c[1][1]) + c[ACCEL][ACCEL] + c[ACCEL + 1][ACCEL + 1] +
+			  squared(STEADY_FORCE_M_S2);
+
+	k->velocity2_m2_s2 += k->sums.time_s / (SPREAD_TIME_S + k->sums.time_s) * (velocity2 - k->velocity2_m2_s2);
+	if (rest || is_steady(k) ? off2 < squared(CONTRADICTS) * variance
+		 : k->velocity2_m2_s2 < 2 * squared(FAST * config->velocity_sigma_m_s))
+		return;
+	doubt_force(k, off2);
+}
+
 static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	struct vec3 lever_n_m_s, bool rest, double *error)
 {
@@ -373,6 +461,7 @@ static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman
 	k->spread_m2_s2 += share * ((x * x + y * y) / 2 - k->spread_m2_s2);
 	k->spread_m2_s2 = fmin(most, fmax(k->spread_m2_s2, squared(LEAST_SPREAD) * most));
 	variance = rest ? squared(REST_VELOCITY_M_S) : 2 * VELOCITY_TIME_S / k->sums.time_s * k->spread_m2_s2;
+	doubt_mean_force(k, config, x * x + y * y, rest);
 	measure(k, error, VELOCITY, -x, variance);
 	measure(k, error, VELOCITY + 1, -y, variance);
 }
@@ -478,20 +567,28 @@ static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_
 }
 
 /* What the mean length of the force lacks to gravity is the accelerometer's error: motion can only add to it. At rest an
- * excess is, too. In motion it is that of one direction of many: the mean square of a vector is three times that of a part. */
+ * excess is, too. In motion it is that of one direction of many: the mean square of a vector is three times that of a part.
+ * While vibration falsifies the force, its length shows nothing else; beyond what calibrations lack, it shows vibration: an
+ * error across gravity makes it longer by its square only. */
 static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 {
-	double length = vec3_norm(k->sums.force_n_m_s) / k->sums.time_s, off;
+	double length = vec3_norm(k->sums.force_n_m_s) / k->sums.time_s, off, least = VIBRATES_M_S2;
 
 	k->mean_force_s = fmin(k->mean_force_s + k->sums.time_s, MEAN_LENGTH_S);
 	if (k->mean_force_s == k->sums.time_s)
 		k->mean_force_m_s2 = length;
 	k->mean_force_m_s2 += k->sums.time_s / k->mean_force_s * (length - k->mean_force_m_s2);
 	off = (GRAVITY_M_S2 - k->mean_force_m_s2) * fmin(1, k->mean_force_s / MEAN_LENGTH_LEAST_S);
-	if (rest ? fabs(off) < UNCALIBRATED_AT_REST_M_S2 : off < UNCALIBRATED_M_S2)
-		return;
+	if (k->covariance[ACCEL][ACCEL] > 1.01 * k->accel_variance)
+		least = UNCALIBRATED_AT_REST_M_S2;
+	if (fabs(off) > least && (rest || is_steady(k))) {
+		doubt_force(k, squared(off) + (off < 0 ? -2 * GRAVITY_M_S2 * off : 0));
+		k->mean_force_s = fmin(k->mean_force_s, SHORT_MEMORY_S);
+	} else if (least == VIBRATES_M_S2 &&
+		   (rest ? fabs(off) > UNCALIBRATED_AT_REST_M_S2 : off > UNCALIBRATED_M_S2))
+		k->accel_variance = fmax(k->accel_variance, (rest ? 1 : 3) * squared(off));
 	for (int i = ACCEL; i < ACCEL + 3; i++)
-		k->covariance[i][i] = fmax(k->covariance[i][i], (rest ? 1 : 3) * squared(off));
+		k->covariance[i][i] = fmax(k->covariance[i][i], k->accel_variance);
 }
 
 struct field {
@@ -759,7 +856,15 @@ static bool reinitialise_lost_tilt(struct fusion_kalman *k, const struct fusion_
 	*mean = vec3_add(
 		*mean, vec3_scale(k->sums.time_s / (MEAN_FORCE_TIME_S + k->sums.time_s), vec3_sub(now, *mean)));
 	length = vec3_norm(*mean);
-	if (!(mean->z < cos(LOST_TILT_RAD) * length))
+	if (mean->z >= cos(LOST_TILT_RAD) * length)
+		k->lost_s = 0;
+	else
+		k->lost_s += k->sums.time_s;
+	if (k->lost_s == 0)
+		return false;
+	if (k->since_start_s > YOUNG_S && (k->lost_s < LOST_S || fabs(k->mean_force_m_s2 - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
+						  fabs(length - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
+						  k->sums.force_error_m_s2 > VIBRATES_M_S2))
 		return false;
 	angle = acos(fmax(-1, mean->z / length));
 	axis = (struct vec3){mean->y, -mean->x, 0};
@@ -785,6 +890,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	doubt_bias(k, gyro_errors->bias_b_rad_s);
 	rest = is_resting(k, steady, gyro_errors->bias_b_rad_s);
 	observe_accelerometer(k, rest);
+	doubt_force(k, squared(k->sums.force_error_m_s2));
 	for (int i = VELOCITY; i < VELOCITY + 2 && rest && !k->resting; i++)
 		set_variance(k, i, squared(STEADY_VELOCITY_M_S));
 	k->resting = rest;
@@ -927,6 +1033,8 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->sums.rest_s += s->rest ? dt_s : 0;
 	k->sums.steady_s = s->steady_s;
 	k->sums.unmeasured_turn_rad += s->saturated ? SATURATED_SHARE * dt_s * vec3_norm(s->rate_b_rad_s) : 0;
+	k->sums.force_noise_m2_s2 += squared(dt_s) * s->force_noise_m2_s4;
+	k->sums.force_error_m_s2 = fmax(k->sums.force_error_m_s2, s->force_error_m_s2);
 	use_field(k, config, s, dt_s, q_nb);
 	k->sums.time_s += dt_s;
 	if (k->sums.time_s < CORRECTION_S)

@@ -104,6 +104,8 @@ enum {
 struct fusion_kalman_sums {
 	double time_s, rest_s;		     /* and how much of it the object was at rest */
 	double turned_rad2_s;		     /* of the squared rate */
+	double force_noise_m2_s2;	     /* variance of the velocity by white noise of the force */
+	double force_error_m_s2;	     /* the largest of the samples */
 	double unmeasured_turn_rad;	     /* 1 sigma of the turn that a saturated gyro did not measure */
 	double rotation_s[3][3];	     /* of the rotation matrix object -> global */
 	double rotation_rate_rad[3][3];	     /* of its columns times the rates about the object's axes */
@@ -138,6 +140,10 @@ struct fusion_kalman {
 	bool turning;					   /* that one differs from the bias by more than its sigma */
 	double since_start_s;
 	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */
+	double accel_variance;		      /* of the accelerometer's error, m^2/s^4, without that of vibration */
+	bool doubted;			      /* it is larger now */
+	double velocity2_m2_s2;		      /* mean square of the measured velocity */
+	double lost_s;			      /* for how long the mean force has been far from the vertical */
 	/* the field's reference, and the candidate that may replace it */
 	double norm_uT, dip_rad, reference_s; /* norm 0: no reference; reference_s: time of fields behind it, limited */
 	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
@@ -193,7 +199,10 @@ struct fusion_kalman_sample {
 	struct vec3 force_b_m_s2;		/* specific force; 0: none */
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
-	bool rest, saturated;
+	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample, and 1
+	 * sigma of what stays the same for seconds */
+	double force_noise_m2_s4, force_error_m_s2;
+	bool rest, saturated; /* saturated: the gyro */
 	bool gap;	 /* samples are missing before this one: the velocity is unknown */
 	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
@@ -202,6 +211,11 @@ struct fusion_kalman_sample {
 static inline bool fusion_kalman_field_disagrees(const struct fusion_kalman *k)
 {
 	return k->hard_iron.disagrees;
+}
+/** The error of the force exceeds that of the calibration by a 1 sigma of 0.1 m/s^2 (0.6 degrees of tilt). */
+static inline bool fusion_kalman_force_doubted(const struct fusion_kalman *k)
+{
+	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + 0.01;
 }
 /** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used. */
 double fusion_kalman_heading_variance(const struct fusion_kalman *k);

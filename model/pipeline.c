@@ -57,6 +57,13 @@ static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
 /* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after
  * which the derivative of the rates has settled. By judgement. */
 static const double START_SHARE_M_S2 = 2, START_WAIT_S = 0.05, START_WAIT_INTERVALS = 5;
+/* m/s^2, by which the first force may differ from gravity; beyond that the mean over s is the first attitude. By judgement:
+ * what a hand or a lever arm adds, and some periods of a vibration. */
+static const double START_OFF_M_S2 = 5, START_MEAN_S = 0.5;
+/* m/s^2: a smaller force shows no vertical. */
+static const double FALLS_M_S2 = 0.5;
+/* rad, 1 sigma of the tilt beyond which it is not valid. By judgement: an angle of three sigma is upside down. */
+static const double TILT_UNKNOWN_RAD = PI / 6;
 /* Hz, bandwidth of the derivative by which the acceleration is extrapolated over its latency. By judgement: four times
  * that of quick hand movements (15 Hz), so that its own phase error does not matter. */
 static const double CHANGE_CUTOFF_HZ = 60;
@@ -277,11 +284,14 @@ static void start_over(struct pipeline *p)
 	struct calibration calibration = p->calibration;
 	struct smoother *smoother = p->position.navigation.smoother;
 	struct pipeline_output last_good = p->last_good;
+	struct vibration counted = {
+		.clipped_accel = p->vibration.clipped_accel, .clipped_gyro = p->vibration.clipped_gyro};
 	uint32_t gaps = p->gaps, refused = p->refused, implausible = p->implausible;
 
 	pipeline_init(p, &p->config, p->rate_hz);
 	p->calibration = calibration; /* with the last temperature */
 	p->last_good = last_good;
+	p->vibration = counted;
 	p->gaps = gaps;
 	p->refused = refused;
 	p->implausible = implausible;
@@ -297,17 +307,39 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 	return !p->started || (s->flags & SAMPLE_DISCONTINUITY) || s->t_us > p->last_t_us;
 }
 
+/* The mean force of the samples so far, in the present axes. */
+static void follow_start_force(struct pipeline *p, const struct imu_sample *s, double dt_s)
+{
+	struct vec3 before = quat_rotate_inverse(
+		quat_from_rotation_vector(vec3_scale(dt_s, s->gyro_rad_s)), p->start_force_b_m_s2);
+	bool falls = vec3_norm(s->accel_m_s2) < FALLS_M_S2;
+
+	p->starting_s = p->primed ? p->starting_s + dt_s : 0;
+	p->start_samples = p->primed && !falls ? p->start_samples + 1 : !falls;
+	p->start_force_b_m_s2 =
+		vec3_add(before, vec3_scale(1 / fmax(1, p->start_samples), vec3_sub(s->accel_m_s2, before)));
+}
+
 /* The first attitude takes what the accelerometer shows for up. When a known lever arm's share is large, it is taken off
- * before. False: the angular acceleration, which that needs, is not known yet. */
+ * before, and when the force is far from gravity, it is averaged. False: the angular acceleration, or the mean, which that
+ * needs, is not known yet. */
 static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s)
 {
 	const struct body_rates *rates = &p->rates.out[RATES_FROM_GYRO];
 	struct vec3 arm = p->config.estimator.lever_arm_b_m;
 
-	p->turning_s = p->primed ? p->turning_s + dt_s : 0;
-	if (vec3_dot(s->gyro_rad_s, s->gyro_rad_s) * vec3_norm(arm) < START_SHARE_M_S2)
-		return true;
-	if (p->turning_s < fmax(START_WAIT_S, START_WAIT_INTERVALS / p->rate_hz))
+	follow_start_force(p, s, dt_s);
+	if (vec3_dot(s->gyro_rad_s, s->gyro_rad_s) * vec3_norm(arm) < START_SHARE_M_S2) {
+		double off = vec3_norm(s->accel_m_s2) - p->config.estimator.gravity_m_s2;
+
+		if (p->start_samples == 0)
+			return false;
+		if (p->start_samples == 1 && fabs(off) < START_OFF_M_S2)
+			return true;
+		s->accel_m_s2 = p->start_force_b_m_s2;
+		return p->starting_s >= START_MEAN_S;
+	}
+	if (p->starting_s < fmax(START_WAIT_S, START_WAIT_INTERVALS / p->rate_hz))
 		return false;
 	s->accel_m_s2 = vec3_sub(s->accel_m_s2, rigid_lever_arm(s->gyro_rad_s, rates->alpha_b_rad_s2, arm));
 	return true;
@@ -318,10 +350,17 @@ static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
 	bool north_known = fusion_north_known(&p->fusion), rest;
-	struct imu_sample first = *s;
+	struct imu_sample used = *s; /* its flag says that the gyro is saturated */
 
-	if (!p->primed)
+	if (!p->primed) {
 		rest_restart(&p->rest);
+		vibration_skip(&p->vibration);
+	}
+	vibration_step(&p->vibration, s->accel_m_s2, s->gyro_rad_s, s->flags & SAMPLE_SATURATED, dt_s);
+	p->fusion.force_noise_m2_s4 = p->vibration.force_noise_m2_s4;
+	p->fusion.force_error_m_s2 = p->vibration.force_error_m_s2;
+	if (!p->vibration.gyro_clipped)
+		used.flags &= ~(unsigned)SAMPLE_SATURATED;
 	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s) &&
 	       !navigation_accelerates(&p->position.navigation);
 	p->fusion.steady_s = p->rest.still_s;
@@ -333,11 +372,11 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		p->mag_b_uT = s->mag_uT;
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
 		fusion_restart(&p->fusion);
-	if (!fusion_started(&p->fusion) && ready_to_start(p, &first, dt_s)) {
-		fusion_step(&p->fusion, &first, dt_s);
+	if (!fusion_started(&p->fusion) && ready_to_start(p, &used, dt_s)) {
+		fusion_step(&p->fusion, &used, dt_s);
 		p->primed = false; /* until now there was no global frame */
 	} else if (fusion_started(&p->fusion)) {
-		fusion_step(&p->fusion, s, dt_s);
+		fusion_step(&p->fusion, &used, dt_s);
 	}
 	p->north_found = fusion_north_known(&p->fusion) && !north_known;
 	if (p->north_found)
@@ -479,12 +518,16 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 
 static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 {
-	return (fusion_started(&p->fusion) ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
+	struct vec3 variance = fusion_variance(p);
+	bool known = fusion_started(&p->fusion) && fmax(variance.x, variance.y) < TILT_UNKNOWN_RAD * TILT_UNKNOWN_RAD;
+
+	return (known ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
 	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u) |
 	       (navigation_assumes_standstill(&p->position.navigation) ? PIPELINE_ASSUMED : 0u) |
-	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u);
+	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u) |
+	       (p->vibration.lately || fusion_force_doubted(&p->fusion) ? PIPELINE_VIBRATION : 0u);
 }
 
 static double root_of_sum(double sigma, double more)
@@ -623,6 +666,9 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.displacement_sigma_m = p->position.displacement_sigma_m,
 		.sigma = with_acceleration(p, rates->omega_b_rad_s, accel),
 		.gyro_errors = p->fusion.gyro_errors,
+		.vibration_m_s2 = p->vibration.rms_m_s2,
+		.clipped_accel = p->vibration.clipped_accel,
+		.clipped_gyro = p->vibration.clipped_gyro,
 		.accel_delay_s = p->accel_delay_s,
 		.status = status_of(p, rest, gap),
 	};

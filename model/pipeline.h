@@ -23,6 +23,7 @@
 #include "model/rates.h"
 #include "model/rest.h"
 #include "model/sample.h"
+#include "model/vibration.h"
 
 /** The latency of a sensor: by how much its samples are older than their time stamps, because of its low-pass and its
  * buffers. */
@@ -66,6 +67,8 @@ enum {
 	PIPELINE_UNSURE = 1 << 5,     /* 1 sigma of the position exceeds its limit */
 	PIPELINE_ASSUMED = 1 << 6,    /* a standstill is assumed against the estimated velocity */
 	PIPELINE_DISAGREES = 1 << 7,  /* the magnetic field does not turn as the gyro says, and is not used */
+	/* bits 8 to 13 are the gateway's (gateway/status.h) */
+	PIPELINE_VIBRATION = 1 << 14, /* vibration or clipping falsifies the force, and the sigmas are larger */
 };
 
 struct pipeline_output {
@@ -87,7 +90,10 @@ struct pipeline_output {
 	struct vec3 displacement_n_m, displacement_sigma_m;
 	struct navigation_sigma sigma;
 	struct gyro_errors gyro_errors; /* estimated by the fusion, and taken off the rates */
-	double accel_delay_s;		/* of the acceleration filter, by which the accelerations are older than t_us */
+	/* vibration of the specific force (RMS), and samples at the end of the sensors' ranges (model/vibration.h) */
+	double vibration_m_s2;
+	uint32_t clipped_accel, clipped_gyro;
+	double accel_delay_s; /* of the acceleration filter, by which the accelerations are older than t_us */
 	unsigned status;
 };
 
@@ -106,12 +112,16 @@ struct pipeline {
 	struct auto_correction auto_correction, auto_change;
 	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
+	struct vibration vibration;
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
 	bool started;	  /* there is a sample before this one */
 	bool primed;	  /* and the filters may continue from it */
-	double turning_s; /* before the first attitude: since the filters began */
+	/* before the first attitude: since the filters began, and the mean force of these samples */
+	double starting_s;
+	int start_samples;
+	struct vec3 start_force_b_m_s2;
 	bool north_found; /* with the last sample */
 	struct vec3 mag_b_uT;
 	double since_mag_s;

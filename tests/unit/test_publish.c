@@ -58,6 +58,20 @@ static void test_position_has_16_and_32_bit_objects_of_the_same_unit(void **stat
 	assert_int_equal(values.position_output.y32, -40000);
 }
 
+static void test_vibration_and_clipped_samples_are_objects_and_a_status_bit(void **state)
+{
+	(void)state;
+	out.vibration_m_s2 = 2.5;
+	out.clipped_accel = 7;
+	out.clipped_gyro = 3;
+	out.status |= PIPELINE_VIBRATION;
+	publish_sample(&od, &out, 0);
+	assert_true(values.sensor_state.vibration == 2.5f);
+	assert_int_equal(values.sensor_state.clipped_accelerometer, 7);
+	assert_int_equal(values.sensor_state.clipped_gyro, 3);
+	assert_int_equal(values.sample.status, PIPELINE_VALID | 1 << 14);
+}
+
 static void test_a_value_that_does_not_fit_saturates_and_sets_its_status_bit(void **state)
 {
 	(void)state;
@@ -147,6 +161,7 @@ int main(void)
 		TEST(test_acceleration_is_rounded_to_the_nearest_unit_of_2110h_1),
 		TEST(test_angles_are_in_units_of_6000h),
 		TEST(test_position_has_16_and_32_bit_objects_of_the_same_unit),
+		TEST(test_vibration_and_clipped_samples_are_objects_and_a_status_bit),
 		TEST(test_a_value_that_does_not_fit_saturates_and_sets_its_status_bit),
 		TEST(test_counter_and_time_wrap),
 		TEST(test_a_lost_sensor_clears_the_valid_bit_and_keeps_the_values),

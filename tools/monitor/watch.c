@@ -399,6 +399,7 @@ void watch_status_text(unsigned int status, char *text, size_t capacity)
 		{PIPELINE_UNSURE, "position-unsure"},
 		{PIPELINE_ASSUMED, "standstill-assumed"},
 		{PIPELINE_DISAGREES, "field-disagrees"},
+		{PIPELINE_VIBRATION, "vibration"},
 		{STATUS_SATURATED, "saturated"},
 		{STATUS_SENSOR_LOST, "sensor-lost"},
 		{STATUS_SENSOR_FAULT, "sensor-fault"},
