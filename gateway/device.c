@@ -21,14 +21,42 @@ static void on_configuration_changed(void *ctx, const struct od_entry *entry)
 	d->configuration_changed = true;
 }
 
+static struct pipeline_config configuration(struct device *d, const struct od_values *values)
+{
+	struct pipeline_config config = settings_pipeline(values);
+
+	config.uncalibrated = settings_uncalibrated(values, d->imu->uncalibrated);
+	return config;
+}
+
+/* Says once which sensors nobody calibrated. */
+static void tell_uncalibrated(struct device *d)
+{
+	unsigned bits = d->pipeline.config.uncalibrated;
+
+	d->values.sensor_state.uncalibrated = (uint8_t)bits;
+	if (bits == d->uncalibrated)
+		return;
+	d->uncalibrated = bits;
+	if (bits)
+		event_log_line(&d->log, d->now_us,
+			"never calibrated:%s%s%s; the sigmas are those of data sheets: see imu9-calibrate, or 2055h",
+			bits & PIPELINE_UNCALIBRATED_GYRO ? " gyro" : "",
+			bits & PIPELINE_UNCALIBRATED_ACCEL ? " accelerometer" : "",
+			bits & PIPELINE_UNCALIBRATED_MAG ? " magnetometer" : "");
+	else
+		event_log_line(&d->log, d->now_us, "all sensors are calibrated");
+}
+
 /* Between two samples, all or nothing: an inconsistent configuration leaves the previous one in use. */
 static bool apply_configuration(struct device *d)
 {
-	struct pipeline_config config = settings_pipeline(&d->values);
+	struct pipeline_config config = configuration(d, &d->values);
 
 	d->configuration_changed = false;
 	if (pipeline_configure(&d->pipeline, &config) < 0)
 		return false;
+	tell_uncalibrated(d);
 	canopen_error_clear(&d->canopen, EMCY_CONFIGURATION, d->now_us);
 	return true;
 }
@@ -115,12 +143,12 @@ void device_saved(struct device *d, int result, uint64_t now_us)
  * are corrected; EMCY 6320h reports it with the first sample. */
 static int start_pipeline(struct device *d)
 {
-	struct pipeline_config config = settings_pipeline(&d->values);
+	struct pipeline_config config = configuration(d, &d->values);
 	int rc = pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
 
 	if (rc < 0) {
 		d->configuration_changed = true;
-		config = settings_pipeline(&d->storing.base);
+		config = configuration(d, &d->storing.base);
 		rc = pipeline_init(&d->pipeline, &config, d->imu->rate_hz);
 	}
 	if (rc == 0)
@@ -151,6 +179,7 @@ static void on_reset(void *ctx, enum od_group group)
 	sensor_watch_apply(&d->sensor_watch);
 	sensor_watch_reset(&d->sensor_watch);
 	(void)start_pipeline(d); /* cannot fail: the values of file and command line were valid at the start */
+	tell_uncalibrated(d);
 	aids_reset(&d->aids);
 	d->angle_filter = (struct angle_filter){0};
 	/* persistent faults are detected and reported again */
@@ -289,6 +318,7 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 	event_log_start(&d->log, now_us);
 	event_log_add(&d->log, now_us, "started with node-ID %u on %s, IMU %s", d->storing.node_id, d->bus->name,
 		d->imu->name);
+	tell_uncalibrated(d);
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
 		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, ERROR_MANUFACTURER, NULL, now_us);

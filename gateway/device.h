@@ -58,6 +58,7 @@ struct device {
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;
+	unsigned uncalibrated;	 /* PIPELINE_UNCALIBRATED_... as last told */
 	uint32_t implausible;	 /* as of the last sample */
 	uint64_t implausible_us; /* when it last grew; 0: EMCY 5032h is over */
 	uint64_t now_us;	 /* of the present call */

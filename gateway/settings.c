@@ -39,6 +39,37 @@ static struct temperature_compensation temperature_compensation(const struct od_
 	};
 }
 
+static bool is_default(const struct triad_calibration *c)
+{
+	static const struct triad_calibration unchanged = {.matrix = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+	bool same = c->bias.x == 0 && c->bias.y == 0 && c->bias.z == 0;
+
+	for (int i = 0; i < 9; i++)
+		same &= c->matrix[i / 3][i % 3] == unchanged.matrix[i / 3][i % 3];
+	return same;
+}
+
+unsigned settings_uncalibrated(const struct od_values *v, unsigned source)
+{
+	enum { AUTOMATIC = 0, NOT_CALIBRATED = 2 };
+	const struct {
+		unsigned bit;
+		uint8_t said;
+		struct triad_calibration triad;
+	} sensors[] = {
+		{PIPELINE_UNCALIBRATED_GYRO, v->sensor_calibration.gyro, TRIAD(v->gyro_calibration)},
+		{PIPELINE_UNCALIBRATED_ACCEL, v->sensor_calibration.accelerometer, TRIAD(v->accelerometer_calibration)},
+		{PIPELINE_UNCALIBRATED_MAG, v->sensor_calibration.magnetometer, TRIAD(v->magnetometer_calibration)},
+	};
+	unsigned bits = 0;
+
+	for (size_t i = 0; i < sizeof sensors / sizeof *sensors; i++)
+		if (sensors[i].said == NOT_CALIBRATED ||
+			(sensors[i].said == AUTOMATIC && (source & sensors[i].bit) && is_default(&sensors[i].triad)))
+			bits |= sensors[i].bit;
+	return bits;
+}
+
 struct pipeline_config settings_pipeline(const struct od_values *v)
 {
 	struct pipeline_config c = PIPELINE_DEFAULTS;
@@ -46,6 +77,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.calibration.gyro = TRIAD(v->gyro_calibration);
 	c.calibration.accel = TRIAD(v->accelerometer_calibration);
 	c.calibration.mag = TRIAD(v->magnetometer_calibration);
+	c.uncalibrated = settings_uncalibrated(v, 0);
 	c.calibration.temperature = temperature_compensation(v);
 	c.calibration.mounting_rad = (struct vec3){(double)v->mounting.roll * RAD_PER_DEG,
 		(double)v->mounting.pitch * RAD_PER_DEG, (double)v->mounting.yaw * RAD_PER_DEG};

@@ -54,6 +54,10 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 		f->gyro_errors.scale_b = (struct vec3){0, 0, 0};
 		fusion_kalman_reset_scale(&f->kalman, &config->kalman);
 	}
+	if (config->kalman.bias_sigma_rad_s != f->config.kalman.bias_sigma_rad_s)
+		fusion_kalman_reset_gyro_errors(&f->kalman, &config->kalman);
+	if (config->kalman.accel_sigma_m_s2 != f->config.kalman.accel_sigma_m_s2)
+		fusion_kalman_reset_accelerometer(&f->kalman, &config->kalman);
 	f->config = *config;
 	return 0;
 }
@@ -114,6 +118,7 @@ static void start_filter(struct fusion *f, struct vec3 up_b, double force_m_s2)
 
 	f->q_nb = quat_from_aerospace((struct vec3){roll, pitch, heading});
 	f->started = true;
+	f->kalman.hard_iron.prior_uT = f->config.kalman.offset_sigma_uT;
 	fusion_kalman_start(&f->kalman, &f->config.kalman, force_m_s2);
 }
 

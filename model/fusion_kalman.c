@@ -35,12 +35,6 @@ static const double START_TILT_RAD = 0.1;
 static const double HEADING_BY_TILT = 3;
 /* m/s, 1 sigma of the velocity when nothing is known of it. By judgement: a hand or a slow robot. */
 static const double START_VELOCITY_M_S = 0.3;
-/* rad/s, 1 sigma of the bias at the start (0.5 deg/s). As in VQF. A gyro that was never calibrated has more (zero-rate
- * level of the L3GD20: 10 deg/s and more) and needs a rest or a calibration. */
-static const double START_BIAS_RAD_S = 0.5 * RAD_PER_DEG;
-/* m/s^2, 1 sigma of the accelerometer's bias (3 mg). By judgement: what a calibration in six attitudes leaves. It grows
- * with what the length of the force shows of a worse one. */
-static const double START_ACCEL_M_S2 = 0.03;
 /* rad, 1 sigma of an attitude from outside. By judgement: a fixture or another attitude system. */
 static const double SET_ANGLE_RAD = 1 * RAD_PER_DEG;
 
@@ -122,7 +116,7 @@ static const double SHORT_MEMORY_S = 2;
 /* m/s^2, by which a mean length differs that no calibration explains: vibration beyond the sensor's bandwidth or range. By
  * judgement: data sheets have 3 % of scale and 80 mg of offset. */
 static const double VIBRATES_M_S2 = 1;
-/* m/s^2, of gravity: half a percent of error on Earth, which START_ACCEL_M_S2 covers. */
+/* m/s^2, of gravity: half a percent of error on Earth, which the accelerometer's sigma covers. */
 static const double GRAVITY_M_S2 = 9.81;
 
 /* ---- re-initialisation of the tilt ---- */
@@ -200,7 +194,9 @@ int fusion_kalman_check(const struct fusion_kalman_config *c)
 	return within(c->velocity_sigma_m_s, 0.01, 1000) && within(c->heading_sigma_rad, 0.001, 1) &&
 			       within(c->field_limit, 0.01, 1) && within(c->rejection_time_s, 0, 1e6) &&
 			       within(c->gyro_error, 0, 0.1) && within(c->bias_walk_rad_s_sqrt_s, 0, 0.1) &&
-			       within(c->gyro_scale_sigma, 0, 0.05) && within(c->field_sigma_uT, 0, 1000)
+			       within(c->gyro_scale_sigma, 0, 0.05) && within(c->field_sigma_uT, 0, 1000) &&
+			       within(c->bias_sigma_rad_s, 0, 10) && within(c->accel_sigma_m_s2, 0, 10) &&
+			       within(c->offset_sigma_uT, 0, 1000)
 		       ? 0
 		       : -EINVAL;
 }
@@ -232,15 +228,22 @@ void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalm
 void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
 	for (int i = BIAS; i < BIAS + 3; i++)
-		set_variance(k, i, squared(START_BIAS_RAD_S));
+		set_variance(k, i, squared(config->bias_sigma_rad_s));
 	k->bias_known = false;
 	fusion_kalman_reset_scale(k, config);
+}
+
+void fusion_kalman_reset_accelerometer(struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	k->accel_variance = squared(config->accel_sigma_m_s2);
+	for (int i = ACCEL; i < ACCEL + 3; i++)
+		set_variance(k, i, k->accel_variance);
 }
 
 /* The offset, and what it has done to the heading: with other axes, or after nonsense, none of it means anything. */
 static void forget_offset(struct fusion_kalman *k)
 {
-	k->hard_iron = (struct hard_iron){.turns = 0};
+	k->hard_iron = (struct hard_iron){.prior_uT = k->hard_iron.prior_uT};
 	k->heading_by_offset_rad_uT = k->field_by_offset_1_uT = (struct vec3){0, 0, 0};
 }
 
@@ -272,9 +275,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
-	k->accel_variance = squared(START_ACCEL_M_S2);
-	for (int i = ACCEL; i < ACCEL + 3; i++)
-		set_variance(k, i, k->accel_variance);
+	fusion_kalman_reset_accelerometer(k, config);
 	k->mean_force_s = k->since_start_s = 0;
 	k->has_moved = false;
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
@@ -430,8 +431,7 @@ static void doubt_force(struct fusion_kalman *k, double variance)
 /* Nothing moves so for long: a constant force without a turn. */
 static bool is_steady(const struct fusion_kalman *k)
 {
-	return k->sums.steady_s > STEADY_S &&
-	       k->sums.turned_rad2_s < squared(STEADY_TURN_RAD_S) * k->sums.time_s;
+	return k->sums.steady_s > STEADY_S && k->sums.turned_rad2_s < squared(STEADY_TURN_RAD_S) * k->sums.time_s;
 }
 
 /* The mean force differs from gravity by more than attitude and accelerometer can be wrong by: at rest by itself, in motion
@@ -446,7 +446,7 @@ static void doubt_mean_force(
 
 	k->velocity2_m2_s2 += k->sums.time_s / (SPREAD_TIME_S + k->sums.time_s) * (velocity2 - k->velocity2_m2_s2);
 	if (rest || is_steady(k) ? off2 < squared(CONTRADICTS) * variance
-		 : k->velocity2_m2_s2 < 2 * squared(FAST * config->velocity_sigma_m_s))
+				 : k->velocity2_m2_s2 < 2 * squared(FAST * config->velocity_sigma_m_s))
 		return;
 	doubt_force(k, off2);
 }
@@ -584,8 +584,7 @@ static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 	if (fabs(off) > least && (rest || is_steady(k))) {
 		doubt_force(k, squared(off) + (off < 0 ? -2 * GRAVITY_M_S2 * off : 0));
 		k->mean_force_s = fmin(k->mean_force_s, SHORT_MEMORY_S);
-	} else if (least == VIBRATES_M_S2 &&
-		   (rest ? fabs(off) > UNCALIBRATED_AT_REST_M_S2 : off > UNCALIBRATED_M_S2))
+	} else if (least == VIBRATES_M_S2 && (rest ? fabs(off) > UNCALIBRATED_AT_REST_M_S2 : off > UNCALIBRATED_M_S2))
 		k->accel_variance = fmax(k->accel_variance, (rest ? 1 : 3) * squared(off));
 	for (int i = ACCEL; i < ACCEL + 3; i++)
 		k->covariance[i][i] = fmax(k->covariance[i][i], k->accel_variance);
@@ -862,9 +861,9 @@ static bool reinitialise_lost_tilt(struct fusion_kalman *k, const struct fusion_
 		k->lost_s += k->sums.time_s;
 	if (k->lost_s == 0)
 		return false;
-	if (k->since_start_s > YOUNG_S && (k->lost_s < LOST_S || fabs(k->mean_force_m_s2 - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
-						  fabs(length - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
-						  k->sums.force_error_m_s2 > VIBRATES_M_S2))
+	if (k->since_start_s > YOUNG_S &&
+		(k->lost_s < LOST_S || fabs(k->mean_force_m_s2 - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
+			fabs(length - GRAVITY_M_S2) > LOST_LENGTH_M_S2 || k->sums.force_error_m_s2 > VIBRATES_M_S2))
 		return false;
 	angle = acos(fmax(-1, mean->z / length));
 	axis = (struct vec3){mean->y, -mean->x, 0};
@@ -975,6 +974,7 @@ static void use_field(struct fusion_kalman *k, const struct fusion_kalman_config
 	struct vec3 before = h->offset_b_uT;
 	enum hard_iron_event event = hard_iron_step(h, s->rate_b_rad_s, s->field_b_uT, config->field_sigma_uT, dt_s);
 
+	h->prior_uT = config->offset_sigma_uT;
 	if (s->saturated)
 		hard_iron_skip(h);
 	if (event == HARD_IRON_FOUND) { /* the next field becomes the reference, and where it points to */

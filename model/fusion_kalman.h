@@ -72,13 +72,19 @@ struct fusion_kalman_config {
 	double gyro_scale_sigma;
 	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white. noise_config.mag_sigma_uT. */
 	double field_sigma_uT;
+	/** 1 sigma of what each sensor's calibration leaves, each axis: rad/s, 0..10, default 0.5 deg/s, of the gyro's bias
+	 * at the start, as in VQF; m/s^2, 0..10, default 0.03 (3 mg), of the accelerometer's, by judgement what six
+	 * attitudes leave; uT, 0..1000, default 0, of a hard-iron offset that no motion has shown yet. Smaller ones claim
+	 * more than is known, larger ones let the sensor count less. The pipeline sets them. */
+	double bias_sigma_rad_s, accel_sigma_m_s2, offset_sigma_uT;
 };
 
 #define FUSION_KALMAN_DEFAULTS                                                                               \
 	{                                                                                                    \
 		.velocity_sigma_m_s = 1, .heading_sigma_rad = 2 * RAD_PER_DEG, .field_limit = 0.1,           \
 		.rejection_time_s = 60, .gyro_error = 0.001, .bias_walk_rad_s_sqrt_s = 0.0025 * RAD_PER_DEG, \
-		.gyro_scale_sigma = 0.002, .field_sigma_uT = 0.5,                                            \
+		.gyro_scale_sigma = 0.002, .field_sigma_uT = 0.5, .bias_sigma_rad_s = 0.5 * RAD_PER_DEG,     \
+		.accel_sigma_m_s2 = 0.03,                                                                    \
 	}
 
 /** Estimated errors of the gyro: true rate = (1 + scale) (gyro - bias). The scale is that of the object's axes, which
@@ -175,6 +181,8 @@ void fusion_kalman_set_north(
 /** The estimates of the gyro's errors, or of its scale alone, were reset: their variances are those of the start. */
 void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);
+/** The accelerometer has another calibration. */
+void fusion_kalman_reset_accelerometer(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 
 /** The attitude was set from outside, heading included, with a 1 sigma of one degree. */
 void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kalman_config *config);
@@ -203,7 +211,7 @@ struct fusion_kalman_sample {
 	 * sigma of what stays the same for seconds */
 	double force_noise_m2_s4, force_error_m_s2;
 	bool rest, saturated; /* saturated: the gyro */
-	bool gap;	 /* samples are missing before this one: the velocity is unknown */
+	bool gap;	      /* samples are missing before this one: the velocity is unknown */
 	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
 };
 

@@ -47,6 +47,8 @@ double hard_iron_variance(const struct hard_iron *h, struct vec3 d)
 	const double v[3] = {d.x, d.y, d.z};
 	double sum = 0;
 
+	if (h->turns < OFFSET_TURNS_LEAST)
+		return squared(h->prior_uT) * vec3_dot(d, d);
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++)
 			sum += v[i] * v[j] * h->variance_uT2[i][j];
@@ -176,7 +178,11 @@ static enum hard_iron_event judge(struct hard_iron *h, const double x[4], double
 					   squared(length) > squared(OFFSET_SIGMAS) * variance;
 	}
 	if (!found) {
-		memset(h->variance_uT2, 0, sizeof(h->variance_uT2));
+		for (int i = 0; i < 3; i++) /* what may be there and is not subtracted */
+			for (int j = 0; j < 3; j++)
+				h->variance_uT2[i][j] = h->prior_uT > 0 && h->turns >= OFFSET_TURNS_LEAST
+								? h->variance_uT2[i][j] + x[i] * x[j]
+								: 0;
 		h->offset_b_uT = (struct vec3){0, 0, 0};
 		h->known = false;
 	} else {
@@ -226,7 +232,7 @@ static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, dou
 	add_turn(h, &turn, field, apart, variance);
 	h->turns += h->turns < 1000;
 	if (!solve(h, covariance, x)) { /* after nonsense measurements */
-		*h = (struct hard_iron){.turns = 0};
+		*h = (struct hard_iron){.prior_uT = h->prior_uT};
 		return HARD_IRON_NOTHING;
 	}
 	return judge(h, x, covariance);

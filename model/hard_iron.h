@@ -36,7 +36,10 @@ enum hard_iron_event {
 /** Zeroed it is ready. */
 struct hard_iron {
 	struct vec3 offset_b_uT;   /* 0 until known */
-	double variance_uT2[3][3]; /* its covariance; 0 until known */
+	double variance_uT2[3][3]; /* its covariance; 0 until known, unless there is a prior */
+	/* 1 sigma of an offset that the motion has not shown yet, each axis; 0 (default): the magnetometer is calibrated. The
+	 * caller may change it. After enough turns the covariance is that of what they leave open. */
+	double prior_uT;
 	bool known, disagrees;
 	bool agreed;  /* once, over turns about all axes: what disagrees now is a disturbance */
 	bool changes; /* a magnet is being attached or removed: the offset says nothing of earlier fields */

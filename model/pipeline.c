@@ -118,6 +118,14 @@ static struct fusion_config fusion_config(const struct pipeline_config *config, 
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
 	fusion.delay_s = config->latency.sensor_s;
 	fusion.kalman.field_sigma_uT = config->noise.mag_sigma_uT;
+	if (config->uncalibrated & PIPELINE_UNCALIBRATED_GYRO) {
+		fusion.kalman.bias_sigma_rad_s = UNCALIBRATED_GYRO_RAD_S;
+		fusion.kalman.gyro_scale_sigma = fmax(fusion.kalman.gyro_scale_sigma, UNCALIBRATED_GYRO_SCALE);
+	}
+	if (config->uncalibrated & PIPELINE_UNCALIBRATED_ACCEL)
+		fusion.kalman.accel_sigma_m_s2 = UNCALIBRATED_ACCEL_M_S2;
+	if (config->uncalibrated & PIPELINE_UNCALIBRATED_MAG)
+		fusion.kalman.offset_sigma_uT = UNCALIBRATED_MAG_UT;
 	return fusion;
 }
 
@@ -310,8 +318,8 @@ static bool usable(const struct pipeline *p, const struct imu_sample *s)
 /* The mean force of the samples so far, in the present axes. */
 static void follow_start_force(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
-	struct vec3 before = quat_rotate_inverse(
-		quat_from_rotation_vector(vec3_scale(dt_s, s->gyro_rad_s)), p->start_force_b_m_s2);
+	struct vec3 before =
+		quat_rotate_inverse(quat_from_rotation_vector(vec3_scale(dt_s, s->gyro_rad_s)), p->start_force_b_m_s2);
 	bool falls = vec3_norm(s->accel_m_s2) < FALLS_M_S2;
 
 	p->starting_s = p->primed ? p->starting_s + dt_s : 0;

@@ -40,6 +40,9 @@ struct latency_config {
 /** Start from PIPELINE_DEFAULTS. The header of each step says meaning, unit, range and default of its fields. */
 struct pipeline_config {
 	struct calibration_config calibration;
+	/** (2055h) PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, default 0. Their errors are those of data
+	 * sheets then (UNCALIBRATED_...), which count in the attitude's sigma until the motion shows less. */
+	unsigned uncalibrated;
 	/** (2010h) Low-pass of the reference point's acceleration in the global frame. Off by default. */
 	struct filter_config accel_filter;
 	/** (2011h) Low-pass of the rates, or of the angles before they are differentiated. */
@@ -54,6 +57,20 @@ struct pipeline_config {
 	double stance_s;
 	struct position_config position;
 };
+
+enum {
+	PIPELINE_UNCALIBRATED_GYRO = 1 << 0,
+	PIPELINE_UNCALIBRATED_ACCEL = 1 << 1,
+	PIPELINE_UNCALIBRATED_MAG = 1 << 2,
+};
+
+/* 1 sigma of the errors of chips as delivered, from data sheets (L3GD20, LSM303DLHC, LSM6DS33, MPU-6050): zero-rate level 10
+ * deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg; a hard-iron offset of 50 uT, half the zero-gauss level of an
+ * LIS3MDL, and what a board's supply lines make. */
+#define UNCALIBRATED_GYRO_RAD_S (10 * RAD_PER_DEG)
+#define UNCALIBRATED_GYRO_SCALE 0.02
+#define UNCALIBRATED_ACCEL_M_S2 0.6
+#define UNCALIBRATED_MAG_UT	50.0
 
 extern const struct pipeline_config PIPELINE_DEFAULTS;
 
@@ -116,8 +133,8 @@ struct pipeline {
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;
-	bool started;	  /* there is a sample before this one */
-	bool primed;	  /* and the filters may continue from it */
+	bool started; /* there is a sample before this one */
+	bool primed;  /* and the filters may continue from it */
 	/* before the first attitude: since the filters began, and the mean force of these samples */
 	double starting_s;
 	int start_samples;

@@ -13,7 +13,8 @@ static const double TILT_BAND_HZ = 0.3, STRONGEST_S = 2, STEADY_RISES_S = 3, STE
 /* 1 sigma of what is beyond the end of the range, as a share of the range. By judgement. */
 static const double BEYOND_SHARE = 0.5;
 /* Least ranges of chips, less a margin for calibration: 2 g and 125 deg/s. A smaller value is not at the end. */
-static const double LEAST_ACCEL_RANGE_M_S2 = 0.9 * 2 * STANDARD_GRAVITY_M_S2, LEAST_GYRO_RANGE_RAD_S = 0.9 * 125 * RAD_PER_DEG;
+static const double LEAST_ACCEL_RANGE_M_S2 = 0.9 * 2 * STANDARD_GRAVITY_M_S2,
+		    LEAST_GYRO_RANGE_RAD_S = 0.9 * 125 * RAD_PER_DEG;
 /* s, for which clipping counts as recent. */
 static const double LATELY_S = 1;
 

@@ -20,7 +20,7 @@
 
 /** Zeroed it is ready. */
 struct vibration {
-	double rms_m_s2, rms_rad_s; /* root mean square of the length of the vibration, over half a second */
+	double rms_m_s2, rms_rad_s;	      /* root mean square of the length of the vibration, over half a second */
 	uint32_t clipped_accel, clipped_gyro; /* samples at the end of the range of accelerometer and gyro */
 	/* error of the force, each axis: variance of what is white from sample to sample, and 1 sigma of its mean */
 	double force_noise_m2_s4, force_error_m_s2;
@@ -28,11 +28,13 @@ struct vibration {
 	/* PRIVATE */
 	struct vec3 force_b_m_s2[2], gyro_b_rad_s[2]; /* the samples before */
 	int known;
-	double force_square, force_length, steady_m_s2, gyro_square, clipped_share, end_m_s2, strongest_m_s2, since_clipped_s;
+	double force_square, force_length, steady_m_s2, gyro_square, clipped_share, end_m_s2, strongest_m_s2,
+		since_clipped_s;
 };
 
 /** One calibrated sample. `saturated`: a value of any sensor is at the end of its range. */
-void vibration_step(struct vibration *v, struct vec3 force_b_m_s2, struct vec3 gyro_b_rad_s, bool saturated, double dt_s);
+void vibration_step(
+	struct vibration *v, struct vec3 force_b_m_s2, struct vec3 gyro_b_rad_s, bool saturated, double dt_s);
 /** After a gap: the next sample begins the observation. Counters and what is known of the last seconds stay. */
 void vibration_skip(struct vibration *v);
 

@@ -511,6 +511,9 @@ static int start(
 	if (result < 0)
 		return result;
 	source_use_rate(port, imu->rate_hz);
+	/* Analog Devices calibrates its ADIS modules; no other driver of the kernel's is one of calibrated chips */
+	port->uncalibrated = strncmp(iio_imu_label(imu->triads[GYRO].device), "adis", 4) == 0 ? IMU_UNCALIBRATED_MAG
+											      : IMU_UNCALIBRATED;
 	snprintf(port->name, sizeof port->name, "iio:%.20s+%.20s%s", iio_imu_label(imu->triads[GYRO].device),
 		iio_imu_label(imu->triads[ACCEL].device),
 		imu->polled		       ? ", polled"

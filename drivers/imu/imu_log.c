@@ -508,6 +508,11 @@ bool imu_log_message(const struct imu_log *log, int i, char *text, size_t size)
 	return false;
 }
 
+unsigned imu_log_uncalibrated(const struct imu_log *log)
+{
+	return log->rows.table[0].uncalibrated;
+}
+
 bool imu_log_has_reference(const struct imu_log *log)
 {
 	return log->rows.table[0].header.field_of[LOG_REFERENCE] >= 0;

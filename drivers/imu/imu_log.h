@@ -58,6 +58,8 @@ int imu_log_next(struct imu_log *log, struct imu_sample *sample);
 /** What there is to say about the log, one message for each i from 0: what was skipped, how times were taken and, after
  * the last row, which units are unlikely. False: there is no more. */
 bool imu_log_message(const struct imu_log *log, int i, char *text, size_t size);
+/** imu_port.uncalibrated, by the log's own word. */
+unsigned imu_log_uncalibrated(const struct imu_log *log);
 /** The header has ref_al,ref_as,ref_at. */
 bool imu_log_has_reference(const struct imu_log *log);
 void imu_log_close(struct imu_log *log);

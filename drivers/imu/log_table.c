@@ -262,6 +262,20 @@ static bool is_blank(const char *text)
 	return text[strspn(text, " \t")] == '\0';
 }
 
+static unsigned uncalibrated_of(const char *comment)
+{
+	static const char *const names[] = {"gyro", "accelerometer", "magnetometer"};
+	static const char key[] = "uncalibrated:";
+	unsigned bits = 0;
+
+	comment += strspn(comment, " \t\"#%");
+	if (strncasecmp(comment, key, sizeof key - 1) != 0)
+		return 0;
+	for (unsigned i = 0; i < 3; i++)
+		bits |= strcasestr(comment, names[i]) ? 1u << i : 0;
+	return bits;
+}
+
 static int read_header(struct log_table *table, char *error, size_t error_size)
 {
 	const char *bad, *other = NULL;
@@ -271,6 +285,7 @@ static int read_header(struct log_table *table, char *error, size_t error_size)
 	while ((got = read_line(table, &bad)) > 0 && !bad && (is_blank(table->text) || is_comment(table->text))) {
 		if (take_header(table))
 			return 0;
+		table->uncalibrated |= uncalibrated_of(table->text);
 		other = other ? other : other_format(table);
 	}
 	if (got <= 0 || bad) {
@@ -294,6 +309,7 @@ int log_table_open(struct log_table *table, const char *path, const struct log_f
 	int result;
 
 	table->line = 0;
+	table->uncalibrated = 0;
 	table->format = format;
 	table->needed = needed;
 	table->header = (struct log_header){0};

@@ -1,6 +1,7 @@
 /* drivers/imu/log_table.h
  * A text file with a header and rows of fields, separated by commas, semicolons or tabs. Fields may be in quotes; lines
- * that begin with # are comments, unless it is the header. Numbers may have a decimal comma where that is not the
+ * that begin with # are comments, unless it is the header. "# uncalibrated: gyro accelerometer magnetometer" before it names
+ * sensors that nobody calibrated; a log that says nothing is one of calibrated sensors. Numbers may have a decimal comma where that is not the
  * separator. */
 #ifndef DRIVERS_IMU_LOG_TABLE_H
 #define DRIVERS_IMU_LOG_TABLE_H
@@ -29,6 +30,7 @@ struct log_table {
 	unsigned needed; /* LOG_NEEDS_... */
 	long line;	 /* number of the last line read, from 1 */
 	struct log_header header;
+	unsigned uncalibrated;		/* imu_port.uncalibrated, by a comment before the header */
 	const char *field[LOG_COLUMNS]; /* of the last row; NULL: no such column */
 	/* PRIVATE */
 	char text[LOG_LINE_MAX], copy[LOG_LINE_MAX];

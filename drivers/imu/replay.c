@@ -125,6 +125,7 @@ static int load_file(struct replay *r, const char *path, char *error, size_t err
 		snprintf(error, error_size, "%s:%ld: %s", path, log->rows.table[0].line, strerror(-result));
 	imu_log_close(log);
 	r->port.rate_hz = log->rate_hz;
+	r->port.uncalibrated = (uint8_t)imu_log_uncalibrated(log);
 	r->port.silence_us = source_silence_us(log->rate_hz * r->speed);
 	r->port.counters.skipped = log->rows.events.skipped;
 	memcpy(r->port.last_skip, log->rows.events.last_skip, sizeof r->port.last_skip);

@@ -396,6 +396,7 @@ int wt901_open(char *args, const struct imu_settings *settings, struct imu_port 
 	w->silence_ns = fmax(SHORTEST_SILENCE_NS, 3.5 * w->char_ns);
 	w->thread.port.ops = &OPS;
 	w->frozen.noisy = true; /* its accelerometer has digits of 0.5 mg, below its noise */
+	w->thread.port.uncalibrated = IMU_UNCALIBRATED_MAG; /* the module calibrates the others itself */
 	snprintf(w->thread.port.name, sizeof w->thread.port.name, "wt901:%.40s %d Bd", w->path, w->baud);
 	result = begin(w, settings, error, error_size);
 	if (result < 0) {

@@ -37,6 +37,8 @@ enum imu_fault {
 	IMU_FAULT_SELF_TEST = 7,     /* the last self-test failed; samples continue */
 };
 
+enum { IMU_UNCALIBRATED_MAG = 4, IMU_UNCALIBRATED = 7 }; /* imu_port.uncalibrated: the magnetometer; all three */
+
 enum { IMU_SELF_TEST_RUNS = 0x80 }; /* in imu_health.self_test: it runs; no samples meanwhile, and no fault */
 
 enum imu_chip { IMU_CHIP_GYRO = 1, IMU_CHIP_ACCEL = 2, IMU_CHIP_MAG = 3 };
@@ -81,6 +83,9 @@ struct imu_port {
 	int fd;
 	double rate_hz;	     /* nominal sampling rate, in the time of the samples; valid after open() */
 	uint64_t silence_us; /* without a sample for this time, the sensor has failed */
+	/** Bits 0 to 2: gyro, accelerometer, magnetometer measure as the chip was delivered; 0: calibrated by their maker, or
+	 * nothing is known (a log). */
+	uint8_t uncalibrated;
 	char name[64];	     /* "replay:09.imu.csv" */
 	char last_skip[128]; /* reason of the last skip, for the log: "file:line: what" */
 	char notes[1024];    /* what the log should say at the start, a line each, e.g. units that are unlikely */

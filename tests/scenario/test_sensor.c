@@ -1,4 +1,5 @@
 /* Settings and faults of the sensor in the whole device: 2058h, 2124h, 6511h, EMCY 5030h, 5031h, 5032h and 6321h. */
+#include <string.h>
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -146,6 +147,49 @@ static void test_an_output_beyond_what_was_measured_is_not_published_and_raises_
 	assert_true(w->device.values.sample.status & PIPELINE_VALID);
 }
 
+static unsigned lines(const struct world *w, const char *line)
+{
+	const char *at = w->device.log.text, *end = at + w->device.log.used;
+	unsigned n = 0;
+
+	while ((at = memmem(at, (size_t)(end - at), line, strlen(line)))) {
+		at += strlen(line);
+		n++;
+	}
+	return n;
+}
+
+static void test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object(void **state)
+{
+	struct world *w = *state;
+	const float bias = 0.01f, none = 0;
+	const uint8_t calibrated = 1, not_calibrated = 2;
+
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 0); /* the source says nothing */
+	assert_int_equal(lines(w, "never calibrated"), 0);
+	w->imu.uncalibrated = IMU_UNCALIBRATED;
+	world_power_on(w, NULL);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 7);
+	assert_int_equal(lines(w, "never calibrated: gyro accelerometer magnetometer;"), 1);
+	assert_true((double)w->device.values.attitude_sigma.z > 30);
+
+	assert_int_equal(world_sdo_write(w, OD_INDEX_GYRO_CALIBRATION, 1, &bias, 4), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 6);
+	assert_int_equal(world_sdo_write(w, OD_INDEX_GYRO_CALIBRATION, 1, &none, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2055, 1, &calibrated, 1), 0); /* its bias is 0 */
+	assert_int_equal(world_sdo_write(w, 0x2055, 2, &calibrated, 1), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 4);
+	assert_int_equal(world_sdo_write(w, OD_INDEX_MAGNETOMETER_CALIBRATION, 2, &bias, 4), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 0);
+	assert_int_equal(world_sdo_write(w, 0x2055, 3, &not_calibrated, 1), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 4);
+}
+
 static void test_a_saturated_sample_sets_its_status_bit(void **state)
 {
 	struct world *w = *state;
@@ -264,6 +308,7 @@ int main(void)
 		WORLD(test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs),
 		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
 		WORLD(test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without),
+		WORLD(test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object),
 		WORLD(test_a_saturated_sample_sets_its_status_bit),
 		WORLD(test_the_temperature_is_that_of_the_last_sample_that_had_one),
 		WORLD(test_a_temperature_beyond_the_range_of_its_object_is_ignored),

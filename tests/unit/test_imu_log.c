@@ -4,6 +4,7 @@
 #include <stdint.h>
 #include <cmocka.h>
 #include <errno.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
@@ -92,6 +93,25 @@ static void test_a_row_becomes_a_sample_in_si_units(void **state)
 	assert_true(s.accel_m_s2.x == 4 && s.accel_m_s2.y == 5 && s.accel_m_s2.z == 9.81);
 	assert_true(s.mag_uT.x == 7 && s.mag_uT.y == 8 && s.mag_uT.z == -45.25);
 	assert_int_equal(s.flags, SAMPLE_MAG);
+}
+
+static void test_a_log_names_the_sensors_that_nobody_calibrated_before_its_header(void **state)
+{
+	static const struct {
+		const char *head;
+		unsigned uncalibrated;
+	} logs[] = {{"", 0}, {"# a board\n", 0}, {"# uncalibrated: gyro accelerometer magnetometer\n", 7},
+		{"# a board\n#Uncalibrated: Magnetometer\n", 4}, {"# uncalibrated: none\n", 0}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof logs / sizeof *logs; i++) {
+		char text[200];
+		int size = snprintf(text, sizeof text, "%s" HEADER ROW("0") ROW("0.01"), logs[i].head);
+		struct imu_log log = opened(text, (size_t)size);
+
+		assert_int_equal(imu_log_uncalibrated(&log), logs[i].uncalibrated);
+		assert_int_equal(count(&log), 2);
+	}
 }
 
 static void test_empty_magnetometer_fields_mean_no_measurement(void **state)
@@ -340,6 +360,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_row_becomes_a_sample_in_si_units),
+		cmocka_unit_test(test_a_log_names_the_sensors_that_nobody_calibrated_before_its_header),
 		cmocka_unit_test(test_empty_magnetometer_fields_mean_no_measurement),
 		cmocka_unit_test(test_temperature_and_reference_acceleration_are_read_where_the_row_has_them),
 		cmocka_unit_test(test_a_row_with_half_a_reference_or_a_broken_temperature_is_skipped),

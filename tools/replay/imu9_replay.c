@@ -114,7 +114,8 @@ static int replay(const struct config *config, const char *path, const struct lo
 	cli_log_open(&log, path, format);
 	od_init(&od, &imu9_od_table, &values, (uint8_t)config->node_id);
 	config_apply(config, &od);
-	const struct pipeline_config settings = settings_pipeline(&values);
+	struct pipeline_config settings = settings_pipeline(&values);
+	settings.uncalibrated = settings_uncalibrated(&values, imu_log_uncalibrated(&log));
 	if (pipeline_init(&pipeline, &settings, log.rate_hz) < 0)
 		return fail(CLI_USAGE, "invalid configuration: is a calibration matrix singular?");
 	pipeline_smooth(&pipeline, &smoother);

@@ -286,5 +286,8 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 	result = i2c_dev_open(path, &bus, error, error_size);
 	if (result < 0)
 		return result;
-	return i2c_imu_start(bus, &config, settings, port, error, error_size);
+	result = i2c_imu_start(bus, &config, settings, port, error, error_size);
+	if (result == 0)
+		(*port)->uncalibrated = IMU_UNCALIBRATED;
+	return result;
 }

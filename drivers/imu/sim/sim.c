@@ -73,5 +73,8 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 		snprintf(error, error_size, "sim: unknown board '%.10s': use v0, v1, v2, v3, v5 or v6", config.board);
 		return result;
 	}
-	return i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);
+	result = i2c_imu_start(sim_board_bus(board), &driver, settings, port, error, error_size);
+	if (result == 0 && uncalibrated)
+		(*port)->uncalibrated = IMU_UNCALIBRATED;
+	return result;
 }

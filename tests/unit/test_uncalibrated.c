@@ -1,0 +1,119 @@
+/* Chips as delivered: with the errors of data sheets, tilt and heading are within their sigmas from the first sample. */
+#include "model_test.h"
+
+#include "model/pipeline.h"
+#include "model/sim/sensor.h"
+
+enum { BOARDS = 12, RATE_HZ = 100 };
+static const unsigned ALL = PIPELINE_UNCALIBRATED_GYRO | PIPELINE_UNCALIBRATED_ACCEL | PIPELINE_UNCALIBRATED_MAG;
+
+struct shares {
+	double tilt, heading; /* of the time beyond 3 sigma, the mean of the boards */
+	double first_tilt_rad, last_tilt_rad, first_heading_rad, last_heading_rad; /* largest sigma of a board */
+};
+
+static double about_vertical(struct quat truth, struct quat q)
+{
+	struct quat off = quat_multiply(truth, quat_conjugate(q));
+
+	return fabs(remainder(2 * atan2(off.z, off.w), 2 * PI));
+}
+
+static struct shares follow(const char *motion, unsigned uncalibrated, double seconds)
+{
+	struct shares sum = {0};
+	int n = (int)(seconds * RATE_HZ);
+
+	for (uint64_t board = 1; board <= BOARDS; board++) {
+		struct pipeline_config config = PIPELINE_DEFAULTS;
+		struct sensor_config simulated = *sensor_preset("lsm303dlhc_l3gd20");
+		static struct pipeline p;
+		struct pipeline_output out;
+		struct signal_truth truth;
+		struct sensor sensor;
+		struct imu_sample s;
+
+		config.latency.sensor_s = config.latency.accelerometer_s = 0;
+		config.uncalibrated = uncalibrated;
+		assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+		assert_int_equal(sensor_init(&sensor, &simulated, board), 0);
+		for (int k = 0; k < n; k++) {
+			const struct vec3 up = {0, 0, 1}, *sigma = &out.sigma.attitude_rad;
+
+			sensor_next(&sensor, signal_find(motion), &s, &truth);
+			assert_int_equal(pipeline_step(&p, &s, &out), 0);
+			if (!(out.status & PIPELINE_VALID))
+				continue;
+			double tilt = vec3_norm(
+				vec3_sub(quat_rotate_inverse(out.q_nb, up), quat_rotate_inverse(truth.q_nb, up)));
+			sum.tilt += (tilt > 3 * hypot(sigma->x, sigma->y)) / (double)(n * BOARDS);
+			sum.heading += (about_vertical(truth.q_nb, out.q_nb) > 3 * sigma->z) / (double)(n * BOARDS);
+			if (k < 10) {
+				sum.first_tilt_rad = fmax(sum.first_tilt_rad, sigma->x);
+				sum.first_heading_rad = fmax(sum.first_heading_rad, sigma->z);
+			}
+			if (k == n - 1) {
+				sum.last_tilt_rad = fmax(sum.last_tilt_rad, sigma->x);
+				sum.last_heading_rad = fmax(sum.last_heading_rad, sigma->z);
+			}
+		}
+	}
+	print_message("%s: beyond 3 sigma: tilt %.3f, heading %.3f of the time; sigma at last %.1f and %.1f deg\n", motion,
+		sum.tilt, sum.heading, DEG_PER_RAD * sum.last_tilt_rad, DEG_PER_RAD * sum.last_heading_rad);
+	return sum;
+}
+
+static void test_an_uncalibrated_board_at_rest_is_within_its_sigma_from_the_first_sample(void **state)
+{
+	struct shares known = follow("rest", ALL, 30), unknown = follow("rest", 0, 30);
+
+	(void)state;
+	assert_true(known.tilt < 0.01 && known.heading < 0.01);
+	assert_true(unknown.tilt > 0.1); /* the reason */
+	assert_true(known.last_tilt_rad > 2 * RAD_PER_DEG && known.last_tilt_rad < 10 * RAD_PER_DEG);
+	assert_true(known.first_heading_rad > 30 * RAD_PER_DEG);
+}
+
+static void test_turning_shows_the_errors_of_an_uncalibrated_magnetometer(void **state)
+{
+	struct shares turned = follow("figure", ALL, 60);
+
+	(void)state;
+	assert_true(turned.tilt < 0.02 && turned.heading < 0.02);
+	assert_true(turned.last_heading_rad < 15 * RAD_PER_DEG);
+}
+
+static void test_a_calibration_that_comes_later_ends_the_doubt(void **state)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct imu_sample s = {.accel_m_s2 = {0, 0, 9.81}, .mag_uT = {0, 20, -45}, .flags = SAMPLE_MAG};
+	static struct pipeline p;
+	struct pipeline_output out = {.t_us = 0};
+
+	(void)state;
+	config.uncalibrated = ALL;
+	assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+	for (int k = 0; k < 4000; k++) {
+		if (k == 2000) {
+			assert_true(out.sigma.attitude_rad.x > 2 * RAD_PER_DEG);
+			assert_true(out.sigma.attitude_rad.z > 30 * RAD_PER_DEG);
+			config.uncalibrated = 0;
+			assert_int_equal(pipeline_configure(&p, &config), 0);
+		}
+		s.t_us = (uint64_t)k * 10000;
+		assert_int_equal(pipeline_step(&p, &s, &out), 0);
+	}
+	assert_true(out.sigma.attitude_rad.x < 1 * RAD_PER_DEG);
+	assert_true(out.sigma.attitude_rad.z < 6 * RAD_PER_DEG);
+}
+
+int main(void)
+{
+	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_an_uncalibrated_board_at_rest_is_within_its_sigma_from_the_first_sample),
+		cmocka_unit_test(test_turning_shows_the_errors_of_an_uncalibrated_magnetometer),
+		cmocka_unit_test(test_a_calibration_that_comes_later_ends_the_doubt),
+	};
+
+	return cmocka_run_group_tests(tests, NULL, NULL);
+}
