@@ -95,12 +95,16 @@ static enum calibrate_verdict accelerometer_sample(struct calibration_command *c
 static enum calibrate_verdict magnetometer_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	struct calibrate_magnetometer *m = &c->magnetometer;
+	const double before = m->coverage;
 	enum calibrate_verdict verdict = calibrate_magnetometer_step(m, raw);
 
+	if (m->coverage != before)
+		c->values->calibration.next_side = (uint8_t)calibrate_magnetometer_next(m);
 	c->values->calibration.progress = percent(calibrate_magnetometer_progress(m));
 	c->values->calibration.coverage = percent(m->coverage);
 	if (verdict == CALIBRATE_COLLECTING)
 		return verdict;
+	c->values->calibration.next_side = 0;
 	c->values->calibration.quality = (float)(100 * m->result.residual);
 	c->values->calibration.field = (float)m->result.field_uT;
 	publish_triad(c, &m->result.calibration);

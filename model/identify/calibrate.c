@@ -52,6 +52,50 @@ const char *calibrate_text(enum calibrate_verdict verdict)
 	return "unknown verdict";
 }
 
+struct vec3 calibrate_side(int number)
+{
+	int corner = number - CALIBRATE_FACES - 1;
+	double sign = number % 2 ? 1 : -1;
+
+	switch (number) {
+	case 1:
+	case 2:
+		return (struct vec3){sign, 0, 0};
+	case 3:
+	case 4:
+		return (struct vec3){0, sign, 0};
+	case 5:
+	case 6:
+		return (struct vec3){0, 0, sign};
+	default:
+		return (struct vec3){corner & 1 ? -1 : 1, corner & 2 ? -1 : 1, corner & 4 ? -1 : 1};
+	}
+}
+
+const char *calibrate_side_text(int number)
+{
+	static const char *const TEXTS[CALIBRATE_SIDES + 1] = {"any new side", "+x", "-x", "+y", "-y", "+z", "-z",
+		"the corner +x +y +z", "the corner -x +y +z", "the corner +x -y +z", "the corner -x -y +z",
+		"the corner +x +y -z", "the corner -x +y -z", "the corner +x -y -z", "the corner -x -y -z"};
+
+	return TEXTS[number > 0 && number <= CALIBRATE_SIDES ? number : 0];
+}
+
+double calibrate_gap_rad(int number, const struct vec3 *vectors, int count, struct vec3 centre)
+{
+	struct vec3 side = calibrate_side(number);
+	double nearest = -1;
+
+	for (int i = 0; i < count; i++) {
+		struct vec3 v = vec3_sub(vectors[i], centre);
+		double norm = vec3_norm(v);
+
+		if (norm > 0)
+			nearest = fmax(nearest, vec3_dot(side, v) / (vec3_norm(side) * norm));
+	}
+	return acos(fmin(1, nearest));
+}
+
 void calibrate_rest_init(struct calibrate_rest *rest, const struct calibrate_stillness *stillness)
 {
 	*rest = (struct calibrate_rest){.stillness = *stillness};

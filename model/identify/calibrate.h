@@ -27,6 +27,16 @@ enum calibrate_verdict {
 	CALIBRATE_VERDICTS
 };
 
+/** Directions in sensor axes by which a calibration says what is missing: 1 +x, 2 -x, .. 6 -z, then the corners 7 +x+y+z, 8
+ * -x+y+z, 9 +x-y+z, .. 14 -x-y-z. */
+enum { CALIBRATE_FACES = 6, CALIBRATE_SIDES = 14 };
+/** Not of unit length for corners. */
+struct vec3 calibrate_side(int number);
+/** "+x", "the corner +x +y +z"; 0 or an unknown number: "any new side". */
+const char *calibrate_side_text(int number);
+/** The angle from side `number` to the nearest of these vectors (origin: centre); PI: there is none. */
+double calibrate_gap_rad(int number, const struct vec3 *vectors, int count, struct vec3 centre);
+
 /** One line of text: what is wrong and what to do. */
 const char *calibrate_text(enum calibrate_verdict verdict);
 

@@ -4,8 +4,8 @@
 #include "model/math/linalg.h"
 #include "model/math/units.h"
 
-/* MIN_BLOCKS: rest of 1.25 s, shorter than the 3 s that the user is asked for. SIDES: six faces and eight corners. */
-enum { MIN_BLOCKS = 5, SIDES = 14 };
+/* MIN_BLOCKS: rest of 1.25 s, shorter than the 3 s that the user is asked for. */
+enum { MIN_BLOCKS = 5 };
 /* cos 20 deg: positions closer than that are one, and a position farther than that from every axis is not a face. */
 static const double SAME_POSITION_COS = 0.9396926;
 /* Chosen limits. Faces and corners together have a coverage (struct ellipsoid) of 1.0, a hemisphere 0.13. Simulated
@@ -35,41 +35,28 @@ static double cosine(struct vec3 a, struct vec3 b)
 	return vec3_dot(a, b) / (vec3_norm(a) * vec3_norm(b));
 }
 
-/* Direction of side 1..14, not of unit length for corners. */
-static struct vec3 side(int number)
+double calibrate_accelerometer_gap_rad(const struct calibrate_accelerometer *c, int side)
 {
-	int corner = number - CALIBRATE_FACES - 1;
-	double sign = number % 2 ? 1 : -1;
+	double least = PI;
 
-	switch (number) {
-	case 1:
-	case 2:
-		return (struct vec3){sign, 0, 0};
-	case 3:
-	case 4:
-		return (struct vec3){0, sign, 0};
-	case 5:
-	case 6:
-		return (struct vec3){0, 0, sign};
-	default:
-		return (struct vec3){corner & 1 ? -1 : 1, corner & 2 ? -1 : 1, corner & 4 ? -1 : 1};
-	}
+	for (int k = 0; k < CALIBRATE_POSITIONS_MAX; k++)
+		if (c->position[k].blocks)
+			least = fmin(
+				least, calibrate_gap_rad(side, &c->position[k].force_m_s2, 1, (struct vec3){0, 0, 0}));
+	return least;
 }
 
 int calibrate_accelerometer_next(const struct calibrate_accelerometer *c)
 {
-	const int sides = c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : SIDES;
-	double farthest = SAME_POSITION_COS;
+	const int sides = c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : CALIBRATE_SIDES;
+	double farthest = acos(SAME_POSITION_COS);
 	int next = 0;
 
 	for (int i = 1; i <= sides; i++) {
-		double nearest = -1;
+		double gap = calibrate_accelerometer_gap_rad(c, i);
 
-		for (int k = 0; k < CALIBRATE_POSITIONS_MAX; k++)
-			if (c->position[k].blocks)
-				nearest = fmax(nearest, cosine(side(i), c->position[k].force_m_s2));
-		if (nearest < farthest - 1e-6) {
-			farthest = nearest;
+		if (gap > farthest + 1e-6) {
+			farthest = gap;
 			next = i;
 		}
 	}
@@ -82,7 +69,7 @@ int calibrate_accelerometer_next(const struct calibrate_accelerometer *c)
 static int face_of(struct vec3 force)
 {
 	for (int i = 0; i < CALIBRATE_FACES; i++)
-		if (cosine(side(i + 1), force) > SAME_POSITION_COS)
+		if (cosine(calibrate_side(i + 1), force) > SAME_POSITION_COS)
 			return i;
 	return -1;
 }

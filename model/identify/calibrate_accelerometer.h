@@ -19,7 +19,6 @@
 enum calibrate_positions { CALIBRATE_SIX_FACES, CALIBRATE_FREE };
 enum {
 	CALIBRATE_POSITIONS_MAX = 24,
-	CALIBRATE_FACES = 6,
 	CALIBRATE_FREE_MIN = 12, /* nine unknowns, and three positions more for the residual */
 };
 
@@ -74,8 +73,9 @@ enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_acceleromet
 enum calibrate_verdict calibrate_accelerometer_finish(struct calibrate_accelerometer *c);
 /** Number of positions that are needed. */
 int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c);
-/** The side to turn up next, the farthest one from all positions so far: 1 +x, 2 -x, .. 6 -z, then the corners 7
- * +x+y+z, 8 -x+y+z, 9 +x-y+z, .. 14 -x-y-z; 0: any. */
+/** The angle from a side (calibrate_side()) up to the nearest position so far; PI: there is none. */
+double calibrate_accelerometer_gap_rad(const struct calibrate_accelerometer *c, int side);
+/** The side to turn up next, the farthest one from all positions so far; 0: any. */
 int calibrate_accelerometer_next(const struct calibrate_accelerometer *c);
 
 #endif

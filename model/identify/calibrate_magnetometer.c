@@ -1,6 +1,7 @@
 #include "model/identify/calibrate_magnetometer.h"
 
 #include "model/identify/ellipsoid.h"
+#include "model/math/units.h"
 
 /* Initial distance between points, and the factor by which it grows whenever the memory is full. 2 uT is 2 deg of the
  * Earth's field, and above the noise of the supported magnetometers (0.1 to 0.6 uT). */
@@ -8,6 +9,7 @@ static const double SPACING_UT = 2, SPACING_GROWTH = 1.3;
 /* Coverage (struct ellipsoid): below it the quadric is not worth a fit; least one of a valid result; the one at which
  * the device ends. A hemisphere has 0.13, the simulated motion `figure` 0.97. */
 static const double MIN_QUADRIC_COVERAGE = 0.2, MIN_COVERAGE = 0.4, COVERAGE_WANTED = 0.6;
+static const double COVERED_RAD = 30 * RAD_PER_DEG;	   /* of a side to the nearest point */
 static const double MAX_RESIDUAL = 0.05;		   /* share of the field: 3 deg of heading */
 static const double MAX_AXIS_RATIO = 2.5;		   /* longest to shortest; soft iron stays below 1.5 */
 static const double MIN_FIELD_UT = 10, MAX_FIELD_UT = 150; /* the Earth's field is 22 to 67 */
@@ -25,6 +27,37 @@ void calibrate_magnetometer_init(struct calibrate_magnetometer *c, const struct 
 double calibrate_magnetometer_progress(const struct calibrate_magnetometer *c)
 {
 	return c->verdict != CALIBRATE_COLLECTING ? 1 : fmin(1, c->coverage / COVERAGE_WANTED);
+}
+
+/* The centre of the smallest box that holds all points; a sphere that is half covered has its own elsewhere, but the side
+ * that is farthest from all points is the same. */
+double calibrate_magnetometer_gap_rad(const struct calibrate_magnetometer *c, int side)
+{
+	struct vec3 low = c->points[0], high = c->points[0];
+
+	for (int i = 1; i < c->count; i++) {
+		const struct vec3 *p = &c->points[i];
+
+		low = (struct vec3){fmin(low.x, p->x), fmin(low.y, p->y), fmin(low.z, p->z)};
+		high = (struct vec3){fmax(high.x, p->x), fmax(high.y, p->y), fmax(high.z, p->z)};
+	}
+	return calibrate_gap_rad(side, c->points, c->count, vec3_scale(0.5, vec3_add(low, high)));
+}
+
+int calibrate_magnetometer_next(const struct calibrate_magnetometer *c)
+{
+	double farthest = COVERED_RAD;
+	int next = 0;
+
+	for (int side = 1; side <= CALIBRATE_SIDES && c->count > 0; side++) {
+		double gap = calibrate_magnetometer_gap_rad(c, side);
+
+		if (gap > farthest + 1e-6) {
+			farthest = gap;
+			next = side;
+		}
+	}
+	return next;
 }
 
 /* ---- the points -------------------------------------------------------------------------------------------------- */

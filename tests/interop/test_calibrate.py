@@ -103,6 +103,7 @@ class RecordedTrials(unittest.TestCase):
         result = rig.run("imu9-calibrate", "accelerometer", str(rig.recorded("06")))
         self.assertEqual(result.returncode, 1)
         self.assertIn("too few positions", result.stderr)
+        self.assertRegex(result.stderr, r"missing: \S+ up; the nearest is \d+ deg away")
 
 
 @unittest.skipIf(numpy is None, "numpy is missing: apt-get install python3-numpy")

@@ -354,6 +354,21 @@ static void test_the_next_side_is_the_farthest_one_from_all_positions(void **sta
 	assert_in_range(calibrate_accelerometer_next(&accel), 7, 14); /* then the corners */
 }
 
+static void test_a_missing_side_is_named_with_its_angle_to_the_nearest_position(void **state)
+{
+	(void)state;
+	new_chip(1);
+	begin_accelerometer(CALIBRATE_FREE);
+	assert_near(calibrate_accelerometer_gap_rad(&accel, 5), PI, 0);
+	hold((struct vec3){0, 0, 1}, 0.01);
+	hold((struct vec3){1, 0, 0}, 0.01);
+	assert_near(calibrate_accelerometer_gap_rad(&accel, 5), 0, 5 * RAD_PER_DEG);
+	assert_near(calibrate_accelerometer_gap_rad(&accel, 3), PI / 2, 5 * RAD_PER_DEG);
+	assert_near(calibrate_accelerometer_gap_rad(&accel, 9), acos(1 / sqrt(3)), 5 * RAD_PER_DEG);
+	assert_string_equal(calibrate_side_text(9), "the corner +x -y +z");
+	assert_near(calibrate_gap_rad(9, (struct vec3[]){{5, -4, 2}}, 1, (struct vec3){4, -3, 1}), 0, 1e-6);
+}
+
 /* ---- magnetometer ------------------------------------------------------------------------------------------------ */
 
 static struct calibrate_magnetometer mag;
@@ -437,6 +452,41 @@ static void test_a_magnetometer_turned_about_one_axis_is_refused(void **state)
 	begin_magnetometer(0);
 	assert_int_not_equal(calibrate_magnetometer_on(signal_find("turntable"), NULL), CALIBRATE_GOOD);
 	assert_true(mag.verdict == CALIBRATE_POOR_COVERAGE || mag.verdict == CALIBRATE_NO_ELLIPSOID);
+}
+
+static struct vec3 any_direction(struct rng *rng, double length)
+{
+	struct vec3 v;
+
+	v.x = rng_gauss(rng);
+	v.y = rng_gauss(rng);
+	v.z = rng_gauss(rng);
+	return vec3_scale(length / vec3_norm(v), v);
+}
+
+static void test_the_direction_that_the_field_lacks_is_named(void **state)
+{
+	struct imu_sample s = {.flags = SAMPLE_MAG};
+	struct rng rng;
+
+	(void)state;
+	for (int lacks = 1; lacks <= CALIBRATE_SIDES; lacks++) {
+		const struct vec3 side = calibrate_side(lacks), hard_iron = {20, -30, 10};
+
+		rng_init(&rng, 1);
+		begin_magnetometer(0);
+		for (int i = 0; i < 3000; i++) {
+			struct vec3 field = any_direction(&rng, 50);
+
+			s.t_us += 10000;
+			s.mag_uT = vec3_add(field, hard_iron);
+			if (vec3_dot(field, side) < 0.5 * 50 * vec3_norm(side))
+				for (int k = 0; k < 2; k++) /* not a spike */
+					calibrate_magnetometer_step(&mag, &s);
+		}
+		assert_int_equal(calibrate_magnetometer_next(&mag), lacks);
+		assert_true(calibrate_magnetometer_gap_rad(&mag, lacks) > 40 * RAD_PER_DEG);
+	}
 }
 
 static void test_a_magnetometer_at_rest_is_refused(void **state)
@@ -682,16 +732,6 @@ static const struct mat3 IRON_INVERSE = {{{0.91171774009581, -0.0512001622183357
 static const double IRON_EIGENVALUES[3] = {0.8845683703123, 1.11013965293517, 1.20529197675253};
 
 /* A vector of that length, all directions equally likely. */
-static struct vec3 any_direction(struct rng *rng, double length)
-{
-	struct vec3 v;
-
-	v.x = rng_gauss(rng);
-	v.y = rng_gauss(rng);
-	v.z = rng_gauss(rng);
-	return vec3_scale(length / vec3_norm(v), v);
-}
-
 static void test_the_errors_of_an_ellipsoid_fit_are_those_that_it_states(void **state)
 {
 	enum { TRIALS = 100, POINTS = 60 };
@@ -940,6 +980,8 @@ int main(void)
 		cmocka_unit_test(test_hard_iron_of_twice_the_field_is_found),
 		cmocka_unit_test(test_without_a_field_strength_the_matrix_keeps_the_volume),
 		cmocka_unit_test(test_a_magnetometer_turned_about_one_axis_is_refused),
+		cmocka_unit_test(test_a_missing_side_is_named_with_its_angle_to_the_nearest_position),
+		cmocka_unit_test(test_the_direction_that_the_field_lacks_is_named),
 		cmocka_unit_test(test_a_magnetometer_at_rest_is_refused),
 		cmocka_unit_test(test_a_field_that_changes_while_turning_is_refused),
 		cmocka_unit_test(test_an_ellipsoid_flatter_than_soft_iron_can_be_is_refused),

@@ -58,8 +58,8 @@ static struct shares follow(const char *motion, unsigned uncalibrated, double se
 			}
 		}
 	}
-	print_message("%s: beyond 3 sigma: tilt %.3f, heading %.3f of the time; sigma at last %.1f and %.1f deg\n", motion,
-		sum.tilt, sum.heading, DEG_PER_RAD * sum.last_tilt_rad, DEG_PER_RAD * sum.last_heading_rad);
+	print_message("%s: beyond 3 sigma: tilt %.3f, heading %.3f of the time; sigma at last %.1f and %.1f deg\n",
+		motion, sum.tilt, sum.heading, DEG_PER_RAD * sum.last_tilt_rad, DEG_PER_RAD * sum.last_heading_rad);
 	return sum;
 }
 

@@ -52,6 +52,40 @@ static int refused(const struct calibrate_request *r, enum calibrate_verdict ver
 	return CLI_FAILED;
 }
 
+/* Names the sides that are farthest from all that was measured, the farthest first. */
+static void tell_missing(const char *what, int sides, double (*gap_rad)(const void *c, int side), const void *c)
+{
+	enum { MOST = 4 };
+	const double least_rad = 40 * RAD_PER_DEG; /* half the angle between two faces, less some */
+	bool told[CALIBRATE_SIDES + 1] = {false};
+
+	for (int n = 0; n < MOST; n++) {
+		int farthest = 0;
+
+		for (int side = 1; side <= sides; side++)
+			if (!told[side] && (!farthest || gap_rad(c, side) > gap_rad(c, farthest) + 1e-9))
+				farthest = side;
+		if (!farthest || gap_rad(c, farthest) < least_rad)
+			return;
+		told[farthest] = true;
+		if (gap_rad(c, farthest) < PI)
+			cli_error("missing: %s %s; the nearest is %.0f deg away", calibrate_side_text(farthest), what,
+				DEG_PER_RAD * gap_rad(c, farthest));
+		else
+			cli_error("missing: %s %s", calibrate_side_text(farthest), what);
+	}
+}
+
+static double position_gap_rad(const void *c, int side)
+{
+	return calibrate_accelerometer_gap_rad(c, side);
+}
+
+static double field_gap_rad(const void *c, int side)
+{
+	return calibrate_magnetometer_gap_rad(c, side);
+}
+
 static void print_vec3(const char *what, struct vec3 v, const char *unit)
 {
 	printf("%-12s %12.6g %12.6g %12.6g %s\n", what, v.x, v.y, v.z, unit);
@@ -123,6 +157,17 @@ static int accelerometer(const struct calibrate_request *r)
 	verdict = calibrate_accelerometer_finish(&c);
 	if (verdict == CALIBRATE_TOO_FEW_POSITIONS)
 		cli_error("%d of %d positions found", c.positions, calibrate_accelerometer_wanted(&c));
+	if (verdict == CALIBRATE_POOR_COVERAGE)
+		cli_error("coverage %.0f %% in %d positions", 100 * c.coverage, c.positions);
+	if (verdict == CALIBRATE_TOO_FEW_POSITIONS || verdict == CALIBRATE_POOR_COVERAGE)
+		tell_missing("up", r->six ? CALIBRATE_FACES : CALIBRATE_SIDES, position_gap_rad, &c);
+	if (verdict == CALIBRATE_IMPLAUSIBLE)
+		cli_error("the forces at rest fit %.4g m/s^2 after a scale of %.3g %.3g %.3g and an offset of %.3g "
+			  "m/s^2: "
+			  "check the units",
+			r->settings.estimator.gravity_m_s2, c.result.calibration.matrix[0][0],
+			c.result.calibration.matrix[1][1], c.result.calibration.matrix[2][2],
+			vec3_norm(c.result.calibration.bias));
 	if (verdict == CALIBRATE_LARGE_RESIDUAL)
 		cli_error("residual %.3g m/s^2 in %d positions", c.result.residual_m_s2, c.positions);
 	if (verdict != CALIBRATE_GOOD)
@@ -157,6 +202,10 @@ static int magnetometer(const struct calibrate_request *r)
 	verdict = calibrate_magnetometer_finish(&c);
 	if (verdict == CALIBRATE_POOR_COVERAGE)
 		cli_error("coverage %.0f %%", 100 * c.coverage);
+	if (verdict == CALIBRATE_POOR_COVERAGE)
+		tell_missing("along the field", CALIBRATE_SIDES, field_gap_rad, &c);
+	if (verdict == CALIBRATE_IMPLAUSIBLE)
+		cli_error("the field is %.3g uT long: check the units", result->field_uT);
 	if (verdict == CALIBRATE_LARGE_RESIDUAL)
 		cli_error("residual %.1f %% of the field", 100 * result->residual);
 	if (verdict != CALIBRATE_GOOD)

@@ -62,15 +62,6 @@ static bool read_real(struct cli_node *node, uint8_t sub, float *value)
 
 /* ---- the user ---------------------------------------------------------------------------------------------------- */
 
-static const char *side_text(uint8_t side)
-{
-	static const char *const SIDES[] = {"any new side up", "+x up", "-x up", "+y up", "-y up", "+z up", "-z up",
-		"the corner +x +y +z up", "the corner -x +y +z up", "the corner +x -y +z up", "the corner -x -y +z up",
-		"the corner +x +y -z up", "the corner -x +y -z up", "the corner +x -y -z up", "the corner -x -y -z up"};
-
-	return SIDES[side < sizeof SIDES / sizeof *SIDES ? side : 0];
-}
-
 /* Overwrites one line on a terminal; elsewhere each change gets a new line. */
 static void show(const char *text)
 {
@@ -95,17 +86,18 @@ static bool show_progress(struct cli_node *node, uint8_t kind)
 		snprintf(text, sizeof text, "do not touch the sensor: %u %%", progress);
 		break;
 	case MAGNETOMETER:
-		if (!read_byte(node, COVERAGE, &coverage))
+		if (!read_byte(node, COVERAGE, &coverage) || !read_byte(node, NEXT, &next))
 			return false;
-		snprintf(text, sizeof text, "turn it slowly through all directions: %u %% (coverage %u %%)", progress,
-			coverage);
+		snprintf(text, sizeof text, "turn it slowly through all directions: %u %% (coverage %u %%)%s%s",
+			progress, coverage, next ? "; missing along the field: " : "",
+			next ? calibrate_side_text(next) : "");
 		break;
 	default:
 		if (!read_byte(node, POSITIONS, &positions) || !read_byte(node, WANTED, &wanted) ||
 			!read_byte(node, NEXT, &next))
 			return false;
-		snprintf(text, sizeof text, "%u of %u positions; turn it and hold it still: %s", positions, wanted,
-			side_text(next));
+		snprintf(text, sizeof text, "%u of %u positions; turn it and hold it still: %s up", positions, wanted,
+			calibrate_side_text(next));
 	}
 	show(text);
 	return true;
