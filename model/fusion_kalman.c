@@ -84,8 +84,8 @@ static const double STEADY_S = 1, STEADY_TURN_RAD_S = 0.2;
 static const double STEADY_FORCE_M_S2 = 0.02;
 /* s, for which the first attitude is not independent of the accelerometer. By judgement: two memories of the velocity. */
 static const double YOUNG_S = 6;
-/* s, for which, and m/s^2, by which the mean length of the force may differ when its direction shows that the tilt is lost. By judgement: a hand
- * in fast motion. */
+/* A tilt that is not young is lost when the mean force has been far from the vertical for so long (s), and its length differs
+ * from gravity by less than this (m/s^2). By judgement: a hand in fast motion. */
 static const double LOST_S = 3, LOST_LENGTH_M_S2 = 3;
 
 /* ---- bias at rest ---- */
@@ -407,6 +407,7 @@ static void measure(struct fusion_kalman *k, double *error, int i, double measur
 	kalman_update(STATES, estimated, k->covariance[0], error, ph, innovation, innovation_variance);
 }
 
+/* As if it had been found by a force of this error. */
 static void widen_attitude(struct fusion_kalman *k, double force2_m2_s4)
 {
 	double variance = fmin(1, force2_m2_s4 / squared(GRAVITY_M_S2));

@@ -20,6 +20,8 @@
  * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
  *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
  *   filter): the field of a magnet in the object would look just like a scale error.
+ * - Error of the force by vibration and clipping (vibration.h), and by what a steady force or a high velocity contradicts: the
+ *   accelerometer's bias is uncertain by as much for some seconds. Such a force does not re-initialise the tilt.
  * - Agreement of field and gyro (hard_iron.h). A hard-iron offset that the motion shows is subtracted. While the field
  *   does not turn as the gyro says, it is not used, and a heading that it gave is unknown.
  * - Heading and velocity from outside, with the sigma given. While headings come, the magnetometer only estimates where

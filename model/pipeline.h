@@ -176,6 +176,9 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is valid only
  * after 0.05 s or five samples, when the angular acceleration is known.
  *
+ * A first force that differs from gravity by 5 m/s^2 or more is averaged over 0.5 s. An attitude whose tilt has a 1 sigma
+ * beyond 30 degrees is not valid.
+ *
  * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three times
  * the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is more) is
  * not published: *out is the last good one without PIPELINE_VALID (counted), and the filters start again. */
