@@ -155,7 +155,7 @@ tests: $(TESTS) ## build the tests only
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
 	@BUILD=$(BUILD) EMULATOR=$(EMULATOR) tests/run unit scenario
 
-distros: ## build and test in clean roots of Debian 12 and 13, also cross-built (hours; a part: tests/distros trixie)
+distros: ## build and test in clean roots of Debian 12 and 13, also cross-built (an hour; a part: tests/distros trixie)
 	@tests/distros
 
 # With sanitizers gcc warns of overflows that are none: there a warning is no error.

@@ -37,7 +37,7 @@ class ProtocolError(Exception):
 class Master:
     """One bus, with all received frames in `frames` in bus order."""
 
-    def __init__(self, bus, patience=5.0):
+    def __init__(self, bus, patience=120.0):
         self.bus = bus
         self.patience = patience  # timeout of an answer, s
         self.frames = []

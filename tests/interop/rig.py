@@ -22,6 +22,7 @@ WORK = pathlib.Path(tempfile.mkdtemp(prefix="imu9-interop."))  # removed by `run
 
 BUS, ROUGH_BUS = "vcan0", "vcan1"  # vcan0 is captured, so its frames must be valid; invalid frames go to vcan1
 NODE = 16
+PATIENCE = 120  # for what must come, s: only a fault lets it pass
 
 
 def u8(value):
@@ -42,7 +43,7 @@ def program(name):
 
 def run(name, *args, **options):
     """Runs a program of this project to its end."""
-    return subprocess.run([program(name), *map(str, args)], capture_output=True, text=True, timeout=20, **options)
+    return subprocess.run([program(name), *map(str, args)], capture_output=True, text=True, timeout=PATIENCE, **options)
 
 
 def recorded(start):
@@ -96,7 +97,7 @@ class Gateway:
     def end(self, signal_number=signal.SIGTERM):
         """The exit status (negative: the signal that killed it)."""
         self.process.send_signal(signal_number)
-        return self.process.wait(5)
+        return self.process.wait(PATIENCE)
 
     def close(self):
         if self.process.poll() is None:
@@ -117,7 +118,7 @@ class OnTheBus(unittest.TestCase):
         try:
             cls.gateway = Gateway(bus=cls.bus, imu=cls.imu)
             cls.addClassCleanup(cls.gateway.close)
-            master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+            master.wait_state(NODE, canopen.STATE_BOOT_UP)
         finally:
             master.close()
 
@@ -164,7 +165,7 @@ class OnTheBus(unittest.TestCase):
         return [f for f in frames if f.arbitration_id == canopen.TPDO[number - 1] + NODE]
 
 
-def wait_until(condition, seconds=5):
+def wait_until(condition, seconds=PATIENCE):
     end = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > end:

@@ -382,7 +382,7 @@ class Storage(unittest.TestCase):
         self.boot_up()
 
     def boot_up(self):
-        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 
     def kill_and_start(self):
         self.assertEqual(self.gateway.end(signal.SIGKILL), -signal.SIGKILL)
@@ -444,7 +444,7 @@ class RoughBus(rig.OnTheBus):
     def test_it_answers_after_seconds_of_random_traffic(self):
         self.start()
         for flags in (["-e"], []):
-            subprocess.run(["cangen", self.bus, "-g", "0.4", "-n", "2000", "-i", *flags], check=True, timeout=10)
+            subprocess.run(["cangen", self.bus, "-g", "0.4", "-n", "2000", "-i", *flags], check=True, timeout=rig.PATIENCE)
         self.still_answers()
 
     def test_it_answers_after_random_frames_with_its_own_identifiers(self):

@@ -15,7 +15,7 @@ class TheWholeRun(unittest.TestCase):
         fields = ("frame.number", "can.id", "frame.protocols", "_ws.malformed", "_ws.expert.severity", "_ws.col.Info")
         result = subprocess.run(
             ["tshark", "-r", capture, "-d", "can.subdissector,canopen", "-T", "fields"] +
-            [word for field in fields for word in ("-e", field)], capture_output=True, text=True, timeout=60)
+            [word for field in fields for word in ("-e", field)], capture_output=True, text=True, timeout=600)
         assert result.returncode == 0, result.stderr
         frames = [dict(zip(fields, line.split("\t"))) for line in result.stdout.splitlines()]
         # remote frames have no data, so only the CAN dissector handles them

@@ -30,7 +30,7 @@ class ARunningGateway(unittest.TestCase):
         self.boot_up()
 
     def boot_up(self):
-        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 
     def real(self, index, sub=0):
         return struct.unpack("<f", self.master.upload(NODE, index, sub))[0]

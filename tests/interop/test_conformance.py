@@ -252,7 +252,7 @@ class StoredCommunication(unittest.TestCase):
         self.addCleanup(self.master.close)
         self.gateway = rig.Gateway()
         self.addCleanup(self.gateway.close)
-        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 
     def test_reset_communication_restores_the_stored_values_not_the_defaults(self):
         self.master.download(NODE, 0x1017, 0, u16(200))
@@ -268,7 +268,7 @@ class StoredCommunication(unittest.TestCase):
         self.master.download(NODE, 0x1010, 1, canopen.SAVE)
         self.gateway.end(signal.SIGKILL)
         self.gateway.start()
-        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
         self.master.wait_state(NODE, canopen.STATE_OPERATIONAL)
 
 
@@ -295,7 +295,7 @@ class Fastscan(unittest.TestCase):
         self.request(0x4C)
         answers = []
         while answers[-1:] != [0x50]:
-            answer = self.master.wait(LSS_RESPONSE, 5)
+            answer = self.master.wait(LSS_RESPONSE)
             self.assertEqual(answer.data[1:], bytes(7))
             answers.append(answer.data[0])
         self.assertIn(answers, ([0x50], [0x4F, 0x50]))

@@ -155,7 +155,7 @@ class PythonCanopenExample(rig.OnTheBus):
         if not importlib.util.find_spec("canopen"):
             self.skipTest("no python-canopen, which Debian does not have: pip install canopen")
         example = [sys.executable, EXAMPLES / "pdo_python_canopen.py", "--channel", rig.BUS, "--node", str(NODE)]
-        done = subprocess.run([*example, "--samples", "3"], capture_output=True, text=True, timeout=30)
+        done = subprocess.run([*example, "--samples", "3"], capture_output=True, text=True, timeout=rig.PATIENCE)
         self.assertEqual(done.returncode, 0, done.stderr)
         self.assertEqual(len(done.stdout.splitlines()), 3)
         for line in done.stdout.splitlines():

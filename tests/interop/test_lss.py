@@ -29,7 +29,7 @@ class Lss(unittest.TestCase):
         self.addCleanup(self.gateway.close)
 
     def boot_up(self, node):
-        self.master.wait_state(node, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(node, canopen.STATE_BOOT_UP)
 
     def order(self, *data):
         self.master.send(0x7E5, bytes(data).ljust(8, b"\0"))

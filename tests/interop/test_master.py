@@ -18,7 +18,7 @@ class Script(threading.Thread):
 
     def run(self):
         for request, answer in self.lines:
-            frame = self.bus.recv(2)
+            frame = self.bus.recv(120)
             got = None if frame is None else "%03X#%s" % (frame.arbitration_id, frame.data.hex())
             if got != request:
                 self.mistakes.append("%s instead of %s" % (got, request))

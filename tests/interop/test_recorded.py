@@ -59,7 +59,7 @@ class ARecordedTrial(unittest.TestCase):
         self.addCleanup(master.close)
         gateway = rig.Gateway(imu="replay:%s" % log)
         self.addCleanup(gateway.close)
-        master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        master.wait_state(NODE, canopen.STATE_BOOT_UP)
         master.nmt(canopen.START, NODE)
         master.drain()
         self.produce_sync(master)
@@ -114,7 +114,7 @@ class TheLeverArm(unittest.TestCase):
         # with a fusion that does not use the lever arm all later samples can be compared, not only the next one
         self.gateway = rig.Gateway("--set", "fusion.algorithm=0", imu="replay:%s,speed=0.5" % self.log)  # four PDOs for each sample: 572 a second
         self.addCleanup(self.gateway.close)
-        self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 
     @staticmethod
     def moving_part(log):
@@ -196,7 +196,7 @@ class TheLastMovement(unittest.TestCase):
         self.addCleanup(master.close)
         gateway = rig.Gateway(*self.HAND_HELD, imu="replay:%s,speed=20" % log)
         self.addCleanup(gateway.close)
-        master.wait_state(NODE, canopen.STATE_BOOT_UP, 5)
+        master.wait_state(NODE, canopen.STATE_BOOT_UP)
         self.wait_for_it(master)
         text = master.upload(NODE, 0x2132).decode()
         table = [{name: float(number) for name, number in row.items()} for row in csv.DictReader(text.splitlines())]
@@ -213,7 +213,7 @@ class TheLastMovement(unittest.TestCase):
         return struct.unpack("<f", master.upload(NODE, 0x211A, sub))[0]
 
     def wait_for_it(self, master):
-        end = time.monotonic() + 10
+        end = time.monotonic() + rig.PATIENCE
         while struct.unpack("<I", master.upload(NODE, 0x211A, 1))[0] == 0:
             self.assertLess(time.monotonic(), end, "no movement has ended")
             master.listen(0.1)

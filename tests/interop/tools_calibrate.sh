@@ -9,12 +9,12 @@ mkfifo "$work/answer"
 exec 3<>"$work/answer"
 imu9-calibrate gyro <&3 >"$work/out" 2>"$work/err" &
 calibrating=$!
-for _ in {1..100}; do
+for _ in {1..600}; do
 	grep -q accept "$work/out" && break
 	sleep 0.2
 done
 kill -TERM $calibrating
-for _ in {1..20}; do
+for _ in {1..600}; do
 	kill -0 $calibrating 2>/dev/null || break
 	sleep 0.1
 done
@@ -31,7 +31,7 @@ stop_gateway
 printf 't,gx,gy,gz,ax,ay,az,mx,my,mz\n0.%02d,0,0,0,0,0,9.81,,,\n' 0 >"$work/short.imu.csv"
 printf '0.%02d,0,0,0,0,0,9.81,,,\n' {1..5} >>"$work/short.imu.csv"
 start_gateway --imu "replay:$work/short.imu.csv"
-for _ in {1..20}; do
+for _ in {1..600}; do
 	grep -q "has ended" "$work/log" && break
 	sleep 0.1
 done

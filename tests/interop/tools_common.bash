@@ -22,7 +22,7 @@ trap 'stop_gateway; rm -rf "$work"' EXIT
 start_gateway() { # ARGUMENT...
 	imu9-gateway --imu sim --can "$IMU9_CAN" --node-id $IMU9_NODE --store "$work/store" "$@" 2>"$work/log" &
 	gateway=$!
-	for _ in 1 2 3 4 5 6 7 8 9 10; do
+	for _ in {1..100}; do
 		imu9-sdo -t 300 read 0x1000 >/dev/null 2>&1 && return
 	done
 	echo "the gateway did not start:"

@@ -85,7 +85,7 @@ stop_gateway
 start_unconfigured() {
 	imu9-gateway --imu sim --can "$IMU9_CAN" --node-id 255 --store "$work/store2" 2>"$work/log" &
 	gateway=$!
-	for _ in 1 2 3 4 5 6 7 8 9 10; do
+	for _ in {1..100}; do
 		imu9-sdo -t 300 lss inquire >/dev/null 2>&1 && return
 	done
 }

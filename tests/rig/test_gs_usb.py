@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# rig: -k
+# rig: -k -V
 """A gs_usb adapter, emulated down to its USB descriptors: through the kernel's driver, and through the gateway's
 driver with libusb. The bus behind the adapter is vcan0, where the other node is."""
 import os

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# rig: -k
+# rig: -k -V
 """The gateway's slcan driver against the kernel's: two connected pseudo terminals, one of them with the kernel's slcan
 line discipline, which makes it a CAN interface."""
 import os
