@@ -2,7 +2,7 @@
  * What samples cannot show of the motion between them: vibration beyond half the sampling rate, and values beyond the end of
  * a sensor's range. Both falsify the mean force, which is all that tilt and velocity rest on.
  *
- * - Vibration shows in the second difference of the samples, as far as it does not fold to a low frequency. What folds is
+ * - Vibration shows in the fourth difference of the samples, as far as it does not fold to a low frequency. What folds is
  *   as large as what shows: white noise from sample to sample. The mean of a vibrating chip is wrong by a share that grows
  *   with the square of it: non-linearity, and clipping before the chip's low-pass, which no sample shows.
  * - A clipped axis was beyond its end by half of the range, by judgement, so the mean is wrong by the share of the clipped
@@ -26,7 +26,7 @@ struct vibration {
 	double force_noise_m2_s4, force_error_m_s2;
 	bool gyro_clipped, lately; /* the last sample; any one of the last second */
 	/* PRIVATE */
-	struct vec3 force_b_m_s2[2], gyro_b_rad_s[2]; /* the samples before */
+	struct vec3 force_b_m_s2[4], gyro_b_rad_s[4]; /* the samples before */
 	int known;
 	double force_square, force_length, steady_m_s2, gyro_square, clipped_share, end_m_s2, strongest_m_s2,
 		since_clipped_s;
