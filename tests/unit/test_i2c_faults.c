@@ -89,7 +89,7 @@ static void test_on_spi_a_chip_that_is_gone_is_detected_and_its_data_are_not_use
 	(void)state;
 	for (int i = 0; i < BOARD_COUNT * 3 * 8; i++) { /* each sensor of each board eight times */
 		const char *board = BOARDS[i / 24];
-		const enum imu_chip chip = IMU_CHIP_GYRO + i / 8 % 3;
+		const enum imu_chip chip = (enum imu_chip)(IMU_CHIP_GYRO + i / 8 % 3);
 		struct world *w = is_spi(board) ? settled_with(board, chip) : NULL;
 		const struct imu_health *h = w ? &w->board.health : NULL;
 		struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
