@@ -158,13 +158,41 @@ static const double AIDED_SIGMAS = 3, AIDED_GATE_SIGMAS = 5;
 
 static double start_accel_bias_m_s2(const struct navigation *n)
 {
-	return assumptions(n)->dwell ? DWELL_ACCEL_BIAS_M_S2 : START_ACCEL_BIAS_M_S2;
+	return fmax(
+		n->config.accel_bias_sigma_m_s2, assumptions(n)->dwell ? DWELL_ACCEL_BIAS_M_S2 : START_ACCEL_BIAS_M_S2);
+}
+
+static double start_gyro_bias_rad_s(const struct navigation *n)
+{
+	return fmax(n->config.gyro_bias_sigma_rad_s, START_GYRO_BIAS_RAD_S);
+}
+
+/* 1 sigma of the scales, and of the random walks by them. */
+static double gyro_scale(const struct navigation *n)
+{
+	return fmax(n->config.gyro_scale_sigma, GYRO_SCALE);
+}
+
+static double gyro_scale_sqrt_s(const struct navigation *n)
+{
+	return GYRO_SCALE_SQRT_S / GYRO_SCALE * gyro_scale(n);
+}
+
+static double accel_scale(const struct navigation *n)
+{
+	return fmax(n->config.accel_scale_sigma, ACCEL_SCALE);
+}
+
+static double accel_scale_sqrt_s(const struct navigation *n)
+{
+	return ACCEL_SCALE_SQRT_S / ACCEL_SCALE * accel_scale(n);
 }
 
 int navigation_check(const struct navigation_config *c)
 {
 	const struct noise_config *noise = &c->noise;
-	const double not_negative[] = {c->velocity_prior_m_s, c->rest_s, noise->gyro_density_rad_s_sqrt_hz,
+	const double not_negative[] = {c->velocity_prior_m_s, c->rest_s, c->gyro_bias_sigma_rad_s, c->gyro_scale_sigma,
+		c->accel_bias_sigma_m_s2, c->accel_scale_sigma, noise->gyro_density_rad_s_sqrt_hz,
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
 		noise->accel_bias_instability_m_s2};
 
@@ -221,9 +249,9 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 			n->p[i][i] += guide_walk_m2_s3(c->gyro_density_rad_s_sqrt_hz, n->gravity_m_s2) * t;
 	} else {
 		add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
-		add_variance(n, THETA, squared(GYRO_SCALE_SQRT_S) * s->turned2_rad2_s / 3);
+		add_variance(n, THETA, squared(gyro_scale_sqrt_s(n)) * s->turned2_rad2_s / 3);
 	}
-	add_variance(n, V, walk + squared(ACCEL_SCALE_SQRT_S) * s->accel2_m2_s3 / 3);
+	add_variance(n, V, walk + squared(accel_scale_sqrt_s(n)) * s->accel2_m2_s3 / 3);
 	if (!n->still)
 		for (int i = 0; i < 3; i++) {
 			n->p[P + i][P + i] += walk * t * t / 3;
@@ -232,7 +260,7 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 		}
 	add_variance(n, BG, squared(c->gyro_bias_instability_rad_s) * t / BIAS_TIME_S);
 	for (int i = BA; i < BA + 3; i++)
-		n->p[i][i] += squared(ACCEL_SCALE_SQRT_S * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
+		n->p[i][i] += squared(accel_scale_sqrt_s(n) * n->gravity_m_s2) * s->turned2_rad2_s / 3 *
 			      fmax(0, 1 - n->p[i][i] / squared(start_accel_bias_m_s2(n)));
 	add_variance(n, BA, squared(c->accel_bias_instability_m_s2) * t / BIAS_TIME_S);
 }
@@ -393,7 +421,7 @@ static struct smoother_point reference_point(const struct navigation *n, const s
  * on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
 static struct vec3 by_accel_scale(const struct navigation *n, double distance2_m2)
 {
-	double variance = squared(ACCEL_SCALE) * (distance2_m2 - n->way2_max_m2);
+	double variance = squared(accel_scale(n)) * (distance2_m2 - n->way2_max_m2);
 
 	return (struct vec3){variance, variance, variance};
 }
@@ -577,7 +605,7 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
 	reset_errors(n, THETA, squared(START_ANGLE_RAD));
 	reset_errors(n, V, squared(LOST_VELOCITY_M_S));
-	reset_errors(n, BG, squared(START_GYRO_BIAS_RAD_S));
+	reset_errors(n, BG, squared(start_gyro_bias_rad_s(n)));
 	reset_errors(n, BA, squared(start_accel_bias_m_s2(n)));
 	n->high_pass_n_m_s = ZERO;
 	n->high_pass2_max = 0;
@@ -658,7 +686,7 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	fresh.way_from_n_m = n->way_from_n_m;
 	set_variance(&fresh, THETA, squared(START_ANGLE_RAD));
 	set_variance(&fresh, V, squared(START_VELOCITY_M_S));
-	set_variance(&fresh, BG, squared(START_GYRO_BIAS_RAD_S));
+	set_variance(&fresh, BG, squared(start_gyro_bias_rad_s(&fresh)));
 	set_variance(&fresh, BA, squared(start_accel_bias_m_s2(&fresh)));
 	*n = fresh;
 }
@@ -823,7 +851,7 @@ static void add_scale_error(struct navigation *n)
 	if (turned2 < n->net_turn2_max_rad2)
 		return;
 	add_turn_variance(
-		n, squared(GYRO_SCALE) * (turned2 - n->net_turn2_max_rad2), turned2 < squared(ALIGNED_TURN_RAD));
+		n, squared(gyro_scale(n)) * (turned2 - n->net_turn2_max_rad2), turned2 < squared(ALIGNED_TURN_RAD));
 	n->net_turn2_max_rad2 = turned2;
 }
 
@@ -835,7 +863,7 @@ static void add_way_error(struct navigation *n)
 
 	if (way2 < n->way2_max_m2)
 		return;
-	add_variance(n, P, squared(ACCEL_SCALE) * (way2 - n->way2_max_m2));
+	add_variance(n, P, squared(accel_scale(n)) * (way2 - n->way2_max_m2));
 	n->way2_max_m2 = way2;
 }
 

@@ -60,6 +60,10 @@ struct navigation_config {
 	 * used in place of levelling and from its first second on. A smaller one holds the velocity nearer to zero, a
 	 * larger one trusts the accelerometer for longer. */
 	double velocity_prior_m_s;
+	/** >= 0, default 0: 1 sigma of the errors of sensors that nobody calibrated, where it exceeds that of a calibration.
+	 * Larger ones make velocity and position less certain: until standstills have shown the biases, and after each turn
+	 * (scale, as a share of the turn) and way (as a share of it). */
+	double gyro_bias_sigma_rad_s, gyro_scale_sigma, accel_bias_sigma_m_s2, accel_scale_sigma;
 	/** Of the sensors. Smaller densities and instabilities trust the integration more, and the standstills less. */
 	struct noise_config noise;
 	struct rest_config standstill; /* the detector's parameters: STANDSTILL_DEFAULTS or STANCE_DEFAULTS */

@@ -143,12 +143,20 @@ static struct rest_config standstill_config(const struct pipeline_config *config
 	return c;
 }
 
-/* The navigation uses the noise of the sensors and the user's limits of rest. */
+/* The navigation uses the errors of the sensors and the user's limits of rest. */
 static struct position_config position_config(const struct pipeline_config *config)
 {
 	struct position_config position = config->position;
 
 	position.navigation.noise = config->noise;
+	if (config->uncalibrated & PIPELINE_UNCALIBRATED_GYRO) {
+		position.navigation.gyro_bias_sigma_rad_s = UNCALIBRATED_GYRO_RAD_S;
+		position.navigation.gyro_scale_sigma = UNCALIBRATED_GYRO_SCALE;
+	}
+	if (config->uncalibrated & PIPELINE_UNCALIBRATED_ACCEL) {
+		position.navigation.accel_bias_sigma_m_s2 = UNCALIBRATED_ACCEL_M_S2;
+		position.navigation.accel_scale_sigma = UNCALIBRATED_ACCEL_SCALE;
+	}
 	position.navigation.standstill = standstill_config(config);
 	position.navigation.rest_s = config->rest.time_s;
 	return position;

@@ -65,12 +65,13 @@ enum {
 };
 
 /* 1 sigma of the errors of chips as delivered, from data sheets (L3GD20, LSM303DLHC, LSM6DS33, MPU-6050): zero-rate level 10
- * deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg; a hard-iron offset of 50 uT, half the zero-gauss level of an
+ * deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg, sensitivity and alignment of the accelerometer 2 %; a hard-iron offset of 50 uT, half the zero-gauss level of an
  * LIS3MDL, and what a board's supply lines make. */
-#define UNCALIBRATED_GYRO_RAD_S (10 * RAD_PER_DEG)
-#define UNCALIBRATED_GYRO_SCALE 0.02
-#define UNCALIBRATED_ACCEL_M_S2 0.6
-#define UNCALIBRATED_MAG_UT	50.0
+#define UNCALIBRATED_GYRO_RAD_S	 (10 * RAD_PER_DEG)
+#define UNCALIBRATED_GYRO_SCALE	 0.02
+#define UNCALIBRATED_ACCEL_M_S2	 0.6
+#define UNCALIBRATED_ACCEL_SCALE 0.02
+#define UNCALIBRATED_MAG_UT	 50.0
 
 extern const struct pipeline_config PIPELINE_DEFAULTS;
 

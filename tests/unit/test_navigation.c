@@ -295,6 +295,11 @@ static struct position travel(const struct path *path, const struct navigation_c
 	return travel_by_scale(path, navigation, 0, seed);
 }
 
+static double normalised(struct vec3 error, struct vec3 sigma)
+{
+	return (pow(error.x / sigma.x, 2) + pow(error.y / sigma.y, 2) + pow(error.z / sigma.z, 2)) / 3;
+}
+
 /* No standstill shows an error of scale. */
 static void test_after_a_long_way_sigma_counts_the_accelerometers_scale(void **state)
 {
@@ -420,12 +425,8 @@ struct honesty {
 	double attitude, position, accel; /* normalised errors squared, mean of the axes */
 };
 
-static double normalised(struct vec3 error, struct vec3 sigma)
-{
-	return (pow(error.x / sigma.x, 2) + pow(error.y / sigma.y, 2) + pow(error.z / sigma.z, 2)) / 3;
-}
-
-static struct honesty simulate(const char *signal, double rate_hz, struct vec3 lever_b_m, enum motion_preset preset)
+static struct honesty simulate_chips(const char *signal, double rate_hz, struct vec3 lever_b_m,
+	enum motion_preset preset, bool calibrated, unsigned uncalibrated)
 {
 	const int samples = (int)(30 * rate_hz), from = (int)(5 * rate_hz), n = 3 * (samples - from);
 	struct sensor_config chip = *sensor_preset("lsm303dlhc_l3gd20");
@@ -433,14 +434,16 @@ static struct honesty simulate(const char *signal, double rate_hz, struct vec3 l
 	struct honesty sum = {.tilt_rad = 0};
 
 	config.position.navigation.preset = preset;
-
-	sensor_calibrate(&chip);
+	config.uncalibrated = uncalibrated;
 	chip.rate_hz = rate_hz;
 	chip.lever_arm_b_m = config.estimator.lever_arm_b_m = lever_b_m;
-	chip.gyro.scale_sigma = chip.gyro.cross_axis_sigma = chip.accel.scale_sigma = chip.accel.cross_axis_sigma =
-		0.002;
-	chip.accel.bias_sigma = 0.03;
-	chip.gyro.bias_sigma = 0.003;
+	if (calibrated) {
+		sensor_calibrate(&chip);
+		chip.gyro.scale_sigma = chip.gyro.cross_axis_sigma = chip.accel.scale_sigma =
+			chip.accel.cross_axis_sigma = 0.002;
+		chip.accel.bias_sigma = 0.03;
+		chip.gyro.bias_sigma = 0.003;
+	}
 	config.latency.sensor_s = 1 / (2 * PI * chip.gyro.bandwidth_hz);
 	config.latency.accelerometer_s = 0;
 	for (uint64_t seed = 1; seed <= 3; seed++) {
@@ -474,6 +477,28 @@ static struct honesty simulate(const char *signal, double rate_hz, struct vec3 l
 	sum.tilt_rad = sqrt(sum.tilt_rad);
 	sum.position_m = sqrt(sum.position_m);
 	return sum;
+}
+
+static struct honesty simulate(const char *signal, double rate_hz, struct vec3 lever_b_m, enum motion_preset preset)
+{
+	return simulate_chips(signal, rate_hz, lever_b_m, preset, true, 0);
+}
+
+/* 60 mg and 10 deg/s of bias, a few percent of scale: turned, they meet gravity along other axes. */
+static void test_sigma_knows_that_nobody_calibrated_the_sensors(void **state)
+{
+	static const char *const motions[] = {"turntable", "square", "multiposition"};
+	const unsigned all = PIPELINE_UNCALIBRATED_GYRO | PIPELINE_UNCALIBRATED_ACCEL | PIPELINE_UNCALIBRATED_MAG;
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct honesty h = simulate_chips(motions[i], 100, ZERO, MOTION_ANY, false, all);
+
+		print_message(
+			"uncalibrated, %s: NEES of position %.2f, attitude %.2f\n", motions[i], h.position, h.attitude);
+		assert_true(h.position > 0.05 && h.position < 1.5 && h.attitude < 1.5);
+	}
+	assert_true(simulate_chips("turntable", 100, ZERO, MOTION_ANY, false, 0).position > 5);
 }
 
 static const double RATES_HZ[] = {100, 200, 952};
@@ -1285,6 +1310,7 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a_creeping_turn),
 		cmocka_unit_test(test_after_a_long_way_sigma_counts_the_accelerometers_scale),
+		cmocka_unit_test(test_sigma_knows_that_nobody_calibrated_the_sensors),
 		cmocka_unit_test(test_a_guided_way_is_held_level),
 		cmocka_unit_test(test_what_turns_on_its_way_is_not_held),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
