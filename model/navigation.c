@@ -83,6 +83,8 @@ static const double MOVING_ACCEL_SHARE = 0.006, MOVING_TURN_S = 0.3;
 /* s, in which biases walk by their instability. By judgement: where the Allan deviation of MEMS sensors has its flat
  * part. */
 static const double BIAS_TIME_S = 100;
+/* s, correlation time of what vibration and clipping do to the force. By judgement: as long as an engine keeps its speed. */
+static const double FORCE_ERROR_S = 10;
 /* m/s^2, 1 sigma of the acceleration during missing samples. By judgement: a quick robot. */
 static const double GAP_ACCEL_M_S2 = 2;
 
@@ -251,7 +253,10 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 		add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
 		add_variance(n, THETA, squared(gyro_scale_sqrt_s(n)) * s->turned2_rad2_s / 3);
 	}
-	add_variance(n, V, walk + squared(accel_scale_sqrt_s(n)) * s->accel2_m2_s3 / 3);
+	add_variance(n, V,
+		walk + squared(accel_scale_sqrt_s(n)) * s->accel2_m2_s3 / 3 +
+			2 * FORCE_ERROR_S * n->force_variance_m2_s3);
+	n->force_variance_m2_s3 = 0;
 	if (!n->still)
 		for (int i = 0; i < 3; i++) {
 			n->p[P + i][P + i] += walk * t * t / 3;
@@ -952,6 +957,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->gravity_m_s2 = in->gravity_m_s2;
 	n->fusion_variance_rad2 = in->attitude_variance_rad2;
 	n->north_found |= in->north_found;
+	n->force_variance_m2_s3 += dt_s * in->force_variance_m2_s4;
 	integrate(n, in, dt_s);
 	ended = n->sums.t_s >= NAVIGATION_INTERVAL_S;
 	if (ended)

@@ -80,6 +80,7 @@ struct navigation_input {
 	struct vec3 gyro_bias_b_rad_s, gyro_bias_variance_rad2_s2; /* the fusion's estimate, to start from */
 	struct vec3 attitude_variance_rad2; /* of the fusion's attitude, about each axis of n; 0: unknown */
 	bool north_found; /* the fusion's heading has just been set: it is another one than that of the sample before */
+	double force_variance_m2_s4; /* of the force, each axis, beyond that of a calibration (vibration, clipping) */
 	double gravity_m_s2;
 	struct vec3 lever_b_m; /* reference point -> sensor */
 };
@@ -95,6 +96,7 @@ struct navigation {
 	struct vec3 earlier_variance_m2;     /* of the position at the last standstill, without errors of scale */
 	struct vec3 fusion_difference2_rad2; /* mean square of the rotation from q_nb to the fusion's attitude, n */
 	bool north_found;		     /* since the last interval */
+	double force_variance_m2_s3;	     /* integral of navigation_input.force_variance_m2_s4 over the interval */
 	struct vec3 fusion_variance_rad2;    /* the last of navigation_input.attitude_variance_rad2 */
 	double gravity_m_s2;
 	bool started, still;

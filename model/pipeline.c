@@ -523,6 +523,7 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
 		.north_found = p->north_found,
+		.force_variance_m2_s4 = p->vibration.force_error_m_s2 * p->vibration.force_error_m_s2,
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
 	};
 
