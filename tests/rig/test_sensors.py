@@ -89,7 +89,8 @@ class Sensor(unittest.TestCase):
         self.bind()
         self.master = rig.open_master()
         self.addCleanup(self.master.close)
-        self.gateway = rig.Gateway(imu=self.source)
+        calibrated = ["sensor_calibration.%s=1" % sensor for sensor in ("gyro", "accelerometer", "magnetometer")]
+        self.gateway = rig.Gateway(*("--set=" + each for each in calibrated), imu=self.source)  # but for their digits
         self.addCleanup(self.end)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP, 10)
         time.sleep(1)  # the sample clocks are locked, the filters have settled
