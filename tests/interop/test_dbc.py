@@ -1,6 +1,7 @@
 """imu9-sdo dbc: frames on the bus decoded by it have the values that SDO reads. Also loaded by cantools, if installed."""
 import re
 import struct
+import time
 import unittest
 
 import canopen_master as canopen
@@ -94,9 +95,12 @@ class LiveDbc(rig.OnTheBus):
         self.start()
         can_id = canopen.TPDO[3] + NODE
         data = self.pdo_of_sync(can_id)
+        while not data[0] & 1:  # no sample yet
+            time.sleep(0.02)
+            data = self.pdo_of_sync(can_id)
         decoded, status = dbc.decode(can_id, data), struct.unpack_from("<H", data)[0]
         bits = [name for name in dbc.messages[can_id][3] if name.startswith("status_")]
-        self.assertEqual(len(bits), 14)
+        self.assertEqual(len(bits), 15)
         self.assertEqual(sum(int(decoded[name]) << n for n, name in enumerate(bits)), status)
         self.assertEqual(decoded["status_valid"], 1)
         self.assertTrue(all(dbc.values[can_id, name] == {0: "no", 1: "yes"} for name in bits))

@@ -16,7 +16,7 @@ enum { NAME_MAX_LENGTH = 32, MAP_MAX = 8, DUMMY_LAST = 0x1F, PDOS_MAX = 8 };
 static const char *const status_names[] = {"status_valid", "status_rest", "status_magnetometer_used",
 	"status_position_held", "status_gap", "status_position_unsure", "status_standstill_assumed",
 	"status_field_disagrees", "status_saturated", "status_sensor_lost", "status_sensor_fault",
-	"status_external_aid", "status_commissioning", "status_utc"};
+	"status_external_aid", "status_commissioning", "status_utc", "status_vibration"};
 
 static const uint16_t emcy_codes[] = {EMCY_NO_ERROR, EMCY_SLOPE_LONG, EMCY_SLOPE_LATERAL, EMCY_SENSOR_LOST,
 	EMCY_SENSOR_DEGRADED, EMCY_IMPLAUSIBLE, EMCY_STORE_DAMAGED, EMCY_DATA_SET, EMCY_CONFIGURATION,
