@@ -930,6 +930,8 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 	}
 	if (assumptions(n)->guided)
 		follow_guide(n);
+	else
+		n->guide.holds = false;
 	propagate(n, &n->sums);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
