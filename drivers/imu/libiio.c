@@ -72,9 +72,12 @@ static struct {
 	}
 FUNCTIONS(CALL, VOID_CALL)
 
+/* A library that was preloaded (LD_PRELOAD) comes before libiio, as for any program that is linked to it. */
 static bool find(void *handle, const char *name, void **function)
 {
-	*function = dlsym(handle, name);
+	*function = dlsym(RTLD_NEXT, name);
+	if (!*function)
+		*function = dlsym(handle, name);
 	return *function;
 }
 
