@@ -114,12 +114,15 @@ static int fusion_accepts(void)
 	return fusion_init(&f, &fusion_config);
 }
 
-static void test_delay_and_interval_of_the_fusion_have_their_ranges(void **state)
+static void test_delay_and_sigmas_of_the_fusion_have_their_ranges(void **state)
 {
 	(void)state;
 	fusion_config = PIPELINE_DEFAULTS.fusion;
-	const struct range ranges[] = {
-		RANGE(fusion_config.delay_s, 0, 0.1), RANGE(fusion_config.kalman.field_sigma_uT, 0, 1000)};
+	const struct range ranges[] = {RANGE(fusion_config.delay_s, 0, 0.1),
+		RANGE(fusion_config.kalman.field_sigma_uT, 0, 1000),
+		RANGE(fusion_config.kalman.bias_sigma_rad_s, 0, 10),
+		RANGE(fusion_config.kalman.accel_sigma_m_s2, 0, 10),
+		RANGE(fusion_config.kalman.offset_sigma_uT, 0, 1000)};
 
 	ASSERT_RANGES(ranges, fusion_accepts);
 }
@@ -140,6 +143,10 @@ static void test_the_numbers_of_the_navigation_have_their_ranges(void **state)
 	const struct range ranges[] = {
 		RANGE(navigation_config.velocity_prior_m_s, 0, INFINITY),
 		RANGE(navigation_config.rest_s, 0, INFINITY),
+		RANGE(navigation_config.gyro_bias_sigma_rad_s, 0, INFINITY),
+		RANGE(navigation_config.gyro_scale_sigma, 0, INFINITY),
+		RANGE(navigation_config.accel_bias_sigma_m_s2, 0, INFINITY),
+		RANGE(navigation_config.accel_scale_sigma, 0, INFINITY),
 		RANGE(navigation_config.noise.gyro_density_rad_s_sqrt_hz, 0, INFINITY),
 		RANGE(navigation_config.noise.gyro_bias_instability_rad_s, 0, INFINITY),
 		RANGE(navigation_config.noise.accel_density_m_s2_sqrt_hz, 0, INFINITY),
@@ -284,7 +291,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_numbers_of_the_pipeline_have_their_ranges),
-		cmocka_unit_test(test_delay_and_interval_of_the_fusion_have_their_ranges),
+		cmocka_unit_test(test_delay_and_sigmas_of_the_fusion_have_their_ranges),
 		cmocka_unit_test(test_the_numbers_of_the_navigation_have_their_ranges),
 		cmocka_unit_test(test_rate_and_duration_of_the_lever_arms_identification_have_their_ranges),
 		cmocka_unit_test(test_the_errors_of_the_simulated_sensor_have_their_ranges),

@@ -10,6 +10,7 @@
 #include <stdint.h>
 
 #include "drivers/ports/imu.h"
+#include "model/math/units.h"
 
 enum { CHIP_REGISTERS = 20, CHIP_TRIADS = 2, CHIP_BANDWIDTHS = 8, CHIP_SET = CHIP_TRIADS * 6 };
 
@@ -39,6 +40,15 @@ struct chip_range {
 	double step_z;	   /* of the z axis if it differs; 0: as the others */
 	uint8_t code;
 };
+/* Ranges of gyros and accelerometers whose full scale is 32768 digits; deg/s and g. */
+#define CHIP_RANGE_DPS(full_scale, code)                                  \
+	{                                                                 \
+		full_scale, (full_scale) / 32768.0 * RAD_PER_DEG, 0, code \
+	}
+#define CHIP_RANGE_G(full_scale, code)                                              \
+	{                                                                           \
+		full_scale, (full_scale) / 32768.0 * STANDARD_GRAVITY_M_S2, 0, code \
+	}
 
 /* The settings chosen for this chip. */
 struct chip_setup {

@@ -1,21 +1,13 @@
 /* BMI270 (BST-BMI270-DS000). It measures only after a configuration file of 8192 bytes, which its manufacturer
  * publishes, has been written to it. */
 #include "drivers/imu/pololu/board_parts.h"
-#include "model/math/units.h"
 
 #include <errno.h>
 
-#define DPS(full_scale, code)                                             \
-	{                                                                 \
-		full_scale, (full_scale) / 32768.0 * RAD_PER_DEG, 0, code \
-	}
-#define G(full_scale, code)                                                         \
-	{                                                                           \
-		full_scale, (full_scale) / 32768.0 * STANDARD_GRAVITY_M_S2, 0, code \
-	}
-static const struct chip_range GYRO_RANGES[] = {
-	DPS(125, 4), DPS(250, 3), DPS(500, 2), DPS(1000, 1), DPS(2000, 0), {.full_scale = 0}};
-static const struct chip_range ACCEL_RANGES[] = {G(2, 0), G(4, 1), G(8, 2), G(16, 3), {.full_scale = 0}};
+static const struct chip_range GYRO_RANGES[] = {CHIP_RANGE_DPS(125, 4), CHIP_RANGE_DPS(250, 3), CHIP_RANGE_DPS(500, 2),
+	CHIP_RANGE_DPS(1000, 1), CHIP_RANGE_DPS(2000, 0), {.full_scale = 0}};
+static const struct chip_range ACCEL_RANGES[] = {
+	CHIP_RANGE_G(2, 0), CHIP_RANGE_G(4, 1), CHIP_RANGE_G(8, 2), CHIP_RANGE_G(16, 3), {.full_scale = 0}};
 /* bandwidths with fourfold and twofold oversampling and without, about */
 #define RATE(hz, code)                                 \
 	{                                              \

@@ -1,23 +1,13 @@
 /* ICM-42688-P (DS-000347), ICM-20948 (DS-000189) with its magnetometer AK09916: big-endian, accelerometer before gyro,
  * FIFOs of packets. */
 #include "drivers/imu/pololu/chips.h"
-#include "model/math/units.h"
-
-/* both chips: the full scale is 32768 digits */
-#define DPS(full_scale, code)                                             \
-	{                                                                 \
-		full_scale, (full_scale) / 32768.0 * RAD_PER_DEG, 0, code \
-	}
-#define G(full_scale, code)                                                         \
-	{                                                                           \
-		full_scale, (full_scale) / 32768.0 * STANDARD_GRAVITY_M_S2, 0, code \
-	}
 
 /* ---- ICM-42688-P: the codes are at their places in GYRO_CONFIG0 and ACCEL_CONFIG0 -------------------------------- */
 
-static const struct chip_range GYRO_42688[] = {
-	DPS(125, 0x80), DPS(250, 0x60), DPS(500, 0x40), DPS(1000, 0x20), DPS(2000, 0x00), {.full_scale = 0}};
-static const struct chip_range ACCEL_42688[] = {G(2, 0x60), G(4, 0x40), G(8, 0x20), G(16, 0x00), {.full_scale = 0}};
+static const struct chip_range GYRO_42688[] = {CHIP_RANGE_DPS(125, 0x80), CHIP_RANGE_DPS(250, 0x60),
+	CHIP_RANGE_DPS(500, 0x40), CHIP_RANGE_DPS(1000, 0x20), CHIP_RANGE_DPS(2000, 0x00), {.full_scale = 0}};
+static const struct chip_range ACCEL_42688[] = {
+	CHIP_RANGE_G(2, 0x60), CHIP_RANGE_G(4, 0x40), CHIP_RANGE_G(8, 0x20), CHIP_RANGE_G(16, 0x00), {.full_scale = 0}};
 /* Bandwidths: half the rate, then max(400 Hz, rate) / 4, 5, 8, 10, 16, 20, 40 */
 #define FILTERS_42688(hz, base)                                                                                    \
 	{                                                                                                          \
@@ -81,8 +71,10 @@ const struct chip CHIP_ICM42688P = {.name = "ICM-42688-P",
 
 /* ---- ICM-20948: codes at their places in GYRO_CONFIG_1 and ACCEL_CONFIG; those of the rates divide 1125 Hz ------ */
 
-static const struct chip_range GYRO_20948[] = {DPS(250, 0), DPS(500, 2), DPS(1000, 4), DPS(2000, 6), {.full_scale = 0}};
-static const struct chip_range ACCEL_20948[] = {G(2, 0), G(4, 2), G(8, 4), G(16, 6), {.full_scale = 0}};
+static const struct chip_range GYRO_20948[] = {CHIP_RANGE_DPS(250, 0), CHIP_RANGE_DPS(500, 2), CHIP_RANGE_DPS(1000, 4),
+	CHIP_RANGE_DPS(2000, 6), {.full_scale = 0}};
+static const struct chip_range ACCEL_20948[] = {
+	CHIP_RANGE_G(2, 0), CHIP_RANGE_G(4, 2), CHIP_RANGE_G(8, 4), CHIP_RANGE_G(16, 6), {.full_scale = 0}};
 /* of the gyro; those of the accelerometer differ by less than a quarter from code 2 on */
 #define FILTERS_20948                                             \
 	{                                                         \
