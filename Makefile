@@ -205,8 +205,11 @@ FORMATTED = $(shell git ls-files '*.c' '*.h')
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 
+# clang-format breaks no comments.
 check-format: ## fail when a file is not formatted
 	@clang-format --dry-run --Werror $(FORMATTED)
+	@awk -F '\t' '{w = 0; for (i = 1; i < NF; i++) w += length($$i) + 8 - (w + length($$i)) % 8; w += length($$NF)} \
+		w > 120 {print FILENAME ":" FNR ": " w " columns, at most 120"; bad = 1} END {exit bad}' $(FORMATTED)
 
 WITH_OBJECTS = awk '/^<!-- objects/ {print; system("sed -n \"/^\#\# /,$$ p\" $(BUILD)/gen/objects.md"); skip = 1} \
 	/^<!-- end of objects/ {skip = 0} !skip' eds/README.md

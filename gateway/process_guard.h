@@ -1,6 +1,6 @@
 /* gateway/process_guard.h
- * A thread that takes SIGINT and SIGTERM while the loop does not: at the start, which can wait for a FIFO, a device or a
- * mount, and at the end, which waits for threads of drivers and of the store. */
+ * A thread that takes SIGINT and SIGTERM while the loop does not: at the start, which can wait for a FIFO, a device or
+ * a mount, and at the end, which waits for threads of drivers and of the store. */
 #ifndef GATEWAY_PROCESS_GUARD_H
 #define GATEWAY_PROCESS_GUARD_H
 
@@ -15,8 +15,9 @@ struct process_guard {
 	_Atomic(const char *) opening;
 };
 
-/** The first call of the process: holds the signals, and opens descriptors 0 to 2 on /dev/null where they are closed, so
- * that no device gets one of them and with it the log. From then on a signal ends the process at once, exit status 0. */
+/** The first call of the process: holds the signals, and opens descriptors 0 to 2 on /dev/null where they are closed,
+ * so that no device gets one of them and with it the log. From then on a signal ends the process at once, exit status
+ * 0. */
 void process_guard_start(struct process_guard *guard);
 /** What the start opens next; a line of the log names it when that takes more than 5 s. `what` must stay. */
 void process_guard_opening(struct process_guard *guard, const char *what);

@@ -143,7 +143,7 @@ static bool may_be_same(const struct hardware *a, const struct hardware *b)
 	return a->count == 0 || b->count == 0;
 }
 
-/* ---- the file: for each gateway "SERIAL BUS NUMBER..." ------------------------------------------------------------ */
+/* ---- the file: for each gateway "SERIAL BUS NUMBER..." ----------------------------------------------------------- */
 
 struct line {
 	uint32_t serial;

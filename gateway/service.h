@@ -33,8 +33,8 @@ void service_close(struct service *s);
 void service_ready(struct service *s, const char *status);
 void service_stopping(struct service *s);
 
-/** What the threads do: the sensor's has come round `turns` times (0: there is none), and the store's is writing. Gives a
- * sign of life when it is due. Returns the next deadline. `now_us`: CLOCK_MONOTONIC. */
+/** What the threads do: the sensor's has come round `turns` times (0: there is none), and the store's is writing. Gives
+ * a sign of life when it is due. Returns the next deadline. `now_us`: CLOCK_MONOTONIC. */
 uint64_t service_tick(struct service *s, unsigned turns, bool storing, uint64_t now_us);
 
 /** The process was not scheduled for `us`, as its threads were not. */

@@ -14,8 +14,8 @@ struct pipeline_config settings_pipeline(const struct od_values *values);
 
 /** Whether these objects, each within its limits, agree with one another, at the rate of 2058h. */
 bool settings_valid(const struct od_values *values);
-/** PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, by 2055h; where that is automatic, by 2050h to 2052h and
- * the word of the source (imu_port.uncalibrated). settings_pipeline() takes the source for calibrated. */
+/** PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, by 2055h; where that is automatic, by 2050h to
+ * 2052h and the word of the source (imu_port.uncalibrated). settings_pipeline() takes the source for calibrated. */
 unsigned settings_uncalibrated(const struct od_values *values, unsigned source);
 
 /** Writes REAL32 values to the sub-indices 1 to `count` of an object: all of them and OD_OK, or none and the reason. */

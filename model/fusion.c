@@ -17,8 +17,8 @@ static const double AID_S = 10, NORTH_TIME_S = 10;
 /* s. Over a longer interval the rate was not just between those of its samples, and the velocity is unknown: a gap. By
  * judgement: a hand changes its velocity by 1 m/s within that time. */
 static const double GAP_S = 0.1;
-/* Usual intervals, and s, below which there is none. By judgement: two samples are missing; a sensor of less than 5 samples a
- * second tells nothing about what was between two of them. */
+/* Usual intervals, and s, below which there is none. By judgement: two samples are missing; a sensor of less than 5
+ * samples a second tells nothing about what was between two of them. */
 static const double GAP_INTERVALS = 2.5, GAP_MOST_S = 0.5;
 
 static bool within(double value, double high)

@@ -42,8 +42,8 @@ struct fusion_config {
 	 * extrapolates by the rate. Too small a value leaves the attitude late by the rest, too large a one makes it
 	 * early. The pipeline sets it. */
 	double delay_s;
-	/** s, >= 0, default 0: usual interval between samples. Only intervals beyond 2.5 of it are gaps, if that is more than
-	 * 0.1 s and less than 0.5 s. The pipeline sets it. */
+	/** s, >= 0, default 0: usual interval between samples. Only intervals beyond 2.5 of it are gaps, if that is
+	 * more than 0.1 s and less than 0.5 s. The pipeline sets it. */
 	double interval_s;
 };
 

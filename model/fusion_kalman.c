@@ -50,8 +50,8 @@ static const double GYRO_ERROR_TIME_S = 0.3;
 static const double SATURATED_SHARE = 0.5;
 /* s, in which the scale's variance returns to its start (10 hours). By judgement: temperature and ageing. */
 static const double SCALE_TIME_S = 36000;
-/* rad/s, limit of the bias estimate, all axes together. Datasheet: zero-rate level of the L3GD20 at 2000 deg/s, up to 75
- * deg/s; most chips have a third of it on each axis. What turns steadily faster than that lies on a turntable. */
+/* rad/s, limit of the bias estimate, all axes together. Datasheet: zero-rate level of the L3GD20 at 2000 deg/s, up to
+ * 75 deg/s; most chips have a third of it on each axis. What turns steadily faster than that lies on a turntable. */
 static const double MOST_BIAS_RAD_S = 45 * RAD_PER_DEG;
 /* Limit of the scale estimate, in its 1 sigma. By judgement: beyond five sigma the configured sigma is wrong. */
 static const double MOST_SCALE_SIGMAS = 5;
@@ -73,19 +73,21 @@ static const double STEADY_VELOCITY_M_S = 3;
 /* rad/s/sqrt(Hz), of the gyro at rest: the density in datasheets (L3GD20: 0.03 deg/s/sqrt(Hz)). */
 static const double REST_GYRO_NOISE = 0.03 * RAD_PER_DEG;
 
-/* s, correlation time of the errors of vibration and clipping. By judgement: the beat of a vibration against the samples. */
+/* s, correlation time of the errors of vibration and clipping. By judgement: the beat of a vibration against the
+ * samples. */
 static const double FORCE_ERROR_S = 4;
 /* Sigmas of the mean force at rest, or of the velocity, beyond which the force is wrong. Convention. */
 static const double CONTRADICTS = 3, FAST = 2;
-/* s, for which a motion has no constant acceleration, unless it turns faster than this. By judgement: a lever arm of a metre
- * has 0.04 m/s^2 then. */
+/* s, for which a motion has no constant acceleration, unless it turns faster than this. By judgement: a lever arm of a
+ * metre has 0.04 m/s^2 then. */
 static const double STEADY_S = 1, STEADY_TURN_RAD_S = 0.2;
 /* m/s^2, 1 sigma of the mean force of a second at rest. By judgement: slow motion of the support. */
 static const double STEADY_FORCE_M_S2 = 0.02;
-/* s, for which the first attitude is not independent of the accelerometer. By judgement: two memories of the velocity. */
+/* s, for which the first attitude is not independent of the accelerometer. By judgement: two memories of the
+ * velocity. */
 static const double YOUNG_S = 6;
-/* A tilt that is not young is lost when the mean force has been far from the vertical for so long (s), and its length differs
- * from gravity by less than this (m/s^2). By judgement: a hand in fast motion. */
+/* A tilt that is not young is lost when the mean force has been far from the vertical for so long (s), and its length
+ * differs from gravity by less than this (m/s^2). By judgement: a hand in fast motion. */
 static const double LOST_S = 3, LOST_LENGTH_M_S2 = 3;
 
 /* ---- bias at rest ---- */
@@ -93,28 +95,29 @@ static const double LOST_S = 3, LOST_LENGTH_M_S2 = 3;
 /* s, over which the rate is averaged before it counts as bias, once the next mean agrees with it: a motion that begins
  * within a second of it keeps it from being estimated. By judgement: a motion begins within a second. */
 static const double BLOCK_S = 1;
-/* s, by which a signal that was steady from the start on may have been so for less: the detector has no first sample. By
- * judgement: some corrections. */
+/* s, by which a signal that was steady from the start on may have been so for less: the detector has no first sample.
+ * By judgement: some corrections. */
 static const double STEADY_SINCE_START_S = 0.1;
 /* uT, least turn of the field that tells. By judgement: above a magnetometer's noise in a second. */
 static const double FIELD_TURNS_UT = 0.3;
-/* Sigmas within which two means agree, a mean agrees with the bias estimate, and the short mean with it. Convention, for
- * three axes at a time. */
+/* Sigmas within which two means agree, a mean agrees with the bias estimate, and the short mean with it. Convention,
+ * for three axes at a time. */
 static const double BLOCK_SIGMAS = 4, BIAS_SIGMAS = 3.5, TURNING_SIGMAS = 4;
 /* s, of the short mean. By judgement: a swing turns by more than its sigma within that time. */
 static const double MEAN_RATE_S = 0.3;
-/* s, memory of the mean length of the force, and the time before which it is not taken at its word. By judgement: motion
- * within a second averages out less than within ten. */
+/* s, memory of the mean length of the force, and the time before which it is not taken at its word. By judgement:
+ * motion within a second averages out less than within ten. */
 static const double MEAN_LENGTH_S = 10, MEAN_LENGTH_LEAST_S = 0.5;
-/* m/s^2, by which that length is too short in motion, too. By judgement: 2 %, more than any calibrated accelerometer lacks, and
- * than motion takes away in a mean. */
+/* m/s^2, by which that length is too short in motion, too. By judgement: 2 %, more than any calibrated accelerometer
+ * lacks, and than motion takes away in a mean. */
 static const double UNCALIBRATED_M_S2 = 0.2;
 /* m/s^2, by which it may differ at rest: three sigma of the calibration. */
 static const double UNCALIBRATED_AT_REST_M_S2 = 0.09;
-/* s, memory of that mean while it is further off than any calibration explains, so that it ends soon after the vibration. */
+/* s, memory of that mean while it is further off than any calibration explains, so that it ends soon after the
+ * vibration. */
 static const double SHORT_MEMORY_S = 2;
-/* m/s^2, by which a mean length differs that no calibration explains: vibration beyond the sensor's bandwidth or range. By
- * judgement: data sheets have 3 % of scale and 80 mg of offset. */
+/* m/s^2, by which a mean length differs that no calibration explains: vibration beyond the sensor's bandwidth or range.
+ * By judgement: data sheets have 3 % of scale and 80 mg of offset. */
 static const double VIBRATES_M_S2 = 1;
 /* m/s^2, of gravity: half a percent of error on Earth, which the accelerometer's sigma covers. */
 static const double GRAVITY_M_S2 = 9.81;
@@ -169,8 +172,9 @@ static const double RECOVERY = 2;
 static const double REJECTED_WEIGHT = 16;
 /* rad, innovation of the heading beyond which it is an outlier. By judgement: no working gyro drifts by 60 degrees. */
 static const double OUTLIER_RAD = 60 * RAD_PER_DEG;
-/* s, age of the reference below which there are no outliers, and which is given up when the field is another one for longer:
- * after a start in motion, or beside iron, the first heading may be as wrong. Tuned on simulated starts in motion, of which 2 in 30 kept a wrong heading for a minute. */
+/* s, age of the reference below which there are no outliers, and which is given up when the field is another one for
+ * longer: after a start in motion, or beside iron, the first heading may be as wrong. Tuned on simulated starts in
+ * motion, of which 2 in 30 kept a wrong heading for a minute. */
 static const double OUTLIER_REFERENCE_S = 10;
 
 /* ---- aids ---- */
@@ -341,8 +345,8 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 }
 
 /* P = F P with the state transition F: attitude += rotation_rate scale - rotation bias, velocity += attitude x force -
- * rotation accelerometer bias. An error of the attitude turns the accelerometer's velocity and the lever arm's share of it alike, so `force` is the
- * integrated force at the reference point. */
+ * rotation accelerometer bias. An error of the attitude turns the accelerometer's velocity and the lever arm's share of
+ * it alike, so `force` is the integrated force at the reference point. */
 static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 {
 	const double cross[6] = {0, f.z, -f.y, -f.z, 0, f.x};
@@ -396,8 +400,8 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 			fmin(1, t / SCALE_TIME_S) * fmax(0, squared(config->gyro_scale_sigma) - k->covariance[i][i]);
 }
 
-/* A measurement of state i; `error` collects the estimates of all states. The last states are considered, not estimated:
- * the accelerometer's bias, and by a heading the gyro's scale, too (see the header). */
+/* A measurement of state i; `error` collects the estimates of all states. The last states are considered, not
+ * estimated: the accelerometer's bias, and by a heading the gyro's scale, too (see the header). */
 static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
 {
 	const int estimated = i == HEADING ? SCALE : ACCEL;
@@ -436,8 +440,8 @@ static bool is_steady(const struct fusion_kalman *k)
 	return k->sums.steady_s > STEADY_S && k->sums.turned_rad2_s < squared(STEADY_TURN_RAD_S) * k->sums.time_s;
 }
 
-/* The mean force differs from gravity by more than attitude and accelerometer can be wrong by: at rest by itself, in motion
- * when its velocity is beyond all that was expected. So it is wrong by as much. */
+/* The mean force differs from gravity by more than attitude and accelerometer can be wrong by: at rest by itself, in
+ * motion when its velocity is beyond all that was expected. So it is wrong by as much. */
 static void doubt_mean_force(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, double velocity2, bool rest)
 {
@@ -489,8 +493,8 @@ static bool blocks_agree(const struct fusion_kalman *k, struct vec3 mean_b_rad_s
 	return k->last_block_known && vec3_dot(apart, apart) < squared(BLOCK_SIGMAS) * 3 * variance;
 }
 
-/* What has been steady since the start may lie still, and its whole rate be bias, however large: until that is known, the
- * bias is uncertain by as much. A rate that changes is a motion. */
+/* What has been steady since the start may lie still, and its whole rate be bias, however large: until that is known,
+ * the bias is uncertain by as much. A rate that changes is a motion. */
 static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 {
 	struct vec3 rate = vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), off, changed;
@@ -568,10 +572,10 @@ static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_
 	begin_block(k);
 }
 
-/* What the mean length of the force lacks to gravity is the accelerometer's error: motion can only add to it. At rest an
- * excess is, too. In motion it is that of one direction of many: the mean square of a vector is three times that of a part.
- * While vibration falsifies the force, its length shows nothing else; beyond what calibrations lack, it shows vibration: an
- * error across gravity makes it longer by its square only. */
+/* What the mean length of the force lacks to gravity is the accelerometer's error: motion can only add to it. At rest
+ * an excess is, too. In motion it is that of one direction of many: the mean square of a vector is three times that of
+ * a part. While vibration falsifies the force, its length shows nothing else; beyond what calibrations lack, it shows
+ * vibration: an error across gravity makes it longer by its square only. */
 static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 {
 	double length = vec3_norm(k->sums.force_n_m_s) / k->sums.time_s, off, least = VIBRATES_M_S2;
@@ -642,10 +646,10 @@ static void lose_north(struct fusion_kalman *k)
 	k->sums.fields = 0;
 }
 
-/* Lets the reference follow the undisturbed field and keeps the times of rejection. A reference that was seen for less time
- * than it has been contradicted since (an object that was switched on beside iron) is as likely wrong as right: the next
- * field sets the heading, which is on trial until that one has been seen for long enough. Returns the factor of the heading's
- * variance, or 0 for a field that is rejected. */
+/* Lets the reference follow the undisturbed field and keeps the times of rejection. A reference that was seen for less
+ * time than it has been contradicted since (an object that was switched on beside iron) is as likely wrong as right:
+ * the next field sets the heading, which is on trial until that one has been seen for long enough. Returns the factor
+ * of the heading's variance, or 0 for a field that is rejected. */
 static double update_field_reference(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
 {

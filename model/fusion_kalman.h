@@ -20,8 +20,9 @@
  * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
  *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
  *   filter): the field of a magnet in the object would look just like a scale error.
- * - Error of the force by vibration and clipping (vibration.h), and by what a steady force or a high velocity contradicts: the
- *   accelerometer's bias is uncertain by as much for some seconds. Such a force does not re-initialise the tilt.
+ * - Error of the force by vibration and clipping (vibration.h), and by what a steady force or a high velocity
+ *   contradicts: the accelerometer's bias is uncertain by as much for some seconds. Such a force does not re-initialise
+ *   the tilt.
  * - Agreement of field and gyro (hard_iron.h). A hard-iron offset that the motion shows is subtracted. While the field
  *   does not turn as the gyro says, it is not used, and a heading that it gave is unknown.
  * - Heading and velocity from outside, with the sigma given. While headings come, the magnetometer only estimates where
@@ -72,12 +73,13 @@ struct fusion_kalman_config {
 	 * estimated. A smaller one trusts the calibration. A larger one is for a gyro whose scale was never
 	 * calibrated. The estimate stays within five of it. */
 	double gyro_scale_sigma;
-	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white. noise_config.mag_sigma_uT. */
+	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white.
+	 * noise_config.mag_sigma_uT. */
 	double field_sigma_uT;
-	/** 1 sigma of what each sensor's calibration leaves, each axis: rad/s, 0..10, default 0.5 deg/s, of the gyro's bias
-	 * at the start, as in VQF; m/s^2, 0..10, default 0.03 (3 mg), of the accelerometer's, by judgement what six
-	 * attitudes leave; uT, 0..1000, default 0, of a hard-iron offset that no motion has shown yet. Smaller ones claim
-	 * more than is known, larger ones let the sensor count less. The pipeline sets them. */
+	/** 1 sigma of what each sensor's calibration leaves, each axis: rad/s, 0..10, default 0.5 deg/s, of the gyro's
+	 * bias at the start, as in VQF; m/s^2, 0..10, default 0.03 (3 mg), of the accelerometer's, by judgement what
+	 * six attitudes leave; uT, 0..1000, default 0, of a hard-iron offset that no motion has shown yet. Smaller ones
+	 * claim more than is known, larger ones let the sensor count less. The pipeline sets them. */
 	double bias_sigma_rad_s, accel_sigma_m_s2, offset_sigma_uT;
 };
 
@@ -96,8 +98,8 @@ struct gyro_errors {
 };
 
 /* Errors in the state: attitude x y z (rad, global), velocity x y (m/s, global), gyro bias x y z (rad/s, object), gyro
- * scale x y z, accelerometer bias x y z (m/s^2, object). The last is a consider state (Schmidt-Kalman): it is not estimated,
- * but its variance and its correlations count, so that a systematic tilt is not taken for gyro bias. */
+ * scale x y z, accelerometer bias x y z (m/s^2, object). The last is a consider state (Schmidt-Kalman): it is not
+ * estimated, but its variance and its correlations count, so that a systematic tilt is not taken for gyro bias. */
 enum {
 	KALMAN_ATTITUDE = 0,
 	KALMAN_HEADING = 2,
@@ -168,8 +170,8 @@ struct fusion_kalman {
 		heading_by_offset_rad_uT; /* how an offset of the field in the object frame has turned the heading, */
 	struct vec3 field_by_offset_1_uT; /* .. and the share by which it added to the horizontal field */
 	bool north_from_field;		  /* the heading was set by the field, not from outside */
-	bool north_on_trial; /* .. in place of another one, and that field has not been seen for long enough to be believed */
-	bool north_lost; /* and the field has shown since that it was wrong: to be set anew by the next one */
+	bool north_on_trial; /* .. in place of another one, and that field has not been seen for long enough */
+	bool north_lost;     /* and the field has shown since that it was wrong: to be set anew by the next one */
 	double aided_velocity_n_m_s[2], aided_velocity_s; /* the last from outside, and for how long it holds */
 };
 
@@ -210,12 +212,12 @@ struct fusion_kalman_sample {
 	struct vec3 force_b_m_s2;		/* specific force; 0: none */
 	const struct vec3 *field_b_uT;		/* NULL: none */
 	struct vec3 lever_arm_b_m;		/* reference point -> accelerometer */
-	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample, and 1
-	 * sigma of what stays the same for seconds */
+	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample,
+	 * and 1 sigma of what stays the same for seconds */
 	double force_noise_m2_s4, force_error_m_s2;
 	bool rest, saturated; /* saturated: the gyro */
 	bool gap;	      /* samples are missing before this one: the velocity is unknown */
-	double steady_s; /* for how long gyro and accelerometer have been steady; longer than since the start: not known */
+	double steady_s; /* for how long gyro and accelerometer are steady; longer than since the start: not known */
 };
 
 /** The field cannot be used now: it does not turn as the gyro says. */
@@ -228,8 +230,8 @@ static inline bool fusion_kalman_force_doubted(const struct fusion_kalman *k)
 {
 	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + 0.01;
 }
-/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used, or that has just
- * replaced another one. */
+/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used, or that has
+ * just replaced another one. */
 double fusion_kalman_heading_variance(const struct fusion_kalman *k);
 
 /** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true

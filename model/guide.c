@@ -2,11 +2,11 @@
 
 #include "model/math/kalman.h"
 
-/* s, in which the attitude decays to that of the guide. By judgement: longer than what a frame nods by when it is accelerated,
- * shorter than a movement. */
+/* s, in which the attitude decays to that of the guide. By judgement: longer than what a frame nods by when it is
+ * accelerated, shorter than a movement. */
 static const double HOLD_S = 1;
-/* rad, 1 sigma of the guide's direction along the way (0.02 degrees), whose correlation time is HOLD_S. By judgement: rails are
- * aligned to half a millimetre in a metre. */
+/* rad, 1 sigma of the guide's direction along the way (0.02 degrees), whose correlation time is HOLD_S. By judgement:
+ * rails are aligned to half a millimetre in a metre. */
 static const double UNEVEN_RAD = 0.00035;
 /* Sigmas of the net turn beyond which it turns, and rad, a turn that is none: flexing. By judgement. */
 static const double TURN_SIGMAS = 3, FLEXING_RAD = 0.002;

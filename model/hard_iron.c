@@ -6,40 +6,41 @@
 #include "model/math/linalg.h"
 #include "model/math/rotation.h"
 
-/* rad, of a turn that counts. By judgement: large against the gyro's errors within seconds, small enough that a hand or an
- * arm makes it. */
+/* rad, of a turn that counts. By judgement: large against the gyro's errors within seconds, small enough that a hand or
+ * an arm makes it. */
 static const double TURN_RAD = 0.5;
 /* s, for which it may last. By judgement: within that time an unknown gyro bias (0.5 deg/s) turns by a tenth of it. */
 static const double TURN_MOST_S = 5;
 /* 1 sigma of a field before and after a turn, as a share of its length; of its length; and s, of the lag between
  * magnetometer and gyro. Tuned on the recorded trials of BROAD: with them the offset found is within its sigma of 0. */
 static const double FIELD_SHARE = 0.04, LENGTH_SHARE = 0.1, LAG_S = 0.01;
-/* Spread of the length, as a share of it, above which all of these are larger by as much. By judgement: fields that differ
- * so from place to place pretend an offset. */
+/* Spread of the length, as a share of it, above which all of these are larger by as much. By judgement: fields that
+ * differ so from place to place pretend an offset. */
 static const double LENGTH_SPREAD = 0.05;
 /* uT, 1 sigma of the offset before anything is known. By judgement: a chip beside its supply lines. */
 static const double OFFSET_UT = 50;
-/* Turns of memory: of the offset, and of the agreement. By judgement: a magnet that was attached is found within a minute. */
+/* Turns of memory: of the offset, and of the agreement. By judgement: a magnet that was attached is found within a
+ * minute. */
 static const double OFFSET_TURNS = 100, AGREEMENT_TURNS = 50;
 /* Turns of the recent mean of what is unexplained, by how much that is larger than the mean before when the offset has
- * changed (a magnet was attached, or removed), and what is kept then of the earlier turns, with every turn. By judgement:
- * the recorded change is larger by ten. */
+ * changed (a magnet was attached, or removed), and what is kept then of the earlier turns, with every turn. By
+ * judgement: the recorded change is larger by ten. */
 static const double RECENT_TURNS = 6, CHANGED = 3, KEPT = 0.7;
 /* Factor of the greatest change of the field that a turn can make. By judgement: above the field's noise. */
 static const double POSSIBLE = 1.2;
 /* Turns before the offset, or the agreement, is judged. By judgement. */
 enum { OFFSET_TURNS_LEAST = 6, AGREEMENT_TURNS_LEAST = 4, AGREEMENT_TURNS_SURE = 10 };
-/* 1 sigma of what is left, as a share of the field: fields that differ from place to place pretend it. Tuned: the heading of
- * the recorded trials with an offset added is within its sigma. */
+/* 1 sigma of what is left, as a share of the field: fields that differ from place to place pretend it. Tuned: the
+ * heading of the recorded trials with an offset added is within its sigma. */
 static const double PRETENDED_SHARE = 0.03;
-/* Least offset as a share of the field, and in sigmas. Tuned: the recorded fields of buildings pretend up to 0.1. Below the
- * last, the magnet is gone. */
+/* Least offset as a share of the field, and in sigmas. Tuned: the recorded fields of buildings pretend up to 0.1. Below
+ * the last, the magnet is gone. */
 static const double OFFSET_SHARE = 0.12, OFFSET_SIGMAS = 4, OFFSET_SHARE_LEAST = 0.06;
 /* Turns about an axis before it is judged. By judgement. */
 static const double AXIS_TURNS_LEAST = 2;
-/* Share of the field's turn (root of the sums of squares) that is unexplained: beyond the first with few turns, beyond the
- * second with more, it disagrees; below the third it agrees; below the fourth an offset explains it. Tuned: recorded fields
- * leave 0.1 to 0.4, swapped or mirrored axes 0.5 to 2. */
+/* Share of the field's turn (root of the sums of squares) that is unexplained: beyond the first with few turns, beyond
+ * the second with more, it disagrees; below the third it agrees; below the fourth an offset explains it. Tuned:
+ * recorded fields leave 0.1 to 0.4, swapped or mirrored axes 0.5 to 2. */
 static const double DISAGREES_FEW = 0.9, DISAGREES = 0.6, AGREES = 0.4, EXPLAINED = 0.3;
 
 double hard_iron_variance(const struct hard_iron *h, struct vec3 d)
@@ -132,8 +133,8 @@ static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4
 	return true;
 }
 
-/* Counts what the turn leaves unexplained with this offset, and how much the field turned, for each axis by its share of the
- * turn: a turn about x says nothing of x. Returns the former. */
+/* Counts what the turn leaves unexplained with this offset, and how much the field turned, for each axis by its share
+ * of the turn: a turn about x says nothing of x. Returns the former. */
 static double count(struct hard_iron_agreement *a, const double share[3], const struct mat3 *turn, struct vec3 field,
 	struct vec3 apart, struct vec3 offset, double weight)
 {
@@ -238,8 +239,8 @@ static enum hard_iron_event end_turn(struct hard_iron *h, struct vec3 field, dou
 	return judge(h, x, covariance);
 }
 
-/* Whether this turn can have changed the field so: |(I - R) b| is at most 2 sin(angle / 2) |b|, and |b| at most the sum of
- * what is measured and the true field. A magnet that appears meanwhile changes it by more. */
+/* Whether this turn can have changed the field so: |(I - R) b| is at most 2 sin(angle / 2) |b|, and |b| at most the sum
+ * of what is measured and the true field. A magnet that appears meanwhile changes it by more. */
 static bool is_possible(const struct hard_iron *h, struct vec3 field)
 {
 	double most = vec3_norm(field) + vec3_norm(h->last_b_uT), half2 = fmax(0, 1 - squared(h->turned.w));

@@ -4,14 +4,15 @@
  *
  *   m2 - R m1 = (I - R) b,    |m1 - b| = |m2 - b|
  *
- * with the hard-iron offset b: a constant field of magnets in the object, or an offset of the chip. Both are linear in b
- * and one more unknown, and are solved by least squares over the last hundred turns of half a radian.
+ * with the hard-iron offset b: a constant field of magnets in the object, or an offset of the chip. Both are linear in
+ * b and one more unknown, and are solved by least squares over the last hundred turns of half a radian.
  *
  * - An offset beyond four sigma and beyond 0.12 of the field is subtracted from then on. Its covariance remains as an
  *   error of the heading. A smaller one is what fields of buildings pretend.
  * - A field that does not turn with the object, whatever the offset, is of no use: axes that were swapped or mirrored,
- *   or fields of iron nearby. Each axis of the turns is judged by itself: one about x does not show that x is mirrored. It disagrees until the turns fit again. A rotation of the field about the vertical alone,
- *   and one turned upside down (a southern magnetic hemisphere), cannot be seen so.
+ *   or fields of iron nearby. Each axis of the turns is judged by itself: one about x does not show that x is mirrored.
+ *   It disagrees until the turns fit again. A rotation of the field about the vertical alone, and one turned upside
+ *   down (a southern magnetic hemisphere), cannot be seen so.
  *
  * An object that does not turn shows nothing of both.
  *
@@ -37,8 +38,8 @@ enum hard_iron_event {
 struct hard_iron {
 	struct vec3 offset_b_uT;   /* 0 until known */
 	double variance_uT2[3][3]; /* its covariance; 0 until known, unless there is a prior */
-	/* 1 sigma of an offset that the motion has not shown yet, each axis; 0 (default): the magnetometer is calibrated. The
-	 * caller may change it. After enough turns the covariance is that of what they leave open. */
+	/* 1 sigma of an offset that the motion has not shown yet, each axis; 0 (default): the magnetometer is
+	 * calibrated. The caller may change it. After enough turns the covariance is that of what they leave open. */
 	double prior_uT;
 	bool known, disagrees;
 	bool agreed;  /* once, over turns about all axes: what disagrees now is a disturbance */

@@ -52,8 +52,9 @@ static const double START_ANGLE_RAD = 0.035;
 static const double START_VELOCITY_M_S = 0.1;
 /* rad/s, 1 sigma of the gyro bias (0.3 deg/s). By judgement: a calibration at another temperature. */
 static const double START_GYRO_BIAS_RAD_S = 0.005;
-/* m/s^2, 1 sigma of the accelerometer bias (6 mg), and where the motion goes to and fro and averages part of it out (3 mg).
- * By judgement: what a calibration in six attitudes leaves, with half a percent of gravity by scale and alignment. */
+/* m/s^2, 1 sigma of the accelerometer bias (6 mg), and where the motion goes to and fro and averages part of it out (3
+ * mg). By judgement: what a calibration in six attitudes leaves, with half a percent of gravity by scale and
+ * alignment. */
 static const double START_ACCEL_BIAS_M_S2 = 0.06, DWELL_ACCEL_BIAS_M_S2 = 0.03;
 /* rad, 1 sigma of an attitude from outside: a degree, as in the fusion. */
 static const double SET_ANGLE_RAD = 0.0175;
@@ -65,25 +66,27 @@ static const double SET_ANGLE_RAD = 0.0175;
  * behind. With each turn such errors of the accelerometer meet gravity along another axis, so its bias walks, too, up
  * to START_ACCEL_BIAS_M_S2. Tuned: 0.1 % is a calibrated sensor. */
 static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
-/* 1 sigma of the accelerometer's scale and alignment, as a share of the way: no standstill shows it, since its effect on the
- * velocity vanishes with it. By judgement: a calibrated sensor. */
+/* 1 sigma of the accelerometer's scale and alignment, as a share of the way: no standstill shows it, since its effect
+ * on the velocity vanishes with it. By judgement: a calibrated sensor. */
 static const double ACCEL_SCALE = 0.003;
-/* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a movement in one
- * direction leaves behind. By judgement: a calibrated sensor. */
+/* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a movement
+ * in one direction leaves behind. By judgement: a calibrated sensor. */
 static const double GYRO_SCALE = 0.003;
-/* rad, of a turn beyond which an error of alignment does not grow any more. Derived: half a turn, less what is averaged. */
+/* rad, of a turn beyond which an error of alignment does not grow any more. Derived: half a turn, less what is
+ * averaged. */
 static const double ALIGNED_TURN_RAD = 2;
 /* rad/s, 1 sigma by which the gyro bias in motion differs from that at rest: vibration rectification and g-sensitivity.
  * Tuned (0.02 deg/s). */
 static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
-/* 1 sigma by which the accelerometer's bias at a standstill differs from that in the movement before it, as a share of the root
- * mean square of the acceleration: errors of scale and alignment that meet it as the object turns to and fro, by an angle of
- * the rate times that time. By judgement: a calibrated sensor; a hand or an arm. */
+/* 1 sigma by which the accelerometer's bias at a standstill differs from that in the movement before it, as a share of
+ * the root mean square of the acceleration: errors of scale and alignment that meet it as the object turns to and fro,
+ * by an angle of the rate times that time. By judgement: a calibrated sensor; a hand or an arm. */
 static const double MOVING_ACCEL_SHARE = 0.006, MOVING_TURN_S = 0.3;
 /* s, in which biases walk by their instability. By judgement: where the Allan deviation of MEMS sensors has its flat
  * part. */
 static const double BIAS_TIME_S = 100;
-/* s, correlation time of what vibration and clipping do to the force. By judgement: as long as an engine keeps its speed. */
+/* s, correlation time of what vibration and clipping do to the force. By judgement: as long as an engine keeps its
+ * speed. */
 static const double FORCE_ERROR_S = 10;
 /* m/s^2, 1 sigma of the acceleration during missing samples. By judgement: a quick robot. */
 static const double GAP_ACCEL_M_S2 = 2;
@@ -92,24 +95,26 @@ static const double GAP_ACCEL_M_S2 = 2;
 
 /* m/s and m/s^2, 1 sigma of velocity and acceleration at a standstill. By judgement: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
-/* m/s, 1 sigma of the velocity of a foot in its stance, and of the mean error that rolling feet leave behind: no number of
- * steps averages it out, and the swings inherit it. Tuned on recorded walks and on simulated feet that roll 8 mm a step. */
+/* m/s, 1 sigma of the velocity of a foot in its stance, and of the mean error that rolling feet leave behind: no number
+ * of steps averages it out, and the swings inherit it. Tuned on recorded walks and on simulated feet that roll 8 mm a
+ * step. */
 static const double STANCE_M_S = 0.03, STANCE_CREEP_M_S = 0.01;
-/* m, from the sensor to the point on which the foot rolls; s, for which it may have accelerated as it does now. Both add to
- * the velocity in a stance, at its end most of all. By judgement: half a shoe, and the detector's window. */
+/* m, from the sensor to the point on which the foot rolls; s, for which it may have accelerated as it does now. Both
+ * add to the velocity in a stance, at its end most of all. By judgement: half a shoe, and the detector's window. */
 static const double STANCE_PIVOT_M = 0.1, STANCE_END_S = 0.1;
 /* rad^2/s^2, variance of the mean rate at a standstill beside the gyro's noise. By judgement: (0.0006 deg/s)^2 keep the
  * innovation variance positive for a gyro without noise. */
 static const double STILL_RATE_VARIANCE = 1e-10;
 /* s. A shorter standstill does not end a movement. By judgement: a turning point is no place to stop. */
 static const double STOOD_S = 1;
-/* Sigmas by which velocity and acceleration may differ from zero at a standstill that is detected by dwell. Convention, as
- * the innovation gate. */
+/* Sigmas by which velocity and acceleration may differ from zero at a standstill that is detected by dwell. Convention,
+ * as the innovation gate. */
 static const double STILL_GATE_SIGMAS = 5;
-/* Sigmas beyond which the mean acceleration is significant. Tuned in simulation: a robot that comes to rest from 0.05 m/s
- * within a second is seen to. */
+/* Sigmas beyond which the mean acceleration is significant. Tuned in simulation: a robot that comes to rest from 0.05
+ * m/s within a second is seen to. */
 static const double ACCEL_SIGMAS = 2.5;
-/* m/s, 1 sigma of the velocity at a standstill by the hypotheses of zero_velocity.h, beside its vibration. By judgement. */
+/* m/s, 1 sigma of the velocity at a standstill by the hypotheses of zero_velocity.h, beside its vibration. By
+ * judgement. */
 static const double ZERO_VELOCITY_M_S = 0.003;
 /* s of odds for a standstill before it is one. By judgement: a turning point is no place to stop. */
 static const double STANDING_S = 0.4;
@@ -137,8 +142,8 @@ static const double LEVELLING_AFTER_S = 5;
 /* rad, 1 sigma (2 degrees, the fusion's default), and s, correlation time of its error, seen from this filter.
  * Tuned. */
 static const double HEADING_SIGMA_RAD = 0.035, HEADING_CORRELATION_S = 3;
-/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. One that the fusion knows worse
- * is unknown. By judgement. */
+/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. One that the fusion knows
+ * worse is unknown. By judgement. */
 static const double HEADING_JUMP_RAD = 0.35;
 /* Mean square of the chord that any turn takes, as a share of the radius. Derived: mean of 4 sin^2(angle / 2). */
 static const double UNKNOWN_CHORD2 = 2;
@@ -422,8 +427,8 @@ static struct smoother_point reference_point(const struct navigation *n, const s
 	};
 }
 
-/* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale add up
- * on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
+/* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale add
+ * up on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
 static struct vec3 by_accel_scale(const struct navigation *n, double distance2_m2)
 {
 	double variance = squared(accel_scale(n)) * (distance2_m2 - n->way2_max_m2);
@@ -653,7 +658,8 @@ static void measure_heading(struct navigation *n, double x[N], struct quat q_fus
 	mean->z += share * (difference.z * difference.z - mean->z);
 }
 
-/* At the end of a long movement: a tilt that was wrong by an angle took its square off gravity, which no linear filter sees. */
+/* At the end of a long movement: a tilt that was wrong by an angle took its square off gravity, which no linear filter
+ * sees. */
 static void add_linearisation_error(struct navigation *n, const double x[N])
 {
 	double angle2 = squared(x[THETA]) + squared(x[THETA + 1]);
@@ -761,8 +767,8 @@ static void adopt(struct navigation *n, const struct navigation_input *in, const
 	zero_velocity_restart(&n->zero_velocity, true);
 }
 
-/* Before the first standstill the biases are those of the calibration. The length of a steady force shows when that of the
- * accelerometer is worse, and the fusion how well the gyro's is known. */
+/* Before the first standstill the biases are those of the calibration. The length of a steady force shows when that of
+ * the accelerometer is worse, and the fusion how well the gyro's is known. */
 static void observe_biases(struct navigation *n, struct vec3 gyro_bias_variance_rad2_s2, bool steady)
 {
 	double off = steady ? vec3_norm(n->rest.accel_mean) - n->gravity_m_s2 : 0;
@@ -827,8 +833,8 @@ static void weigh_hypotheses(
 		adopt(n, in, begun);
 }
 
-/* An error of scale is one about the axis of the turn; one of alignment is about the others, and averages out over a whole
- * turn. */
+/* An error of scale is one about the axis of the turn; one of alignment is about the others, and averages out over a
+ * whole turn. */
 static void add_turn_variance(struct navigation *n, double variance, bool alignment)
 {
 	struct vec3 axis = quat_rotate(n->q_nb, vec3_scale(1 / vec3_norm(n->net_turn_b_rad), n->net_turn_b_rad));
@@ -1015,8 +1021,8 @@ static struct vec3 root(struct vec3 a)
 	return (struct vec3){sqrt(fmax(a.x, 0)), sqrt(fmax(a.y, 0)), sqrt(fmax(a.z, 0))};
 }
 
-/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of both and
- * what the accelerometer's bias tilts. The error of north does not average out. */
+/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of both
+ * and what the accelerometer's bias tilts. The error of north does not average out. */
 static struct vec3 attitude_variance(const struct navigation *n)
 {
 	struct vec3 var = n->fusion_variance_rad2, bias = variance(n, BA);

@@ -17,7 +17,8 @@
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration, so every attitude filter
  * assumes that the acceleration averages out. Here the same is assumed of the reference point's velocity, from 5 s into
  * a movement on. How firmly depends on the movement: the spread is that of the high-passed velocity (above 1 / (2 pi
- * NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. It is not for a vehicle that keeps a speed for longer.
+ * NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. It is not for a vehicle that keeps a speed for
+ * longer.
  *
  * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
  * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state). */
@@ -49,20 +50,20 @@ enum motion_preset {
 };
 
 struct navigation_config {
-	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are more accurate where they are true, and wrong by more
-	 * than their sigma where they are not. */
+	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are more
+	 * accurate where they are true, and wrong by more than their sigma where they are not. */
 	enum motion_preset preset;
-	/** 0 (default) or 1: levelling, as above, with any preset; without effect while there is a prior. 0 for vehicles
-	 * that keep a speed for more than some 10 s, whose position then drifts with the square of time; 1 for
+	/** 0 (default) or 1: levelling, as above, with any preset; without effect while there is a prior. 0 for
+	 * vehicles that keep a speed for more than some 10 s, whose position then drifts with the square of time; 1 for
 	 * movements to and fro. */
 	int levelling;
 	/** m/s, >= 0, default 0 (none): 1 sigma of each component of the reference point's velocity during a movement,
 	 * used in place of levelling and from its first second on. A smaller one holds the velocity nearer to zero, a
 	 * larger one trusts the accelerometer for longer. */
 	double velocity_prior_m_s;
-	/** >= 0, default 0: 1 sigma of the errors of sensors that nobody calibrated, where it exceeds that of a calibration.
-	 * Larger ones make velocity and position less certain: until standstills have shown the biases, and after each turn
-	 * (scale, as a share of the turn) and way (as a share of it). */
+	/** >= 0, default 0: 1 sigma of the errors of sensors that nobody calibrated, where it exceeds that of a
+	 * calibration. Larger ones make velocity and position less certain: until standstills have shown the biases,
+	 * and after each turn (scale, as a share of the turn) and way (as a share of it). */
 	double gyro_bias_sigma_rad_s, gyro_scale_sigma, accel_bias_sigma_m_s2, accel_scale_sigma;
 	/** Of the sensors. Smaller densities and instabilities trust the integration more, and the standstills less. */
 	struct noise_config noise;

@@ -20,8 +20,8 @@ struct noise_config {
 	double accel_density_m_s2_sqrt_hz;
 	/** m/s^2, >= 0, default 0.1 mg: minimum of the Allan deviation of the accelerometer. As for the gyro. */
 	double accel_bias_instability_m_s2;
-	/** uT, >= 0, default 0.5: 1 sigma of one sample of the magnetometer, each axis, white. A smaller one relies on single
-	 * samples, a larger one averages the heading over more of them. */
+	/** uT, >= 0, default 0.5: 1 sigma of one sample of the magnetometer, each axis, white. A smaller one relies on
+	 * single samples, a larger one averages the heading over more of them. */
 	double mag_sigma_uT;
 };
 

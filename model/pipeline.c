@@ -51,14 +51,14 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 
 /* Limits of plausible samples, far beyond any sensor's range. */
 static const double RATE_MAX_RAD_S = 1e3, FORCE_MAX_M_S2 = 1e5, FIELD_MAX_UT = 1e6;
-/* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The rate has
- * the largest bias in addition. By judgement. */
+/* What is beyond this times the largest measured value is no output: corrections and filters overshoot by less. The
+ * rate has the largest bias in addition. By judgement. */
 static const double GUARD = 3, GUARD_RATE_RAD_S = 0.5;
-/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals, after
- * which the derivative of the rates has settled. By judgement. */
+/* m/s^2: a smaller centripetal share, 11 degrees of tilt, is left in the first attitude. s, and sampling intervals,
+ * after which the derivative of the rates has settled. By judgement. */
 static const double START_SHARE_M_S2 = 2, START_WAIT_S = 0.05, START_WAIT_INTERVALS = 5;
-/* m/s^2, by which the first force may differ from gravity; beyond that the mean over s is the first attitude. By judgement:
- * what a hand or a lever arm adds, and some periods of a vibration. */
+/* m/s^2, by which the first force may differ from gravity; beyond that the mean over s is the first attitude. By
+ * judgement: what a hand or a lever arm adds, and some periods of a vibration. */
 static const double START_OFF_M_S2 = 5, START_MEAN_S = 0.5;
 /* m/s^2: a smaller force shows no vertical. */
 static const double FALLS_M_S2 = 0.5;
@@ -336,9 +336,9 @@ static void follow_start_force(struct pipeline *p, const struct imu_sample *s, d
 		vec3_add(before, vec3_scale(1 / fmax(1, p->start_samples), vec3_sub(s->accel_m_s2, before)));
 }
 
-/* The first attitude takes what the accelerometer shows for up. When a known lever arm's share is large, it is taken off
- * before, and when the force is far from gravity, it is averaged. False: the angular acceleration, or the mean, which that
- * needs, is not known yet. */
+/* The first attitude takes what the accelerometer shows for up. When a known lever arm's share is large, it is taken
+ * off before, and when the force is far from gravity, it is averaged. False: the angular acceleration, or the mean,
+ * which that needs, is not known yet. */
 static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s)
 {
 	const struct body_rates *rates = &p->rates.out[RATES_FROM_GYRO];

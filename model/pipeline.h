@@ -32,16 +32,16 @@ struct latency_config {
 	 * and acceleration are extrapolated over it. Too small a value publishes them late, too large a one early. */
 	double sensor_s;
 	/** s, -0.05..0.05, default -0.0016 (fitted likewise): additional latency of the accelerometer against the gyro;
-	 * negative when the accelerometer is faster. Less than -sensor_s counts as -sensor_s: no sample is measured after
-	 * its time stamp. Any error of it leaves a share of gravity, rate times error, in the acceleration. */
+	 * negative when the accelerometer is faster. Less than -sensor_s counts as -sensor_s: no sample is measured
+	 * after its time stamp. Any error of it leaves a share of gravity, rate times error, in the acceleration. */
 	double accelerometer_s;
 };
 
 /** Start from PIPELINE_DEFAULTS. The header of each step says meaning, unit, range and default of its fields. */
 struct pipeline_config {
 	struct calibration_config calibration;
-	/** (2055h) PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, default 0. Their errors are those of data
-	 * sheets then (UNCALIBRATED_...), which count in the attitude's sigma until the motion shows less. */
+	/** (2055h) PIPELINE_UNCALIBRATED_... of the sensors that nobody calibrated, default 0. Their errors are those
+	 * of data sheets then (UNCALIBRATED_...), which count in the attitude's sigma until the motion shows less. */
 	unsigned uncalibrated;
 	/** (2010h) Low-pass of the reference point's acceleration in the global frame. Off by default. */
 	struct filter_config accel_filter;
@@ -52,8 +52,8 @@ struct pipeline_config {
 	struct noise_config noise;     /* of the sensors (2020h) */
 	struct estimator_config estimator;
 	struct rest_config rest; /* (2040h) its thresholds and time also hold for the navigation */
-	/** (2040h:11) s, >= 0, default 0: dwell time of the navigation's detector, such as of a stance in walking. A smaller
-	 * one uses shorter stops, a larger one passes over turning points. 0: that of the preset. */
+	/** (2040h:11) s, >= 0, default 0: dwell time of the navigation's detector, such as of a stance in walking. A
+	 * smaller one uses shorter stops, a larger one passes over turning points. 0: that of the preset. */
 	double stance_s;
 	struct position_config position;
 };
@@ -64,9 +64,9 @@ enum {
 	PIPELINE_UNCALIBRATED_MAG = 1 << 2,
 };
 
-/* 1 sigma of the errors of chips as delivered, from data sheets (L3GD20, LSM303DLHC, LSM6DS33, MPU-6050): zero-rate level 10
- * deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg, sensitivity and alignment of the accelerometer 2 %; a hard-iron offset of 50 uT, half the zero-gauss level of an
- * LIS3MDL, and what a board's supply lines make. */
+/* 1 sigma of the errors of chips as delivered, from data sheets (L3GD20, LSM303DLHC, LSM6DS33, MPU-6050): zero-rate
+ * level 10 deg/s, sensitivity of the gyro 2 %, zero-g level 60 mg, sensitivity and alignment of the accelerometer 2 %;
+ * a hard-iron offset of 50 uT, half the zero-gauss level of an LIS3MDL, and what a board's supply lines make. */
 #define UNCALIBRATED_GYRO_RAD_S	 (10 * RAD_PER_DEG)
 #define UNCALIBRATED_GYRO_SCALE	 0.02
 #define UNCALIBRATED_ACCEL_M_S2	 0.6
@@ -174,15 +174,15 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  * attitude is carried over by the gyro, or, after more than a second, initialised from this sample (without a
  * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over.
  *
- * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is valid only
- * after 0.05 s or five samples, when the angular acceleration is known.
+ * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is
+ * valid only after 0.05 s or five samples, when the angular acceleration is known.
  *
- * A first force that differs from gravity by 5 m/s^2 or more is averaged over 0.5 s. An attitude whose tilt has a 1 sigma
- * beyond 30 degrees is not valid.
+ * A first force that differs from gravity by 5 m/s^2 or more is averaged over 0.5 s. An attitude whose tilt has a 1
+ * sigma beyond 30 degrees is not valid.
  *
- * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three times
- * the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is more) is
- * not published: *out is the last good one without PIPELINE_VALID (counted), and the filters start again. */
+ * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three
+ * times the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is
+ * more) is not published: *out is the last good one without PIPELINE_VALID (counted), and the filters start again. */
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out);
 
 /* Aids: what another device measures, given between two samples. It holds at the time stamp of the last one. 0, or

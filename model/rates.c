@@ -3,8 +3,8 @@
 #include <errno.h>
 #include <string.h>
 
-/* Sampling intervals. Samples closer together change neither the filters, which would take each for a whole interval, nor
- * the derivative of the attitude, whose corrections by the other sensors take no time. By judgement. */
+/* Sampling intervals. Samples closer together change neither the filters, which would take each for a whole interval,
+ * nor the derivative of the attitude, whose corrections by the other sensors take no time. By judgement. */
 static const double CLOSE = 0.25;
 
 static void tune(struct rates *r, const struct filter_config *config, double rate_hz)

@@ -36,7 +36,8 @@ int rates_init(struct rates *r, const struct filter_config *config, double rate_
 int rates_configure(struct rates *r, const struct filter_config *config, double rate_hz);
 /** The state after a long turn at this constant rate. */
 void rates_prime(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb);
-/** One sample, dt_s > 0 after the one before. One within a quarter of the sampling interval leaves the output as it is. */
+/** One sample, dt_s > 0 after the one before. One within a quarter of the sampling interval leaves the output as it
+ * is. */
 void rates_step(struct rates *r, struct vec3 gyro_b_rad_s, struct quat q_nb, double dt_s);
 
 #endif

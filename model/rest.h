@@ -4,9 +4,9 @@
  * ends the standstill.
  *
  * It looks at two sensors only, so a motion at constant velocity, without vibration, is a standstill to it. Which
- * motions pass depends on the windows. Three sets of parameters are in use: REST_DEFAULTS, by which the fusion estimates
- * the gyro's bias; STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the navigation; and
- * STANCE_DEFAULTS for those of a foot.
+ * motions pass depends on the windows. Three sets of parameters are in use: REST_DEFAULTS, by which the fusion
+ * estimates the gyro's bias; STANDSTILL_DEFAULTS, quicker and stricter, for the zero-velocity updates of the
+ * navigation; and STANCE_DEFAULTS for those of a foot.
  *
  * Source of the conditions on mean and deviation: D. Laidig and T. Seel, "VQF: Highly accurate IMU orientation
  * estimation with bias estimation and magnetic disturbance rejection", Information Fusion 91, 2023, section on rest
@@ -22,8 +22,8 @@ struct rest_config {
 	/** rad/s, > 0, default 2 deg/s: unit of the limits of the gyro. It has to be above the gyro's noise, or rest is
 	 * never seen; a larger one takes quicker changes of the rate for rest. */
 	double gyro_threshold_rad_s;
-	/** > 0: limit of the length of the mean rate, as a share of the threshold; INFINITY: no limit, a steady turn passes,
-	 * too. */
+	/** > 0: limit of the length of the mean rate, as a share of the threshold; INFINITY: no limit, a steady turn
+	 * passes, too. */
 	double rate_share;
 	/** m/s^2, > 0, default 0.5: unit of the limits of the accelerometer. It has to be above the vibration of the
 	 * support; a larger one takes gentle motions for rest. */
@@ -65,8 +65,9 @@ struct rest_config {
 		.drift_share = 0.2,                                                                                   \
 	}
 
-/** For the stances of a foot: rate and acceleration are above those of what stands, and the attitude differs from step to
- * step. Chosen on recorded walks, where 20 to 50 deg/s, 1 to 4 m/s^2 and 0.05 to 0.15 s end within the same sigma. */
+/** For the stances of a foot: rate and acceleration are above those of what stands, and the attitude differs from step
+ * to step. Chosen on recorded walks, where 20 to 50 deg/s, 1 to 4 m/s^2 and 0.05 to 0.15 s end within the same
+ * sigma. */
 #define STANCE_DEFAULTS                                                                                              \
 	{                                                                                                            \
 		.gyro_threshold_rad_s = 30 * RAD_PER_DEG, .rate_share = 1, .accel_threshold_m_s2 = 2, .time_s = 0.1, \
@@ -94,8 +95,8 @@ void rest_restart(struct rest *r);
 bool rest_step(struct rest *r, const struct rest_config *config, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2,
 	double dt_s);
 
-/** m^2/s^3, variance of a velocity integrated for a second, each axis, by the accelerometer's deviation from its short mean,
- * taken for white noise of samples dt_s apart. */
+/** m^2/s^3, variance of a velocity integrated for a second, each axis, by the accelerometer's deviation from its short
+ * mean, taken for white noise of samples dt_s apart. */
 double rest_accel_walk_m2_s3(const struct rest *r, double dt_s);
 
 #endif

@@ -4,11 +4,12 @@
 
 #include "model/math/units.h"
 
-/* s, memory of the vibration, and of the share of clipped samples. By judgement: some beats of engine and sampling rate. */
+/* s, memory of the vibration, and of the share of clipped samples. By judgement: some beats of engine and sampling
+ * rate. */
 static const double VIBRATION_S = 0.5, CLIPPED_S = 2;
-/* Hz, s: a vibration of one frequency that changes, such as an engine's, folds to any frequency alike, and falls into the band
- * in which the tilt follows the force with the share of that band of the sampling rate; for so long it is remembered. By
- * judgement. */
+/* Hz, s: a vibration of one frequency that changes, such as an engine's, folds to any frequency alike, and falls into
+ * the band in which the tilt follows the force with the share of that band of the sampling rate; for so long it is
+ * remembered. By judgement. */
 static const double TILT_BAND_HZ = 0.3, STRONGEST_S = 2, STEADY_RISES_S = 3, STEADY_FALLS_S = 0.05;
 /* m/s^2, what is left of the motion of a hand and of the noise of a chip: no vibration. By judgement. */
 static const double HAND_M_S2 = 0.5;
@@ -20,8 +21,8 @@ static const double LEAST_ACCEL_RANGE_M_S2 = 0.9 * 2 * STANDARD_GRAVITY_M_S2,
 /* s, for which clipping counts as recent. */
 static const double LATELY_S = 1;
 
-/* The fourth difference, scaled so that white noise keeps its variance: of a motion of 2 Hz, sampled at 40 Hz, 1 % is left (of
- * the second difference 4 %). */
+/* The fourth difference, scaled so that white noise keeps its variance: of a motion of 2 Hz, sampled at 40 Hz, 1 % is
+ * left (of the second difference 4 %). */
 static double fourth_difference2(struct vec3 now, const struct vec3 before[4])
 {
 	struct vec3 even = vec3_add(vec3_add(now, vec3_scale(6, before[1])), before[3]);

@@ -1,12 +1,12 @@
 /* model/vibration.h
- * What samples cannot show of the motion between them: vibration beyond half the sampling rate, and values beyond the end of
- * a sensor's range. Both falsify the mean force, which is all that tilt and velocity rest on.
+ * What samples cannot show of the motion between them: vibration beyond half the sampling rate, and values beyond the
+ * end of a sensor's range. Both falsify the mean force, which is all that tilt and velocity rest on.
  *
- * - Vibration shows in the fourth difference of the samples, as far as it does not fold to a low frequency. What folds is
- *   as large as what shows: white noise from sample to sample. The mean of a vibrating chip is wrong by a share that grows
- *   with the square of it: non-linearity, and clipping before the chip's low-pass, which no sample shows.
- * - A clipped axis was beyond its end by half of the range, by judgement, so the mean is wrong by the share of the clipped
- *   samples of that.
+ * - Vibration shows in the fourth difference of the samples, as far as it does not fold to a low frequency. What folds
+ *   is as large as what shows: white noise from sample to sample. The mean of a vibrating chip is wrong by a share that
+ *   grows with the square of it: non-linearity, and clipping before the chip's low-pass, which no sample shows.
+ * - A clipped axis was beyond its end by half of the range, by judgement, so the mean is wrong by the share of the
+ *   clipped samples of that.
  *
  * A vibration near a multiple of the sampling rate looks like a slow acceleration. That cannot be seen here;
  * fusion_kalman.h compares the velocity with its sigma for that. Pure. */

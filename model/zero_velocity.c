@@ -15,48 +15,50 @@ static const struct vec3 ZERO = {0, 0, 0};
 static const double STANDS_M_S = 0.002;
 /* m/s, the same at the moment of the fork. By judgement: the zero-velocity updates have averaged it. */
 static const double FORK_M_S = 0.001;
-/* s between two forks, and for how long a motion may have lasted before it is seen. Tuned in simulation: 0.05 m/s reached
- * within a second are seen by a fork of 1 s; from 2 s on the tilt's random walk hides them. */
+/* s between two forks, and for how long a motion may have lasted before it is seen. Tuned in simulation: 0.05 m/s
+ * reached within a second are seen by a fork of 1 s; from 2 s on the tilt's random walk hides them. */
 static const double FORK_S = 0.75;
-/* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in place.
- * Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
+/* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in
+ * place. Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
 static const double BEGIN_SIGMAS = 5, BEGIN_TURNING_SIGMAS = 3;
 /* Squared sigmas of a fork's velocity from which on its displacement counts in the variance: between the mean of the
  * chi-squared distribution of 3 degrees of freedom and the limit. */
 static const double BEGIN_DOUBT = 3;
-/* Instabilities of the accelerometer by which its mean over a few seconds differs from that before the fork. By judgement:
- * the difference of two means is 1.4 of them, and recorded chips drift by twice the figure of the datasheet. */
+/* Instabilities of the accelerometer by which its mean over a few seconds differs from that before the fork. By
+ * judgement: the difference of two means is 1.4 of them, and recorded chips drift by twice the figure of the
+ * datasheet. */
 static const double INSTABILITIES = 2;
 /* As in navigation.c: share of the acceleration by which the velocity walks. */
 static const double ACCEL_SCALE_SQRT_S = 0.001;
 
 /* ---- vibration ---- */
 
-/* s, time constant of the high-pass that parts vibration (above 5 Hz) from motion, and of the one that removes gravity's
- * remains before; memory of its mean square. By judgement: a hand or an arm moves at 2 Hz at most. */
+/* s, time constant of the high-pass that parts vibration (above 5 Hz) from motion, and of the one that removes
+ * gravity's remains before; memory of its mean square. By judgement: a hand or an arm moves at 2 Hz at most. */
 static const double VIBRATION_S = 0.03, VIBRATION_BASE_S = 0.1, VIBRATION_MEMORY_S = 0.3;
-/* s, memory of the deviations while it stands; factor by which they may be exceeded by what stands. By judgement: a mean
- * square over 0.15 s of noise scatters by half. */
+/* s, memory of the deviations while it stands; factor by which they may be exceeded by what stands. By judgement: a
+ * mean square over 0.15 s of noise scatters by half. */
 static const double QUIET_MEMORY_S = 1, QUIET_FACTOR = 3;
 /* rad^2/s^2, least limit of the gyro's deviation. By judgement: (0.02 deg/s)^2, less than a digit of the gyros. */
 static const double QUIET_GYRO2 = 1e-7;
 
 /* ---- odds ---- */
 
-/* m/s, scales of the speed of steady motions, beside the slowest. A decade and a half in steps of a factor 4 to 5: no scale
- * is preferred. */
+/* m/s, scales of the speed of steady motions, beside the slowest. A decade and a half in steps of a factor 4 to 5: no
+ * scale is preferred. */
 static const double SPEED_M_S[] = {0.15, 0.7, 3};
 enum { SPEEDS = sizeof(SPEED_M_S) / sizeof(SPEED_M_S[0]) };
-/* Prior share of quiet motion, as if observed for PRIOR_S: one in a hundred is for a carrier with wheels or a hand, and is
- * overruled within a second by a carrier that is known to cruise quietly. The least share that observation can lead to. */
+/* Prior share of quiet motion, as if observed for PRIOR_S: one in a hundred is for a carrier with wheels or a hand, and
+ * is overruled within a second by a carrier that is known to cruise quietly. The least share that observation can lead
+ * to. */
 static const double PRIOR_QUIET = 0.01, PRIOR_S = 1, LEAST_QUIET = 0.0025;
-/* Odds of moving when a motion has begun, and the time in which an observation that the odds rest on loses its weight. By
- * judgement: a false alarm, or a stop too gentle to be seen, is made up for within minutes. */
+/* Odds of moving when a motion has begun, and the time in which an observation that the odds rest on loses its weight.
+ * By judgement: a false alarm, or a stop too gentle to be seen, is made up for within minutes. */
 static const double BEGIN_ODDS = 10, ODDS_MEMORY_S = 20;
 /* Sigmas and m/s beyond which a change of the velocity is an acceleration since the odds were taken. By judgement. */
 static const double CHANGE_SIGMAS = 3, CHANGE_M_S = 0.01;
-/* Weight of standing above which it stands, once that has held for STANDING_S; and below which a motion is known as such.
- * By judgement. */
+/* Weight of standing above which it stands, once that has held for STANDING_S; and below which a motion is known as
+ * such. By judgement. */
 static const double STANDS_WEIGHT = 0.95, MOVES_WEIGHT = 0.05;
 /* Weight below which the mixture is the motion alone. Numerical limit. */
 static const double LEAST_WEIGHT = 0.001;
@@ -142,8 +144,8 @@ static void begin_fork(struct zero_velocity_fork *f, const struct zero_velocity 
 	f->bias_variance_rad2_s2 = (f->p[BG][BG] + f->p[BG + 1][BG + 1] + f->p[BG + 2][BG + 2]) / 3;
 }
 
-/* The navigation's sums are in its own attitude and with its own biases: a small rotation and a difference of the biases
- * away from the fork's. */
+/* The navigation's sums are in its own attitude and with its own biases: a small rotation and a difference of the
+ * biases away from the fork's. */
 static void integrate_fork(struct zero_velocity_fork *f, const struct navigation *n, double dt_s)
 {
 	const struct navigation_sums *s = &n->sums;
@@ -167,8 +169,8 @@ void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n
 			integrate_fork(&z->forks[i], n, dt_s);
 }
 
-/* m^2/s^2, variance of the velocity along axis i by the accelerometer's bias: at the moment of the fork the tilt makes up
- * for it, until the object turns. */
+/* m^2/s^2, variance of the velocity along axis i by the accelerometer's bias: at the moment of the fork the tilt makes
+ * up for it, until the object turns. */
 static double turned_bias_variance(const struct zero_velocity_fork *f, int i)
 {
 	double sum = 0;
@@ -178,8 +180,9 @@ static double turned_bias_variance(const struct zero_velocity_fork *f, int i)
 	return sum;
 }
 
-/* Squared distance of the fork's velocity from zero in sigmas. The diagonal of the covariance that navigation_sums_propagate()
- * would give: accelerometer noise, the acceleration's error at the fork, and tilt by the gyro's noise and bias. */
+/* Squared distance of the fork's velocity from zero in sigmas. The diagonal of the covariance that
+ * navigation_sums_propagate() would give: accelerometer noise, the acceleration's error at the fork, and tilt by the
+ * gyro's noise and bias. */
 static double distance2(const struct zero_velocity_fork *f, const struct zero_velocity *z, const struct navigation *n,
 	struct vec3 lever_n_m_s)
 {

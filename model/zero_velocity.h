@@ -1,6 +1,6 @@
 /* model/zero_velocity.h
- * Two hypotheses for the navigation: "it stands" and "it moves steadily". No inertial sensor tells one from the other at
- * an instant; what does is the velocity that led there, with its sigma. So neither is taken for granted, and what is
+ * Two hypotheses for the navigation: "it stands" and "it moves steadily". No inertial sensor tells one from the other
+ * at an instant; what does is the velocity that led there, with its sigma. So neither is taken for granted, and what is
  * published is the mixture of both.
  *
  * While it stands, zero-velocity updates hold the velocity at zero and would absorb a motion that begins gently. So
@@ -9,18 +9,18 @@
  * beginning is adopted: its state is that of a motion from its first moment on. 0.05 m/s reached within a second are
  * seen so.
  *
- * While it moves, the odds of standing follow from the estimated velocity v with its covariance P: the likelihood ratio of
- * v = 0 against a speed of any scale (a Gaussian each, the slowest given by the user's assumptions), times prior odds. The
- * prior odds grow as far as known motions of this carrier have differed from standing: one that vibrated whenever it
- * moved stands when the vibration ends; one that cruised without vibration (a lift) may cruise again. A motion cannot
- * end without an acceleration, so without one the odds do not rise while P grows. Above a limit it stands; below,
- * position and velocity are those of both, weighted, and their variance has the spread of both.
+ * While it moves, the odds of standing follow from the estimated velocity v with its covariance P: the likelihood ratio
+ * of v = 0 against a speed of any scale (a Gaussian each, the slowest given by the user's assumptions), times prior
+ * odds. The prior odds grow as far as known motions of this carrier have differed from standing: one that vibrated
+ * whenever it moved stands when the vibration ends; one that cruised without vibration (a lift) may cruise again. A
+ * motion cannot end without an acceleration, so without one the odds do not rise while P grows. Above a limit it
+ * stands; below, position and velocity are those of both, weighted, and their variance has the spread of both.
  *
  * Sources: I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection - an algorithm evaluation", IEEE
  * TBME 57(11), 2010 (likelihood ratio); J. Wahlstrom, I. Skog, F. Gustafsson, A. Markham, N. Trigoni, "Zero-velocity
  * detection - a Bayesian approach to adaptive thresholding", 2019, arXiv 1903.07929 (prior from the velocity and its
- * covariance); Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
- * section 1.4.16 (moments of a mixture). */
+ * covariance); Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+ * 2001, section 1.4.16 (moments of a mixture). */
 #ifndef MODEL_ZERO_VELOCITY_H
 #define MODEL_ZERO_VELOCITY_H
 
@@ -79,15 +79,15 @@ void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, 
 
 /** The end of an interval of samples while it stands, before the update that ends it. dt_s: of the last sample. */
 void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s);
-/** .. and after it. turned_rad: by which the update turned the attitude, lever_n_m_s: velocity of the sensor relative to
- * the reference point, turning: the object turns in place, t_s: of the interval. Returns the fork in which a motion has
- * begun, to be adopted, or NULL. */
+/** .. and after it. turned_rad: by which the update turned the attitude, lever_n_m_s: velocity of the sensor relative
+ * to the reference point, turning: the object turns in place, t_s: of the interval. Returns the fork in which a motion
+ * has begun, to be adopted, or NULL. */
 struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 turned_rad, struct vec3 lever_n_m_s, bool turning,
 	double t_s);
 
-/** The end of an interval while it moves. velocity_n_m_s: of the reference point; slowest_m_s: of the steady motions that
- * are possible; known: something else says that it moves. */
+/** The end of an interval while it moves. velocity_n_m_s: of the reference point; slowest_m_s: of the steady motions
+ * that are possible; known: something else says that it moves. */
 void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
 	double t_s);

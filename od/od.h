@@ -124,7 +124,8 @@ struct od_domain {
 	const uint8_t *data;
 	size_t size;
 	size_t (*read)(void *ctx, uint8_t *out);
-	/** Gets the complete written data; NULL: cannot be written. After a status other than OD_OK nothing has changed. */
+	/** Gets the complete written data; NULL: cannot be written. After a status other than OD_OK nothing has
+	 * changed. */
 	enum od_status (*write)(void *ctx, const uint8_t *data, size_t size);
 	void *ctx;
 };
@@ -164,8 +165,8 @@ void od_set_domain(struct od *od, struct od_domain *domain);
 /** The entry, or NULL. `status` (may be NULL) is then OD_NO_OBJECT or OD_NO_SUBINDEX. */
 const struct od_entry *od_find(const struct od_table *table, uint16_t index, uint8_t sub, enum od_status *status);
 
-/** The entry whose value, times its own factor, is one step of this one (an unsigned integer, such as 6000h for the angles
- * of CiA 410), or NULL: entry->factor is the step. */
+/** The entry whose value, times its own factor, is one step of this one (an unsigned integer, such as 6000h for the
+ * angles of CiA 410), or NULL: entry->factor is the step. */
 const struct od_entry *od_resolution(const struct od_table *table, const struct od_entry *entry);
 
 /** The physical value of 1, in entry->unit, as the resolution objects say now. */

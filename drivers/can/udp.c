@@ -220,7 +220,8 @@ static bool parse_hosts(const char *text, int family, struct hosts *hosts)
 	return true;
 }
 
-/* GROUP[:PORT][,interface=NAME][,hosts=HOSTS]; `bad`: the part that is wrong. 0, -EINVAL, -ENODEV: no such interface. */
+/* GROUP[:PORT][,interface=NAME][,hosts=HOSTS]; `bad`: the part that is wrong. 0, -EINVAL, -ENODEV: no such
+ * interface. */
 static int parse(struct udp *udp, char *text, const char **bad)
 {
 	*bad = strsep(&text, ",");

@@ -11,9 +11,9 @@
 #define CAN_UDP_GROUP  "239.74.163.2" /* python-can's own */
 #define CAN_UDP_PORT   "43113"
 
-/** `address` is [GROUP[:PORT]][,OPTION]...; an IPv6 group with a port is written [GROUP]:PORT. Otherwise as can_open(). The
- * interface is that of the option, or the one the kernel routes the group to, as in python-can; loopback when there is
- * no route. Frames of other hosts are taken only if `hosts` says so; port->notice says what holds. */
+/** `address` is [GROUP[:PORT]][,OPTION]...; an IPv6 group with a port is written [GROUP]:PORT. Otherwise as can_open().
+ * The interface is that of the option, or the one the kernel routes the group to, as in python-can; loopback when there
+ * is no route. Frames of other hosts are taken only if `hosts` says so; port->notice says what holds. */
 int can_udp_open(const char *address, struct can_port **port, char *error, size_t error_size);
 
 #endif

@@ -184,8 +184,8 @@ int iio_imu_explain(const struct iio_device *device, const char *what, ssize_t r
 	return (int)result;
 }
 
-/* Scales that the kernel prints with nine decimals, which leaves one digit of a 32-bit chip: counts per deg/s and per g, of 16
- * bits (datasheets of ADIS16475 and ADIS16477). */
+/* Scales that the kernel prints with nine decimals, which leaves one digit of a 32-bit chip: counts per deg/s and per
+ * g, of 16 bits (datasheets of ADIS16475 and ADIS16477). */
 static const struct {
 	const char *name;
 	double per_deg_s, per_g;

@@ -131,8 +131,8 @@ static void add_capture(struct iio_imu *imu, int kind, const char *timer)
 	imu->captures[imu->capture_count++] = (struct capture){.device = t->device, .timer = timer};
 }
 
-/* Chooses how each triad is triggered and creates timer triggers where needed. A triad for which that fails is polled; the
- * others are not, unless neither gyro nor accelerometer has a buffer. */
+/* Chooses how each triad is triggered and creates timer triggers where needed. A triad for which that fails is polled;
+ * the others are not, unless neither gyro nor accelerometer has a buffer. */
 int iio_imu_plan_capture(struct iio_imu *imu, char *error, size_t error_size)
 {
 	enum triggering how[TRIADS] = {NO_BUFFER, NO_BUFFER, NO_BUFFER};

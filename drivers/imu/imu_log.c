@@ -10,8 +10,8 @@ enum { AHEAD = 8 };	 /* rows that decide about a time that jumps */
 enum { ENDS_LEAST = 4 }; /* bursts in the first rows, below which they are gaps */
 /* us. Times beyond are refused (317 years); their sum over logs one behind the other ends here, too. */
 static const int64_t LATEST_US = 10000000000000000, LATEST_SUM_US = 1000000000000000000;
-/* Sampling intervals by which a time that does not jump may be ahead; behind a wrap; as the last one, with none to compare
- * it. */
+/* Sampling intervals by which a time that does not jump may be ahead; behind a wrap; as the last one, with none to
+ * compare it. */
 static const double JUMP_INTERVALS = 2.5, WRAP_INTERVALS = 20, END_INTERVALS = 1000;
 /* us. Intervals in a burst are shorter: the time of a transfer; those between bursts are not longer: the age that the
  * oldest sample of a burst may have. By judgement. */
@@ -19,8 +19,8 @@ static const int64_t TRANSFER_US = 2000, BURST_US = 2000000;
 /* Share of the intervals that are in bursts, and their length in mean intervals. By judgement: of even samples with a
  * jitter of a third of the interval fewer are so short. */
 static const double SHORT_SHARE = 0.2, SHORT = 0.25;
-/* Fewer intervals than this share are, within this share of the median, that or a multiple of it (where samples were lost):
- * their rate is the mean one. By judgement. */
+/* Fewer intervals than this share are, within this share of the median, that or a multiple of it (where samples were
+ * lost): their rate is the mean one. By judgement. */
 static const double USUAL_SHARE = 0.7, USUAL = 0.1;
 /* The rate of the first rows is that of the sensor within this share. By judgement. */
 static const double CLOCK_TOLERANCE = 0.05;
@@ -210,8 +210,8 @@ static void start_clock(struct imu_log *log, int64_t t_us, double period_ns)
 	log->index = log->bracketed = 0;
 }
 
-/* Shows the clock the end of the burst to which the row of this time belongs: all its samples were taken before, and, but for
- * the lateness of transfers, the one behind it was not. */
+/* Shows the clock the end of the burst to which the row of this time belongs: all its samples were taken before, and,
+ * but for the lateness of transfers, the one behind it was not. */
 static void see_burst(struct imu_log *log, int64_t t_us)
 {
 	double half_us = 0.5e-3 * sample_clock_period(&log->clock), end_ns;
@@ -317,7 +317,8 @@ static double scattered_interval_us(struct imu_log *log)
 	return usual < USUAL_SHARE * n && sum_us >= n ? sum_us / n : 0;
 }
 
-/* The mean interval of samples that come in bursts, from the end of one burst to that of the next, without gaps; else 0. */
+/* The mean interval of samples that come in bursts, from the end of one burst to that of the next, without gaps; else
+ * 0. */
 static double bursts_interval_us(struct imu_log *log)
 {
 	int64_t end_us = 0, all_us = 0, sum_us = 0;
@@ -356,8 +357,8 @@ static double bursts_interval_us(struct imu_log *log)
 	return samples > 0 && all_us >= samples ? (double)all_us / samples : 0;
 }
 
-/* By how much the ends of the bursts of the first rows are later than others, beyond the interval that even samples read at
- * any time explain. */
+/* By how much the ends of the bursts of the first rows are later than others, beyond the interval that even samples
+ * read at any time explain. */
 static double lateness_us(struct imu_log *log, double interval_us)
 {
 	double least_us = INFINITY, most_us = -INFINITY, even_us = 0, late_us = 0;

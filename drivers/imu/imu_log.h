@@ -1,15 +1,16 @@
 /* drivers/imu/imu_log.h
  * Reads an IMU log. Header `t,gx,gy,gz,ax,ay,az,mx,my,mz`; units s, rad/s, m/s^2, uT, or those that the header names
  * (`gx[deg/s]`); the three magnetometer fields of a row may be empty. Optional columns: `temperature`, degC, `clipped`
- * (1: a value is at the end of its range) and `ref_al,ref_as,ref_at`, the acceleration of the reference point measured by
- * another device (m/s^2, object frame, without gravity); they may be empty, too. Other columns are ignored; the columns
- * may have any order. log_table.h says how the text may look, log_format.h which logs of other programs are read.
+ * (1: a value is at the end of its range) and `ref_al,ref_as,ref_at`, the acceleration of the reference point measured
+ * by another device (m/s^2, object frame, without gravity); they may be empty, too. Other columns are ignored; the
+ * columns may have any order. log_table.h says how the text may look, log_format.h which logs of other programs are
+ * read.
  *
- * Bad rows (wrong number of fields, not a finite number, time not increasing) are skipped and counted; a bad header is an
- * error. The rows behind decide about a time that jumps: one that jumps ahead and returns is skipped, one that returns to
- * the start and goes on from there is a counter that wrapped, or another log, whose times then continue those of the
- * first (SAMPLE_DISCONTINUITY). Times of which many follow each other at once are those of transfers: the samples are
- * taken as even, with the mean rate (sample_clock.h). A time in ms, us or ns is found by its intervals. */
+ * Bad rows (wrong number of fields, not a finite number, time not increasing) are skipped and counted; a bad header is
+ * an error. The rows behind decide about a time that jumps: one that jumps ahead and returns is skipped, one that
+ * returns to the start and goes on from there is a counter that wrapped, or another log, whose times then continue
+ * those of the first (SAMPLE_DISCONTINUITY). Times of which many follow each other at once are those of transfers: the
+ * samples are taken as even, with the mean rate (sample_clock.h). A time in ms, us or ns is found by its intervals. */
 #ifndef DRIVERS_IMU_IMU_LOG_H
 #define DRIVERS_IMU_IMU_LOG_H
 

@@ -8,8 +8,8 @@
 
 enum quantity { TIME, RATE, FORCE, FIELD, REFERENCE, TEMPERATURE, CLIPPED, QUANTITIES };
 
-/* Names as the programs write them: EuRoC, the data set of M. Burri et al., imu0/data.csv; phyphox, exported CSV; x-io, the
- * logs of NGIMU and x-IMU3; pandas, DataFrame.to_csv() with the index, which has no name, as the time. */
+/* Names as the programs write them: EuRoC, the data set of M. Burri et al., imu0/data.csv; phyphox, exported CSV; x-io,
+ * the logs of NGIMU and x-IMU3; pandas, DataFrame.to_csv() with the index, which has no name, as the time. */
 static const struct log_format FORMATS[] = {
 	{.name = "imu9", .names = {"t", "g*", "a*", "m*", "ref_a*", "temperature", "clipped"}},
 	{.name = "phyphox",

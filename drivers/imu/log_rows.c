@@ -6,7 +6,8 @@
 #include <string.h>
 #include <sys/stat.h>
 
-/* Readings of different chips closer than this count as simultaneous. By judgement: well below any sampling interval. */
+/* Readings of different chips closer than this count as simultaneous. By judgement: well below any sampling
+ * interval. */
 static const int64_t SIMULTANEOUS_NS = 200000;
 /* s, added to the times of several files while they are merged, which has to be of positive times. */
 static const double MERGE_EPOCH_S = 1e6, LATEST_S = 9e9;

@@ -1,8 +1,8 @@
 /* drivers/imu/log_table.h
  * A text file with a header and rows of fields, separated by commas, semicolons or tabs. Fields may be in quotes; lines
- * that begin with # are comments, unless it is the header. "# uncalibrated: gyro accelerometer magnetometer" before it names
- * sensors that nobody calibrated; a log that says nothing is one of calibrated sensors. Numbers may have a decimal comma where that is not the
- * separator. */
+ * that begin with # are comments, unless it is the header. "# uncalibrated: gyro accelerometer magnetometer" before it
+ * names sensors that nobody calibrated; a log that says nothing is one of calibrated sensors. Numbers may have a
+ * decimal comma where that is not the separator. */
 #ifndef DRIVERS_IMU_LOG_TABLE_H
 #define DRIVERS_IMU_LOG_TABLE_H
 

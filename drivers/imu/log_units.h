@@ -1,6 +1,6 @@
 /* drivers/imu/log_units.h
- * Are the values of a log in rad/s, m/s^2 and uT? By their magnitude, and the gyro by what its rates do to the direction
- * of gravity. Pure. */
+ * Are the values of a log in rad/s, m/s^2 and uT? By their magnitude, and the gyro by what its rates do to the
+ * direction of gravity. Pure. */
 #ifndef DRIVERS_IMU_LOG_UNITS_H
 #define DRIVERS_IMU_LOG_UNITS_H
 
@@ -32,8 +32,8 @@ void log_units_add(struct log_units *units, const struct imu_sample *sample);
 /** The likely mistake of the i-th sensor (gyro, accelerometer, magnetometer) as text; false: none. */
 bool log_units_warning(const struct log_units *units, int i, char *text, size_t size);
 
-/** The middle one of five samples (NULL: there is none) was clipped: a value is the end of a usual range and the largest so
- * far, and three samples in a row have it. */
+/** The middle one of five samples (NULL: there is none) was clipped: a value is the end of a usual range and the
+ * largest so far, and three samples in a row have it. */
 bool log_units_clipped(const struct log_units *units, const struct imu_sample *const five[5]);
 
 #endif

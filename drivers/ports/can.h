@@ -48,8 +48,8 @@ struct can_ops {
 	int (*send)(struct can_port *port, const struct can_msg *msg);
 	/** 1 and a frame; 0: no more now; -errno: see `state`, and keep polling. Call it until it returns 0 or less:
 	 * the descriptor is not readable for frames that the port has fetched already. A call does a bounded amount of
-	 * work: after many unwanted frames it returns 0, and the descriptor remains readable. Error frames are not returned;
-	 * they change `state` and `counters`. */
+	 * work: after many unwanted frames it returns 0, and the descriptor remains readable. Error frames are not
+	 * returned; they change `state` and `counters`. */
 	int (*receive)(struct can_port *port, struct can_msg *msg, uint64_t now_us);
 	/** Receive only these 11-bit identifiers from now on; n = 0: all. Best effort: others may be received, too. */
 	int (*filter)(struct can_port *port, const uint32_t *ids, size_t n);
@@ -94,8 +94,8 @@ struct can_port {
 
 /** Opens BUS: an interface name, `gs_usb[:SERIAL[:CHANNEL]]`, `slcan:DEVICE[@BAUD]`, `udp[:GROUP[:PORT]]`, and
  * options.
- * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. `port` NULL: only checks
- * how BUS is written: 0, or -errno and the line. */
+ * 0 and *port (close with can_close()), or -errno and one line in `error` that says what to do. `port` NULL: only
+ * checks how BUS is written: 0, or -errno and the line. */
 int can_open(const char *bus, struct can_port **port, char *error, size_t error_size);
 void can_close(struct can_port *port);
 

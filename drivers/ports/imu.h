@@ -84,8 +84,8 @@ struct imu_port {
 	int fd;
 	double rate_hz;	     /* nominal sampling rate, in the time of the samples; valid after open() */
 	uint64_t silence_us; /* without a sample for this time, the sensor has failed */
-	/** Bits 0 to 2: gyro, accelerometer, magnetometer measure as the chip was delivered; 0: calibrated by their maker, or
-	 * nothing is known (a log). */
+	/** Bits 0 to 2: gyro, accelerometer, magnetometer measure as the chip was delivered; 0: calibrated by their
+	 * maker, or nothing is known (a log). */
 	uint8_t uncalibrated;
 	char name[64];	     /* "replay:09.imu.csv" */
 	char last_skip[128]; /* reason of the last skip, for the log: "file:line: what" */

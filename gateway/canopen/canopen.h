@@ -42,9 +42,9 @@ struct canopen_device {
 	/** 1011h: discards the stored values of a group; the defaults hold from the next reset on. Status as for
 	 * store(). */
 	enum od_status (*restore)(void *ctx, enum od_group group);
-	/** NMT reset, 10 ms before the boot-up message: brings the dictionary back to its power-on values, that is defaults and then stored values, for
-	 * OD_GROUP_COMMUNICATION (reset communication) or OD_GROUP_ALL (reset node, which also restarts the
-	 * application). */
+	/** NMT reset, 10 ms before the boot-up message: brings the dictionary back to its power-on values, that is
+	 * defaults and then stored values, for OD_GROUP_COMMUNICATION (reset communication) or OD_GROUP_ALL (reset
+	 * node, which also restarts the application). */
 	void (*reset)(void *ctx, enum od_group group);
 	/** LSS store: keeps node-ID (or CANOPEN_UNCONFIGURED) and bit rate in bit/s (0: unchanged) for the next start.
 	 * OD_OK; OD_PENDING: canopen_lss_stored() follows, and the LSS response is sent then; any other status: failed.

@@ -253,8 +253,8 @@ static bool unconfigured(const struct canopen_node *node)
 }
 
 /* The master determines the LSS address bit by bit: nodes whose number matches from bit 31 down to `bit` respond. Bit 0
- * confirms a number, and `next` is the number that follows. After the last one it is a smaller one: then the node enters
- * configuration state, if all four numbers were confirmed. */
+ * confirms a number, and `next` is the number that follows. After the last one it is a smaller one: then the node
+ * enters configuration state, if all four numbers were confirmed. */
 static void fastscan(struct canopen_node *node, const uint8_t data[8])
 {
 	struct lss *lss = &node->lss;

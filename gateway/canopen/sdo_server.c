@@ -31,7 +31,7 @@ enum {
 	TOGGLE = 1 << 4,    /* segment */
 };
 
-/* ---- channels: the default one, and 1201h to 1207h ---------------------------------------------------------------- */
+/* ---- channels: the default one, and 1201h to 1207h --------------------------------------------------------------- */
 
 static bool has_id(uint32_t cob_id, uint32_t id)
 {

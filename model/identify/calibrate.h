@@ -27,8 +27,8 @@ enum calibrate_verdict {
 	CALIBRATE_VERDICTS
 };
 
-/** Directions in sensor axes by which a calibration says what is missing: 1 +x, 2 -x, .. 6 -z, then the corners 7 +x+y+z, 8
- * -x+y+z, 9 +x-y+z, .. 14 -x-y-z. */
+/** Directions in sensor axes by which a calibration says what is missing: 1 +x, 2 -x, .. 6 -z, then the corners
+ * 7 +x+y+z, 8 -x+y+z, 9 +x-y+z, .. 14 -x-y-z. */
 enum { CALIBRATE_FACES = 6, CALIBRATE_SIDES = 14 };
 /** Not of unit length for corners. */
 struct vec3 calibrate_side(int number);

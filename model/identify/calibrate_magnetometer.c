@@ -29,8 +29,8 @@ double calibrate_magnetometer_progress(const struct calibrate_magnetometer *c)
 	return c->verdict != CALIBRATE_COLLECTING ? 1 : fmin(1, c->coverage / COVERAGE_WANTED);
 }
 
-/* The centre of the smallest box that holds all points; a sphere that is half covered has its own elsewhere, but the side
- * that is farthest from all points is the same. */
+/* The centre of the smallest box that holds all points; a sphere that is half covered has its own elsewhere, but the
+ * side that is farthest from all points is the same. */
 double calibrate_magnetometer_gap_rad(const struct calibrate_magnetometer *c, int side)
 {
 	struct vec3 low = c->points[0], high = c->points[0];

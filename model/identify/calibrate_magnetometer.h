@@ -49,8 +49,8 @@ void calibrate_magnetometer_init(struct calibrate_magnetometer *c, const struct 
 enum calibrate_verdict calibrate_magnetometer_step(struct calibrate_magnetometer *c, const struct imu_sample *raw);
 /** Call after the last sample of a log. */
 enum calibrate_verdict calibrate_magnetometer_finish(struct calibrate_magnetometer *c);
-/** The angle from a side (calibrate_side()) to the nearest direction in which the field has been, seen from the centre of
- * all of them; PI: there is none. */
+/** The angle from a side (calibrate_side()) to the nearest direction in which the field has been, seen from the centre
+ * of all of them; PI: there is none. */
 double calibrate_magnetometer_gap_rad(const struct calibrate_magnetometer *c, int side);
 /** The side along which the field has to be next, the farthest one from all of these; 0: any. */
 int calibrate_magnetometer_next(const struct calibrate_magnetometer *c);

@@ -7,8 +7,8 @@
  *
  * On recorded hand movements (up to 15 Hz, cut-off 30 Hz, 286 samples a second) its error is 11 % of the angular
  * acceleration. A second-order Butterworth filter and a difference between samples, with the same noise, leave 19 %,
- * because they lag. It uses the actual time between samples: its poles are those of a filter in continuous time, so that two
- * samples close to each other give no derivative of their noise. */
+ * because they lag. It uses the actual time between samples: its poles are those of a filter in continuous time, so
+ * that two samples close to each other give no derivative of their noise. */
 #ifndef MODEL_MATH_DIFFERENTIATOR_H
 #define MODEL_MATH_DIFFERENTIATOR_H
 

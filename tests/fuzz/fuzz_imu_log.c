@@ -1,5 +1,5 @@
-/* Arbitrary bytes as a log, of the format that the last one chooses: no crash, and all samples are finite with increasing
- * times. */
+/* Arbitrary bytes as a log, of the format that the last one chooses: no crash, and all samples are finite with
+ * increasing times. */
 #include <assert.h>
 #include <stdio.h>
 #include <sys/mman.h>

@@ -3,8 +3,8 @@
  * 00 10 00 00 00 00 00" (identifier and data in hexadecimal), "710 R" (remote).
  *
  * Time passes only in bus_run() and bus_run_until_sent(). They call the node at exactly the deadlines that it returned,
- * and assert that a microsecond before each of them nothing was due. The node is 10h; its heartbeat and the inhibit time
- * of EMCY are off by default.
+ * and assert that a microsecond before each of them nothing was due. The node is 10h; its heartbeat and the inhibit
+ * time of EMCY are off by default.
  */
 #ifndef TESTS_SCENARIO_BUS_H
 #define TESTS_SCENARIO_BUS_H

@@ -38,7 +38,8 @@ struct world {
 
 /** A device that is off, with a sensor of this kind that moves by `signal`. `w` is zeroed. */
 void world_init(struct world *w, const struct sensor_config *sensor, uint64_t seed, const char *signal);
-/** Switches it on, or off and on, as main() does; without an inhibit time of EMCY. `settings` (NULL-terminated, or NULL) are its configuration file. */
+/** Switches it on, or off and on, as main() does; without an inhibit time of EMCY. `settings` (NULL-terminated, or
+ * NULL) are its configuration file. */
 void world_power_on(struct world *w, const char *const *settings);
 /** Both; allocated, to be freed by world_tear_down(). */
 struct world *world_new(const struct sensor_config *sensor, uint64_t seed, const char *signal);

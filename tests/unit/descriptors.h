@@ -1,6 +1,6 @@
 /* tests/unit/descriptors.h
- * The tests of a program leave no more descriptors open than there were: cmocka_run_group_tests(tests, count_descriptors,
- * no_descriptor_is_left). */
+ * The tests of a program leave no more descriptors open than there were: cmocka_run_group_tests(tests,
+ * count_descriptors, no_descriptor_is_left). */
 #ifndef TESTS_UNIT_DESCRIPTORS_H
 #define TESTS_UNIT_DESCRIPTORS_H
 

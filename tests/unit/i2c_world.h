@@ -27,7 +27,8 @@ struct world {
 	void (*after)(struct world *world, const struct sim_access *access);
 };
 
-/** The board, with "/spi" behind its name on SPI, in `scenario`, detected and set up at 100 Hz; with the noise of real chips unless `ideal`. */
+/** The board, with "/spi" behind its name on SPI, in `scenario`, detected and set up at 100 Hz; with the noise of real
+ * chips unless `ideal`. */
 struct world *world_new(const char *board, const char *scenario, bool ideal);
 /** The same in separate steps, so that a test can change something between them. */
 struct world *world_make(const char *board, const char *scenario, bool ideal);

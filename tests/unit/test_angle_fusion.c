@@ -124,8 +124,8 @@ static void test_a_noise_out_of_range_is_refused(void **state)
 		assert_int_equal(angle_fusion_init(&f, &bad[i]), -EINVAL);
 }
 
-/* Where the angles tell next to nothing, the bias becomes less certain by its instability in 100 s; at the start it is known
- * to ten of them. */
+/* Where the angles tell next to nothing, the bias becomes less certain by its instability in 100 s; at the start it is
+ * known to ten of them. */
 static void test_the_bias_is_known_to_ten_instabilities_and_walks_by_one_in_100_s(void **state)
 {
 	const double instability = NOISE.gyro_bias_instability_rad_s;

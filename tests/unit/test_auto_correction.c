@@ -212,7 +212,8 @@ static void test_a_lasting_correction_counts_when_its_power_is_twice_that_of_the
 	assert_true(fabs(out.z + sqrt(5) * (1 - 1 / 5.0)) < 1e-3);
 }
 
-/* The mean of the power, at most 100, falls to 2 by a factor of 0.99 each 10 ms: in ln(50) / -ln(0.99) = 389.2 steps. */
+/* The mean of the power, at most 100, falls to 2 by a factor of 0.99 each 10 ms: in ln(50) / -ln(0.99) = 389.2
+ * steps. */
 static void test_after_a_violent_motion_small_corrections_end_within_four_seconds(void **state)
 {
 	const struct vec3 variance = {1, 1, 1};

@@ -837,8 +837,8 @@ static void test_a_magnetometer_needs_30_points(void **state)
 
 /* ---- what the calibrations report -------------------------------------------------------------------------------- */
 
-/* 100 s at rest from 20 to 30 degC. Channel i, of gyro x y z and accelerometer x y z, has the slope i + 1, white noise and
- * a wave of these sizes, times 1e-5. */
+/* 100 s at rest from 20 to 30 degC. Channel i, of gyro x y z and accelerometer x y z, has the slope i + 1, white noise
+ * and a wave of these sizes, times 1e-5. */
 static enum calibrate_verdict warm_up(const double noise[6], const double wave[6])
 {
 	struct rng rng;
@@ -859,8 +859,8 @@ static enum calibrate_verdict warm_up(const double noise[6], const double wave[6
 	return calibrate_temperature_finish(&temperature);
 }
 
-/* The mean of the 25 samples of a quarter of a second has a fifth of their noise. A slope over 10 K, evenly passed through
- * in 400 quarters, has the sigma of one of them / (sqrt(400) 10 K / sqrt(12)). */
+/* The mean of the 25 samples of a quarter of a second has a fifth of their noise. A slope over 10 K, evenly passed
+ * through in 400 quarters, has the sigma of one of them / (sqrt(400) 10 K / sqrt(12)). */
 static void test_a_temperature_calibration_reports_slopes_and_noise_of_every_axis(void **state)
 {
 	const double noise[6] = {10, 20, 40, 300, 600, 900}, no_wave[6] = {0};

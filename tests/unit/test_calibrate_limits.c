@@ -384,8 +384,8 @@ static void begin_accelerometer(enum calibrate_positions positions)
 	calibrate_accelerometer_init(&accel, &config);
 }
 
-/* A block of motion, then so many at rest. The last one is closed by the next call, the first and the last are not used:
- * during this call, three less are. */
+/* A block of motion, then so many at rest. The last one is closed by the next call, the first and the last are not
+ * used: during this call, three less are. */
 static void measure_for(struct vec3 raw_m_s2, int still_blocks)
 {
 	static uint64_t t_us;

@@ -302,7 +302,7 @@ int LIBUSB_CALL libusb_handle_events_timeout_completed(libusb_context *context, 
 	return 0;
 }
 
-/* ---- the kernel's file of the USB device -------------------------------------------------------------------------- */
+/* ---- the kernel's file of the USB device ------------------------------------------------------------------------- */
 
 static _Atomic unsigned resets;
 

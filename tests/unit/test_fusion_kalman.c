@@ -626,8 +626,8 @@ static void test_a_lost_tilt_takes_bias_and_scale_with_it(void **state)
 	assert_vec_near(f.gyro_errors.scale_b, ((struct vec3){0, 0, 0}), 0);
 }
 
-/* What lies still was turned unnoticed. The mean force follows until it is off by 60 degrees; there the attitude is turned
- * back by as much or a bit more, about the right axis, and once. */
+/* What lies still was turned unnoticed. The mean force follows until it is off by 60 degrees; there the attitude is
+ * turned back by as much or a bit more, about the right axis, and once. */
 static void test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis(void **state)
 {
 	const double turns[] = {90 * RAD_PER_DEG, 110 * RAD_PER_DEG, 130 * RAD_PER_DEG}, limit = 60 * RAD_PER_DEG;
@@ -979,7 +979,7 @@ static void test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up(vo
 	assert_quat_near(up.q_nb, quat_from_rotation_vector(y), 0);
 }
 
-/* ---- the model of the errors, in closed form ---------------------------------------------------------------------- */
+/* ---- the model of the errors, in closed form --------------------------------------------------------------------- */
 
 static const struct fusion_kalman_config KALMAN = FUSION_KALMAN_DEFAULTS;
 
@@ -1027,8 +1027,9 @@ static double sigma_of(const struct filter *f, int i)
 	return sqrt(f->k.covariance[i][i]);
 }
 
-/* What the length of the force lacks is one of three parts of the accelerometer's error; at rest it is the one that counts,
- * and an excess is an error, too. Up to 2 % in motion, and 1 % at rest, calibrated accelerometers differ as well. */
+/* What the length of the force lacks is one of three parts of the accelerometer's error; at rest it is the one that
+ * counts, and an excess is an error, too. Up to 2 % in motion, and 1 % at rest, calibrated accelerometers differ as
+ * well. */
 static void test_an_accelerometer_is_as_uncertain_as_the_length_of_its_force_shows(void **state)
 {
 	static const struct {
@@ -1071,8 +1072,8 @@ static void test_at_the_start_the_tilt_is_known_as_well_as_the_length_of_the_for
 	}
 }
 
-/* White noise of 0.12 deg/s/sqrt(Hz), an error proportional to the rate that lasts for 0.3 s, half of the rate where the gyro is
- * saturated; the bias walks, and the scale returns to its start within 10 hours. */
+/* White noise of 0.12 deg/s/sqrt(Hz), an error proportional to the rate that lasts for 0.3 s, half of the rate where
+ * the gyro is saturated; the bias walks, and the scale returns to its start within 10 hours. */
 static void test_a_turn_makes_the_attitude_less_certain_by_the_gyros_errors(void **state)
 {
 	const struct vec3 rate = {3, -4, 12};
@@ -1145,7 +1146,8 @@ static void test_a_yaw_and_a_velocity_from_outside_hold_for_10_s(void **state)
 	assert_near(velocity_until_s, 10, 0.1);
 }
 
-/* At any sample between two corrections. The velocity since the last one counts as if the arm had always been the new one. */
+/* At any sample between two corrections. The velocity since the last one counts as if the arm had always been the new
+ * one. */
 static void test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_last_correction_on(void **state)
 {
 	const struct vec3 rate = {0, 0, 2}, arm = {0.3, 0, 0}, new_arm = {0, 0.5, 0};

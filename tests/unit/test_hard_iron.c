@@ -1,5 +1,5 @@
-/* Agreement of magnetometer and gyro: an object turns in a constant field, 100 samples a second, and its magnetometer has
- * an offset, wrong axes or a magnet beside it. */
+/* Agreement of magnetometer and gyro: an object turns in a constant field, 100 samples a second, and its magnetometer
+ * has an offset, wrong axes or a magnet beside it. */
 #include "model_test.h"
 
 #include "model/hard_iron.h"
@@ -376,8 +376,8 @@ static void test_an_offset_is_one_from_a_share_of_the_field_on(void **state)
 	}
 }
 
-/* What is unexplained grows at once by a factor (of squares). Its mean over 6 turns exceeds three times that over 50 from a
- * factor of 7.3 on; of 9, from the fourth turn on and for 12. */
+/* What is unexplained grows at once by a factor (of squares). Its mean over 6 turns exceeds three times that over 50
+ * from a factor of 7.3 on; of 9, from the fourth turn on and for 12. */
 static void test_a_change_is_three_times_as_much_unexplained_as_usual(void **state)
 {
 	static const struct {
@@ -424,9 +424,10 @@ static void test_a_change_of_the_field_beyond_what_a_turn_can_make_is_not_counte
 	}
 }
 
-/* 1 / sigma^2 of each turn by the two relations of the header, of which all earlier ones lose a hundredth with each turn. A
- * field has a sigma of 0.04 of its length, of the rate over 10 ms, and of its noise; its length one of 0.1. A share of 0.03
- * of the field always remains. Where the length spreads by more than 0.05, the rest is larger by as much. */
+/* 1 / sigma^2 of each turn by the two relations of the header, of which all earlier ones lose a hundredth with each
+ * turn. A field has a sigma of 0.04 of its length, of the rate over 10 ms, and of its noise; its length one of 0.1. A
+ * share of 0.03 of the field always remains. Where the length spreads by more than 0.05, the rest is larger by as
+ * much. */
 static void assert_variance(double angle, double s, double noise_uT, double spread)
 {
 	const struct vec3 magnet = {20, -15, 10};

@@ -921,7 +921,8 @@ static void test_without_fifo_and_with_data_ready_the_registers_have_the_values_
 	}
 }
 
-/* What the data sheets give as the values after power-on: of registers that the driver does not write, it finds these. */
+/* What the data sheets give as the values after power-on: of registers that the driver does not write, it finds
+ * these. */
 static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_power_on(void **state)
 {
 	static const struct expected_register expected[] = {
@@ -989,8 +990,8 @@ static void test_simulated_chips_have_the_registers_of_the_data_sheets_after_pow
 	}
 }
 
-/* The tables of output data rates in the data sheets, whole, by their code in the register. Power is on, and the magnetometers
- * convert continuously. */
+/* The tables of output data rates in the data sheets, whole, by their code in the register. Power is on, and the
+ * magnetometers convert continuously. */
 static void test_simulated_chips_sample_at_the_rates_of_the_data_sheets(void **state)
 {
 	static const struct {
@@ -1054,8 +1055,8 @@ static void test_simulated_chips_sample_at_the_rates_of_the_data_sheets(void **s
 		}
 }
 
-/* Sizes of a digit by the code of the full scale, [mg] and [mdps], from the data sheets. The chip lies, 9.81 m/s^2 along z, or
- * turns at 360 deg/s about z; beyond its range a word is at its end. */
+/* Sizes of a digit by the code of the full scale, [mg] and [mdps], from the data sheets. The chip lies, 9.81 m/s^2
+ * along z, or turns at 360 deg/s about z; beyond its range a word is at its end. */
 static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state)
 {
 	static const struct {
@@ -1112,8 +1113,8 @@ static void test_simulated_chips_have_the_digits_of_the_data_sheets(void **state
 		}
 }
 
-/* The lowest bit of a word that noise reaches: twelve bits, left-justified, or sixteen; ten bits without the high resolution of the
- * LSM303DLHC. */
+/* The lowest bit of a word that noise reaches: twelve bits, left-justified, or sixteen; ten bits without the high
+ * resolution of the LSM303DLHC. */
 static void test_words_of_simulated_chips_have_the_resolution_of_the_data_sheets(void **state)
 {
 	static const struct {
@@ -1300,8 +1301,9 @@ static void test_a_self_test_takes_as_long_as_its_samples(void **state)
 	world_free(w);
 }
 
-/* A FIFO is read every 2.5 ms at most, its level and then its samples, and the accelerometer's together with the gyro's.
- * With the magnetometer and the registers that are read back, that is 731 transfers a second at 100 Hz, 1600 at 800 Hz. */
+/* A FIFO is read every 2.5 ms at most, its level and then its samples, and the accelerometer's together with the
+ * gyro's. With the magnetometer and the registers that are read back, that is 731 transfers a second at 100 Hz, 1600 at
+ * 800 Hz. */
 static void test_a_fifo_is_read_in_batches(void **state)
 {
 	static const struct {

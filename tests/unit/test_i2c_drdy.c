@@ -1,5 +1,6 @@
-/* The port of a board on I2C, its data-ready line (drdy=GPIOCHIP:LINE) and its configuration file. libgpiod is simulated by
- * tests/unit/gpiod/. The driver's thread runs within run(), on simulated chips, in a time that moves only here. */
+/* The port of a board on I2C, its data-ready line (drdy=GPIOCHIP:LINE) and its configuration file. libgpiod is
+ * simulated by tests/unit/gpiod/. The driver's thread runs within run(), on simulated chips, in a time that moves only
+ * here. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

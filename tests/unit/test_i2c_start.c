@@ -116,7 +116,8 @@ static void test_every_register_has_the_value_that_was_written_last(void **state
 	}
 }
 
-/* LSM6DS33: FIFO_STATUS3 says that a FIFO begins in the middle of a set, after an overrun. The rest of that set is read first. */
+/* LSM6DS33: FIFO_STATUS3 says that a FIFO begins in the middle of a set, after an overrun. The rest of that set is read
+ * first. */
 static int place;
 static size_t first_read;
 

@@ -1,5 +1,5 @@
-/* Logs as people have them. A generator writes the same samples in one kind of log after the other; whatever the kind, the
- * samples that are read are those that were written. */
+/* Logs as people have them. A generator writes the same samples in one kind of log after the other; whatever the kind,
+ * the samples that are read are those that were written. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

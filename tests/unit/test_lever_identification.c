@@ -558,8 +558,8 @@ static void test_a_noise_of_more_than_5_mm_or_3_percent_of_the_lever_arm_is_unsu
 	}
 }
 
-/* Systematic errors: 0.7 mm of the reference point, and 0.5 % of the lever arm for the scale of the sensors. The effect of
- * a delay is what its estimate changes. */
+/* Systematic errors: 0.7 mm of the reference point, and 0.5 % of the lever arm for the scale of the sensors. The effect
+ * of a delay is what its estimate changes. */
 static void test_sigma_is_made_of_noise_systematic_errors_and_the_effect_of_a_delay_axis_by_axis(void **state)
 {
 	struct scene s = with_reference(0.01);

@@ -1,6 +1,6 @@
-/* The logs of ../shared/cases, each of which was read or estimated wrongly once: what is right of each. Without that folder
- * (IMU9_CASES, or ../shared/cases/logs) they are skipped; test_imu_log_kinds.c, test_stamps.c and test_start.c have logs of
- * these kinds of their own. */
+/* The logs of ../shared/cases, each of which was read or estimated wrongly once: what is right of each. Without that
+ * folder (IMU9_CASES, or ../shared/cases/logs) they are skipped; test_imu_log_kinds.c, test_stamps.c and test_start.c
+ * have logs of these kinds of their own. */
 #include "model_test.h"
 
 #include <stdio.h>

@@ -1,5 +1,5 @@
-/* What the columns of a log may be called, and what each unit is in SI (drivers/imu/log_format.h). The factors are those
- * of the SI brochure and of the units' definitions: 1 g is 9.80665 m/s^2, 1 gauss is 100 uT. */
+/* What the columns of a log may be called, and what each unit is in SI (drivers/imu/log_format.h). The factors are
+ * those of the SI brochure and of the units' definitions: 1 g is 9.80665 m/s^2, 1 gauss is 100 uT. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

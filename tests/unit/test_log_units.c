@@ -1,5 +1,5 @@
-/* Units of a log that its header does not name (drivers/imu/log_units.h): which magnitudes are taken for which unit, and
- * which values for the end of a range. */
+/* Units of a log that its header does not name (drivers/imu/log_units.h): which magnitudes are taken for which unit,
+ * and which values for the end of a range. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -124,8 +124,8 @@ static struct log_units resting(int n, double rate_rms, double force_rms)
 	return u;
 }
 
-/* Of a hundred steps or more: a gyro at rest has less than 0.03 rad/s of noise, and it is at rest if the force has less than
- * 0.01 of gravity. */
+/* Of a hundred steps or more: a gyro at rest has less than 0.03 rad/s of noise, and it is at rest if the force has less
+ * than 0.01 of gravity. */
 static void test_the_noise_at_rest_tells_degrees(void **state)
 {
 	static const struct {
@@ -225,7 +225,8 @@ static struct imu_sample with(int axis, double value)
 	return s;
 }
 
-/* Whether the middle one of five samples counts as clipped. `same`: a bit for each that has the value, first to last. */
+/* Whether the middle one of five samples counts as clipped. `same`: a bit for each that has the value, first to
+ * last. */
 static bool clipped(int axis, double value, double most, unsigned same)
 {
 	struct log_units u = {0};

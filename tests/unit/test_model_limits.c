@@ -1,5 +1,5 @@
-/* Each number in the configurations of the model has the range of its header: the ends are accepted, the next number beyond
- * is refused, and so is what is no number. */
+/* Each number in the configurations of the model has the range of its header: the ends are accepted, the next number
+ * beyond is refused, and so is what is no number. */
 #include "model_test.h"
 
 #include "model/identify/lever_identification.h"

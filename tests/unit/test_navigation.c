@@ -259,8 +259,8 @@ static void path_at(const struct path *path, double t, struct signal_truth *trut
 	};
 }
 
-/* The position at the end; the fusion's attitude has an error of 0.5 degrees in roll and pitch. accel_scale: 1 sigma of the
- * accelerometer's. */
+/* The position at the end; the fusion's attitude has an error of 0.5 degrees in roll and pitch. accel_scale: 1 sigma of
+ * the accelerometer's. */
 static struct position travel_by_scale(
 	const struct path *path, const struct navigation_config *navigation, double accel_scale, uint64_t seed)
 {
@@ -515,10 +515,12 @@ static void test_sigma_is_honest_on_a_simulated_robot_at_any_rate(void **state)
 		print_message("NEES at %.0f Hz: attitude %.2f %.2f, position %.2f %.2f, acceleration %.2f %.2f\n",
 			RATES_HZ[i], lying.attitude, driving.attitude, lying.position, driving.position, lying.accel,
 			driving.accel);
-		/* the accelerometer's bias is considered with the sigma of a calibration, which these chips do not use up */
+		/* the accelerometer's bias is considered with the sigma of a calibration, which these chips do not use
+		 * up */
 		assert_true(lying.attitude > 0.1 && lying.attitude < 2);
 		assert_true(driving.attitude > 0.2 && driving.attitude < 2);
-		/* turned by half a turn without levelling, the accelerometer's scale and alignment count, which have no state */
+		/* turned by half a turn without levelling, the accelerometer's scale and alignment count, which have no
+		 * state */
 		assert_true(lying.position > 0.5 && lying.position < 6);
 		assert_true(driving.position > 0.05 && driving.position < 2);
 		assert_true(lying.accel > 0.3 && lying.accel < 2);
@@ -697,7 +699,8 @@ static void test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour(voi
 	assert_true(vec3_norm(navigation_sigma(&p.navigation, 1 / DT_S).position_m) < 0.05);
 }
 
-/* Three times as noisy as 2020h says, and its mean wanders by 2 mm/s^2 within seconds, as those of recorded chips do. */
+/* Three times as noisy as 2020h says, and its mean wanders by 2 mm/s^2 within seconds, as those of recorded chips
+ * do. */
 static void test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest(void **state)
 {
 	struct navigation_config config = {.standstill = STANDSTILL_DEFAULTS,
@@ -723,8 +726,8 @@ static void test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_res
 	assert_int_equal(n.movements, 0);
 }
 
-/* At the turning point of a pendulum, or on an arm that turns about the reference point: the velocity is zero, and nothing
- * accelerates. A linear axis does not turn. */
+/* At the turning point of a pendulum, or on an arm that turns about the reference point: the velocity is zero, and
+ * nothing accelerates. A linear axis does not turn. */
 static void test_what_turns_may_stand_except_on_a_linear_axis(void **state)
 {
 	const enum motion_preset presets[] = {MOTION_ANY, MOTION_ROBOT_BASE, MOTION_LINEAR_AXIS, MOTION_ARM};
@@ -893,8 +896,8 @@ static void test_a_navigation_configuration_is_checked_field_by_field(void **sta
 	}
 }
 
-/* An object that swings to and fro after a rest, followed with levelling and with a live change to none: both are the same
- * at first. */
+/* An object that swings to and fro after a rest, followed with levelling and with a live change to none: both are the
+ * same at first. */
 static void test_levelling_starts_5_s_after_the_last_standstill(void **state)
 {
 	struct position_config config = {.mode = POSITION_NAVIGATION, .navigation = levelling()};
@@ -945,7 +948,7 @@ static void test_a_swing_about_the_reference_point_is_no_velocity_of_it(void **s
 	assert_true(sqrt(n.high_pass2_max) < 0.5);
 }
 
-/* ---- what the errors are assumed to be, in closed form ------------------------------------------------------------ */
+/* ---- what the errors are assumed to be, in closed form ----------------------------------------------------------- */
 
 static const struct noise_config NOISE = {.gyro_density_rad_s_sqrt_hz = 2e-3,
 	.gyro_bias_instability_rad_s = 1e-3,
@@ -1001,8 +1004,9 @@ static void test_at_the_start_nothing_is_known_better_than_after_a_calibration(v
 	assert_sigma(&hand, NAVIGATION_BA, 0.03);
 }
 
-/* White noise integrates to density^2 / 2 t; errors of scale and alignment walk by 0.1 % of the motion per sqrt(s), a third of
- * it on each axis; the biases by their instability within 100 s, and the accelerometer's as it turns in gravity. */
+/* White noise integrates to density^2 / 2 t; errors of scale and alignment walk by 0.1 % of the motion per sqrt(s), a
+ * third of it on each axis; the biases by their instability within 100 s, and the accelerometer's as it turns in
+ * gravity. */
 static void test_noise_and_errors_of_scale_add_up_within_an_interval(void **state)
 {
 	const struct vec3 rate = {20, -30, 10}, accel = {20, 10, -15};
@@ -1028,7 +1032,8 @@ static void test_noise_and_errors_of_scale_add_up_within_an_interval(void **stat
 	}
 }
 
-/* The heading of the fusion has an error of 2 degrees for 3 s: as a measurement in each interval, that sigma less often. */
+/* The heading of the fusion has an error of 2 degrees for 3 s: as a measurement in each interval, that sigma less
+ * often. */
 static void test_the_fusions_heading_counts_with_2_degrees_once_in_3_s(void **state)
 {
 	struct navigation n = started(MOTION_HAND_HELD);
@@ -1085,8 +1090,8 @@ static void test_a_standstill_by_dwell_is_measured_with_what_may_still_move(void
 	}
 }
 
-/* After 5 s of movement the velocity is measured as zero ten times a second, with a sigma for each axis of its greatest high-pass:
- * of motions whose greatest square is 3.3 times the mean; and 0.05 m/s. */
+/* After 5 s of movement the velocity is measured as zero ten times a second, with a sigma for each axis of its greatest
+ * high-pass: of motions whose greatest square is 3.3 times the mean; and 0.05 m/s. */
 static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 {
 	static const struct {
@@ -1110,7 +1115,8 @@ static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 	}
 }
 
-/* The bias at a standstill differs from that in the movement by 0.006 of the acceleration, as far as it has turned within 0.3 s. */
+/* The bias at a standstill differs from that in the movement by 0.006 of the acceleration, as far as it has turned
+ * within 0.3 s. */
 static void test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion(void **state)
 {
 	(void)state;
@@ -1260,7 +1266,8 @@ static void test_a_tilt_or_a_heading_too_far_from_the_fusions_starts_again_from_
 	}
 }
 
-/* Of an acceleration: gravity times the tilt about the other axis, noise, and a bias; of the heading: that of north, too. */
+/* Of an acceleration: gravity times the tilt about the other axis, noise, and a bias; of the heading: that of north,
+ * too. */
 static void test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias(void **state)
 {
 	struct navigation n = started(MOTION_ANY);

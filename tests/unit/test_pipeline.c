@@ -1314,8 +1314,8 @@ static void test_the_ranges_of_the_latency_include_their_limits(void **state)
 	}
 }
 
-/* An error of the attitude, a rotation vector e, changes the acceleration by e x (accel + gravity). The product of e and
- * gravity is in the sigma of the navigation already. */
+/* An error of the attitude, a rotation vector e, changes the acceleration by e x (accel + gravity). The product of e
+ * and gravity is in the sigma of the navigation already. */
 static void test_each_axis_of_the_acceleration_sigma_has_its_own_errors(void **state)
 {
 	const struct vec3 angle = {0.01, 0.02, 0.03}, known = {0.5, 0.6, 0.7};
@@ -1374,7 +1374,8 @@ static void test_a_robot_at_rest_does_not_accelerate(void **state)
 		assert_vec_near(run(&p, standing, k, k + 1).accel_n_m_s2, ZERO, 1e-6);
 }
 
-/* A gyro whose bias grows by 0.001 rad/s per K from 25 degC on turns at 0.5 rad/s; only some samples have a temperature. */
+/* A gyro whose bias grows by 0.001 rad/s per K from 25 degC on turns at 0.5 rad/s; only some samples have a
+ * temperature. */
 static void test_a_temperature_in_a_sample_holds_until_the_next_one(void **state)
 {
 	const struct {

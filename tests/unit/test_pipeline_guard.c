@@ -1,5 +1,5 @@
-/* The last guard of the pipeline: an output that is not finite, or beyond what the sensor has measured, is not published.
- * Nothing is known to make one; here the state of a step is damaged. */
+/* The last guard of the pipeline: an output that is not finite, or beyond what the sensor has measured, is not
+ * published. Nothing is known to make one; here the state of a step is damaged. */
 #include "model_test.h"
 
 #include "model/pipeline.h"

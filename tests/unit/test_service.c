@@ -1,5 +1,5 @@
-/* What the gateway tells the service manager: sd_notify(3) and systemd.service(5), WatchdogSec=. The manager is a datagram
- * socket here; the time moves only where a test moves it. */
+/* What the gateway tells the service manager: sd_notify(3) and systemd.service(5), WatchdogSec=. The manager is a
+ * datagram socket here; the time moves only where a test moves it. */
 #include <setjmp.h>
 #include <stdarg.h>
 #include <stddef.h>

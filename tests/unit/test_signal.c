@@ -404,7 +404,8 @@ static void test_rough_ground_rolls_pitches_and_lifts_the_robot_by_its_angle_whi
 	assert_true(most.z > 0.99 && most.z <= 1);
 }
 
-/* The share of a wave of that frequency in the roll angle, while the robot drives along the first side at full speed. */
+/* The share of a wave of that frequency in the roll angle, while the robot drives along the first side at full
+ * speed. */
 static double wave_of_roll(double hz)
 {
 	double in_phase = 0, across = 0;

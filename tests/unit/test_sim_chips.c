@@ -1,5 +1,5 @@
-/* The simulated chips (drivers/imu/sim/sim_chips.h) behave as the data sheets say: status, FIFO, self-test, addresses. They
- * are the reference of the driver's tests, so they are tested without it, over the bus. */
+/* The simulated chips (drivers/imu/sim/sim_chips.h) behave as the data sheets say: status, FIFO, self-test, addresses.
+ * They are the reference of the driver's tests, so they are tested without it, over the bus. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -49,8 +49,8 @@ static int word(const uint8_t *bytes)
 
 /* ---- status ------------------------------------------------------------------------------------------------------ */
 
-/* STATUS: ZYXDA and the three axes from the first sample on, ZYXOR and the three axes from the second on that was not read;
- * reading the last data register clears both. */
+/* STATUS: ZYXDA and the three axes from the first sample on, ZYXOR and the three axes from the second on that was not
+ * read; reading the last data register clears both. */
 static void test_the_status_shows_new_and_overwritten_samples_until_they_are_read(void **state)
 {
 	static const struct {
@@ -186,8 +186,8 @@ static void test_a_fifo_of_32_sets_shows_its_level_and_keeps_the_newest(void **s
 	}
 }
 
-/* LSM6DS33: FIFO_STATUS1 and 2 have the number of words, six to a set of gyro and accelerometer, and 40h after an overrun;
- * FIFO_STATUS3 the place of the next word in its set. */
+/* LSM6DS33: FIFO_STATUS1 and 2 have the number of words, six to a set of gyro and accelerometer, and 40h after an
+ * overrun; FIFO_STATUS3 the place of the next word in its set. */
 static void test_the_fifo_of_words_shows_its_level_and_the_place_in_the_set(void **state)
 {
 	uint8_t status[4], bytes[12];
@@ -376,8 +376,8 @@ static void test_a_saturated_chip_has_words_at_the_end_of_its_range(void **state
 
 /* ---- addresses --------------------------------------------------------------------------------------------------- */
 
-/* A sub-address without its bit 7 (or IF_INC of the LSM6) repeats one register. The old magnetometers always count, and from
- * the last data register on begin again with the first. */
+/* A sub-address without its bit 7 (or IF_INC of the LSM6) repeats one register. The old magnetometers always count, and
+ * from the last data register on begin again with the first. */
 static void test_a_read_of_several_registers_counts_where_the_data_sheet_says_so(void **state)
 {
 	uint8_t bytes[8];

@@ -664,7 +664,7 @@ static void test_the_last_movement_stays_until_the_next_one_ends(void **state)
 	assert_int_equal(smoother.last.number, 2);
 }
 
-/* ---- movements of constant velocity ------------------------------------------------------------------------------- */
+/* ---- movements of constant velocity ------------------------------------------------------------------------------ */
 
 /* A filter without errors moves along x, at 1 m/s for `out_s` and back for `back_s`. */
 static void go_and_return(double out_s, double back_s, double stood_s)

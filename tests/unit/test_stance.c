@@ -1,5 +1,5 @@
-/* A shoe: the navigation with the preset "foot", on steps whose truth is known here in closed form. The sensor has the noise
- * of the datasheets and a constant error of the accelerometer. */
+/* A shoe: the navigation with the preset "foot", on steps whose truth is known here in closed form. The sensor has the
+ * noise of the datasheets and a constant error of the accelerometer. */
 #include "model_test.h"
 
 #include "model/pipeline.h"
@@ -15,7 +15,8 @@ struct step_truth {
 	bool swings;
 };
 
-/* Each swing begins and ends without velocity and without acceleration, and so does the roll by roll_m in each stance. */
+/* Each swing begins and ends without velocity and without acceleration, and so does the roll by roll_m in each
+ * stance. */
 static struct step_truth walk(double t_s, double stance_s, double roll_m)
 {
 	double stride_s = SWING_S + stance_s, walked_s = t_s - REST_S;

@@ -1,6 +1,6 @@
-/* No axis is special to the physics but the vertical. The device follows a simulated robot, then the same one with its sensor's
- * axes renamed, with the robot turned by a quarter, and seen in a mirror; the noise is the same, so all differences but
- * rounding are faults. */
+/* No axis is special to the physics but the vertical. The device follows a simulated robot, then the same one with its
+ * sensor's axes renamed, with the robot turned by a quarter, and seen in a mirror; the noise is the same, so all
+ * differences but rounding are faults. */
 #include <string.h>
 
 #include "model/identify/ellipsoid.h"

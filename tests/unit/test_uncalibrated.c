@@ -1,4 +1,5 @@
-/* Chips as delivered: with the errors of data sheets, tilt and heading are within their sigmas from the first sample. */
+/* Chips as delivered: with the errors of data sheets, tilt and heading are within their sigmas from the first
+ * sample. */
 #include "model_test.h"
 
 #include "model/pipeline.h"

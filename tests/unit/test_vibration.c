@@ -1,5 +1,5 @@
-/* Vibration that sampling folds, and values beyond the end of a range: what is said of them, and what the attitude's sigma is
- * worth meanwhile. The truth is that of an object that does not turn. */
+/* Vibration that sampling folds, and values beyond the end of a range: what is said of them, and what the attitude's
+ * sigma is worth meanwhile. The truth is that of an object that does not turn. */
 #include "model_test.h"
 
 #include "model/pipeline.h"
@@ -61,7 +61,8 @@ static bool beyond_three_sigma(struct vec3 off, struct vec3 sigma)
 	return fabs(off.x) > 3 * sigma.x + 1e-3 || fabs(off.y) > 3 * sigma.y + 1e-3 || fabs(off.z) > 3 * sigma.z + 1e-3;
 }
 
-/* Without the means of vibration.h and fusion_kalman.h against it the tilt is up to 170 degrees off at a sigma of 0.3. */
+/* Without the means of vibration.h and fusion_kalman.h against it the tilt is up to 170 degrees off at a sigma of
+ * 0.3. */
 static void test_what_is_shaken_has_a_tilt_within_three_sigma_while_it_is_valid(void **state)
 {
 	(void)state;

@@ -393,8 +393,8 @@ static void test_a_range_that_it_does_not_have_is_refused(void **state)
 	assert_int_equal(port->ops->configure(port, &settings, 1, error, sizeof(error)), -EINVAL);
 }
 
-/* Registers 34h to 40h: acceleration, rate, field, three angles that are not used, temperature. At its end a word of the first
- * two is saturated. */
+/* Registers 34h to 40h: acceleration, rate, field, three angles that are not used, temperature. At its end a word of
+ * the first two is saturated. */
 static void test_each_word_has_its_place_its_unit_and_its_end(void **state)
 {
 	const double g = 16 * 9.80665 / 32768, dps = 2000 / 32768.0 * 3.14159265358979323846 / 180, ut = 0.013;

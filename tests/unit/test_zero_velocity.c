@@ -1,5 +1,5 @@
-/* It stands, or it moves steadily: the navigation with nothing assumed, on motions whose truth is known here. The sensor has
- * the noise of the datasheets and a constant error of the accelerometer. */
+/* It stands, or it moves steadily: the navigation with nothing assumed, on motions whose truth is known here. The
+ * sensor has the noise of the datasheets and a constant error of the accelerometer. */
 #include "model_test.h"
 
 #include <string.h>
@@ -10,7 +10,8 @@ enum { RATE_HZ = 100 };
 
 static const double G = 9.81, DT_S = 1.0 / RATE_HZ;
 
-/* A speed that rises within ramp_s, stays and falls, from 10 s on, along one axis; the object turns about the vertical. */
+/* A speed that rises within ramp_s, stays and falls, from 10 s on, along one axis; the object turns about the
+ * vertical. */
 struct motion {
 	struct vec3 axis_n;
 	double speed_m_s, ramp_s, cruise_s, rate_rad_s, vibration_m_s2;
@@ -197,7 +198,8 @@ static double density(double v_m_s, double variance)
 	return exp(-v_m_s * v_m_s / (2 * variance)) / pow(variance, 1.5);
 }
 
-/* Bayes: standing against a speed of any of the scales alike, none below the slowest of the preset (model/README.md). */
+/* Bayes: standing against a speed of any of the scales alike, none below the slowest of the preset
+ * (model/README.md). */
 static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows(void **state)
 {
 	const struct {
@@ -333,8 +335,8 @@ static void test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instabili
 	}
 }
 
-/* sigma of the velocity of what stands for t_s: 1 mm/s at its begin, 2 mm/s by the support, the accelerometer's random walk,
- * and horizontally the tilt by the gyro's random walk and bias, times gravity, integrated. */
+/* sigma of the velocity of what stands for t_s: 1 mm/s at its begin, 2 mm/s by the support, the accelerometer's random
+ * walk, and horizontally the tilt by the gyro's random walk and bias, times gravity, integrated. */
 static void test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_object_turns(void **state)
 {
 	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0},
@@ -362,7 +364,8 @@ static void test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_o
 	}
 }
 
-/* A chi-squared value of 3 is that of what stands; the limit, 25, that of what moves. The way of the fork counts in between. */
+/* A chi-squared value of 3 is that of what stands; the limit, 25, that of what moves. The way of the fork counts in
+ * between. */
 static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **state)
 {
 	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0};
@@ -379,7 +382,8 @@ static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **st
 	}
 }
 
-/* Velocity of vibration: the acceleration through the integrator with a time constant of 30 ms, behind a high-pass of 0.1 s. */
+/* Velocity of vibration: the acceleration through the integrator with a time constant of 30 ms, behind a high-pass of
+ * 0.1 s. */
 static void test_vibration_is_the_velocity_above_5_hz(void **state)
 {
 	const double frequencies_hz[] = {0.5, 5, 20}, dt_s = 1e-4;
@@ -429,8 +433,8 @@ static double weight_of(struct standing *s, const struct zero_velocity_signals *
 	return s->z.weight;
 }
 
-/* Odds of standing in a quiet moment: as often as it has moved quietly, of which one in a hundred of a second is assumed at
- * first; at least one in 400. */
+/* Odds of standing in a quiet moment: as often as it has moved quietly, of which one in a hundred of a second is
+ * assumed at first; at least one in 400. */
 static void test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet(void **state)
 {
 	const struct {
@@ -469,8 +473,8 @@ static void test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_stand
 	}
 }
 
-/* Without an acceleration a motion cannot end: the odds hold while sigma grows, and are forgotten within 20 s. A change of the
- * velocity by three times 0.01 m/s is an acceleration. */
+/* Without an acceleration a motion cannot end: the odds hold while sigma grows, and are forgotten within 20 s. A change
+ * of the velocity by three times 0.01 m/s is an acceleration. */
 static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state)
 {
 	const double changes_m_s[] = {0, 0.029, 0.031};
@@ -583,7 +587,8 @@ static void test_position_and_velocity_are_the_moments_of_the_mixture(void **sta
 	}
 }
 
-/* The navigation's own sigma of the gyro's bias is that of a calibration, until it has stood; the fusion may know better. */
+/* The navigation's own sigma of the gyro's bias is that of a calibration, until it has stood; the fusion may know
+ * better. */
 static void test_a_gyro_bias_is_as_uncertain_as_the_fusion_says_axis_by_axis_before_the_first_standstill(void **state)
 {
 	const struct navigation_config config = {

@@ -7,8 +7,8 @@ enum { TERMS = 4 };
 static const double FLICKER = 0.44127122; /* 2 ln 2 / pi */
 /* Up to a ninth of the record. */
 static const double CLUSTERS_LEAST = 8;
-/* A term is observed where it has this share of the variance, at a point of at most this relative error. By judgement: below,
- * the fit takes the scatter of others for it. */
+/* A term is observed where it has this share of the variance, at a point of at most this relative error. By judgement:
+ * below, the fit takes the scatter of others for it. */
 static const double SHARE_LEAST = 0.5, ERROR_MOST = 0.2;
 
 /* Replaces values[k] by the sum of all values before k, so that a cluster mean is a difference of two. The last value

@@ -29,14 +29,14 @@ struct allan_noise {
 /** At ten averaging times per decade, up to a ninth of the record. Replaces `values` (at least 3) by their running
  * sum. */
 void allan_deviation(double *values, size_t count, double rate_hz, struct allan *result);
-/** The same of a record with gaps: `starts` has the index of the first value of each part, 0 first. No difference is taken
- * over a gap. */
+/** The same of a record with gaps: `starts` has the index of the first value of each part, 0 first. No difference is
+ * taken over a gap. */
 void allan_deviation_of_parts(
 	double *values, size_t count, const size_t *starts, size_t parts, double rate_hz, struct allan *result);
 /** Weighted least squares of the relative errors of sigma^2, with no term below 0. */
 struct allan_noise allan_fit(const struct allan *allan);
-/** The terms of a fit that the record is long enough for: those with half of the variance at a time whose deviation is known
- * within 20 %. The others are 0. */
+/** The terms of a fit that the record is long enough for: those with half of the variance at a time whose deviation is
+ * known within 20 %. The others are 0. */
 struct allan_noise allan_observed(const struct allan *allan, const struct allan_noise *fit);
 /** sigma(tau) of the noise model. */
 double allan_model(const struct allan_noise *noise, double tau_s);

@@ -32,8 +32,8 @@ static const char usage[] =
 enum { CHANNELS = 6, MIN_SAMPLES = 1000 };
 /* Sampling intervals: a longer one is a gap. By judgement: one lost sample changes nothing, and times may scatter. */
 static const double GAP_INTERVALS = 2.5;
-/* s; what a sensor at rest scatters by within that time at most (per 100 samples a second), and by how much its mean may
- * change over hours. By judgement: several times that of the noisiest sensors of drivers/; a hand has more. */
+/* s; what a sensor at rest scatters by within that time at most (per 100 samples a second), and by how much its mean
+ * may change over hours. By judgement: several times that of the noisiest sensors of drivers/; a hand has more. */
 static const double BLOCK_S = 1, STILL_DEG_S = 1.5, STILL_MG = 40, SAME_DEG_S = 1, SAME_MG = 25;
 /* More than any gyro's bias: the zero-rate level of the L3GD20 is 25 deg/s with all that adds up. */
 static const double BIAS_DEG_S = 30;

@@ -17,7 +17,7 @@
 
 enum eds_rules {
 	EDS_LENIENT, /* accepts a file as long as type and access of each entry are unambiguous */
-	EDS_STRICT, /* for the device's own file: also lists, counts, limits, PDO mappings and unique names are checked */
+	EDS_STRICT,  /* for the device's own file: also checks lists, counts, limits, PDO mappings and unique names */
 };
 
 enum eds_kind { EDS_VAR, EDS_ARRAY, EDS_RECORD };

@@ -1,6 +1,7 @@
 /* drivers/imu/pololu/drdy.h
- * A data-ready line: the rising edges of one GPIO line, through libgpiod. Its two APIs have nothing in common: drdy_gpiod1.c
- * is for version 1, drdy_gpiod2.c for version 2, and the Makefile takes the one that is installed. One thread uses it. */
+ * A data-ready line: the rising edges of one GPIO line, through libgpiod. Its two APIs have nothing in common:
+ * drdy_gpiod1.c is for version 1, drdy_gpiod2.c for version 2, and the Makefile takes the one that is installed. One
+ * thread uses it. */
 #ifndef DRIVERS_IMU_POLOLU_DRDY_H
 #define DRIVERS_IMU_POLOLU_DRDY_H
 
