@@ -18,8 +18,8 @@ LAYERS ?= model,od,canopen
 JOBS ?= 1
 SAN ?=
 
-# A cross compiler PREFIX-gcc brings PREFIX-ar and PREFIX-pkg-config, and its tests run in qemu. The generator is for the
-# machine that builds.
+# A cross compiler PREFIX-gcc brings PREFIX-ar and PREFIX-pkg-config, and its tests run in qemu. The generator is for
+# the machine that builds.
 CROSS := $(if $(findstring -gcc,$(lastword $(CC))),$(firstword $(subst -gcc,- ,$(lastword $(CC)))))
 CC_FOR_BUILD ?= $(if $(CROSS),gcc,$(CC))
 AR := $(CROSS)ar
@@ -39,7 +39,7 @@ LDLIBS := -Wl,--as-needed -linih -lmpack -lusb-1.0 -lmodbus -lgpiod -lm -pthread
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))
 objects = $(patsubst %.c,$(BUILD)/obj/%.o,$(1))
-GEN := $(BUILD)/gen/od_index.h $(BUILD)/gen/od_values.h $(BUILD)/gen/od_table.c $(BUILD)/gen/objects.md $(BUILD)/gen/imu9-gateway.dbc
+GEN := $(addprefix $(BUILD)/gen/,od_index.h od_values.h od_table.c objects.md imu9-gateway.dbc)
 
 MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)
@@ -51,7 +51,7 @@ PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
 TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
-LIBS := $(BUILD)/libtools.a $(BUILD)/libgateway.a $(BUILD)/libcanopen.a $(BUILD)/libdrivers.a $(BUILD)/libod.a $(MODEL_LIB)
+LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway canopen drivers od) $(MODEL_LIB)
 TOOLS := $(addprefix $(BUILD)/,$(subst _,-,$(basename $(notdir $(PROGRAM_SRC)))))
 PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
 TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c \
@@ -148,8 +148,8 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check distros asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers check-objects \
-	readme check-readme eds-revision check-eds
+.PHONY: tests check distros asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers \
+	check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
@@ -160,10 +160,12 @@ distros: ## build and test in clean roots of Debian 12 and 13, also cross-built 
 
 # With sanitizers gcc warns of overflows that are none: there a warning is no error.
 asan: ## unit and scenario tests with AddressSanitizer and UBSan
-	@$(MAKE) --no-print-directory BUILD=$(BUILD)/asan WERROR=no SAN="-fsanitize=address,undefined -fno-sanitize-recover=all" check
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/asan WERROR=no \
+		SAN="-fsanitize=address,undefined -fno-sanitize-recover=all" check
 
 ubsan: ## unit and scenario tests with UBSan alone
-	@$(MAKE) --no-print-directory BUILD=$(BUILD)/ubsan WERROR=no SAN="-fsanitize=undefined -fno-sanitize-recover=all" check
+	@$(MAKE) --no-print-directory BUILD=$(BUILD)/ubsan WERROR=no \
+		SAN="-fsanitize=undefined -fno-sanitize-recover=all" check
 
 tsan: ## unit and scenario tests with ThreadSanitizer
 	@$(MAKE) --no-print-directory BUILD=$(BUILD)/tsan WERROR=no SAN="-fsanitize=thread" check
@@ -193,23 +195,27 @@ lint: $(BUILD)/gen/od_values.h ## clang-tidy and cppcheck
 	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
-		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen model od drivers gateway tools
+		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
+		model od drivers gateway tools
 
 cov: ## line coverage of the unit and scenario tests
 	@$(MAKE) --no-print-directory BUILD=$(BUILD)/cov CFLAGS="-O0 -g --coverage" check
 	@cd $(BUILD)/cov && find obj -name '*.gcda' | xargs gcov -n 2>/dev/null | \
-		awk "/^File '[a-z]/ {f = \$$2} /^Lines executed/ && f != \"\" {split(\$$0, p, \":\"); print p[2], f; f = \"\"}" | \
+		awk "/^File '[a-z]/ {f = \$$2} \
+			/^Lines executed/ && f != \"\" {split(\$$0, p, \":\"); print p[2], f; f = \"\"}" | \
 		grep -v "'/usr" | sort -n
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
+PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run)
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 
-# clang-format breaks no comments.
+# clang-format breaks no comments. Shell scripts are not checked: regular expressions and lines of test data.
 check-format: ## fail when a file is not formatted
 	@clang-format --dry-run --Werror $(FORMATTED)
-	@awk -F '\t' '{w = 0; for (i = 1; i < NF; i++) w += length($$i) + 8 - (w + length($$i)) % 8; w += length($$NF)} \
-		w > 120 {print FILENAME ":" FNR ": " w " columns, at most 120"; bad = 1} END {exit bad}' $(FORMATTED)
+	@awk -F '\t' '{w = 0; for (i = 1; i < NF; i++) w += length($$i) + 8 - (w + length($$i)) % 8; \
+		w += length($$NF)} w > 120 {print FILENAME ":" FNR ": " w " columns, at most 120"; bad = 1} \
+		END {exit bad}' Makefile $(FORMATTED) $(PYTHON)
 
 WITH_OBJECTS = awk '/^<!-- objects/ {print; system("sed -n \"/^\#\# /,$$ p\" $(BUILD)/gen/objects.md"); skip = 1} \
 	/^<!-- end of objects/ {skip = 0} !skip' eds/README.md
@@ -217,7 +223,8 @@ readme: $(BUILD)/gen/objects.md ## bring the object tables of eds/README.md up t
 	@$(WITH_OBJECTS) >$(BUILD)/README.md && cp $(BUILD)/README.md eds/README.md
 
 check-readme: $(BUILD)/gen/objects.md ## fail when the object tables of eds/README.md are not those of the EDS
-	@$(WITH_OBJECTS) | cmp -s - eds/README.md || { echo "eds/README.md: the object tables are out of date: make readme" >&2; exit 1; }
+	@$(WITH_OBJECTS) | cmp -s - eds/README.md || \
+		{ echo "eds/README.md: the object tables are out of date: make readme" >&2; exit 1; }
 
 eds-revision: ## raise the revision of the EDS after a change, 1018h:3 too (MAJOR=yes: an object means something else)
 	@tools/eds/eds-revision eds/imu9-gateway.eds $(if $(filter yes,$(MAJOR)),major,minor)
@@ -275,18 +282,23 @@ COMPLETIONS ?= $(PREFIX)/share/bash-completion/completions
 share = $(PREFIX)/share/imu9-gateway
 UNIT := tools/service/imu9-gateway.service
 OWN_NAMES := $(notdir $(PROGRAMS))
-install: all $(if $(shell command -v help2man),man) ## install programs, manual pages, completion, EDS, udev rule, systemd units and an example configuration under $(DESTDIR)$(PREFIX)
-	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) $(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
+install: all $(if $(shell command -v help2man),man) ## install programs, manuals and units under $(DESTDIR)$(PREFIX)
+	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) \
+		$(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/service/imu9-gateway.conf \
+	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
+		tools/service/imu9-gateway.conf \
 		tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
 	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d
 	install -m 644 tools/service/sysusers.conf $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
-	for name in imu9-gateway imu9-sdo; do install -m 644 tools/service/completion.bash $(DESTDIR)$(COMPLETIONS)/$$name; done
-	for name in $(filter-out imu9-gateway imu9-sdo,$(OWN_NAMES)); do ln -sf imu9-sdo $(DESTDIR)$(COMPLETIONS)/$$name; done
+	for name in imu9-gateway imu9-sdo; do \
+		install -m 644 tools/service/completion.bash $(DESTDIR)$(COMPLETIONS)/$$name; done
+	for name in $(filter-out imu9-gateway imu9-sdo,$(OWN_NAMES)); do \
+		ln -sf imu9-sdo $(DESTDIR)$(COMPLETIONS)/$$name; done
 	$(foreach page,$(wildcard $(MAN)),install -m 644 $(page) $(DESTDIR)$(PREFIX)/share/man/man1 &&) :
 	sed 's|@PREFIX@|$(PREFIX)|g' $(UNIT) >$(DESTDIR)$(UNITDIR)/imu9-gateway.service
-	sed 's|@PREFIX@|$(PREFIX)|g; s|/etc/imu9-gateway.conf|/etc/imu9-gateway/%i.conf|g; s|^Description=.*|& %i|; s|^\[Service\]|&\nEnvironment=IMU9_CAN=%i|' \
+	sed -e 's|@PREFIX@|$(PREFIX)|g; s|/etc/imu9-gateway.conf|/etc/imu9-gateway/%i.conf|g' \
+		-e 's|^Description=.*|& %i|; s|^\[Service\]|&\nEnvironment=IMU9_CAN=%i|' \
 		$(UNIT) >$(DESTDIR)$(UNITDIR)/imu9-gateway@.service
 	$(if $(DESTDIR),,-systemd-sysusers $(LIBDIR)/sysusers.d/imu9-gateway.conf)
 

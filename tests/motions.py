@@ -130,8 +130,8 @@ def stride(t, begin_s, swing_s):
 
 
 def walk(t, begin_s, strides, length_m, swing_s, stance_s):
-    """A sensor on a shoe: in each swing it moves forward along x, is lifted by 10 cm, and pitches to and fro by 40 deg. In
-    the stances it stands."""
+    """A sensor on a shoe: in each swing it moves forward along x, is lifted by 10 cm, and pitches to and fro by 40 deg.
+    In the stances it stands."""
     height_m, pitch_rad = 0.1, np.radians(40)
     position, accel = np.zeros((2, len(t), 3))
     pitch, rate = np.zeros((2, len(t)))

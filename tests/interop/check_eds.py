@@ -1,12 +1,12 @@
 #!/usr/bin/python3
 """check_eds.py: checks the EDS and the generated DBC by rules of other readers.
 
-The EDS is read with Python's configparser, key by key like python-canopen (case-sensitive keys, int(x, 0), float()), and
-compared with the lists, counts and types of CiA 306; by the rules of lely's dcfchk (a key that is not in CiA 306, or a
-number in another notation, makes the file invalid, so additional keys are in comments), of CANopenEditor, and of a strict
-parser in JavaScript. The DBC is checked by its grammar and signal by signal against the mapping objects. Needs no bus.
-Status 1 and one line for each error; also uses python-canopen and dcfchk if they are installed. With --fix it first puts
-';' before additional keys.
+The EDS is read with Python's configparser, key by key like python-canopen (case-sensitive keys, int(x, 0), float()),
+and compared with the lists, counts and types of CiA 306; by the rules of lely's dcfchk (a key that is not in CiA 306,
+or a number in another notation, makes the file invalid, so additional keys are in comments), of CANopenEditor, and of a
+strict parser in JavaScript. The DBC is checked by its grammar and signal by signal against the mapping objects. Needs
+no bus. Status 1 and one line for each error; also uses python-canopen and dcfchk if they are installed. With --fix it
+first puts ';' before additional keys.
 """
 import configparser
 import os
@@ -30,15 +30,17 @@ REAL = {8: 32, 0x11: 64}
 BITS = {**SIGNED, **UNSIGNED, **REAL}
 OTHER = {9, 10, 15}  # strings, DOMAIN
 
-VAR_KEYS = {"ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit", "PDOMapping",
-            "ObjFlags"}
-OUR_KEYS = {"Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize", "Stored"}
+VAR_KEYS = {"ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit",
+            "PDOMapping", "ObjFlags"}
+OUR_KEYS = {"Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize",
+            "Stored"}
 RECORD_KEYS = {"ParameterName", "ObjectType", "SubNumber", "ObjFlags", "Description"}
 FILE_KEYS = {"FileName", "FileVersion", "FileRevision", "EDSVersion", "Description", "CreationTime", "CreationDate",
              "CreatedBy", "ModificationTime", "ModificationDate", "ModifiedBy"}
 DEVICE_KEYS = {"VendorName", "VendorNumber", "ProductName", "ProductNumber", "RevisionNumber", "OrderCode",
                "SimpleBootUpMaster", "SimpleBootUpSlave", "Granularity", "DynamicChannelsSupported", "GroupMessaging",
-               "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported"} | {"BaudRate_%d" % b for b in (10, 20, 50, 125, 250, 500, 800, 1000)}
+               "NrOfRXPDO", "NrOfTXPDO", "LSS_Supported",
+               *("BaudRate_%d" % b for b in (10, 20, 50, 125, 250, 500, 800, 1000))}
 TIME, DATE = r"(0\d|1[0-2]):[0-5]\d[AP]M", r"\d\d-\d\d-\d{4}"
 FIXED = ("1018", "1200")  # ro, but the same in every device
 LISTS = ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects")
@@ -87,10 +89,12 @@ def check_variable(eds, section):
     if data_type not in BITS:
         return
     prefix = "Real" if data_type in REAL else ""
-    low, high = (number(keys[k], data_type, where) if k in keys else None for k in (prefix + "LowLimit", prefix + "HighLimit"))
+    low, high = (number(keys[k], data_type, where) if k in keys else None
+                 for k in (prefix + "LowLimit", prefix + "HighLimit"))
     default = number(keys.get("RealDefault", keys.get("DefaultValue", "0")), data_type, where)
     if data_type in REAL:
-        expect(keys.get("DefaultValue", "0") == "0", where, "DefaultValue of a REAL32 other than 0 (tools disagree on its form)")
+        expect(keys.get("DefaultValue", "0") == "0", where,
+               "DefaultValue of a REAL32 other than 0 (tools disagree on its form)")
         expect("LowLimit" not in keys and "HighLimit" not in keys, where, "limits of a REAL32 in an integer's keys")
     expect(keys["AccessType"] != "ro" or "DefaultValue" not in keys or section[:4] in FIXED, where,
            "DefaultValue of a value that changes: configuration tools compare it with the device")
@@ -138,7 +142,8 @@ def check_strictly(text):
                 for a, b in ((low, value), (value, high)):
                     expect(a is None or b is None or a <= b, where, "the default is beyond a limit")
             elif "SubNumber" in section:
-                expect(name + "sub0" in eds and int(eds[name + "sub0"]["DataType"], 0) == 5, where, "sub-index 0 is not an UNSIGNED8")
+                expect(name + "sub0" in eds and int(eds[name + "sub0"]["DataType"], 0) == 5, where,
+                       "sub-index 0 is not an UNSIGNED8")
             else:
                 expect("LowLimit" not in section and "HighLimit" not in section, where, "limits of a string")
         else:
@@ -151,8 +156,9 @@ def base_of(text):
 
 
 def check_as_canopeneditor(text):
-    """What libEDSsharp, which CANopenEditor and others use, reads: line by line. A semicolon before a section does not make
-    it a comment, a sub-index needs its object before it and must be a VAR, numbers have at most the width of their field."""
+    """What libEDSsharp, which CANopenEditor and others use, reads: line by line. A semicolon before a section does not
+    make it a comment, a sub-index needs its object before it and must be a VAR, numbers have at most the width of their
+    field."""
     sections, name = {}, None
     for n, line in enumerate(text.splitlines(), 1):
         bare = line.lstrip(";")
@@ -168,7 +174,8 @@ def check_as_canopeneditor(text):
         else:
             expect(not line or line.startswith(";"), where, "neither section nor key")
             expect(not key or key[1] not in ("StorageLocation", "TPDODetectCos"), where, "a key of its own")
-    widths = {"ObjectType": 0x7FFF, "DataType": 0x7FFF, "PDOMapping": 0x7FFF, "ObjFlags": 0xFFFFFFFF, "FileVersion": 255,
+    widths = {"ObjectType": 0x7FFF, "DataType": 0x7FFF, "PDOMapping": 0x7FFF, "ObjFlags": 0xFFFFFFFF, 
+              "FileVersion": 255,
               "FileRevision": 255, "Granularity": 255, "NrOfRXPDO": 0xFFFF, "NrOfTXPDO": 0xFFFF, "SubNumber": 255}
     objects = set()
     for name, keys in sections.items():
@@ -193,7 +200,8 @@ def check_as_canopeneditor(text):
 
 
 def check_as_javascript(eds):
-    """What the npm package canopen refuses: keys of values in records and DOMAINs, limits in the wrong order as text."""
+    """What the npm package canopen refuses: keys of values in records and DOMAINs, limits in the wrong order as
+    text."""
     for name in eds.sections():
         match, keys = re.fullmatch("[0-9A-F]{4}(sub[0-9A-F]+)?", name), eds[name]
         if not match:
@@ -224,19 +232,24 @@ def check_eds():
     for section in eds.sections():
         for key, value in eds[section].items():
             expect(value.strip(), "[%s]" % section, "%s is empty" % key)
-    expect(set(eds["FileInfo"]) == FILE_KEYS, "[FileInfo]", "keys differ: %s" % sorted(set(eds["FileInfo"]) ^ FILE_KEYS))
-    expect(set(eds["DeviceInfo"]) == DEVICE_KEYS, "[DeviceInfo]", "keys differ: %s" % sorted(set(eds["DeviceInfo"]) ^ DEVICE_KEYS))
+    expect(set(eds["FileInfo"]) == FILE_KEYS, "[FileInfo]",
+           "keys differ: %s" % sorted(set(eds["FileInfo"]) ^ FILE_KEYS))
+    expect(set(eds["DeviceInfo"]) == DEVICE_KEYS, "[DeviceInfo]",
+           "keys differ: %s" % sorted(set(eds["DeviceInfo"]) ^ DEVICE_KEYS))
     expect(eds["FileInfo"]["FileName"] == EDS.name, "[FileInfo]", "FileName")
-    for key, pattern in (("CreationTime", TIME), ("CreationDate", DATE), ("ModificationTime", TIME), ("ModificationDate", DATE),
+    for key, pattern in (("CreationTime", TIME), ("CreationDate", DATE), ("ModificationTime", TIME),
+                         ("ModificationDate", DATE),
                          ("EDSVersion", r"4\.0")):
         expect(re.fullmatch(pattern, eds["FileInfo"][key]), "[FileInfo]", key)
     for sub, key in enumerate(("VendorNumber", "ProductNumber", "RevisionNumber"), 1):
         same = int(eds["DeviceInfo"][key], 0) == int(eds["1018sub%d" % sub]["DefaultValue"], 0)
         expect(same, "[DeviceInfo]", key + " differs from 1018h")
     major, minor = (int(eds["FileInfo"][key]) for key in ("FileVersion", "FileRevision"))
-    expect(int(eds["DeviceInfo"]["RevisionNumber"], 0) == major << 16 | minor, "[FileInfo]", "version and revision differ from 1018h:3")
+    expect(int(eds["DeviceInfo"]["RevisionNumber"], 0) == major << 16 | minor, "[FileInfo]",
+           "version and revision differ from 1018h:3")
     lines = int(eds["Comments"]["Lines"])
-    expect(set(eds["Comments"]) == {"Lines"} | {"Line%d" % (i + 1) for i in range(lines)}, "[Comments]", "lines do not agree")
+    expect(set(eds["Comments"]) == {"Lines"} | {"Line%d" % (i + 1) for i in range(lines)}, "[Comments]",
+           "lines do not agree")
 
     listed = []
     for name in LISTS:
@@ -301,9 +314,11 @@ def without_groups(pattern):
 
 def check_dbc(entries):
     text = DBC.read_text("ascii")
-    signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" (?:Vector__XXX|IMU9)\n'
+    signal = r' SG_ ([A-Za-z_]\w{0,31}) : (\d+)\|(\d+)@1([+-]) ' \
+        r'\(([^,]+),0\) \[([^|]+)\|([^]]+)\] "([^"]*)" (?:Vector__XXX|IMU9)\n'
     message = r"BO_ (\d+) ([A-Za-z_]\w{0,31}): (\d) (?:IMU9|Vector__XXX)\n((?:%s)+)\n" % without_groups(signal)
-    tail = r'(?:CM_ (?:BO_ \d+ |SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
+    tail = r'(?:CM_ (?:BO_ \d+ |SG_ \d+ \w+ )?"(?:[^"\\]|\\.)*";\n|' \
+        r'SIG_VALTYPE_ \d+ \w+ : [12];\n|VAL_ \d+ \w+(?: \d+ "[^"]*")+ ;\n)*'
     whole = r'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: IMU9\n\n(?:%s)+%s' % (without_groups(message), tail)
     expect(re.fullmatch(whole, text), DBC.name, "does not follow the grammar")
     messages = {int(m[1]): m for m in re.finditer(message, text)}
@@ -325,7 +340,8 @@ def check_dbc(entries):
             raw = (0, 0) if real else (-1 << length - 1, (1 << length - 1) - 1) if signed else (0, (1 << length) - 1)
             expect((int(at), int(bits)) == (start, length), where, name + " has the wrong position")
             expect(sign == ("-" if signed or real else "+"), where, name + " has the wrong sign")
-            expect(float(factor) == scale and unit == entry.get("Unit", ""), where, name + " has the wrong unit or factor")
+            expect(float(factor) == scale and unit == entry.get("Unit", ""), where,
+                   name + " has the wrong unit or factor")
             for limit, bound in zip((low, high), raw):
                 expect(abs(float(limit) - bound * scale) < 1e-6, where, name + " has the wrong range")
             start += length

@@ -4,7 +4,8 @@ import re
 import struct
 from dataclasses import dataclass
 
-OWN_KEYS = ("Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize", "Stored")
+OWN_KEYS = ("Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize",
+            "Stored")
 
 
 def with_own_keys(text):
@@ -14,7 +15,8 @@ def with_own_keys(text):
 
 # CiA 301 table 44: data type -> struct form
 FORMS = {
-    0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d", 0x15: "q", 0x1B: "Q"}
+    0x01: "?", 0x02: "b", 0x03: "h", 0x04: "i", 0x05: "B", 0x06: "H", 0x07: "I", 0x08: "f", 0x11: "d",
+    0x15: "q", 0x1B: "Q"}
 STRING, OCTETS, DOMAIN, REAL32 = 0x09, 0x0A, 0x0F, 0x08
 
 

@@ -95,7 +95,8 @@ class AStoppedProcess(rig.OnTheBus):
             time.sleep(0.5)
             self.gateway.process.send_signal(signal.SIGCONT)
             self.master.listen(0.3)
-        self.assertEqual([bytes(f.data).hex() for f in self.master.frames if f.arbitration_id == canopen.EMCY + NODE], [])
+        self.assertEqual([bytes(f.data).hex() for f in self.master.frames
+                          if f.arbitration_id == canopen.EMCY + NODE], [])
 
 
 class SdoServer(rig.OnTheBus):
@@ -444,7 +445,8 @@ class RoughBus(rig.OnTheBus):
     def test_it_answers_after_seconds_of_random_traffic(self):
         self.start()
         for flags in (["-e"], []):
-            subprocess.run(["cangen", self.bus, "-g", "0.4", "-n", "2000", "-i", *flags], check=True, timeout=rig.PATIENCE)
+            subprocess.run(["cangen", self.bus, "-g", "0.4", "-n", "2000", "-i", *flags],
+                           check=True, timeout=rig.PATIENCE)
         self.still_answers()
 
     def test_it_answers_after_random_frames_with_its_own_identifiers(self):

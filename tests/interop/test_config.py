@@ -123,8 +123,8 @@ class Service(ARunningGateway):
 
 
 class BadInput(unittest.TestCase):
-    """Status 2 for wrong usage or configuration, 1 for missing files and devices; one line that names the cause and says
-    what to do."""
+    """Status 2 for wrong usage or configuration, 1 for missing files and devices; one line that names the cause and
+    says what to do."""
 
     def refused(self, status, pattern, *args):
         result = rig.run("imu9-gateway", *args)
@@ -191,7 +191,8 @@ class BadInput(unittest.TestCase):
         for imu in ("sim:nowhere", "sim:,board=v9", "i2c", "i2c:/dev/x,drdy=1", "wt901:/dev/x,baud=3",
                     "replay:/no/such.imu.csv,speed=0", "iio:a,b,c,d,e"):
             self.refused(2, imu.split(":")[0], "--imu", imu, "--can", "nocan7")
-        for bus in ("udp:1.2.3.4", "udp,hosts=x", "gs_usb:x:y:z", "slcan:/dev/x,bitrate=3", "slcan:/dev/x,bitrate=300000",
+        for bus in ("udp:1.2.3.4", "udp,hosts=x", "gs_usb:x:y:z", "slcan:/dev/x,bitrate=3",
+                    "slcan:/dev/x,bitrate=300000",
                     "can0:1", "a-name-that-is-too-long"):
             self.refused(2, "use|name", "--can", bus)
 
@@ -228,7 +229,8 @@ class BadInput(unittest.TestCase):
                 self.assertIn(name, result.stdout)
             self.assertEqual(said["--help"].stdout, said["-h"].stdout)
             self.assertEqual(said["--version"].stdout, said["-V"].stdout)
-            self.assertRegex(said["--help"].stdout, "\nExit status: 0 .*, 1 failed.*, 2 wrong usage or configuration.\n")
+            self.assertRegex(said["--help"].stdout,
+                             "\nExit status: 0 .*, 1 failed.*, 2 wrong usage or configuration.\n")
 
     def test_bus_and_node_have_one_spelling_and_that_of_earlier_versions(self):
         for spelling in (("-i", "-n"), ("--can", "--node-id"), ("--bus", "--node")):

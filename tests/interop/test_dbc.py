@@ -1,4 +1,5 @@
-"""imu9-sdo dbc: frames on the bus decoded by it have the values that SDO reads. Also loaded by cantools, if installed."""
+"""imu9-sdo dbc: frames on the bus decoded by it have the values that SDO reads. Also loaded by cantools, if
+installed."""
 import re
 import struct
 import time

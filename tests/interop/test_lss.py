@@ -1,5 +1,5 @@
-"""LSS (CiA 305), its storage, and the bit rate of a CAN controller: the kernel's slcan driver, with this test at the other
-end of its pseudo-terminal."""
+"""LSS (CiA 305), its storage, and the bit rate of a CAN controller: the kernel's slcan driver, with this test at the
+other end of its pseudo-terminal."""
 import fcntl
 import os
 import pathlib
@@ -110,8 +110,8 @@ class Lss(unittest.TestCase):
 
 
 class Slcan:
-    """A simulated slcan adapter: the bytes that the kernel's driver sends. They must be read continuously, as the driver
-    waits for it."""
+    """A simulated slcan adapter: the bytes that the kernel's driver sends. They must be read continuously, as the
+    driver waits for it."""
 
     def __init__(self):
         self.end, self.tty = os.openpty()

@@ -103,7 +103,8 @@ class ARecordedTrial(unittest.TestCase):
 
 
 class TheLeverArm(unittest.TestCase):
-    """A lever arm written by SDO changes the acceleration of the next sample by the rigid-body terms, and nothing else."""
+    """A lever arm written by SDO changes the acceleration of the next sample by the rigid-body terms, and nothing
+    else."""
 
     ARM = (0.8, -0.5, 0.3)
 
@@ -112,7 +113,8 @@ class TheLeverArm(unittest.TestCase):
         self.master = rig.open_master()
         self.addCleanup(self.master.close)
         # with a fusion that does not use the lever arm all later samples can be compared, not only the next one
-        self.gateway = rig.Gateway("--set", "fusion.algorithm=0", imu="replay:%s,speed=0.5" % self.log)  # four PDOs for each sample: 572 a second
+        # four PDOs for each sample: 572 a second
+        self.gateway = rig.Gateway("--set", "fusion.algorithm=0", imu="replay:%s,speed=0.5" % self.log)
         self.addCleanup(self.gateway.close)
         self.master.wait_state(NODE, canopen.STATE_BOOT_UP)
 

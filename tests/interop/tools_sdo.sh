@@ -3,7 +3,8 @@
 . "$(dirname "$0")/tools_common.bash"
 
 run imu9-sdo -t 100 read 0x1000
-check "without a gateway: an error that says what to check" fails 1 "no answer from node 16 on $IMU9_CAN within 100 ms: is the gateway running with --node-id 16"
+check "without a gateway: an error that says what to check" fails 1 \
+	"no answer from node 16 on $IMU9_CAN within 100 ms: is the gateway running with --node-id 16"
 
 start_gateway
 
@@ -43,13 +44,15 @@ check "and the right factor" awk "BEGIN { d = $raw * 0.01 - $scaled; exit !(d < 
 
 # ---- refused
 run imu9-sdo write lever_arm.l 11
-check "above the limit: reason, abort code and range" fails 1 "above the high limit (abort 06090031h); allowed: -10 to 10 m"
+check "above the limit: reason, abort code and range" fails 1 \
+	"above the high limit (abort 06090031h); allowed: -10 to 10 m"
 run imu9-sdo write sample.counter 1
 check "read-only" fails 1 "can only be read (abort 06010002h)"
 run imu9-sdo read position.reset
 check "write-only" fails 1 "can only be written (abort 06010001h)"
 run imu9-sdo read 0x4000:1
-check "an object that the node does not have" fails 1 "4000h:01: the node refused: no such object in the node (abort 06020000h)"
+check "an object that the node does not have" fails 1 \
+	"4000h:01: the node refused: no such object in the node (abort 06020000h)"
 run imu9-sdo read lever_arm.l 0x2000:9 lever_arm.t
 check "one failure of several is reported" fails 1 "no such sub-index (abort 06090011h)"
 check "and the others are read" says "lever_arm.t = "
@@ -59,9 +62,12 @@ run imu9-sdo -q read lever_arm.l
 check "the old value is kept" prints 1
 
 # ---- wrong usage
-for arguments in "" "frobnicate" "read" "write lever_arm.l" "dump x" "-n 0 read 0x1000" "-n 128 dump" "-n 5x dump" "-n" "-x" "--foo" "--help=1" \
-	"-t 0 dump" "read no_such_name" "read 0x10000" "read 0x1000:256" "read lever_arm.l -n" "write lever_arm.l nan" "write lever_arm.l 1x" \
-	"write lever_arm_model 0.5" "write 0x4000 5" "write 0x4000 u8:256" "write 0x4000 u99:1" "write 0x4000 hex:1" "store everything" "nmt jump"; do
+for arguments in "" "frobnicate" "read" "write lever_arm.l" "dump x" "-n 0 read 0x1000" "-n 128 dump" "-n 5x dump" "-n" "-x" "--foo" \
+	"--help=1" \
+	"-t 0 dump" "read no_such_name" "read 0x10000" "read 0x1000:256" "read lever_arm.l -n" "write lever_arm.l nan" \
+	"write lever_arm.l 1x" \
+	"write lever_arm_model 0.5" "write 0x4000 5" "write 0x4000 u8:256" "write 0x4000 u99:1" "write 0x4000 hex:1" \
+	"store everything" "nmt jump"; do
 	run imu9-sdo $arguments
 	check "wrong usage: '$arguments'" fails 2 "imu9-sdo: "
 done

@@ -8,8 +8,10 @@ start_gateway
 # ---- the nodes on the bus
 run imu9-sdo scan
 check "scan finds the node, its state and identity" says " 16  pre-operational  type 0004019Ah  vendor 00494D55h"
-for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255" "lss bit-rate 333" "lss --serial" "dcf apply" "dcf frob x" \
-	"watch" "watch gravity --rate 0" "read gravity 0x1017 -o x" "read --block --no-block gravity" "write snapshot"; do
+for arguments in "lss" "lss scan x" "lss assign" "lss assign 0" "lss assign 255" "lss bit-rate 333" "lss --serial" "dcf apply" \
+	"dcf frob x" \
+	"watch" "watch gravity --rate 0" "read gravity 0x1017 -o x" "read --block --no-block gravity" \
+	"write snapshot"; do
 	run imu9-sdo $arguments
 	check "wrong usage: '$arguments'" fails 2 "imu9-sdo: "
 done
@@ -91,7 +93,8 @@ start_unconfigured() {
 }
 start_unconfigured
 run imu9-sdo lss scan
-check "lss scan finds its identity bit by bit" prints "vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
+check "lss scan finds its identity bit by bit" prints \
+	"vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
 run imu9-sdo scan
 check "scan does not find it and names lss scan" fails 1 "imu9-sdo lss scan"
 run imu9-sdo lss assign 42 --store

@@ -1,8 +1,8 @@
 #!/usr/bin/python3
 """The udp bus between imu9-gateway and python-can, both ways, over IPv4 and IPv6. Needs no CAN.
 
-Where no route leads to the multicast groups (a container, the guest of vcan-run), python-can cannot join them; the routes
-are added to the loopback interface then, which needs root.
+Where no route leads to the multicast groups (a container, the guest of vcan-run), python-can cannot join them; the
+routes are added to the loopback interface then, which needs root.
 """
 import os
 import pathlib

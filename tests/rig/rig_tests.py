@@ -91,7 +91,8 @@ class UsbAdapter:
             shell("mount", "-t", "configfs", "none", "/sys/kernel/config")
         for name in ("strings/0x409", "configs/c.1", "functions/ffs.imu9"):
             (self.gadget / name).mkdir(parents=True)
-        for name, value in (("idVendor", "0x1d50"), ("idProduct", "0x606f"), ("strings/0x409/serialnumber", self.serial),
+        for name, value in (("idVendor", "0x1d50"), ("idProduct", "0x606f"),
+                            ("strings/0x409/serialnumber", self.serial),
                             ("strings/0x409/product", "emulated candleLight")):
             (self.gadget / name).write_text(value)
         (self.gadget / "configs/c.1/ffs.imu9").symlink_to(self.gadget / "functions/ffs.imu9")
@@ -104,7 +105,8 @@ class UsbAdapter:
 
     @staticmethod
     def is_there():
-        return any(path.read_text().strip() == "1d50" for path in pathlib.Path("/sys/bus/usb/devices").glob("*/idVendor"))
+        return any(path.read_text().strip() == "1d50"
+                   for path in pathlib.Path("/sys/bus/usb/devices").glob("*/idVendor"))
 
     def tell(self, *commands):
         with open(self.commands, "w") as f:
