@@ -146,9 +146,7 @@ uint64_t gs_usb_clock_map(struct gs_usb_clock *clock, uint32_t stamp_us, uint64_
 	clock->last_stamp_us = stamp_us;
 	clock->crept_at_us += creep_us * CREEP;
 	clock->mapped_us += (uint64_t)(int64_t)step_us + creep_us;
-	if (clock->mapped_us > now_us)
-		clock->mapped_us = now_us;
-	if (now_us - clock->mapped_us > LATE_MAX_US)
+	if (clock->mapped_us > now_us || now_us - clock->mapped_us > LATE_MAX_US)
 		return start(clock, stamp_us, now_us);
 	return clock->mapped_us;
 }

@@ -14,10 +14,10 @@
 static const char *const known_ids[] = {"1d50:606f", "1209:2323", "1cd2:606f", "16d0:10b8", "16d0:0f30", "1209:ca01"};
 
 /* Reads the first line of a file; control characters are replaced, since the text goes to terminals. False: no such
- * file. */
+ * file, or an empty one. */
 static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 {
-	int fd = openat(dir, file, O_RDONLY | O_CLOEXEC);
+	int fd = openat(dir, file, O_RDONLY);
 	ssize_t n = fd < 0 ? -1 : read(fd, out, GS_USB_TEXT - 1);
 
 	if (fd >= 0)
@@ -27,7 +27,7 @@ static bool read_line(int dir, const char *file, char out[GS_USB_TEXT])
 	for (char *c = out; *c != '\0'; c++)
 		if (iscntrl((unsigned char)*c))
 			*c = '?';
-	return n >= 0;
+	return n > 0;
 }
 
 static bool is_known(const char *vendor, const char *product)
@@ -44,7 +44,7 @@ static bool is_known(const char *vendor, const char *product)
 static bool read_adapter(int root, const char *name, struct gs_usb_adapter *adapter)
 {
 	char vendor[GS_USB_TEXT], product[GS_USB_TEXT], bus[GS_USB_TEXT], number[GS_USB_TEXT];
-	int dir = openat(root, name, O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+	int dir = openat(root, name, O_DIRECTORY);
 	bool found;
 
 	if (dir < 0)
@@ -130,6 +130,6 @@ int gs_usb_choose(const struct gs_usb_adapter *list, size_t n, const char *wante
 		*found = *match;
 		return 0;
 	}
-	explain(list, n, matches > 1 ? "" : wanted, error, error_size);
-	return matches > 1 ? -ENOTUNIQ : -ENODEV;
+	explain(list, n, matches ? "" : wanted, error, error_size);
+	return matches ? -ENOTUNIQ : -ENODEV;
 }

@@ -64,20 +64,14 @@ int bit_timing_find(const struct can_link_limits *l, uint32_t sjw_max, uint32_t 
 	struct bit_timing *timing)
 {
 	const uint32_t step = l->brp_inc > 0 ? l->brp_inc : 1;
-	const uint32_t most = 1 + l->tseg1_max + l->tseg2_max;
 	struct candidate best = {.rate_off = UINT64_MAX};
 
 	if (bit_s == 0 || l->brp_min == 0 || sample_point_permille >= 1000)
 		return -EOPNOTSUPP;
 	for (uint64_t brp = l->brp_min; brp <= l->brp_max; brp += step) {
-		struct candidate c = {.brp = (uint32_t)brp};
-		uint64_t quanta = (l->clock_hz + brp * bit_s / 2) / (brp * bit_s);
+		const uint64_t quanta = (l->clock_hz + brp * bit_s / 2) / (brp * bit_s);
+		struct candidate c = {.brp = (uint32_t)brp, .quanta = (uint32_t)quanta};
 
-		if (quanta == 0)
-			break; /* larger prescalers give fewer quanta */
-		if (quanta > most)
-			continue;
-		c.quanta = (uint32_t)quanta;
 		c.rate_off = distance(quanta * brp * bit_s, l->clock_hz);
 		if (split(l, sample_point_permille, &c) && is_better(&c, &best))
 			best = c;

@@ -38,7 +38,7 @@ int rx_socket_prepare(int fd)
 
 static void compare_clocks(struct rx_socket *rx, uint64_t now_us)
 {
-	if (rx->realtime_read_us != 0 && now_us - rx->realtime_read_us < CLOCKS_AGREE_US)
+	if (now_us - rx->realtime_read_us < CLOCKS_AGREE_US)
 		return;
 	rx->realtime_ahead_us = clock_us(CLOCK_REALTIME) - clock_us(CLOCK_MONOTONIC);
 	rx->realtime_read_us = now_us;

@@ -12,11 +12,13 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include "drivers/can/error_frame.h"
 #include "drivers/can/gs_usb_codec.h"
 #include "drivers/can/gs_usb_find.h"
 #include "drivers/can/id_filter.h"
+#include "tests/unit/descriptors.h"
 
 /* bxCAN at 48 MHz: the candleLight, and most others */
 static const struct can_link_limits candlelight = {48000000, 1, 1024, 1, 1, 16, 1, 8};
@@ -111,6 +113,17 @@ static void test_a_timing_has_the_sample_point_asked_for(void **state)
 	assert_timing(&candlelight, 500000, 800, &(struct bit_timing){6, 6, 3, 1, 6});
 	/* 500 kbit/s, 50 %: 8 of 16 */
 	assert_timing(&candlelight, 500000, 500, &(struct bit_timing){3, 4, 8, 4, 6});
+}
+
+/* 8 quanta, of which the sample point asked for would leave too many before it, or too few. */
+static void test_the_segments_keep_to_their_limits(void **state)
+{
+	static const struct can_link_limits late = {8000000, 1, 1, 0, 1, 4, 1, 8},
+					    early = {8000000, 1, 1, 0, 3, 16, 1, 8};
+
+	(void)state;
+	assert_timing(&late, 1000000, 875, &(struct bit_timing){2, 2, 3, 1, 1});
+	assert_timing(&early, 1000000, 100, &(struct bit_timing){1, 2, 4, 2, 1});
 }
 
 /* 12 quanta at 87.5 %: 10 of them are 83.3 %, 11 are 91.7 %, both as far off. */
@@ -260,10 +273,48 @@ static void test_a_received_frame_is_unpacked(void **state)
 	assert_int_equal(frame.kind, GS_USB_RECEIVED);
 	assert_int_equal(frame.channel, 1);
 	assert_int_equal(frame.msg.id, 0x601);
+	assert_false(frame.msg.extended || frame.msg.remote || frame.overflow);
 	assert_int_equal(frame.msg.len, 2);
 	assert_memory_equal(frame.msg.data, "\x11\x22\0\0\0\0\0\0", 8);
 	assert_true(frame.stamped);
 	assert_int_equal(frame.stamp_us, 0x12345678);
+}
+
+/* 31 and 30 of the identifier: extended and remote; a standard one has 11 bits. A remote frame has a length and no
+ * data. */
+static void test_the_flags_of_a_received_identifier_are_unpacked(void **state)
+{
+	static const struct {
+		uint8_t bytes[4];
+		uint32_t id;
+		bool extended, remote;
+	} frames[] = {{{0x78, 0x56, 0x34, 0x92}, 0x12345678, true, false},
+		{{0x78, 0x56, 0x34, 0x52}, 0x678, false, true}, {{0xFF, 0xFF, 0xFF, 0xDF}, 0x1FFFFFFF, true, true}};
+	uint8_t bytes[GS_USB_FRAME_LEN];
+	struct gs_usb_frame frame;
+
+	(void)state;
+	memcpy(bytes, received, sizeof(bytes));
+	bytes[10] = 1; /* the adapter has lost frames */
+	for (size_t i = 0; i < 3; i++) {
+		memcpy(bytes + 4, frames[i].bytes, 4);
+		assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), 0);
+		assert_int_equal(frame.kind, GS_USB_RECEIVED);
+		assert_int_equal(frame.msg.id, frames[i].id);
+		assert_int_equal(frame.msg.extended, frames[i].extended);
+		assert_int_equal(frame.msg.remote, frames[i].remote);
+		assert_int_equal(frame.msg.len, 2);
+		assert_int_equal(frame.msg.data[0], frames[i].remote ? 0 : 0x11);
+		assert_true(frame.overflow);
+	}
+	bytes[7] = 0x20;
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), 0);
+	assert_int_equal(frame.kind, GS_USB_ERROR);
+	bytes[8] = 8;
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), 0);
+	bytes[0] = GS_USB_SLOTS - 1; /* the last slot */
+	bytes[1] = bytes[2] = bytes[3] = 0;
+	assert_int_equal(gs_usb_get_frame(bytes, sizeof(bytes), false, &frame), 0);
 }
 
 static void test_without_time_stamps_the_last_four_bytes_are_padding(void **state)
@@ -334,6 +385,27 @@ static void test_limits_that_no_controller_can_have_are_refused(void **state)
 		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
 	}
 	memcpy(bytes, bt_const, sizeof(bytes));
+	for (int i = 0; i < 2; i++) { /* no more than 4096 quanta, and prescalers up to 65536 */
+		const bool beyond = i == 1;
+
+		memcpy(bytes, bt_const, sizeof(bytes));
+		memcpy(bytes + 12, beyond ? "\1\x10\0" : "\0\x10\0", 3);
+		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), beyond ? -EBADMSG : 0);
+		memcpy(bytes, bt_const, sizeof(bytes));
+		memcpy(bytes + 20, beyond ? "\1\x10\0" : "\0\x10\0", 3);
+		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), beyond ? -EBADMSG : 0);
+		memcpy(bytes, bt_const, sizeof(bytes));
+		memcpy(bytes + 32, beyond ? "\1\0\1" : "\0\0\1", 3);
+		assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), beyond ? -EBADMSG : 0);
+	}
+	memset(bytes + 28, 0, 4); /* a prescaler of 0 */
+	bytes[32] = 1;
+	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
+	bytes[28] = 2; /* the least above the greatest */
+	bytes[32] = 1, bytes[34] = 0;
+	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
+	bytes[28] = 1; /* one alone */
+	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), 0);
 	memset(bytes + 32, 0xFF, 4); /* 2^32 - 1 prescalers */
 	assert_int_equal(gs_usb_get_limits(bytes, sizeof(bytes), &limits), -EBADMSG);
 }
@@ -375,7 +447,12 @@ static void test_error_frames_report_the_state_of_the_bus(void **state)
 static void test_a_missing_acknowledge_alone_changes_no_state(void **state)
 {
 	(void)state;
+	const struct can_port port =
+		after_error(CAN_STATE_WARNING, 0x200001BB, 0); /* all but a controller's and bus-off */
+
 	assert_int_equal(after_error(CAN_STATE_WARNING, 0x20000020, 0).state, CAN_STATE_WARNING);
+	assert_int_equal(port.tx_errors, 0);
+	assert_int_equal(port.rx_errors, 0);
 }
 
 static void test_error_frames_contain_the_error_counters(void **state)
@@ -383,6 +460,10 @@ static void test_error_frames_contain_the_error_counters(void **state)
 	struct can_port port = after_error(CAN_STATE_ACTIVE, 0x20000004, 0x20);
 
 	(void)state;
+	assert_int_equal(port.tx_errors, 130);
+	assert_int_equal(port.rx_errors, 7);
+	assert_int_equal(port.counters.rx_dropped, 0);
+	port = after_error(CAN_STATE_ACTIVE, 0x20000200, 0); /* CAN_ERR_CNT */
 	assert_int_equal(port.tx_errors, 130);
 	assert_int_equal(port.rx_errors, 7);
 }
@@ -435,6 +516,19 @@ static void test_the_clock_of_the_adapter_may_wrap(void **state)
 	(void)state;
 	gs_usb_clock_map(&clock, UINT32_MAX - 999, 1000000);
 	assert_int_equal(gs_usb_clock_map(&clock, 1000, 1002500), 1002000);
+}
+
+static void test_a_frame_may_be_ten_seconds_late(void **state)
+{
+	struct gs_usb_clock clock = {0};
+
+	(void)state;
+	gs_usb_clock_map(&clock, 5000, 1000000);
+	/* 200 ppm of 10.00 s: it may have crept by 2 ms */
+	assert_int_equal(gs_usb_clock_map(&clock, 6000, 11002000), 1001000 + 10002000 / 5000);
+	clock = (struct gs_usb_clock){0};
+	gs_usb_clock_map(&clock, 5000, 1000000);
+	assert_int_equal(gs_usb_clock_map(&clock, 6000, 11005000), 11005000);
 }
 
 /* An hour at 1 kHz with a crystal error: the error of the times stays within the jitter of the transport. */
@@ -521,7 +615,7 @@ static void put_device(const char *root, const char *place, const char *vendor, 
 	assert_int_equal(mkdir(folder, 0700), 0);
 	put_file(folder, "idVendor", vendor);
 	put_file(folder, "idProduct", product);
-	put_file(folder, "busnum", "3");
+	put_file(folder, "busnum", "10");
 	put_file(folder, "devnum", "12");
 	put_file(folder, "product", "candleLight");
 	if (serial[0])
@@ -540,10 +634,15 @@ static void test_adapters_are_found_among_the_usb_devices_of_sysfs(void **state)
 	put_device(root, "usb3", "1d6b", "0002", "dummy");
 	put_device(root, "3-4", "1d50", "6018", "not this one");
 	put_device(root, "3-1:1.0", "1d50", "606f", "an interface");
+	put_file(root, "notes", "a file is no device");
+	put_device(root, "3-5", "1d50", "606f", "without a number");
+	snprintf(command, sizeof(command), "%s/3-5/devnum", root);
+	assert_int_equal(truncate(command, 0), 0);
 	assert_int_equal(gs_usb_list(root, list), 2);
 	assert_string_equal(list[0].place, "3-1");
 	assert_string_equal(list[0].serial, "0042");
-	assert_string_equal(list[0].node, "/dev/bus/usb/003/012");
+	assert_string_equal(list[0].node, "/dev/bus/usb/010/012");
+	assert_string_equal(list[0].product, "candleLight");
 	assert_string_equal(list[1].place, "3-2");
 	assert_string_equal(list[1].serial, "");
 	assert_int_equal(gs_usb_list("/no/such/folder", list), 0);
@@ -596,6 +695,7 @@ static void test_when_no_adapter_or_several_match_they_are_listed(void **state)
 		choose(two, 2, "", "", "gs_usb:0042 (candleLight at 3-1), gs_usb:0043 (CANable at 3-2)"), -ENOTUNIQ);
 	assert_int_equal(choose(two, 2, "0044", "", "'0044': use one of gs_usb:0042"), -ENODEV);
 	assert_int_equal(choose(two, 0, "", "", "no gs_usb adapter"), -ENODEV);
+	assert_int_equal(choose(two, 1, "0043", "", "'0043': use one of gs_usb:0042 (candleLight at 3-1)"), -ENODEV);
 	strcpy(alike[1].serial, "0042");
 	assert_int_equal(choose(alike, 2, "0042", "", "several"), -ENOTUNIQ);
 	assert_int_equal(choose(alike, 2, "3-2", "3-2", ""), 0);
@@ -633,6 +733,7 @@ int main(void)
 		cmocka_unit_test(test_sample_points_are_those_of_cia_301),
 		cmocka_unit_test(test_the_sample_point_depends_on_the_bit_rate_as_in_the_kernel),
 		cmocka_unit_test(test_a_timing_has_the_sample_point_asked_for),
+		cmocka_unit_test(test_the_segments_keep_to_their_limits),
 		cmocka_unit_test(test_between_two_sample_points_the_earlier_one_is_chosen),
 		cmocka_unit_test(test_the_jump_width_is_half_of_the_last_segment_within_what_the_controller_can),
 		cmocka_unit_test(test_the_prescaler_keeps_to_its_bounds),
@@ -644,6 +745,7 @@ int main(void)
 		cmocka_unit_test(test_extended_and_remote_are_flags_of_the_identifier),
 		cmocka_unit_test(test_requests_are_packed_little_endian),
 		cmocka_unit_test(test_a_received_frame_is_unpacked),
+		cmocka_unit_test(test_the_flags_of_a_received_identifier_are_unpacked),
 		cmocka_unit_test(test_without_time_stamps_the_last_four_bytes_are_padding),
 		cmocka_unit_test(test_an_echo_names_its_slot),
 		cmocka_unit_test(test_packets_that_are_not_frames_are_refused),
@@ -658,6 +760,7 @@ int main(void)
 		cmocka_unit_test(test_a_frame_read_late_has_the_time_it_was_on_the_bus),
 		cmocka_unit_test(test_no_time_of_a_frame_is_in_the_future),
 		cmocka_unit_test(test_the_clock_of_the_adapter_may_wrap),
+		cmocka_unit_test(test_a_frame_may_be_ten_seconds_late),
 		cmocka_unit_test(test_a_fast_crystal_is_followed),
 		cmocka_unit_test(test_a_slow_crystal_is_followed),
 		cmocka_unit_test(test_after_a_reset_of_the_adapter_the_clock_is_initialised_again),
@@ -669,5 +772,5 @@ int main(void)
 		cmocka_unit_test(test_the_udev_rule_contains_every_usb_id_that_is_known),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -45,11 +45,20 @@ static void test_a_rate_that_is_too_low_or_too_high_is_not_supported(void **stat
 
 static void test_a_controller_with_a_list_supports_only_the_rates_in_it(void **state)
 {
-	const struct can_link slcan = {.controller = true, .rates = {10000, 125000}, .rate_count = 2};
+	const struct can_link slcan = {.controller = true, .rates = {10000, 125000, 250000}, .rate_count = 2};
 
 	(void)state;
 	assert_true(can_link_has_rate(&slcan, 125000));
 	assert_false(can_link_has_rate(&slcan, 250000));
+}
+
+static void test_where_the_limits_are_unknown_the_kernel_decides(void **state)
+{
+	const struct can_link unknown = {.controller = true};
+
+	(void)state;
+	assert_true(can_link_has_rate(&unknown, 1));
+	assert_false(can_link_has_rate(&unknown, 0));
 }
 
 static void test_a_bus_without_a_controller_supports_none(void **state)
@@ -67,6 +76,7 @@ int main(void)
 		cmocka_unit_test(test_a_rate_more_than_half_a_percent_off_is_not_supported),
 		cmocka_unit_test(test_a_rate_that_is_too_low_or_too_high_is_not_supported),
 		cmocka_unit_test(test_a_controller_with_a_list_supports_only_the_rates_in_it),
+		cmocka_unit_test(test_where_the_limits_are_unknown_the_kernel_decides),
 		cmocka_unit_test(test_a_bus_without_a_controller_supports_none),
 	};
 

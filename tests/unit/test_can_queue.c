@@ -9,6 +9,7 @@
 #include <string.h>
 
 #include "drivers/ports/can.h"
+#include "tests/unit/descriptors.h"
 
 struct fake {
 	struct can_port port;
@@ -435,5 +436,5 @@ int main(void)
 		cmocka_unit_test(test_a_name_that_is_too_long_for_an_interface_is_refused),
 	};
 
-	return cmocka_run_group_tests_name("can_queue", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("can_queue", tests, count_descriptors, no_descriptor_is_left);
 }

@@ -57,12 +57,22 @@ static struct kernel {
 	/* netlink */
 	uint8_t orders[ORDERS][256]; /* what changes something */
 	size_t order_count;
-	int order_result, up_result; /* of the last, which brings the interface up */
+	/* of the first order, the second, and the third, which brings the interface up */
+	int order_result, set_result, up_result;
+	int socket_error, ask_error, answer_error;
 	uint8_t link[1024];
 	size_t link_size;
 	bool asked;
+	size_t odd_answer_size; /* an order is answered by so much of `link` */
+
+	/* options of the raw socket */
+	int forced_bytes, bytes; /* SO_RCVBUFFORCE, SO_RCVBUF */
+	int refused_option;	 /* of SOL_SOCKET */
+	bool stamps, drops_counted;
 
 	uint64_t now_us;
+	int ahead_s; /* CLOCK_REALTIME */
+	unsigned clock_reads;
 } k;
 
 /* ---- system calls ------------------------------------------------------------------------------------------------ */
@@ -75,12 +85,11 @@ static int failed(int error)
 
 int socket(int domain, int type, int protocol)
 {
-	int fd = eventfd(0, 0);
-
-	(void)type;
-	if (domain == PF_CAN)
-		assert_int_equal(protocol, 1); /* CAN_RAW */
-	return fd;
+	assert_int_equal(type & ~04000, 3 | 02000000);	      /* SOCK_RAW, SOCK_CLOEXEC; also SOCK_NONBLOCK */
+	assert_int_equal(protocol, domain == PF_CAN ? 1 : 0); /* CAN_RAW, NETLINK_ROUTE */
+	if (k.socket_error)
+		return failed(k.socket_error);
+	return eventfd(0, 0);
 }
 
 int bind(int fd, __CONST_SOCKADDR_ARG address, socklen_t size)
@@ -99,6 +108,16 @@ int bind(int fd, __CONST_SOCKADDR_ARG address, socklen_t size)
 int setsockopt(int fd, int level, int option, const void *value, socklen_t size)
 {
 	(void)fd;
+	if (level == SOL_SOCKET && option == k.refused_option)
+		return failed(EPERM);
+	if (level == SOL_SOCKET && option == 33) /* SO_RCVBUFFORCE */
+		memcpy(&k.forced_bytes, value, 4);
+	if (level == SOL_SOCKET && option == 8) /* SO_RCVBUF */
+		memcpy(&k.bytes, value, 4);
+	if (level == SOL_SOCKET && option == 35) /* SO_TIMESTAMPNS */
+		k.stamps = *(const int *)value == 1;
+	if (level == SOL_SOCKET && option == 40) /* SO_RXQ_OVFL */
+		k.drops_counted = *(const int *)value == 1;
 	if (level == CAN_RAW_LEVEL && option == 1) { /* CAN_RAW_FILTER */
 		k.filter_count = size / 8;
 		memcpy(k.filters, value, size);
@@ -179,9 +198,11 @@ int recvmmsg(int fd, struct mmsghdr *headers, unsigned n, int flags, struct time
 		const struct frame *f = &k.frames[k.frame_next++];
 		struct msghdr *h = &headers[count].msg_hdr;
 		const struct timespec stamp = {
-			(time_t)(f->t_us / 1000000) + REALTIME_AHEAD_S, (long)(f->t_us % 1000000) * 1000};
+			(time_t)(f->t_us / 1000000) + k.ahead_s, (long)(f->t_us % 1000000) * 1000};
 
+		assert_int_equal(h->msg_iovlen, 1);
 		assert_true(h->msg_iov->iov_len >= f->size);
+		assert_int_equal(h->msg_controllen, (16 + 16) + (16 + 8)); /* a header and a timespec, and a counter */
 		memcpy(h->msg_iov->iov_base, f->bytes, f->size);
 		headers[count].msg_len = (unsigned)f->size;
 		h->msg_controllen = 0;
@@ -202,7 +223,8 @@ int recvmmsg(int fd, struct mmsghdr *headers, unsigned n, int flags, struct time
 
 int clock_gettime(clockid_t clock, struct timespec *t)
 {
-	*t = (struct timespec){(time_t)(k.now_us / 1000000) + (clock == CLOCK_REALTIME ? REALTIME_AHEAD_S : 0),
+	k.clock_reads++;
+	*t = (struct timespec){(time_t)(k.now_us / 1000000) + (clock == CLOCK_REALTIME ? k.ahead_s : 0),
 		(long)(k.now_us % 1000000) * 1000};
 	return 0;
 }
@@ -225,7 +247,10 @@ ssize_t send(int fd, const void *bytes, size_t size, int flags)
 {
 	uint16_t type;
 
-	(void)fd, (void)flags;
+	(void)fd;
+	assert_int_equal(flags, 0);
+	if (k.ask_error)
+		return failed(k.ask_error);
 	memcpy(&type, (const uint8_t *)bytes + 4, 2);
 	k.asked = type == 18; /* RTM_GETLINK */
 	if (!k.asked) {
@@ -251,9 +276,18 @@ static size_t put_error(uint8_t *out, int error)
 
 ssize_t recv(int fd, void *bytes, size_t size, int flags)
 {
-	(void)fd, (void)size, (void)flags;
+	(void)fd, (void)size;
+	assert_int_equal(flags, MSG_DONTWAIT);
+	if (k.answer_error && (!k.asked || k.order_count == 0))
+		return failed(k.answer_error);
+	if (!k.asked && k.odd_answer_size) {
+		memcpy(bytes, k.link, k.odd_answer_size);
+		return (ssize_t)k.odd_answer_size;
+	}
 	if (!k.asked)
-		return (ssize_t)put_error(bytes, k.order_count == 3 ? k.up_result : k.order_result);
+		return (ssize_t)put_error(bytes, k.order_count == 3   ? k.up_result
+						 : k.order_count == 2 ? k.set_result
+								      : k.order_result);
 	if (!k.exists)
 		return (ssize_t)put_error(bytes, -ENODEV);
 	memcpy(bytes, k.link, k.link_size);
@@ -346,6 +380,7 @@ static int set_up(void **state)
 	(void)state;
 	k = (struct kernel){.exists = true, .up = true, .index = INDEX, .type = CAN_TYPE, .privileged = true, .fd = -1};
 	k.now_us = 5000000000;
+	k.ahead_s = REALTIME_AHEAD_S;
 	put_controller(0, 0, NULL, 0);
 	port = NULL;
 	return 0;
@@ -746,6 +781,104 @@ static void test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_con
 	assert_int_equal(port->state, CAN_STATE_BUS_OFF);
 }
 
+static void test_what_the_kernel_refuses_or_does_not_answer_is_an_error(void **state)
+{
+	const struct can_link none = {0};
+	struct can_link link;
+	int *const errors[] = {&k.socket_error, &k.ask_error, &k.answer_error};
+
+	(void)state;
+	for (size_t i = 0; i < 3; i++) {
+		*errors[i] = ENOBUFS;
+		memset(&link, 0xEE, sizeof(link));
+		assert_int_equal(can_link_look(INDEX, &link), -ENOBUFS);
+		assert_memory_equal(&link, &none, sizeof(link));
+		assert_int_equal(can_link_bit_rate(INDEX, 500000, false), -ENOBUFS);
+		assert_int_equal(can_link_restart(INDEX), -ENOBUFS);
+		*errors[i] = 0;
+	}
+	assert_int_equal(k.order_count, 0);
+	k.link_size = 0;
+	assert_int_equal(can_link_look(INDEX, &link), -EIO);
+}
+
+/* An order is answered by NLMSG_ERROR; 0 in it is the acknowledgement. */
+static void test_an_order_that_is_not_acknowledged_has_failed(void **state)
+{
+	(void)state;
+	put_controller(3, 0, NULL, 0);
+	k.odd_answer_size = k.link_size; /* RTM_NEWLINK */
+	assert_int_equal(can_link_restart(INDEX), -EIO);
+	k.odd_answer_size = 15;
+	assert_int_equal(can_link_restart(INDEX), -EIO);
+	k.odd_answer_size = 0;
+	assert_int_equal(can_link_restart(INDEX), 0);
+}
+
+static void test_a_bit_rate_is_not_set_while_the_interface_stays_up(void **state)
+{
+	(void)state;
+	k.order_result = -EBUSY;
+	assert_int_equal(can_link_bit_rate(INDEX, 500000, false), -EBUSY);
+	assert_int_equal(k.order_count, 2);
+	for (int i = 0; i < 2; i++) /* ifinfomsg and no attribute */
+		assert_int_equal(k.orders[i][0], 32);
+}
+
+/* A driver says EDOM or EINVAL of a rate that its clock cannot give. */
+static void test_a_rate_that_the_driver_cannot_give_is_not_supported(void **state)
+{
+	(void)state;
+	k.set_result = -EDOM;
+	assert_int_equal(can_link_bit_rate(INDEX, 500000, false), -EOPNOTSUPP);
+	k.order_count = 0;
+	k.set_result = -ENODEV;
+	assert_int_equal(can_link_bit_rate(INDEX, 500000, false), -ENODEV);
+}
+
+static void test_frames_have_the_time_and_the_losses_of_the_kernel_and_a_buffer_of_a_megabyte(void **state)
+{
+	char error[300];
+
+	(void)state;
+	open_bus();
+	assert_true(k.stamps && k.drops_counted);
+	assert_int_equal(k.forced_bytes, 1 << 20);
+	assert_int_equal(k.bytes, 0);
+	can_close(port);
+	port = NULL;
+	k.refused_option = 33; /* without CAP_NET_ADMIN as much as net.core.rmem_max permits */
+	open_bus();
+	assert_int_equal(k.bytes, 1 << 20);
+	can_close(port);
+	port = NULL;
+	k.refused_option = 35;
+	assert_int_equal(can_open("can7", &port, error, sizeof(error)), -EPERM);
+	k.refused_option = 40;
+	assert_int_equal(can_open("can7", &port, error, sizeof(error)), -EPERM);
+}
+
+/* The two clocks differ by something else once CLOCK_REALTIME was set; they are compared once a second. */
+static void test_after_the_time_was_set_frames_have_the_right_time_within_a_second(void **state)
+{
+	struct can_msg msg;
+
+	(void)state;
+	open_bus();
+	for (int i = 0; i < 3; i++) {
+		k.frame_count = k.frame_next = 0;
+		put_frame(1, 0, "\0\0\0\0\0\0\0");
+		k.frames[0].t_us -= 1234;
+		k.clock_reads = 0;
+		assert_int_equal(receive(&msg), 1);
+		assert_int_equal(k.clock_reads, i == 1 ? 0 : 2);
+		assert_int_equal(msg.t_us, i == 1 ? k.now_us : k.now_us - 1234);
+		assert_receives_nothing();
+		k.ahead_s = -REALTIME_AHEAD_S;
+		k.now_us += i == 0 ? 999999 : 1;
+	}
+}
+
 static uint32_t word(size_t order, size_t at)
 {
 	uint32_t value;
@@ -807,7 +940,7 @@ static void test_a_bit_rate_that_cannot_be_set_is_refused(void **state)
 	assert_int_equal(can_bit_rate(port, 500000, true), -EPERM);
 	k.privileged = true;
 	assert_int_equal(k.order_count, 0);
-	k.order_result = -EINVAL; /* the driver of the controller refuses it */
+	k.set_result = -EINVAL; /* the driver of the controller refuses it */
 	assert_int_equal(can_bit_rate(port, 500000, false), -EOPNOTSUPP);
 	assert_int_equal(port->bit_s, 250000);
 	put_controller(0, 0, rates, 2);
@@ -864,6 +997,12 @@ int main(void)
 		KERNEL_TEST(test_a_controller_s_properties_are_read),
 		KERNEL_TEST(test_a_virtual_interface_has_no_controller_and_counts_each_frame_twice),
 		KERNEL_TEST(test_a_refusal_or_a_damaged_message_is_an_error_or_empty),
+		KERNEL_TEST(test_what_the_kernel_refuses_or_does_not_answer_is_an_error),
+		KERNEL_TEST(test_an_order_that_is_not_acknowledged_has_failed),
+		KERNEL_TEST(test_a_bit_rate_is_not_set_while_the_interface_stays_up),
+		KERNEL_TEST(test_a_rate_that_the_driver_cannot_give_is_not_supported),
+		KERNEL_TEST(test_frames_have_the_time_and_the_losses_of_the_kernel_and_a_buffer_of_a_megabyte),
+		KERNEL_TEST(test_after_the_time_was_set_frames_have_the_right_time_within_a_second),
 		KERNEL_TEST(test_the_port_has_the_state_the_counters_and_the_bit_rate_of_the_controller),
 		KERNEL_TEST(test_a_bit_rate_is_set_with_the_interface_down),
 		KERNEL_TEST(test_a_bit_rate_that_cannot_be_set_is_refused),

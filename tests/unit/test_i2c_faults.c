@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "tests/unit/descriptors.h"
 #include "tests/unit/i2c_world.h"
 
 static const char *const BOARDS[] = {"v0", "v1", "v2", "v3", "v5", "v6", "lsm9ds1", "icm20948", "icm42688", "bmi270",
@@ -567,5 +568,5 @@ int main(void)
 		cmocka_unit_test(test_wrong_data_from_any_access_on_are_detected),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

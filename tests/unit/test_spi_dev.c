@@ -19,6 +19,7 @@
 
 #include "drivers/i2c/i2c.h"
 #include "drivers/ports/imu.h"
+#include "tests/unit/descriptors.h"
 
 enum { DEVICES = 3 };
 
@@ -233,5 +234,5 @@ int main(void)
 		cmocka_unit_test(test_a_bmi270_without_its_configuration_file_is_refused_with_what_to_do),
 	};
 
-	return cmocka_run_group_tests_name("spi_dev", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("spi_dev", tests, count_descriptors, no_descriptor_is_left);
 }

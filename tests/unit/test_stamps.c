@@ -7,6 +7,7 @@
 #include "model/pipeline.h"
 #include "model/sim/rng.h"
 #include "model/sim/sensor.h"
+#include "tests/unit/descriptors.h"
 
 enum { SAMPLES = 3000 };
 static const uint64_t INTERVAL_US = 10000;
@@ -262,5 +263,5 @@ int main(void)
 		cmocka_unit_test(test_a_rate_beyond_what_was_measured_is_kept_back),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }
