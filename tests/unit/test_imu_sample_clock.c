@@ -228,6 +228,137 @@ static void test_a_clock_is_locked_below_a_sixth_of_the_period(void **state)
 	assert_false(sample_clock_locked(&c));
 }
 
+/* Period and first sample are known exactly. */
+static struct sample_clock exact(void)
+{
+	return (struct sample_clock){.newest = 0,
+		.lo_ns = 100 * MS,
+		.hi_ns = 100 * MS,
+		.taken_ns = 100 * MS,
+		.shortest_ns = PERIOD,
+		.longest_ns = PERIOD,
+		.nominal_ns = PERIOD,
+		.tolerance = 0.2,
+		.anchor_lo_ns = 100 * MS,
+		.anchor_hi_ns = 100 * MS};
+}
+
+/* 30 ppm in a second, which is 100 samples: 300 ns of 10 ms. The read says nothing new. */
+static void test_a_known_period_becomes_uncertain_by_the_drift_of_an_oscillator(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	sample_clock_read(&c, 101, 1105 * MS, 1105 * MS);
+	assert_bracket(&c, 100, 1100, 1100);
+	assert_near(c.shortest_ns, PERIOD - 300, 1);
+	assert_near(c.longest_ns, PERIOD + 300, 1);
+}
+
+static void test_the_drift_does_not_exceed_the_tolerance(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	c.tolerance = 20e-6;
+	sample_clock_read(&c, 101, 1105 * MS, 1105 * MS);
+	assert_near(c.shortest_ns, PERIOD - 200, 1);
+	assert_near(c.longest_ns, PERIOD + 200, 1);
+}
+
+/* 100 samples on, an edge is known to 110 us, the period to 1.1 us: 110 ppm; the finest is 50 ppm to both sides. */
+static void test_a_period_is_known_to_fifty_ppm_at_best(void **state)
+{
+	(void)state;
+	for (int finer = 0; finer < 2; finer++) {
+		const double wide = finer ? 0.09 * MS : 0.11 * MS;
+		struct sample_clock c = exact();
+
+		c.shortest_ns = 0.999 * PERIOD;
+		c.longest_ns = 1.001 * PERIOD;
+		sample_clock_edge(&c, 1100 * MS, 1100 * MS + wide);
+		assert_near(c.shortest_ns, finer ? 0.999 * PERIOD - 300 : PERIOD, 1);
+		assert_near(c.longest_ns, finer ? 1.001 * PERIOD + 300 : PERIOD + wide / 100, 1);
+	}
+}
+
+/* Half a per mille of the period to both sides, and 30 ppm for the second. */
+static void test_a_contradiction_loosens_the_bounds_of_the_period(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	sample_clock_edge(&c, 1101 * MS, 1101.1 * MS);
+	assert_near(c.shortest_ns, PERIOD - 300 - 5000, 1);
+	assert_near(c.longest_ns, PERIOD + 300 + 5000, 1);
+	assert_bracket(&c, 100, 1101, 1101.1);
+	assert_near(sample_clock_at(&c, 100), 1101 * MS, 1); /* of the new bracket the end next to what was expected */
+	c = exact();
+	sample_clock_edge(&c, 1098.9 * MS, 1099 * MS);
+	assert_near(sample_clock_at(&c, 100), 1099 * MS, 1);
+}
+
+/* The period is measured from a sample to others until 2.5 s later, then from that one on: what it was before counts no
+ * more. A sample that is known better by a fifth or more replaces it within the first quarter of that time. */
+static void test_the_period_is_measured_over_two_and_a_half_seconds(void **state)
+{
+	static const struct {
+		int samples;
+		double wide_ms;
+		bool replaced;
+	} cases[] = {{249, 0.2, false}, {250, 0.2, true}, {62, 0.15, true}, {62, 0.165, false}, {63, 0.15, false}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+		struct sample_clock c = exact();
+		const double end_ns = (100 + 10.0 * cases[i].samples) * MS, wide_ns = cases[i].wide_ms * MS;
+
+		c.lo_ns -= 0.1 * MS;
+		c.hi_ns += 0.1 * MS;
+		c.anchor_lo_ns = c.lo_ns;
+		c.anchor_hi_ns = c.hi_ns;
+		sample_clock_edge(&c, end_ns - wide_ns / 2, end_ns + wide_ns / 2);
+		assert_int_equal(c.anchor, cases[i].replaced ? cases[i].samples : 0);
+		assert_near(c.anchor_lo_ns, cases[i].replaced ? end_ns - wide_ns / 2 : 99.9 * MS, 1);
+		assert_near(c.anchor_hi_ns, cases[i].replaced ? end_ns + wide_ns / 2 : 100.1 * MS, 1);
+	}
+}
+
+/* By an eighth of the way at a time, and never out of the bracket. */
+static void test_the_estimate_moves_smoothly_to_the_middle_of_the_bracket(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	c.hi_ns = 101 * MS;
+	c.taken_ns = 100.2 * MS;
+	sample_clock_read(&c, 1, 105 * MS, 105 * MS); /* nothing new */
+	assert_near(sample_clock_at(&c, 0), (100.2 + 0.3 / 8) * MS, 1);
+	sample_clock_read(&c, 1, 105 * MS, 100.1 * MS);
+	assert_near(sample_clock_at(&c, 0), 100.1 * MS, 1);
+	c.lo_ns = 100 * MS;
+	c.hi_ns = 101 * MS;
+	sample_clock_read(&c, 1, 110.9 * MS, 111 * MS); /* after 100.9 */
+	assert_near(sample_clock_at(&c, 0), 100.9 * MS, 1);
+}
+
+/* An edge has shown sample 2; a read finds one sample less: sample 1 was taken before it, and sample 2 after it. */
+static void test_a_read_behind_an_edge_bounds_both_samples(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	c.newest = 2;
+	c.lo_ns = 119 * MS;
+	c.hi_ns = 121 * MS;
+	c.taken_ns = 120 * MS;
+	c.shortest_ns = 9 * MS;
+	c.longest_ns = 11 * MS;
+	c.anchor = 2;					  /* the period is not measured by this */
+	sample_clock_read(&c, 2, 121.5 * MS, 109.5 * MS); /* 121.5 - 11 + 9, and 109.5 + 11 */
+	assert_bracket(&c, 2, 119.5, 120.5);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -243,6 +374,13 @@ int main(void)
 		cmocka_unit_test(test_exact_edges_measure_the_period_of_the_oscillator),
 		cmocka_unit_test(test_a_period_that_drifts_is_followed),
 		cmocka_unit_test(test_a_small_contradiction_moves_the_bracket_and_a_large_one_replaces_it),
+		cmocka_unit_test(test_a_known_period_becomes_uncertain_by_the_drift_of_an_oscillator),
+		cmocka_unit_test(test_the_drift_does_not_exceed_the_tolerance),
+		cmocka_unit_test(test_a_period_is_known_to_fifty_ppm_at_best),
+		cmocka_unit_test(test_a_contradiction_loosens_the_bounds_of_the_period),
+		cmocka_unit_test(test_the_period_is_measured_over_two_and_a_half_seconds),
+		cmocka_unit_test(test_the_estimate_moves_smoothly_to_the_middle_of_the_bracket),
+		cmocka_unit_test(test_a_read_behind_an_edge_bounds_both_samples),
 		cmocka_unit_test(test_a_read_is_due_in_the_middle_of_a_wide_bracket_and_at_the_end_of_a_narrow_one),
 		cmocka_unit_test(test_a_clock_is_locked_below_a_sixth_of_the_period),
 	};
