@@ -171,14 +171,11 @@ tsan: ## unit and scenario tests with ThreadSanitizer
 fuzz: ## run each libFuzzer target for FUZZ_SECONDS (needs clang)
 	@$(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz CC=clang \
 		SAN="-fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all" fuzzers
-	@for f in $(patsubst $(BUILD)/%,$(BUILD)/fuzz/%,$(FUZZERS)); do \
-		echo "  fuzz    $$f"; mkdir -p $$f.corpus; cp eds/imu9-gateway.eds $$f.corpus; \
-		$$f -max_total_time=$(FUZZ_SECONDS) -artifact_prefix=$$f. $$f.corpus >$$f.log 2>&1 || \
-			{ tail -n 40 $$f.log; exit 1; }; done
+	@BUILD=$(BUILD)/fuzz tests/fuzz/run --seconds $(FUZZ_SECONDS)
 
 .PHONY: fuzzers
 fuzzers: $(FUZZERS)
-$(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c $(LIBS)
+$(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c tests/fuzz/fuzz.h $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
 
