@@ -1,6 +1,6 @@
 /* 1010h on a disk that loses its power, or fails, at every single operation: what is read back is the old or the new
  * configuration as a whole, and the device believes what the disk has. The disk is simulated, its functions are defined
- * here. It keeps what POSIX promises and nothing else: bytes are durable after fsync() of their file, names after fsync()
+ * here. It keeps what POSIX promises and nothing else: bytes are durable after fsync() of their file, names after that
  * of their folder; of everything before, a power cut may keep any part. */
 #include <stdarg.h>
 #include <stddef.h>
