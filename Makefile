@@ -12,6 +12,7 @@ PREFIX ?= /usr/local
 DEPS ?= yes
 WERROR ?= no
 FUZZ_SECONDS ?= 30
+SOAK_DAYS ?= 7
 COUNT ?= 40
 SEED ?= 1
 LAYERS ?= model,od,canopen
@@ -58,6 +59,7 @@ TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scen
 	tests/interop/test_*.c))
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
+SOAK := $(BUILD)/tests/soak/soak_device
 RIG_PROGRAMS := $(patsubst %.c,$(BUILD)/%,$(filter-out tests/rig/uml_xstate.c,$(call sources,tests/rig/*.c)))
 # what the tests of one folder share: its .c files that are no program of their own
 helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wildcard $(1)/*.c)))
@@ -114,6 +116,10 @@ $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,
 
 $(BUILD)/tests/unit/test_i2c_drdy: $(BUILD)/obj/tests/unit/gpiod/gpiod$(GPIOD_API)_stub.o
 
+$(SOAK): tests/soak/soak_device.c $(BUILD)/obj/tests/scenario/world.o $(LIBS)
+	@mkdir -p $(@D)
+	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
+
 $(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(LIBS) $(LDLIBS)
@@ -148,7 +154,7 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check distros asan ubsan tsan fuzz bench honesty score mutate lint cov format check-format check-layers \
+.PHONY: tests check distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format check-layers \
 	check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
@@ -173,16 +179,16 @@ tsan: ## unit and scenario tests with ThreadSanitizer
 fuzz: ## run each libFuzzer target for FUZZ_SECONDS (needs clang)
 	@$(MAKE) --no-print-directory -j2 BUILD=$(BUILD)/fuzz CC=clang \
 		SAN="-fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all" fuzzers
-	@for f in $(patsubst $(BUILD)/%,$(BUILD)/fuzz/%,$(FUZZERS)); do \
-		echo "  fuzz    $$f"; mkdir -p $$f.corpus; cp eds/imu9-gateway.eds $$f.corpus; \
-		$$f -max_total_time=$(FUZZ_SECONDS) -artifact_prefix=$$f. $$f.corpus >$$f.log 2>&1 || \
-			{ tail -n 40 $$f.log; exit 1; }; done
+	@BUILD=$(BUILD)/fuzz tests/fuzz/run --seconds $(FUZZ_SECONDS)
 
 .PHONY: fuzzers
 fuzzers: $(FUZZERS)
-$(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c $(LIBS)
+$(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c tests/fuzz/fuzz.h $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
+
+soak: $(SOAK) ## the device for SOAK_DAYS in simulated time (a week: ten minutes)
+	@$(SOAK) $(SOAK_DAYS)
 
 bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done

@@ -168,6 +168,8 @@ int can_link_look(int interface, struct can_link *link)
 		return -EIO;
 	if (header->nlmsg_type == NLMSG_ERROR)
 		return ((const struct nlmsgerr *)NLMSG_DATA(header))->error;
+	if (header->nlmsg_len < NLMSG_LENGTH(sizeof(struct ifinfomsg)))
+		return -EIO;
 	read_link(link, header);
 	return 0;
 }

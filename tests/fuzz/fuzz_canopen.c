@@ -1,37 +1,16 @@
 /* The CANopen core with arbitrary frames, time, samples and errors. The input is a sequence of steps, each an
  * operation byte and its arguments. Checked: the frames sent are valid for the node and its state, and time goes
  * forward. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "gateway/canopen/node.h"
+#include "tests/fuzz/fuzz.h"
 #include "od_values.h"
 
 enum { NODE_ID = 0x10, MAX_TICKS = 64 };
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
-struct input {
-	const uint8_t *data;
-	size_t size;
-};
-
 static struct canopen_node node;
 static enum nmt_state state_before;
-
-static uint8_t read_byte(struct input *in)
-{
-	if (in->size == 0)
-		return 0;
-	in->size--;
-	return *in->data++;
-}
-
-static void require(int condition)
-{
-	if (!condition)
-		abort();
-}
 
 static int port_send(struct can_port *port, const struct can_msg *msg)
 {

@@ -2,21 +2,14 @@
  * The input is a sequence of steps, each an operation byte and its arguments. Checked: frames and deadlines are
  * valid, and at the end every value has the type and limits of its entry. */
 #include <errno.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "gateway/device.h"
 #include "gateway/log.h"
 #include "gateway/snapshot.h"
+#include "tests/fuzz/fuzz.h"
 
 enum { NODE_ID = 0x10, MAX_TICKS = 64, INTERVAL_US = 10000, BURST_MAX = 32 };
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
-struct input {
-	const uint8_t *data;
-	size_t size;
-};
 
 static struct device device;
 static struct can_port bus;
@@ -30,26 +23,6 @@ void log_at(int severity, const char *format, ...)
 {
 	(void)severity;
 	(void)format;
-}
-
-static void require(int condition)
-{
-	if (!condition)
-		abort();
-}
-
-static uint8_t read_byte(struct input *in)
-{
-	if (in->size == 0)
-		return 0;
-	in->size--;
-	return *in->data++;
-}
-
-static void read_bytes(struct input *in, void *out, size_t size)
-{
-	for (size_t i = 0; i < size; i++)
-		((uint8_t *)out)[i] = read_byte(in);
 }
 
 /* ---- bus, storage and power ------------------------------------------------------------------------------------- */
@@ -255,14 +228,34 @@ static void inject_fault(struct input *in)
 	}
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+/* The device as delivered, just started. A start takes as long as many steps, so it is made once. */
+static void start(void)
 {
-	struct input in = {data, size};
+	static struct device started;
+	static struct can_port started_bus;
+	static struct imu_port started_imu;
+	static bool made;
 
 	disk = (struct store_image){0};
 	disk_answer = 0;
 	now_us = 1000;
-	power_on();
+	if (!made) {
+		power_on();
+		started = device;
+		started_bus = bus;
+		started_imu = imu;
+		made = true;
+	}
+	device = started;
+	bus = started_bus;
+	imu = started_imu;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+	struct input in = {data, size};
+
+	start();
 	while (in.size > 0) {
 		switch (read_byte(&in) & 7) {
 		case 0:

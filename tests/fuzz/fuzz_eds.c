@@ -1,12 +1,10 @@
 /* Arbitrary bytes as an EDS, parsed by both sets of rules. The result is an error text that starts with the file
  * name, or a table that the object dictionary can read, write and format. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "od/od.h"
+#include "tests/fuzz/fuzz.h"
 #include "tools/eds/eds.h"
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static void exercise(const struct od_table *table)
 {

@@ -1,20 +1,10 @@
 /* Arbitrary packets and limits: no byte beyond them is read, an accepted packet is a valid frame that encodes to the
  * same bytes, a bit timing is within the limits, a time is never in the future. */
-#include <stddef.h>
-#include <stdint.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "drivers/can/error_frame.h"
 #include "drivers/can/gs_usb_codec.h"
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
-static void check(bool holds)
-{
-	if (!holds)
-		abort();
-}
+#include "tests/fuzz/fuzz.h"
 
 static void try_frame(const uint8_t *data, size_t size)
 {
@@ -26,22 +16,22 @@ static void try_frame(const uint8_t *data, size_t size)
 	if (gs_usb_get_frame(data, size, true, &frame) < 0)
 		return;
 	now_us += data[0];
-	check(!frame.stamped || gs_usb_clock_map(&clock, frame.stamp_us, now_us) <= now_us);
+	require(!frame.stamped || gs_usb_clock_map(&clock, frame.stamp_us, now_us) <= now_us);
 	if (frame.kind == GS_USB_ECHO) {
-		check(frame.slot < GS_USB_SLOTS);
+		require(frame.slot < GS_USB_SLOTS);
 		return;
 	}
 	if (frame.kind == GS_USB_ERROR) {
 		struct can_port port = {.state = CAN_STATE_ACTIVE};
 
 		can_error_frame(&port, frame.can_id, frame.msg.data);
-		check(port.state <= CAN_STATE_BUS_OFF);
+		require(port.state <= CAN_STATE_BUS_OFF);
 		return;
 	}
-	check(frame.msg.len <= 8 && frame.msg.id <= (frame.msg.extended ? 0x1FFFFFFFu : 0x7FFu));
+	require(frame.msg.len <= 8 && frame.msg.id <= (frame.msg.extended ? 0x1FFFFFFFu : 0x7FFu));
 	gs_usb_put_frame(&frame.msg, 0, frame.channel, bytes);
-	check(bytes[8] == data[8] && bytes[9] == data[9]);
-	check(frame.msg.remote || memcmp(bytes + 12, data + 12, frame.msg.len) == 0);
+	require(bytes[8] == data[8] && bytes[9] == data[9]);
+	require(frame.msg.remote || memcmp(bytes + 12, data + 12, frame.msg.len) == 0);
 }
 
 static void try_limits(const uint8_t *data, size_t size)
@@ -54,15 +44,15 @@ static void try_limits(const uint8_t *data, size_t size)
 		return;
 	if (bit_timing_find(l, limits.sjw_max, 500000, 875, &t) < 0)
 		return;
-	check(t.prop + t.seg1 >= l->tseg1_min && t.prop + t.seg1 <= l->tseg1_max);
-	check(t.seg2 >= l->tseg2_min && t.seg2 <= l->tseg2_max);
-	check(t.brp >= l->brp_min && t.brp <= l->brp_max && t.sjw >= 1);
+	require(t.prop + t.seg1 >= l->tseg1_min && t.prop + t.seg1 <= l->tseg1_max);
+	require(t.seg2 >= l->tseg2_min && t.seg2 <= l->tseg2_max);
+	require(t.brp >= l->brp_min && t.brp <= l->brp_max && t.sjw >= 1);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
 	try_frame(data, size);
 	try_limits(data, size);
-	check(gs_usb_get_channels(data, size) <= 256);
+	require(gs_usb_get_channels(data, size) <= 256);
 	return 0;
 }

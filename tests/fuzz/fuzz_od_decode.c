@@ -1,11 +1,9 @@
 /* Arbitrary bytes as a stored concise DCF. It is refused with all values unchanged, or applied, and the result
  * encodes and decodes to the same values. The same bytes are then parsed as the text of a value and as a name. */
-#include <stdlib.h>
 #include <string.h>
 
+#include "tests/fuzz/fuzz.h"
 #include "od_values.h"
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static void check_round_trip(struct od *od, const void *base)
 {
