@@ -232,11 +232,16 @@ check-readme: $(BUILD)/gen/objects.md ## fail when the object tables of eds/READ
 	@$(WITH_OBJECTS) | cmp -s - eds/README.md || \
 		{ echo "eds/README.md: the object tables are out of date: make readme" >&2; exit 1; }
 
-eds-revision: ## raise the revision of the EDS after a change, 1018h:3 too (MAJOR=yes: an object means something else)
+EDS_XDD = tools/eds/eds-xdd eds/imu9-gateway.eds
+eds-revision: ## raise the revision of the changed EDS, write the XDD (MAJOR=yes: an object means something else)
 	@tools/eds/eds-revision eds/imu9-gateway.eds $(if $(filter yes,$(MAJOR)),major,minor)
+	@mkdir -p $(BUILD)
+	@$(EDS_XDD) >$(BUILD)/imu9-gateway.xdd && cp $(BUILD)/imu9-gateway.xdd eds
 
-check-eds: ## fail when the EDS changed and its revision did not
+check-eds: ## fail when the EDS changed and its revision or the XDD did not
 	@tools/eds/eds-revision eds/imu9-gateway.eds check
+	@$(EDS_XDD) | cmp -s - eds/imu9-gateway.xdd || \
+		{ echo "eds/imu9-gateway.xdd is out of date: make eds-revision" >&2; exit 1; }
 
 DRIVERS_README = drivers/readme-tables $(BUILD)/imu9-gateway drivers/README.md
 .PHONY: drivers-readme check-drivers-readme
@@ -292,7 +297,7 @@ install: all $(if $(shell command -v help2man),man) ## install programs, manuals
 	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) \
 		$(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
+	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
 		tools/service/imu9-gateway.conf \
 		tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
 	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d

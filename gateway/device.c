@@ -1,6 +1,7 @@
 #include "gateway/device.h"
 
 #include <stdio.h>
+#include <string.h>
 
 #include "gateway/canopen/deadline.h"
 #include "gateway/publish.h"
@@ -244,6 +245,19 @@ static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t i
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */
 
+/* 1021h has the vendor-ID of 1018h:1: configuration tools compare the EDS with the device. */
+static void set_eds(struct device *d)
+{
+	char vendor[sizeof("0x00000000")];
+
+	memcpy(d->eds_text, imu9_eds, imu9_eds_size);
+	snprintf(vendor, sizeof(vendor), "0x%08X", d->values.identity.vendor_id);
+	for (size_t i = 0; i < IMU9_EDS_VENDORS; i++)
+		memcpy(d->eds_text + imu9_eds_vendor[i], vendor, strlen(vendor));
+	d->eds = (struct od_domain){.index = OD_INDEX_STORE_EDS, .data = d->eds_text, .size = imu9_eds_size};
+	od_set_domain(&d->od, &d->eds);
+}
+
 static void attach_hooks(struct device *d)
 {
 	d->configuration_hook =
@@ -266,8 +280,7 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->preset_hook);
 	lever_arm_command_init(&d->lever_arm_command, &d->commands, &d->od, &d->values, &d->pipeline);
 	calibration_command_init(&d->calibration_command, &d->commands, &d->od, &d->values);
-	d->eds = (struct od_domain){.index = OD_INDEX_STORE_EDS, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
-	od_set_domain(&d->od, &d->eds);
+	set_eds(d);
 	event_log_attach(&d->log, &d->od);
 	last_movement_attach(&d->last_movement, &d->od, &d->values);
 	d->snapshot.od = &d->od;

@@ -51,6 +51,7 @@ struct device {
 	struct imu_port *imu;
 	struct od_hook configuration_hook, command_hook, resolution_hook, preset_hook;
 	struct od_domain eds;
+	uint8_t eds_text[IMU9_EDS_SIZE]; /* the EDS with the configured vendor-ID */
 	struct event_log log;
 	struct snapshot snapshot;
 	struct last_movement last_movement;

@@ -18,8 +18,8 @@ static bool is_name_character(char c)
 	return isalnum((unsigned char)c) || c == '.';
 }
 
-/* Compares a name as entered with a normalised one. */
-static bool names_match(const char *typed, const char *name)
+/* Compares a name as entered with a normalised one. `whole`: a ParameterName of the EDS, "Lever arm l" for "lever_arm.l". */
+static bool names_match(const char *typed, const char *name, bool whole)
 {
 	while (*typed) {
 		if (is_name_character(*typed)) {
@@ -29,8 +29,9 @@ static bool names_match(const char *typed, const char *name)
 		}
 		while (*typed && !is_name_character(*typed))
 			typed++;
-		if (*name++ != '_')
+		if (*name != '_' && !(whole && *name == '.'))
 			return false;
+		name++;
 	}
 	return !*name;
 }
@@ -67,9 +68,10 @@ static const struct od_entry *find_number(const struct od_table *table, const ch
 
 const struct od_entry *od_find_name(const struct od_table *table, const char *name)
 {
-	for (size_t i = 0; i < table->count; i++)
-		if (names_match(name, table->entries[i].name))
-			return &table->entries[i];
+	for (int whole = 0; whole < 2; whole++)
+		for (size_t i = 0; i < table->count; i++)
+			if (names_match(name, table->entries[i].name, whole))
+				return &table->entries[i];
 	return find_number(table, name);
 }
 

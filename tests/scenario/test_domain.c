@@ -151,6 +151,30 @@ static void test_the_eds_is_read_at_1021h_by_segments_and_blocks_and_1022h_is_pl
 	}
 }
 
+static void test_the_eds_has_the_configured_vendor_id_and_is_else_as_built(void **state)
+{
+	struct pair *p = *state;
+	static char eds[1 << 18], built[1 << 18];
+	const char *device_info, *identity;
+
+	p->world.vendor = 0x1000ABC;
+	world_power_on(&p->world, NULL);
+	assert_int_equal(value_u32(p, 0x1018, 1), 0x1000ABC);
+	sdo_client_block_upload(&p->client, 0x1021, 0, (uint8_t *)eds, sizeof(eds) - 1, p->world.now_us);
+	assert_int_equal(finish(p), SDO_DONE);
+	assert_int_equal(p->client.size, imu9_eds_size);
+	device_info = strstr(eds, "\nVendorNumber=0x01000ABC\r\n");
+	identity = strstr(eds, "\nDefaultValue=0x01000ABC\r\n");
+	assert_non_null(device_info);
+	assert_true(device_info > strstr(eds, "[DeviceInfo]") && device_info < strstr(eds, "[DummyUsage]"));
+	assert_non_null(identity);
+	assert_true(identity > strstr(eds, "[1018sub1]") && identity < strstr(eds, "[1018sub2]"));
+	memcpy(built, imu9_eds, imu9_eds_size);
+	memcpy(built + (device_info - eds), device_info, strlen("\nVendorNumber=0x01000ABC"));
+	memcpy(built + (identity - eds), identity, strlen("\nDefaultValue=0x01000ABC"));
+	assert_string_equal(eds, built);
+}
+
 /* ---- snapshot: upload -------------------------------------------------------------------------------------------- */
 
 static void test_the_snapshot_is_a_concise_dcf_of_every_configuration_object(void **state)
@@ -699,6 +723,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		WITH_DEVICE(test_the_eds_is_read_at_1021h_by_segments_and_blocks_and_1022h_is_plain_text),
+		WITH_DEVICE(test_the_eds_has_the_configured_vendor_id_and_is_else_as_built),
 		WITH_DEVICE(test_the_snapshot_is_a_concise_dcf_of_every_configuration_object),
 		WITH_DEVICE(test_the_snapshot_is_uploaded_in_blocks_too),
 		WITH_DEVICE(test_a_cob_id_that_follows_the_node_id_has_bit_29_set),

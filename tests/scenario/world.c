@@ -57,6 +57,8 @@ void world_power_on(struct world *w, const char *const *settings)
 	od_init(&w->device.od, &imu9_od_table, &w->device.values, node_id);
 	config_apply(&config, &w->device.od);
 	w->device.values.identity.serial_number = w->serial;
+	if (w->vendor)
+		w->device.values.identity.vendor_id = w->vendor;
 	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, &storage, &w->disk, node_id), 0);
 	device_start(&w->device, false, w->now_us);
 }

@@ -33,6 +33,7 @@ struct world {
 	int disk_answer;	 /* 0, or the negative errno of the storage */
 	uint8_t node_id;	 /* of the command line; one that LSS stored takes precedence */
 	uint32_t serial;	 /* 1018h:4, of the command line */
+	uint32_t vendor;	 /* vendor_id of the configuration, or 0 */
 	uint64_t now_us, interval_us;
 };
 

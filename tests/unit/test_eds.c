@@ -21,7 +21,7 @@ static const char GOOD[] = "[FileInfo]\n"
 			   "FileName=test.eds\n"
 			   "[DeviceInfo]\n"
 			   "VendorName=Somebody\n"
-			   "VendorNumber=0x12\n"
+			   "VendorNumber=0x00000012\n"
 			   "NrOfRXPDO=0\n"
 			   "NrOfTXPDO=1\n"
 			   "[MandatoryObjects]\n"
@@ -60,7 +60,7 @@ static const char GOOD[] = "[FileInfo]\n"
 			   "ParameterName=Vendor-ID\n"
 			   "DataType=0x0007\n"
 			   "AccessType=ro\n"
-			   "DefaultValue=18\n"
+			   "DefaultValue=0x00000012\n"
 			   "[1800]\n"
 			   "ParameterName=TPDO1 communication\n"
 			   "ObjectType=0x9\n"
@@ -249,6 +249,26 @@ static void test_a_valid_file_is_loaded(void **state)
 	assert_string_equal(eds.info.vendor_name, "Somebody");
 	assert_int_equal(eds.info.vendor_number, 0x12);
 	assert_string_equal(eds.info.product_name, "");
+}
+
+static void test_a_sub_index_that_begins_with_the_name_of_its_object_has_the_rest_as_name(void **state)
+{
+	static const struct {
+		const char *label, *name;
+	} CASES[] = {{"Lever arm l", "lever_arm.l"}, {"LEVER-ARM l", "lever_arm.l"},
+		{"Lever arms", "lever_arm.lever_arms"}, {"Lever arm", "lever_arm.lever_arm"},
+		{"Lever arm 1", "lever_arm.lever_arm_1"}, {"The lever arm l", "lever_arm.the_lever_arm_l"}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(CASES) / sizeof(*CASES); i++) {
+		char line[64];
+
+		snprintf(line, sizeof(line), "ParameterName=%s", CASES[i].label);
+		assert_int_equal(load(changed("ParameterName=l", line), EDS_STRICT), 0);
+		assert_string_equal(entry_of(0x2000, 1)->name, CASES[i].name);
+		assert_int_equal(load(changed("ParameterName=l", line), EDS_LENIENT), 0);
+		assert_string_equal(entry_of(0x2000, 1)->name, CASES[i].name);
+	}
 }
 
 static void test_an_entry_has_name_unit_factor_limits_and_default(void **state)
@@ -744,7 +764,7 @@ static void test_a_name_that_is_not_a_c_identifier_is_refused(void **state)
 static void test_device_info_that_differs_from_the_objects_is_refused(void **state)
 {
 	(void)state;
-	assert_only_strict_refuses("VendorNumber=0x12", "VendorNumber=0x13", "VendorNumber=0x13", "[1018sub1]");
+	assert_only_strict_refuses("VendorNumber=0x00000012", "VendorNumber=0x13", "VendorNumber=0x13", "[1018sub1]");
 	assert_only_strict_refuses("NrOfTXPDO=1", "NrOfTXPDO=4", "NrOfTXPDO=4", "must be 1");
 	assert_only_strict_refuses("NrOfRXPDO=0", "NrOfRXPDO=1", "NrOfRXPDO=1", "must be 0");
 	assert_both_refuse("NrOfTXPDO=1", "NrOfTXPDO=many", "NrOfTXPDO=many", "not a number");
@@ -833,6 +853,28 @@ static void test_the_device_file_has_crlf_line_ends_and_no_empty_key(void **stat
 			assert_int_equal(imu9_eds[i - 1], '\r');
 		if (imu9_eds[i] == '=')
 			assert_int_not_equal(imu9_eds[i + 1], '\r');
+	}
+}
+
+/* Tools show the ParameterName of a sub-index alone. "Highest sub-index supported" is the name that CiA 301 gives it. */
+static void test_the_names_of_the_device_file_stand_alone_and_find_their_entry(void **state)
+{
+	(void)state;
+	assert_int_equal(
+		eds_parse(&eds, "imu9", (const char *)imu9_eds, imu9_eds_size, EDS_STRICT, error, sizeof(error)), 0);
+	for (size_t i = 0; i < eds.table.count; i++) {
+		const struct od_entry *entry = &eds.table.entries[i];
+		const char *label = eds.entries[i].label;
+
+		if (!strcmp(label, "Highest sub-index supported") && entry->sub == 0 && entry->access & OD_CONST)
+			continue;
+		for (size_t k = 0; k < i; k++)
+			if (!strcmp(label, eds.entries[k].label))
+				fail_msg("%s and %s: %s", entry->name, eds.table.entries[k].name, label);
+		if (entry->index == 0x1018 || entry->index == 0x1020 || (entry->index == 0x1003 && entry->sub == 0))
+			continue; /* the names of CiA 301 */
+		if (od_find_name(&eds.table, label) != entry)
+			fail_msg("%s: %s", entry->name, label);
 	}
 }
 
@@ -971,6 +1013,7 @@ int main(int argc, char **argv)
 {
 	const struct CMUnitTest tests[] = {
 		CASE(test_a_valid_file_is_loaded),
+		CASE(test_a_sub_index_that_begins_with_the_name_of_its_object_has_the_rest_as_name),
 		CASE(test_an_entry_has_name_unit_factor_limits_and_default),
 		CASE(test_a_resolution_names_the_entry_that_holds_the_step),
 		CASE(test_access_and_mapping_become_bits),
@@ -1026,6 +1069,7 @@ int main(int argc, char **argv)
 		CASE(test_a_file_truncated_anywhere_is_loaded_or_refused_by_name),
 		CASE(test_the_generated_table_equals_the_loaded_one),
 		CASE(test_the_device_file_has_crlf_line_ends_and_no_empty_key),
+		CASE(test_the_names_of_the_device_file_stand_alone_and_find_their_entry),
 		CASE(test_the_factor_of_a_measurement_is_its_default_resolution),
 		CASE(test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output),
 		CASE(test_a_changed_eds_needs_a_new_revision),

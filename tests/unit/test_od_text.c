@@ -318,6 +318,8 @@ static void test_names_may_be_written_as_in_the_eds(void **state)
 {
 	(void)state;
 	assert_finds("Lever arm.l", 0x2000, 1);
+	assert_finds("Lever arm l", 0x2000, 1);
+	assert_finds("lever_arm_l", 0x2000, 1);
 	assert_finds("TPDO1 communication.COB-ID", 0x1800, 1);
 	assert_finds("GRAVITY", 0x2003, 0);
 }

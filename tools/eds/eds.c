@@ -111,6 +111,15 @@ static int read_name(struct loader *l, const char *section, const struct eds_ite
 	return l->file.result;
 }
 
+/* The name of a sub-index without that of its object, which its ParameterName may begin with: "Lever arm l" is "l". */
+static const char *short_name(const struct eds_object *object, const char *name)
+{
+	size_t length = strlen(object->name);
+	bool repeated = strncmp(name, object->name, length) == 0 && name[length] == '_';
+
+	return repeated && isalpha((unsigned char)name[length + 1]) ? name + length + 1 : name;
+}
+
 /* ---- entries ---- */
 
 /* Section with the keys of an entry: its own, or that of the object with CompactSubObj. */
@@ -334,7 +343,7 @@ static int read_sub(struct loader *l, const struct eds_object *object, uint8_t s
 	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
 	if (read_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
 		return l->file.result;
-	return read_entry(l, object, sub, name, source, draft);
+	return read_entry(l, object, sub, short_name(object, name), source, draft);
 }
 
 /* CompactSubObj: sub-index 0 is implied, the others use the keys of the object's section. */

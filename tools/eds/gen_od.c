@@ -25,6 +25,7 @@ enum {
 	DBC_NAME_MAX = 32,
 	BYTES_A_LINE = 24,
 	CAN_ID_MASK = 0x7FF,
+	EDS_VENDORS = 2,
 };
 
 static const uint32_t COB_ID_INVALID = 1u << 31;
@@ -192,7 +193,7 @@ static void print_member(FILE *out, const struct od_entry *entry)
 		fprintf(out, "%s %s;\n", c_type(entry), member_name(entry));
 }
 
-static void print_values_header(FILE *out, const struct eds *eds)
+static void print_values_header(FILE *out, const struct eds *eds, size_t file_size)
 {
 	fprintf(out,
 		"/* od_values.h — %s */\n"
@@ -219,12 +220,14 @@ static void print_values_header(FILE *out, const struct eds *eds)
 		}
 		fprintf(out, "\t} %s;\n", object->name);
 	}
-	fputs("};\n\n"
-	      "extern const struct od_table imu9_od_table;\n\n"
-	      "/** The EDS itself, for 1021h. */\n"
-	      "extern const uint8_t imu9_eds[];\n"
-	      "extern const size_t imu9_eds_size;\n\n#endif\n",
-		out);
+	fprintf(out,
+		"};\n\n"
+		"extern const struct od_table imu9_od_table;\n\n"
+		"/** The EDS itself, for 1021h, and where the vendor-ID is in it, as 0x and eight digits. */\n"
+		"enum { IMU9_EDS_SIZE = %zu, IMU9_EDS_VENDORS = %d };\n"
+		"extern const uint8_t imu9_eds[];\n"
+		"extern const size_t imu9_eds_size, imu9_eds_vendor[IMU9_EDS_VENDORS];\n\n#endif\n",
+		file_size, EDS_VENDORS);
 }
 
 /* ---- od_index.h ---- */
@@ -351,6 +354,20 @@ static void print_default(FILE *out, const struct eds *eds, const struct od_entr
 	fputs(",\n", out);
 }
 
+/* Where the value of `key` is in `section` of the file: the vendor-ID as 0x and eight digits. */
+static size_t vendor_at(
+	const struct eds *eds, const uint8_t *file, size_t file_size, const char *section, const char *key)
+{
+	const char *text = (const char *)file, *start = memmem(text, file_size, section, strlen(section));
+	const char *at = start ? memmem(start, file_size - (size_t)(start - text), key, strlen(key)) : NULL;
+	char vendor[sizeof("0x00000000")];
+
+	snprintf(vendor, sizeof(vendor), "0x%08X", eds->info.vendor_number);
+	if (!at || strncmp(at + strlen(key), vendor, strlen(vendor)))
+		die("%s %s must be the vendor-ID, 0x and eight digits", section, key);
+	return (size_t)(at - text) + strlen(key);
+}
+
 static void print_table(FILE *out, const struct eds *eds, const uint8_t *file, size_t file_size)
 {
 	fprintf(out, "/* od_table.c — %s */\n#include \"od_values.h\"\n\n", NOTICE);
@@ -370,7 +387,11 @@ static void print_table(FILE *out, const struct eds *eds, const uint8_t *file, s
 		out);
 	for (size_t i = 0; i < file_size; i++)
 		fprintf(out, "%s%u,", i % BYTES_A_LINE ? " " : "\n\t", file[i]);
-	fputs("\n};\n\nconst size_t imu9_eds_size = sizeof(imu9_eds);\n", out);
+	fprintf(out,
+		"\n};\n\nconst size_t imu9_eds_size = sizeof(imu9_eds);\n\n"
+		"const size_t imu9_eds_vendor[IMU9_EDS_VENDORS] = {%zu, %zu};\n",
+		vendor_at(eds, file, file_size, "[DeviceInfo]", "VendorNumber="),
+		vendor_at(eds, file, file_size, "[1018sub1]", "DefaultValue="));
 }
 
 /* ---- objects.md ---- */
@@ -763,7 +784,7 @@ int main(int argc, char **argv)
 			die("out of memory");
 	}
 	print_index_header(streams[0], &eds);
-	print_values_header(streams[1], &eds);
+	print_values_header(streams[1], &eds, file_size);
 	print_table(streams[2], &eds, file, file_size);
 	print_markdown(streams[3], &eds);
 	print_dbc(streams[4], &eds);

@@ -11,6 +11,7 @@ import queue
 import canopen
 
 EDS = pathlib.Path(__file__).resolve().parents[2] / "eds/imu9-gateway.eds"
+COUNTER = "Sample.Sample counter"
 LEVER_ARM_M = {"l": 0.05, "s": -0.02, "t": 0.1}  # from the reference point to the accelerometer
 
 parser = argparse.ArgumentParser()
@@ -26,19 +27,20 @@ network.connect(interface=options.interface, channel=options.channel)
 node = network.add_node(options.node, str(options.eds))
 
 for axis, metres in LEVER_ARM_M.items():
-    node.sdo["Lever arm"][axis].raw = metres
+    node.sdo["Lever arm"]["Lever arm " + axis].raw = metres
 
 # one step of the integer values in a PDO, which the gateway's configuration decides
 step = {
-    "Acceleration": (node.sdo["Resolution"]["Acceleration"].raw / 1000, "m/s^2"),
+    "Acceleration": (node.sdo["Resolution"]["Resolution acceleration"].raw / 1000, "m/s^2"),
     "Angles": (node.sdo["Angle resolution"].raw / 1000, "deg"),
-    "Position output": (node.sdo["Resolution"]["Position"].raw / 1000, "m"),
+    "Position output": (node.sdo["Resolution"]["Resolution position"].raw / 1000, "m"),
 }
 
 
 def text(variable):
-    factor, unit = step.get(variable.name.split(".")[0], (1, ""))
-    return "%s = %.10g %s" % (variable.name, variable.raw * factor, unit)
+    record, name = variable.name.split(".")  # python-canopen puts the name of the record before that of the sub-index
+    factor, unit = step.get(record, (1, ""))
+    return "%s = %.10g %s" % (name, variable.raw * factor, unit)
 
 
 node.tpdo.read()  # COB-IDs and mapping as the node has them now
@@ -48,9 +50,9 @@ samples = queue.Queue()
 
 def last_pdo_received(_):
     """Called by the thread that receives, so the other PDOs do not change meanwhile."""
-    counters = {pdo["Sample.Counter"].raw for pdo in pdos}
+    counters = {pdo[COUNTER].raw for pdo in pdos}
     if len(counters) == 1:  # all of one sample
-        samples.put([text(variable).strip() for pdo in pdos for variable in pdo if variable.name != "Sample.Counter"])
+        samples.put([text(variable).strip() for pdo in pdos for variable in pdo if variable.name != COUNTER])
 
 
 pdos[-1].add_callback(last_pdo_received)
