@@ -720,13 +720,14 @@ static void gs_usb_close(struct can_port *port)
 		if (can->handle != NULL)
 			return; /* libusb still uses the transfers: they must not be freed */
 	}
-	libusb_free_transfer(can->control);
-	for (size_t i = 0; i < PACKETS; i++)
-		libusb_free_transfer(can->packets[i].transfer);
-	for (size_t i = 0; i < GS_USB_SLOTS; i++)
-		libusb_free_transfer(can->slots[i].transfer);
-	if (can->usb != NULL)
+	if (can->usb != NULL) {
+		libusb_free_transfer(can->control);
+		for (size_t i = 0; i < PACKETS; i++)
+			libusb_free_transfer(can->packets[i].transfer);
+		for (size_t i = 0; i < GS_USB_SLOTS; i++)
+			libusb_free_transfer(can->slots[i].transfer);
 		libusb_exit(can->usb);
+	}
 	more_close(&can->more, port->fd);
 	free(can);
 }
@@ -828,7 +829,11 @@ static int set_up(struct gs_usb *can, char *error, size_t error_size)
 	struct gs_usb_adapter adapter = {0};
 	int result;
 
-	libusb_set_option(NULL, LIBUSB_OPTION_NO_DEVICE_DISCOVERY); /* gs_usb_find.c does it without a thread or udev */
+	/* gs_usb_find.c does it without a thread or udev */
+	if (libusb_set_option(NULL, LIBUSB_OPTION_NO_DEVICE_DISCOVERY) != 0) {
+		snprintf(error, error_size, "gs_usb: libusb is missing: apt install libusb-1.0-0");
+		return -ELIBACC;
+	}
 	result = libusb_init(&can->usb);
 	result = result < 0 ? errno_of(result) : watch_descriptors(can);
 	if (result == 0)

@@ -269,19 +269,35 @@ static int send_through(int fd, const union address *group, unsigned interface)
 	return set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_IF, (int)interface);
 }
 
-/* A socket with its own source port. The kernel's defaults: multicasts go one hop and are looped back to this host. */
+/* Without this the socket would receive what any process on this host has joined, on any interface: the frames of other
+ * networks, and doubled ones where two of them reach the sender. */
+static int own_memberships_only(int fd, int family)
+{
+	return family == AF_INET ? set_int(fd, IPPROTO_IP, IP_MULTICAST_ALL, 0)
+				 : set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0);
+}
+
+/* A socket with its own source port. The kernel's defaults: multicasts go one hop and are looped back to this host. The
+ * kernel chooses a port that no socket has; from then on, others may open a bus of that port, of which this socket, in no
+ * group, receives nothing. */
 static int open_sender(const union address *group)
 {
 	union address own = {.any.sa_family = group->any.sa_family};
 	int fd = socket(own.any.sa_family, SOCK_DGRAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
 	int result;
 
-	if (fd >= 0 && bind(fd, &own.any, address_size(&own)) == 0)
-		return fd;
-	result = -errno;
-	if (fd >= 0)
+	if (fd < 0)
+		return -errno;
+	result = own_memberships_only(fd, own.any.sa_family);
+	if (result == 0 && bind(fd, &own.any, address_size(&own)) != 0)
+		result = -errno;
+	if (result == 0)
+		result = set_int(fd, SOL_SOCKET, SO_REUSEADDR, 1);
+	if (result < 0) {
 		close(fd);
-	return result;
+		return result;
+	}
+	return fd;
 }
 
 /* ---- the filter of the receiving socket -------------------------------------------------------------------------- */
@@ -376,14 +392,6 @@ static int attach_filter(const struct udp *udp, int fd)
 
 /* ---- opening ----------------------------------------------------------------------------------------------------- */
 
-/* Without this the socket would receive what any process on this host has joined, on any interface: the frames of other
- * networks, and doubled ones where two of them reach the sender. */
-static int own_memberships_only(int fd, int family)
-{
-	return family == AF_INET ? set_int(fd, IPPROTO_IP, IP_MULTICAST_ALL, 0)
-				 : set_int(fd, IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0);
-}
-
 /* Bound to the group, so that unicast datagrams and those of other groups are not received. */
 static int open_receiver(const struct udp *udp)
 {
@@ -453,6 +461,12 @@ static void explain(int result, const char *address, const char *bad, char *erro
 	else if (result == -EAFNOSUPPORT)
 		snprintf(error, error_size,
 			"cannot open bus 'udp:%s': IP is not permitted here: a service needs the drop-in udp.conf",
+			address);
+	else if (result == -EADDRINUSE)
+		snprintf(error, error_size,
+			"cannot open bus 'udp:%s': another program has its UDP port for itself (`ss -uapn` shows "
+			"which): "
+			"end that, or use another port, udp:GROUP:PORT",
 			address);
 	else
 		snprintf(error, error_size,

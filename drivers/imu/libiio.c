@@ -1,14 +1,11 @@
 /* libiio, loaded when `iio:` is opened. With what it needs (avahi, D-Bus, libxml2, ICU) it is 18 libraries, more than
- * everything else in the process. Each of its functions that the driver calls is defined here, with the type that iio.h
- * declares, and passes the call on. */
-#include <dlfcn.h>
+ * everything else in the process. */
 #include <errno.h>
 #include <iio.h>
 
 #define LIBRARY "libiio.so.0"
-
-/* VALUE or VOID(name, type, parameters, arguments): functions that return something, and those that do not */
-#define FUNCTIONS(VALUE, VOID)                                                                                        \
+#define FUNCTIONS(VALUE, VOID, ENTRY)                                                                                 \
+	ENTRY(iio_create_local_context, struct iio_context *, (void))                                                 \
 	VALUE(iio_context_get_devices_count, unsigned int, (const struct iio_context *c), (c))                        \
 	VALUE(iio_context_get_device, struct iio_device *, (const struct iio_context *c, unsigned int i), (c, i))     \
 	VALUE(iio_context_find_device, struct iio_device *, (const struct iio_context *c, const char *name),          \
@@ -52,52 +49,14 @@
 	VALUE(iio_buffer_refill, ssize_t, (struct iio_buffer * b), (b))                                               \
 	VALUE(iio_buffer_first, void *, (const struct iio_buffer *b, const struct iio_channel *c), (b, c))            \
 	VOID(iio_buffer_destroy, (struct iio_buffer * b), (b))
-
-#define MEMBER(name, type, parameters, arguments) type(*name) parameters;
-#define VOID_MEMBER(name, parameters, arguments)  void(*name) parameters;
-static struct {
-	struct iio_context *(*iio_create_local_context)(void);
-	FUNCTIONS(MEMBER, VOID_MEMBER)
-} library;
-
-#define CALL(name, type, parameters, arguments) \
-	type name parameters                    \
-	{                                       \
-		return library.name arguments;  \
-	}
-#define VOID_CALL(name, parameters, arguments) \
-	void name parameters                   \
-	{                                      \
-		library.name arguments;        \
-	}
-FUNCTIONS(CALL, VOID_CALL)
-
-/* A library that was preloaded (LD_PRELOAD) comes before libiio, as for any program that is linked to it. */
-static bool find(void *handle, const char *name, void **function)
-{
-	*function = dlsym(RTLD_NEXT, name);
-	if (!*function)
-		*function = dlsym(handle, name);
-	return *function;
-}
-
-#define FIND(name, type, parameters, arguments) &&find(handle, #name, (void **)&library.name)
-#define VOID_FIND(name, parameters, arguments)	&&find(handle, #name, (void **)&library.name)
-/* It stays loaded. */
-static bool load(void)
-{
-	void *handle = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
-
-	return handle && find(handle, "iio_create_local_context", (void **)&library.iio_create_local_context)
-				 FUNCTIONS(FIND, VOID_FIND);
-}
+#include "drivers/loaded.h"
 
 /* Called before all others. NULL with errno ELIBACC: there is no libiio, or not one that has these functions. */
 struct iio_context *iio_create_local_context(void)
 {
 	static bool loaded;
 
-	if (!loaded && !(loaded = load())) {
+	if (!loaded && !(loaded = load_library())) {
 		errno = ELIBACC;
 		return NULL;
 	}

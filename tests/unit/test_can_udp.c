@@ -657,6 +657,59 @@ static void test_what_a_port_sends_is_the_datagram_of_python_can(void **state)
 	can_close(port);
 }
 
+/* The source port of the next datagram that reaches the bus. */
+static uint16_t source_port(const struct can_port *port)
+{
+	struct pollfd poll_fd = {.fd = port->fd, .events = POLLIN};
+	struct sockaddr_in source;
+	socklen_t size = sizeof(source);
+	char bytes[CAN_UDP_MAX];
+
+	assert_int_equal(poll(&poll_fd, 1, PATIENCE_MS), 1);
+	assert_true(recvfrom(port->fd, bytes, sizeof(bytes), 0, (struct sockaddr *)&source, &size) > 0);
+	return ntohs(source.sin_port);
+}
+
+/* The kernel chooses source ports from a range that contains 43113, the default. */
+static void test_a_source_port_of_one_bus_can_be_the_port_of_another(void **state)
+{
+	struct pair bus = open_pair(), other;
+	struct can_msg msg;
+	char name[80], error[200] = "";
+
+	(void)state;
+	can_send(bus.a, &data_frame, now());
+	snprintf(name, sizeof(name), "udp:239.74.163.77:%u", source_port(bus.b));
+	if (can_open(name, &other.a, error, sizeof(error)) < 0)
+		fail_msg("%s", error);
+	assert_int_equal(can_open(name, &other.b, error, sizeof(error)), 0);
+	can_send(other.a, &remote_frame, now());
+	assert_int_equal(receive_within(other.b, &msg, PATIENCE_MS), 1);
+	can_send(bus.a, &data_frame, now());
+	assert_int_equal(receive_within(bus.b, &msg, PATIENCE_MS), 1);
+	assert_same(&msg, &data_frame);
+	close_pair(other);
+	close_pair(bus);
+}
+
+static void test_a_port_that_a_program_has_for_itself_is_told(void **state)
+{
+	int fd = socket(AF_INET, SOCK_DGRAM, 0);
+	struct sockaddr_in own = {.sin_family = AF_INET};
+	socklen_t size = sizeof(own);
+	struct can_port *port;
+	char name[80], error[200] = "";
+
+	(void)state;
+	assert_int_equal(bind(fd, (struct sockaddr *)&own, size), 0);
+	assert_int_equal(getsockname(fd, (struct sockaddr *)&own, &size), 0);
+	snprintf(name, sizeof(name), "udp:239.74.163.77:%u", ntohs(own.sin_port));
+	assert_int_equal(can_open(name, &port, error, sizeof(error)), -EADDRINUSE);
+	assert_non_null(strstr(error, "another program has its UDP port for itself"));
+	assert_non_null(strstr(error, "udp:GROUP:PORT"));
+	close(fd);
+}
+
 static void test_an_ipv6_group_with_a_port_is_opened(void **state)
 {
 	struct can_port *port = open_bus("udp:[ff15::77]:%u");
@@ -696,6 +749,8 @@ int main(void)
 		cmocka_unit_test(test_a_call_reads_a_bounded_number_of_unwanted_datagrams),
 		cmocka_unit_test(test_frames_the_kernel_dropped_for_a_slow_reader_are_counted),
 		cmocka_unit_test(test_addresses_that_are_not_multicast_groups_are_refused),
+		cmocka_unit_test(test_a_source_port_of_one_bus_can_be_the_port_of_another),
+		cmocka_unit_test(test_a_port_that_a_program_has_for_itself_is_told),
 		cmocka_unit_test(test_an_ipv6_group_with_a_port_is_opened),
 	};
 
