@@ -47,7 +47,7 @@ OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/i2c/*.c drivers/imu/*.c drivers/imu/*/*.c)
 DRIVERS_SRC := $(filter-out drivers/imu/pololu/drdy_gpiod%,$(DRIVERS_SRC)) drivers/imu/pololu/drdy_gpiod$(GPIOD_API).c
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
-GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c))
+GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
 TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
 

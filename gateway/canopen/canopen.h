@@ -66,6 +66,19 @@ struct canopen_device {
 	void (*error_changed)(void *ctx, uint16_t code, bool set, const uint8_t info[5]);
 };
 
+/** A master in the same process: what the bus does not bring it of this node. Owned by the caller. */
+enum { CANOPEN_LISTENED = 2 };
+struct canopen_listener {
+	void *ctx;
+	/** Identifiers that it wants to be received, too; the caller passes these frames on. */
+	uint32_t ids[CANOPEN_LISTENED];
+	size_t count;
+	/** This node answered LSS. Must not call the core. */
+	void (*lss_answered)(void *ctx, const struct can_msg *msg);
+	/** The status of a canopen_write() that returned OD_PENDING. */
+	void (*stored)(void *ctx, enum od_status status);
+};
+
 struct canopen_node; /* gateway/canopen/node.h: owned by the caller, its fields are written by the core alone */
 
 /** Attaches the node to the dictionary, checks its communication objects and sets the receive filter; sends nothing.
@@ -109,6 +122,17 @@ bool canopen_lss_active(const struct canopen_node *node);
 /** Sends TIME (CiA 301, 7.2.6): days since 1984-01-01, ms since midnight. False: nothing was sent, because 1012h bit 30
  * is not set or the NMT state does not allow it. */
 bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uint64_t now_us);
+
+/** After canopen_init(), and when its `ids` have changed. `listener` must outlive the node. */
+void canopen_listen(struct canopen_node *node, struct canopen_listener *listener);
+/** As od_read() and od_write(), with the checks that an SDO makes besides: for clients that are not on the bus. */
+enum od_status canopen_read(
+	const struct canopen_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size);
+enum od_status canopen_write(
+	struct canopen_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
+/** Whether the node takes part in the bus now: neither before boot-up nor while the bit rate is switched. A node without
+ * a node-ID takes LSS only. */
+bool canopen_listens(const struct canopen_node *node);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 

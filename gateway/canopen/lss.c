@@ -49,10 +49,12 @@ void lss_init(struct canopen_node *node)
 
 static void answer(struct canopen_node *node, uint8_t command, uint32_t value)
 {
-	uint8_t data[8] = {command};
+	struct can_msg msg = {.id = CAN_ID_LSS_RESPONSE, .len = 8, .data = {command}};
 
-	put_u32(data + 1, value);
-	node_send(node, CAN_ID_LSS_RESPONSE, data, 8);
+	put_u32(msg.data + 1, value);
+	node_send(node, msg.id, msg.data, msg.len);
+	if (node->listener)
+		node->listener->lss_answered(node->listener->ctx, &msg);
 }
 
 /* ---- node-ID ----------------------------------------------------------------------------------------------------- */

@@ -22,9 +22,12 @@ const void *node_value(const struct canopen_node *node, uint16_t index, uint8_t 
 
 void node_filter(struct canopen_node *node)
 {
-	uint32_t ids[4 + SDO_SERVERS + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {CAN_ID_LSS_REQUEST};
+	uint32_t ids[4 + CANOPEN_LISTENED + SDO_SERVERS + HEARTBEAT_CONSUMERS + RPDO_MAX + COLLISION_IDS_MAX] = {
+		CAN_ID_LSS_REQUEST};
 	size_t n = 1;
 
+	for (size_t i = 0; node->listener && i < node->listener->count; i++)
+		ids[n++] = node->listener->ids[i];
 	if (node->id == CANOPEN_UNCONFIGURED) {
 		(void)can_filter(node->bus, ids, n);
 		return;
@@ -41,6 +44,32 @@ void node_filter(struct canopen_node *node)
 	n += pdo_receive_ids(node, ids + n);
 	n += collision_ids(node, ids + n);   /* node guarding and remote requests of PDOs use them, too */
 	(void)can_filter(node->bus, ids, n); /* best effort: canopen_receive() checks the identifier again */
+}
+
+void canopen_listen(struct canopen_node *node, struct canopen_listener *listener)
+{
+	node->listener = listener;
+	node_filter(node);
+}
+
+enum od_status canopen_read(
+	const struct canopen_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size)
+{
+	if (od_find(node->od->table, index, sub, NULL) && emcy_history_empty(node, index, sub))
+		return OD_NO_DATA;
+	return od_read(node->od, index, sub, wire, capacity, size);
+}
+
+enum od_status canopen_write(
+	struct canopen_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us)
+{
+	node->now_us = now_us;
+	return od_write(node->od, index, sub, wire, size);
+}
+
+bool canopen_listens(const struct canopen_node *node)
+{
+	return !lss_silent(node) && (node->nmt.state != NMT_INITIALISING || node->id == CANOPEN_UNCONFIGURED);
 }
 
 bool cob_id_usable(uint32_t cob_id)

@@ -213,7 +213,8 @@ struct canopen_node {
 	struct od *od;
 	struct can_port *bus;
 	struct canopen_device device;
-	uint8_t id; /* node-ID; written by lss.c */
+	struct canopen_listener *listener; /* NULL: none */
+	uint8_t id;			   /* node-ID; written by lss.c */
 	bool started;
 	uint64_t now_us; /* of the call under way, for hooks, too */
 	struct nmt nmt;

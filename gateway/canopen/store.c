@@ -54,4 +54,6 @@ void canopen_store_done(struct canopen_node *node, enum od_status status, uint64
 	node->now_us = now_us;
 	node->store.pending = false;
 	sdo_server_done(node, status);
+	if (node->listener)
+		node->listener->stored(node->listener->ctx, status);
 }
