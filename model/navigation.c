@@ -25,7 +25,8 @@ static const struct assumptions {
 	bool levelling;	    /* the velocity averages out */
 	bool stances;	    /* short ones, in which a foot rolls on */
 	bool stands_steady; /* what is not steady (it turns, or vibrates) does not stand */
-	bool guided;	    /* it does not turn while it moves, see guide.h */
+	bool guided;	    /* it does not turn while it moves, see guide.h, */
+	bool vertical;	    /* .. and moves vertically */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
 	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
@@ -33,6 +34,7 @@ static const struct assumptions {
 	[MOTION_LINEAR_AXIS] = {.slowest_m_s = 0.3, .stands_steady = true, .guided = true},
 	[MOTION_ARM] = {.slowest_m_s = 0.03},
 	[MOTION_FOOT] = {.dwell = true, .stances = true},
+	[MOTION_VERTICAL_LIFT] = {.slowest_m_s = 0.3, .stands_steady = true, .guided = true, .vertical = true},
 };
 
 static const struct assumptions *assumptions(const struct navigation *n)
@@ -227,15 +229,26 @@ static void reset_errors(struct navigation *n, int at, double variance)
 	smoother_reset_errors(n->smoother, at);
 }
 
+static void add_variances(struct navigation *n, int at, struct vec3 variance)
+{
+	n->p[at][at] += variance.x;
+	n->p[at + 1][at + 1] += variance.y;
+	n->p[at + 2][at + 2] += variance.z;
+}
+
 static void add_variance(struct navigation *n, int at, double variance)
 {
-	for (int i = at; i < at + 3; i++)
-		n->p[i][i] += variance;
+	add_variances(n, at, (struct vec3){variance, variance, variance});
 }
 
 static struct vec3 variance(const struct navigation *n, int at)
 {
 	return (struct vec3){n->p[at][at], n->p[at + 1][at + 1], n->p[at + 2][at + 2]};
+}
+
+static double guide_walk(const struct navigation *n)
+{
+	return guide_walk_m2_s3(n->config.noise.gyro_density_rad_s_sqrt_hz, n->gravity_m_s2);
 }
 
 static void propagate(struct navigation *n, const struct navigation_sums *s)
@@ -253,7 +266,7 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 
 	if (s->held) {
 		for (int i = V; i < V + 2; i++)
-			n->p[i][i] += guide_walk_m2_s3(c->gyro_density_rad_s_sqrt_hz, n->gravity_m_s2) * t;
+			n->p[i][i] += guide_walk(n) * t;
 	} else {
 		add_variance(n, THETA, squared(c->gyro_density_rad_s_sqrt_hz) / 2 * t);
 		add_variance(n, THETA, squared(gyro_scale_sqrt_s(n)) * s->turned2_rad2_s / 3);
@@ -427,12 +440,24 @@ static struct smoother_point reference_point(const struct navigation *n, const s
 	};
 }
 
+static bool vertical(const struct navigation *n)
+{
+	return assumptions(n)->vertical && !n->guide.inclined;
+}
+
+static double share_of_scale(const struct navigation *n)
+{
+	return guide_share_of_scale(n->config.accel_bias_sigma_m_s2, accel_scale(n), n->gravity_m_s2);
+}
+
 /* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale add
  * up on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
 static struct vec3 by_accel_scale(const struct navigation *n, double distance2_m2)
 {
-	double variance = squared(accel_scale(n)) * (distance2_m2 - n->way2_max_m2);
+	double way2 = distance2_m2 - n->way2_max_m2, variance = squared(accel_scale(n)) * way2;
 
+	if (vertical(n))
+		return (struct vec3){guide_plumb_m2(way2), guide_plumb_m2(way2), (1 - share_of_scale(n)) * variance};
 	return (struct vec3){variance, variance, variance};
 }
 
@@ -590,6 +615,15 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 		n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
 }
 
+/* In vertical rails the sensor's horizontal velocity is zero. */
+static void measure_vertical(struct navigation *n, double x[N])
+{
+	double noise = guide_sway_m2_s(n->velocity_n_m_s.z) / n->sums.t_s;
+
+	measure(n, x, V, -n->velocity_n_m_s.x, noise);
+	measure(n, x, V + 1, -n->velocity_n_m_s.y, noise);
+}
+
 static void turn_heading(struct navigation *n, double angle_rad)
 {
 	struct quat turn = quat_from_rotation_vector((struct vec3){0, 0, angle_rad});
@@ -678,6 +712,8 @@ static void correct(struct navigation *n, const struct navigation_input *in)
 		measure_standstill(n, x, in);
 	else
 		measure_velocity(n, x, in);
+	if (!n->still && n->guide.holds && vertical(n))
+		measure_vertical(n, x);
 	measure_heading(n, x, in->q_nb);
 	add_linearisation_error(n, x);
 	apply_correction(n, x);
@@ -726,6 +762,8 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	r_nb = mat3_from_quat(n->q_nb);
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
+	if (vertical(n))
+		accel.z *= 1 - share_of_scale(n) * mat3_apply(r_nb, n->accel_bias_b_m_s2).z / in->gravity_m_s2;
 	navigation_sums_add(&n->sums, &r_nb, omega, force, accel, dt);
 	zero_velocity_vibration(&n->zero_velocity, accel, dt);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
@@ -874,7 +912,7 @@ static void add_way_error(struct navigation *n)
 
 	if (way2 < n->way2_max_m2)
 		return;
-	add_variance(n, P, squared(accel_scale(n)) * (way2 - n->way2_max_m2));
+	add_variances(n, P, by_accel_scale(n, way2));
 	n->way2_max_m2 = way2;
 }
 
@@ -897,6 +935,38 @@ static void release(struct navigation *n)
 	n->guide.holds = false;
 }
 
+static struct guide_start guide_start(const struct navigation *n)
+{
+	struct vec3 tilt = variance(n, THETA), bias = variance(n, BA);
+	double accel[3];
+
+	navigation_accel_variance(n, accel);
+	return (struct guide_start){.q_nb = n->q_nb,
+		.position_n_m = n->position_n_m,
+		.accel_bias_b_m_s2 = n->accel_bias_b_m_s2,
+		.tilt_variance_rad2 = (tilt.x + tilt.y) / 2,
+		.bias_variance_m2_s4 = (bias.x + bias.y + bias.z) / 3,
+		.accel_variance_m2_s4 = (accel[0] + accel[1]) / 2};
+}
+
+/* The guide is not vertical: the movement so far is what was integrated with the attitude and bias of its beginning. */
+static void incline(struct navigation *n)
+{
+	const struct guide *g = &n->guide;
+	double velocity_variance = guide_free_variance_m2_s2(g, guide_walk(n));
+
+	n->q_nb = g->start.q_nb;
+	n->accel_bias_b_m_s2 = g->start.accel_bias_b_m_s2;
+	n->velocity_n_m_s = g->free_n_m_s;
+	n->position_n_m = vec3_add(g->start.position_n_m, g->free_n_m);
+	reset_errors(n, THETA, g->start.tilt_variance_rad2);
+	reset_errors(n, BA, g->start.bias_variance_m2_s4);
+	reset_errors(n, V, velocity_variance);
+	reset_errors(n, P, velocity_variance * squared(g->t_s));
+	smoother_break(n->smoother);
+	n->guide.inclined = true;
+}
+
 /* Once an interval, before its transition. */
 static void follow_guide(struct navigation *n)
 {
@@ -904,11 +974,18 @@ static void follow_guide(struct navigation *n)
 	struct mat3 r_nb = mat3_from_quat(n->q_nb);
 
 	if (n->still) {
-		guide_engage(&n->guide);
+		const struct guide_start start = guide_start(n);
+
+		guide_engage(&n->guide, &start);
 		return;
 	}
 	if (!n->guide.holds)
 		return;
+	if (vertical(n)) {
+		guide_integrate(&n->guide, &r_nb, n->accel_bias_b_m_s2, n->gravity_m_s2, &n->sums);
+		if (guide_inclines(&n->guide, guide_walk(n)))
+			incline(n);
+	}
 	n->sums.held = true;
 	back = guide_hold(&n->guide, &r_nb, &n->sums);
 	n->q_nb = quat_multiply(quat_from_rotation_vector(vec3_scale(-1, back)), n->q_nb);

@@ -40,12 +40,13 @@
 
 /** What is assumed of the motion, see the table of assumptions in navigation.c. */
 enum motion_preset {
-	MOTION_ANY = 0,		/* nothing: it may creep, cruise and stop */
-	MOTION_HAND_HELD = 1,	/* a hand moves to and fro, and nothing moves it steadily */
-	MOTION_ROBOT_BASE = 2,	/* a vehicle or robot base: cruises, but does not creep */
-	MOTION_LINEAR_AXIS = 3, /* a lift or a linear axis: cruises without vibration, but does not creep, nor turn */
-	MOTION_ARM = 4,		/* the link of a robot arm, moves to and fro */
-	MOTION_FOOT = 5,	/* a shoe: stands for a moment in each step, and rolls on */
+	MOTION_ANY = 0,		  /* nothing: it may creep, cruise and stop */
+	MOTION_HAND_HELD = 1,	  /* a hand moves to and fro, and nothing moves it steadily */
+	MOTION_ROBOT_BASE = 2,	  /* a vehicle or robot base: cruises, but does not creep */
+	MOTION_LINEAR_AXIS = 3,	  /* a lift or a linear axis: cruises without vibration, but does not creep, nor turn */
+	MOTION_ARM = 4,		  /* the link of a robot arm, moves to and fro */
+	MOTION_FOOT = 5,	  /* a shoe: stands for a moment in each step, and rolls on */
+	MOTION_VERTICAL_LIFT = 6, /* as a lift, and its rails are vertical */
 	MOTION_PRESETS
 };
 

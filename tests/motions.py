@@ -175,9 +175,9 @@ class Motion:
     preset: int = 0  # position.motion_preset
 
 
-def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None):
+def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None, preset=0):
     return Motion(lambda t: slide(cruise(t, REST_S, ramp_s, speed, cruise_s), axis), REST_S,
-                  REST_S + 2 * ramp_s + cruise_s, vibration)
+                  REST_S + 2 * ramp_s + cruise_s, vibration, preset=preset)
 
 
 def turn(rate_rad_s, cruise_s, radius_m=0.0, begin_s=REST_S, ramp_s=1.0):
@@ -215,7 +215,9 @@ def all_motions():
             rumble, rms_m_s2=rms, low_hz=3, high_hz=25))
     m['conveyor 0.3 m/s, 30 s'] = drive(0.3, 30, 0.5, vibration=partial(rumble, rms_m_s2=0.1, low_hz=10, high_hz=40))
     for height, speed, ramp_s in ((3, 0.5, 1.0), (12, 2.0, 2.0), (40, 2.5, 2.5)):
-        m[f'lift {height} m, {speed:g} m/s'] = drive(speed, height / speed - ramp_s, ramp_s, (0, 0, 1))
+        for preset, name in ((0, ''), (6, ', preset 6')):
+            m[f'lift {height} m, {speed:g} m/s{name}'] = drive(
+                speed, height / speed - ramp_s, ramp_s, (0, 0, 1), preset=preset)
     for deg in (0.1, 0.3, 0.6, 1.15, 1.9, 2.5):
         m[f'turn {deg:g} deg/s, 60 s'] = turn(np.radians(deg), 60)
     for begin_s in (0.5, 1.2, 3.0):

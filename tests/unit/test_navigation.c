@@ -344,6 +344,55 @@ static void test_a_guided_way_is_held_level(void **state)
 	assert_true(guided_m < free_m / 2);
 }
 
+/* Vertical rails leave nothing but the scale, a part of which the bias at rest shows. */
+static void test_a_vertical_lift_ends_within_its_plumb_line(void **state)
+{
+	const struct path lift = {15, {0, 0, 40}, {0, 0, 0}};
+	struct navigation_config rails = levelling(), axis;
+	double height2 = 0, axis_height2 = 0, normalised_z = 0;
+
+	(void)state;
+	rails.levelling = 0;
+	axis = rails;
+	rails.preset = MOTION_VERTICAL_LIFT;
+	axis.preset = MOTION_LINEAR_AXIS;
+	for (uint64_t seed = 1; seed <= 20; seed++) {
+		struct position p = travel_by_scale(&lift, &rails, 0.003, seed);
+		struct position q = travel_by_scale(&lift, &axis, 0.003, seed);
+
+		assert_true(p.navigation.still && !p.navigation.guide.inclined);
+		assert_true(hypot(p.position_n_m.x, p.position_n_m.y) < 0.02);
+		assert_true(p.sigma.position_m.x > 0.03 && p.sigma.position_m.x < 0.06); /* 1 mm/m */
+		height2 += pow(p.position_n_m.z - 40, 2) / 20;
+		axis_height2 += pow(q.position_n_m.z - 40, 2) / 20;
+		normalised_z += pow((p.position_n_m.z - 40) / p.sigma.position_m.z, 2) / 20;
+	}
+	print_message("40 m up: RMS of the height %.3f m, %.3f m without, normalised %.2f\n", sqrt(height2),
+		sqrt(axis_height2), normalised_z);
+	assert_true(height2 < 0.7 * axis_height2);
+	assert_true(normalised_z > 0.3 && normalised_z < 2);
+}
+
+/* The assumption is given up for good, and the way is what it would be without. */
+static void test_a_lift_that_is_inclined_is_found_to_be(void **state)
+{
+	struct navigation_config rails = levelling();
+
+	(void)state;
+	rails.preset = MOTION_VERTICAL_LIFT;
+	rails.levelling = 0;
+	for (uint64_t seed = 1; seed <= 20; seed++) {
+		double angle = (seed < 11 ? 4 : 30) * RAD_PER_DEG;
+		const struct path path = {15, {40 * sin(angle), 0, 40 * cos(angle)}, {0, 0, 0}};
+		struct position p = travel(&path, &rails, seed);
+		struct vec3 e = vec3_sub(p.position_n_m, path.to_n_m), s = p.sigma.position_m;
+
+		assert_true(p.navigation.guide.inclined);
+		assert_true(vec3_norm(e) < 2);
+		assert_true(fabs(e.x) < 3 * s.x && fabs(e.y) < 3 * s.y && fabs(e.z) < 3 * s.z);
+	}
+}
+
 /* As soon as it does turn, it is as if it had never been held. */
 static void test_what_turns_on_its_way_is_not_held(void **state)
 {
@@ -1319,6 +1368,8 @@ int main(void)
 		cmocka_unit_test(test_after_a_long_way_sigma_counts_the_accelerometers_scale),
 		cmocka_unit_test(test_sigma_knows_that_nobody_calibrated_the_sensors),
 		cmocka_unit_test(test_a_guided_way_is_held_level),
+		cmocka_unit_test(test_a_vertical_lift_ends_within_its_plumb_line),
+		cmocka_unit_test(test_a_lift_that_is_inclined_is_found_to_be),
 		cmocka_unit_test(test_what_turns_on_its_way_is_not_held),
 		cmocka_unit_test(test_the_displacement_at_rest_is_right_and_its_sigma_honest),
 		cmocka_unit_test(test_a_gentle_drive_is_not_a_standstill),
