@@ -4,7 +4,7 @@ import re
 import struct
 from dataclasses import dataclass
 
-OWN_KEYS = ("Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize", "Stored")
+OWN_KEYS = ("Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize", "Stored", "Values", "Bits")
 
 
 def with_own_keys(text):
