@@ -35,7 +35,7 @@ WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
 	-MMD -MP $(CFLAGS) $(SAN)
-LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -lm -pthread
+LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lm -pthread
 
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))
@@ -299,7 +299,7 @@ install: all $(if $(shell command -v help2man),man) ## install programs, manuals
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
 	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
 		tools/service/imu9-gateway.conf \
-		tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
+		tools/service/udp.conf tools/service/realtime.conf tools/imu9-json.schema.json $(DESTDIR)$(share)
 	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d
 	install -m 644 tools/service/sysusers.conf $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
 	for name in imu9-gateway imu9-sdo; do \

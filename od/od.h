@@ -90,6 +90,7 @@ struct od_entry {
 	uint8_t sub;
 	uint8_t type;		   /* enum od_type */
 	uint8_t resolution_sub;	   /* with `resolution` */
+	bool words_of_bits;	   /* `words` names bits, not values */
 	uint16_t resolution;	   /* index of the entry that holds the step, see od_step(); 0: none */
 	uint16_t access;	   /* OD_READ | ... */
 	uint16_t size;		   /* bytes in the values struct; capacity of a VISIBLE_STRING; 0 for a DOMAIN */
@@ -99,6 +100,7 @@ struct od_entry {
 	const char *name; /* "lever_arm.l", normalised from the EDS: lower case, runs of other characters as '_' */
 	const char *unit; /* "m", or "" */
 	const char *description; /* one line, or "" */
+	const char *words;	 /* "off, paper, 4 rigid" names 0, 1 and 4: see od_next_word(). NULL or "": none */
 };
 
 struct od_table {
@@ -202,9 +204,23 @@ enum od_status od_put(struct od *od, const struct od_entry *entry, const void *w
  * entry, or its size is not `size`. */
 void *od_value(const struct od *od, uint16_t index, uint8_t sub, size_t size);
 
-/** Text to wire form and back, without limits: see od_check(). Reads decimal, 0x hex, floats, true/false, strings as
- * they are, OCTET_STRING in hex. Writes integers in decimal, REALs with the digits that give the same bits when read.
- * od_format() returns the length, or -ENOSPC, or -EINVAL for a wrong size. */
+/** One of the words of an entry; `text` is not terminated. */
+struct od_word {
+	unsigned number; /* the value, or the bit, that it names */
+	const char *text;
+	size_t length;
+};
+
+/** Goes to the next word; start with an empty struct. False: there is no further one. */
+bool od_next_word(const struct od_entry *entry, struct od_word *word);
+/** A value in words: "rigid_body"; of bits "valid,rest", or "none"; "" where the value has none. A bit without a word
+ * is "bit5". */
+void od_words_text(const struct od_entry *entry, uint64_t value, char *text, size_t capacity);
+
+/** Text to wire form and back, without limits: see od_check(). Reads decimal, 0x hex, floats, true/false, the words of
+ * the entry as od_words_text() writes them, strings as they are, OCTET_STRING in hex. Writes integers in decimal, REALs
+ * with the digits that give the same bits when read. od_format() returns the length, or -ENOSPC, or -EINVAL for a wrong
+ * size. */
 enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
 int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
 

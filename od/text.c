@@ -151,11 +151,88 @@ static enum od_status parse_octets(const char *text, uint8_t *wire, size_t capac
 	return OD_OK;
 }
 
+bool od_next_word(const struct od_entry *entry, struct od_word *word)
+{
+	const char *at = word->text ? word->text + word->length : entry->words;
+	unsigned number = word->text ? word->number + 1 : 0;
+
+	if (!at)
+		return false;
+	at += strspn(at, ", ");
+	if (isdigit((unsigned char)*at)) {
+		number = (unsigned)strtoul(at, (char **)(uintptr_t)&at, 10);
+		at += strspn(at, " ");
+	}
+	*word = (struct od_word){number, at, strcspn(at, ", ")};
+	return word->length > 0;
+}
+
+static bool find_word(const struct od_entry *entry, const char *text, size_t length, uint64_t *value)
+{
+	struct od_word word = {0};
+
+	while (od_next_word(entry, &word)) {
+		if (word.length != length || strncasecmp(word.text, text, length) != 0)
+			continue;
+		*value |= entry->words_of_bits ? UINT64_C(1) << word.number : word.number;
+		return true;
+	}
+	return false;
+}
+
+/* "rigid_body"; of bits "valid,rest" or "none". */
+static enum od_status parse_words(const struct od_entry *entry, const char *text, uint64_t *value)
+{
+	*value = 0;
+	if (!entry->words_of_bits)
+		return find_word(entry, text, strlen(text), value) ? OD_OK : OD_BAD_VALUE;
+	if (!strcasecmp(text, "none"))
+		return OD_OK;
+	for (;; text++) {
+		size_t length = strcspn(text, ",");
+
+		if (!find_word(entry, text, length, value))
+			return OD_BAD_VALUE;
+		text += length;
+		if (!*text)
+			return OD_OK;
+	}
+}
+
+void od_words_text(const struct od_entry *entry, uint64_t value, char *text, size_t capacity)
+{
+	struct od_word word = {0};
+	size_t used = 0;
+
+	text[0] = '\0';
+	if (!entry->words || !entry->words[0])
+		return;
+	if (!entry->words_of_bits) {
+		while (od_next_word(entry, &word))
+			if (word.number == value)
+				snprintf(text, capacity, "%.*s", (int)word.length, word.text);
+		return;
+	}
+	if (value == 0)
+		snprintf(text, capacity, "none");
+	for (unsigned bit = 0; bit < 64 && used < capacity; bit++) {
+		if (!(value >> bit & 1))
+			continue;
+		for (word = (struct od_word){0}; od_next_word(entry, &word) && word.number != bit;)
+			;
+		if (word.length)
+			used += (size_t)snprintf(
+				text + used, capacity - used, "%s%.*s", used ? "," : "", (int)word.length, word.text);
+		else
+			used += (size_t)snprintf(text + used, capacity - used, "%sbit%u", used ? "," : "", bit);
+	}
+}
+
 /* Blanks around the number are allowed, and true and false for 1 and 0. */
 static enum od_status parse_number(const struct od_entry *entry, const char *text, uint64_t *value)
 {
 	unsigned bits = entry->type == OD_BOOLEAN ? 1 : 8u * entry->size;
-	char word[64];
+	char word[256];
 	size_t length;
 
 	text += strspn(text, " \t");
@@ -168,6 +245,8 @@ static enum od_status parse_number(const struct od_entry *entry, const char *tex
 	word[length] = '\0';
 	if (entry->type == OD_REAL32 || entry->type == OD_REAL64)
 		return parse_real(word, entry->type, value);
+	if (entry->words && parse_words(entry, word, value) == OD_OK)
+		return OD_OK;
 	if (!strcasecmp(word, "true") || !strcasecmp(word, "false")) {
 		*value = tolower((unsigned char)*word) == 't';
 		return OD_OK;

@@ -33,7 +33,7 @@ OTHER = {9, 10, 15}  # strings, DOMAIN
 VAR_KEYS = {"ParameterName", "ObjectType", "DataType", "AccessType", "DefaultValue", "LowLimit", "HighLimit",
             "PDOMapping", "ObjFlags"}
 OUR_KEYS = {"Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize",
-            "Stored"}
+            "Stored", "Values", "Bits"}
 RECORD_KEYS = {"ParameterName", "ObjectType", "SubNumber", "ObjFlags", "Description"}
 FILE_KEYS = {"FileName", "FileVersion", "FileRevision", "EDSVersion", "Description", "CreationTime", "CreationDate",
              "CreatedBy", "ModificationTime", "ModificationDate", "ModifiedBy"}

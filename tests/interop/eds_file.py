@@ -5,7 +5,7 @@ import struct
 from dataclasses import dataclass
 
 OWN_KEYS = ("Unit", "Factor", "Resolution", "Description", "RealDefault", "RealLowLimit", "RealHighLimit", "StringSize",
-            "Stored")
+            "Stored", "Values", "Bits")
 
 
 def with_own_keys(text):

@@ -24,6 +24,8 @@ offers "read restore" imu9-sdo r
 offers "lever_arm.l lever_arm.s lever_arm.t" imu9-sdo -n 5 write lever_arm.
 offers "lever_arm.l lever_arm.s lever_arm.t" imu9-gateway --set lever_arm.
 offers "" imu9-sdo write lever_arm.l 0
+offers "rigid_body" imu9-sdo write lever_arm_model r
+offers "--json" imu9-sdo read lever_arm.l --j
 offers "--imu" imu9-gateway --im
 offers "turntable tumble" imu9-sim t
 offers "accelerometer" imu9-calibrate a

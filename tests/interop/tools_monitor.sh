@@ -36,7 +36,7 @@ for pdo in 1 2 3 4; do
 done
 check "NMT state" test "$(column nmt)" = operational
 check "values with their decimals" grep -qE '^-?[0-9]+\.[0-9]{3}$' <<<"$(column acceleration.l)"
-check "the status in words" grep -qE '^[a-z,-]+$' <<<"$(column sample.status)"
+check "the status in words" grep -qE '^[a-z_,]+$' <<<"$(column sample.status)"
 check "no emergency" test "$(column emcy)" = 0000
 check "each line has the same columns" \
 	test "$(grep '^t=' <<<"$out" | sed 's/=[^ ]*//g' | sort -u | wc -l)" = 1

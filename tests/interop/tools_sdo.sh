@@ -12,7 +12,7 @@ start_gateway
 run imu9-sdo read lever_arm.l
 check "a value is read by its name, with its unit" prints "lever_arm.l = 0 m"
 run imu9-sdo read 0x2000:2 2000h:3 lever_arm_model
-check "by its index, and several at once" prints $'lever_arm.s = 0 m\nlever_arm.t = 0 m\nlever_arm_model = 2'
+check "by its index, and several at once" prints $'lever_arm.s = 0 m\nlever_arm.t = 0 m\nlever_arm_model = rigid_body'
 run imu9-sdo read Lever_Arm
 check "a whole record by its name, in any case" prints $'lever_arm.l = 0 m\nlever_arm.s = 0 m\nlever_arm.t = 0 m'
 run imu9-sdo read 1008h
@@ -41,6 +41,26 @@ run imu9-sdo read acceleration.l
 check "a scaled value uses its resolution object" says "m/s^2)"
 raw=${out#*= } raw=${raw%% *} scaled=${out#*(} scaled=${scaled%% *}
 check "and the right factor" awk "BEGIN { d = $raw * 0.01 - $scaled; exit !(d < 1e-9 && d > -1e-9) }"
+
+# ---- words
+run imu9-sdo write lever_arm_model linear
+run imu9-sdo -q read lever_arm_model
+check "a word is written as its value, and -q prints the value" prints 1
+run imu9-sdo write lever_arm_model RIGID_BODY
+run imu9-sdo read lever_arm_model
+check "in any case" prints "lever_arm_model = rigid_body"
+run imu9-sdo write slope_long16_operating_parameter inverted,offset
+run imu9-sdo -q read 0x6011
+check "bits by their words" prints 3
+run imu9-sdo write 0x6011 none
+run imu9-sdo read 0x6011
+check "and none of them" prints "slope_long16_operating_parameter = none"
+run imu9-sdo write lever_arm_model soft_body
+check "an unknown word is refused with those that are known" fails 2 "none, linear, rigid_body, weighted"
+run imu9-sdo -q objects lever_arm_model
+check "objects lists them" prints $'none\nlinear\nrigid_body\nweighted'
+run imu9-sdo write lever_arm 1
+check "a write to a record is refused with its members" fails 2 "lever_arm is a record: write its members one by one: lever_arm.l, lever_arm.s, lever_arm.t"
 
 # ---- refused
 run imu9-sdo write lever_arm.l 11

@@ -46,7 +46,7 @@ run imu9-sdo log
 check "the event log starts with the start-up" says "0.000000 started with node-ID 16 on $IMU9_CAN"
 check "and contains the refused write" says "configuration snapshot refused: 2003h:00: "
 run imu9-sdo watch gravity lever_arm_model --rate 50 --count 3
-check "watch" says "gravity = 9.81 m/s^2  lever_arm_model = 2"
+check "watch" says "gravity = 9.81 m/s^2  lever_arm_model = rigid_body"
 check "as many lines as asked for" test "$(wc -l <<<"$out")" = 3
 run imu9-sdo -q watch lever_arm_model --rate 100 --count 2
 check "watch with bare values" prints $'2\n2'

@@ -305,6 +305,32 @@ static void test_a_resolution_names_the_entry_that_holds_the_step(void **state)
 		"Factor=0.25", "Factor=0.25\nResolution=lever_arm.l", "Resolution=lever_arm.l", "UNSIGNED");
 }
 
+static void test_words_of_values_and_bits_are_read_and_checked(void **state)
+{
+	static const char *const WRONG[] = {
+		"Values=a, B", "Values=3 a, 3 b", "Values=3 a, b, 2 c", "Values=256 a", "Bits=8 a", "Values=a/b"};
+	struct od_word word = {0};
+
+	(void)state;
+	assert_int_equal(
+		load(changed("DataType=0x0005\nAccessType=wo", "DataType=0x0005\n;Bits=up, 7 down\nAccessType=wo"),
+			EDS_STRICT),
+		0);
+	assert_true(entry_of(0x2001, 0)->words_of_bits);
+	assert_true(od_next_word(entry_of(0x2001, 0), &word) && word.number == 0);
+	assert_true(od_next_word(entry_of(0x2001, 0), &word) && word.number == 7);
+	assert_memory_equal(word.text, "down", word.length);
+	assert_false(od_next_word(entry_of(0x2001, 0), &word));
+	assert_false(od_next_word(entry_of(0x2000, 1), &(struct od_word){0}));
+	for (size_t i = 0; i < sizeof(WRONG) / sizeof(*WRONG); i++) {
+		char text[80];
+
+		snprintf(text, sizeof(text), "ObjFlags=1\n%s", WRONG[i]);
+		assert_both_refuse("ObjFlags=1", text, WRONG[i], "is not a word");
+	}
+	assert_both_refuse("RealDefault=0.5", "RealDefault=0.5\nValues=a", "Values=a", "integers only");
+}
+
 static void test_access_and_mapping_become_bits(void **state)
 {
 	(void)state;
@@ -1016,6 +1042,7 @@ int main(int argc, char **argv)
 		CASE(test_a_sub_index_that_begins_with_the_name_of_its_object_has_the_rest_as_name),
 		CASE(test_an_entry_has_name_unit_factor_limits_and_default),
 		CASE(test_a_resolution_names_the_entry_that_holds_the_step),
+		CASE(test_words_of_values_and_bits_are_read_and_checked),
 		CASE(test_access_and_mapping_become_bits),
 		CASE(test_access_rwr_and_rww_give_the_direction_of_the_pdo),
 		CASE(test_entries_excluded_from_download_are_not_stored),

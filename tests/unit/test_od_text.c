@@ -116,14 +116,15 @@ static void test_the_ends_of_each_integer_type_are_accepted_and_one_beyond_is_no
 
 static void test_text_that_is_not_an_integer_is_refused(void **state)
 {
-	static const char *const TEXTS[] = {"", " ", "x", "1x", "1.0", "1e3", "0x", "0xG", "--1", "- 1", "+1", "1 2",
-		"-", "0x-1", "nan", "ten", "9999999999999999999999999999999999999999999999999999999999999999999999"};
+	static const char *const TEXTS[] = {
+		"", " ", "x", "1x", "1.0", "1e3", "0x", "0xG", "--1", "- 1", "+1", "1 2", "-", "0x-1", "nan", "ten"};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(TEXTS) / sizeof(*TEXTS); i++) {
 		assert_refused(&U32, TEXTS[i], OD_BAD_VALUE);
 		assert_refused(&I32, TEXTS[i], OD_BAD_VALUE);
 	}
+	assert_refused(&U32, "9999999999999999999999999999999999999999999999999999999999999999999999", OD_TOO_HIGH);
 }
 
 static void test_floats_are_read(void **state)
@@ -358,9 +359,73 @@ static void test_every_status_has_its_own_text(void **state)
 	}
 }
 
+/* ---- words */
+
+static const struct od_entry MODE = {.type = OD_UNSIGNED8, .size = 1, .words = "off, paper, 4 rigid_body, -x"};
+static const struct od_entry FLAGS = {
+	.type = OD_UNSIGNED16, .size = 2, .words = "valid, rest, 9 lost", .words_of_bits = true};
+
+static void assert_words(const struct od_entry *entry, uint64_t value, const char *expected)
+{
+	char text[64];
+
+	od_words_text(entry, value, text, sizeof(text));
+	assert_string_equal(text, expected);
+}
+
+static void test_a_value_is_read_by_its_word(void **state)
+{
+	(void)state;
+	assert_parses(&MODE, "off", "\0", 1);
+	assert_parses(&MODE, " Rigid_Body ", "\4", 1);
+	assert_parses(&MODE, "-x", "\5", 1);
+	assert_parses(&MODE, "3", "\3", 1);
+	assert_refused(&MODE, "rigid", OD_BAD_VALUE);
+	assert_refused(&MODE, "off,paper", OD_BAD_VALUE);
+	assert_refused(&MODE, "none", OD_BAD_VALUE);
+	assert_refused(&MODE, "", OD_BAD_VALUE);
+	assert_refused(&U8, "off", OD_BAD_VALUE);
+}
+
+static void test_bits_are_read_by_their_words(void **state)
+{
+	(void)state;
+	assert_parses(&FLAGS, "rest", "\2\0", 2);
+	assert_parses(&FLAGS, "lost,valid", "\1\2", 2);
+	assert_parses(&FLAGS, "none", "\0\0", 2);
+	assert_parses(&FLAGS, "0x200", "\0\2", 2);
+	assert_refused(&FLAGS, "valid,", OD_BAD_VALUE);
+	assert_refused(&FLAGS, "valid,found", OD_BAD_VALUE);
+}
+
+static void test_values_and_bits_are_written_as_words(void **state)
+{
+	(void)state;
+	assert_words(&MODE, 0, "off");
+	assert_words(&MODE, 4, "rigid_body");
+	assert_words(&MODE, 3, "");
+	assert_words(&FLAGS, 0, "none");
+	assert_words(&FLAGS, 1 << 9 | 1, "valid,lost");
+	assert_words(&FLAGS, 1 << 3 | 1 << 1, "rest,bit3");
+	assert_words(&U8, 1, "");
+}
+
+static void test_words_that_do_not_fit_are_cut(void **state)
+{
+	char text[8];
+
+	(void)state;
+	od_words_text(&FLAGS, 0xFFFF, text, sizeof(text));
+	assert_string_equal(text, "valid,r");
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_value_is_read_by_its_word),
+		cmocka_unit_test(test_bits_are_read_by_their_words),
+		cmocka_unit_test(test_values_and_bits_are_written_as_words),
+		cmocka_unit_test(test_words_that_do_not_fit_are_cut),
 		cmocka_unit_test(test_integers_are_decimal_or_hex),
 		cmocka_unit_test(test_true_and_false_are_1_and_0),
 		cmocka_unit_test(test_the_ends_of_each_integer_type_are_accepted_and_one_beyond_is_not),

@@ -7,6 +7,8 @@
 #include <cmocka.h>
 
 #include "gateway/canopen/canopen.h"
+#include "gateway/status.h"
+#include "model/pipeline.h"
 #include "od_values.h"
 #include "tools/monitor/watch.h"
 
@@ -79,7 +81,7 @@ static void serve(struct bench *bench, const struct object *objects, size_t coun
 
 static const char *text_of(const struct watch_field *field)
 {
-	static char text[64];
+	static char text[128];
 
 	watch_field_text(field, text, sizeof(text));
 	return text;
@@ -149,8 +151,8 @@ static void test_mapping_and_resolutions_are_read_from_the_node(void **state)
 	FRAME(b, 0x1C5, SECOND, 0x00, 0x00, 0x00, 0xBF, 0x0A, 0x00, 0x81);
 	assert_int_equal(pdo->rate.count, 1);
 	assert_string_equal(text_of(&pdo->fields[0]), "-0.5");
-	assert_string_equal(text_of(&pdo->fields[1]), "1.0"); /* 10 * 0.1 m/s^2 */
-	assert_string_equal(text_of(&pdo->fields[2]), "129");
+	assert_string_equal(text_of(&pdo->fields[1]), "1.0");		       /* 10 * 0.1 m/s^2 */
+	assert_string_equal(text_of(&pdo->fields[2]), "generic,manufacturer"); /* 129 */
 	FRAME(b, 0x285, SECOND, 0, 0, 0, 0, 0, 0, 0, 0);
 	assert_int_equal(b->watch.pdos[1].rate.count, 0);
 	assert_true(b->watch.pdos[2].enabled);
@@ -278,19 +280,31 @@ static void test_frames_of_other_nodes_are_ignored(void **state)
 	assert_int_equal(b->watch.heard_us, 0);
 }
 
+/* The words of the EDS belong to the bits of the code. */
 static void test_status_bits_have_texts(void **state)
 {
-	(void)state;
-	char text[128];
+	static const struct {
+		unsigned int status;
+		const char *text;
+	} CASES[] = {
+		{0, "none"},
+		{PIPELINE_VALID | PIPELINE_REST, "valid,rest"},
+		{PIPELINE_MAG_USED | PIPELINE_TIME_LIMIT, "magnetometer_used,position_held"},
+		{PIPELINE_GAP | PIPELINE_UNSURE, "gap,position_unsure"},
+		{PIPELINE_ASSUMED | PIPELINE_DISAGREES, "standstill_assumed,field_disagrees"},
+		{STATUS_SATURATED | STATUS_SENSOR_LOST, "saturated,sensor_lost"},
+		{STATUS_SENSOR_FAULT | STATUS_EXTERNAL_AID, "sensor_fault,external_aid"},
+		{STATUS_COMMISSIONING | STATUS_UTC | PIPELINE_VIBRATION, "commissioning,utc,vibration"},
+		{1u << 15, "bit15"},
+	};
+	struct watch_field field = {
+		.entry = od_find(&imu9_od_table, OD_INDEX_SAMPLE, OD_SUB_SAMPLE_STATUS, NULL), .step = 1};
 
-	watch_status_text(0, text, sizeof(text));
-	assert_string_equal(text, "none");
-	watch_status_text(1 << 0 | 1 << 1 | 1 << 9 | 1 << 11, text, sizeof(text));
-	assert_string_equal(text, "valid,rest,sensor-lost,external-aid");
-	watch_status_text(1 << 10 | 1 << 12 | 1 << 13, text, sizeof(text));
-	assert_string_equal(text, "sensor-fault,commissioning,utc");
-	watch_status_text(1 << 6 | 1 << 7, text, sizeof(text));
-	assert_string_equal(text, "standstill-assumed,field-disagrees");
+	(void)state;
+	for (size_t i = 0; i < sizeof(CASES) / sizeof(CASES[0]); i++) {
+		field.raw = CASES[i].status;
+		assert_string_equal(text_of(&field), CASES[i].text);
+	}
 }
 
 int main(void)

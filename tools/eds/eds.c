@@ -22,6 +22,8 @@ enum {
 	PDO_BITS_MAX = 64,
 };
 
+static const char WORD_CHARACTERS[] = "abcdefghijklmnopqrstuvwxyz0123456789_+-";
+
 /* An entry before its offset in the values struct is known. */
 struct draft {
 	struct od_entry entry;
@@ -269,6 +271,34 @@ static int read_factor(struct loader *l, const char *section, double *factor)
 	return 0;
 }
 
+/* Values= and Bits=: the numbers rise and fit the type. */
+static int read_words(struct loader *l, const char *section, const struct eds_type *type, struct od_entry *entry)
+{
+	const struct eds_item *values = eds_find(&l->file, section, "Values"),
+			      *bits = eds_find(&l->file, section, "Bits");
+	const struct eds_item *item = bits ? bits : values;
+	struct od_word word = {0};
+	unsigned next = 0, end = bits || type->bits > 31 ? type->bits : 1u << type->bits;
+
+	entry->words = "";
+	if (!item)
+		return 0;
+	if (!type->bits)
+		return eds_fail(&l->file, item->line, "[%s] %s is for integers only", section, item->key);
+	if (bits && values)
+		return eds_fail(&l->file, item->line, "[%s] has Values and Bits; keep one of them", section);
+	entry->words = item->value;
+	entry->words_of_bits = bits;
+	while (od_next_word(entry, &word)) {
+		if (word.number < next || word.number >= end || strspn(word.text, WORD_CHARACTERS) < word.length)
+			return eds_fail(&l->file, item->line,
+				"[%s] %s: %.*s is not a word of a-z, 0-9, _, + and -, with a number from %u to %u",
+				section, item->key, (int)word.length, word.text, next, end - 1);
+		next = word.number + 1;
+	}
+	return 0;
+}
+
 static int add_draft(struct loader *l, const struct draft *draft)
 {
 	struct draft *drafts = eds_grow(&l->file, l->drafts, l->draft_count, &l->draft_capacity, sizeof(*draft));
@@ -324,6 +354,8 @@ static int read_entry(struct loader *l, const struct eds_object *object, uint8_t
 		draft.value = read_text(l, source->section, "ParameterValue");
 	entry->unit = read_text(l, source->section, "Unit");
 	entry->description = read_text(l, source->section, "Description");
+	if (read_words(l, source->section, type, entry))
+		return l->file.result;
 	draft.resolution = eds_find(&l->file, source->section, "Resolution");
 	if (read_access(l, source, entry) || read_factor(l, source->section, &entry->factor))
 		return l->file.result;
@@ -360,7 +392,8 @@ static int read_compact_subs(struct loader *l, const struct eds_object *object, 
 		.access = OD_READ | OD_CONST,
 		.factor = 1,
 		.unit = "",
-		.description = ""};
+		.description = "",
+		.words = ""};
 	snprintf(full, sizeof(full), "%s.nrofobjects", object->name);
 	zero.entry.name = eds_copy(&l->file, full);
 	if (add_draft(l, &zero))

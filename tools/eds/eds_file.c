@@ -88,7 +88,7 @@ void *eds_grow(struct eds_file *file, void *array, size_t count, size_t *capacit
 static bool is_comment_key(const char *from, size_t size)
 {
 	static const char *const keys[] = {"Unit=", "Factor=", "Description=", "RealDefault=", "RealLowLimit=",
-		"RealHighLimit=", "StringSize=", "Stored=", "Resolution="};
+		"RealHighLimit=", "StringSize=", "Stored=", "Resolution=", "Values=", "Bits="};
 
 	for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
 		if (size > strlen(keys[i]) && !memcmp(from, keys[i], strlen(keys[i])))

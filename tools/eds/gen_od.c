@@ -323,6 +323,10 @@ static void print_entry(FILE *out, const struct od_entry *entry)
 	print_c_string(out, entry->unit);
 	fputs(",\n\t .description = ", out);
 	print_c_string(out, entry->description);
+	if (entry->words[0]) {
+		fprintf(out, ",\n\t .words_of_bits = %s, .words = ", entry->words_of_bits ? "true" : "false");
+		print_c_string(out, entry->words);
+	}
 	fputs("},\n", out);
 }
 
@@ -457,8 +461,20 @@ static void print_unit_cell(FILE *out, const struct od_entry *entry)
 	print_cell(out, entry->unit);
 }
 
+/* The description, and the words. */
+static const char *with_words(const struct od_entry *entry, char *text, size_t capacity)
+{
+	if (!entry->words[0])
+		return entry->description;
+	snprintf(text, capacity, "%s. %s: %s", entry->description, entry->words_of_bits ? "Bits" : "Words",
+		entry->words);
+	return text;
+}
+
 static void print_row(FILE *out, const struct eds *eds, const struct od_entry *entry)
 {
+	char words[1024];
+
 	fprintf(out, "| %04Xh | %u | `%s` | %s | %s |", entry->index, entry->sub, entry->name, type_name(entry),
 		access_text(entry));
 	print_default_cell(out, eds, entry);
@@ -467,7 +483,7 @@ static void print_row(FILE *out, const struct eds *eds, const struct od_entry *e
 	bool sent = entry->access & OD_TPDO, received = entry->access & OD_RPDO;
 	print_cell(out, sent && received ? "both" : sent ? "TPDO" : received ? "RPDO" : "");
 	print_cell(out, entry->access & OD_STORED ? "yes" : "");
-	print_cell(out, entry->description);
+	print_cell(out, with_words(entry, words, sizeof(words)));
 	fputc('\n', out);
 }
 
@@ -631,6 +647,24 @@ static void print_float_types(FILE *out, const struct eds *eds, const struct dbc
 				entry->type == OD_REAL32 ? 1 : 2);
 }
 
+/* Words of values; a DBC has none of bits. */
+static void print_value_words(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo)
+{
+	const struct od_entry *entry;
+	char name[DBC_NAME_MAX + 1];
+
+	for (uint8_t sub = 1; (entry = signal_of(eds, pdo, sub)); sub++) {
+		struct od_word word = {0};
+
+		if (!entry->words[0] || entry->words_of_bits)
+			continue;
+		fprintf(out, "VAL_ %u %s", pdo->id, signal_name(entry, name));
+		while (od_next_word(entry, &word))
+			fprintf(out, " %u \"%.*s\"", word.number, (int)word.length, word.text);
+		fputs(" ;\n", out);
+	}
+}
+
 /* Calls print() for each PDO of a direction that is valid by default; `first` is PDO 1 without CAN-ID. */
 static void for_each_pdo(FILE *out, const struct eds *eds, struct dbc_pdo first, unsigned count,
 	void (*print)(FILE *out, const struct eds *eds, const struct dbc_pdo *pdo))
@@ -673,6 +707,7 @@ static void print_dbc(FILE *out, const struct eds *eds)
 	for_all_pdos(out, eds, print_comments);
 	fprintf(out, "VAL_ %u nmt_state 0 \"boot-up\" 4 \"stopped\" 5 \"operational\" 127 \"pre-operational\" ;\n",
 		heartbeat);
+	for_all_pdos(out, eds, print_value_words);
 	for_all_pdos(out, eds, print_float_types);
 }
 

@@ -6,6 +6,7 @@
 #include <string.h>
 #include <strings.h>
 
+#include "od/little_endian.h"
 #include "tools/lib/cli.h"
 
 /* 0x1A or 1Ah; plain decimal only where `decimal` says so. */
@@ -103,7 +104,7 @@ void cli_hex_text(const void *wire, size_t size, char *text, size_t capacity)
 void cli_value_text(
 	const struct od_entry *entry, double step, const void *wire, size_t size, char *text, size_t capacity)
 {
-	char plain[CLI_VALUE_TEXT_MAX];
+	char plain[CLI_VALUE_TEXT_MAX], words[CLI_VALUE_TEXT_MAX] = "";
 
 	if (is_number(entry) && size != entry->size) {
 		cli_hex_text(wire, size, plain, sizeof(plain));
@@ -112,7 +113,11 @@ void cli_value_text(
 	}
 	if (od_format(entry, wire, size, plain, sizeof(plain)) < 0)
 		cli_hex_text(wire, size, plain, sizeof(plain));
-	if (is_number(entry) && step != 1)
+	if (is_number(entry))
+		od_words_text(entry, get_uint(wire, size), words, sizeof(words));
+	if (words[0])
+		snprintf(text, capacity, "%s", words);
+	else if (is_number(entry) && step != 1)
 		snprintf(text, capacity, "%s (%.9g%s%s)", plain, cli_number(entry, wire) * step,
 			entry->unit[0] ? " " : "", entry->unit);
 	else if (entry->unit[0])

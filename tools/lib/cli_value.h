@@ -19,8 +19,8 @@ void cli_address_text(uint16_t index, uint8_t sub, const struct od_entry *entry,
 /** A value in wire form as a number; 0 for strings. */
 double cli_number(const struct od_entry *entry, const void *wire);
 
-/** "0.05 m", "123 (0.615 m/s^2)", "1073742209 (0x40000181)"; bytes in hex when the size does not match the type. `step`
- * is the physical value of 1. */
+/** "0.05 m", "rigid_body", "123 (0.615 m/s^2)", "1073742209 (0x40000181)"; bytes in hex when the size does not match
+ * the type. `step` is the physical value of 1. */
 void cli_value_text(
 	const struct od_entry *entry, double step, const void *wire, size_t size, char *text, size_t capacity);
 

@@ -111,11 +111,6 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 
 /* ---- values as text ---- */
 
-static bool is_status(const struct watch_field *field)
-{
-	return field->entry && field->entry->index == OD_INDEX_SAMPLE && field->entry->sub == 3;
-}
-
 static void field_name(const struct watch_field *field, char *text, size_t capacity)
 {
 	if (field->entry)
@@ -127,14 +122,6 @@ static void field_name(const struct watch_field *field, char *text, size_t capac
 static const char *field_unit(const struct watch_field *field)
 {
 	return field->entry ? field->entry->unit : "";
-}
-
-static void field_value(const struct watch_field *field, char *text, size_t capacity)
-{
-	if (is_status(field))
-		watch_status_text((unsigned int)field->raw, text, capacity);
-	else
-		watch_field_text(field, text, capacity);
 }
 
 static double seconds_since(uint64_t then_us, uint64_t now_us)
@@ -196,7 +183,7 @@ static void show_fields(const struct monitor *m, const struct watch_pdo *pdo)
 		const struct watch_field *field = &pdo->fields[i];
 
 		field_name(field, name, sizeof(name));
-		field_value(field, value, sizeof(value));
+		watch_field_text(field, value, sizeof(value));
 		char *dot = strchr(name, '.');
 		if (dot)
 			*dot = '\0';
@@ -310,7 +297,7 @@ static void print_columns(const struct monitor *m, uint64_t now_us)
 			if (shown_before(w, i, k))
 				continue;
 			field_name(&pdo->fields[k], name, sizeof(name));
-			field_value(&pdo->fields[k], value, sizeof(value));
+			watch_field_text(&pdo->fields[k], value, sizeof(value));
 			printf(" %s=%s", name, pdo->rate.count ? value : "-");
 		}
 	}
@@ -353,7 +340,7 @@ static void show_summary(const struct monitor *m, uint64_t now_us)
 			(unsigned long long)pdo->repeated);
 		for (size_t k = 0; k < pdo->field_count && pdo->rate.count; k++) {
 			field_name(&pdo->fields[k], name, sizeof(name));
-			field_value(&pdo->fields[k], value, sizeof(value));
+			watch_field_text(&pdo->fields[k], value, sizeof(value));
 			printf("       %-28s %14s %s\n", name, value, field_unit(&pdo->fields[k]));
 		}
 	}

@@ -7,8 +7,6 @@
 #include "gateway/canopen/canopen.h"
 #include "gateway/canopen/cia301.h"
 #include "gateway/canopen/deadline.h"
-#include "gateway/status.h"
-#include "model/pipeline.h"
 #include "od/little_endian.h"
 #include "tools/lib/cli_value.h"
 #include "od_index.h"
@@ -359,8 +357,14 @@ bool watch_has_values(const struct watch *watch)
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity)
 {
 	bool real = field->entry && (field->entry->type == OD_REAL32 || field->entry->type == OD_REAL64);
+	bool words = field->entry && field->entry->words && field->entry->words[0];
 	int decimals = field->step < 1 && field->step > 0 ? (int)-floor(log10(field->step)) : 0;
 
+	text[0] = '\0';
+	if (words)
+		od_words_text(field->entry, (uint64_t)field->raw, text, capacity);
+	if (text[0])
+		return;
 	if (real)
 		snprintf(text, capacity, "%.6g", field->raw * field->step);
 	else
@@ -383,34 +387,4 @@ const char *watch_nmt_text(int nmt_state)
 	default:
 		return "unknown";
 	}
-}
-
-void watch_status_text(unsigned int status, char *text, size_t capacity)
-{
-	static const struct {
-		unsigned int bit;
-		const char *text;
-	} bits[] = {
-		{PIPELINE_VALID, "valid"},
-		{PIPELINE_REST, "rest"},
-		{PIPELINE_MAG_USED, "magnetometer"},
-		{PIPELINE_TIME_LIMIT, "position-held"},
-		{PIPELINE_GAP, "gap"},
-		{PIPELINE_UNSURE, "position-unsure"},
-		{PIPELINE_ASSUMED, "standstill-assumed"},
-		{PIPELINE_DISAGREES, "field-disagrees"},
-		{PIPELINE_VIBRATION, "vibration"},
-		{STATUS_SATURATED, "saturated"},
-		{STATUS_SENSOR_LOST, "sensor-lost"},
-		{STATUS_SENSOR_FAULT, "sensor-fault"},
-		{STATUS_EXTERNAL_AID, "external-aid"},
-		{STATUS_COMMISSIONING, "commissioning"},
-		{STATUS_UTC, "utc"},
-	};
-	size_t used = 0;
-
-	snprintf(text, capacity, "none");
-	for (size_t i = 0; i < sizeof(bits) / sizeof(bits[0]) && used < capacity; i++)
-		if (status & bits[i].bit)
-			used += (size_t)snprintf(text + used, capacity - used, "%s%s", used ? "," : "", bits[i].text);
 }

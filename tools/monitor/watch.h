@@ -88,13 +88,11 @@ uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub);
 double watch_rate_hz(const struct watch_rate *rate, uint64_t now_us);
 bool watch_has_values(const struct watch *watch);
 
-/** The physical value as text without unit, with the decimals of its step. */
+/** The physical value as text without unit, with the decimals of its step, or in the words of the EDS. */
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity);
 /** The NMT state, or WATCH_NMT_LOST after three heartbeat periods without a frame. */
 int watch_nmt_state(const struct watch *watch, uint64_t now_us);
 /** "operational", .. */
 const char *watch_nmt_text(int nmt_state);
-/** The bits of the status word (210Fh:3) as words, separated by commas; "none" for 0. */
-void watch_status_text(unsigned int status, char *text, size_t capacity);
 
 #endif

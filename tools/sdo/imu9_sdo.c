@@ -9,7 +9,7 @@
 #include "tools/sdo/sdo_session.h"
 
 static const char help[] =
-	"Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q] COMMAND\n"
+	"Usage: imu9-sdo [-i BUS] [-n NODE] [-e EDS] [-t MS] [-q|-j] COMMAND\n"
 	"Configures the nodes of a CANopen bus: objects by SDO, NMT and LSS.\n"
 	"\n"
 	"  read OBJECT...        print values; OBJECT is a name (lever_arm.l), a whole record\n"
@@ -17,13 +17,16 @@ static const char help[] =
 	"    -o FILE             write the bytes of one object to FILE; without it a DOMAIN is written\n"
 	"                        to standard output (eds, snapshot and log are short names)\n"
 	"    --block, --no-block use block transfer always or never (default: for DOMAINs)\n"
-	"  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float or text; for a\n"
+	"  write OBJECT VALUE    VALUE by the object's type: decimal, 0x hex, float, text, or a word\n"
+	"                        (rigid_body; several bits: inverted,offset; 'objects' lists them); for a\n"
 	"                        DOMAIN, or after file:, the name of a file with the bytes.\n"
 	"                        If the object is not in the EDS, with its type:\n"
 	"                        u8: u16: u32: u64: i8: i16: i32: i64: r32: r64: bool: str: hex:\n"
-	"  watch OBJECT...       print a line of values twice a second until Ctrl-C; --rate HZ, --count N\n"
+	"  watch OBJECT...       print a line of values twice a second until Ctrl-C; --rate HZ, --count N;\n"
+	"                        --utc: with the time of day; --csv: as CSV, with units in its header\n"
 	"  dump                  print all readable objects of the EDS\n"
-	"  objects               list the objects of the EDS, without a node; -q: only their names\n"
+	"  objects [OBJECT]      list the objects of the EDS, without a node; -q: only their names.\n"
+	"                        OBJECT: a record, or one object and the words of its values\n"
 	"  log                   print the event log of the gateway since its start (2131h)\n"
 	"  save FILE             save the configuration to FILE ('-': standard output), in the\n"
 	"                        format that 'load' and 'imu9-gateway -c' read\n"
@@ -53,7 +56,8 @@ static const char help[] =
 	"  -n, --node-id NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
 	"  -e, --eds EDS         EDS of the node (default: built-in EDS of the IMU9 gateway)\n"
 	"  -t, --timeout MS      timeout of each answer (default: 500; lss: 50)\n"
-	"  -q, --quiet           print bare values, without names and units\n"
+	"  -q, --quiet           print bare values, without names, units and words\n"
+	"  -j, --json            print JSON: read, dump, watch (one line each), scan, log, dcf compare\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
 	"\n" CLI_EXIT_STATUS "\nExample: imu9-sdo -n 5 write lever_arm.l 0.05 && imu9-sdo -n 5 store\n";
@@ -64,22 +68,24 @@ static const struct command {
 	int args_min, args_max;
 	const char *args;
 	bool for_all; /* may be used with -n 0 (all nodes), or needs no node */
+	bool json;
 } commands[] = {
-	{"read", sdo_command_read, 1, SDO_TARGETS_MAX + 3, "OBJECT... [-o FILE] [--block|--no-block]", false},
-	{"write", sdo_command_write, 2, 3, "OBJECT VALUE [--block|--no-block]", false},
-	{"watch", sdo_command_watch, 1, SDO_TARGETS_MAX + 4, "OBJECT... [--rate HZ] [--count N]", false},
-	{"dump", sdo_command_dump, 0, 0, "(no arguments)", false},
-	{"objects", sdo_command_objects, 0, 0, "(no arguments)", true},
-	{"log", sdo_command_log, 0, 0, "(no arguments)", false},
-	{"save", sdo_command_save, 1, 1, "FILE", false},
-	{"load", sdo_command_load, 1, 1, "FILE", false},
-	{"dcf", sdo_command_dcf, 2, 2, "apply|compare|save FILE", false},
-	{"dbc", sdo_command_dbc, 0, 1, "[FILE]", false},
-	{"store", sdo_command_store, 0, 1, "[all|communication|application|manufacturer]", false},
-	{"restore", sdo_command_restore, 0, 1, "[all|communication|application|manufacturer]", false},
-	{"nmt", sdo_command_nmt, 1, 1, "start|stop|preop|reset|reset-comm", true},
-	{"scan", sdo_command_scan, 0, 0, "(no arguments)", true},
-	{"lss", sdo_command_lss, 1, 12, "scan|assign|node-id|bit-rate|store|inquire ...", true},
+	{"read", sdo_command_read, 1, SDO_TARGETS_MAX + 3, "OBJECT... [-o FILE] [--block|--no-block]", false, true},
+	{"write", sdo_command_write, 2, 3, "OBJECT VALUE [--block|--no-block]", false, false},
+	{"watch", sdo_command_watch, 1, SDO_TARGETS_MAX + 6, "OBJECT... [--rate HZ] [--count N] [--utc] [--csv]", false,
+		true},
+	{"dump", sdo_command_dump, 0, 0, "(no arguments)", false, true},
+	{"objects", sdo_command_objects, 0, 1, "[OBJECT]", true, false},
+	{"log", sdo_command_log, 0, 0, "(no arguments)", false, true},
+	{"save", sdo_command_save, 1, 1, "FILE", false, false},
+	{"load", sdo_command_load, 1, 1, "FILE", false, false},
+	{"dcf", sdo_command_dcf, 2, 2, "apply|compare|save FILE", false, true},
+	{"dbc", sdo_command_dbc, 0, 1, "[FILE]", false, false},
+	{"store", sdo_command_store, 0, 1, "[all|communication|application|manufacturer]", false, false},
+	{"restore", sdo_command_restore, 0, 1, "[all|communication|application|manufacturer]", false, false},
+	{"nmt", sdo_command_nmt, 1, 1, "start|stop|preop|reset|reset-comm", true, false},
+	{"scan", sdo_command_scan, 0, 0, "(no arguments)", true, true},
+	{"lss", sdo_command_lss, 1, 12, "scan|assign|node-id|bit-rate|store|inquire ...", true, false},
 };
 
 static const struct command *find_command(const char *name)
@@ -97,13 +103,14 @@ static void parse_options(struct session *s, int argc, char **argv)
 		{"eds", required_argument, NULL, 'e'},
 		{"timeout", required_argument, NULL, 't'},
 		{"quiet", no_argument, NULL, 'q'},
+		{"json", no_argument, NULL, 'j'},
 		CLI_COMMON_OPTIONS,
 	};
 	int option;
 
 	opterr = 0;
 	/* '+': parsing of options ends at the command, so that -1 in "write OBJECT -1" is a value */
-	while ((option = getopt_long(argc, argv, "+:i:n:e:t:qhV", options, NULL)) != -1) {
+	while ((option = getopt_long(argc, argv, "+:i:n:e:t:qjhV", options, NULL)) != -1) {
 		switch (option) {
 		case 'i':
 			s->bus = optarg;
@@ -120,6 +127,9 @@ static void parse_options(struct session *s, int argc, char **argv)
 			break;
 		case 'q':
 			s->quiet = true;
+			break;
+		case 'j':
+			s->json = true;
 			break;
 		case 'h':
 			cli_print_help(help);
@@ -149,6 +159,10 @@ int main(int argc, char **argv)
 				"store, restore, "
 				"nmt, scan or lss");
 	const struct command *command = find_command(argv[0]);
+	if (command->json)
+		s.json |= sdo_extract_flag(&argc, argv, "--json");
+	if (s.json && !command->json)
+		cli_usage_error("--json is for read, dump, watch, scan, log and dcf compare");
 	if (argc - 1 < command->args_min || argc - 1 > command->args_max)
 		cli_usage_error("usage: imu9-sdo %s %s", command->name, command->args);
 	if (s.node_id == 0 && !command->for_all)

@@ -1,5 +1,5 @@
-/* imu9-sdo dbc: a DBC of the PDOs as the node has them now: node-ID, COB-IDs, mapping and resolutions; the bits of the
- * status word as signals. For tools that support CAN but not CANopen. */
+/* imu9-sdo dbc: a DBC of the PDOs as the node has them now: node-ID, COB-IDs, mapping and resolutions; bits that have
+ * words as signals. For tools that support CAN but not CANopen. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -11,12 +11,6 @@
 #include "tools/sdo/sdo_session.h"
 
 enum { NAME_MAX_LENGTH = 32, MAP_MAX = 8, DUMMY_LAST = 0x1F, PDOS_MAX = 8 };
-
-/* Bit by bit, as gateway/README.md lists them. */
-static const char *const status_names[] = {"status_valid", "status_rest", "status_magnetometer_used",
-	"status_position_held", "status_gap", "status_position_unsure", "status_standstill_assumed",
-	"status_field_disagrees", "status_saturated", "status_sensor_lost", "status_sensor_fault",
-	"status_external_aid", "status_commissioning", "status_utc", "status_vibration"};
 
 static const uint16_t emcy_codes[] = {EMCY_NO_ERROR, EMCY_SLOPE_LONG, EMCY_SLOPE_LATERAL, EMCY_SENSOR_LOST,
 	EMCY_SENSOR_DEGRADED, EMCY_IMPLAUSIBLE, EMCY_STORE_DAMAGED, EMCY_DATA_SET, EMCY_CONFIGURATION,
@@ -115,15 +109,31 @@ static void print_signal(struct dbc *dbc, struct message *m, const char *text, c
 	m->bit += bits;
 }
 
-static void print_status(struct dbc *dbc, struct message *m)
+/* A signal for each bit that has a word: "status_valid". */
+static void print_bits(struct dbc *dbc, struct message *m, const struct od_entry *entry, unsigned bits)
 {
-	const unsigned count = sizeof(status_names) / sizeof(status_names[0]);
+	const char *dot = strrchr(entry->name, '.');
+	unsigned first = m->bit;
+	struct od_word word = {0};
+	char name[NAME_MAX_LENGTH + 1];
 
-	for (unsigned i = 0; i < count; i++) {
-		print_signal(dbc, m, status_names[i], NULL, 1);
+	while (od_next_word(entry, &word)) {
+		m->bit = first + word.number;
+		snprintf(name, sizeof(name), "%s_%.*s", dot ? dot + 1 : entry->name, (int)word.length, word.text);
+		print_signal(dbc, m, name, NULL, 1);
 		fprintf(dbc->values, "VAL_ %u %s 0 \"no\" 1 \"yes\" ;\n", m->id, m->names[m->count - 1]);
 	}
-	m->bit += 16 - count;
+	m->bit = first + bits;
+}
+
+static void print_words(struct dbc *dbc, const struct message *m, const struct od_entry *entry)
+{
+	struct od_word word = {0};
+
+	fprintf(dbc->values, "VAL_ %u %s", m->id, m->names[m->count - 1]);
+	while (od_next_word(entry, &word))
+		fprintf(dbc->values, " %u \"%.*s\"", word.number, (int)word.length, word.text);
+	fputs(" ;\n", dbc->values);
 }
 
 /* A mapping entry: index << 16 | sub-index << 8 | bits. Dummies of an RPDO are gaps. */
@@ -133,16 +143,18 @@ static void print_mapped(struct dbc *dbc, struct message *m, uint32_t mapping)
 	uint16_t index = (uint16_t)(mapping >> 16);
 	uint8_t sub = (uint8_t)(mapping >> 8), bits = (uint8_t)mapping;
 	const struct od_entry *entry = od_find(table, index, sub, NULL);
+	bool fits = entry && entry->size * 8u == bits, words = fits && entry->words && entry->words[0];
 	char unknown[NAME_MAX_LENGTH];
 
 	if (index <= DUMMY_LAST || bits > 64 || m->bit + bits > 64) {
 		m->bit += bits;
-	} else if (!dbc->session->eds_path && index == OD_INDEX_SAMPLE && sub == OD_SUB_SAMPLE_STATUS) {
-		print_status(dbc, m);
+	} else if (words && entry->words_of_bits) {
+		print_bits(dbc, m, entry, bits);
 	} else {
 		snprintf(unknown, sizeof(unknown), "object_%04X_%02X", index, sub);
-		print_signal(
-			dbc, m, entry ? entry->name : unknown, entry && entry->size * 8u == bits ? entry : NULL, bits);
+		print_signal(dbc, m, entry ? entry->name : unknown, fits ? entry : NULL, bits);
+		if (words)
+			print_words(dbc, m, entry);
 	}
 }
 

@@ -8,6 +8,7 @@
 
 #include "od_values.h"
 #include "tools/lib/cli_value.h"
+#include "tools/sdo/sdo_json.h"
 #include "tools/sdo/sdo_load.h"
 
 #define COB_ID_FOLLOWS (1u << 29) /* 2130h: add the node-ID */
@@ -226,7 +227,8 @@ static bool is_written_later(const uint8_t *bytes, size_t size, size_t used, con
 	return false;
 }
 
-static bool differs(struct session *s, const struct od_dcf_item *item, const uint8_t *value)
+static bool differs(
+	struct session *s, const struct od_dcf_item *item, const uint8_t *value, struct json_object *differences)
 {
 	const struct od_entry *entry = od_find(s->table, item->index, item->sub, NULL);
 	uint8_t wire[OD_VALUE_MAX];
@@ -238,6 +240,11 @@ static bool differs(struct session *s, const struct od_dcf_item *item, const uin
 	}
 	if (s->node.sdo.size == item->size && memcmp(wire, value, item->size) == 0)
 		return false;
+	if (differences) {
+		sdo_json_add_difference(differences, s, &(struct target){item->index, item->sub, entry}, wire,
+			s->node.sdo.size, value, item->size);
+		return true;
+	}
 	cli_address_text(item->index, item->sub, entry, name, sizeof(name));
 	cli_hex_text(wire, s->node.sdo.size, there, sizeof(there));
 	cli_hex_text(value, item->size, wanted, sizeof(wanted));
@@ -259,6 +266,8 @@ static int use_concise(struct session *s, const uint8_t *bytes, size_t size, boo
 	struct od_dcf_item item;
 	size_t used = 0;
 	int good = 0, bad = 0;
+	struct json_object *document = s->json ? sdo_json_new(s) : NULL;
+	struct json_object *differences = document ? sdo_json_array(document, "differences") : NULL;
 
 	sdo_open(s);
 	while (od_dcf_next(bytes, size, &used, &item)) {
@@ -267,14 +276,16 @@ static int use_concise(struct session *s, const uint8_t *bytes, size_t size, boo
 
 		if (!apply && is_written_later(bytes, size, used, &item))
 			continue;
-		bool ok = apply ? write_item(s, &item, value) : !differs(s, &item, value);
+		bool ok = apply ? write_item(s, &item, value) : !differs(s, &item, value, differences);
 		good += ok;
 		bad += !ok;
 		if (!ok && s->node.sdo.result != SDO_ABORTED && s->node.sdo.result != SDO_DONE)
 			break;
 	}
 	sdo_close(s);
-	if (!s->quiet)
+	if (document)
+		sdo_json_print_comparison(document, good, bad - (int)json_object_array_length(differences));
+	else if (!s->quiet)
 		fprintf(stderr, "imu9-sdo: node %ld: %d values %s, %d %s\n", s->node_id, good,
 			apply ? "written" : "as in the file", bad, apply ? "failed" : "differ");
 	return bad ? CLI_FAILED : CLI_OK;
@@ -296,6 +307,8 @@ static int use_file(struct session *s, const char *path, bool apply)
 int sdo_command_dcf(struct session *s, int argc, char **argv)
 {
 	(void)argc;
+	if (s->json && strcmp(argv[0], "compare") != 0)
+		cli_usage_error("--json is for dcf compare only");
 	if (strcmp(argv[0], "apply") == 0)
 		return use_file(s, argv[1], true);
 	if (strcmp(argv[0], "compare") == 0)

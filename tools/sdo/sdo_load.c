@@ -5,6 +5,7 @@
 
 #include "gateway/canopen/cia301.h"
 #include "tools/lib/cli_value.h"
+#include "tools/sdo/sdo_json.h"
 #include "od_index.h"
 
 /* COB-IDs that have the default for the node of the file get the default for this node. */
@@ -292,9 +293,15 @@ int sdo_load(struct session *s, struct settings *settings)
 
 /* ---- compare ----------------------------------------------------------------------------------------------------- */
 
-static void print_difference(struct session *s, const struct setting *setting, const uint8_t *wire, size_t size)
+static void print_difference(struct session *s, const struct setting *setting, const uint8_t *wire, size_t size,
+	struct json_object *differences)
 {
 	const struct target target = {setting->entry->index, setting->entry->sub, setting->entry};
+
+	if (differences) {
+		sdo_json_add_difference(differences, s, &target, wire, size, setting->wire, setting->size);
+		return;
+	}
 	char there[CLI_VALUE_TEXT_MAX], wanted[CLI_VALUE_TEXT_MAX];
 
 	sdo_value_text(s, &target, setting->wire, setting->size, wanted, sizeof(wanted));
@@ -306,6 +313,8 @@ int sdo_compare(struct session *s, struct settings *settings)
 {
 	int same = 0, different = 0, failed = 0;
 	uint8_t wire[OD_VALUE_MAX];
+	struct json_object *document = s->json ? sdo_json_new(s) : NULL;
+	struct json_object *differences = document ? sdo_json_array(document, "differences") : NULL;
 
 	move_to_node(settings, s->node_id);
 	sdo_open(s);
@@ -321,11 +330,13 @@ int sdo_compare(struct session *s, struct settings *settings)
 			same++;
 		} else {
 			different++;
-			print_difference(s, setting, wire, s->node.sdo.size);
+			print_difference(s, setting, wire, s->node.sdo.size, differences);
 		}
 	}
 	sdo_close(s);
-	if (!s->quiet)
+	if (document)
+		sdo_json_print_comparison(document, same, failed);
+	else if (!s->quiet)
 		fprintf(stderr, "imu9-sdo: node %ld: %d values as in the file, %d differ, %d could not be read\n",
 			s->node_id, same, different, failed);
 	return different || failed ? CLI_FAILED : CLI_OK;

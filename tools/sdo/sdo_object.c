@@ -1,12 +1,11 @@
-/* imu9-sdo read, write, dump, log, watch. */
+/* imu9-sdo read, write, dump, objects, log. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "tools/lib/cli_value.h"
+#include "tools/sdo/sdo_json.h"
 #include "tools/sdo/sdo_session.h"
-
-enum { STRING_MAX = 1024 }; /* longest string of other devices */
 
 /* ---- read, log --------------------------------------------------------------------------------------------------- */
 
@@ -46,7 +45,19 @@ static void open_with_blocks(struct session *s)
 	s->node.blocks = blocks;
 }
 
-static bool print_object(struct session *s, const struct target *t, const char *file)
+/* The result of the last transfer. */
+static void add_object(
+	struct json_object *values, struct session *s, const struct target *target, const uint8_t *wire, bool done)
+{
+	struct json_object *object = sdo_json_object(s, target, wire, s->node.sdo.size, done);
+
+	if (!done)
+		sdo_json_add_error(object, &s->node);
+	json_object_array_add(values, object);
+}
+
+/* `values`: the array of --json, or NULL. */
+static bool print_object(struct session *s, const struct target *t, const char *file, struct json_object *values)
 {
 	static uint8_t wire[SDO_DOMAIN_MAX];
 	bool as_bytes = is_domain(t) || file;
@@ -54,10 +65,14 @@ static bool print_object(struct session *s, const struct target *t, const char *
 	bool done = large ? cli_node_read_large(&s->node, t->index, t->sub, wire, sizeof(wire))
 			  : cli_node_read(&s->node, t->index, t->sub, wire, sizeof(wire));
 
+	if (values)
+		add_object(values, s, t, wire, done);
 	if (!done) {
 		cli_node_explain(&s->node, t->entry);
 		return false;
 	}
+	if (values)
+		return true;
 	if (as_bytes)
 		return sdo_write_file(file ? file : "-", wire, s->node.sdo.size);
 	print_value(s, t, wire);
@@ -76,26 +91,56 @@ int sdo_command_read(struct session *s, int argc, char **argv)
 		n += sdo_targets(s, argv[i], &targets[n], SDO_TARGETS_MAX - n);
 	if (n == 0 || (file && n > 1))
 		cli_usage_error("usage: imu9-sdo read OBJECT... (one with -o FILE)");
+	for (size_t i = 0; s->json && i < n; i++)
+		if (file || is_domain(&targets[i]))
+			cli_usage_error("--json is for values: read a DOMAIN, and with -o FILE, without it");
 	open_with_blocks(s);
+	struct json_object *document = s->json ? sdo_json_new(s) : NULL;
+	struct json_object *values = document ? sdo_json_array(document, "values") : NULL;
 	for (size_t i = 0; i < n; i++) {
-		if (print_object(s, &targets[i], file))
+		if (print_object(s, &targets[i], file, values))
 			continue;
 		exit_code = CLI_FAILED;
 		if (s->node.sdo.result != SDO_ABORTED && s->node.sdo.result != SDO_DONE)
 			break;
 	}
 	sdo_close(s);
+	if (document)
+		sdo_json_print(document, false);
 	return exit_code;
+}
+
+/* Lines of 2131h: seconds since the start, a blank, the text. */
+static void print_events(const struct session *s, char *text)
+{
+	struct json_object *document = sdo_json_new(s), *events = sdo_json_array(document, "events");
+
+	for (char *rest = NULL, *line = strtok_r(text, "\n", &rest); line; line = strtok_r(NULL, "\n", &rest)) {
+		struct json_object *event = json_object_new_object();
+		char *words = line;
+		double t_s = strtod(line, &words);
+
+		json_object_object_add(event, "t", json_object_new_double(t_s));
+		json_object_object_add(event, "text", json_object_new_string(words + (*words == ' ')));
+		json_object_array_add(events, event);
+	}
+	sdo_json_print(document, false);
 }
 
 int sdo_command_log(struct session *s, int argc, char **argv)
 {
+	static char text[OD_DOMAIN_MAX + 1];
 	struct target log;
 
 	(void)argc, (void)argv;
 	sdo_targets(s, "0x2131", &log, 1);
 	sdo_open(s);
-	bool done = print_object(s, &log, "-");
+	bool done = s->json ? cli_node_read_large(&s->node, log.index, log.sub, text, sizeof(text) - 1)
+			    : print_object(s, &log, "-", NULL);
+	if (s->json && done)
+		print_events(s, text);
+	else if (s->json)
+		cli_node_explain(&s->node, log.entry);
 	sdo_close(s);
 	return done ? CLI_OK : CLI_FAILED;
 }
@@ -106,7 +151,7 @@ static void parse_value(const struct target *target, const char *text, uint8_t *
 {
 	const struct od_entry *entry = target->entry;
 	enum od_status status = OD_BAD_VALUE;
-	char limits[128] = "";
+	char limits[256] = "";
 
 	/* an explicit type is for objects that are not in the EDS, and to test a wrong type */
 	if (!entry || entry->type != OD_VISIBLE_STRING)
@@ -121,6 +166,8 @@ static void parse_value(const struct target *target, const char *text, uint8_t *
 	if (status == OD_OK)
 		return;
 	od_limits_text(entry, limits, sizeof(limits));
+	if (entry->words && entry->words[0])
+		snprintf(limits, sizeof(limits), "%s", entry->words);
 	cli_usage_error(
 		"%s = %s: %s%s%s", entry->name, text, od_status_text(status), limits[0] ? "; allowed: " : "", limits);
 }
@@ -141,15 +188,30 @@ static int write_file_to(struct session *s, const struct target *target, const c
 	return done ? CLI_OK : CLI_FAILED;
 }
 
+/* A value is that of one object. */
+static struct target find_single(const struct session *s, const char *name)
+{
+	static struct target targets[SDO_TARGETS_MAX];
+	size_t n = sdo_targets(s, name, targets, SDO_TARGETS_MAX), used = 0;
+	char members[1024] = "";
+
+	for (size_t i = 0; i < n && used < sizeof(members); i++)
+		used += (size_t)snprintf(members + used, sizeof(members) - used, "%s%s", i ? ", " : "",
+			targets[i].entry ? targets[i].entry->name : "");
+	if (n > 1)
+		cli_usage_error("%s is a record: write its members one by one: %s", name, members);
+	return targets[0];
+}
+
 int sdo_command_write(struct session *s, int argc, char **argv)
 {
-	struct target target;
 	uint8_t wire[OD_VALUE_MAX];
 	size_t size;
 
 	extract_block_options(s, &argc, argv);
-	if (argc != 2 || sdo_targets(s, argv[0], &target, 1) != 1)
+	if (argc != 2)
 		cli_usage_error("usage: imu9-sdo write OBJECT VALUE (a DOMAIN: FILE)");
+	struct target target = find_single(s, argv[0]);
 	bool named = strncmp(argv[1], "file:", 5) == 0 && (!target.entry || target.entry->type != OD_VISIBLE_STRING);
 	if (named || is_domain(&target))
 		return write_file_to(s, &target, argv[1] + (named ? 5 : 0));
@@ -171,119 +233,102 @@ static bool is_highest_subindex(const struct od_entry *entry)
 	return entry->sub == 0 && (entry->access & OD_CONST) && entry->type == OD_UNSIGNED8 && strchr(entry->name, '.');
 }
 
+static void print_entry(const struct od_entry *entry)
+{
+	printf("%04Xh:%02X  %-44s %-8s %s\n", entry->index, entry->sub, entry->name, entry->unit, entry->description);
+}
+
+/* One object, and the words of its values or bits; with -q only these. */
+static void print_words(const struct session *s, const struct od_entry *entry)
+{
+	struct od_word word = {0};
+
+	if (!s->quiet)
+		print_entry(entry);
+	while (od_next_word(entry, &word)) {
+		if (s->quiet)
+			printf("%.*s\n", (int)word.length, word.text);
+		else
+			printf("  %s%-3u %.*s\n", entry->words_of_bits ? "bit " : "", word.number, (int)word.length,
+				word.text);
+	}
+}
+
 int sdo_command_objects(struct session *s, int argc, char **argv)
 {
-	(void)argc, (void)argv;
+	static struct target targets[SDO_TARGETS_MAX];
+	size_t n = argc > 0 ? sdo_targets(s, argv[0], targets, SDO_TARGETS_MAX) : 0;
+
+	if (n == 1 && targets[0].entry) {
+		print_words(s, targets[0].entry);
+		return CLI_OK;
+	}
 	for (size_t i = 0; i < s->table->count; i++) {
 		const struct od_entry *entry = &s->table->entries[i];
 
+		if (n > 0 && (entry->index != targets[0].index || entry->sub == 0))
+			continue;
 		if (is_highest_subindex(entry))
 			continue;
 		if (s->quiet)
 			puts(entry->name);
 		else
-			printf("%04Xh:%02X  %-44s %-8s %s\n", entry->index, entry->sub, entry->name, entry->unit,
-				entry->description);
+			print_entry(entry);
 	}
 	return CLI_OK;
 }
 
+/* One object. False: the node does not answer. DOMAINs are not in `values`, the array of --json. */
+static bool dump_entry(struct session *s, const struct od_entry *entry, struct json_object *values, int *failed)
+{
+	const struct target target = {entry->index, entry->sub, entry};
+	uint8_t wire[SDO_STRING_MAX];
+	char text[CLI_VALUE_TEXT_MAX];
+	bool domain = entry->type == OD_DOMAIN;
+	bool done = !domain && cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire));
+
+	if (!done && !domain) {
+		if (s->node.sdo.result != SDO_ABORTED)
+			return false;
+		*failed += s->node.sdo.abort_code != SDO_ABORT_NO_DATA;
+	}
+	if (values && !domain)
+		add_object(values, s, &target, wire, done);
+	if (values)
+		return true;
+	if (domain)
+		snprintf(text, sizeof(text), "(a file: imu9-sdo read %s -o FILE)", entry->name);
+	else if (done)
+		sdo_value_text(s, &target, wire, s->node.sdo.size, text, sizeof(text));
+	else
+		snprintf(text, sizeof(text), "(%s, abort %08Xh)", sdo_abort_text(s->node.sdo.abort_code),
+			s->node.sdo.abort_code);
+	printf("%04Xh:%02X  %-44s = %s\n", entry->index, entry->sub, entry->name, text);
+	return true;
+}
+
 int sdo_command_dump(struct session *s, int argc, char **argv)
 {
-	(void)argc, (void)argv;
-	uint8_t wire[STRING_MAX];
-	char text[CLI_VALUE_TEXT_MAX];
+	struct json_object *document = s->json ? sdo_json_new(s) : NULL;
+	struct json_object *values = document ? sdo_json_array(document, "values") : NULL;
+	bool answers = true;
 	int failed = 0;
 
+	(void)argc, (void)argv;
 	sdo_open(s);
-	for (size_t i = 0; i < s->table->count; i++) {
+	for (size_t i = 0; answers && i < s->table->count; i++) {
 		const struct od_entry *entry = &s->table->entries[i];
-		const struct target target = {entry->index, entry->sub, entry};
 
-		if (!(entry->access & OD_READ) || is_highest_subindex(entry))
-			continue;
-		if (entry->type == OD_DOMAIN) {
-			snprintf(text, sizeof(text), "(a file: imu9-sdo read %s -o FILE)", entry->name);
-		} else if (cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
-			sdo_value_text(s, &target, wire, s->node.sdo.size, text, sizeof(text));
-		} else if (s->node.sdo.result == SDO_ABORTED) {
-			failed += s->node.sdo.abort_code != SDO_ABORT_NO_DATA;
-			snprintf(text, sizeof(text), "(%s, abort %08Xh)", sdo_abort_text(s->node.sdo.abort_code),
-				s->node.sdo.abort_code);
-		} else {
+		if ((entry->access & OD_READ) && !is_highest_subindex(entry) &&
+			!dump_entry(s, entry, values, &failed)) {
 			cli_node_explain(&s->node, entry);
-			sdo_close(s);
-			return CLI_FAILED;
+			answers = false;
 		}
-		printf("%04Xh:%02X  %-44s = %s\n", entry->index, entry->sub, entry->name, text);
 	}
 	sdo_close(s);
+	if (document)
+		sdo_json_print(document, false);
 	if (failed)
 		cli_error("%d objects of the EDS could not be read: is this the EDS of this node?", failed);
-	return failed ? CLI_FAILED : CLI_OK;
-}
-
-/* ---- watch ------------------------------------------------------------------------------------------------------- */
-
-static bool print_line(struct session *s, const struct target *targets, size_t n, double t_s)
-{
-	char text[CLI_VALUE_TEXT_MAX], name[128];
-	uint8_t wire[STRING_MAX];
-
-	for (size_t i = 0; i < n; i++) {
-		if (!cli_node_read(&s->node, targets[i].index, targets[i].sub, wire, sizeof(wire))) {
-			cli_node_explain(&s->node, targets[i].entry);
-			return false;
-		}
-		if (i == 0 && !s->quiet)
-			printf("%10.3f s", t_s);
-		sdo_value_text(s, &targets[i], wire, s->node.sdo.size, text, sizeof(text));
-		sdo_target_name(&targets[i], name, sizeof(name));
-		if (s->quiet)
-			printf("%s%s", i ? " " : "", text);
-		else
-			printf("  %s = %s", name, text);
-	}
-	putchar('\n');
-	return fflush(stdout) == 0;
-}
-
-/* True: a signal arrived before that time. */
-static bool wait_until(struct session *s, int signals, uint64_t until_us)
-{
-	struct can_msg msg;
-
-	while (cli_now_us() < until_us) {
-		if (cli_wait(s->node.bus, signals, until_us))
-			return true;
-		while (can_receive(s->node.bus, &msg, cli_now_us()) > 0)
-			; /* late answers */
-	}
-	return false;
-}
-
-int sdo_command_watch(struct session *s, int argc, char **argv)
-{
-	static struct target targets[SDO_TARGETS_MAX];
-	const char *rate_text = sdo_extract_value(&argc, argv, "--rate");
-	const char *count_text = sdo_extract_value(&argc, argv, "--count");
-	double rate_hz = rate_text ? cli_real_option("--rate", rate_text, 0.01, 1000) : 2;
-	long left = count_text ? cli_integer_option("--count", count_text, 1, 1000000000) : -1;
-	size_t n = 0;
-	bool ok = true;
-
-	for (int i = 0; i < argc; i++)
-		n += sdo_targets(s, argv[i], &targets[n], SDO_TARGETS_MAX - n);
-	if (n == 0)
-		cli_usage_error("usage: imu9-sdo watch OBJECT... [--rate HZ] [--count N]");
-	int signals = cli_signal_fd();
-	sdo_open(s);
-	uint64_t start_us = cli_now_us(), next_us = start_us;
-	while (ok && left != 0 && !wait_until(s, signals, next_us)) {
-		ok = print_line(s, targets, n, (double)(cli_now_us() - start_us) / 1e6);
-		next_us += (uint64_t)(1e6 / rate_hz);
-		left -= left > 0;
-	}
-	sdo_close(s);
-	return ok ? CLI_OK : CLI_FAILED;
+	return failed || !answers ? CLI_FAILED : CLI_OK;
 }

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "gateway/canopen/cia301.h"
+#include "tools/sdo/sdo_json.h"
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
 
@@ -13,7 +14,9 @@ enum { IDENTITY_NUMBERS = 4 };
 struct seen {
 	bool answers;
 	uint8_t state;			     /* in its heartbeat */
+	uint32_t type;			     /* 1000h; 0: not read */
 	uint32_t identity[IDENTITY_NUMBERS]; /* 1018h; 0: not read */
+	char name[65];			     /* 1008h */
 };
 
 static void on_frame(struct seen nodes[NODES], const struct can_msg *msg)
@@ -68,35 +71,59 @@ static const char *state_text(uint8_t state)
 }
 
 /* 0: the node does not have it. */
-static uint32_t print_number(struct cli_node *node, const char *name, uint16_t index, uint8_t sub)
+static uint32_t read_number(struct cli_node *node, uint16_t index, uint8_t sub)
 {
 	uint8_t wire[4];
 
 	if (!cli_node_read(node, index, sub, wire, sizeof(wire)) || node->sdo.size != 4)
 		return 0;
-	printf("  %s %08Xh", name, (unsigned int)sdo_number(wire, 4));
 	return (uint32_t)sdo_number(wire, 4);
 }
 
-static void print_node(struct session *s, struct can_port *bus, uint8_t id, struct seen *seen)
+static void read_node(struct session *s, struct can_port *bus, uint8_t id, struct seen *seen)
 {
-	static const char *const identity[IDENTITY_NUMBERS] = {"vendor", "product", "revision", "serial"};
 	static const struct od_entry TEXT = {.type = OD_VISIBLE_STRING};
 	struct cli_node node;
-	char name[65];
 	uint8_t wire[64];
 
+	cli_node_use(&node, bus, s->bus, id, s->timeout_ms);
+	seen->type = read_number(&node, OD_INDEX_DEVICE_TYPE, 0);
+	for (uint8_t i = 0; i < IDENTITY_NUMBERS; i++)
+		seen->identity[i] = read_number(&node, OD_INDEX_IDENTITY, (uint8_t)(i + 1));
+	if (!cli_node_read(&node, OD_INDEX_MANUFACTURER_DEVICE_NAME, 0, wire, sizeof(wire)) ||
+		od_format(&TEXT, wire, node.sdo.size, seen->name, sizeof(seen->name)) < 0)
+		seen->name[0] = '\0';
+}
+
+static const char *const identity_names[IDENTITY_NUMBERS] = {"vendor", "product", "revision", "serial"};
+
+static void print_node(uint8_t id, const struct seen *seen)
+{
 	printf("%3u  %-15s", id, state_text(seen->state));
-	if (seen->answers) {
-		cli_node_use(&node, bus, s->bus, id, s->timeout_ms);
-		print_number(&node, "type", OD_INDEX_DEVICE_TYPE, 0);
-		for (uint8_t i = 0; i < IDENTITY_NUMBERS; i++)
-			seen->identity[i] = print_number(&node, identity[i], OD_INDEX_IDENTITY, (uint8_t)(i + 1));
-		if (cli_node_read(&node, OD_INDEX_MANUFACTURER_DEVICE_NAME, 0, wire, sizeof(wire)) &&
-			od_format(&TEXT, wire, node.sdo.size, name, sizeof(name)) > 0)
-			printf("  %s", name);
-	}
+	if (seen->type)
+		printf("  type %08Xh", seen->type);
+	for (size_t i = 0; i < IDENTITY_NUMBERS; i++)
+		if (seen->identity[i])
+			printf("  %s %08Xh", identity_names[i], seen->identity[i]);
+	if (seen->name[0])
+		printf("  %s", seen->name);
 	putchar('\n');
+}
+
+static void add_node(struct json_object *nodes, uint8_t id, const struct seen *seen)
+{
+	struct json_object *node = json_object_new_object();
+
+	json_object_object_add(node, "node", json_object_new_int(id));
+	json_object_object_add(node, "state", json_object_new_string(state_text(seen->state)));
+	json_object_object_add(node, "answers", json_object_new_boolean(seen->answers));
+	if (seen->answers) {
+		json_object_object_add(node, "type", json_object_new_int64(seen->type));
+		for (size_t i = 0; i < IDENTITY_NUMBERS; i++)
+			json_object_object_add(node, identity_names[i], json_object_new_int64(seen->identity[i]));
+		json_object_object_add(node, "name", json_object_new_string(seen->name));
+	}
+	json_object_array_add(nodes, node);
 }
 
 /* CiA 301, 7.5.2.20: the four numbers together are unique. */
@@ -116,6 +143,8 @@ int sdo_command_scan(struct session *s, int argc, char **argv)
 {
 	struct can_port *bus = cli_open_bus(s->bus);
 	struct seen nodes[NODES];
+	struct json_object *document = s->json ? json_object_new_object() : NULL;
+	struct json_object *list = document ? sdo_json_array(document, "nodes") : NULL;
 	int found = 0;
 
 	(void)argc, (void)argv;
@@ -128,11 +157,18 @@ int sdo_command_scan(struct session *s, int argc, char **argv)
 	for (uint8_t id = 1; sent && id < NODES; id++) {
 		if (!nodes[id].answers && nodes[id].state == STATE_UNKNOWN)
 			continue;
-		print_node(s, bus, id, &nodes[id]);
+		if (nodes[id].answers)
+			read_node(s, bus, id, &nodes[id]);
+		if (list)
+			add_node(list, id, &nodes[id]);
+		else
+			print_node(id, &nodes[id]);
 		found++;
 	}
 	can_close(bus);
 	tell_equal(nodes);
+	if (document)
+		sdo_json_print(document, false);
 	if (sent && !s->quiet)
 		fprintf(stderr, "imu9-sdo: %d node%s on %s%s\n", found, found == 1 ? "" : "s", s->bus,
 			found ? "" : "; nodes without a node-ID: 'imu9-sdo lss scan'");

@@ -8,7 +8,7 @@
 #include "tools/lib/cli_node.h"
 #include "tools/eds/eds.h"
 
-enum { SDO_TARGETS_MAX = 512, SDO_DOMAIN_MAX = 4 << 20 };
+enum { SDO_TARGETS_MAX = 512, SDO_DOMAIN_MAX = 4 << 20, SDO_STRING_MAX = 1024 /* of other devices */ };
 
 struct session {
 	const char *bus;
@@ -17,6 +17,7 @@ struct session {
 	unsigned int timeout_ms;
 	bool timeout_given;
 	bool quiet;
+	bool json;
 
 	const struct od_table *table;
 	struct cli_node node;
@@ -31,7 +32,8 @@ struct target {
 	const struct od_entry *entry; /* NULL: not in the EDS */
 };
 
-/** An object, or all members of a record. Returns the count; an unknown object is a usage error. */
+/** An object, or all members of a record. Returns the count; an unknown object is a usage error, more than `capacity`,
+ * too. */
 size_t sdo_targets(const struct session *s, const char *text, struct target *targets, size_t capacity);
 /** "0.05 m", or the value without unit with -q. */
 void sdo_value_text(
@@ -68,6 +70,7 @@ int sdo_command_write(struct session *s, int argc, char **argv);
 int sdo_command_objects(struct session *s, int argc, char **argv);
 int sdo_command_dump(struct session *s, int argc, char **argv);
 int sdo_command_log(struct session *s, int argc, char **argv);
+/* sdo_watch.c */
 int sdo_command_watch(struct session *s, int argc, char **argv);
 /* sdo_file.c */
 int sdo_command_save(struct session *s, int argc, char **argv);

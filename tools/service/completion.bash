@@ -36,7 +36,11 @@ _imu9() {
 		case $command in
 		'') COMPREPLY=($(compgen -W "$commands" -- "$word")) ;;
 		read | watch) _imu9_objects "$word" ;;
-		write) [ $((COMP_CWORD - i)) = 1 ] && _imu9_objects "$word" ;;
+		write)
+			[ $((COMP_CWORD - i)) = 1 ] && _imu9_objects "$word"
+			[ $((COMP_CWORD - i)) = 2 ] && COMPREPLY=($(compgen -W "$(imu9-sdo -q objects "$before" 2>/dev/null)" -- "$word"))
+			;;
+		objects) _imu9_objects "$word" ;;
 		store | restore) COMPREPLY=($(compgen -W "$groups" -- "$word")) ;;
 		nmt) COMPREPLY=($(compgen -W 'start stop preop reset reset-comm' -- "$word")) ;;
 		lss) COMPREPLY=($(compgen -W 'scan assign inquire node-id bit-rate store' -- "$word")) ;;
