@@ -18,7 +18,8 @@ static bool is_name_character(char c)
 	return isalnum((unsigned char)c) || c == '.';
 }
 
-/* Compares a name as entered with a normalised one. `whole`: a ParameterName of the EDS, "Lever arm l" for "lever_arm.l". */
+/* Compares a name as entered with a normalised one. `whole`: a ParameterName of the EDS, as "Lever arm l" for
+ * "lever_arm.l". */
 static bool names_match(const char *typed, const char *name, bool whole)
 {
 	while (*typed) {

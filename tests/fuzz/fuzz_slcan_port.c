@@ -1,5 +1,5 @@
-/* The slcan driver at an adapter that sends anything, in pieces, is unplugged and comes back. No call is endless, frames
- * are valid, and what the driver writes is lines of slcan. */
+/* The slcan driver at an adapter that sends anything, in pieces, is unplugged and comes back. No call is endless,
+ * frames are valid, and what the driver writes is lines of slcan. */
 #include <fcntl.h>
 #include <string.h>
 #include <termios.h>

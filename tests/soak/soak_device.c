@@ -1,9 +1,9 @@
 /* The whole device for days in simulated time: a robot that rests, and drives once an hour around a square of 2 m, at
- * 100 samples and SYNCs a second, with a master that reads by SDO every second and time from the host. The clock wraps 2^32
- * ms in the middle.
+ * 100 samples and SYNCs a second, with a master that reads by SDO every second and time from the host. The clock
+ * wraps 2^32 ms in the middle.
  *
- * usage: soak_device [DAYS] [SEED]. Prints what was seen; exits 1 when a promise is broken: frames missing or too many, an
- * EMCY, a value that is not finite, memory that grows, errors that their sigmas do not explain. */
+ * usage: soak_device [DAYS] [SEED]. Prints what was seen; exits 1 when a promise is broken: frames missing or too many,
+ * an EMCY, a value that is not finite, memory that grows, errors that their sigmas do not explain. */
 #include <malloc.h>
 #include <math.h>
 #include <stdio.h>

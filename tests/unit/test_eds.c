@@ -882,7 +882,8 @@ static void test_the_device_file_has_crlf_line_ends_and_no_empty_key(void **stat
 	}
 }
 
-/* Tools show the ParameterName of a sub-index alone. "Highest sub-index supported" is the name that CiA 301 gives it. */
+/* Tools show the ParameterName of a sub-index alone. "Highest sub-index supported" is the name that CiA 301
+ * gives it. */
 static void test_the_names_of_the_device_file_stand_alone_and_find_their_entry(void **state)
 {
 	(void)state;

@@ -8,8 +8,8 @@
  * RealLowLimit and RealHighLimit as decimal text: tools differ in how DefaultValue writes a REAL. Here 0x... means its
  * IEEE 754 bits.
  *
- * The name of an entry is "object.sub". A ParameterName of a sub-index that begins with that of its object stands alone in
- * other tools, "Lever arm l"; here the repetition is left out: "lever_arm.l". */
+ * The name of an entry is "object.sub". A ParameterName of a sub-index that begins with that of its object stands alone
+ * in other tools, "Lever arm l"; here the repetition is left out: "lever_arm.l". */
 #ifndef TOOLS_EDS_EDS_H
 #define TOOLS_EDS_EDS_H
 

@@ -1,6 +1,6 @@
 /* tools/sdo/sdo_json.h
- * Results of imu9-sdo as JSON (--json): one document for each command, and one line for each sample of watch. Members of
- * an object are described in tools/README.md, and by tests/interop/json_schema.py. */
+ * Results of imu9-sdo as JSON (--json): one document for each command, and one line for each sample of watch. Members
+ * of an object are described in tools/README.md, and by tests/interop/json_schema.py. */
 #ifndef TOOLS_SDO_SDO_JSON_H
 #define TOOLS_SDO_SDO_JSON_H
 
