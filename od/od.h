@@ -174,7 +174,8 @@ const struct od_entry *od_resolution(const struct od_table *table, const struct 
 /** The physical value of 1, in entry->unit, as the resolution objects say now. */
 double od_step(const struct od *od, const struct od_entry *entry);
 
-/** By name ("lever_arm.l", any case, spaces as '_', or "Lever arm l" as the EDS has it), by index ("0x2000:1", "2000h:1",
+/** By name ("lever_arm.l", any case, spaces as '_', or "Lever arm l" as the EDS has it), by index ("0x2000:1",
+ * "2000h:1",
  * "0x2000" for sub-index 0). */
 const struct od_entry *od_find_name(const struct od_table *table, const char *name);
 

@@ -1,5 +1,6 @@
 /* The device sends the same frames whatever the clock says when it is switched on: a counter of 32 bits of us wraps
- * after 71 minutes, one of ms after 49.7 days. The clock has 64 bits; a time that is cut somewhere shows as another frame. */
+ * after 71 minutes, one of ms after 49.7 days. The clock has 64 bits; a time that is cut somewhere shows as another
+ * frame. */
 #include <stdlib.h>
 #include <string.h>
 
