@@ -138,6 +138,7 @@ void device_saved(struct device *d, int result, uint64_t now_us)
 {
 	d->now_us = now_us;
 	storing_saved(&d->storing, result, now_us);
+	write_lock_update(&d->write_lock);
 }
 
 /* Inconsistent stored values must not keep the device from starting: it uses those of file and command line until they
@@ -260,6 +261,7 @@ static void set_eds(struct device *d)
 
 static void attach_hooks(struct device *d)
 {
+	write_lock_attach(&d->write_lock, &d->od, &d->values, &d->storing, &d->log, &d->now_us);
 	d->configuration_hook =
 		(struct od_hook){.first = 0x2000, .last = 0x206F, .after = on_configuration_changed, .ctx = d};
 	d->command_hook =

@@ -28,6 +28,7 @@
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
 #include "gateway/storing.h"
+#include "gateway/write_lock.h"
 #include "model/pipeline.h"
 #include "od_values.h"
 
@@ -58,6 +59,7 @@ struct device {
 	struct angle_filter angle_filter;
 	struct pdo_preset pdo_preset;
 	struct lever_arm_um lever_arm_um;
+	struct write_lock write_lock;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;

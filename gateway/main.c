@@ -43,6 +43,7 @@ static const char usage[] =
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --log-level LEVEL  error, warning, info or debug                      (default: info)\n"
 	"      --check           only tell whether the configuration is good\n"
+	"      --unlock          only open the write lock (214Ch) in the store of a gateway that is stopped\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
 	"\n"
@@ -53,7 +54,7 @@ static const char usage[] =
 	"\n"
 	"Example: imu9-gateway --imu i2c:/dev/i2c-1 --can can0 --node-id 5\n";
 
-enum { OPT_KEY = 256, OPT_SET, OPT_CHECK }; /* OPT_KEY: a key of [gateway] */
+enum { OPT_KEY = 256, OPT_SET, OPT_CHECK, OPT_UNLOCK }; /* OPT_KEY: a key of [gateway] */
 
 static const char letters[] = ":c:i:n:hV";
 static const struct option options[] = {
@@ -71,6 +72,7 @@ static const struct option options[] = {
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"log-level", required_argument, NULL, OPT_KEY},
 	{"check", no_argument, NULL, OPT_CHECK},
+	{"unlock", no_argument, NULL, OPT_UNLOCK},
 	{"help", no_argument, NULL, 'h'},
 	{"version", no_argument, NULL, 'V'},
 	{0},
@@ -122,7 +124,9 @@ static int set_key(struct config *config, const char *option, const char *value,
 	return config_option(config, key, value, why);
 }
 
-/* One option of the command line; --config and --check were handled before all others. -1: continue, else the exit
+enum action { RUN, CHECK, UNLOCK };
+
+/* One option of the command line; --config, --check and --unlock were handled before all others. -1: continue, else the exit
  * status. */
 static int apply_option(struct config *config, int option, int index, char *const argv[])
 {
@@ -132,6 +136,7 @@ static int apply_option(struct config *config, int option, int index, char *cons
 	switch (option) {
 	case 'c':
 	case OPT_CHECK:
+	case OPT_UNLOCK:
 		break;
 	case OPT_KEY:
 		rc = set_key(config, options[index].name, optarg, why);
@@ -172,7 +177,7 @@ static int apply_environment(struct config *config, const char *variable, const 
 static struct process_guard guard;
 
 /* The file before the other options, in any order on the command line. -1: run, else the exit status. */
-static int read_configuration(struct config *config, bool *check, int argc, char **argv)
+static int read_configuration(struct config *config, enum action *action, int argc, char **argv)
 {
 	char why[CONFIG_ERROR_MAX];
 	int option, index = 0, status;
@@ -185,14 +190,15 @@ static int read_configuration(struct config *config, bool *check, int argc, char
 		return status;
 	opterr = 0;
 	optind = 0; /* glibc: start again */
-	*check = false;
+	*action = RUN;
 	while ((option = getopt_long(argc, argv, letters, options, NULL)) != -1) {
 		if (option == 'c') {
 			process_guard_opening(&guard, optarg);
 			if (config_file(config, optarg, why) < 0)
 				return bad_configuration(why);
 		}
-		*check |= option == OPT_CHECK;
+		if (option == OPT_CHECK || option == OPT_UNLOCK)
+			*action = option == OPT_CHECK ? CHECK : UNLOCK;
 	}
 	optind = 0;
 	while (status < 0 && (option = getopt_long(argc, argv, letters, options, &index)) != -1)
@@ -279,6 +285,27 @@ static struct store_writer *open_store(const struct config *config, bool *damage
 	}
 	log_line("1010h and LSS store in %s", path);
 	return &writer;
+}
+
+/* --unlock */
+static int unlock(const struct config *config)
+{
+	static uint8_t bytes[STORE_FILE_MAX];
+	bool damaged;
+
+	if (!open_store(config, &damaged) || damaged) {
+		log_error("not unlocked: --unlock needs the store of a gateway that is stopped");
+		return EXIT_FAILURE;
+	}
+	bool locked = stored.lock_key != 0;
+	stored.lock_key = 0;
+	int rc = locked ? store_write(writer.path, bytes, store_encode(&stored, bytes)) : 0;
+	if (rc != 0)
+		log_error("%s: %s", writer.path, strerror(abs(rc)));
+	else
+		log_line(locked ? "unlocked" : "it is not locked");
+	store_writer_close(&writer);
+	return rc == 0 ? EXIT_SUCCESS : EXIT_FAILURE;
 }
 
 static void log_notes(const char *notes)
@@ -381,10 +408,10 @@ static struct invocation {
 static void read_again(struct device *d, uint64_t now_us)
 {
 	static struct config config;
-	bool check;
+	enum action action;
 
 	log_line("reading the configuration again");
-	int status = read_configuration(&config, &check, invocation.argc, invocation.argv);
+	int status = read_configuration(&config, &action, invocation.argc, invocation.argv);
 	if (status < 0)
 		status = check_configuration(&config);
 	if (status < 0 && reload(d, &invocation.config, &config, now_us) < 0)
@@ -457,18 +484,20 @@ int main(int argc, char **argv)
 	struct imu_port *imu;
 	struct can_port *bus;
 	char why[CONFIG_ERROR_MAX];
-	bool check;
+	enum action action;
 
 	process_guard_start(&guard);
 	invocation.argc = argc;
 	invocation.argv = argv;
-	int status = read_configuration(&invocation.config, &check, argc, argv);
+	int status = read_configuration(&invocation.config, &action, argc, argv);
 	if (status < 0)
 		status = check_configuration(config);
 	if (status >= 0)
 		return status;
-	if (check)
+	if (action == CHECK)
 		return tell_good(config);
+	if (action == UNLOCK)
+		return unlock(config);
 	log_set_level((int)config->log_level);
 	const struct imu_settings settings = settings_of(config);
 	process_guard_opening(&guard, config->imu);

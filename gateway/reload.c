@@ -69,7 +69,9 @@ int reload(struct device *d, const struct config *before, const struct config *a
 		if (size > 0 && take_over(d, e, wire, size))
 			od_dcf_add(changes, sizeof(changes), &used, &item);
 	}
+	d->write_lock.suspended = true;
 	if (used > 0)
 		od_write(&d->od, OD_INDEX_CONFIGURATION_SNAPSHOT, 0, changes, used); /* the log has the result */
+	d->write_lock.suspended = false;
 	return 0;
 }

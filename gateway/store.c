@@ -13,8 +13,8 @@
 #include "od/little_endian.h"
 
 static const uint8_t magic[8] = {'I', 'M', 'U', '9', 'S', 'T', 'O', 'R'};
-enum { VERSION = 3, VERSION_WITHOUT_REVISION = 2, VERSION_WITHOUT_LSS = 1 };
-enum { HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, REVISION_SIZE = 4, CRC_SIZE = 4 };
+enum { VERSION = 4, VERSION_WITHOUT_LOCK = 3, VERSION_WITHOUT_REVISION = 2, VERSION_WITHOUT_LSS = 1 };
+enum { HEADER_SIZE = sizeof(magic) + 8, LSS_SIZE = 8, REVISION_SIZE = 4, LOCK_SIZE = 4, CRC_SIZE = 4 };
 
 struct store_group *store_group(struct store_image *image, enum od_group group)
 {
@@ -38,8 +38,12 @@ size_t store_encode(const struct store_image *image, uint8_t *out)
 	n += LSS_SIZE;
 	put_u32(out + n, image->revision);
 	n += REVISION_SIZE;
+	if (image->lock_key) { /* an earlier version of the gateway can read the others */
+		put_u32(out + n, image->lock_key);
+		n += LOCK_SIZE;
+	}
 	memcpy(out, magic, sizeof(magic));
-	put_u32(out + 8, VERSION);
+	put_u32(out + 8, image->lock_key ? VERSION : VERSION_WITHOUT_LOCK);
 	put_u32(out + 12, (uint32_t)(n - HEADER_SIZE));
 	put_u32(out + n, od_crc32(0, out, n));
 	return n + CRC_SIZE;
@@ -77,13 +81,16 @@ static bool decode_body(struct store_image *image, const uint8_t *in, size_t siz
 {
 	const size_t lss = version > VERSION_WITHOUT_LSS ? LSS_SIZE : 0;
 	const size_t revision = version > VERSION_WITHOUT_REVISION ? REVISION_SIZE : 0;
+	const size_t lock = version > VERSION_WITHOUT_LOCK ? LOCK_SIZE : 0, appended = lss + revision + lock;
 
-	if (size < lss + revision)
+	if (size < appended)
 		return false;
-	const uint8_t *tail = in + size - lss - revision;
+	const uint8_t *tail = in + size - appended;
 	if (revision)
 		image->revision = get_u32(tail + lss);
-	return decode_groups(image, in, size - lss - revision) && (!lss || decode_lss(&image->lss, tail));
+	if (lock)
+		image->lock_key = get_u32(tail + lss + revision);
+	return decode_groups(image, in, size - appended) && (!lss || decode_lss(&image->lss, tail));
 }
 
 int store_decode(struct store_image *image, const uint8_t *in, size_t size)

@@ -4,7 +4,8 @@
  *
  * File, little-endian: "IMU9STOR"; u32 version of the format; u32 size of what follows up to the CRC; for each group 2
  * to 4 a u32 size and a concise DCF (od_encode()); u32 node-ID and u32 bit rate of LSS, 0: none (since version 2); u32
- * revision of the objects (since version 3); u32 CRC-32 of all before. */
+ * revision of the objects (since version 3); u32 key of the write lock (version 4, written only while it is locked); u32
+ * CRC-32 of all before. */
 #ifndef GATEWAY_STORE_H
 #define GATEWAY_STORE_H
 
@@ -33,6 +34,7 @@ struct store_image {
 	} lss;
 	/* 1018h:3 of the gateway that stored, for the meaning of the values. 0: unknown, stored before 0.3.0 */
 	uint32_t revision;
+	uint32_t lock_key; /* of write_lock.h; 0: open */
 };
 
 /** The group in the image: OD_GROUP_COMMUNICATION, _APPLICATION or _MANUFACTURER. */

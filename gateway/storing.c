@@ -68,6 +68,15 @@ enum od_status storing_store_lss(struct storing *s, uint8_t node_id, uint32_t bi
 	return status;
 }
 
+enum od_status storing_store_lock(struct storing *s, uint32_t key)
+{
+	if (s->in_progress)
+		return OD_DEVICE_STATE;
+	s->saving = s->stored;
+	s->saving.lock_key = key;
+	return save(s);
+}
+
 void storing_saved(struct storing *s, int result, uint64_t now_us)
 {
 	enum od_status status = storage_result(s, result);

@@ -45,6 +45,8 @@ void storing_init(struct storing *s, struct od *od, struct canopen_node *canopen
 enum od_status storing_store(struct storing *s, enum od_group group);
 enum od_status storing_restore(struct storing *s, enum od_group group);
 enum od_status storing_store_lss(struct storing *s, uint8_t node_id, uint32_t bit_s);
+/** The key of the write lock (write_lock.h); 0: open. */
+enum od_status storing_store_lock(struct storing *s, uint32_t key);
 
 /** The save in progress has ended, `result` as of store_write(). Answers the SDO or LSS request. */
 void storing_saved(struct storing *s, int result, uint64_t now_us);

@@ -303,9 +303,7 @@ enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *
 		return status;
 	if (!(entry->access & OD_WRITE))
 		return OD_READ_ONLY;
-	if (entry->type == OD_DOMAIN)
-		return write_domain(od, entry, wire, size);
-	status = od_check(entry, wire, size);
+	status = entry->type == OD_DOMAIN ? OD_OK : od_check(entry, wire, size);
 	if (status)
 		return status;
 	for (struct od_hook *hook = od->hooks; hook; hook = hook->next) {
@@ -315,6 +313,8 @@ enum od_status od_write(struct od *od, uint16_t index, uint8_t sub, const void *
 		if (status)
 			return status == OD_CONSUMED ? OD_OK : status;
 	}
+	if (entry->type == OD_DOMAIN)
+		return write_domain(od, entry, wire, size);
 	set(od, entry, wire, size);
 	for (struct od_hook *hook = od->hooks; hook; hook = hook->next)
 		if (hook->after && index >= hook->first && index <= hook->last)

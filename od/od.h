@@ -134,7 +134,7 @@ struct od_domain {
 
 /** Callbacks for writes to a range of indices. `before` gets the new value (wire form, type and limits already checked)
  * and can refuse it with a status, consume it (OD_CONSUMED) or complete it later (OD_PENDING); then the value is not
- * changed. `after` is called when the value has changed. Either may be NULL. Hooks run in the order of attachment. */
+ * changed. `after` is called when the value has changed; a DOMAIN has its own write() instead. Either may be NULL. Hooks run in the order of attachment. */
 struct od_hook {
 	struct od_hook *next;
 	uint16_t first, last; /* indices, inclusive */
