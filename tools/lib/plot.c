@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <spawn.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -66,6 +67,7 @@ static int run_gnuplot(const char *directory, const char *script, const char *fo
 	int status = -1, error;
 	pid_t pid;
 
+	setenv("LC_ALL", "C.UTF-8", 1); /* that of the script */
 	posix_spawn_file_actions_init(&actions);
 	posix_spawn_file_actions_addchdir_np(&actions, directory);
 	error = posix_spawnp(&pid, argv[0], &actions, NULL, argv, environ);
