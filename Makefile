@@ -35,7 +35,7 @@ WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
 	-MMD -MP $(CFLAGS) $(SAN)
-LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lm -pthread
+LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lncursesw -lm -pthread
 
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))

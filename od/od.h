@@ -212,6 +212,8 @@ struct od_word {
 	size_t length;
 };
 
+/** Whether its values, or bits, have words; false for NULL. */
+bool od_has_words(const struct od_entry *entry);
 /** Goes to the next word; start with an empty struct. False: there is no further one. */
 bool od_next_word(const struct od_entry *entry, struct od_word *word);
 /** A value in words: "rigid_body"; of bits "valid,rest", or "none"; "" where the value has none. A bit without a word

@@ -152,6 +152,11 @@ static enum od_status parse_octets(const char *text, uint8_t *wire, size_t capac
 	return OD_OK;
 }
 
+bool od_has_words(const struct od_entry *entry)
+{
+	return entry && entry->words && entry->words[0];
+}
+
 bool od_next_word(const struct od_entry *entry, struct od_word *word)
 {
 	const char *at = word->text ? word->text + word->length : entry->words;
@@ -206,7 +211,7 @@ void od_words_text(const struct od_entry *entry, uint64_t value, char *text, siz
 	size_t used = 0;
 
 	text[0] = '\0';
-	if (!entry->words || !entry->words[0])
+	if (!od_has_words(entry))
 		return;
 	if (!entry->words_of_bits) {
 		while (od_next_word(entry, &word))

@@ -70,6 +70,13 @@ class Json(rig.OnTheBus):
         self.assertEqual(len(lines), 3)
         self.assertLess(lines[0]["utc"], lines[2]["utc"])
 
+    def test_the_monitor_prints_what_pdos_carry(self):
+        done = rig.run("imu9-monitor", "-i", self.bus, "-n", NODE, "--json", "--start", "--sync", "50", "-t", "1.5")
+        lines = [valid("monitor", line) for line in done.stdout.splitlines()]
+        last = {value["name"]: value for value in lines[-1]["values"]}
+        self.assertEqual(last["acceleration.l"]["unit"], "m/s^2")
+        self.assertIn("valid", last["sample.status"]["words"])
+
     def test_scan_has_the_identity(self):
         nodes = valid("scan", self.sdo("scan"))["nodes"]
         serial, = struct.unpack("<I", self.read(0x1018, 4))

@@ -27,6 +27,7 @@ offers "" imu9-sdo write lever_arm.l 0
 offers "rigid_body" imu9-sdo write lever_arm_model r
 offers "--json" imu9-sdo read lever_arm.l --j
 offers "--imu" imu9-gateway --im
+offers "trajectory" imu9-plot -f t
 offers "turntable tumble" imu9-sim t
 offers "accelerometer" imu9-calibrate a
 offers "save apply compare" imu9-sdo dcf ""

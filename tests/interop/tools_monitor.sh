@@ -49,7 +49,8 @@ check "and their rate" between "${rate:-0}" "0.98 * ${received:-0} / 2" "1.2 * $
 run imu9-monitor --sync 50 --once
 check "--once" ends 0
 check "has all PDOs" says "TPDO4  490h"
-check "and the angles" grep -qE '^  angles +roll +-?[0-9]+\.[0-9]{2}  pitch .* deg$' <<<"$out"
+check "and the angles" grep -qE '^  angles\.pitch +-?[0-9]+\.[0-9]{2} +deg$' <<<"$out"
+check "no rate before it was measured" test "${out/ 0.0 Hz/}" = "$out"
 run imu9-monitor --passive --sync 50 --once
 check "--passive uses the mapping of the EDS" says "default of the EDS"
 
@@ -57,22 +58,38 @@ check "--passive uses the mapping of the EDS" says "default of the EDS"
 printf 'resolution.acceleration = 100\ntpdo2_mapping.number_of_mapped_objects = 1\ntpdo2_mapping.object_1 = 0x21030120\n' >"$work/m.ini"
 imu9-sdo -q load "$work/m.ini"
 run imu9-monitor --sync 50 --once
-check "a remapped PDO" grep -qE '^  quaternion +w +-?[0-9.]+' <<<"$out"
-check "a coarser step has fewer decimals" grep -qE '^  acceleration +l +-?[0-9]+\.[0-9]  s' <<<"$out"
+check "a remapped PDO" grep -qE '^  quaternion\.w +-?[0-9.]+' <<<"$out"
+check "a coarser step has fewer decimals" grep -qE '^  acceleration\.l +-?[0-9]+\.[0-9] +m' <<<"$out"
 
 # ---- end
 for signal in INT TERM; do
-	(timeout --preserve-status -s $signal 1 imu9-monitor --line --sync 50; echo "status $?") >"$work/lines" 2>&1
+	(timeout --preserve-status -s $signal 3 imu9-monitor --line --sync 50; echo "status $?") >"$work/lines" 2>&1
 	run cat "$work/lines"
 	check "SIG$signal ends it with status 0" grep -q "^status 0$" "$work/lines"
 	check "SIG$signal: the table" says "received"
 done
 if command -v script >/dev/null; then
-	run timeout 20 script -qec "imu9-monitor --sync 50 -t 1" /dev/null </dev/null
+	export TERM=xterm
+	run timeout 20 script -qec "stty rows 24 cols 80; imu9-monitor --sync 50 -t 3" /dev/null
 	check "in a terminal it uses the alternate screen" says $'\033[?1049h'
-	check "shows values in place" says $'\033[H'
-	check "and restores the terminal" says $'\033[?7h\033[?25h\033[?1049l'
+	check "shows values in place" says "acceleration.l"
+	check "with their sigma, from SDO" says "+-"
+	check "and restores the terminal" says $'\033[?1049l'
+	run timeout 20 script -qec "stty rows 24 cols 80; (sleep 1; printf 't'; sleep 1; printf 'q') | script -qec 'imu9-monitor --sync 50' /dev/null" /dev/null
+	check "t tares by SDO" says "tare: done"
+	check "q ends it" ends 0
 fi
+for format in csv json; do
+	run imu9-monitor --$format --sync 50 -t 2
+	printf '%s\n' "$out" >"$work/$format"
+	check "--$format" ends 0
+done
+check "--csv: units in the header" grep -q '^t \[s\],utc,nmt,sync \[Hz\],acceleration\.l \[m/s^2\],' "$work/csv"
+check "--csv: a row within the first second" awk -F, 'NR == 2 { exit !($1 < 1) }' "$work/csv"
+check "--csv: as many cells as columns" python3 -c '
+import csv, sys
+rows = list(csv.reader(open(sys.argv[1])))
+sys.exit(len(rows) < 3 or len({len(row) for row in rows}) != 1)' "$work/csv"
 run bash -c "imu9-monitor --line --sync 50 -t 5 | head -2 | wc -l"
 check "a closed pipe ends it" prints 2
 
@@ -87,7 +104,7 @@ check "PDOs are received again after a reset" between "$(column tpdo1_hz)" 45 55
 check "with the default mapping" test -n "$(column angles.roll)"
 
 # ---- wrong usage
-for arguments in "-n 0" "-n 128" "-n" "--sync 0" "--sync x" "-t -1" "--rate 1e9" "--foo" "something" "--once --line"; do
+for arguments in "-n 0" "-n 128" "-n" "--sync 0" "--sync x" "-t -1" "--rate 1e9" "--foo" "something" "--once --line" "--csv --json"; do
 	run imu9-monitor $arguments
 	check "wrong usage: '$arguments'" fails 2 "imu9-monitor: "
 done

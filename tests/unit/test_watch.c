@@ -250,8 +250,8 @@ static void test_heartbeat_sync_and_emergency_are_recorded(void **state)
 	FRAME(b, 0x080 + NODE, SECOND, 0x20, 0x81, 0x11, 0, 0, 0, 0, 0);
 	assert_int_equal(b->watch.nmt_state, NMT_STOPPED);
 	assert_int_equal(b->watch.sync.count, 1);
-	assert_int_equal(b->watch.emcy_code, 0x8120);
-	assert_int_equal(b->watch.emcy_register, 0x11);
+	assert_int_equal(b->watch.emcys[0].code, 0x8120);
+	assert_int_equal(b->watch.emcys[0].error_register, 0x11);
 }
 
 static void test_a_node_is_lost_after_three_heartbeat_periods_of_silence(void **state)

@@ -138,26 +138,26 @@ static void roll_step_figures(void)
 		free(correction[i]);
 	trial_free(&trial);
 
-	draw(&(struct plot_figure){"fig05_roll_step", "Fig. 5: test signal, roll step (50 Hz, 24 degrees)", 1, 2,
-		{{"(a) after the FIR", "time [s]", "roll [deg]", NULL,
-			 {{"fig05_07.csv", "\"t\":\"phi_deg\"", "phi", BOTH(BLUE)}}},
-			{"(b) with noise of 0.7 degrees", "time [s]", "roll [deg]", NULL,
-				{{"fig05_07.csv", "\"t\":\"phi_noisy_deg\"", "phi, noisy", BOTH(BLUE)}}}}});
+	draw(&(struct plot_figure){"fig05_roll_step", "Fig. 5. Test signal: roll step (50 Hz, 24 degrees)", 1, 2,
+		{{"(a) after the FIR", "t [s]", "φ [deg]", NULL,
+			 {{"fig05_07.csv", "\"t\":\"phi_deg\"", "φ", BOTH(BLUE)}}},
+			{"(b) with noise of 0.7 degrees", "t [s]", "φ [deg]", NULL,
+				{{"fig05_07.csv", "\"t\":\"phi_noisy_deg\"", "φ + Δφ", BOTH(BLUE)}}}}});
 	draw(&(struct plot_figure){"fig06_correction",
-		"Fig. 6: correction of the roll step at r = 5 cm, noise of 0.7 degrees", 1, 2,
-		{{"the paper's method: differentiated angles", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
-			 {{"fig05_07.csv", "\"t\":\"g_0.7\"", "from noisy angles", BOTH(ORANGE)},
+		"Fig. 6. Rotation dynamics (correction term) for the roll step: r = 5 cm, noise of 0.7 degrees", 1, 2,
+		{{"the paper's method: differentiated angles", "t [s]", "φ̇^2 r_s [g]", "set yrange [0:1.2]",
+			 {{"fig05_07.csv", "\"t\":\"g_0.7\"", "φ̇ from φ + Δφ", BOTH(ORANGE)},
 				 {"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}},
-			{"rate from the gyro", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
-				{{"fig05_07.csv", "\"t\":\"gyro_g\"", "from the gyro", BOTH(GREEN)},
+			{"ours: rate from the gyro", "t [s]", "φ̇^2 r_s [g]", "set yrange [0:1.2]",
+				{{"fig05_07.csv", "\"t\":\"gyro_g\"", "φ̇ from the gyro", BOTH(GREEN)},
 					{"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}}}});
 	draw(&(struct plot_figure){"fig07_correction_noisy",
-		"Fig. 7: correction of the roll step at other noise, r = 5 cm", 1, 2,
-		{{"(a) noise of 0.2 degrees", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
-			 {{"fig05_07.csv", "\"t\":\"g_0.2\"", "from noisy angles", BOTH(ORANGE)},
+		"Fig. 7. Rotation dynamics for the roll step at two other levels of noise, r = 5 cm", 1, 2,
+		{{"(a) noise of 0.2 degrees", "t [s]", "φ̇^2 r_s [g]", "set yrange [0:1.2]",
+			 {{"fig05_07.csv", "\"t\":\"g_0.2\"", "φ̇ from φ + Δφ", BOTH(ORANGE)},
 				 {"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}},
-			{"(b) noise of 2.0 degrees", "time [s]", "phi'^2 r [g]", "set yrange [0:1.2]",
-				{{"fig05_07.csv", "\"t\":\"g_2.0\"", "from noisy angles", BOTH(ORANGE)},
+			{"(b) noise of 2.0 degrees", "t [s]", "φ̇^2 r_s [g]", "set yrange [0:1.2]",
+				{{"fig05_07.csv", "\"t\":\"g_2.0\"", "φ̇ from φ + Δφ", BOTH(ORANGE)},
 					{"fig05_07.csv", "\"t\":\"true_g\"", "true", LINE(BLACK)}}}}});
 }
 
@@ -167,16 +167,15 @@ static void input_figure(const char *signal, double until_s, const char *csv, co
 {
 	const struct trial_config config = trial_defaults(WORLD_SEED, signal);
 	const struct plot_figure figure = {name, title, 1, 3,
-		{{"angles, noise of 0.7 degrees", "time [s]", "angle [deg]", NULL,
-			 {{csv, "\"t\":\"phi_deg\"", "phi", LINE(BLUE)},
-				 {csv, "\"t\":\"theta_deg\"", "theta", LINE(GREEN)},
-				 {csv, "\"t\":\"psi_deg\"", "psi", LINE(ORANGE)}}},
-			{"linear acceleration (truth)", "time [s]", "acceleration [m/s^2]", NULL,
+		{{"angles, noise of 0.7 degrees", "t [s]", "φ, θ, ψ [deg]", NULL,
+			 {{csv, "\"t\":\"phi_deg\"", "φ", LINE(BLUE)}, {csv, "\"t\":\"theta_deg\"", "θ", LINE(GREEN)},
+				 {csv, "\"t\":\"psi_deg\"", "ψ", LINE(ORANGE)}}},
+			{"linear acceleration (truth)", "t [s]", "a [m/s^2]", NULL,
 				{{csv, "\"t\":\"al\"", "a_l", LINE(BLUE)}, {csv, "\"t\":\"as\"", "a_s", LINE(GREEN)},
 					{csv, "\"t\":\"at\"", "a_t", LINE(ORANGE)}}},
-			{"measured acceleration, (11)", "time [s]", "acceleration [m/s^2]", NULL,
-				{{csv, "\"t\":\"fl\"", "a_l", LINE(BLUE)}, {csv, "\"t\":\"fs\"", "a_s", LINE(GREEN)},
-					{csv, "\"t\":\"ft\"", "a_t", LINE(ORANGE)}}}}};
+			{"measured acceleration, (11)", "t [s]", "ã [m/s^2]", NULL,
+				{{csv, "\"t\":\"fl\"", "ã_l", LINE(BLUE)}, {csv, "\"t\":\"fs\"", "ã_s", LINE(GREEN)},
+					{csv, "\"t\":\"ft\"", "ã_t", LINE(ORANGE)}}}}};
 	struct trial trial = make_trial(&config);
 	FILE *file = open_csv(csv, "t,phi_deg,theta_deg,psi_deg,al,as,at,fl,fs,ft");
 
@@ -226,14 +225,14 @@ static struct plot_panel estimate_panel(const char *csv, const char *title, bool
 	const char *extra = "set yrange [-9:9]";
 
 	if (seed)
-		return (struct plot_panel){title, "time [s]", "acceleration [m/s^2]", extra,
-			{{csv, "\"t\":\"seed_l\"", "a_l", LINE(BLUE)}, {csv, "\"t\":\"seed_s\"", "a_s", LINE(GREEN)},
-				{csv, "\"t\":\"seed_t\"", "a_t", LINE(ORANGE)},
-				{csv, "\"t\":\"al\"", "true", LINE(BLACK)}, {csv, "\"t\":\"as\"", "", LINE(BLACK)},
+		return (struct plot_panel){title, "t [s]", "a [m/s^2]", extra,
+			{{csv, "\"t\":\"seed_l\"", "â_l", LINE(BLUE)}, {csv, "\"t\":\"seed_s\"", "â_s", LINE(GREEN)},
+				{csv, "\"t\":\"seed_t\"", "â_t", LINE(ORANGE)},
+				{csv, "\"t\":\"al\"", "a (true)", LINE(BLACK)}, {csv, "\"t\":\"as\"", "", LINE(BLACK)},
 				{csv, "\"t\":\"at\"", "", LINE(BLACK)}}};
-	return (struct plot_panel){title, "time [s]", "acceleration [m/s^2]", extra,
-		{{csv, "\"t\":\"auto_l\"", "a_l", LINE(BLUE)}, {csv, "\"t\":\"auto_s\"", "a_s", LINE(GREEN)},
-			{csv, "\"t\":\"auto_t\"", "a_t", LINE(ORANGE)}, {csv, "\"t\":\"al\"", "true", LINE(BLACK)},
+	return (struct plot_panel){title, "t [s]", "a [m/s^2]", extra,
+		{{csv, "\"t\":\"auto_l\"", "â_l", LINE(BLUE)}, {csv, "\"t\":\"auto_s\"", "â_s", LINE(GREEN)},
+			{csv, "\"t\":\"auto_t\"", "â_t", LINE(ORANGE)}, {csv, "\"t\":\"al\"", "a (true)", LINE(BLACK)},
 			{csv, "\"t\":\"as\"", "", LINE(BLACK)}, {csv, "\"t\":\"at\"", "", LINE(BLACK)}}};
 }
 
@@ -242,16 +241,16 @@ static void estimate_figure(int number, const char *word, double noise_deg)
 	char name[32], title[128], boat[32], square[32];
 
 	snprintf(name, sizeof name, "fig%d_estimates_%s", number, word);
-	snprintf(title, sizeof title, "Fig. %d: linear acceleration, %s noise (%g degrees)", number, word, noise_deg);
+	snprintf(title, sizeof title, "Fig. %d. Linear acceleration estimation for two tests and %s noise (%g degrees)",
+		number, word, noise_deg);
 	snprintf(boat, sizeof boat, "fig%d_boat.csv", number);
 	snprintf(square, sizeof square, "fig%d_square.csv", number);
 	estimate_csv(boat, "boat", 4, 13, noise_deg);
 	estimate_csv(square, "square", 0, 10, noise_deg);
 	draw(&(struct plot_figure){name, title, 2, 2,
-		{estimate_panel(boat, "(a) boat, the paper's (12)", true),
-			estimate_panel(square, "(b) robot, the paper's (12)", true),
-			estimate_panel(boat, "boat, rates from the gyro, auto", false),
-			estimate_panel(square, "robot, rates from the gyro, auto", false)}});
+		{estimate_panel(boat, "(a) boat, (12)", true), estimate_panel(square, "(b) robot, (12)", true),
+			estimate_panel(boat, "ours, boat: rates from the gyro, auto", false),
+			estimate_panel(square, "ours, robot: rates from the gyro, auto", false)}});
 }
 
 /* ---- the table --------------------------------------------------------------------------------------------------- */
@@ -287,7 +286,7 @@ static void make_table(struct table *table)
 
 static const char *const SIGNAL_TITLES[TRIAL_SIGNALS] = {"roll step", "boat", "square"};
 static const char *const METHOD_TITLES[METHODS] = {
-	"none", "seed", "seed, low-pass", "seed, gyro", "rigid body, gyro", "auto"};
+	"no correction", "(12)", "(12), low-pass", "(12), gyro", "rigid body, gyro", "auto"};
 static const char *const METHOD_STYLES[METHODS] = {BOTH(BLACK), BOTH(ORANGE), BOTH("#e69f00"), BOTH(PURPLE), BOTH(BLUE),
 	"linespoints dt 2 pt 6 ps 1 lw 2 lc rgb '" GREEN "'"};
 
@@ -304,9 +303,9 @@ static void table_figure(void)
 			char *title = titles[world][signal];
 
 			snprintf(title, sizeof titles[0][0], "%s, %s", SIGNAL_TITLES[signal],
-				world == WORLD_SEED ? "the seed's world" : "physical world");
-			*panel = (struct plot_panel){title, "angle noise [deg]", "RMS error [m/s^2]",
-				"set logscale xy\nset xrange [0.015:3]", {{0}}};
+				world == WORLD_SEED ? "the paper's world" : "physical world");
+			*panel = (struct plot_panel){title, "Δφ, Δθ, Δψ: noise of the angles [deg]",
+				"RMS of â - a [m/s^2]", "set logscale xy\nset xrange [0.015:3]", {{0}}};
 			for (int method = 0; method < METHODS; method++) {
 				char *u = use[world][signal][method];
 
@@ -447,7 +446,7 @@ static void auto_figure(struct ratio *ratio)
 	*ratio = (struct ratio){0, 1e9};
 	for (int signal = 0; signal < TRIAL_SIGNALS; signal++) {
 		figure.panels[signal] = (struct plot_panel){SIGNAL_TITLES[signal],
-			"noise density of the gyro [deg/s/sqrt(Hz)]", "RMS error [m/s^2]", "set logscale xy", {{0}}};
+			"noise density of the gyro [deg/s/√Hz]", "RMS of â - a [m/s^2]", "set logscale xy", {{0}}};
 		for (int m = 0; m < 3; m++) {
 			snprintf(use[signal][m], sizeof use[0][0],
 				"\"gyro_density\":(strcol(\"signal\") eq \"%s\" ? column(\"%s\") : NaN)",
@@ -580,7 +579,7 @@ static void open_choices_figure(void)
 	close_csv(file);
 	draw(&(struct plot_figure){"fig16_open_choices",
 		"The results of the paper depend on what it leaves open (its world)", 1, 2,
-		{{"peak of phi'^2 r at r = 5 cm", "height of the roll step [deg]", "peak [g]", "set yrange [0:4]",
+		{{"peak of φ̇^2 r_s at r_s = 5 cm", "height of the roll step [deg]", "peak [g]", "set yrange [0:4]",
 			 {{"step_height.csv", "\"step_deg\":\"hz25\"", "25 Hz", LINE(GREY)},
 				 {"step_height.csv", "\"step_deg\":\"hz50\"", "50 Hz (chosen)", LINE(ORANGE)},
 				 {"step_height.csv", "\"step_deg\":\"hz100\"", "100 Hz", LINE(BLUE)},
@@ -590,7 +589,7 @@ static void open_choices_figure(void)
 				 {"step_height.csv", "\"step_deg\":(0.8)", ".. to 0.8 g",
 					 "lines dt 3 lc rgb '" BLACK "'"}}},
 			{"angle noise at which (12) equals no correction", "sampling rate [Hz]", "angle noise [deg]",
-				"set logscale xy\nset xtics (25, 50, 100, 200, 400)",
+				"set key maxcols 2\nset logscale xy\nset xtics (25, 50, 100, 200, 400)",
 				{{"break_even.csv", "\"rate_hz\":\"roll_step\"", "roll step", BOTH(BLUE)},
 					{"break_even.csv", "\"rate_hz\":\"boat\"", "boat", BOTH(GREEN)},
 					{"break_even.csv", "\"rate_hz\":\"square\"", "square", BOTH(ORANGE)},
@@ -602,10 +601,29 @@ static void open_choices_figure(void)
 
 /* ---- the claims ---------------------------------------------------------------------------------------------- */
 
-static void claim(FILE *file, const char *text, double measured, bool holds)
+/* What the claims that do not hold mean, for the end of the table. */
+static struct {
+	char text[512];
+} refuted[32];
+static int refuted_count;
+
+/* `if_not`: the sentence for a claim that does not hold. */
+static void claim(FILE *file, const char *text, double measured, bool holds, const char *if_not)
 {
 	fprintf(file, "\"%s\",%.6g,%s\n", text, measured, holds ? "yes" : "no");
 	printf("  %-92s %10.5g  %s\n", text, measured, holds ? "yes" : "NO");
+	if (!holds)
+		snprintf(refuted[refuted_count++].text, sizeof refuted[0].text, "%s\n      %s", text, if_not);
+}
+
+static void explain_claims(void)
+{
+	if (refuted_count == 0)
+		return;
+	puts("\nWhat a NO means: the sentence does not hold for this signal, in this world. For a sentence of the\n"
+	     "paper that is a result; for one about our methods it would be a fault, and a unit test fails.");
+	for (int i = 0; i < refuted_count; i++)
+		printf("  NO  %s\n", refuted[i].text);
 }
 
 /* Ratio of the errors of two methods, each at its noise. */
@@ -624,19 +642,28 @@ static void table_claims(FILE *file, const struct table *table)
 		double r = compare(table, WORLD_SEED, signal, METHOD_SEED, 1, METHOD_NONE, 1);
 
 		snprintf(text, sizeof text, "paper, %s: 0.05 degrees suffice (ratio of errors to none)", name);
-		claim(file, text, r, r < 1);
+		claim(file, text, r, r < 1,
+			"With angles this accurate the estimate by (12) is worse than one without correction: the "
+			"rotations of "
+			"this\n      signal are so slow that the noise of the correction exceeds the correction "
+			"itself.");
 		r = compare(table, WORLD_SEED, signal, METHOD_SEED, 5, METHOD_NONE, 5);
 		snprintf(
 			text, sizeof text, "paper, %s: above 0.3 degrees useless (0.7; ratio of errors to none)", name);
-		claim(file, text, r, r > 1);
+		claim(file, text, r, r > 1,
+			"The correction still helps at 0.7 degrees: the rotations of this signal are so quick that "
+			"they exceed "
+			"its noise.");
 		r = compare(table, WORLD_SEED, signal, METHOD_SEED_GYRO, NOISES - 1, METHOD_SEED, 0);
 		snprintf(text, sizeof text,
 			"world of the paper, %s: seed_gyro at 2.0 beats seed at 0.02 degrees (ratio)", name);
-		claim(file, text, r, r < 1);
+		claim(file, text, r, r < 1,
+			"A gyro with bad angles is no better here than good angles without a gyro.");
 		r = compare(table, WORLD_PHYSICAL, signal, METHOD_RIGID_GYRO, NOISES - 1, METHOD_SEED, 0);
 		snprintf(text, sizeof text, "physical world, %s: rigid_gyro at 2.0 beats seed at 0.02 degrees (ratio)",
 			name);
-		claim(file, text, r, r < 1);
+		claim(file, text, r, r < 1,
+			"A gyro with bad angles is no better here than good angles without a gyro.");
 	}
 }
 
@@ -655,23 +682,28 @@ static void claims(const struct table *table, const struct dependence *d, const 
 			}
 	printf("\nClaims (claims.csv):\n");
 	claim(file, "paper: correction above 0.5 g at r = 5 cm [g]", d->peak_5_cm_g[WORLD_SEED],
-		d->peak_5_cm_g[WORLD_SEED] > 0.5);
+		d->peak_5_cm_g[WORLD_SEED] > 0.5, "The correction term of this roll step stays below half of g.");
 	claim(file, "the same for a rigid body [g]", d->peak_5_cm_g[WORLD_PHYSICAL],
-		d->peak_5_cm_g[WORLD_PHYSICAL] > 0.5);
+		d->peak_5_cm_g[WORLD_PHYSICAL] > 0.5,
+		"The centripetal acceleration of this rotation stays below half of g.");
 	claim(file, "paper: the peak grows linearly with r (R^2)", d->linear_r2[WORLD_SEED],
-		d->linear_r2[WORLD_SEED] > 0.999);
+		d->linear_r2[WORLD_SEED] > 0.999, "The peaks are not proportional to r.");
 	claim(file, "the same for a rigid body (R^2)", d->linear_r2[WORLD_PHYSICAL],
-		d->linear_r2[WORLD_PHYSICAL] > 0.999);
+		d->linear_r2[WORLD_PHYSICAL] > 0.999, "The peaks are not proportional to r.");
 	claim(file, "the peak grows with the square of the rate (R^2)", d->quadratic_r2[WORLD_SEED],
-		d->quadratic_r2[WORLD_SEED] > 0.999);
+		d->quadratic_r2[WORLD_SEED] > 0.999, "The peaks are not proportional to the square of the rate.");
 	claim(file, "the same for a rigid body (R^2)", d->quadratic_r2[WORLD_PHYSICAL],
-		d->quadratic_r2[WORLD_PHYSICAL] > 0.999);
+		d->quadratic_r2[WORLD_PHYSICAL] > 0.999, "The peaks are not proportional to the square of the rate.");
 	table_claims(file, table);
 	claim(file, "auto is at most 5 % worse than the better of none and rigid_gyro (table, worst ratio)",
-		ratio.worst, ratio.worst <= 1.05);
-	claim(file, "likewise over the noise of the gyro (worst ratio)", swept->worst, swept->worst <= 1.05);
-	claim(file, "auto is better than both where they are equal (best ratio)", swept->best, swept->best < 0.95);
+		ratio.worst, ratio.worst <= 1.05,
+		"The weight of auto is wrong somewhere: a method that it chooses from is clearly better.");
+	claim(file, "likewise over the noise of the gyro (worst ratio)", swept->worst, swept->worst <= 1.05,
+		"The weight of auto is wrong somewhere: a method that it chooses from is clearly better.");
+	claim(file, "auto is better than both where they are equal (best ratio)", swept->best, swept->best < 0.95,
+		"Weighting gains nothing over choosing one of the two.");
 	close_csv(file);
+	explain_claims();
 }
 
 /* mkdir -p */
@@ -703,9 +735,10 @@ int experiments(const char *into)
 	printf("Writing to %s:\n", directory);
 	make_table(&table);
 	roll_step_figures();
-	input_figure("boat", 20, "fig08.csv", "fig08_boat", "Fig. 8: simulated boat on a large wave (50 Hz)");
-	input_figure(
-		"square", 40, "fig09.csv", "fig09_robot", "Fig. 9: simulated robot on a manoeuvring square (50 Hz)");
+	input_figure("boat", 20, "fig08.csv", "fig08_boat",
+		"Fig. 8. Simulated input signals of the boat's movement (50 Hz)");
+	input_figure("square", 40, "fig09.csv", "fig09_robot",
+		"Fig. 9. Simulated input signals of the manoeuvring robot (50 Hz)");
 	estimate_figure(10, "low", 0.02);
 	estimate_figure(11, "medium", 0.1);
 	estimate_figure(12, "high", 0.3);

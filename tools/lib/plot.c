@@ -3,6 +3,7 @@
 #include <errno.h>
 #include <spawn.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -11,12 +12,12 @@
 
 extern char **environ;
 
-enum { PANEL_WIDTH = 640, PANEL_HEIGHT = 440 };
+enum { PANEL_WIDTH = 640, PANEL_HEIGHT = 440, TITLE_HEIGHT = 70 };
 
 static void write_panel(FILE *file, const struct plot_panel *panel)
 {
-	fprintf(file, "\nset title \"%s\"\nset xlabel \"%s\" offset 0,0.6\nset ylabel \"%s\"\n", panel->title,
-		panel->xlabel, panel->ylabel);
+	fprintf(file, "\nset title \"%s\"\nset xlabel \"%s\"\nset ylabel \"%s\"\n", panel->title, panel->xlabel,
+		panel->ylabel);
 	if (panel->extra)
 		fprintf(file, "%s\n", panel->extra);
 	for (int i = 0; i < PLOT_SERIES_MAX && panel->series[i].csv; i++) {
@@ -25,7 +26,7 @@ static void write_panel(FILE *file, const struct plot_panel *panel)
 		fprintf(file, "%s \"%s\" using %s title \"%s\" with %s", i ? ", \\\n\t" : "plot", s->csv, s->use,
 			s->title, s->style);
 	}
-	fputs("\nunset logscale\nset autoscale\nset xtics autofreq\n", file);
+	fputs("\nunset logscale\nset autoscale\nset xtics autofreq\nset size noratio\nset key maxcols auto\n", file);
 }
 
 static int write_script(const char *path, const struct plot_figure *figure)
@@ -40,11 +41,14 @@ static int write_script(const char *path, const struct plot_figure *figure)
 	fprintf(file,
 		"if (ARG1 eq \"svg\") set terminal svg size %d,%d dynamic background rgb 'white'; \\\n"
 		"else set terminal pngcairo size %d,%d\n",
-		figure->columns * PANEL_WIDTH, figure->rows * PANEL_HEIGHT + 40, figure->columns * PANEL_WIDTH,
-		figure->rows * PANEL_HEIGHT + 40);
+		figure->columns * PANEL_WIDTH, figure->rows * PANEL_HEIGHT + TITLE_HEIGHT,
+		figure->columns * PANEL_WIDTH, figure->rows * PANEL_HEIGHT + TITLE_HEIGHT);
 	fprintf(file, "set output \"%s.\".ARG1\n", figure->name);
-	fputs("set datafile separator \",\"\nset datafile columnheaders\nset grid\nset key below\n", file);
-	fprintf(file, "set multiplot layout %d,%d title \"%s\" font \",14\"\n", figure->rows, figure->columns,
+	/* the legend is above the title of its panel, where neither an axis title nor a curve is */
+	fputs("set encoding utf8\nset datafile separator \",\"\nset datafile columnheaders\nset grid\n"
+	      "set key above horizontal center samplen 2\n",
+		file);
+	fprintf(file, "set multiplot layout %d,%d title \"%s\\n\" font \",14\"\n", figure->rows, figure->columns,
 		figure->title);
 	for (int i = 0; i < figure->rows * figure->columns; i++)
 		write_panel(file, &figure->panels[i]);
@@ -63,6 +67,7 @@ static int run_gnuplot(const char *directory, const char *script, const char *fo
 	int status = -1, error;
 	pid_t pid;
 
+	setenv("LC_ALL", "C.UTF-8", 1); /* that of the script */
 	posix_spawn_file_actions_init(&actions);
 	posix_spawn_file_actions_addchdir_np(&actions, directory);
 	error = posix_spawnp(&pid, argv[0], &actions, NULL, argv, environ);

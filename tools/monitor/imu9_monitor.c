@@ -1,26 +1,39 @@
 /* imu9-monitor: displays the frames of a CANopen node: PDO values with units, rates, NMT state, emergencies. */
 #include <errno.h>
 #include <getopt.h>
-#include <math.h>
+#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/epoll.h>
 #include <unistd.h>
 
 #include "gateway/canopen/canopen.h"
 #include "gateway/canopen/cia301.h"
 #include "od_values.h"
 #include "tools/lib/cli.h"
+#include "tools/monitor/output.h"
+#include "tools/monitor/screen.h"
+#include "tools/monitor/terminal.h"
 #include "tools/monitor/watch.h"
 
-enum { TEXT_MAX = 256, GRACE_US = 1000000 };
+enum {
+	TEXT_MAX = 256,
+	GRACE_US = 1000000,
+	EVENTS_US = 5000000,
+	ONCE_COLUMNS = 100,
+	NMT_COMMAND_START = 1, /* CiA 301, 7.2.8.3.1 */
+	NMT_COMMAND_PRE_OPERATIONAL = 128,
+	COMMAND_TARE = 1 << 2,	    /* bit of 2073h */
+	SIGNATURE_SAVE = 0x65766173 /* "save" */
+};
 static const double ONCE_SECONDS = 3, SCREEN_HZ = 5, LINE_HZ = 2;
 
 static const char help[] =
-	"Usage: imu9-monitor [-i BUS] [-n NODE] [--start] [--sync HZ] [--once|--line] [-t SECS]\n"
-	"Displays live what a CANopen node sends: values with units, rates, NMT state, emergencies.\n"
-	"It reads the PDO mapping from the node by SDO. Use --passive while another SDO client\n"
-	"accesses the same node.\n"
+	"Usage: imu9-monitor [-i BUS] [-n NODE] [--start] [--sync HZ] [--once|--line|--csv|--json] [-t SECS]\n"
+	"Displays live what a CANopen node sends: values with units and sigmas, rates, NMT state, emergencies.\n"
+	"It reads the PDO mapping from the node by SDO, and for the screen sigmas and bus load. Use\n"
+	"--passive while another SDO client accesses the same node.\n"
 	"\n"
 	"  -i, --can BUS      the CAN bus, see below (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node-id NODE node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
@@ -31,10 +44,15 @@ static const char help[] =
 	"  -o, --once         print the values once, then end\n"
 	"  -l, --line         print one line of key=value columns for each update (default if\n"
 	"                     standard output is not a terminal)\n"
+	"  -c, --csv          likewise as CSV, with units in its header\n"
+	"  -j, --json         likewise as JSON\n"
 	"  -r, --rate HZ      updates a second (default: 5 in a terminal, 2 lines otherwise)\n"
-	"  -t, --time SECS    end after this time and print a table of what was received\n"
+	"  -t, --time SECS    end after this time; the screen and --line then print a table\n"
 	"  -h, --help         this text\n"
 	"  -V, --version      the version\n"
+	"\n"
+	"Keys: q end, space and b pages, s NMT start, x pre-operational, t tare, z zero the position,\n"
+	"S store, e event log, ? this list.\n"
 	"\n"
 	"The counter in a PDO identifies its sample. \"Skipped\" counts samples that were in no PDO,\n"
 	"\"repeated\" counts PDOs with the same sample as the one before. Both are normal if SYNC and\n"
@@ -45,7 +63,8 @@ static const char help[] =
 struct monitor {
 	const char *bus_name;
 	long node_id;
-	bool start, passive, once, line, screen;
+	bool start, passive, once;
+	enum output output;
 	double sync_hz, update_hz, seconds; /* 0: off, default rate, no limit */
 
 	struct can_port *bus;
@@ -56,6 +75,12 @@ struct monitor {
 	unsigned int announced; /* watch.configured when the units were printed */
 	uint8_t sync_counter;
 	char hint[TEXT_MAX]; /* the last one printed in line mode */
+
+	struct history history; /* the screen */
+	struct screen_cells cells;
+	unsigned int page;
+	bool help, events, unicode;
+	uint64_t events_us; /* when the event log is read next */
 };
 
 /* ---- hints: why there are no values, and what to do ---- */
@@ -109,255 +134,89 @@ static void find_hint(const struct monitor *m, char *text, size_t capacity)
 			n);
 }
 
-/* ---- values as text ---- */
-
-static void field_name(const struct watch_field *field, char *text, size_t capacity)
-{
-	if (field->entry)
-		snprintf(text, capacity, "%s", field->entry->name);
-	else
-		snprintf(text, capacity, "%04Xh:%02X", field->mapping >> 16, field->mapping >> 8 & 0xFF);
-}
-
-static const char *field_unit(const struct watch_field *field)
-{
-	return field->entry ? field->entry->unit : "";
-}
-
 static double seconds_since(uint64_t then_us, uint64_t now_us)
 {
 	return (double)(now_us - then_us) * 1e-6;
 }
 
-/* ---- the screen: all values, refreshed in place ---- */
+/* ---- the screen ---- */
 
-static void screen_enter(void)
-{
-	fputs("\033[?1049h\033[?25l\033[?7l", stdout); /* alternate screen, no cursor, no line wrap */
-}
-
-static void screen_leave(void)
-{
-	fputs("\033[?7h\033[?25h\033[?1049l", stdout);
-	fflush(stdout);
-}
-
-static void end_line(const struct monitor *m)
-{
-	fputs(m->screen ? "\033[K\n" : "\n", stdout);
-}
-
-static void show_node(const struct monitor *m, uint64_t now_us)
-{
-	static const char *const mappings[] = {
-		[WATCH_READING] = "being read from the node",
-		[WATCH_READ] = "read from the node",
-		[WATCH_DEFAULTS] = "default of the EDS",
-	};
-	const struct watch *w = &m->watch;
-
-	printf("node %ld on %s: %s", m->node_id, m->bus_name, watch_nmt_text(watch_nmt_state(w, now_us)));
-	if (w->heartbeat.count)
-		printf(", heartbeat %.1f s ago", seconds_since(w->heartbeat.last_us, now_us));
-	if (w->boot_ups)
-		printf(", %llu boot-ups", (unsigned long long)w->boot_ups);
-	end_line(m);
-	printf("SYNC %.1f Hz; PDO mapping: %s", watch_rate_hz(&w->sync, now_us), mappings[w->mapping]);
-	end_line(m);
-	if (w->emcy.count)
-		printf("EMCY %04Xh: %s, error register %02Xh, %.1f s ago (%llu in all)", w->emcy_code,
-			emcy_code_text(w->emcy_code), w->emcy_register, seconds_since(w->emcy.last_us, now_us),
-			(unsigned long long)w->emcy.count);
-	else
-		fputs("EMCY none", stdout);
-	end_line(m);
-}
-
-/* Consecutive members of a record are in one line: "acceleration  l 0.615  s 0.005 m/s^2". */
-static void show_fields(const struct monitor *m, const struct watch_pdo *pdo)
-{
-	char name[TEXT_MAX], record[TEXT_MAX] = "", value[TEXT_MAX];
-	const char *unit = NULL;
-
-	for (size_t i = 0; i < pdo->field_count; i++) {
-		const struct watch_field *field = &pdo->fields[i];
-
-		field_name(field, name, sizeof(name));
-		watch_field_text(field, value, sizeof(value));
-		char *dot = strchr(name, '.');
-		if (dot)
-			*dot = '\0';
-		if (!unit || strcmp(record, name) != 0 || strcmp(unit, field_unit(field)) != 0) {
-			if (unit) {
-				printf(" %s", unit);
-				end_line(m);
-			}
-			printf("  %-16s", name);
-			strcpy(record, name);
-			unit = field_unit(field);
-		}
-		printf("  %s %10s", dot ? dot + 1 : "", value);
-	}
-	printf(" %s", unit ? unit : "");
-	end_line(m);
-}
-
-static void show_pdos(const struct monitor *m, uint64_t now_us)
-{
-	for (size_t i = 0; i < m->watch.pdo_count; i++) {
-		const struct watch_pdo *pdo = &m->watch.pdos[i];
-
-		if (!pdo->enabled)
-			continue;
-		end_line(m);
-		printf("TPDO%zu  %03Xh  %.1f Hz  %llu received", i + 1, pdo->id, watch_rate_hz(&pdo->rate, now_us),
-			(unsigned long long)pdo->rate.count);
-		if (pdo->counted)
-			printf(", %llu samples skipped, %llu repeated", (unsigned long long)pdo->skipped,
-				(unsigned long long)pdo->repeated);
-		if (pdo->rate.count && seconds_since(pdo->rate.last_us, now_us) > 1)
-			printf(", the last %.1f s ago", seconds_since(pdo->rate.last_us, now_us));
-		if (pdo->misfits)
-			printf(", %llu of wrong length", (unsigned long long)pdo->misfits);
-		end_line(m);
-		if (pdo->rate.count)
-			show_fields(m, pdo);
-	}
-}
-
-static void show_all(const struct monitor *m, uint64_t now_us)
+static void draw(struct monitor *m, uint64_t now_us)
 {
 	char hint[TEXT_MAX];
+	struct screen screen = {
+		.watch = &m->watch,
+		.history = m->once ? NULL : &m->history,
+		.bus_name = m->bus_name,
+		.node_id = m->node_id,
+		.hint = hint,
+		.now_us = now_us,
+		.page = m->page,
+		.keys = !m->once,
+		.help = m->help,
+		.events = m->events,
+		.ascii = !m->unicode,
+	};
 
-	if (m->screen)
-		fputs("\033[H", stdout);
-	show_node(m, now_us);
 	find_hint(m, hint, sizeof(hint));
-	if (hint[0]) {
-		end_line(m);
-		fputs(hint, stdout);
-		end_line(m);
-	}
-	show_pdos(m, now_us);
-	if (m->screen) {
-		end_line(m);
-		fputs("Ctrl-C ends\033[K\033[J", stdout);
-	}
-	fflush(stdout);
+	screen_draw(&screen, &m->cells);
 }
 
-/* ---- one line of key=value columns ---- */
-
-/* An object that is in several PDOs (the sample counter) has one column. */
-static bool shown_before(const struct watch *watch, size_t pdo, size_t field)
+static void show_screen(struct monitor *m, uint64_t now_us)
 {
-	uint32_t mapping = watch->pdos[pdo].fields[field].mapping;
-
-	for (size_t i = 0; i <= pdo; i++)
-		for (size_t k = 0; k < (i < pdo ? watch->pdos[i].field_count : field); k++)
-			if (watch->pdos[i].enabled && watch->pdos[i].fields[k].mapping == mapping)
-				return true;
-	return false;
+	if (m->watch.mapping != WATCH_READING)
+		history_add(&m->history, &m->watch);
+	terminal_size(&m->cells);
+	draw(m, now_us);
+	terminal_show(&m->cells);
 }
 
-static void print_units(const struct watch *watch)
+/* --once: the same as text, without end. */
+static void print_screen(struct monitor *m, uint64_t now_us)
 {
-	char name[TEXT_MAX];
+	char text[4 * SCREEN_COLUMNS];
+	int last = 0;
 
-	fputs("# units:", stdout);
-	for (size_t i = 0; i < watch->pdo_count; i++)
-		for (size_t k = 0; k < watch->pdos[i].field_count; k++) {
-			const struct watch_field *field = &watch->pdos[i].fields[k];
-
-			if (!watch->pdos[i].enabled || !field_unit(field)[0])
-				continue;
-			field_name(field, name, sizeof(name));
-			printf(" %s[%s]", name, field_unit(field));
-		}
-	putchar('\n');
-}
-
-static void print_columns(const struct monitor *m, uint64_t now_us)
-{
-	const struct watch *w = &m->watch;
-	uint64_t skipped = 0;
-	char name[TEXT_MAX], value[TEXT_MAX];
-
-	printf("t=%.2f nmt=%s sync_hz=%.1f", seconds_since(m->begin_us, now_us),
-		watch_nmt_text(watch_nmt_state(w, now_us)), watch_rate_hz(&w->sync, now_us));
-	for (size_t i = 0; i < w->pdo_count; i++) {
-		const struct watch_pdo *pdo = &w->pdos[i];
-
-		if (!pdo->enabled)
-			continue;
-		printf(" tpdo%zu_hz=%.1f", i + 1, watch_rate_hz(&pdo->rate, now_us));
-		if (pdo->skipped > skipped)
-			skipped = pdo->skipped;
-		for (size_t k = 0; k < pdo->field_count; k++) {
-			if (shown_before(w, i, k))
-				continue;
-			field_name(&pdo->fields[k], name, sizeof(name));
-			watch_field_text(&pdo->fields[k], value, sizeof(value));
-			printf(" %s=%s", name, pdo->rate.count ? value : "-");
-		}
+	m->cells.rows = SCREEN_ROWS;
+	m->cells.columns = ONCE_COLUMNS;
+	draw(m, now_us);
+	for (int row = 0; row < m->cells.rows; row++) {
+		screen_row_text(&m->cells, row, text, sizeof(text));
+		last = text[0] ? row : last;
 	}
-	printf(" skipped=%llu emcy=%04X\n", (unsigned long long)skipped, w->emcy_code);
+	for (int row = 0; row <= last; row++) {
+		screen_row_text(&m->cells, row, text, sizeof(text));
+		puts(text);
+	}
 }
+
+/* ---- lines ---- */
 
 static void show_line(struct monitor *m, uint64_t now_us)
 {
+	const struct watch *w = &m->watch;
 	char hint[TEXT_MAX];
 
 	find_hint(m, hint, sizeof(hint));
-	if (!hint[0]) {
-		if (m->announced != m->watch.configured)
-			print_units(&m->watch);
-		m->announced = m->watch.configured;
-		print_columns(m, now_us);
-		fflush(stdout);
-	} else if (now_us >= m->begin_us + GRACE_US && strcmp(hint, m->hint) != 0) {
+	if (w->mapping != WATCH_READING && w->heard_us) {
+		if (m->announced != w->configured)
+			output_header(m->output, w);
+		m->announced = w->configured;
+		output_values(m->output, w, m->node_id, seconds_since(m->begin_us, now_us), now_us);
+	}
+	if (hint[0] && now_us >= m->begin_us + GRACE_US && strcmp(hint, m->hint) != 0) {
 		cli_error("%s", hint);
 		strcpy(m->hint, hint);
 	}
 }
 
-/* ---- the table at the end ---- */
-
-static void show_summary(const struct monitor *m, uint64_t now_us)
-{
-	const struct watch *w = &m->watch;
-	char name[TEXT_MAX], value[TEXT_MAX];
-
-	printf("\n%-6s %7s %9s %10s %9s %9s\n", "PDO", "CAN-ID", "received", "rate [Hz]", "skipped", "repeated");
-	for (size_t i = 0; i < w->pdo_count; i++) {
-		const struct watch_pdo *pdo = &w->pdos[i];
-		double span_s = seconds_since(pdo->rate.first_us, pdo->rate.last_us);
-
-		if (!pdo->enabled)
-			continue;
-		printf("TPDO%zu %7Xh %9llu %10.1f %9llu %9llu\n", i + 1, pdo->id, (unsigned long long)pdo->rate.count,
-			span_s > 0 ? (double)(pdo->rate.count - 1) / span_s : 0, (unsigned long long)pdo->skipped,
-			(unsigned long long)pdo->repeated);
-		for (size_t k = 0; k < pdo->field_count && pdo->rate.count; k++) {
-			field_name(&pdo->fields[k], name, sizeof(name));
-			watch_field_text(&pdo->fields[k], value, sizeof(value));
-			printf("       %-28s %14s %s\n", name, value, field_unit(&pdo->fields[k]));
-		}
-	}
-	printf("NMT state %s; %llu heartbeats, %llu SYNC, %llu EMCY%s%s\n", watch_nmt_text(watch_nmt_state(w, now_us)),
-		(unsigned long long)w->heartbeat.count, (unsigned long long)w->sync.count,
-		(unsigned long long)w->emcy.count, w->emcy.count ? ", the last: " : "",
-		w->emcy.count ? emcy_code_text(w->emcy_code) : "");
-}
-
 /* ---- NMT master and SYNC producer ---- */
 
-static void send_start(struct monitor *m, uint64_t now_us)
+static void send_nmt(struct monitor *m, uint8_t command, uint64_t now_us)
 {
-	struct can_msg msg = {.len = 2, .data = {1, (uint8_t)m->node_id}};
+	struct can_msg msg = {.len = 2, .data = {command, (uint8_t)m->node_id}};
 
 	can_send(m->bus, &msg, now_us);
-	m->started = m->watch.configured;
 }
 
 static void send_sync(struct monitor *m, uint64_t now_us)
@@ -392,8 +251,12 @@ static void update(struct monitor *m, uint64_t now_us)
 {
 	if (m->once)
 		return;
-	if (m->screen)
-		show_all(m, now_us);
+	if (m->events && now_us >= m->events_us) {
+		watch_read_events(&m->watch);
+		m->events_us = now_us + EVENTS_US;
+	}
+	if (m->output == OUTPUT_SCREEN)
+		show_screen(m, now_us);
 	else
 		show_line(m, now_us);
 	m->next_update_us = now_us + (uint64_t)(1e6 / m->update_hz);
@@ -410,8 +273,10 @@ static uint64_t serve(struct monitor *m, uint64_t now_us)
 	uint64_t next_us = earliest(watch_tick(&m->watch, now_us), m->end_us);
 	bool ready = m->watch.mapping != WATCH_READING;
 
-	if (ready && m->start && m->started != m->watch.configured)
-		send_start(m, now_us);
+	if (ready && m->start && m->started != m->watch.configured) {
+		send_nmt(m, NMT_COMMAND_START, now_us);
+		m->started = m->watch.configured;
+	}
 	if (ready && m->sync_hz > 0) {
 		if (now_us >= m->next_sync_us)
 			send_sync(m, now_us);
@@ -422,17 +287,91 @@ static uint64_t serve(struct monitor *m, uint64_t now_us)
 	return earliest(next_us, m->next_update_us);
 }
 
-/* Runs until the time is over, all values are received (--once) or a signal arrives (true). */
+/* False: end. */
+static bool on_key(struct monitor *m, int key, uint64_t now_us)
+{
+	switch (key) {
+	case 'q':
+		return false;
+	case '?':
+		m->help = !m->help;
+		break;
+	case ' ':
+		m->page++;
+		break;
+	case 'b':
+		m->page += m->page > 0 ? -1u : m->cells.pages - 1;
+		break;
+	case 's':
+		send_nmt(m, NMT_COMMAND_START, now_us);
+		break;
+	case 'x':
+		send_nmt(m, NMT_COMMAND_PRE_OPERATIONAL, now_us);
+		break;
+	case 't': /* the bit acts when it changes to 1 */
+		watch_command(&m->watch, "tare", OD_INDEX_COMMANDS, 0, 0, 2);
+		watch_command(&m->watch, "tare", OD_INDEX_COMMANDS, 0, COMMAND_TARE, 2);
+		break;
+	case 'z':
+		watch_command(&m->watch, "zero", OD_INDEX_POSITION, OD_SUB_POSITION_RESET, 1, 1);
+		break;
+	case 'S':
+		watch_command(&m->watch, "store", OD_INDEX_STORE_PARAMETERS, 1, SIGNATURE_SAVE, 4);
+		break;
+	case 'e':
+		m->events = !m->events;
+		m->events_us = 0;
+		break;
+	default:
+		return true;
+	}
+	m->next_update_us = now_us;
+	return true;
+}
+
+static bool read_keys(struct monitor *m, uint64_t now_us)
+{
+	int key;
+
+	while ((key = terminal_key()))
+		if (!on_key(m, key, now_us))
+			return false;
+	return true;
+}
+
+/* Readable when a signal arrives, or a key. */
+static int signal_or_key(int signal_fd)
+{
+	struct epoll_event event = {.events = EPOLLIN};
+	int fd = epoll_create1(EPOLL_CLOEXEC);
+
+	if (fd < 0 || epoll_ctl(fd, EPOLL_CTL_ADD, signal_fd, &event) < 0)
+		return signal_fd;
+	event.data.fd = STDIN_FILENO;
+	epoll_ctl(fd, EPOLL_CTL_ADD, STDIN_FILENO, &event); /* a file has no keys */
+	return fd;
+}
+
+static bool is_signal(int fd, int signal_fd)
+{
+	struct pollfd signal = {.fd = signal_fd, .events = POLLIN};
+
+	return fd == signal_fd || poll(&signal, 1, 0) > 0;
+}
+
+/* Runs until the time is over, all values are received (--once), or a signal arrives or q is pressed (true). */
 static bool run(struct monitor *m, int signal_fd)
 {
+	int wake_fd = m->output == OUTPUT_SCREEN && !m->once ? signal_or_key(signal_fd) : signal_fd;
 	struct can_msg msg;
 
 	for (;;) {
 		uint64_t next_us = serve(m, cli_now_us());
 
-		if (cli_wait(m->bus, signal_fd, next_us))
-			return true;
+		bool woken = cli_wait(m->bus, wake_fd, next_us);
 		uint64_t now_us = cli_now_us();
+		if (woken && (is_signal(wake_fd, signal_fd) || !read_keys(m, now_us)))
+			return true;
 		while (can_receive(m->bus, &msg, now_us) > 0)
 			watch_receive(&m->watch, &msg, now_us);
 		if (now_us >= m->end_us || (m->once && all_received(&m->watch)) || ferror(stdout))
@@ -449,6 +388,8 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 		{"passive", no_argument, NULL, 'p'},
 		{"once", no_argument, NULL, 'o'},
 		{"line", no_argument, NULL, 'l'},
+		{"csv", no_argument, NULL, 'c'},
+		{"json", no_argument, NULL, 'j'},
 		{"rate", required_argument, NULL, 'r'},
 		{"time", required_argument, NULL, 't'},
 		CLI_COMMON_OPTIONS,
@@ -456,7 +397,7 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 	int option;
 
 	opterr = 0;
-	while ((option = getopt_long(argc, argv, ":i:n:sS:polr:t:hV", options, NULL)) != -1) {
+	while ((option = getopt_long(argc, argv, ":i:n:sS:polcjr:t:hV", options, NULL)) != -1) {
 		switch (option) {
 		case 'i':
 			m->bus_name = optarg;
@@ -477,7 +418,11 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 			m->once = true;
 			break;
 		case 'l':
-			m->line = true;
+		case 'c':
+		case 'j':
+			if (m->output != OUTPUT_SCREEN)
+				cli_usage_error("give one of --line, --csv and --json");
+			m->output = option == 'l' ? OUTPUT_LINE : option == 'c' ? OUTPUT_CSV : OUTPUT_JSON;
 			break;
 		case 'r':
 			m->update_hz = cli_real_option("--rate", optarg, 0.01, 1000);
@@ -497,8 +442,8 @@ static void parse_options(struct monitor *m, int argc, char **argv)
 	}
 	if (optind < argc)
 		cli_usage_error("%s: unexpected argument", argv[optind]);
-	if (m->once && m->line)
-		cli_usage_error("--once and --line exclude each other");
+	if (m->once && m->output != OUTPUT_SCREEN)
+		cli_usage_error("--once excludes --line, --csv and --json");
 }
 
 int main(int argc, char **argv)
@@ -510,9 +455,11 @@ int main(int argc, char **argv)
 	parse_options(&m, argc, argv);
 	if (m.node_id == 0)
 		m.node_id = cli_default_node();
-	m.screen = !m.once && !m.line && isatty(STDOUT_FILENO);
+	if (m.output == OUTPUT_SCREEN && !m.once && (!isatty(STDOUT_FILENO) || !isatty(STDIN_FILENO)))
+		m.output = OUTPUT_LINE;
+	m.unicode = terminal_has_unicode();
 	if (m.update_hz == 0)
-		m.update_hz = m.screen ? SCREEN_HZ : LINE_HZ;
+		m.update_hz = m.output == OUTPUT_SCREEN ? SCREEN_HZ : LINE_HZ;
 	if (m.once && m.seconds == 0)
 		m.seconds = ONCE_SECONDS;
 
@@ -522,17 +469,22 @@ int main(int argc, char **argv)
 	m.next_update_us = m.once ? UINT64_MAX : m.begin_us;
 	m.end_us = m.seconds > 0 ? m.begin_us + (uint64_t)(m.seconds * 1e6) : UINT64_MAX;
 	watch_init(&m.watch, &imu9_od_table, &m.values, m.bus, (uint8_t)m.node_id, m.passive, m.begin_us);
-	if (m.screen)
-		screen_enter();
+	bool screen = m.output == OUTPUT_SCREEN && !m.once;
+	if (screen && !terminal_open()) {
+		cli_error("ncurses does not know the terminal '%s': set TERM, or use --line", getenv("TERM"));
+		return CLI_FAILED;
+	}
+	if (screen)
+		watch_poll(&m.watch, m.begin_us);
 	bool interrupted = run(&m, signal_fd);
-	if (m.screen)
-		screen_leave();
+	if (screen)
+		terminal_close();
 
 	bool received = watch_has_values(&m.watch);
 	if (m.once)
-		show_all(&m, cli_now_us());
-	else if (received)
-		show_summary(&m, cli_now_us());
+		print_screen(&m, cli_now_us());
+	else if (received && (m.output == OUTPUT_SCREEN || m.output == OUTPUT_LINE))
+		output_summary(&m.watch, cli_now_us());
 	find_hint(&m, hint, sizeof(hint));
 	if (hint[0] && !m.once && strcmp(hint, m.hint) != 0)
 		cli_error("%s", hint);

@@ -13,6 +13,7 @@
 
 enum {
 	SDO_TIMEOUT_US = 300000,
+	POLL_US = 100000,
 	RETRY_US = 2000000,
 	SAMPLE_INDEX = OD_INDEX_SAMPLE,
 	SAMPLE_COUNTER = 1,
@@ -132,12 +133,13 @@ static void start_reading(struct watch *watch, uint64_t now_us)
 {
 	if (watch->passive)
 		return;
+	watch->job = WATCH_MAP;
 	watch->reading = 0;
 	watch->retry_us = UINT64_MAX;
 	read_next(watch, now_us);
 }
 
-static void on_answer(struct watch *watch, uint64_t now_us)
+static void on_mapping(struct watch *watch, uint64_t now_us)
 {
 	const struct od_entry *entry = &watch->mirror.table->entries[watch->reading];
 
@@ -158,6 +160,156 @@ static void on_answer(struct watch *watch, uint64_t now_us)
 	case SDO_IDLE:
 	case SDO_RUNNING:
 		break;
+	}
+}
+
+/* ---- other transfers, while the mapping is known ---- */
+
+static const struct watch_polled POLLED[WATCH_POLLED] = {{.index = OD_INDEX_ATTITUDE_SIGMA, .sub = 1},
+	{.index = OD_INDEX_ATTITUDE_SIGMA, .sub = 2}, {.index = OD_INDEX_ATTITUDE_SIGMA, .sub = 3},
+	{.index = OD_INDEX_ACCELERATION_SIGMA, .sub = 1}, {.index = OD_INDEX_ACCELERATION_SIGMA, .sub = 2},
+	{.index = OD_INDEX_ACCELERATION_SIGMA, .sub = 3}, {.index = OD_INDEX_VELOCITY_SIGMA, .sub = 1},
+	{.index = OD_INDEX_VELOCITY_SIGMA, .sub = 2}, {.index = OD_INDEX_VELOCITY_SIGMA, .sub = 3},
+	{.index = OD_INDEX_POSITION_SIGMA, .sub = 1}, {.index = OD_INDEX_POSITION_SIGMA, .sub = 2},
+	{.index = OD_INDEX_POSITION_SIGMA, .sub = 3}, {.index = OD_INDEX_BUS_HEALTH, .sub = OD_SUB_BUS_HEALTH_LOAD},
+	{.index = OD_INDEX_BUS_HEALTH, .sub = OD_SUB_BUS_HEALTH_BIT_RATE}};
+
+void watch_poll(struct watch *watch, uint64_t now_us)
+{
+	memcpy(watch->polled, POLLED, sizeof(POLLED));
+	watch->polls = !watch->passive;
+	watch->poll_us = now_us;
+}
+
+void watch_read_events(struct watch *watch)
+{
+	watch->wants_events = !watch->passive;
+}
+
+void watch_command(struct watch *watch, const char *name, uint16_t index, uint8_t sub, uint32_t value, uint8_t size)
+{
+	struct watch_command command = {.name = name, .index = index, .sub = sub, .size = size};
+
+	put_uint(command.wire, value, size);
+	if (watch->passive)
+		snprintf(watch->message, sizeof(watch->message), "%s: not with --passive", name);
+	else if (watch->command_count < WATCH_COMMANDS)
+		watch->commands[watch->command_count++] = command;
+}
+
+static const char *result_text(const struct sdo_client *sdo)
+{
+	switch (sdo->result) {
+	case SDO_DONE:
+		return "done";
+	case SDO_ABORTED:
+		return sdo_abort_text(sdo->abort_code);
+	default:
+		return "no answer";
+	}
+}
+
+static void on_command(struct watch *watch)
+{
+	const struct watch_command *command = &watch->commands[0];
+
+	snprintf(watch->message, sizeof(watch->message), "%s: %s", command->name, result_text(&watch->sdo));
+	watch->command_count--;
+	memmove(watch->commands, watch->commands + 1, watch->command_count * sizeof(watch->commands[0]));
+}
+
+static void on_polled(struct watch *watch, uint64_t now_us)
+{
+	struct watch_polled *polled = &watch->polled[watch->polling];
+	const struct od_entry *entry = od_find(watch->mirror.table, polled->index, polled->sub, NULL);
+
+	if (watch->sdo.result == SDO_DONE && entry && watch->sdo.size == entry->size) {
+		polled->value = cli_number(entry, watch->wire) * entry->factor;
+		polled->at_us = now_us;
+	}
+	watch->polling = (watch->polling + 1) % WATCH_POLLED;
+}
+
+static void on_answer(struct watch *watch, uint64_t now_us)
+{
+	if (watch->sdo.result == SDO_RUNNING || watch->sdo.result == SDO_IDLE)
+		return;
+	switch (watch->job) {
+	case WATCH_MAP:
+		on_mapping(watch, now_us);
+		break;
+	case WATCH_POLL:
+		on_polled(watch, now_us);
+		break;
+	case WATCH_COMMAND:
+		on_command(watch);
+		break;
+	case WATCH_EVENTS:
+		watch->events[watch->sdo.result == SDO_DONE ? watch->sdo.size : 0] = '\0';
+		break;
+	}
+}
+
+/* Starts what waits for the SDO client. Returns when to look again. */
+static uint64_t next_transfer(struct watch *watch, uint64_t now_us)
+{
+	const struct watch_command *command = &watch->commands[0];
+	const struct watch_polled *polled = &watch->polled[watch->polling];
+
+	if (watch->sdo.result == SDO_RUNNING || watch->mapping == WATCH_READING)
+		return UINT64_MAX;
+	if (watch->command_count > 0) {
+		watch->job = WATCH_COMMAND;
+		sdo_client_download(&watch->sdo, command->index, command->sub, command->wire, command->size, now_us);
+	} else if (watch->wants_events) {
+		watch->wants_events = false;
+		watch->job = WATCH_EVENTS;
+		sdo_client_block_upload(
+			&watch->sdo, OD_INDEX_EVENT_LOG, 0, watch->events, sizeof(watch->events) - 1, now_us);
+	} else if (watch->polls && now_us >= watch->poll_us && watch->mapping == WATCH_READ) {
+		watch->poll_us = now_us + POLL_US;
+		watch->job = WATCH_POLL;
+		sdo_client_upload(&watch->sdo, polled->index, polled->sub, watch->wire, sizeof(watch->wire), now_us);
+	} else {
+		return watch->polls && watch->mapping == WATCH_READ ? watch->poll_us : UINT64_MAX;
+	}
+	on_answer(watch, now_us); /* it could not be sent */
+	return now_us;
+}
+
+double watch_polled(const struct watch *watch, uint16_t index, uint8_t sub)
+{
+	for (size_t i = 0; i < WATCH_POLLED; i++)
+		if (watch->polled[i].index == index && watch->polled[i].sub == sub && watch->polled[i].at_us)
+			return watch->polled[i].value;
+	return NAN;
+}
+
+double watch_sigma(const struct watch *watch, const struct od_entry *entry)
+{
+	double xy, z;
+
+	switch (entry->index) {
+	case OD_INDEX_POSITION_OUTPUT:
+	case OD_INDEX_POSITION_M:
+		return watch_polled(watch, OD_INDEX_POSITION_SIGMA, (uint8_t)((entry->sub - 1) % 3 + 1));
+	case OD_INDEX_VELOCITY:
+		return watch_polled(watch, OD_INDEX_VELOCITY_SIGMA, entry->sub);
+	case OD_INDEX_ACCELERATION_GLOBAL:
+		return watch_polled(watch, OD_INDEX_ACCELERATION_SIGMA, entry->sub);
+	case OD_INDEX_ACCELERATION:
+	case OD_INDEX_ACCELERATION_OBJECT:
+		xy = fmax(watch_polled(watch, OD_INDEX_ACCELERATION_SIGMA, 1),
+			watch_polled(watch, OD_INDEX_ACCELERATION_SIGMA, 2));
+		z = watch_polled(watch, OD_INDEX_ACCELERATION_SIGMA, 3);
+		return isnan(z) ? NAN : fmax(xy, z);
+	case OD_INDEX_ANGLES:
+	case OD_INDEX_ANGLES_DEG:
+		xy = fmax(watch_polled(watch, OD_INDEX_ATTITUDE_SIGMA, 1),
+			watch_polled(watch, OD_INDEX_ATTITUDE_SIGMA, 2));
+		return entry->sub == 3 ? watch_polled(watch, OD_INDEX_ATTITUDE_SIGMA, 3) : xy;
+	default:
+		return NAN;
 	}
 }
 
@@ -203,9 +355,23 @@ double watch_rate_hz(const struct watch_rate *rate, uint64_t now_us)
 	return 1e6 / (silent_us > 2 * rate->interval_us ? silent_us : rate->interval_us);
 }
 
+/* Over a second: frames come in bursts. */
+static void count_bus(struct watch *watch, uint64_t now_us)
+{
+	uint64_t span_us = now_us - watch->second_us;
+
+	if (watch->second_us == 0 || span_us >= 1000000) {
+		watch->bus_hz = watch->second_us ? watch->frames * 1e6 / (double)span_us : 0;
+		watch->second_us = now_us;
+		watch->frames = 0;
+	}
+	watch->frames++;
+}
+
 void watch_sync_sent(struct watch *watch, uint64_t now_us)
 {
 	count_frame(&watch->sync, now_us);
+	count_bus(watch, now_us);
 }
 
 static void count_sample(struct watch_pdo *pdo, uint16_t counter)
@@ -250,7 +416,7 @@ static void on_pdo(struct watch *watch, struct watch_pdo *pdo, const struct can_
 	watch->nmt_state = NMT_OPERATIONAL; /* PDOs are sent in operational only */
 	if (msg->len != mapped_bytes(pdo)) {
 		pdo->misfits++;
-		if (watch->retry_us == UINT64_MAX && watch->sdo.result != SDO_RUNNING)
+		if (watch->retry_us == UINT64_MAX && (watch->sdo.result != SDO_RUNNING || watch->job != WATCH_MAP))
 			watch->retry_us = now_us + RETRY_US / 4; /* the mapping has changed */
 		return;
 	}
@@ -288,8 +454,8 @@ static void on_heartbeat(struct watch *watch, const struct can_msg *msg, uint64_
 static void on_emcy(struct watch *watch, const struct can_msg *msg, uint64_t now_us)
 {
 	count_frame(&watch->emcy, now_us);
-	watch->emcy_code = get_u16(msg->data);
-	watch->emcy_register = msg->data[2];
+	memmove(watch->emcys + 1, watch->emcys, sizeof(watch->emcys) - sizeof(watch->emcys[0]));
+	watch->emcys[0] = (struct watch_emcy){now_us, get_u16(msg->data), msg->data[2]};
 }
 
 static struct watch_pdo *find_pdo(struct watch *watch, uint32_t id)
@@ -304,6 +470,7 @@ void watch_receive(struct watch *watch, const struct can_msg *msg, uint64_t now_
 {
 	struct watch_pdo *pdo = watch->mapping == WATCH_READING ? NULL : find_pdo(watch, msg->id);
 
+	count_bus(watch, now_us);
 	if (msg->remote || msg->extended)
 		return;
 	if (msg->id == (watch_object(watch, OD_INDEX_COB_ID_SYNC, 0) & COB_ID_MASK)) {
@@ -331,9 +498,10 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us)
 		sdo_client_tick(&watch->sdo, now_us);
 		on_answer(watch, now_us);
 	}
-	if (now_us >= watch->retry_us)
+	if (now_us >= watch->retry_us && (watch->job == WATCH_MAP || watch->sdo.result != SDO_RUNNING))
 		start_reading(watch, now_us);
-	return earlier(sdo_client_tick(&watch->sdo, now_us), watch->retry_us);
+	uint64_t next_us = next_transfer(watch, now_us);
+	return earlier(earlier(sdo_client_tick(&watch->sdo, now_us), watch->retry_us), next_us);
 }
 
 int watch_nmt_state(const struct watch *watch, uint64_t now_us)
@@ -357,7 +525,7 @@ bool watch_has_values(const struct watch *watch)
 void watch_field_text(const struct watch_field *field, char *text, size_t capacity)
 {
 	bool real = field->entry && (field->entry->type == OD_REAL32 || field->entry->type == OD_REAL64);
-	bool words = field->entry && field->entry->words && field->entry->words[0];
+	bool words = od_has_words(field->entry);
 	int decimals = field->step < 1 && field->step > 0 ? (int)-floor(log10(field->step)) : 0;
 
 	text[0] = '\0';

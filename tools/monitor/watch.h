@@ -12,7 +12,15 @@
 #include "gateway/canopen/client/sdo_client.h"
 #include "od/od.h"
 
-enum { WATCH_PDOS = 8, WATCH_FIELDS = 8, WATCH_NMT_UNKNOWN = -1, WATCH_NMT_LOST = -2 };
+enum {
+	WATCH_PDOS = 8,
+	WATCH_FIELDS = 8,
+	WATCH_NMT_UNKNOWN = -1,
+	WATCH_NMT_LOST = -2,
+	WATCH_EMCYS = 8,
+	WATCH_POLLED = 14,
+	WATCH_COMMANDS = 4,
+};
 
 /** One mapped object of a PDO. */
 struct watch_field {
@@ -50,6 +58,27 @@ enum watch_mapping {
 	WATCH_DEFAULTS, /* default of the EDS: the node does not answer, or passive */
 };
 
+struct watch_emcy {
+	uint64_t at_us;
+	uint16_t code;
+	uint8_t error_register;
+};
+
+/** A value that is read again and again by SDO. */
+struct watch_polled {
+	uint16_t index;
+	uint8_t sub;
+	double value;
+	uint64_t at_us; /* 0: not read yet */
+};
+
+/** A write by SDO that waits for its turn. */
+struct watch_command {
+	const char *name;
+	uint16_t index;
+	uint8_t sub, size, wire[4];
+};
+
 struct watch {
 	enum watch_mapping mapping;
 	unsigned int configured; /* incremented when the mapping is set and may have changed */
@@ -58,9 +87,12 @@ struct watch {
 	int nmt_state; /* the last one received: enum nmt_state, or WATCH_NMT_UNKNOWN */
 	struct watch_rate heartbeat, sync, emcy;
 	uint64_t boot_ups;
-	uint16_t emcy_code; /* of the last EMCY */
-	uint8_t emcy_register;
-	uint64_t heard_us; /* time of the last frame of the node; 0: none yet */
+	struct watch_emcy emcys[WATCH_EMCYS]; /* the latest first; emcy.count of them */
+	double bus_hz;			      /* frames of all nodes, in the last second; 0: not measured yet */
+	uint64_t heard_us;		      /* time of the last frame of the node; 0: none yet */
+	struct watch_polled polled[WATCH_POLLED];
+	char message[160];		/* what became of the last command; "" before */
+	char events[OD_DOMAIN_MAX + 1]; /* 2131h when it was read last */
 
 	/* PRIVATE */
 	struct od mirror; /* copy of the node's dictionary, as far as it was read */
@@ -68,8 +100,16 @@ struct watch {
 	bool passive;
 	struct sdo_client sdo;
 	uint8_t wire[OD_VALUE_MAX];
-	size_t reading; /* entry of the table that is being read */
+	enum { WATCH_MAP, WATCH_POLL, WATCH_COMMAND, WATCH_EVENTS } job; /* of the SDO client */
+	size_t reading; /* WATCH_MAP: entry of the table that is being read */
 	uint64_t retry_us;
+	uint64_t second_us; /* its begin, and its frames */
+	unsigned int frames;
+	bool polls, wants_events;
+	size_t polling; /* the next of `polled` */
+	uint64_t poll_us;
+	struct watch_command commands[WATCH_COMMANDS];
+	size_t command_count;
 };
 
 /** `values`: memory of table->values_size bytes for the lifetime of the watch. `passive`: sends nothing and uses the
@@ -82,9 +122,21 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us);
 /** The program itself has sent a SYNC. */
 void watch_sync_sent(struct watch *watch, uint64_t now_us);
 
+/** Reads sigmas and bus health by SDO from now on, one value each 0.1 s. */
+void watch_poll(struct watch *watch, uint64_t now_us);
+/** Reads the event log (2131h) once. */
+void watch_read_events(struct watch *watch);
+/** Writes an object by SDO when its turn comes; `message` then says what became of it. `name` lives as long as that. */
+void watch_command(struct watch *watch, const char *name, uint16_t index, uint8_t sub, uint32_t value, uint8_t size);
+/** The 1 sigma of a mapped value as polled, in its unit; NAN: unknown. Sigmas are of the global frame: for an axis of the
+ * object, or roll and pitch, it is that of the least certain axis (for roll and pitch: of the horizontal ones). */
+double watch_sigma(const struct watch *watch, const struct od_entry *entry);
+/** A polled value, or NAN. */
+double watch_polled(const struct watch *watch, uint16_t index, uint8_t sub);
+
 /** Value of a communication object in the node, such as 1005h, or its default. 0: no such object. */
 uint32_t watch_object(const struct watch *watch, uint16_t index, uint8_t sub);
-/** Frames per second; decreases when no more frames arrive. */
+/** Frames per second; decreases when no more frames arrive. 0: not measured yet, that takes two frames. */
 double watch_rate_hz(const struct watch_rate *rate, uint64_t now_us);
 bool watch_has_values(const struct watch *watch);
 

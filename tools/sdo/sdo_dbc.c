@@ -143,7 +143,7 @@ static void print_mapped(struct dbc *dbc, struct message *m, uint32_t mapping)
 	uint16_t index = (uint16_t)(mapping >> 16);
 	uint8_t sub = (uint8_t)(mapping >> 8), bits = (uint8_t)mapping;
 	const struct od_entry *entry = od_find(table, index, sub, NULL);
-	bool fits = entry && entry->size * 8u == bits, words = fits && entry->words && entry->words[0];
+	bool fits = entry && entry->size * 8u == bits, words = fits && od_has_words(entry);
 	char unknown[NAME_MAX_LENGTH];
 
 	if (index <= DUMMY_LAST || bits > 64 || m->bit + bits > 64) {

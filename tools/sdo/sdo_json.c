@@ -3,9 +3,9 @@
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "tools/lib/cli_value.h"
+#include "tools/lib/json_words.h"
 
 struct json_object *sdo_json_new(const struct session *s)
 {
@@ -62,21 +62,6 @@ struct json_object *sdo_json_value(struct session *s, const struct target *targe
 	return number(text);
 }
 
-/* Values: a text. Bits: a list of texts. */
-static struct json_object *words_of(const struct od_entry *entry, uint64_t value)
-{
-	char text[CLI_VALUE_TEXT_MAX];
-	struct json_object *list;
-
-	od_words_text(entry, value, text, sizeof(text));
-	if (!entry->words_of_bits)
-		return text[0] ? json_object_new_string(text) : NULL;
-	list = json_object_new_array();
-	for (char *rest = NULL, *word = strtok_r(text, ",", &rest); word && value; word = strtok_r(NULL, ",", &rest))
-		json_object_array_add(list, json_object_new_string(word));
-	return list;
-}
-
 struct json_object *sdo_json_object(
 	struct session *s, const struct target *target, const uint8_t *wire, size_t size, bool read)
 {
@@ -97,8 +82,8 @@ struct json_object *sdo_json_object(
 		json_object_object_add(object, "unit", json_object_new_string(entry->unit));
 	if (!is_real(entry) && sdo_step(s, entry) != 1 && od_format(entry, wire, size, text, sizeof(text)) > 0)
 		json_object_object_add(object, "raw", number(text));
-	if (entry->words && entry->words[0])
-		json_object_object_add(object, "words", words_of(entry, sdo_number(wire, size)));
+	if (od_has_words(entry))
+		json_object_object_add(object, "words", json_words(entry, sdo_number(wire, size)));
 	return object;
 }
 

@@ -166,7 +166,7 @@ static void parse_value(const struct target *target, const char *text, uint8_t *
 	if (status == OD_OK)
 		return;
 	od_limits_text(entry, limits, sizeof(limits));
-	if (entry->words && entry->words[0])
+	if (od_has_words(entry))
 		snprintf(limits, sizeof(limits), "%s", entry->words);
 	cli_usage_error(
 		"%s = %s: %s%s%s", entry->name, text, od_status_text(status), limits[0] ? "; allowed: " : "", limits);

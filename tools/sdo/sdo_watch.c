@@ -1,13 +1,11 @@
 /* imu9-sdo watch: values again and again, as lines, CSV or JSON. */
 #include <stdio.h>
 #include <string.h>
-#include <time.h>
 
+#include "tools/lib/cli_time.h"
 #include "tools/lib/cli_value.h"
 #include "tools/sdo/sdo_json.h"
 #include "tools/sdo/sdo_session.h"
-
-enum { UTC_TEXT = sizeof("2026-11-30T12:00:00.000Z") };
 
 struct watching {
 	struct session *session;
@@ -17,25 +15,13 @@ struct watching {
 	uint64_t start_us;
 };
 
-/* ISO 8601, by the clock of this computer. */
-static void utc_text(char text[UTC_TEXT])
-{
-	struct timespec now;
-	struct tm utc;
-
-	clock_gettime(CLOCK_REALTIME, &now);
-	gmtime_r(&now.tv_sec, &utc);
-	strftime(text, UTC_TEXT, "%Y-%m-%dT%H:%M:%S", &utc);
-	snprintf(text + strlen(text), UTC_TEXT - strlen(text), ".%03dZ", (int)(now.tv_nsec / 1000000 % 1000));
-}
-
 /* A physical number without unit, a word, or a text; in quotes if it has a comma. */
 static void print_csv(struct session *s, const struct target *target, const uint8_t *wire, size_t size)
 {
 	struct json_object *value = sdo_json_value(s, target, wire, size);
 	char text[CLI_VALUE_TEXT_MAX];
 
-	if (target->entry && target->entry->words && target->entry->words[0])
+	if (od_has_words(target->entry))
 		sdo_value_text(s, target, wire, size, text, sizeof(text));
 	else
 		snprintf(text, sizeof(text), "%s", value ? json_object_get_string(value) : "");
@@ -62,9 +48,9 @@ static void print_header(const struct watching *w)
 /* The values of one instant: the time before them, and each after its separator. */
 static void print_time(const struct watching *w, struct json_object *line, double t_s)
 {
-	char utc[UTC_TEXT], t[32];
+	char utc[CLI_UTC_TEXT], t[32];
 
-	utc_text(utc);
+	cli_utc_text(utc);
 	if (line) {
 		snprintf(t, sizeof(t), "%.3f", t_s);
 		json_object_object_add(line, "t", json_object_new_double_s(t_s, t));

@@ -21,6 +21,7 @@ _imu9() {
 	--set) compopt -o nospace; _imu9_objects "$word"; return ;;
 	--imu) compopt -o nospace; COMPREPLY=($(compgen -W 'sim replay: i2c:/dev/i2c- iio wt901:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
+	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
 	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --movements)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
@@ -55,10 +56,10 @@ _imu9() {
 		[ "$COMP_CWORD" = 1 ] &&
 			COMPREPLY=($(compgen -W 'gyro accelerometer magnetometer temperature lever-arm' -- "$word")) && return
 		;;&
-	imu9-calibrate | imu9-replay | imu9-allan) compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")) ;;
+	imu9-calibrate | imu9-replay | imu9-allan | imu9-plot) compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")) ;;
 	imu9-sim)
 		COMPREPLY=($(compgen -W "experiments $("$program" --list | awk '/^Signals/ {s = 1; next} /^[^ ]/ {s = 0} s {print $1}')" -- "$word")) ;;
 	esac
 }
 
-complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-replay imu9-sim imu9-allan
+complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-replay imu9-sim imu9-allan imu9-plot
