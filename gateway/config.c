@@ -16,7 +16,7 @@ void config_init(struct config *config, const struct od_table *table)
 
 /* ---- keys of the process ----------------------------------------------------------------------------------------- */
 
-enum kind { TEXT, NUMBER, NODE_ID, LOG_LEVEL };
+enum kind { TEXT, LIST, NUMBER, NODE_ID, LOG_LEVEL };
 
 static const struct key {
 	const char *name;
@@ -35,6 +35,7 @@ static const struct key {
 	{"run_led", offsetof(struct config, run_led), TEXT, 0, 0},
 	{"error_led", offsetof(struct config, error_led), TEXT, 0, 0},
 	{"log_level", offsetof(struct config, log_level), LOG_LEVEL, 0, 0},
+	{"cia309", offsetof(struct config, cia309), LIST, 0, 0},
 };
 enum { KEY_COUNT = sizeof(KEYS) / sizeof(KEYS[0]) };
 
@@ -48,6 +49,21 @@ static int set_text(char *out, const char *key, const char *value, char *error)
 		return -EINVAL;
 	}
 	strcpy(out, value);
+	return 0;
+}
+
+/* The key may be given several times: its values add up, with blanks between them. */
+static int add_to_list(char *out, const char *key, const char *value, char *error)
+{
+	size_t used = strlen(out);
+
+	if (value[0] == '\0' || strchr(value, ' ') || used + 1 + strlen(value) >= CONFIG_TEXT_MAX) {
+		snprintf(error, CONFIG_ERROR_MAX,
+			"%s: needs a value without blanks, and all of them at most %d characters", key,
+			CONFIG_TEXT_MAX - 1);
+		return -EINVAL;
+	}
+	snprintf(out + used, CONFIG_TEXT_MAX - used, "%s%s", used ? " " : "", value);
 	return 0;
 }
 
@@ -99,6 +115,8 @@ static int set_key(struct config *c, const struct key *key, const char *value, c
 	switch (key->kind) {
 	case TEXT:
 		return set_text(at, key->name, value, error);
+	case LIST:
+		return add_to_list(at, key->name, value, error);
 	case NUMBER:
 		return set_number(at, key->name, value, key->low, key->high, error);
 	case NODE_ID:
@@ -127,7 +145,7 @@ const char *config_changed(const struct config *before, const struct config *aft
 		const struct key *key = &KEYS[(*from)++];
 		const char *a = (const char *)before + key->at, *b = (const char *)after + key->at;
 
-		if (key->kind == TEXT ? strcmp(a, b) != 0 : memcmp(a, b, sizeof(unsigned)) != 0)
+		if (key->kind == TEXT || key->kind == LIST ? strcmp(a, b) != 0 : memcmp(a, b, sizeof(unsigned)) != 0)
 			return key->name;
 	}
 	return NULL;

@@ -3,7 +3,7 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * vendor_id, run_led, error_led, log_level), and configuration objects by their EDS names, in their units:
+ * vendor_id, run_led, error_led, log_level, cia309), and configuration objects by their EDS names, in their units:
  * `lever_arm.l = 0.05` before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One
  * thread. */
 #ifndef GATEWAY_CONFIG_H
@@ -21,12 +21,13 @@ struct config {
 	char can[CONFIG_TEXT_MAX];
 	char store[CONFIG_TEXT_MAX];				   /* folder; empty: the default of main.c */
 	char run_led[CONFIG_TEXT_MAX], error_led[CONFIG_TEXT_MAX]; /* under /sys/class/leds; empty: none */
-	unsigned node_id;					   /* 1..127; 255: unconfigured, LSS assigns one */
-	unsigned bitrate;					   /* bit/s; 0: unchanged */
-	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
-	unsigned serial;					   /* 1018h:4; 0: see serial.h */
-	unsigned vendor_id;					   /* 1018h:1; 0: that of the EDS */
-	unsigned log_level; /* severity of syslog(3): lines that are less severe are not written */
+	char cia309[CONFIG_TEXT_MAX]; /* addresses of CiA 309-3, blanks between them; empty: none */
+	unsigned node_id;	      /* 1..127; 255: unconfigured, LSS assigns one */
+	unsigned bitrate;	      /* bit/s; 0: unchanged */
+	unsigned realtime;	      /* SCHED_FIFO priority; 0: ordinary scheduling */
+	unsigned serial;	      /* 1018h:4; 0: see serial.h */
+	unsigned vendor_id;	      /* 1018h:1; 0: that of the EDS */
+	unsigned log_level;	      /* severity of syslog(3): lines that are less severe are not written */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

@@ -139,6 +139,15 @@ void event_log_line(struct event_log *log, uint64_t now_us, const char *format, 
 	va_end(args);
 }
 
+void event_log_line_about(struct event_log *log, uint64_t now_us, unsigned number, const char *format, ...)
+{
+	va_list args;
+
+	va_start(args, format);
+	add(log, now_us, number, LOG_INFO, format, args);
+	va_end(args);
+}
+
 void event_log_warning(struct event_log *log, uint64_t now_us, const char *format, ...)
 {
 	va_list args;

@@ -47,6 +47,9 @@ void event_log_add_about(struct event_log *log, uint64_t now_us, unsigned number
 /** event_log_add(), and the line goes to standard error, too (those of event_log_add() do with log_level debug). */
 void event_log_line(struct event_log *log, uint64_t now_us, const char *format, ...)
 	__attribute__((format(printf, 3, 4)));
+/** Both. */
+void event_log_line_about(struct event_log *log, uint64_t now_us, unsigned number, const char *format, ...)
+	__attribute__((format(printf, 4, 5)));
 /** event_log_line() about something that does not work. */
 void event_log_warning(struct event_log *log, uint64_t now_us, const char *format, ...)
 	__attribute__((format(printf, 3, 4)));

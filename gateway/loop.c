@@ -25,13 +25,15 @@ enum { STAMP_TRUSTED_US = 20000 };
 /* A wake-up this late means that the process was not scheduled. */
 enum { AWAY_US = 20000 };
 
-enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_COUNT };
+enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_CIA309, SOURCE_COUNT };
 
 struct loop {
 	struct device *device;
 	struct can_port *bus;
 	struct imu_port *imu;
 	struct store_writer *writer;
+	struct cia309_server *cia309; /* NULL: off */
+	bool cia309_readable;
 	struct service service;
 	loop_reload *reload;
 	int epoll, timer, signals;
@@ -126,6 +128,8 @@ static void on_bus(struct loop *l)
 			return;
 		update_time(l, &msg);
 		device_receive(l->device, &msg, l->now_us);
+		if (l->cia309)
+			cia309_receive(l->cia309->core, &msg, l->now_us);
 	}
 	l->frames_left = true;
 }
@@ -180,6 +184,9 @@ static void on_event(struct loop *l, enum source source)
 	case SOURCE_STORE:
 		on_store(l, l->now_us);
 		break;
+	case SOURCE_CIA309: /* after what is urgent */
+		l->cia309_readable = true;
+		break;
 	case SOURCE_COUNT:
 		break;
 	}
@@ -221,6 +228,18 @@ static uint64_t watch_threads(struct loop *l)
 		l->writer && store_writer_busy(l->writer), l->now_us);
 }
 
+/* The commands of clients come last, and what they change may be due at once. */
+static uint64_t tick_device(struct loop *l)
+{
+	uint64_t next_us = device_tick(l->device, l->now_us);
+
+	if (!l->cia309)
+		return next_us;
+	next_us = cia309_server_step(l->cia309, l->cia309_readable, l->now_us);
+	l->cia309_readable = false;
+	return earlier(next_us, device_tick(l->device, l->now_us));
+}
+
 static void wake(struct loop *l)
 {
 	uint64_t slept_us = l->now_us, due_us = l->armed_us;
@@ -236,7 +255,7 @@ static void wake(struct loop *l)
 		service_away(&l->service, l->now_us - slept_us);
 	}
 	read_host_clock(l, l->now_us);
-	uint64_t next_us = earlier(device_tick(l->device, l->now_us), watch_threads(l));
+	uint64_t next_us = earlier(tick_device(l), watch_threads(l));
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
 }
 
@@ -272,17 +291,20 @@ static int open_descriptors(struct loop *l)
 	if ((rc = watch(l, l->signals, SOURCE_SIGNAL)) < 0 || (rc = watch(l, l->timer, SOURCE_TIMER)) < 0 ||
 		(rc = watch(l, l->imu->fd, SOURCE_SENSOR)) < 0 || (rc = watch(l, l->bus->fd, SOURCE_BUS)) < 0)
 		return rc;
-	return l->writer ? watch(l, l->writer->fd, SOURCE_STORE) : 0;
+	if (l->writer && (rc = watch(l, l->writer->fd, SOURCE_STORE)) < 0)
+		return rc;
+	return l->cia309 ? watch(l, l->cia309->fd, SOURCE_CIA309) : 0;
 }
 
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	bool stored_damaged, loop_reload *reload)
+	struct cia309_server *cia309, bool stored_damaged, loop_reload *reload)
 {
 	struct loop l = {.device = device,
 		.bus = bus,
 		.imu = imu,
 		.last_skipped = imu->counters.skipped, /* of a log: told with its notes */
 		.writer = writer,
+		.cia309 = cia309,
 		.reload = reload,
 		.epoll = -1,
 		.timer = -1,

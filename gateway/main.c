@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include "drivers/ports/sources.h"
+#include "gateway/ascii_gateway.h"
 #include "gateway/config.h"
 #include "gateway/device.h"
 #include "gateway/log.h"
@@ -42,6 +43,8 @@ static const char usage[] =
 	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
 	"      --log-level LEVEL  error, warning, info or debug                      (default: info)\n"
+	"      --cia309 ADDRESS  unix:PATH[,group=NAME] or tcp:127.0.0.1:PORT, both [,write=yes]: CiA 309-3, the\n"
+	"                        text protocol of cocomm; repeatable                  (default: off)\n"
 	"      --check           only tell whether the configuration is good\n"
 	"      --unlock          only open the write lock (214Ch) in the store of a gateway that is stopped\n"
 	"  -h, --help            this text\n"
@@ -71,6 +74,7 @@ static const struct option options[] = {
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"log-level", required_argument, NULL, OPT_KEY},
+	{"cia309", required_argument, NULL, OPT_KEY},
 	{"check", no_argument, NULL, OPT_CHECK},
 	{"unlock", no_argument, NULL, OPT_UNLOCK},
 	{"help", no_argument, NULL, 'h'},
@@ -380,7 +384,8 @@ static int check_configuration(const struct config *config)
 	char why[CONFIG_ERROR_MAX];
 
 	if (imu_open(config->imu, NULL, NULL, why, sizeof(why)) < 0 ||
-		can_open(config->can, NULL, why, sizeof(why)) < 0)
+		can_open(config->can, NULL, why, sizeof(why)) < 0 ||
+		cia309_server_check(config->cia309, why, sizeof(why)) < 0)
 		return bad_configuration(why);
 	return -1;
 }
@@ -424,9 +429,24 @@ static void read_again(struct device *d, uint64_t now_us)
 	invocation.config = config;
 }
 
+/* Other ways into the device than the bus. False: one does not open. */
+static bool open_windows(const struct config *config, struct can_port *bus, struct cia309_server **cia309)
+{
+	char why[CONFIG_ERROR_MAX];
+
+	*cia309 = NULL;
+	if (config->cia309[0] == '\0')
+		return true;
+	*cia309 = ascii_gateway_open(config->cia309, &device, bus, why, sizeof(why));
+	if (!*cia309)
+		log_error("%s", why);
+	return *cia309 != NULL;
+}
+
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
 {
 	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
+	struct cia309_server *cia309 = NULL;
 	int status = EXIT_FAILURE;
 	bool damaged;
 
@@ -443,6 +463,8 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		status = bad_configuration(INCONSISTENT);
 	else if (rc < 0)
 		log_error("cannot start the device: %s", strerror(-rc));
+	else if (!open_windows(config, bus, &cia309))
+		rc = -EIO;
 	if (rc == 0) {
 		if (node_id == CANOPEN_UNCONFIGURED)
 			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waiting for LSS to assign one (imu9-sdo lss "
@@ -454,12 +476,14 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		open_leds(config);
 		go_realtime(config->realtime);
 		process_guard_rest(&guard);
-		rc = loop_run(&device, bus, imu, store, damaged, read_again);
+		rc = loop_run(&device, bus, imu, store, cia309, damaged, read_again);
 		process_guard_stop(&guard);
 		if (rc < 0)
 			log_error("cannot run: %s", strerror(-rc));
 		leds_close(&device.leds);
 	}
+	if (cia309)
+		ascii_gateway_close(cia309);
 	if (store)
 		store_writer_close(store);
 	return rc == 0 ? EXIT_SUCCESS : status;

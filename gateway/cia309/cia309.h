@@ -30,8 +30,10 @@ struct cia309_device {
 	void (*receive)(void *ctx, const struct can_msg *msg, uint64_t now_us);
 	/** canopen_write() */
 	enum od_status (*write)(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
-	/** A client has changed something, or was refused: its command, without control codes, and the answer. */
-	void (*log)(void *ctx, const char *who, const char *command, const char *answer, uint64_t now_us);
+	/** A client has changed something, or was refused: its command, without control codes, and the answer. Equal
+	 * commands have the same number. */
+	void (*log)(
+		void *ctx, unsigned number, const char *who, const char *command, const char *answer, uint64_t now_us);
 };
 
 /** One client. */
@@ -91,6 +93,8 @@ void cia309_input(struct cia309_session *s, const char *bytes, size_t n);
 /** What is to be sent to it; then how much of that was sent. */
 const char *cia309_output(const struct cia309_session *s, size_t *n);
 void cia309_sent(struct cia309_session *s, size_t n);
+/** Nothing of it waits or is under way, but for an incomplete line. */
+bool cia309_idle(const struct cia309_session *s);
 /** Its line was too long: close it once the output is sent. */
 bool cia309_closing(const struct cia309_session *s);
 

@@ -65,6 +65,11 @@ static void done(struct cia309 *g, struct cia309_session *s)
 		i->waits = false;
 }
 
+static unsigned number_of(const struct cia309_command *c)
+{
+	return (unsigned)c->verb << 24 | (unsigned)c->index << 8 | c->sub;
+}
+
 /* The answer that ends the command. */
 __attribute__((format(printf, 4, 5))) static void answer(
 	struct cia309 *g, struct cia309_session *s, uint64_t now_us, const char *format, ...)
@@ -80,7 +85,7 @@ __attribute__((format(printf, 4, 5))) static void answer(
 	append(s, text);
 	append(s, "\r\n");
 	if (changes(s->command.verb))
-		g->device.log(g->device.ctx, s->who, s->text, text, now_us);
+		g->device.log(g->device.ctx, number_of(&s->command), s->who, s->text, text, now_us);
 	done(g, s);
 }
 
@@ -244,7 +249,7 @@ static void listen_to(struct cia309 *g, uint8_t node)
 static void transfer(struct cia309 *g, struct cia309_session *s, uint8_t node, uint64_t now_us)
 {
 	const struct cia309_command *c = &s->command;
-	size_t size;
+	size_t size = 0;
 
 	if (c->verb == CIA309_WRITE && !scanned(g, s, g->buffer, sizeof(g->buffer), &size, now_us))
 		return;
@@ -884,6 +889,11 @@ void cia309_sent(struct cia309_session *s, size_t n)
 {
 	s->out_used -= n;
 	memmove(s->out, s->out + n, s->out_used);
+}
+
+bool cia309_idle(const struct cia309_session *s)
+{
+	return s->state == CIA309_IDLE && !s->printing && !s->line && s->out_used == 0;
 }
 
 bool cia309_closing(const struct cia309_session *s)

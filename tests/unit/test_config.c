@@ -246,6 +246,25 @@ static void test_all_configuration_objects_fit_one_file(void **state)
 
 #define TEST(f) cmocka_unit_test_setup(f, set_up)
 
+static void test_the_addresses_of_cia309_add_up(void **state)
+{
+	char text[CONFIG_TEXT_MAX];
+
+	(void)state;
+	assert_string_equal(config.cia309, "");
+	assert_int_equal(config_option(&config, "cia309", "unix:/run/a", why), 0);
+	assert_int_equal(config_option(&config, "cia309", "tcp:127.0.0.1:60000", why), 0);
+	assert_string_equal(config.cia309, "unix:/run/a tcp:127.0.0.1:60000");
+	assert_int_equal(config_option(&config, "cia309", "unix:/run/with blank", why), -EINVAL);
+	assert_int_equal(config_option(&config, "cia309", "", why), -EINVAL);
+	memset(text, 'x', sizeof(text));
+	text[CONFIG_TEXT_MAX - 1 - strlen(config.cia309)] = '\0';
+	assert_int_equal(config_option(&config, "cia309", text, why), -EINVAL);
+	text[strlen(text) - 1] = '\0';
+	assert_int_equal(config_option(&config, "cia309", text, why), 0);
+	assert_int_equal(strlen(config.cia309), CONFIG_TEXT_MAX - 1);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -267,6 +286,7 @@ int main(void)
 		TEST(test_the_keys_that_differ_are_found),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
 		TEST(test_all_configuration_objects_fit_one_file),
+		TEST(test_the_addresses_of_cia309_add_up),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1,0 +1,430 @@
+/* The sockets of CiA 309-3: real ones, in simulated time. */
+#include <stdarg.h>
+#include <stddef.h>
+#include <setjmp.h>
+#include <stdint.h>
+#include <cmocka.h>
+#include <arpa/inet.h>
+#include <errno.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <stdio.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <sys/stat.h>
+#include <sys/un.h>
+#include <unistd.h>
+
+#include "gateway/cia309/server.h"
+#include "od_values.h"
+#include "tests/unit/descriptors.h"
+
+enum { NODE = 5 };
+
+static struct od od;
+static struct od_domain eds;
+static struct od_values values;
+static struct canopen_node node;
+static struct can_port bus;
+static struct cia309 core;
+static struct cia309_server server;
+static char folder[32], path[64], address[96], who[CIA309_WHO_MAX];
+static uint64_t now_us;
+
+/* ---- a device around it ------------------------------------------------------------------------------------------ */
+
+static int no_send(struct can_port *port, const struct can_msg *msg)
+{
+	(void)port, (void)msg;
+	return 0;
+}
+
+static int no_filter(struct can_port *port, const uint32_t *ids, size_t n)
+{
+	(void)port, (void)ids, (void)n;
+	return 0;
+}
+
+static void receive(void *ctx, const struct can_msg *msg, uint64_t t_us)
+{
+	(void)ctx;
+	canopen_receive(&node, msg, t_us);
+}
+
+static enum od_status write_object(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t t_us)
+{
+	(void)ctx;
+	return canopen_write(&node, index, sub, wire, size, t_us);
+}
+
+static void log_change(
+	void *ctx, unsigned number, const char *name, const char *command, const char *answer, uint64_t t_us)
+{
+	(void)ctx, (void)number, (void)command, (void)answer, (void)t_us;
+	snprintf(who, sizeof(who), "%s", name);
+}
+
+static void start_device(void)
+{
+	static const struct can_ops ops = {.send = no_send, .filter = no_filter};
+	static const struct cia309_device device = {.receive = receive, .write = write_object, .log = log_change};
+
+	bus = (struct can_port){.ops = &ops, .fd = -1};
+	od_init(&od, &imu9_od_table, &values, NODE);
+	eds = (struct od_domain){.index = 0x1021, .data = imu9_eds, .size = imu9_eds_size};
+	od_set_domain(&od, &eds);
+	assert_int_equal(canopen_init(&node, &od, &bus, NULL, NODE), 0);
+	canopen_start(&node, now_us);
+	cia309_init(&core, &device, &node, &bus);
+}
+
+static void serve(const char *addresses)
+{
+	char error[256] = "";
+
+	start_device();
+	if (cia309_server_open(&server, &core, addresses, error, sizeof(error)) < 0)
+		fail_msg("%s", error);
+}
+
+static int set_up(void **state)
+{
+	(void)state;
+	now_us = 1000000;
+	strcpy(folder, "/tmp/imu9-309.XXXXXX");
+	if (!mkdtemp(folder))
+		return -1;
+	snprintf(path, sizeof(path), "%s/socket", folder);
+	snprintf(address, sizeof(address), "unix:%s,write=yes", path);
+	serve(address);
+	return 0;
+}
+
+static int tear_down(void **state)
+{
+	(void)state;
+	cia309_server_close(&server);
+	return rmdir(folder); /* the socket is removed */
+}
+
+/* ---- clients ----------------------------------------------------------------------------------------------------- */
+
+static bool readable(int fd)
+{
+	struct pollfd p = {.fd = fd, .events = POLLIN};
+
+	return poll(&p, 1, 0) == 1;
+}
+
+/* The loop, until nothing more happens at this moment; it must not be woken for ever. */
+static uint64_t turn(void)
+{
+	uint64_t next_us;
+	int turns = 0;
+
+	do {
+		next_us = cia309_server_step(&server, readable(server.fd), now_us);
+		assert_true(turns++ < 1000);
+	} while (readable(server.fd));
+	return next_us;
+}
+
+static void pass_ms(unsigned ms)
+{
+	while (ms-- > 0) {
+		now_us += 1000;
+		turn();
+	}
+}
+
+static int connect_unix(void)
+{
+	struct sockaddr_un un = {.sun_family = AF_UNIX};
+	int fd = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+
+	strcpy(un.sun_path, path);
+	assert_int_equal(connect(fd, (struct sockaddr *)&un, sizeof(un)), 0);
+	pass_ms(CIA309_ACCEPT_US / 1000 + 1);
+	return fd;
+}
+
+static void type(int fd, const char *text)
+{
+	assert_int_equal(send(fd, text, strlen(text), MSG_NOSIGNAL), strlen(text));
+}
+
+/* What the client has received within some time; "" at its end. */
+static const char *received(int fd)
+{
+	static char text[8192];
+	ssize_t n;
+
+	pass_ms(20);
+	n = recv(fd, text, sizeof(text) - 1, MSG_DONTWAIT);
+	text[n > 0 ? n : 0] = '\0';
+	return n < 0 && errno == EAGAIN ? "(nothing)" : text;
+}
+
+static bool closed(int fd)
+{
+	char byte;
+
+	return recv(fd, &byte, 1, MSG_DONTWAIT) == 0;
+}
+
+static void test_a_client_sends_lines_and_receives_answers(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	type(fd, "[1] 5 r 0x1017 0 u16\n[2] 5 w 0x1017 0 u16 500\r\n# done\n[3] 5 r 0x1017 0 u");
+	assert_string_equal(received(fd), "[1] 1000\r\n[2] OK\r\n\r\n");
+	type(fd, "16\n");
+	assert_string_equal(received(fd), "[3] 500\r\n");
+	close(fd);
+}
+
+static void test_the_log_gets_the_process_at_the_other_end(void **state)
+{
+	char expected[CIA309_WHO_MAX];
+	int fd = connect_unix();
+
+	(void)state;
+	type(fd, "[1] 5 start\n");
+	assert_string_equal(received(fd), "[1] OK\r\n");
+	snprintf(expected, sizeof(expected), "uid %u pid %d", getuid(), getpid());
+	assert_string_equal(who, expected);
+	close(fd);
+}
+
+static void test_the_socket_is_for_its_owner_and_group(void **state)
+{
+	struct stat st;
+
+	(void)state;
+	assert_int_equal(stat(path, &st), 0);
+	assert_int_equal(st.st_mode, S_IFSOCK | 0660);
+}
+
+static void test_a_socket_without_write_yes_changes_nothing(void **state)
+{
+	(void)state;
+	cia309_server_close(&server);
+	address[strlen(address) - strlen(",write=yes")] = '\0';
+	serve(address);
+	int fd = connect_unix();
+	type(fd, "[1] 5 w 0x1017 0 u16 500\n");
+	assert_memory_equal(received(fd), "[1] ERROR:102 #Not permitted", 28);
+	assert_int_equal(values.producer_heartbeat_time, 1000);
+	close(fd);
+}
+
+static void test_tcp_listens_on_the_loopback_address(void **state)
+{
+	struct sockaddr_in in = {.sin_family = AF_INET};
+	socklen_t size = sizeof(in);
+	char tcp[64], expected[CIA309_WHO_MAX];
+	int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+
+	(void)state;
+	/* a free port: of a socket that is closed again */
+	in.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+	assert_int_equal(bind(fd, (struct sockaddr *)&in, sizeof(in)), 0);
+	assert_int_equal(getsockname(fd, (struct sockaddr *)&in, &size), 0);
+	close(fd);
+	cia309_server_close(&server);
+	snprintf(tcp, sizeof(tcp), "tcp:127.0.0.1:%u,write=yes", ntohs(in.sin_port));
+	serve(tcp);
+	fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
+	assert_int_equal(connect(fd, (struct sockaddr *)&in, sizeof(in)), 0);
+	type(fd, "[1] 5 start\n");
+	assert_string_equal(received(fd), "[1] OK\r\n");
+	assert_int_equal(getsockname(fd, (struct sockaddr *)&in, &size), 0);
+	snprintf(expected, sizeof(expected), "127.0.0.1 port %u", ntohs(in.sin_port));
+	assert_string_equal(who, expected);
+	close(fd);
+	turn();
+}
+
+static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **state)
+{
+	static const char *const BAD[] = {"tcp:0.0.0.0:60000", "tcp:192.168.1.1:60000", "tcp:localhost:60000",
+		"tcp:127.0.0.1", "tcp:127.0.0.1:0", "tcp:127.0.0.1:65536", "tcp:127.0.0.1:6x", "tcp:[::]:60000",
+		"unix:", "unix:relative", "udp:127.0.0.1:60000", "/run/309", "unix:/run/309,write=maybe",
+		"tcp:127.0.0.1:60000,group=root", "unix:/run/309,group=no-such-group", "unix:/run/309,mode=0666"};
+	char error[256];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(BAD) / sizeof(BAD[0]); i++) {
+		error[0] = '\0';
+		assert_int_equal(cia309_server_check(BAD[i], error, sizeof(error)), -EINVAL);
+		assert_memory_equal(error, "cia309: ", 8);
+	}
+	assert_int_equal(
+		cia309_server_check("unix:/run/309.sock,group=root,write=yes tcp:127.0.0.1:60000 tcp:[::1]:60000",
+			error, sizeof(error)),
+		0);
+	assert_int_equal(cia309_server_check("unix:/a unix:/b unix:/c unix:/d unix:/e", error, sizeof(error)), -EINVAL);
+	assert_int_equal(cia309_server_check("", error, sizeof(error)), 0);
+}
+
+static void test_a_socket_that_was_left_is_replaced_and_a_living_one_or_a_file_is_not(void **state)
+{
+	struct sockaddr_un un = {.sun_family = AF_UNIX};
+	int left = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+	struct cia309_server second;
+	char error[256];
+
+	(void)state;
+	assert_int_equal(cia309_server_open(&second, &core, address, error, sizeof(error)), -EADDRINUSE);
+	cia309_server_close(&server);
+	strcpy(un.sun_path, path);
+	assert_int_equal(bind(left, (struct sockaddr *)&un, sizeof(un)), 0);
+	close(left); /* the file stays */
+	serve(address);
+	close(connect_unix());
+	cia309_server_close(&server);
+	FILE *file = fopen(path, "w");
+	fclose(file);
+	assert_int_equal(cia309_server_open(&server, &core, address, error, sizeof(error)), -EEXIST);
+	assert_int_equal(unlink(path), 0);
+	serve(address);
+}
+
+/* echo '[1] ...' | nc -N: what was sent before the end is answered. */
+static void test_a_client_that_has_ended_its_input_receives_its_answers(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	type(fd, "[1] 5 r 0x1017 0 u16\n[2] 7 r 0x1017 0\n[3] incomplete");
+	shutdown(fd, SHUT_WR);
+	assert_string_equal(received(fd), "[1] 1000\r\n");
+	pass_ms(500);
+	assert_memory_equal(received(fd), "[2] ERROR:0x05040000", 20);
+	assert_true(closed(fd));
+	close(fd);
+}
+
+static void test_a_client_that_is_gone_executes_what_it_sent_and_wakes_nobody(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	type(fd, "[1] 7 r 0x1017 0\n[2] 5 start\n");
+	close(fd);
+	pass_ms(100); /* the loop would turn for ever in the first of them */
+	assert_int_equal(canopen_nmt_state(&node), NMT_PRE_OPERATIONAL);
+	pass_ms(500);
+	assert_int_equal(canopen_nmt_state(&node), NMT_OPERATIONAL);
+	for (int i = 0; i < CIA309_SESSIONS; i++)
+		assert_null(server.clients[i].session);
+}
+
+static void test_a_client_that_takes_no_answers_is_closed(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	for (int i = 0; i < 30; i++)
+		type(fd, "[1] 5 r 0x1021 0 d\n"); /* 200 kB each */
+	pass_ms(1000);
+	now_us += CIA309_STALLED_US - 1000000;
+	turn();
+	assert_non_null(server.clients[0].session);
+	now_us += 1000000;
+	turn();
+	assert_null(server.clients[0].session);
+	close(fd);
+}
+
+static void test_a_silent_client_is_closed_after_a_while(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	uint64_t deadline_us = turn();
+	assert_in_range(deadline_us, now_us, now_us + CIA309_QUIET_US);
+	now_us = deadline_us - 1;
+	turn();
+	assert_false(closed(fd));
+	now_us = deadline_us;
+	turn();
+	assert_true(closed(fd));
+	close(fd);
+}
+
+static void test_a_line_without_end_closes_its_client(void **state)
+{
+	static char line[CIA309_LINE_MAX];
+	int fd = connect_unix();
+
+	(void)state;
+	memset(line, 'x', sizeof(line));
+	assert_int_equal(send(fd, line, sizeof(line), MSG_NOSIGNAL), sizeof(line));
+	assert_string_equal(received(fd), "[0] ERROR:600 #The line is too long.\r\n");
+	assert_true(closed(fd));
+	close(fd);
+}
+
+static void test_one_client_more_than_there_are_places_is_closed(void **state)
+{
+	int fds[CIA309_SESSIONS + 1];
+
+	(void)state;
+	for (int i = 0; i <= CIA309_SESSIONS; i++)
+		fds[i] = connect_unix();
+	for (int i = 0; i < CIA309_SESSIONS; i++)
+		assert_false(closed(fds[i]));
+	assert_true(closed(fds[CIA309_SESSIONS]));
+	close(fds[0]);
+	turn();
+	close(fds[CIA309_SESSIONS]);
+	fds[0] = connect_unix();
+	type(fds[0], "[1] 5 r 0x1017 0 u16\n");
+	assert_string_equal(received(fds[0]), "[1] 1000\r\n");
+	for (int i = 0; i < CIA309_SESSIONS; i++)
+		close(fds[i]);
+}
+
+static void test_clients_that_come_at_once_are_accepted_one_by_one(void **state)
+{
+	struct sockaddr_un un = {.sun_family = AF_UNIX};
+	int fds[5], accepted = 0;
+
+	(void)state;
+	strcpy(un.sun_path, path);
+	for (int i = 0; i < 5; i++) {
+		fds[i] = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+		assert_int_equal(connect(fds[i], (struct sockaddr *)&un, sizeof(un)), 0);
+	}
+	pass_ms(2 * CIA309_ACCEPT_US / 1000);
+	for (int i = 0; i < CIA309_SESSIONS; i++)
+		accepted += server.clients[i].session != NULL;
+	assert_in_range(accepted, 2, 3);
+	for (int i = 0; i < 5; i++)
+		close(fds[i]);
+}
+
+int main(void)
+{
+#define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
+	const struct CMUnitTest tests[] = {
+		TEST(test_a_client_sends_lines_and_receives_answers),
+		TEST(test_the_log_gets_the_process_at_the_other_end),
+		TEST(test_the_socket_is_for_its_owner_and_group),
+		TEST(test_a_socket_without_write_yes_changes_nothing),
+		TEST(test_tcp_listens_on_the_loopback_address),
+		TEST(test_addresses_of_other_hosts_and_wrong_ones_are_refused),
+		TEST(test_a_socket_that_was_left_is_replaced_and_a_living_one_or_a_file_is_not),
+		TEST(test_a_client_that_has_ended_its_input_receives_its_answers),
+		TEST(test_a_client_that_is_gone_executes_what_it_sent_and_wakes_nobody),
+		TEST(test_a_client_that_takes_no_answers_is_closed),
+		TEST(test_a_silent_client_is_closed_after_a_while),
+		TEST(test_a_line_without_end_closes_its_client),
+		TEST(test_one_client_more_than_there_are_places_is_closed),
+		TEST(test_clients_that_come_at_once_are_accepted_one_by_one),
+	};
+
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
+}
