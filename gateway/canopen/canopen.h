@@ -110,6 +110,10 @@ bool canopen_lss_active(const struct canopen_node *node);
  * is not set or the NMT state does not allow it. */
 bool canopen_send_time(struct canopen_node *node, uint16_t day, uint32_t ms, uint64_t now_us);
 
+/** The memory of the node, but for its pointers, was replaced by that of another node of the same dictionary: looks up
+ * what its PDOs map. */
+void canopen_restored(struct canopen_node *node);
+
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 
 #endif

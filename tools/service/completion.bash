@@ -21,7 +21,7 @@ _imu9() {
 	--set) compopt -o nospace; _imu9_objects "$word"; return ;;
 	--imu) compopt -o nospace; COMPREPLY=($(compgen -W 'sim replay: i2c:/dev/i2c- iio wt901:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
-	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --movements)
+	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --record | --movements | --frames)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
 	if [[ $word == -* ]]; then
