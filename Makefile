@@ -79,6 +79,15 @@ $(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
 drivers/imu/pololu/drdy_gpiod-missing.c:
 	@echo "$(PKG_CONFIG) finds no libgpiod: tools/deps build" >&2; exit 1
 
+# a recording continues from the memory of struct device: the sources that give it its meaning and layout
+BUILD_ID_SRC := $(sort $(filter-out gateway/main.c,$(wildcard model/*.[ch] model/math/*.[ch] model/identify/*.[ch] \
+	od/*.[ch] gateway/*.[ch] gateway/canopen/*.[ch] drivers/ports/*.h)) eds/imu9-gateway.eds)
+$(BUILD)/gen/build_id.h: $(BUILD_ID_SRC)
+	@mkdir -p $(@D)
+	@echo "#define BUILD_ID \"$$(cat $^ | sha256sum | cut -c1-16)-$$(echo __SIZEOF_POINTER__ __BYTE_ORDER__ | \
+		$(CC) -E -P - | tr -d ' ')\"" >$@
+$(BUILD)/obj/gateway/device_state.o: $(BUILD)/gen/build_id.h
+
 # the generator is built before anything that needs what it generates
 GEN_OD_SRC := $(call sources,tools/eds/*.c) $(OD_SRC)
 $(BUILD)/gen-od: $(GEN_OD_SRC) $(wildcard od/*.h tools/eds/*.h)
@@ -197,7 +206,7 @@ bench: all $(BENCHES) ## print the measured figures
 mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
-lint: $(BUILD)/gen/od_values.h ## clang-tidy and cppcheck
+lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h ## clang-tidy and cppcheck
 	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
@@ -274,7 +283,7 @@ check-layers: $(PURE_LIBS) ## fail when a layer includes or needs what it must n
 check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
 	@tests/check-docs
 
-check-objects: $(BUILD)/gen/od_table.c ## fail when nothing in the gateway uses an object of the EDS
+check-objects: $(BUILD)/gen/od_table.c $(BUILD)/gen/build_id.h ## fail when nothing in the gateway uses an object of the EDS
 	@tests/check-objects $(BUILD) "$(CC)"
 
 # ---- installing ----------------------------------------------------------------------------------------------------

@@ -42,6 +42,7 @@ static void poll_bus(struct bus_health *h)
 	if (h->poll_us > 0 && h->now_us - h->poll_us < POLL_US)
 		return;
 	can_refresh(h->bus);
+	record_refreshed(h->record, h->bus);
 	if (h->poll_us > 0)
 		publish_load(h, h->now_us - h->poll_us);
 	h->traffic = h->bus->traffic;
@@ -90,7 +91,7 @@ static void plan_restart(struct bus_health *h)
 
 static void restart(struct bus_health *h)
 {
-	int rc = can_restart(h->bus);
+	int rc = record_answer(h->record, can_restart(h->bus));
 
 	h->restart_us = UINT64_MAX;
 	if (rc == 0) {
@@ -237,7 +238,7 @@ static const char *why_not(int rc)
 
 bool bus_health_bit_rate_possible(struct bus_health *h, uint32_t bit_s)
 {
-	int rc = can_bit_rate(h->bus, bit_s, true);
+	int rc = record_answer(h->record, can_bit_rate(h->bus, bit_s, true));
 
 	if (rc < 0)
 		event_log_line(h->log, h->now_us, "%s: LSS requested %u bit/s: %s", h->bus->name, bit_s, why_not(rc));
@@ -246,7 +247,7 @@ bool bus_health_bit_rate_possible(struct bus_health *h, uint32_t bit_s)
 
 void bus_health_set_bit_rate(struct bus_health *h, uint32_t bit_s)
 {
-	int rc = can_bit_rate(h->bus, bit_s, false);
+	int rc = record_answer(h->record, can_bit_rate(h->bus, bit_s, false));
 
 	event_log_line(h->log, h->now_us, "%s: %u bit/s by LSS%s%s", h->bus->name, bit_s, rc < 0 ? " failed: " : "",
 		rc < 0 ? why_not(rc) : "");

@@ -11,6 +11,7 @@
 #include "drivers/ports/can.h"
 #include "gateway/canopen/canopen.h"
 #include "gateway/event_log.h"
+#include "gateway/record.h"
 #include "od_values.h"
 
 struct bus_health {
@@ -19,6 +20,7 @@ struct bus_health {
 	struct canopen_node *node;
 	struct od_values *values;
 	struct event_log *log;
+	struct record *record; /* of the device */
 	struct od_hook hook;
 	enum can_state seen;
 	bool was_off, overrun;

@@ -29,6 +29,7 @@ static const struct key {
 	{"node_id", offsetof(struct config, node_id), NODE_ID, 0, 0},
 	{"bitrate", offsetof(struct config, bitrate), NUMBER, 10000, 1000000},
 	{"store", offsetof(struct config, store), TEXT, 0, 0},
+	{"record", offsetof(struct config, record), TEXT, 0, 0},
 	{"realtime", offsetof(struct config, realtime), NUMBER, 0, 99},
 	{"serial", offsetof(struct config, serial), NUMBER, 0, UINT32_MAX},
 	{"vendor_id", offsetof(struct config, vendor_id), NUMBER, 0, UINT32_MAX},

@@ -2,8 +2,8 @@
  * The configuration of the process: defaults < FILE < command line. What 1010h stored has precedence; the device
  * applies it.
  *
- * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * vendor_id, run_led, error_led, log_level, cia309), and configuration objects by their EDS names, in their units:
+ * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, record, realtime,
+ * serial, vendor_id, run_led, error_led, log_level, cia309), and configuration objects by their EDS names, in their units:
  * `lever_arm.l = 0.05` before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One
  * thread. */
 #ifndef GATEWAY_CONFIG_H
@@ -20,6 +20,7 @@ struct config {
 	char imu[CONFIG_TEXT_MAX];
 	char can[CONFIG_TEXT_MAX];
 	char store[CONFIG_TEXT_MAX];				   /* folder; empty: the default of main.c */
+	char record[CONFIG_TEXT_MAX];				   /* folder and options; empty: nothing is recorded */
 	char run_led[CONFIG_TEXT_MAX], error_led[CONFIG_TEXT_MAX]; /* under /sys/class/leds; empty: none */
 	char cia309[CONFIG_TEXT_MAX]; /* addresses of CiA 309-3, blanks between them; empty: none */
 	unsigned node_id;	      /* 1..127; 255: unconfigured, LSS assigns one */

@@ -136,6 +136,7 @@ static enum od_status on_store_lss(void *ctx, uint8_t node_id, uint32_t bit_s)
 
 void device_saved(struct device *d, int result, uint64_t now_us)
 {
+	record_input(d->record, &(struct record_entry){.kind = RECORD_SAVED, .now_us = now_us, .value = result});
 	d->now_us = now_us;
 	storing_saved(&d->storing, result, now_us);
 	write_lock_update(&d->write_lock);
@@ -241,6 +242,8 @@ static void on_error_changed(void *ctx, uint16_t code, bool set, const uint8_t i
 	if (set)
 		snprintf(what, sizeof(what), ", EMCY bytes 3 to 7: %02X %02X %02X %02X %02X", info[0], info[1], info[2],
 			info[3], info[4]);
+	if (set)
+		record_emcy(d->record, d->now_us);
 	event_log_add_about(&d->log, d->now_us, code, "error %04Xh (%s)%s", code, emcy_code_text(code), what);
 }
 
@@ -285,6 +288,7 @@ static void attach_hooks(struct device *d)
 	set_eds(d);
 	event_log_attach(&d->log, &d->od);
 	last_movement_attach(&d->last_movement, &d->od, &d->values);
+	record_attach_object(d);
 	d->snapshot.od = &d->od;
 	d->snapshot.node_id = &d->canopen.id;
 	d->snapshot.ctx = d;
@@ -331,6 +335,8 @@ int device_init(struct device *d, struct can_port *bus, struct imu_port *imu, co
 
 void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 {
+	record_input(
+		d->record, &(struct record_entry){.kind = RECORD_START, .now_us = now_us, .value = stored_damaged});
 	d->now_us = d->last_sample_us = now_us;
 	event_log_start(&d->log, now_us);
 	event_log_add(&d->log, now_us, "started with node-ID %u on %s, IMU %s", d->storing.node_id, d->bus->name,
@@ -432,6 +438,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 {
 	struct pipeline_output out;
 
+	record_sample(d->record, read, sample, now_us);
 	d->now_us = now_us;
 	if (read < 0) {
 		sensor_lost(d);
@@ -469,23 +476,30 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us)
 {
+	record_input(d->record, &(struct record_entry){.kind = RECORD_FRAME, .now_us = now_us, .msg = *msg});
 	d->now_us = now_us;
 	canopen_receive(&d->canopen, msg, now_us);
 }
 
 void device_away(struct device *d, uint64_t us, uint64_t now_us)
 {
+	record_input(
+		d->record, &(struct record_entry){.kind = RECORD_AWAY, .now_us = now_us, .offset_us = (int64_t)us});
 	d->last_sample_us = earlier(d->last_sample_us + us, now_us);
 }
 
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us)
 {
+	record_input(d->record,
+		&(struct record_entry){
+			.kind = RECORD_CLOCK, .now_us = d->now_us, .value = synchronised, .offset_us = offset_us});
 	utc_host_clock(&d->utc, synchronised, offset_us);
 }
 
 uint64_t device_tick(struct device *d, uint64_t now_us)
 {
 	d->now_us = now_us;
+	record_tick(d->record, now_us);
 	watch_self_test(d);
 	if (now_us - d->last_sample_us >= sensor_watch_silence_us(&d->sensor_watch))
 		sensor_lost(d);

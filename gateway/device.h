@@ -24,6 +24,7 @@
 #include "gateway/last_movement.h"
 #include "gateway/lever_arm_um.h"
 #include "gateway/pdo_preset.h"
+#include "gateway/record.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/snapshot.h"
 #include "gateway/status.h"
@@ -60,6 +61,8 @@ struct device {
 	struct pdo_preset pdo_preset;
 	struct lever_arm_um lever_arm_um;
 	struct write_lock write_lock;
+	struct record *record; /* NULL: none */
+	struct od_hook record_hook;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;

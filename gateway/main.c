@@ -17,6 +17,7 @@
 #include "gateway/log.h"
 #include "gateway/loop.h"
 #include "gateway/process_guard.h"
+#include "gateway/record_file.h"
 #include "gateway/reload.h"
 #include "gateway/serial.h"
 #include "gateway/settings.h"
@@ -38,6 +39,8 @@ static const char usage[] =
 	"      --set NAME=VALUE  any configuration object by its EDS name, e.g. lever_arm.l=0.05\n"
 	"      --store DIR       where 1010h and LSS store (default: /var/lib/imu9-gateway, or\n"
 	"                        ~/.local/state/imu9-gateway when not root)\n"
+	"      --record DIR[,size=MB][,files=N]  IMU logs of all that goes in, for imu9-replay; 8 files of\n"
+	"                        16 MB, and as many kept for EMCYs; 215Ch starts and stops   (default: off)\n"
 	"      --realtime PRIO   SCHED_FIFO priority 1 to 99, memory locked         (default: off)\n"
 	"      --serial N        1018h:4, unique among all units   (default: from the hardware, kept)\n"
 	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
@@ -68,6 +71,7 @@ static const struct option options[] = {
 	{"bitrate", required_argument, NULL, OPT_KEY},
 	{"set", required_argument, NULL, OPT_SET},
 	{"store", required_argument, NULL, OPT_KEY},
+	{"record", required_argument, NULL, OPT_KEY},
 	{"realtime", required_argument, NULL, OPT_KEY},
 	{"serial", required_argument, NULL, OPT_KEY},
 	{"vendor-id", required_argument, NULL, OPT_KEY},
@@ -378,6 +382,31 @@ static void open_leds(const struct config *config)
 static const char INCONSISTENT[] = "the configuration is inconsistent: check for a singular calibration matrix or a "
 				   "filter order 0";
 
+static struct recording {
+	struct record_options options;
+	struct record record;
+	struct record_file file;
+} recording;
+
+/* The device runs without it, too. */
+static struct record *open_recording(const struct config *config)
+{
+	const char *folder = recording.options.folder;
+
+	if (!config->record[0])
+		return NULL;
+	int rc = record_open(&recording.record);
+	if (rc == 0 && (rc = record_file_open(&recording.file, &recording.record, &recording.options)) < 0)
+		record_close(&recording.record);
+	if (rc == 0)
+		log_line("recording in %s: %u files of %u MB", folder, recording.options.files,
+			recording.options.size_mb);
+	else
+		log_warning("%s: %s: nothing is recorded; use another folder with --record", folder,
+			rc == -EADDRINUSE ? "another process records there" : strerror(-rc));
+	return rc == 0 ? &recording.record : NULL;
+}
+
 /* Wrong however often it is tried, whether the device is there or not. -1: good, else the exit status. */
 static int check_configuration(const struct config *config)
 {
@@ -386,6 +415,8 @@ static int check_configuration(const struct config *config)
 	if (imu_open(config->imu, NULL, NULL, why, sizeof(why)) < 0 ||
 		can_open(config->can, NULL, why, sizeof(why)) < 0 ||
 		cia309_server_check(config->cia309, why, sizeof(why)) < 0)
+		return bad_configuration(why);
+	if (config->record[0] && record_options(config->record, &recording.options, why, sizeof(why)) < 0)
 		return bad_configuration(why);
 	return -1;
 }
@@ -466,6 +497,9 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	else if (!open_windows(config, bus, &cia309))
 		rc = -EIO;
 	if (rc == 0) {
+		struct record *record = open_recording(config);
+
+		record_attach(record, &device);
 		if (node_id == CANOPEN_UNCONFIGURED)
 			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waiting for LSS to assign one (imu9-sdo lss "
 				 "assign)",
@@ -481,6 +515,10 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		if (rc < 0)
 			log_error("cannot run: %s", strerror(-rc));
 		leds_close(&device.leds);
+		if (record) {
+			record_file_close(&recording.file);
+			record_close(record);
+		}
 	}
 	if (cia309)
 		ascii_gateway_close(cia309);

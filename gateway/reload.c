@@ -73,5 +73,6 @@ int reload(struct device *d, const struct config *before, const struct config *a
 	if (used > 0)
 		od_write(&d->od, OD_INDEX_CONFIGURATION_SNAPSHOT, 0, changes, used); /* the log has the result */
 	d->write_lock.suspended = false;
+	record_begin_again(d->record);
 	return 0;
 }

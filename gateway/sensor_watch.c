@@ -71,6 +71,7 @@ static bool configure(struct sensor_watch *w, const struct imu_settings *setting
 			     ? w->imu->ops->configure(w->imu, settings, dry, why, sizeof why)
 			     : 0;
 
+	record_configured(w->record, result, w->imu);
 	if (result < 0)
 		event_log_warning(w->log, w->canopen->now_us,
 			"the sensor does not support 2058h, its settings are unchanged: %s", why);

@@ -9,6 +9,7 @@
 #include "drivers/ports/imu.h"
 #include "gateway/canopen/node.h"
 #include "gateway/event_log.h"
+#include "gateway/record.h"
 #include "od_values.h"
 
 /** 6511h and 2124h:10 as long as no sample has had a temperature, degC. */
@@ -20,6 +21,7 @@ struct sensor_watch {
 	struct od_values *values;
 	struct canopen_node *canopen;
 	struct event_log *log;
+	struct record *record; /* of the device */
 	struct od_hook hook;
 	struct imu_settings in_use;
 	bool refused, refusal_reported;

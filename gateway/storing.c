@@ -24,7 +24,8 @@ static enum od_status save(struct storing *s)
 	if (!s->port.save)
 		return OD_CANNOT_STORE;
 	s->saving.revision = ((const struct od_values *)s->od->values)->identity.revision_number;
-	return storage_result(s, s->port.save(s->port.ctx, bytes, store_encode(&s->saving, bytes)));
+	return storage_result(
+		s, record_answer(s->record, s->port.save(s->port.ctx, bytes, store_encode(&s->saving, bytes))));
 }
 
 enum od_status storing_store(struct storing *s, enum od_group group)

@@ -11,6 +11,7 @@
 
 #include "gateway/canopen/canopen.h"
 #include "gateway/event_log.h"
+#include "gateway/record.h"
 #include "gateway/store.h"
 #include "od_values.h"
 
@@ -26,6 +27,7 @@ struct storing {
 	struct od *od;
 	struct canopen_node *canopen;
 	struct event_log *log;
+	struct record *record; /* of the device */
 	struct storing_port port;
 	struct od_values base;	   /* defaults < file < command line: what a reset starts from */
 	struct store_image stored; /* what the storage holds */

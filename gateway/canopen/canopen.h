@@ -133,6 +133,9 @@ enum od_status canopen_write(
 /** Whether the node takes part in the bus now: neither before boot-up nor while the bit rate is switched. A node without
  * a node-ID takes LSS only. */
 bool canopen_listens(const struct canopen_node *node);
+/** The memory of the node, but for its pointers, was replaced by that of another node of the same dictionary: looks up
+ * what its PDOs map. */
+void canopen_restored(struct canopen_node *node);
 
 enum nmt_state canopen_nmt_state(const struct canopen_node *node);
 

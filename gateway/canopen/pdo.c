@@ -247,6 +247,15 @@ void pdo_reset(struct canopen_node *node)
 	}
 }
 
+void canopen_restored(struct canopen_node *node)
+{
+	struct pdo *pdo;
+	size_t bytes;
+
+	for (size_t i = 0; (pdo = nth(node, i)); i++)
+		(void)find_mapping(node->od, pdo, pdo->mapped_count, pdo->mapped, &bytes);
+}
+
 /* ---- operation --------------------------------------------------------------------------------------------------- */
 
 void pdo_start(struct canopen_node *node)

@@ -16,9 +16,11 @@
 #include "tools/lib/cli_config.h"
 #include "tools/lib/cli_file.h"
 #include "tools/lib/csv.h"
+#include "tools/replay/recording.h"
 
 static const char usage[] =
 	"Usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--format FORMAT] [--movements FILE] LOG.imu.csv >OUT.csv\n"
+	"       imu9-replay [--frames FILE] [--movements FILE] [--set NAME=VALUE]... RECORDING.imu.csv... >OUT.csv\n"
 	"Runs a recorded IMU log through the pipeline of the gateway; `-` reads standard input.\n"
 	"\n"
 	"  -c, --config FILE     configuration file of the gateway (its section [gateway] is ignored)\n"
@@ -26,12 +28,15 @@ static const char usage[] =
 	"      --format FORMAT   the log is of another program: phyphox (a file, or the folder of an export),\n"
 	"                        euroc, x-io, pandas; imu9 is the default\n"
 	"      --movements FILE  write the smoothed path of each movement between two standstills\n"
+	"      --frames FILE     of a recording: write the frames that the gateway sent, as candump -L does\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
 	"\n"
 	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT, or the units that it names, e.g.\n"
 	"     t[ms], gx[deg/s], ax[g], mx[gauss]; magnetometer fields can be empty. What was skipped or\n"
 	"     converted, and units that are unlikely, are told on standard error.\n"
+	"RECORDING: files of imu9-gateway --record, which have the configuration and all that came in:\n"
+	"     the values and frames are those of then, bit for bit; with -c or --set, what they would have been.\n"
 	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
 	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
 	"     (ENU), the rest flag, the sample counter as in the PDOs (here without wrap-around),\n"
@@ -94,6 +99,50 @@ static void print_movement(const struct smoother_movement *m, int64_t t_us, FILE
 
 /* ---- the run ----------------------------------------------------------------------------------------------------- */
 
+struct output {
+	FILE *frames, *movements; /* NULL: not wanted */
+	unsigned movement;	  /* the last one that was written */
+};
+
+static void on_sample(void *ctx, const struct device *d)
+{
+	struct output *out = ctx;
+	const struct pipeline_output *o = &d->pipeline.last_good;
+
+	print_row(o, (int64_t)o->t_us, d->samples - 1);
+	if (out->movements && d->last_movement.smoother.last.number > out->movement)
+		print_movement(&d->last_movement.smoother.last, (int64_t)o->t_us, out->movements);
+	out->movement = d->last_movement.smoother.last.number;
+}
+
+static void on_frame(void *ctx, const char *bus, const struct can_msg *msg, uint64_t now_us)
+{
+	const struct output *out = ctx;
+
+	if (!out->frames)
+		return;
+	fprintf(out->frames, "(%010llu.%06llu) %s %03X#", (unsigned long long)(now_us / 1000000),
+		(unsigned long long)(now_us % 1000000), bus, msg->id);
+	for (int i = 0; i < msg->len; i++)
+		fprintf(out->frames, "%02X", msg->data[i]);
+	fputc('\n', out->frames);
+}
+
+/* Each of the files begins with its state. */
+static int replay_recordings(const struct config *changes, char *const paths[], struct output *out)
+{
+	const struct recording_events events = {.ctx = out, .sample = on_sample, .frame = on_frame};
+
+	fputs(header, stdout);
+	if (out->movements)
+		fputs(movements_header, out->movements);
+	bool good = true;
+	for (; *paths; paths++)
+		good = recording_replay(*paths, changes, &events) && good;
+	cli_close(stdout, NULL);
+	return good ? CLI_OK : CLI_FAILED;
+}
+
 static int fail(int status, const char *why)
 {
 	cli_error("%s", why);
@@ -149,13 +198,17 @@ static const struct log_format *format_named(const char *name)
 	return format;
 }
 
+struct files {
+	const char *movements, *frames;
+};
+
 /* -1: run; else the exit status. */
 static int read_configuration(
-	struct config *config, const char **movements, const struct log_format **format, int argc, char **argv)
+	struct config *config, struct files *files, const struct log_format **format, int argc, char **argv)
 {
 	static const struct option options[] = {{"config", required_argument, NULL, 'c'},
 		{"set", required_argument, NULL, 's'}, {"movements", required_argument, NULL, 'm'},
-		{"format", required_argument, NULL, 'f'}, CLI_COMMON_OPTIONS};
+		{"format", required_argument, NULL, 'f'}, {"frames", required_argument, NULL, 'F'}, CLI_COMMON_OPTIONS};
 	int option;
 
 	cli_config_files(config, argc, argv, ":c:hV", options);
@@ -173,29 +226,39 @@ static int read_configuration(
 		if (option == 's')
 			cli_config_set(config, optarg);
 		if (option == 'm')
-			*movements = optarg;
+			files->movements = optarg;
+		if (option == 'F')
+			files->frames = optarg;
 		if (option == 'f')
 			*format = format_named(optarg);
 	}
-	if (optind != argc - 1)
-		cli_usage_error("give one log, or - for standard input");
+	if (optind != argc - 1 && !(optind < argc && recording_is(argv[optind])))
+		cli_usage_error("give one log, or - for standard input; or the files of a recording");
 	return -1;
 }
 
 int main(int argc, char **argv)
 {
 	static struct config config;
-	const char *path = NULL;
+	struct files files = {0};
 	const struct log_format *format = NULL;
-	FILE *movements;
+	struct output out = {0};
 
 	config_init(&config, &imu9_od_table);
-	int status = read_configuration(&config, &path, &format, argc, argv);
+	int status = read_configuration(&config, &files, &format, argc, argv);
 	if (status >= 0)
 		return status;
-	movements = path ? cli_create(path) : NULL;
-	status = replay(&config, argv[optind], format, movements);
-	if (movements)
-		cli_close(movements, path);
+	const char *path = argv[optind];
+	bool recording = recording_is(path);
+	if (files.frames && !recording)
+		cli_usage_error("--frames: %s is no recording of imu9-gateway --record", path);
+	out.frames = files.frames ? cli_create(files.frames) : NULL;
+	out.movements = files.movements ? cli_create(files.movements) : NULL;
+	status = recording ? replay_recordings(&config, argv + optind, &out)
+			   : replay(&config, path, format, out.movements);
+	if (out.movements)
+		cli_close(out.movements, files.movements);
+	if (out.frames)
+		cli_close(out.frames, files.frames);
 	return status;
 }

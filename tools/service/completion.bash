@@ -23,7 +23,7 @@ _imu9() {
 	--cia309) compopt -o nospace; COMPREPLY=($(compgen -W 'unix: tcp:127.0.0.1:' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
 	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
-	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --movements)
+	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --record | --movements | --frames)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
 	if [[ $word == -* ]]; then
