@@ -580,6 +580,17 @@ static void test_a_client_that_closes_its_own_channel_receives_the_response(void
 	assert_int_equal(bus->filter_count, 15);
 }
 
+static void test_a_channel_that_is_closed_ends_its_transfer(void **state)
+{
+	struct bus *bus = *state;
+
+	open_second(bus);
+	bus_exchange(bus, "6A0 40 08 10 00 00 00 00 00", "6A1 41 08 10 00 14 00 00 00");
+	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x800006A0), 0);
+	bus_run(bus, 1100000); /* longer than the SDO timeout */
+	bus_expect_nothing(bus);
+}
+
 static void test_reset_communication_closes_the_second_channel(void **state)
 {
 	struct bus *bus = *state;
@@ -811,6 +822,7 @@ int main(void)
 		PRE_OPERATIONAL(test_an_identifier_of_the_second_channel_does_not_change_while_in_use),
 		PRE_OPERATIONAL(test_restricted_29_bit_and_dynamic_identifiers_of_the_second_channel_are_refused),
 		PRE_OPERATIONAL(test_a_client_that_closes_its_own_channel_receives_the_response),
+		PRE_OPERATIONAL(test_a_channel_that_is_closed_ends_its_transfer),
 		PRE_OPERATIONAL(test_reset_communication_closes_the_second_channel),
 		cmocka_unit_test(test_a_stored_identifier_of_the_second_channel_that_is_not_allowed_keeps_it_closed),
 		PRE_OPERATIONAL(test_eight_clients_have_transfers_of_their_own_at_the_same_time),

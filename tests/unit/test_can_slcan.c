@@ -660,7 +660,105 @@ static void test_a_refused_frame_is_counted_as_lost(void **state)
 	assert_int_equal(r->port->counters.tx_dropped, 1);
 }
 
+/* F: 01h and 08h receive queue full and overrun, 04h warning, 20h passive, 80h bus error; 02h is the send queue. */
+static void test_each_status_flag_has_its_meaning(void **state)
+{
+	static const struct {
+		const char *answer;
+		enum can_state state;
+		uint32_t lost, errors;
+	} flags[] = {{"F01\r", CAN_STATE_ACTIVE, 1, 0}, {"F02\r", CAN_STATE_ACTIVE, 0, 0},
+		{"F04\r", CAN_STATE_WARNING, 0, 0}, {"F08\r", CAN_STATE_ACTIVE, 1, 0},
+		{"F20\r", CAN_STATE_PASSIVE, 0, 0}, {"F24\r", CAN_STATE_PASSIVE, 0, 0},
+		{"F80\r", CAN_STATE_ACTIVE, 0, 1}, {"F10\r", CAN_STATE_ACTIVE, 0, 0}};
+	struct rig *r = *state;
+	uint32_t lost = 0, errors = 0;
+
+	go_on_bus(r);
+	for (size_t i = 0; i < sizeof(flags) / sizeof(flags[0]); i++) {
+		ask(r, flags[i].answer);
+		assert_int_equal(r->port->state, flags[i].state);
+		assert_int_equal(r->port->counters.rx_dropped, lost += flags[i].lost);
+		assert_int_equal(r->port->counters.errors, errors += flags[i].errors);
+	}
+}
+
+static void test_refusals_are_told_once_until_a_frame_is_accepted(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	for (int i = 0; i < 2; i++) {
+		say(r, "\a");
+		assert_receives_nothing(r);
+		assert_non_null(r->port->notice);
+		r->port->notice = NULL;
+		say(r, "\a");
+		assert_receives_nothing(r);
+		assert_null(r->port->notice);
+		say(r, "z\r");
+		assert_receives_nothing(r);
+	}
+	assert_int_equal(r->port->counters.tx_dropped, 4);
+}
+
+/* Raw, 8 bits, one stop bit, without flow control, whatever the line was before. */
+static void test_the_line_is_raw_with_one_stop_bit_and_without_flow_control(void **state)
+{
+	struct rig *r = *state;
+	struct termios line;
+
+	assert_int_equal(tcgetattr(r->adapter, &line), 0);
+	line.c_cflag = (line.c_cflag & ~(tcflag_t)(CSIZE | CLOCAL | CREAD)) | CS7 | CSTOPB | CRTSCTS | PARENB;
+	line.c_iflag |= IXON | ICRNL;
+	line.c_lflag |= ICANON | ECHO;
+	line.c_oflag |= OPOST;
+	assert_int_equal(tcsetattr(r->adapter, TCSANOW, &line), 0);
+	open_bus(r, "");
+	assert_int_equal(tcgetattr(r->adapter, &line), 0);
+	assert_int_equal(line.c_cflag & (CSIZE | CSTOPB | CRTSCTS | PARENB), CS8);
+	assert_int_equal(line.c_cflag & (CLOCAL | CREAD), CLOCAL | CREAD);
+	assert_int_equal(line.c_iflag & (IXON | ICRNL), 0);
+	assert_int_equal(line.c_lflag & (ICANON | ECHO), 0);
+	assert_int_equal(line.c_oflag & OPOST, 0);
+}
+
+static void test_no_descriptor_of_the_port_is_passed_to_other_programs(void **state)
+{
+	struct rig *r = *state;
+	bool before[64];
+	int opened = 0;
+
+	for (int fd = 0; fd < 64; fd++)
+		before[fd] = fcntl(fd, F_GETFD) >= 0;
+	open_bus(r, "");
+	for (int fd = 0; fd < 64; fd++) {
+		const int flags = before[fd] ? -1 : fcntl(fd, F_GETFD);
+
+		opened += flags >= 0;
+		assert_true(flags < 0 || flags & FD_CLOEXEC);
+	}
+	assert_true(opened >= 2); /* the line, and what is waited on */
+	assert_non_null(strstr(r->port->name, r->link));
+}
+
 /* ---- unplugging ---- */
+
+static void test_an_adapter_that_is_gone_is_noticed_by_a_frame_that_is_sent(void **state)
+{
+	struct rig *r = *state;
+	const struct can_msg msg = {.id = 0x181};
+
+	go_on_bus(r);
+	close(r->adapter);
+	r->adapter = -1;
+	assert_int_equal(can_send(r->port, &msg, r->now_us), -ENETDOWN);
+	assert_int_equal(r->port->state, CAN_STATE_DOWN);
+	assert_non_null(strstr(r->port->down_why, "unplugged"));
+	assert_int_equal(r->port->counters.tx_dropped, 1);
+	assert_int_equal(can_bit_rate(r->port, 83333, true), -EOPNOTSUPP);
+	assert_int_equal(can_bit_rate(r->port, 250000, true), 0);
+}
 
 static void test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again(void **state)
 {
@@ -732,6 +830,15 @@ int main(void)
 		cmocka_unit_test_setup_teardown(
 			test_an_adapter_without_the_status_command_is_not_asked_again, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_refused_frame_is_counted_as_lost, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_each_status_flag_has_its_meaning, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_refusals_are_told_once_until_a_frame_is_accepted, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_the_line_is_raw_with_one_stop_bit_and_without_flow_control, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_no_descriptor_of_the_port_is_passed_to_other_programs, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_is_gone_is_noticed_by_a_frame_that_is_sent, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_unplugged_the_bus_is_down_and_comes_back_when_plugged_in_again, set_up, tear_down),
 	};

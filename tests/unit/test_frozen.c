@@ -200,6 +200,51 @@ static void test_a_run_of_equal_values_may_be_ten_times_the_longest_before(void 
 	assert_int_equal(g.alarms, 1);
 }
 
+/* The value of one axis for so many samples; the others are the same. True: an alarm with the last. */
+static bool hold(struct frozen *f, int axis, double value, unsigned samples)
+{
+	double raw[AXES] = {7, 7, 7};
+	bool alarm = false;
+
+	raw[axis] = value;
+	while (samples-- > 0)
+		alarm = frozen_watch(f, raw, AXES);
+	return alarm;
+}
+
+/* One digit, then two at a time: each step ends a stretch. */
+static void test_fifty_stretches_show_that_the_noise_exceeds_a_digit(void **state)
+{
+	(void)state;
+	for (int axis = 0; axis < AXES; axis++)
+		for (int stretches = 49; stretches <= 50; stretches++) {
+			struct frozen f = {.noisy = false};
+
+			hold(&f, axis, -1, 1);
+			hold(&f, axis, 0, 1);
+			for (int i = 1; i <= stretches; i++)
+				hold(&f, axis, 2 * i, 1);
+			assert_false(hold(&f, axis, 2 * stretches, 28));
+			assert_int_equal(hold(&f, axis, 2 * stretches, 1), stretches == 50);
+		}
+}
+
+/* The values of a stretch alternate between two digits. */
+static void test_a_stretch_of_more_than_fifty_samples_shows_that_it_does_not(void **state)
+{
+	(void)state;
+	for (int samples = 50; samples <= 51; samples++) {
+		struct frozen f = {.noisy = false};
+
+		hold(&f, 0, -1, 1);
+		for (int i = 0; i <= 50; i++)
+			hold(&f, 0, 2 * i, 1);
+		for (int i = 1; i < samples; i++)
+			hold(&f, 0, 100 + i % 2, 1);
+		assert_int_equal(hold(&f, 0, 200, 30), samples == 50);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -210,6 +255,8 @@ int main(void)
 		cmocka_unit_test(test_a_coarse_gyro_that_was_never_at_rest_raises_at_most_one_false_alarm),
 		cmocka_unit_test(test_values_that_are_constant_from_the_start_are_a_fault_only_with_known_noise),
 		cmocka_unit_test(test_a_frozen_sensor_has_recovered_with_the_first_other_value),
+		cmocka_unit_test(test_fifty_stretches_show_that_the_noise_exceeds_a_digit),
+		cmocka_unit_test(test_a_stretch_of_more_than_fifty_samples_shows_that_it_does_not),
 		cmocka_unit_test(test_a_run_of_equal_values_may_be_ten_times_the_longest_before),
 	};
 

@@ -18,6 +18,7 @@
 #include <unistd.h>
 
 #include "drivers/imu/imu_thread.h"
+#include "drivers/imu/source.h"
 #include "drivers/imu/pololu/i2c_imu.h"
 #include "drivers/imu/sim/sim_chips.h"
 #include "tests/unit/descriptors.h"
@@ -31,6 +32,8 @@ static struct world {
 	void *(*thread)(void *);
 	void *thread_ctx;
 	unsigned waits;
+	int thread_error;
+	const char *path; /* of the bus */
 } w;
 
 static struct imu_port *port;
@@ -48,6 +51,8 @@ int pthread_create(
 	pthread_t *restrict thread, const pthread_attr_t *restrict attr, void *(*start)(void *), void *restrict ctx)
 {
 	(void)thread, (void)attr;
+	if (w.thread_error)
+		return w.thread_error;
 	w.thread = start;
 	w.thread_ctx = ctx;
 	return 0;
@@ -76,6 +81,7 @@ int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const si
 	double newest_ns;
 
 	(void)mask;
+	assert_in_range(n, 1, 2);
 	if (w.waits-- == 0)
 		((struct imu_thread *)w.thread_ctx)->stop = true;
 	for (nfds_t i = 0; i < n; i++)
@@ -90,6 +96,14 @@ int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const si
 		fds[1].revents = POLLIN;
 		return 1;
 	}
+	return 0;
+}
+
+int i2c_dev_open(const char *path, struct i2c_bus **bus, char *error, size_t error_size)
+{
+	(void)error, (void)error_size;
+	w.path = strdup(path);
+	*bus = sim_board_bus(w.sim);
 	return 0;
 }
 
@@ -108,6 +122,23 @@ static int start(struct gpiod_stub gpio, const char *drdy_chip, char *error, siz
 	w = (struct world){.now_ns = 1000000000};
 	assert_int_equal(sim_board_open(&config, &w.sim), 0);
 	return i2c_imu_start(sim_board_bus(w.sim), &driver, &settings, &port, error, error_size);
+}
+
+/* As --imu i2c:ARGS does. */
+static int open_as(const char *args, char *error, size_t error_size)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	struct sim_config config = {.board = "v3",
+		.signal = signal_find("rest"),
+		.sensor = *sensor_preset("lsm303dlhc_l3gd20"),
+		.now_ns = i2c_imu_now_ns};
+	char copy[200];
+
+	snprintf(copy, sizeof(copy), "%s", args);
+	gpiod_stub = (struct gpiod_stub){0};
+	w = (struct world){.now_ns = 1000000000};
+	assert_int_equal(sim_board_open(&config, &w.sim), 0);
+	return i2c_open(copy, &settings, &port, error, error_size);
 }
 
 static void run(unsigned waits)
@@ -219,12 +250,77 @@ static void test_a_bmi270_gets_its_configuration_file_and_has_time_for_it(void *
 	imu_close(port);
 }
 
+static void test_the_options_of_the_bus_choose_line_and_stub(void **state)
+{
+	static const struct {
+		const char *args;
+		unsigned requests;
+		bool fifo;
+	} cases[] = {{"/dev/i2c-1", 0, true}, {"/dev/i2c-1,drdy=gpiochip3:17", 1, true}, {"/dev/i2c-1,stub", 0, false},
+		{"/dev/i2c-1,drdy=3:017", 1, true}};
+	char error[300] = "";
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
+		if (open_as(cases[i].args, error, sizeof(error)) < 0)
+			fail_msg("%s", error);
+		assert_string_equal(w.path, "/dev/i2c-1");
+		assert_string_equal(port->name, "i2c:/dev/i2c-1 v3");
+		assert_int_equal(port->uncalibrated, 7); /* gyro, accelerometer, magnetometer */
+		assert_int_equal(gpiod_stub.requests, cases[i].requests);
+		run(20);
+		/* FIFO_EN in CTRL5 */
+		assert_int_equal(sim_board_registers(w.sim, IMU_CHIP_GYRO)[0x24] >> 6 & 1, cases[i].fifo);
+		imu_close(port);
+		free((void *)w.path);
+	}
+}
+
+static void test_options_of_the_bus_that_are_none_are_refused(void **state)
+{
+	static const char *const options[] = {"drdy", "drdy=gpiochip3", "drdy=:17",
+		"drdy=gpiochip3:", "drdy=gpiochip3:x", "drdy=gpiochip3:17x", "drdy=gpiochip3:-1", "config=", "stub=1",
+		"stubs", ""};
+	char args[100], error[300], quoted[60];
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(options) / sizeof(options[0]); i++) {
+		snprintf(args, sizeof(args), "/dev/i2c-1,%s", options[i]);
+		assert_int_equal(i2c_open(args, &settings, &port, error, sizeof(error)), -EINVAL);
+		snprintf(quoted, sizeof(quoted), "i2c: unknown option '%.10s", options[i]);
+		assert_non_null(strstr(error, strncmp(options[i], "drdy=", 5) ? quoted : "i2c: unknown option 'drdy="));
+	}
+	snprintf(args, sizeof(args), "/dev/i2c-1,drdy=gpiochip3:17,stub,config=/x");
+	assert_int_equal(i2c_open(args, &settings, NULL, error, sizeof(error)), 0); /* --check */
+}
+
+static void test_without_a_thread_there_is_no_sensor(void **state)
+{
+	const struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	const struct i2c_imu_config driver = {.name = "i2c:test"};
+	struct sim_config config = {.board = "v3",
+		.signal = signal_find("rest"),
+		.sensor = *sensor_preset("lsm303dlhc_l3gd20"),
+		.now_ns = i2c_imu_now_ns};
+	char error[200] = "";
+
+	(void)state;
+	w = (struct world){.now_ns = 1000000000, .thread_error = EAGAIN};
+	assert_int_equal(sim_board_open(&config, &w.sim), 0);
+	assert_int_equal(i2c_imu_start(sim_board_bus(w.sim), &driver, &settings, &port, error, sizeof(error)), -EAGAIN);
+	assert_string_equal(error, "cannot start the sensor's thread: Resource temporarily unavailable");
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_line_is_requested_and_its_interrupt_enabled_in_the_gyro),
 		cmocka_unit_test(test_each_edge_is_read_and_times_its_sample),
 		cmocka_unit_test(test_a_bmi270_gets_its_configuration_file_and_has_time_for_it),
+		cmocka_unit_test(test_the_options_of_the_bus_choose_line_and_stub),
+		cmocka_unit_test(test_options_of_the_bus_that_are_none_are_refused),
+		cmocka_unit_test(test_without_a_thread_there_is_no_sensor),
 		cmocka_unit_test(test_a_line_that_cannot_be_used_is_refused),
 		cmocka_unit_test(test_a_chip_has_a_name_a_number_and_a_path),
 	};

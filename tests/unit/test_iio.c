@@ -157,9 +157,13 @@ static void test_readings_within_the_tolerance_are_simultaneous(void **state)
 	assert_near(sample.accel_m_s2.x, 1);
 	add(&m, IMU_CHIP_GYRO, 22 * MS, 0);
 	assert_false(merge_next(&m, &sample));
-	add(&m, IMU_CHIP_ACCEL, 23 * MS, 3);
+	add(&m, IMU_CHIP_ACCEL, 24 * MS, 3);
 	assert_true(merge_next(&m, &sample));
 	assert_near(sample.accel_m_s2.x, 3);
+	add(&m, IMU_CHIP_GYRO, 34 * MS, 0);
+	add(&m, IMU_CHIP_ACCEL, 36 * MS + 1, 6); /* a nanosecond beyond it */
+	assert_true(merge_next(&m, &sample));
+	assert_near(sample.accel_m_s2.x, 3 + 3 * 10e6 / (12e6 + 1));
 }
 
 static void test_samples_have_the_rate_of_the_gyro(void **state)

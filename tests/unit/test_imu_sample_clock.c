@@ -120,6 +120,9 @@ static void test_an_edge_is_the_bracket_of_its_sample(void **state)
 	struct sample_clock c = begun();
 
 	(void)state;
+	sample_clock_edge(&c, 100.05 * MS, 100.06 * MS);
+	assert_bracket(&c, 0, 100.05, 100.06);
+	c = begun();
 	sample_clock_edge(&c, 109.9 * MS, 110 * MS);
 	assert_bracket(&c, 1, 109.9, 110);
 	assert_true(sample_clock_locked(&c));
@@ -203,18 +206,18 @@ static void test_a_small_contradiction_moves_the_bracket_and_a_large_one_replace
 static void test_a_read_is_due_in_the_middle_of_a_wide_bracket_and_at_the_end_of_a_narrow_one(void **state)
 {
 	struct sample_clock c = {
-		.newest = 0, .lo_ns = 100 * MS, .hi_ns = 100.64 * MS, .shortest_ns = PERIOD, .longest_ns = PERIOD};
+		.newest = 5, .lo_ns = 100 * MS, .hi_ns = 100.64 * MS, .shortest_ns = PERIOD, .longest_ns = PERIOD};
 
 	(void)state;
-	assert_true(sample_clock_is_wide(&c, 1));
-	assert_near(sample_clock_due(&c, 1), 110.32 * MS, 1);
+	assert_true(sample_clock_is_wide(&c, 6));
+	assert_near(sample_clock_due(&c, 6), 110.32 * MS, 1);
 	c.hi_ns = 100.6 * MS;
-	assert_false(sample_clock_is_wide(&c, 1));
-	assert_near(sample_clock_due(&c, 1), 110.6 * MS, 1);
+	assert_false(sample_clock_is_wide(&c, 6));
+	assert_near(sample_clock_due(&c, 6), 110.6 * MS, 1);
 	/* three periods on it is wider by what the period is not known */
 	c.longest_ns = 10.1 * MS;
-	assert_true(sample_clock_is_wide(&c, 3));
-	assert_near(sample_clock_due(&c, 3), (130.9 - 0.45) * MS, 1);
+	assert_true(sample_clock_is_wide(&c, 8));
+	assert_near(sample_clock_due(&c, 8), (130.9 - 0.45) * MS, 1);
 }
 
 static void test_a_clock_is_locked_below_a_sixth_of_the_period(void **state)
@@ -264,6 +267,21 @@ static void test_the_drift_does_not_exceed_the_tolerance(void **state)
 	sample_clock_read(&c, 101, 1105 * MS, 1105 * MS);
 	assert_near(c.shortest_ns, PERIOD - 200, 1);
 	assert_near(c.longest_ns, PERIOD + 200, 1);
+	sample_clock_edge(&c, 1111 * MS, 1111.1 * MS); /* a contradiction */
+	assert_near(c.shortest_ns, PERIOD - 200, 1);
+	assert_near(c.longest_ns, PERIOD + 200, 1);
+}
+
+static void test_two_neighbouring_samples_bound_the_period(void **state)
+{
+	struct sample_clock c = exact();
+
+	(void)state;
+	c.shortest_ns = 8 * MS;
+	c.longest_ns = 12 * MS;
+	sample_clock_edge(&c, 109.9 * MS, 110.1 * MS);
+	assert_near(c.shortest_ns, 9.9 * MS, 1);
+	assert_near(c.longest_ns, 10.1 * MS, 1);
 }
 
 /* 100 samples on, an edge is known to 110 us, the period to 1.1 us: 110 ppm; the finest is 50 ppm to both sides. */
@@ -376,6 +394,7 @@ int main(void)
 		cmocka_unit_test(test_a_small_contradiction_moves_the_bracket_and_a_large_one_replaces_it),
 		cmocka_unit_test(test_a_known_period_becomes_uncertain_by_the_drift_of_an_oscillator),
 		cmocka_unit_test(test_the_drift_does_not_exceed_the_tolerance),
+		cmocka_unit_test(test_two_neighbouring_samples_bound_the_period),
 		cmocka_unit_test(test_a_period_is_known_to_fifty_ppm_at_best),
 		cmocka_unit_test(test_a_contradiction_loosens_the_bounds_of_the_period),
 		cmocka_unit_test(test_the_period_is_measured_over_two_and_a_half_seconds),

@@ -6,6 +6,7 @@
 #include <stddef.h>
 #include <stdint.h>
 #include <stdlib.h>
+#include <sys/prctl.h>
 
 #include <setjmp.h>
 /* cmocka needs the headers above */
@@ -273,12 +274,31 @@ static void test_a_wait_ends_with_a_wake_or_one_of_its_descriptors(void **state)
 	imu_thread_release(&other);
 }
 
+static char thread_name[16];
+
+static void note_name(struct imu_thread *t)
+{
+	(void)t;
+	prctl(PR_GET_NAME, thread_name);
+}
+
+/* As ps -L and top -H show it. */
+static void test_the_thread_has_its_name(void **state)
+{
+	struct imu_thread *t = *state;
+
+	assert_int_equal(imu_thread_start(t, "imu9-name", 0, note_name), 0);
+	imu_thread_stop(t);
+	assert_string_equal(thread_name, "imu9-name");
+}
+
 int main(void)
 {
 #define THREAD_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
 	const struct CMUnitTest tests[] = {
 		THREAD_TEST(test_samples_are_read_in_the_order_they_were_sent),
 		THREAD_TEST(test_the_descriptor_is_readable_from_a_sample_until_a_read_finds_none),
+		THREAD_TEST(test_the_thread_has_its_name),
 		THREAD_TEST(test_a_full_queue_keeps_the_oldest_samples_and_counts_those_it_drops),
 		THREAD_TEST(test_a_queue_that_is_just_full_loses_nothing),
 		THREAD_TEST(test_dropped_samples_are_counted_once),

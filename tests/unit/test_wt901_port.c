@@ -28,6 +28,8 @@ struct _modbus {
 static struct world {
 	struct _modbus line;
 	unsigned connections, open_lines;
+	bool no_line; /* libmodbus makes none */
+	int thread_error;
 	int connect_error, answer_error; /* errno; 0: the sensor answers */
 	int mag_type;			 /* < 0: an exception */
 	unsigned bad_read;		 /* the answer to this read of the measurements is bad, from 1; 0: none */
@@ -63,6 +65,8 @@ int pthread_create(
 	pthread_t *restrict thread, const pthread_attr_t *restrict attr, void *(*start)(void *), void *restrict ctx)
 {
 	(void)thread, (void)attr;
+	if (w.thread_error)
+		return w.thread_error;
 	w.thread = start;
 	w.thread_ctx = ctx;
 	return 0;
@@ -97,6 +101,10 @@ modbus_t *modbus_new_rtu(const char *device, int baud, char parity, int data_bit
 	assert_int_equal(parity, 'N');
 	assert_int_equal(data_bits, 8);
 	assert_int_equal(stop_bits, 1);
+	if (w.no_line) {
+		errno = EINVAL;
+		return NULL;
+	}
 	w.baud = baud;
 	w.open_lines++;
 	return &w.line;
@@ -328,6 +336,11 @@ static void test_a_sensor_that_does_not_answer_is_refused_after_three_attempts(v
 	w.connect_error = EACCES;
 	assert_int_equal(imu_open("wt901:/dev/ttyUSB7", NULL, &port, error, sizeof(error)), -EACCES);
 	assert_non_null(strstr(error, "dialout"));
+	w = (struct world){.no_line = true};
+	assert_int_equal(imu_open("wt901:/dev/ttyUSB7", NULL, &port, error, sizeof(error)), -EINVAL);
+	w = (struct world){.thread_error = EAGAIN};
+	assert_int_equal(imu_open("wt901:/dev/ttyUSB7", NULL, &port, error, sizeof(error)), -EAGAIN);
+	assert_string_equal(error, "cannot start the sensor's thread: Resource temporarily unavailable");
 	assert_null(port);
 }
 

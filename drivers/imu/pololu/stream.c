@@ -111,22 +111,21 @@ static int write_register(struct board *b, const struct stream *s, size_t i)
 	return i2c_write(b->bus, s->address, s->registers.at[i].address, s->registers.at[i].value);
 }
 
-/* Calls `each` for the registers of the list in turn, in their banks. Bank 0 is selected before and afterwards. */
+/* Calls `each` for the registers of the list in turn, in their banks. Bank 0 is selected afterwards. */
 static int for_all_registers(
 	struct board *b, const struct stream *s, int (*each)(struct board *, const struct stream *, size_t))
 {
-	uint8_t bank = 0;
-	int result = select_bank(b, s->chip, s->address, bank);
+	int bank = -1, result = 0;
 
 	for (size_t i = 0; i < s->registers.n && result == 0; i++) {
 		if (s->registers.at[i].bank != bank) {
 			bank = s->registers.at[i].bank;
-			result = select_bank(b, s->chip, s->address, bank);
+			result = select_bank(b, s->chip, s->address, (uint8_t)bank);
 		}
 		if (result == 0)
 			result = each(b, s, i);
 	}
-	return result == 0 && bank != 0 ? select_bank(b, s->chip, s->address, 0) : result;
+	return result == 0 && bank > 0 ? select_bank(b, s->chip, s->address, 0) : result;
 }
 
 int stream_set_up(struct board *b, struct stream *s)
