@@ -66,7 +66,7 @@ static ssize_t request(const struct request *r, void *answer)
 /* Requests a change. 0, or the kernel's -errno. */
 static int change(const struct request *r)
 {
-	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
 	ssize_t size = request(r, answer);
 
@@ -156,7 +156,7 @@ static void read_link(struct can_link *link, const struct nlmsghdr *header)
 
 int can_link_look(int interface, struct can_link *link)
 {
-	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX];
+	_Alignas(struct nlmsghdr) char answer[ANSWER_MAX] = {0};
 	const struct nlmsghdr *header = (const struct nlmsghdr *)(const void *)answer;
 	const struct request r = request_of(RTM_GETLINK, 0, interface);
 	ssize_t size = request(&r, answer);

@@ -72,6 +72,8 @@ int bit_timing_find(const struct can_link_limits *l, uint32_t sjw_max, uint32_t 
 		const uint64_t quanta = (l->clock_hz + brp * bit_s / 2) / (brp * bit_s);
 		struct candidate c = {.brp = (uint32_t)brp, .quanta = (uint32_t)quanta};
 
+		if (quanta == 0)
+			break; /* larger prescalers give fewer quanta */
 		c.rate_off = distance(quanta * brp * bit_s, l->clock_hz);
 		if (split(l, sample_point_permille, &c) && is_better(&c, &best))
 			best = c;

@@ -7,7 +7,8 @@
 
 enum { RECEIVE_BUFFER_BYTES = 1 << 20 };
 
-/* The difference of the two clocks changes only when CLOCK_REALTIME is set. */
+/* The difference of the two clocks changes only when CLOCK_REALTIME is set. (They are compared at the first datagram,
+ * too: CLOCK_MONOTONIC is beyond a second then.) */
 enum { CLOCKS_AGREE_US = 1000000, AHEAD_MAX_US = 1000000, AGE_MAX_US = 10000000 };
 
 static int64_t to_us(const struct timespec *t)

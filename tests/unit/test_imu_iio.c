@@ -1320,6 +1320,27 @@ static void test_without_time_stamps_the_scans_of_a_batch_are_even(void **state)
 	assert_true((double)last_us > 1e-3 * (double)w.now_ns - 80000);
 }
 
+/* The chip samples twice as fast as its timer, which gives the rate of the scans. */
+static void test_without_time_stamps_the_scans_of_a_timer_have_its_rate(void **state)
+{
+	struct imu_sample sample;
+	uint64_t last_us = 0;
+	int n = 0;
+
+	(void)state;
+	w.devices[MOTION].channel_count--; /* the timestamp */
+	needs_trigger(MOTION);
+	open_sensor("iio:lsm6dso");
+	assert_string_equal(port->name, "iio:lsm6dso+lsm6dso, by timer");
+	run(100, batches_of_four);
+	for (; imu_read(port, &sample) == 1; n++) {
+		if (n > 30)
+			assert_in_range(sample.t_us - last_us, 8000, 12000);
+		last_us = sample.t_us;
+	}
+	assert_in_range(n, 150, 200);
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 static int next_result(void)
@@ -1547,6 +1568,7 @@ int main(void)
 		IIO_TEST(test_a_rate_without_a_list_is_set),
 		IIO_TEST(test_a_scale_of_one_digit_is_that_of_the_known_chip),
 		IIO_TEST(test_without_time_stamps_the_scans_of_a_batch_are_even),
+		IIO_TEST(test_without_time_stamps_the_scans_of_a_timer_have_its_rate),
 		IIO_TEST(test_a_magnetometer_without_a_trigger_is_polled_and_the_others_are_not),
 		IIO_TEST(test_a_scan_becomes_a_sample_with_scale_offset_and_mounting),
 		IIO_TEST(test_readings_of_a_chip_that_has_just_been_set_up_are_dropped),

@@ -356,6 +356,39 @@ static void test_the_unit_of_the_time_is_found_by_its_interval(void **state)
 	}
 }
 
+static void assert_first_message(const char *text, const char *expected)
+{
+	struct imu_log log = opened(text, strlen(text));
+	char message[300] = "";
+
+	assert_int_equal(imu_log_message(&log, 0, message, sizeof message), expected[0] != '\0');
+	if (!strstr(message, expected))
+		fail_msg("'%s' does not say '%s'", message, expected);
+	assert_false(imu_log_message(&log, 1, message, sizeof message));
+	imu_log_close(&log);
+}
+
+/* With the line of the first row, and what to write to be sure. */
+static void test_a_unit_that_was_found_by_the_interval_is_told(void **state)
+{
+	static const struct {
+		double interval;
+		const char *message;
+	} logs[] = {{0.01, ""},
+		{10, ":2: the time steps by 10: it is taken as ms; the header can name the unit: t[ms]"},
+		{10000, ":2: the time steps by 1e+04: it is taken as us; the header can name the unit: t[us]"},
+		{1e7, ":2: the time steps by 1e+07: it is taken as ns; the header can name the unit: t[ns]"}};
+	char text[2000];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof logs / sizeof *logs; i++) {
+		strcpy(text, HEADER);
+		for (int k = 0; k < 20; k++)
+			sprintf(text + strlen(text), ROW("%.9g"), k * logs[i].interval);
+		assert_first_message(text, logs[i].message);
+	}
+}
+
 static void test_a_log_has_a_reference_in_whichever_column(void **state)
 {
 	static const struct {
@@ -510,6 +543,7 @@ int main(void)
 		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
 		cmocka_unit_test(test_the_median_is_that_of_the_sorted_intervals),
 		cmocka_unit_test(test_the_unit_of_the_time_is_found_by_its_interval),
+		cmocka_unit_test(test_a_unit_that_was_found_by_the_interval_is_told),
 		cmocka_unit_test(test_a_log_has_a_reference_in_whichever_column),
 		cmocka_unit_test(test_a_step_back_just_before_the_end_is_no_second_log),
 		cmocka_unit_test(test_no_log_leaves_a_descriptor_open),

@@ -8,8 +8,6 @@ enum { TEMPERATURE_DEGC = 30 };
 
 /* ---- effects of the registers ------------------------------------------------------------------------------------ */
 
-/* ---- effects of the registers ------------------------------------------------------------------------------------ */
-
 static void set_scale(struct sim_triad *t, double x, double y, double z, double grain)
 {
 	t->lsb[0] = x;
