@@ -123,10 +123,15 @@ static void print_value(struct cia309_session *s, const void *bytes, size_t size
 	print(s, s->command.type, bytes, size);
 }
 
+static bool may_print(const struct cia309_session *s)
+{
+	return s->printing && sizeof(s->out) - s->out_used >= CIA309_PRINT_MIN + 2;
+}
+
 /* Prints as much as there is room for. */
 static void print_on(struct cia309 *g, struct cia309_session *s)
 {
-	while (s->printing && sizeof(s->out) - s->out_used >= CIA309_PRINT_MIN + 2) {
+	while (may_print(s)) {
 		s->out_used += cia309_print(&s->printer, s->out + s->out_used, sizeof(s->out) - s->out_used - 2);
 		if (!cia309_printed(&s->printer))
 			continue;
@@ -782,29 +787,33 @@ static void run_line(struct cia309 *g, struct cia309_session *s, uint64_t now_us
 	s->in_used -= s->line;
 	memmove(s->in, s->in + s->line, s->in_used);
 	find_line(s, 0);
-	g->next_us = now_us + CIA309_COMMAND_US;
 }
 
-/* One command, of the client whose turn it is. */
+/* One command, or one piece of a long value, of the client whose turn it is. */
 static void run(struct cia309 *g, uint64_t now_us)
 {
 	unsigned first = g->turn;
 
 	for (unsigned i = 0; i < CIA309_SESSIONS && now_us >= g->next_us; i++) {
 		unsigned turn = (first + i) % CIA309_SESSIONS;
+		struct cia309_session *s = &g->sessions[turn];
+		bool command = ready(s) && canopen_listens(g->node);
 
-		if (!ready(&g->sessions[turn]) || !canopen_listens(g->node))
+		if (command)
+			run_line(g, s, now_us);
+		if (s->waits || (!command && !may_print(s)))
 			continue;
-		run_line(g, &g->sessions[turn], now_us);
+		print_on(g, s);
+		g->next_us = now_us + CIA309_COMMAND_US;
 		g->turn = turn + 1;
 	}
 }
 
-/* When the next command may run; the deadline of the node covers the time in which it does not listen. */
+/* When there is something to do next; the deadline of the node covers the time in which it does not listen. */
 static uint64_t next_run(const struct cia309 *g)
 {
-	for (unsigned i = 0; i < CIA309_SESSIONS && canopen_listens(g->node); i++)
-		if (ready(&g->sessions[i]))
+	for (unsigned i = 0; i < CIA309_SESSIONS; i++)
+		if (may_print(&g->sessions[i]) || (ready(&g->sessions[i]) && canopen_listens(g->node)))
 			return g->next_us;
 	return UINT64_MAX;
 }
@@ -933,12 +942,6 @@ static uint64_t next_lss(struct cia309 *g, uint64_t now_us)
 	return g->own_answered || (g->lss.result != LSS_RUNNING && owner_has_room(g)) ? now_us : next_us;
 }
 
-static void print_all(struct cia309 *g)
-{
-	for (struct cia309_session *s = g->sessions; s < g->sessions + CIA309_SESSIONS; s++)
-		print_on(g, s);
-}
-
 uint64_t cia309_tick(struct cia309 *g, uint64_t now_us)
 {
 	uint64_t next_us = UINT64_MAX;
@@ -950,9 +953,7 @@ uint64_t cia309_tick(struct cia309 *g, uint64_t now_us)
 	}
 	if (g->lss_running)
 		lss_tick(g, now_us);
-	print_all(g);
 	run(g, now_us);
-	print_all(g);
 	if (g->sdo_running)
 		next_us = g->sdo.result == SDO_RUNNING ? sdo_client_tick(&g->sdo, now_us) : now_us;
 	if (g->lss_running)
