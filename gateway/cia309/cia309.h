@@ -61,9 +61,11 @@ struct cia309 {
 	struct canopen_node *node;
 	struct can_port *bus;
 	struct canopen_listener listener;
-	int default_node; /* of all clients, as each run of cocomm is a client */
-	uint32_t sdo_timeout_ms;
-	bool sdo_block;
+	struct cia309_defaults {
+		int node;
+		uint32_t sdo_timeout_ms;
+		bool sdo_block;
+	} defaults[2];	  /* of all clients that only read, and of all that write: each run of cocomm is a client */
 	uint64_t next_us; /* the next command */
 	unsigned turn;
 	struct cia309_session *owner, *storing; /* of the bus and `buffer`; of 1010h or 1011h */

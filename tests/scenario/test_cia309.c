@@ -268,19 +268,44 @@ static void test_storing_is_answered_when_the_storage_has_ended(void **state)
 	assert_memory_equal(await(t, t->client), "[3] ERROR:0x08000020", 20);
 }
 
-static void test_the_default_node_is_that_of_all_clients(void **state)
+static void test_the_defaults_are_those_of_all_clients_with_the_same_rights(void **state)
 {
 	struct net *t = *state;
-	struct cia309_session *other = cia309_open(&t->gateway, "uid 1001", false);
+	struct cia309_session *writer = cia309_open(&t->gateway, "uid 1001", true);
+	struct cia309_session *reader = cia309_open(&t->gateway, "uid 1002", false);
 
 	assert_answer(t, "[1] r 0x1018 4 u32", "[1] ERROR:105 #No default node set.");
 	assert_answer(t, "[2] set node 5", "[2] OK");
 	assert_answer(t, "[3] set network 1", "[3] OK");
 	assert_answer(t, "[4] r 0x1018 4 u32", "[4] 1001");
-	type(other, "[5] r 0x1018 4 u32\n");
-	assert_string_equal(await(t, other), "[5] 1001");
+	type(writer, "[5] r 0x1018 4 u32\n");
+	assert_string_equal(await(t, writer), "[5] 1001");
 	assert_answer(t, "[6] 0 r 0x1018 4 u32", "[6] ERROR:107 #Unsupported node.");
 	assert_answer(t, "[7] set network 2", "[7] ERROR:106 #Unsupported net.");
+	/* who only reads cannot turn the commands of others to another node */
+	type(reader, "[8] set node 6\n");
+	assert_string_equal(await(t, reader), "[8] OK");
+	type(reader, "[9] r 0x1018 4 x32\n");
+	assert_string_equal(await(t, reader), "[9] 0xFFFF0002");
+	assert_answer(t, "[10] r 0x1018 4 u32", "[10] 1001");
+}
+
+static void test_nothing_is_sent_while_the_bit_rate_is_switched(void **state)
+{
+	struct net *t = *state;
+	struct cia309_session *second = cia309_open(&t->gateway, "2", true);
+
+	type(second, "[1] 7 r 0x1000 0\n"); /* nobody: an abort follows after 500 ms */
+	run_ms(t, 5);
+	t->node[A].device.canopen.lss.bit_s = 500000;
+	world_receive(&t->node[A], 0x7E5, 8, (const uint8_t[8]){0x04, 1});
+	world_receive(&t->node[A], 0x7E5, 8, (const uint8_t[8]){0x15, 0xE8, 0x03}); /* 1 s */
+	size_t frames = t->node[A].frame_count;
+	type(t->client, "[2] 6 start\n");
+	run_ms(t, 1990);
+	assert_int_equal(t->node[A].frame_count, frames);
+	assert_string_equal(await(t, t->client), "[2] OK");
+	assert_memory_equal(await(t, second), "[1] ERROR:0x05040000", 20);
 }
 
 /* ---- NMT --------------------------------------------------------------------------------------------------------- */
@@ -702,7 +727,8 @@ int main(void)
 		TEST(test_a_node_that_is_not_there_times_out_as_set),
 		TEST(test_a_long_domain_is_read_completely_from_either_node),
 		TEST(test_storing_is_answered_when_the_storage_has_ended),
-		TEST(test_the_default_node_is_that_of_all_clients),
+		TEST(test_the_defaults_are_those_of_all_clients_with_the_same_rights),
+		TEST(test_nothing_is_sent_while_the_bit_rate_is_switched),
 		TEST(test_nmt_commands_reach_the_node_that_they_name),
 		TEST(test_commands_behind_a_reset_of_this_node_wait_for_its_boot_up),
 		TEST(test_a_node_is_selected_and_configured_by_its_lss_address),
