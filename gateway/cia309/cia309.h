@@ -2,10 +2,10 @@
  * A CiA 309-3 gateway: clients send lines of text, and read and write the objects of this node and of the others on the
  * bus, and are NMT and LSS master. The language is that of CANopenNode's canopend, so that cocomm and its scripts work.
  *
- * A passive core, as that of CANopen: text, frames and time go in, text and frames go out. Each call does a bounded amount
- * of work: one command, or one piece of a long value, per CIA309_COMMAND_US, of all clients together. This node is
- * answered from the dictionary; its frames to the bus are not those of a client. The bus (SDO client, LSS master) belongs
- * to one client at a time; the others wait. One thread. Times are us of the clock of the device. */
+ * A passive core, as that of CANopen: text, frames and time go in, text and frames go out. Each call does a bounded
+ * amount of work: one command, or one piece of a long value, per CIA309_COMMAND_US, of all clients together. This
+ * node is answered from the dictionary; its frames to the bus are not those of a client. The bus (SDO client, LSS
+ * master) belongs to one client at a time; the others wait. One thread. Times are us of the clock of the device. */
 #ifndef GATEWAY_CIA309_CIA309_H
 #define GATEWAY_CIA309_CIA309_H
 

@@ -1,5 +1,5 @@
-/* CiA 309-3 in simulated time: clients of node 5 send lines, as cocomm does; node 6 is another device on its bus. Both are
- * whole devices. */
+/* CiA 309-3 in simulated time: clients of node 5 send lines, as cocomm does; node 6 is another device on its bus.
+ * Both are whole devices. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
