@@ -15,8 +15,8 @@ void loop_hold_signals(void);
 /** SIGHUP: reads the configuration again. */
 typedef void loop_reload(struct device *device, uint64_t now_us);
 
-/** Runs until SIGINT or SIGTERM; tells the service manager of it (service.h). 0, or -errno when the loop itself cannot
- * be set up. `writer`: NULL when nothing can be stored. `cia309`: NULL when it is off. */
+/** Runs until SIGINT or SIGTERM; tells the service manager of it (service.h). 0, or -errno when the loop itself
+ * cannot be set up. `writer`: NULL when nothing can be stored. `cia309`: NULL when it is off. */
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
 	struct cia309_server *cia309, bool stored_damaged, loop_reload *reload);
 

@@ -130,8 +130,8 @@ enum od_status canopen_read(
 	const struct canopen_node *node, uint16_t index, uint8_t sub, void *wire, size_t capacity, size_t *size);
 enum od_status canopen_write(
 	struct canopen_node *node, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
-/** Whether the node takes part in the bus now: neither before boot-up nor while the bit rate is switched. A node without
- * a node-ID takes LSS only. */
+/** Whether the node takes part in the bus now: neither before boot-up nor while the bit rate is switched. A node
+ * without a node-ID takes LSS only. */
 bool canopen_listens(const struct canopen_node *node);
 /** The memory of the node, but for its pointers, was replaced by that of another node of the same dictionary: looks up
  * what its PDOs map. */

@@ -2,10 +2,10 @@
  * A CiA 309-3 gateway: clients send lines of text, and read and write the objects of this node and of the others on the
  * bus, and are NMT and LSS master. The language is that of CANopenNode's canopend, so that cocomm and its scripts work.
  *
- * A passive core, as that of CANopen: text, frames and time go in, text and frames go out. Each call does a bounded amount
- * of work: one command per CIA309_COMMAND_US, of all clients, and one piece of a long value per client. This node is
- * answered from the dictionary; its frames to the bus are not those of a client. The bus (SDO client, LSS master) belongs
- * to one client at a time; the others wait. One thread. Times are us of the clock of the device. */
+ * A passive core, as that of CANopen: text, frames and time go in, text and frames go out. Each call does a bounded
+ * amount of work: one command, or one piece of a long value, per CIA309_COMMAND_US, of all clients together. This
+ * node is answered from the dictionary; its frames to the bus are not those of a client. The bus (SDO client, LSS
+ * master) belongs to one client at a time; the others wait. One thread. Times are us of the clock of the device. */
 #ifndef GATEWAY_CIA309_CIA309_H
 #define GATEWAY_CIA309_CIA309_H
 
@@ -61,9 +61,11 @@ struct cia309 {
 	struct canopen_node *node;
 	struct can_port *bus;
 	struct canopen_listener listener;
-	int default_node; /* of all clients, as each run of cocomm is a client */
-	uint32_t sdo_timeout_ms;
-	bool sdo_block;
+	struct cia309_defaults {
+		int node;
+		uint32_t sdo_timeout_ms;
+		bool sdo_block;
+	} defaults[2];	  /* of all clients that only read, and of all that write: each run of cocomm is a client */
 	uint64_t next_us; /* the next command */
 	unsigned turn;
 	struct cia309_session *owner, *storing; /* of the bus and `buffer`; of 1010h or 1011h */

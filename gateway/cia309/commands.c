@@ -65,9 +65,12 @@ static void done(struct cia309 *g, struct cia309_session *s)
 		i->waits = false;
 }
 
-static unsigned number_of(const struct cia309_command *c)
+/* For the log. Who only reads cannot fill it with different commands. */
+static unsigned number_of(const struct cia309_session *s)
 {
-	return (unsigned)c->verb << 24 | (unsigned)c->index << 8 | c->sub;
+	const struct cia309_command *c = &s->command;
+
+	return s->may_write ? (unsigned)c->verb << 24 | (unsigned)c->index << 8 | c->sub : 0;
 }
 
 /* The answer that ends the command. */
@@ -85,7 +88,7 @@ __attribute__((format(printf, 4, 5))) static void answer(
 	append(s, text);
 	append(s, "\r\n");
 	if (changes(s->command.verb))
-		g->device.log(g->device.ctx, number_of(&s->command), s->who, s->text, text, now_us);
+		g->device.log(g->device.ctx, number_of(s), s->who, s->text, text, now_us);
 	done(g, s);
 }
 
@@ -123,10 +126,15 @@ static void print_value(struct cia309_session *s, const void *bytes, size_t size
 	print(s, s->command.type, bytes, size);
 }
 
+static bool may_print(const struct cia309_session *s)
+{
+	return s->printing && sizeof(s->out) - s->out_used >= CIA309_PRINT_MIN + 2;
+}
+
 /* Prints as much as there is room for. */
 static void print_on(struct cia309 *g, struct cia309_session *s)
 {
-	while (s->printing && sizeof(s->out) - s->out_used >= CIA309_PRINT_MIN + 2) {
+	while (may_print(s)) {
 		s->out_used += cia309_print(&s->printer, s->out + s->out_used, sizeof(s->out) - s->out_used - 2);
 		if (!cia309_printed(&s->printer))
 			continue;
@@ -138,10 +146,15 @@ static void print_on(struct cia309 *g, struct cia309_session *s)
 
 /* ---- objects ----------------------------------------------------------------------------------------------------- */
 
-/* The node that the command names, or the default. */
-static enum cia309_error addressed(const struct cia309 *g, const struct cia309_command *c, int lowest, uint8_t *node)
+static struct cia309_defaults *defaults(struct cia309 *g, const struct cia309_session *s)
 {
-	int id = c->node != CIA309_ABSENT ? c->node : g->default_node;
+	return &g->defaults[s->may_write];
+}
+
+/* The node that the command names, or the default. */
+static enum cia309_error addressed(const struct cia309 *g, const struct cia309_session *s, int lowest, uint8_t *node)
+{
+	int id = s->command.node != CIA309_ABSENT ? s->command.node : g->defaults[s->may_write].node;
 
 	if (id == CIA309_ABSENT)
 		return CIA309_NO_NODE;
@@ -249,6 +262,7 @@ static void listen_to(struct cia309 *g, uint8_t node)
 static void transfer(struct cia309 *g, struct cia309_session *s, uint8_t node, uint64_t now_us)
 {
 	const struct cia309_command *c = &s->command;
+	const struct cia309_defaults *d = defaults(g, s);
 	size_t size = 0;
 
 	if (c->verb == CIA309_WRITE && !scanned(g, s, g->buffer, sizeof(g->buffer), &size, now_us))
@@ -257,12 +271,12 @@ static void transfer(struct cia309 *g, struct cia309_session *s, uint8_t node, u
 	g->owner = s;
 	g->sdo_running = true;
 	s->state = CIA309_BUSY;
-	sdo_client_init(&g->sdo, g->bus, node, g->sdo_timeout_ms * 1000ull);
+	sdo_client_init(&g->sdo, g->bus, node, d->sdo_timeout_ms * 1000ull);
 	if (c->verb == CIA309_WRITE)
-		(g->sdo_block ? sdo_client_block_download : sdo_client_download)(
+		(d->sdo_block ? sdo_client_block_download : sdo_client_download)(
 			&g->sdo, c->index, c->sub, g->buffer, size, now_us);
 	else
-		(g->sdo_block ? sdo_client_block_upload : sdo_client_upload)(
+		(d->sdo_block ? sdo_client_block_upload : sdo_client_upload)(
 			&g->sdo, c->index, c->sub, g->buffer, sizeof(g->buffer), now_us);
 }
 
@@ -295,7 +309,7 @@ static void transferred(struct cia309 *g, uint64_t now_us)
 static void access(struct cia309 *g, struct cia309_session *s, uint64_t now_us)
 {
 	uint8_t node;
-	enum cia309_error error = addressed(g, &s->command, 1, &node);
+	enum cia309_error error = addressed(g, s, 1, &node);
 
 	if (error == CIA309_OK && node != g->node->id && !communicates(g))
 		error = CIA309_NMT_STATE;
@@ -368,7 +382,7 @@ static void access_pdo(struct cia309 *g, struct cia309_session *s, uint64_t now_
 {
 	const struct cia309_command *c = &s->command;
 	const struct pdo *pdo = own_pdo(g, c);
-	int node = c->node != CIA309_ABSENT ? c->node : g->default_node;
+	int node = c->node != CIA309_ABSENT ? c->node : defaults(g, s)->node;
 	enum cia309_error error = CIA309_OK;
 
 	if (node != CIA309_ABSENT && node != g->node->id)
@@ -390,7 +404,7 @@ static void access_pdo(struct cia309 *g, struct cia309_session *s, uint64_t now_
 static void nmt(struct cia309 *g, struct cia309_session *s, uint8_t command, uint64_t now_us)
 {
 	struct can_msg msg = {.id = CAN_ID_NMT, .len = 2, .data = {command}};
-	enum cia309_error error = addressed(g, &s->command, ALL_NODES, &msg.data[1]);
+	enum cia309_error error = addressed(g, s, ALL_NODES, &msg.data[1]);
 	bool own = msg.data[1] == g->node->id;
 
 	if (error == CIA309_OK && !own && can_send(g->bus, &msg, now_us) < 0)
@@ -634,13 +648,13 @@ static void set(struct cia309 *g, struct cia309_session *s, uint64_t now_us)
 		}
 		break;
 	case CIA309_SET_NODE:
-		g->default_node = (int)c->numbers[0];
+		defaults(g, s)->node = (int)c->numbers[0];
 		break;
 	case CIA309_SET_SDO_TIMEOUT:
-		g->sdo_timeout_ms = (uint32_t)c->numbers[0];
+		defaults(g, s)->sdo_timeout_ms = (uint32_t)c->numbers[0];
 		break;
 	default:
-		g->sdo_block = c->numbers[0];
+		defaults(g, s)->sdo_block = c->numbers[0];
 		break;
 	}
 	answer(g, s, now_us, "OK");
@@ -725,14 +739,15 @@ static void execute(struct cia309 *g, struct cia309_session *s, uint64_t now_us)
 /* ---- lines ------------------------------------------------------------------------------------------------------- */
 
 /* Whether the command needs the bus or the buffer, which have one owner at a time. */
-static bool needs_owner(const struct cia309 *g, const struct cia309_command *c)
+static bool needs_owner(const struct cia309 *g, const struct cia309_session *s)
 {
+	const struct cia309_command *c = &s->command;
 	uint8_t node = 0;
 
 	switch (c->verb) {
 	case CIA309_READ:
 	case CIA309_WRITE:
-		(void)addressed(g, c, 1, &node);
+		(void)addressed(g, s, 1, &node);
 		return node != g->node->id || is_domain(own_entry(g, c));
 	case CIA309_LOG:
 		return true;
@@ -769,7 +784,7 @@ static void run_line(struct cia309 *g, struct cia309_session *s, uint64_t now_us
 {
 	enum cia309_error error = cia309_parse(s->in, s->line - 1, &s->command);
 
-	s->waits = error == CIA309_OK && g->owner && needs_owner(g, &s->command);
+	s->waits = error == CIA309_OK && g->owner && needs_owner(g, s);
 	if (s->waits)
 		return;
 	keep_text(s, s->line - 1);
@@ -782,29 +797,33 @@ static void run_line(struct cia309 *g, struct cia309_session *s, uint64_t now_us
 	s->in_used -= s->line;
 	memmove(s->in, s->in + s->line, s->in_used);
 	find_line(s, 0);
-	g->next_us = now_us + CIA309_COMMAND_US;
 }
 
-/* One command, of the client whose turn it is. */
+/* One command, or one piece of a long value, of the client whose turn it is. */
 static void run(struct cia309 *g, uint64_t now_us)
 {
 	unsigned first = g->turn;
 
 	for (unsigned i = 0; i < CIA309_SESSIONS && now_us >= g->next_us; i++) {
 		unsigned turn = (first + i) % CIA309_SESSIONS;
+		struct cia309_session *s = &g->sessions[turn];
+		bool command = ready(s) && canopen_listens(g->node);
 
-		if (!ready(&g->sessions[turn]) || !canopen_listens(g->node))
+		if (command)
+			run_line(g, s, now_us);
+		if (s->waits || (!command && !may_print(s)))
 			continue;
-		run_line(g, &g->sessions[turn], now_us);
+		print_on(g, s);
+		g->next_us = now_us + CIA309_COMMAND_US;
 		g->turn = turn + 1;
 	}
 }
 
-/* When the next command may run; the deadline of the node covers the time in which it does not listen. */
+/* When there is something to do next; the deadline of the node covers the time in which it does not listen. */
 static uint64_t next_run(const struct cia309 *g)
 {
-	for (unsigned i = 0; i < CIA309_SESSIONS && canopen_listens(g->node); i++)
-		if (ready(&g->sessions[i]))
+	for (unsigned i = 0; i < CIA309_SESSIONS; i++)
+		if (may_print(&g->sessions[i]) || (ready(&g->sessions[i]) && canopen_listens(g->node)))
 			return g->next_us;
 	return UINT64_MAX;
 }
@@ -824,8 +843,7 @@ void cia309_init(struct cia309 *g, const struct cia309_device *device, struct ca
 	*g = (struct cia309){.device = *device,
 		.node = node,
 		.bus = bus,
-		.default_node = CIA309_ABSENT,
-		.sdo_timeout_ms = SDO_TIMEOUT_MS};
+		.defaults = {{CIA309_ABSENT, SDO_TIMEOUT_MS, false}, {CIA309_ABSENT, SDO_TIMEOUT_MS, false}}};
 	g->listener = (struct canopen_listener){.ctx = g, .lss_answered = on_lss_answered, .stored = on_stored};
 	g->listener.ids[0] = CAN_ID_LSS_RESPONSE;
 	g->listener.count = 1;
@@ -901,8 +919,16 @@ bool cia309_closing(const struct cia309_session *s)
 	return s->closing;
 }
 
+/* While the bit rate is switched nothing may be sent. */
+static bool silent(const struct cia309 *g)
+{
+	return g->node->lss.switching != SWITCH_NONE;
+}
+
 void cia309_receive(struct cia309 *g, const struct can_msg *msg, uint64_t now_us)
 {
+	if (silent(g))
+		return;
 	if (g->sdo_running)
 		sdo_client_receive(&g->sdo, msg, now_us);
 	if (g->lss_running)
@@ -933,16 +959,12 @@ static uint64_t next_lss(struct cia309 *g, uint64_t now_us)
 	return g->own_answered || (g->lss.result != LSS_RUNNING && owner_has_room(g)) ? now_us : next_us;
 }
 
-static void print_all(struct cia309 *g)
-{
-	for (struct cia309_session *s = g->sessions; s < g->sessions + CIA309_SESSIONS; s++)
-		print_on(g, s);
-}
-
 uint64_t cia309_tick(struct cia309 *g, uint64_t now_us)
 {
 	uint64_t next_us = UINT64_MAX;
 
+	if (silent(g)) /* the deadline of the node is its end */
+		return next_us;
 	if (g->sdo_running) {
 		sdo_client_tick(&g->sdo, now_us);
 		if (g->sdo.result != SDO_RUNNING)
@@ -950,9 +972,7 @@ uint64_t cia309_tick(struct cia309 *g, uint64_t now_us)
 	}
 	if (g->lss_running)
 		lss_tick(g, now_us);
-	print_all(g);
 	run(g, now_us);
-	print_all(g);
 	if (g->sdo_running)
 		next_us = g->sdo.result == SDO_RUNNING ? sdo_client_tick(&g->sdo, now_us) : now_us;
 	if (g->lss_running)

@@ -16,7 +16,7 @@ const char cia309_help[] =
 	"log                                            the events since the start\n"
 	"\n"
 	"Answer: \"[\" SEQUENCE \"]\" OK, the value, or ERROR:CODE #TEXT; 0x........ is an SDO abort code.\n"
-	"Without NODE: that of 'set node', for all clients.";
+	"Without NODE: that of 'set node', which clients with the same rights share.";
 
 const char cia309_help_types[] =
 	"\n"

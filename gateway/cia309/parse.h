@@ -53,7 +53,7 @@ enum cia309_verb {
 	CIA309_LSS_INQUIRE, /* a number: which part of the LSS address; none: all */
 	CIA309_LSS_GET_NODE,
 	CIA309_LSS_FASTSCAN,
-	CIA309_LSS_ALL_NODES, /* numbers: timeout; first node-ID, store; for each part of the address how, and the value */
+	CIA309_LSS_ALL_NODES, /* numbers: timeout; first node-ID, store; for each part of the address how, and value */
 	CIA309_VERSION,
 	CIA309_HELP,
 	CIA309_HELP_TYPES,

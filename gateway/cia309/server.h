@@ -4,9 +4,9 @@
  *   unix:PATH[,group=NAME][,write=yes]     a socket of mode 0660: who may connect is who may open the file
  *   tcp:ADDRESS:PORT[,write=yes]           127.x.x.x or [::1]: every user of this host
  *
- * Runs in the loop of the device. No call blocks, and each does a bounded amount of work: of each client at most one read
- * and two writes of CIA309_OUT_MAX bytes, and one new client each CIA309_ACCEPT_US. A client that does not take its
- * answers, or is idle for long, is closed. */
+ * Runs in the loop of the device. No call blocks, and each does a bounded amount of work: at most one read and one
+ * write of CIA309_OUT_MAX bytes for each client, and one new client each CIA309_ACCEPT_US. A client that does not
+ * take its answers, or is idle for long, is closed. */
 #ifndef GATEWAY_CIA309_SERVER_H
 #define GATEWAY_CIA309_SERVER_H
 

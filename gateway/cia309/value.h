@@ -1,5 +1,6 @@
 /* gateway/cia309/value.h
- * The data types of CiA 309-3 and their values: text to the bytes that SDO transmits (little-endian), and back. Pure. */
+ * The data types of CiA 309-3 and their values: text to the bytes that SDO transmits (little-endian), and back. Pure.
+ * */
 #ifndef GATEWAY_CIA309_VALUE_H
 #define GATEWAY_CIA309_VALUE_H
 
@@ -46,8 +47,8 @@ struct cia309_printer {
 
 enum { CIA309_PRINT_MIN = 64 };
 
-/** The next piece: how many characters, without NUL; `capacity` is CIA309_PRINT_MIN at least. Bytes that do not have the
- * size of a number are printed as hex. */
+/** The next piece: how many characters, without NUL; `capacity` is CIA309_PRINT_MIN at least. Bytes that do not have
+ * the size of a number are printed as hex. */
 size_t cia309_print(struct cia309_printer *p, char *text, size_t capacity);
 /** Whether all is printed. */
 bool cia309_printed(const struct cia309_printer *p);

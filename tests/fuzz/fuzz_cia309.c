@@ -1,5 +1,5 @@
-/* Arbitrary text from a client of CiA 309-3. Checked: each line has one answer, which ends with CR LF; the frames sent are
- * those of a master; a value that was read is the same after it was printed. */
+/* Arbitrary text from a client of CiA 309-3. Checked: each line has one answer, which ends with CR LF; the frames
+ * sent are those of a master; a value that was read is the same after it was printed. */
 #include <stdlib.h>
 #include <string.h>
 

@@ -1,4 +1,4 @@
-"""CiA 309-3: a client of the sockets that speaks as CANopenNode's cocomm does, and the master on the bus as the oracle."""
+"""CiA 309-3: a client of the sockets that speaks as CANopenNode's cocomm does; the master on the bus is the oracle."""
 import os
 import socket
 import struct

@@ -1,5 +1,5 @@
-/* CiA 309-3 in simulated time: clients of node 5 send lines, as cocomm does; node 6 is another device on its bus. Both
- * are whole devices. */
+/* CiA 309-3 in simulated time: clients of node 5 send lines, as cocomm does; node 6 is another device on its bus.
+ * Both are whole devices. */
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -95,8 +95,7 @@ static const char *await(struct net *t, struct cia309_session *s)
 			t->answer[t->answered - 2] = '\0';
 			return t->answer;
 		}
-		if (t->answered == 0 || t->gateway.lss_running)
-			step(t);
+		step(t);
 	}
 	fail_msg("no answer");
 	return "";
@@ -235,6 +234,9 @@ static void test_a_long_domain_is_read_completely_from_either_node(void **state)
 	static uint8_t bytes[200000];
 	struct net *t = *state;
 
+	uint64_t start_us = t->node[A].now_us;
+	ask(t, "[1] 5 r 0x1021 0 d"); /* 4 kB in a millisecond */
+	assert_true(((t->node[A].now_us - start_us) / STEP_US + 1) * CIA309_OUT_MAX >= imu9_eds_size * 4 / 3);
 	for (int block = 0; block <= 1; block++) {
 		ask(t, block ? "[1] set sdo_block 1" : "[1] set sdo_block 0");
 		for (int i = 0; i < NODES; i++) {
@@ -266,19 +268,44 @@ static void test_storing_is_answered_when_the_storage_has_ended(void **state)
 	assert_memory_equal(await(t, t->client), "[3] ERROR:0x08000020", 20);
 }
 
-static void test_the_default_node_is_that_of_all_clients(void **state)
+static void test_the_defaults_are_those_of_all_clients_with_the_same_rights(void **state)
 {
 	struct net *t = *state;
-	struct cia309_session *other = cia309_open(&t->gateway, "uid 1001", false);
+	struct cia309_session *writer = cia309_open(&t->gateway, "uid 1001", true);
+	struct cia309_session *reader = cia309_open(&t->gateway, "uid 1002", false);
 
 	assert_answer(t, "[1] r 0x1018 4 u32", "[1] ERROR:105 #No default node set.");
 	assert_answer(t, "[2] set node 5", "[2] OK");
 	assert_answer(t, "[3] set network 1", "[3] OK");
 	assert_answer(t, "[4] r 0x1018 4 u32", "[4] 1001");
-	type(other, "[5] r 0x1018 4 u32\n");
-	assert_string_equal(await(t, other), "[5] 1001");
+	type(writer, "[5] r 0x1018 4 u32\n");
+	assert_string_equal(await(t, writer), "[5] 1001");
 	assert_answer(t, "[6] 0 r 0x1018 4 u32", "[6] ERROR:107 #Unsupported node.");
 	assert_answer(t, "[7] set network 2", "[7] ERROR:106 #Unsupported net.");
+	/* who only reads cannot turn the commands of others to another node */
+	type(reader, "[8] set node 6\n");
+	assert_string_equal(await(t, reader), "[8] OK");
+	type(reader, "[9] r 0x1018 4 x32\n");
+	assert_string_equal(await(t, reader), "[9] 0xFFFF0002");
+	assert_answer(t, "[10] r 0x1018 4 u32", "[10] 1001");
+}
+
+static void test_nothing_is_sent_while_the_bit_rate_is_switched(void **state)
+{
+	struct net *t = *state;
+	struct cia309_session *second = cia309_open(&t->gateway, "2", true);
+
+	type(second, "[1] 7 r 0x1000 0\n"); /* nobody: an abort follows after 500 ms */
+	run_ms(t, 5);
+	t->node[A].device.canopen.lss.bit_s = 500000;
+	world_receive(&t->node[A], 0x7E5, 8, (const uint8_t[8]){0x04, 1});
+	world_receive(&t->node[A], 0x7E5, 8, (const uint8_t[8]){0x15, 0xE8, 0x03}); /* 1 s */
+	size_t frames = t->node[A].frame_count;
+	type(t->client, "[2] 6 start\n");
+	run_ms(t, 1990);
+	assert_int_equal(t->node[A].frame_count, frames);
+	assert_string_equal(await(t, t->client), "[2] OK");
+	assert_memory_equal(await(t, second), "[1] ERROR:0x05040000", 20);
 }
 
 /* ---- NMT --------------------------------------------------------------------------------------------------------- */
@@ -579,6 +606,116 @@ static void test_comments_help_and_version_are_answered(void **state)
 	assert_answer(t, "[1] init 3", "[1] ERROR:100 #Request not supported.");
 }
 
+/* ---- many clients for a long time -------------------------------------------------------------------------------- */
+
+/* What a client waits for. */
+struct pending {
+	struct cia309_session *session;
+	uint32_t sequence;
+	bool waits;
+	float *written; /* the value that is `value` after OK; NULL: not a write */
+	float value;
+};
+
+static uint64_t random_state;
+
+static unsigned random_below(unsigned n)
+{
+	random_state = random_state * 6364136223846793005u + 1442695040888963407u;
+	return (unsigned)(random_state >> 33) % n;
+}
+
+static void send_random(struct pending *p, float model[NODES][3])
+{
+	static const char *const OTHERS[] = {"5 r 0x1017 0 u16", "6 r 0x1018 4", "9 r 0x1000 0", "6 start", "6 stop",
+		"6 preop", "5 start", "5 preop", "0 preop", "6 reset comm", "5 reset comm", "lss_get_node", "r p 1",
+		"lss_switch_glob 0", "_lss_fastscan 5", "set sdo_timeout 50", "set sdo_block 0", "set sdo_block 1",
+		"5 r 0x1021 0 d", "6 r 0x2131 0 vs", "help", "bogus", "6 w 0x1000 0 u32 1", "5 w 0x1010 1 vs save"};
+	char line[96];
+
+	p->sequence++;
+	p->waits = true;
+	p->written = NULL;
+	if (random_below(3) > 0) {
+		snprintf(line, sizeof(line), "[%u] %s\n", p->sequence,
+			OTHERS[random_below(sizeof(OTHERS) / sizeof(OTHERS[0]))]);
+	} else {
+		unsigned node = random_below(NODES), axis = random_below(3);
+
+		p->value = (float)random_below(2000) / 1000;
+		p->written = &model[node][axis];
+		snprintf(line, sizeof(line), "[%u] %u w 0x2000 %u r32 %.3f\n", p->sequence, node + NODE_A, axis + 1,
+			(double)p->value);
+	}
+	type(p->session, line);
+}
+
+static void take_answer(struct net *t, struct pending *p)
+{
+	char head[16];
+	const char *end;
+
+	t->answered = 0;
+	take_output(t, p->session);
+	if (t->answered < 2 || memcmp(t->answer + t->answered - 2, "\r\n", 2) != 0)
+		return; /* nothing, or a piece of a long one */
+	snprintf(head, sizeof(head), "[%u] ", p->sequence);
+	end = t->answer;
+	if (p->written && strcmp(end + strlen(head), "OK\r\n") == 0)
+		*p->written = p->value;
+	if (t->answer[0] == '[' && p->written)
+		assert_memory_equal(t->answer, head, strlen(head));
+	p->waits = false;
+}
+
+static void test_after_half_an_hour_of_many_clients_the_values_are_those_that_were_acknowledged(void **state)
+{
+	static struct pending pending[CIA309_SESSIONS];
+	struct net *t = *state;
+	float model[NODES][3] = {{0}};
+	unsigned answers = 0;
+
+	random_state = 1;
+	memset(pending, 0, sizeof(pending));
+	cia309_close(&t->gateway, t->client);
+	while (t->node[A].now_us < 1800000000) {
+		struct pending *p = &pending[random_below(CIA309_SESSIONS)];
+
+		if (!p->session)
+			p->session = cia309_open(&t->gateway, "many", true);
+		else if (!p->waits)
+			send_random(p, model);
+		else if (!p->written && random_below(20) == 0) /* it leaves while it waits */
+			cia309_close(&t->gateway, p->session), p->session = NULL, p->waits = false;
+		for (unsigned ms = random_below(200); ms > 0; ms--) {
+			step(t);
+			for (p = pending; p < pending + CIA309_SESSIONS; p++)
+				if (p->waits) {
+					take_answer(t, p);
+					answers += !p->waits;
+				}
+		}
+	}
+	for (struct pending *p = pending; p < pending + CIA309_SESSIONS; p++)
+		for (int ms = 0; ms < 60000 && p->waits; ms++) {
+			step(t);
+			for (struct pending *q = pending; q < pending + CIA309_SESSIONS; q++)
+				if (q->waits)
+					take_answer(t, q);
+		}
+	assert_true(answers > 5000);
+	for (struct pending *p = pending; p < pending + CIA309_SESSIONS; p++) {
+		assert_false(p->waits);
+		if (p->session)
+			cia309_close(&t->gateway, p->session);
+	}
+	for (int i = 0; i < NODES; i++) {
+		assert_true(t->node[i].device.values.lever_arm.l == model[i][0]);
+		assert_true(t->node[i].device.values.lever_arm.s == model[i][1]);
+		assert_true(t->node[i].device.values.lever_arm.t == model[i][2]);
+	}
+}
+
 int main(void)
 {
 #define TEST(test)	   cmocka_unit_test_setup_teardown(test, set_up, world_tear_down)
@@ -590,7 +727,8 @@ int main(void)
 		TEST(test_a_node_that_is_not_there_times_out_as_set),
 		TEST(test_a_long_domain_is_read_completely_from_either_node),
 		TEST(test_storing_is_answered_when_the_storage_has_ended),
-		TEST(test_the_default_node_is_that_of_all_clients),
+		TEST(test_the_defaults_are_those_of_all_clients_with_the_same_rights),
+		TEST(test_nothing_is_sent_while_the_bit_rate_is_switched),
 		TEST(test_nmt_commands_reach_the_node_that_they_name),
 		TEST(test_commands_behind_a_reset_of_this_node_wait_for_its_boot_up),
 		TEST(test_a_node_is_selected_and_configured_by_its_lss_address),
@@ -609,6 +747,7 @@ int main(void)
 		TEST(test_a_line_that_is_too_long_is_the_last_of_its_client),
 		TEST(test_there_are_as_many_clients_as_places),
 		TEST(test_comments_help_and_version_are_answered),
+		TEST(test_after_half_an_hour_of_many_clients_the_values_are_those_that_were_acknowledged),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

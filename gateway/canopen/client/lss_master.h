@@ -1,10 +1,10 @@
 /* gateway/canopen/client/lss_master.h
- * LSS master (CiA 305): finds nodes by their LSS address, and configures node-ID and bit rate. A passive core: frames and
- * time go in, frames go out; one service at a time.
+ * LSS master (CiA 305): finds nodes by their LSS address, and configures node-ID and bit rate. A passive core: frames
+ * and time go in, frames go out; one service at a time.
  *
- * Use: lss_master_init(), then a function that starts a service. While `result` is LSS_RUNNING, give every received frame
- * to lss_master_receive(), and call lss_master_tick() at the time that it returned last. Times are us of one monotonic
- * clock. One thread. */
+ * Use: lss_master_init(), then a function that starts a service. While `result` is LSS_RUNNING, give every received
+ * frame to lss_master_receive(), and call lss_master_tick() at the time that it returned last. Times are us of one
+ * monotonic clock. One thread. */
 #ifndef GATEWAY_CANOPEN_CLIENT_LSS_MASTER_H
 #define GATEWAY_CANOPEN_CLIENT_LSS_MASTER_H
 
@@ -62,8 +62,9 @@ void lss_master_configure_bit_rate(struct lss_master *m, uint8_t table, uint8_t 
 void lss_master_store(struct lss_master *m, uint64_t now_us);
 /** `part`: LSS_VENDOR to LSS_SERIAL, or LSS_ADDRESS: the node-ID. */
 void lss_master_inquire(struct lss_master *m, uint8_t part, uint64_t now_us);
-/** Finds one node without a node-ID, which then is in configuration state. `match` has the parts that are LSS_MATCH. Each
- * question without an answer takes the timeout; one with an answer a quarter of it, in which the others may answer, too. */
+/** Finds one node without a node-ID, which then is in configuration state. `match` has the parts that are LSS_MATCH.
+ * Each question without an answer takes the timeout; one with an answer a quarter of it, in which the others may
+ * answer, too. */
 void lss_master_fastscan(
 	struct lss_master *m, const enum lss_scan how[LSS_ADDRESS], const uint32_t match[LSS_ADDRESS], uint64_t now_us);
 
