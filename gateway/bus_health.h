@@ -21,7 +21,7 @@ struct bus_health {
 	struct event_log *log;
 	struct od_hook hook;
 	enum can_state seen;
-	bool was_off, overrun;
+	bool was_off, overrun, excess_told;
 	uint32_t dropped_seen; /* bus->counters.tx_dropped at the last tick */
 	uint64_t overrun_us;   /* the last tick that found frames lost */
 	struct can_traffic traffic;
