@@ -16,7 +16,7 @@ enum {
 	EMCY_HISTORY = 8, /* entries of 1003h */
 	HEARTBEAT_CONSUMERS = 8,
 	SDO_SERVERS = 8,	   /* 1200h to 1207h */
-	SDO_REQUESTS_AT_ONCE = 16, /* of a channel that are answered between two ticks */
+	SDO_REQUESTS_AT_ONCE = 16, /* that are answered between two ticks */
 	LSS_NUMBERS = 4,	   /* of the LSS address: vendor-ID, product code, revision, serial number */
 };
 
@@ -66,8 +66,7 @@ enum sdo_server_state {
 struct sdo_server {
 	uint32_t request_id, response_id;
 	enum sdo_server_state state;
-	uint8_t requests; /* answered since the last tick */
-	uint16_t index;	  /* of the transfer under way */
+	uint16_t index; /* of the transfer under way */
 	uint8_t sub;
 	uint8_t toggle;	     /* expected in the next segment: 0 or 10h */
 	bool size_indicated; /* download: `size` is the client's; false: `size` is the maximum */
@@ -224,6 +223,7 @@ struct canopen_node {
 	struct sdo_server sdo_servers[SDO_SERVERS];
 	uint32_t sdo_short;	/* requests of fewer than 8 bytes */
 	uint32_t sdo_excess;	/* requests of clients that do not wait for answers */
+	uint8_t sdo_requests;	/* answered since the last tick */
 	struct sdo_server *sdo; /* the channel of the frame or tick under way */
 	struct sdo_channels sdo_channels;
 	struct pdos pdos;

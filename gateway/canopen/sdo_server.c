@@ -431,14 +431,14 @@ static void refuse(struct canopen_node *node, const uint8_t request[8])
 	sdo_abort(node, SDO_ABORT_COMMAND);
 }
 
-/* A client waits for each answer, so that a channel has one request at a time, or a few if programs share it. More that
+/* A client waits for each answer, so that a channel has one request at a time, or a few if programs share it. Many that
  * were received at once are a flood: to answer them would delay everything else. Segments of a block have no answer. */
 static bool is_excess(struct canopen_node *node, uint8_t ccs)
 {
 	if (node->sdo->state == SDO_SERVER_BLOCK_DOWNLOAD || ccs == CCS_ABORT)
 		return false;
-	if (node->sdo->requests < SDO_REQUESTS_AT_ONCE) {
-		node->sdo->requests++;
+	if (node->sdo_requests < SDO_REQUESTS_AT_ONCE) {
+		node->sdo_requests++;
 		return false;
 	}
 	node->sdo_excess++;
@@ -493,9 +493,9 @@ uint64_t sdo_server_tick(struct canopen_node *node)
 {
 	uint64_t deadline_us = UINT64_MAX;
 
+	node->sdo_requests = 0;
 	for (size_t i = 0; i < SDO_SERVERS; i++) {
 		node->sdo = &node->sdo_servers[i];
-		node->sdo->requests = 0;
 		if (node->sdo->state != SDO_SERVER_IDLE)
 			deadline_us = earlier(deadline_us, tick(node));
 	}
