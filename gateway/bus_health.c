@@ -227,6 +227,16 @@ static void watch_short_requests(struct bus_health *h)
 			h->bus->name);
 }
 
+static void watch_excess_requests(struct bus_health *h)
+{
+	if (h->excess_told || h->node->sdo_excess == 0)
+		return;
+	h->excess_told = true;
+	event_log_warning(h->log, h->now_us,
+		"%s: an SDO client sends requests without waiting for the answers: those beyond %d at once get none",
+		h->bus->name, SDO_REQUESTS_AT_ONCE);
+}
+
 /* ---- bit rate ---------------------------------------------------------------------------------------------------- */
 
 static const char *why_not(int rc)
@@ -282,6 +292,7 @@ uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 	tick_restart(h);
 	watch_lost_frames(h);
 	watch_short_requests(h);
+	watch_excess_requests(h);
 	publish(h);
 	next_poll_us = h->poll_us + POLL_US;
 	/* a restart that is due while the interface is down waits until it is up */

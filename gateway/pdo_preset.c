@@ -5,7 +5,8 @@
 #include "od/little_endian.h"
 #include "od_index.h"
 
-enum { PRESETS = 4, PDOS = 4, ENTRIES = 4, FIRST_COMMUNICATION = 0x1800, FIRST_MAPPING = 0x1A00, LAST = 0x1BFF };
+enum { PRESETS = 4, PDOS = 4, ENTRIES = 4, PDO_ENTRIES = 8 };
+enum { FIRST_COMMUNICATION = 0x1800, FIRST_MAPPING = 0x1A00, LAST = 0x1BFF };
 
 #define COB_ID_INVALID 0x80000000u
 
@@ -67,21 +68,51 @@ static enum od_status write_u32(struct od *od, uint16_t index, uint8_t sub, uint
 	return od_write(od, index, sub, wire, sizeof(wire));
 }
 
+/* COB-ID and mapping of a PDO. */
+struct pdo_setting {
+	uint32_t cob_id, entries[PDO_ENTRIES];
+	uint8_t entry_count; /* that are written */
+	uint8_t count;	     /* that are mapped: sub-index 0 */
+};
+
+static struct pdo_setting setting_of(const struct od *od, uint16_t pdo)
+{
+	const uint8_t *count = od_value(od, FIRST_MAPPING + pdo, 0, 1);
+	struct pdo_setting setting = {.cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1),
+		.entry_count = PDO_ENTRIES,
+		.count = count ? *count : 0};
+
+	for (uint8_t i = 0; i < PDO_ENTRIES; i++)
+		setting.entries[i] = read_u32(od, FIRST_MAPPING + pdo, i + 1);
+	return setting;
+}
+
 /* The mapping procedure of CiA 301. */
-static enum od_status map(struct od *od, uint16_t pdo, const uint32_t entries[ENTRIES])
+static enum od_status map(struct od *od, uint16_t pdo, const struct pdo_setting *setting)
 {
 	uint16_t communication = FIRST_COMMUNICATION + pdo, mapping = FIRST_MAPPING + pdo;
-	uint32_t cob_id = read_u32(od, communication, 1) & ~COB_ID_INVALID;
-	uint8_t count = count_of(entries), none = 0;
-	enum od_status status = write_u32(od, communication, 1, cob_id | COB_ID_INVALID);
+	uint8_t none = 0;
+	enum od_status status = write_u32(od, communication, 1, setting->cob_id | COB_ID_INVALID);
 
 	if (status == OD_OK)
 		status = od_write(od, mapping, 0, &none, 1);
-	for (uint8_t i = 0; status == OD_OK && i < count; i++)
-		status = write_u32(od, mapping, i + 1, entries[i]);
+	for (uint8_t i = 0; status == OD_OK && i < setting->entry_count; i++)
+		status = write_u32(od, mapping, i + 1, setting->entries[i]);
 	if (status == OD_OK)
-		status = od_write(od, mapping, 0, &count, 1);
-	return status == OD_OK && count ? write_u32(od, communication, 1, cob_id) : status;
+		status = od_write(od, mapping, 0, &setting->count, 1);
+	return status == OD_OK ? write_u32(od, communication, 1, setting->cob_id) : status;
+}
+
+static enum od_status map_preset(struct od *od, uint16_t pdo, const uint32_t entries[ENTRIES])
+{
+	uint32_t cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1);
+	uint8_t count = count_of(entries);
+	struct pdo_setting setting = {.cob_id = count ? cob_id & ~COB_ID_INVALID : cob_id | COB_ID_INVALID,
+		.entry_count = count,
+		.count = count};
+
+	memcpy(setting.entries, entries, ENTRIES * sizeof(*entries));
+	return map(od, pdo, &setting);
 }
 
 static bool is_mapped(const struct od *od, uint16_t pdo, const uint32_t entries[ENTRIES])
@@ -111,15 +142,20 @@ static enum od_status on_command(void *ctx, const struct od_entry *entry, const 
 {
 	struct pdo_preset *preset = ctx;
 	uint8_t n = *(const uint8_t *)wire;
+	struct pdo_setting before[PDOS];
 	enum od_status status = OD_OK;
 
 	(void)entry;
 	(void)size;
 	if (n == 0)
 		return OD_BAD_VALUE;
+	for (uint16_t pdo = 0; pdo < PDOS; pdo++)
+		before[pdo] = setting_of(preset->od, pdo);
 	preset->applying = true;
 	for (uint16_t pdo = 0; status == OD_OK && pdo < PDOS; pdo++)
-		status = map(preset->od, pdo, mappings[n - 1][pdo]);
+		status = map_preset(preset->od, pdo, mappings[n - 1][pdo]);
+	for (uint16_t pdo = 0; status != OD_OK && pdo < PDOS; pdo++)
+		(void)map(preset->od, pdo, &before[pdo]);
 	preset->applying = false;
 	pdo_preset_update(preset);
 	return status == OD_OK ? OD_CONSUMED : status;

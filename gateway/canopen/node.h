@@ -15,8 +15,9 @@ enum {
 	EMCY_QUEUE = 16,  /* EMCY messages that wait for the inhibit time or for NMT stopped to end */
 	EMCY_HISTORY = 8, /* entries of 1003h */
 	HEARTBEAT_CONSUMERS = 8,
-	SDO_SERVERS = 8, /* 1200h to 1207h */
-	LSS_NUMBERS = 4, /* of the LSS address: vendor-ID, product code, revision, serial number */
+	SDO_SERVERS = 8,	   /* 1200h to 1207h */
+	SDO_REQUESTS_AT_ONCE = 16, /* that are answered between two ticks */
+	LSS_NUMBERS = 4,	   /* of the LSS address: vendor-ID, product code, revision, serial number */
 };
 
 struct nmt {
@@ -222,6 +223,8 @@ struct canopen_node {
 	struct guard guard;
 	struct sdo_server sdo_servers[SDO_SERVERS];
 	uint32_t sdo_short;	/* requests of fewer than 8 bytes */
+	uint32_t sdo_excess;	/* requests of clients that do not wait for answers */
+	uint8_t sdo_requests;	/* answered since the last tick */
 	struct sdo_server *sdo; /* the channel of the frame or tick under way */
 	struct sdo_channels sdo_channels;
 	struct pdos pdos;

@@ -431,13 +431,27 @@ static void refuse(struct canopen_node *node, const uint8_t request[8])
 	sdo_abort(node, SDO_ABORT_COMMAND);
 }
 
+/* A client waits for each answer, so that a channel has one request at a time, or a few if programs share it. Many that
+ * were received at once are a flood: to answer them would delay everything else. Segments of a block have no answer. */
+static bool is_excess(struct canopen_node *node, uint8_t ccs)
+{
+	if (node->sdo->state == SDO_SERVER_BLOCK_DOWNLOAD || ccs == CCS_ABORT)
+		return false;
+	if (node->sdo_requests < SDO_REQUESTS_AT_ONCE) {
+		node->sdo_requests++;
+		return false;
+	}
+	node->sdo_excess++;
+	return true;
+}
+
 static void receive(struct canopen_node *node, const struct can_msg *msg)
 {
 	const struct sdo_server *sdo = node->sdo;
 	uint8_t ccs = msg->data[0] >> 5;
 
 	node->sdo_short += msg->len < 8;
-	if (msg->len < 8 || !nmt_communicates(node) || sdo_block_receive(node, msg->data))
+	if (msg->len < 8 || !nmt_communicates(node) || is_excess(node, ccs) || sdo_block_receive(node, msg->data))
 		return;
 	if (ccs == CCS_DOWNLOAD || ccs == CCS_UPLOAD)
 		initiate(node, msg->data);
@@ -479,6 +493,7 @@ uint64_t sdo_server_tick(struct canopen_node *node)
 {
 	uint64_t deadline_us = UINT64_MAX;
 
+	node->sdo_requests = 0;
 	for (size_t i = 0; i < SDO_SERVERS; i++) {
 		node->sdo = &node->sdo_servers[i];
 		if (node->sdo->state != SDO_SERVER_IDLE)

@@ -79,4 +79,14 @@ check "an EDS without values is refused" fails 1 "is it a DCF?"
 sed 's/^ParameterValue=0x411CF5C3/ParameterValue=x/' "$work/a.dcf" >"$work/b.dcf"
 run imu9-sdo dcf apply "$work/b.dcf"
 check "a bad value is named" fails 1 "gravity: ParameterValue=x"
+
+# ---- another vendor-ID
+stop_gateway
+start_gateway --vendor-id 0x1000ABC
+imu9-sdo read eds -o "$work/vendor.eds"
+run grep -c "^VendorNumber=0x01000ABC" "$work/vendor.eds"
+check "the EDS of the node has its vendor-ID" prints 1
+imu9-sdo -q dcf save "$work/vendor.dcf"
+check "and so has its DCF" cmp -s <(grep '^VendorNumber=\|^DefaultValue=0x01' "$work/vendor.dcf") <(
+	printf 'VendorNumber=0x01000ABC\r\nDefaultValue=0x01000ABC\r\n')
 finish

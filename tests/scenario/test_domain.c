@@ -35,6 +35,7 @@ static int to_device(struct can_port *port, const struct can_msg *msg)
 	struct pair *p = (struct pair *)((char *)port - offsetof(struct pair, client_bus));
 
 	device_receive(&p->world.device, msg, p->world.now_us);
+	device_tick(&p->world.device, p->world.now_us);
 	return 0;
 }
 

@@ -13,7 +13,7 @@ struct flooded {
 		uint8_t data[8];
 	} emcy[EMCYS];
 	size_t emcy_count;
-	unsigned pdos;
+	unsigned pdos, answers;
 };
 
 static int take_frame(struct can_port *port, const struct can_msg *msg)
@@ -26,6 +26,7 @@ static int take_frame(struct can_port *port, const struct can_msg *msg)
 		memcpy(f->emcy[f->emcy_count++].data, msg->data, 8);
 	}
 	f->pdos += msg->id == 0x180 + WORLD_NODE_ID;
+	f->answers += msg->id == 0x580 + WORLD_NODE_ID;
 	return 0;
 }
 
@@ -207,6 +208,51 @@ static void test_sdo_requests_of_fewer_than_eight_bytes_are_counted_and_told_onc
 	assert_int_equal(f->world.device.values.producer_heartbeat_time, 1000);
 }
 
+/* Frames that were received in one go: there is no tick between them. */
+static void receive_at_once(struct flooded *f, uint32_t id, const uint8_t data[8], unsigned count)
+{
+	struct can_msg msg = {.id = id, .len = 8, .t_us = f->world.now_us};
+
+	memcpy(msg.data, data, 8);
+	f->answers = 0;
+	for (unsigned i = 0; i < count; i++)
+		device_receive(&f->world.device, &msg, f->world.now_us);
+}
+
+static void test_of_many_sdo_requests_at_once_sixteen_are_answered(void **state)
+{
+	static const uint8_t upload[8] = {0x40, 0, 0x10}, block_upload[8] = {0xA0, 0x21, 0x10, 0, 127};
+	struct flooded *f = *state;
+
+	for (int i = 0; i < 3; i++) {
+		receive_at_once(f, 0x600 + WORLD_NODE_ID, upload, 64);
+		assert_int_equal(f->answers, 16);
+		device_tick(&f->world.device, f->world.now_us);
+	}
+	receive_at_once(f, 0x600 + WORLD_NODE_ID, block_upload, 64);
+	assert_int_equal(f->answers, 16);
+	device_tick(&f->world.device, f->world.now_us);
+	receive_at_once(f, 0x600 + WORLD_NODE_ID, upload, 1);
+	assert_int_equal(f->answers, 1);
+	const char *text = f->world.device.log.text, *end = text + f->world.device.log.used;
+	const char *line = memmem(text, (size_t)(end - text), "without waiting for the answers", 31);
+	assert_non_null(line);
+	assert_null(memmem(line + 31, (size_t)(end - line - 31), "without waiting for the answers", 31));
+}
+
+static void test_the_segments_of_a_block_download_are_no_flood(void **state)
+{
+	static const uint8_t start[8] = {0xC2, 0x30, 0x21, 0, 0xE8, 3};
+	struct flooded *f = *state;
+
+	receive_at_once(f, 0x600 + WORLD_NODE_ID, start, 1);
+	assert_int_equal(f->answers, 1);
+	for (uint8_t n = 1; n <= 20; n++) {
+		assert_int_equal(f->world.device.canopen.sdo_servers[0].done, 7 * (n - 1));
+		receive_at_once(f, 0x600 + WORLD_NODE_ID, (const uint8_t[8]){n}, 1);
+	}
+}
+
 #define FLOODED(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
 
 int main(void)
@@ -215,6 +261,8 @@ int main(void)
 		cmocka_unit_test(test_no_flood_costs_more_than_two_emcys_and_two_lines_a_second_and_kind),
 		FLOODED(test_the_log_says_how_many_lines_were_left_out_and_has_the_last_one),
 		FLOODED(test_sdo_requests_of_fewer_than_eight_bytes_are_counted_and_told_once),
+		FLOODED(test_of_many_sdo_requests_at_once_sixteen_are_answered),
+		FLOODED(test_the_segments_of_a_block_download_are_no_flood),
 		FLOODED(test_lines_a_second_apart_are_all_in_the_log),
 	};
 

@@ -140,6 +140,27 @@ static void test_a_preset_is_stored_as_its_mapping(void **state)
 	assert_int_equal(w->device.values.pdo_preset, 2);
 }
 
+static void test_a_preset_that_cannot_be_mapped_changes_nothing(void **state)
+{
+	struct world *w = *state;
+	const uint8_t none[] = {0, 0, 0, 0x80}; /* not valid, and without a CAN-ID to make it valid with */
+
+	assert_int_equal(choose(w, 3), 0);
+	assert_int_equal(world_sdo_write(w, 0x1803, 1, none, 4), 0);
+	const struct od_values before = w->device.values;
+	assert_int_equal(choose(w, 2), 0x06090030);
+	assert_memory_equal(&w->device.values.tpdo1_mapping, &before.tpdo1_mapping, sizeof(before.tpdo1_mapping));
+	assert_memory_equal(&w->device.values.tpdo2_mapping, &before.tpdo2_mapping, sizeof(before.tpdo2_mapping));
+	assert_memory_equal(&w->device.values.tpdo3_mapping, &before.tpdo3_mapping, sizeof(before.tpdo3_mapping));
+	assert_memory_equal(&w->device.values.tpdo4_mapping, &before.tpdo4_mapping, sizeof(before.tpdo4_mapping));
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id, before.tpdo1_communication.cob_id);
+	assert_int_equal(w->device.values.tpdo4_communication.cob_id, before.tpdo4_communication.cob_id);
+	assert_int_equal(w->device.values.pdo_preset, 0);
+	assert_int_equal(i16(pdo_of_sync(w, 0x180), 0), w->device.values.quaternion16.w);
+	assert_int_equal(pdo_of_sync(w, 0x380)->len, 8);
+	assert_null(pdo_of_sync(w, 0x480));
+}
+
 static void test_other_numbers_are_refused_and_change_nothing(void **state)
 {
 	struct world *w = *state;
@@ -189,6 +210,7 @@ int main(void)
 		PRESET_TEST(test_a_step_can_be_chosen_and_a_value_beyond_it_sets_the_status_bit),
 		PRESET_TEST(test_the_object_reads_which_preset_is_mapped),
 		PRESET_TEST(test_a_preset_is_stored_as_its_mapping),
+		PRESET_TEST(test_a_preset_that_cannot_be_mapped_changes_nothing),
 		PRESET_TEST(test_other_numbers_are_refused_and_change_nothing),
 		PRESET_TEST(test_the_cut_off_of_2012h_filters_angles_and_slopes_and_nothing_else),
 	};

@@ -127,24 +127,47 @@ static void print_dcf(struct save *save, const char *text, size_t size)
 	print_parameter(save, entry);
 }
 
+/* The EDS of this program with the vendor-ID of the node, as the node gives it in 1021h. */
+static void set_vendor(struct session *s, uint8_t *eds)
+{
+	uint8_t wire[4];
+	char vendor[sizeof("0x00000000")];
+
+	if (!cli_node_read(&s->node, OD_INDEX_IDENTITY, OD_SUB_IDENTITY_VENDOR_ID, wire, sizeof(wire)))
+		return;
+	snprintf(vendor, sizeof(vendor), "0x%08X", (unsigned)sdo_number(wire, sizeof(wire)));
+	for (size_t i = 0; i < IMU9_EDS_VENDORS; i++)
+		memcpy(eds + imu9_eds_vendor[i], vendor, strlen(vendor));
+}
+
+static uint8_t *own_eds(size_t *size)
+{
+	uint8_t *eds = malloc(IMU9_EDS_SIZE);
+
+	*size = IMU9_EDS_SIZE;
+	return eds ? memcpy(eds, imu9_eds, IMU9_EDS_SIZE) : NULL;
+}
+
 static int save_dcf(struct session *s, const char *path)
 {
-	size_t eds_size = imu9_eds_size, size = 0;
-	uint8_t *file = s->eds_path ? sdo_read_file(s->eds_path, &eds_size) : NULL;
+	size_t eds_size, size = 0;
+	uint8_t *eds = s->eds_path ? sdo_read_file(s->eds_path, &eds_size) : own_eds(&eds_size);
 	char *text = NULL;
 	struct save save = {.session = s, .out = open_memstream(&text, &size)};
 
-	if (!save.out || (s->eds_path && !file)) {
-		free(file);
+	if (!save.out || !eds) {
+		free(eds);
 		return CLI_FAILED;
 	}
 	sdo_open(s);
-	print_dcf(&save, file ? (const char *)file : (const char *)imu9_eds, eds_size);
+	if (!s->eds_path)
+		set_vendor(s, eds);
+	print_dcf(&save, (const char *)eds, eds_size);
 	sdo_close(s);
 	fclose(save.out);
 	int exit_code = save.lost ? CLI_FAILED : sdo_finish_save(s, path, text, size, save.saved, save.failed);
 	free(text);
-	free(file);
+	free(eds);
 	return exit_code;
 }
 
