@@ -2,6 +2,7 @@
 #include "od_index.h"
 
 #include <errno.h>
+#include <stddef.h>
 #include <string.h>
 
 void node_send(struct canopen_node *node, uint32_t id, const uint8_t *data, uint8_t len)
@@ -138,7 +139,10 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 		if (!od_find(od->table, mandatory[i], 0, NULL))
 			return -ENOENT;
 
-	*node = (struct canopen_node){.od = od, .bus = bus, .id = node_id};
+	memset(node, 0, offsetof(struct canopen_node, sdo_buffers));
+	node->od = od;
+	node->bus = bus;
+	node->id = node_id;
 	if (device)
 		node->device = *device;
 	lss_init(node);

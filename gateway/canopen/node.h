@@ -63,6 +63,8 @@ enum sdo_server_state {
 	SDO_SERVER_PENDING,	       /* the value is received; the response waits for canopen_store_done() */
 };
 
+enum { SDO_BUFFER_BYTES = OD_DOMAIN_MAX + 6 }; /* a block download pads its last segment */
+
 struct sdo_server {
 	uint32_t request_id, response_id;
 	enum sdo_server_state state;
@@ -73,8 +75,8 @@ struct sdo_server {
 	const uint8_t *data; /* upload: the buffer, or a domain's memory */
 	size_t size, done;   /* bytes */
 	uint64_t deadline_us;
-	uint8_t buffer[OD_DOMAIN_MAX + 6]; /* a block download pads its last segment */
-	uint8_t response[8];		   /* sent at the end of SDO_SERVER_PENDING */
+	uint8_t *buffer;     /* of SDO_BUFFER_BYTES */
+	uint8_t response[8]; /* sent at the end of SDO_SERVER_PENDING */
 	struct {
 		uint8_t size;	  /* maximum of segments in this sub-block */
 		uint8_t sequence; /* of the last segment sent, or received in order */
@@ -233,6 +235,8 @@ struct canopen_node {
 	struct store store;
 	struct lss lss;
 	struct time time;
+	/* not cleared by canopen_init(): the memory of channels that nobody uses is never touched */
+	uint8_t sdo_buffers[SDO_SERVERS][SDO_BUFFER_BYTES];
 };
 
 #endif

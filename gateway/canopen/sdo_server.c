@@ -117,6 +117,8 @@ void sdo_server_init(struct canopen_node *node)
 	struct sdo_channels *channels = &node->sdo_channels;
 
 	node->sdo = &node->sdo_servers[0];
+	for (size_t i = 0; i < SDO_SERVERS; i++)
+		node->sdo_servers[i].buffer = node->sdo_buffers[i];
 	for (uint16_t i = 1; i < SDO_SERVERS; i++)
 		for (uint8_t k = 0; k < 2; k++)
 			channels->cob_id[i][k] = od_value(node->od, (uint16_t)(OD_INDEX_SDO_SERVER_PARAMETER + i),
@@ -349,7 +351,7 @@ enum od_status sdo_open_upload(struct canopen_node *node)
 		return OD_NO_DATA;
 	if (entry && entry->type == OD_DOMAIN && entry->access & OD_READ)
 		return open_domain(node);
-	return od_read(node->od, sdo->index, sdo->sub, sdo->buffer, sizeof(sdo->buffer), &sdo->size);
+	return od_read(node->od, sdo->index, sdo->sub, sdo->buffer, SDO_BUFFER_BYTES, &sdo->size);
 }
 
 void sdo_start_upload(struct canopen_node *node)

@@ -3,7 +3,7 @@
 # a library without the functions that are needed is told as a missing one.
 . "$(dirname "$0")/tools_common.bash"
 
-"${CC:-cc}" -shared -fPIC -o "$work/stand_in.so" -x c - <<'C'
+${CC:-cc} -shared -fPIC -o "$work/stand_in.so" -x c - <<'C'
 #include <errno.h>
 #include <stddef.h>
 void *iio_create_local_context(void);
@@ -20,7 +20,7 @@ case $out in
 esac
 
 for library in libiio.so.0 libusb-1.0.so.0; do
-	"${CC:-cc}" -shared -fPIC -o "$work/$library" -x c - <<<'int nothing;'
+	${CC:-cc} -shared -fPIC -o "$work/$library" -x c - <<<'int nothing;'
 done
 says_missing() { # LIBRARY OPTION...
 	local library=$1 out

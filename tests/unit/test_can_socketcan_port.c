@@ -73,6 +73,7 @@ static struct kernel {
 	uint64_t now_us;
 	int ahead_s; /* CLOCK_REALTIME */
 	unsigned clock_reads;
+	int lost_after; /* reading the clock so many times the process loses the processor for 5 ms; 0: it does not */
 } k;
 
 /* ---- system calls ------------------------------------------------------------------------------------------------ */
@@ -226,6 +227,8 @@ int clock_gettime(clockid_t clock, struct timespec *t)
 	k.clock_reads++;
 	*t = (struct timespec){(time_t)(k.now_us / 1000000) + (clock == CLOCK_REALTIME ? k.ahead_s : 0),
 		(long)(k.now_us % 1000000) * 1000};
+	if (k.lost_after > 0 && --k.lost_after == 0)
+		k.now_us += 5000;
 	return 0;
 }
 
@@ -499,6 +502,23 @@ static void test_the_time_of_a_frame_is_the_kernel_s_on_the_monotonic_clock(void
 	k.frames[0].t_us = k.now_us - 1234;
 	assert_int_equal(receive(&msg), 1);
 	assert_int_equal(msg.t_us, k.now_us - 1234);
+}
+
+static void test_a_process_that_loses_the_processor_between_two_clocks_has_the_right_time(void **state)
+{
+	for (int reads = 1; reads <= 8; reads++) {
+		struct can_msg msg;
+
+		open_bus();
+		k.lost_after = reads;
+		put_frame(0x605, 0, "\0\0\0\0\0\0\0");
+		const uint64_t sent_us = k.frames[0].t_us = k.now_us - 1234;
+		assert_int_equal(receive(&msg), 1);
+		assert_int_equal(msg.t_us, sent_us);
+		assert_int_equal(k.lost_after, 0);
+		tear_down(state);
+		set_up(state);
+	}
 }
 
 /* CLOCK_REALTIME was set meanwhile: the stamp cannot be right. */
@@ -984,6 +1004,7 @@ int main(void)
 		KERNEL_TEST(test_more_frames_than_a_batch_arrive_in_order),
 		KERNEL_TEST(test_what_is_not_a_classical_frame_is_counted_and_not_received),
 		KERNEL_TEST(test_the_time_of_a_frame_is_the_kernel_s_on_the_monotonic_clock),
+		KERNEL_TEST(test_a_process_that_loses_the_processor_between_two_clocks_has_the_right_time),
 		KERNEL_TEST(test_a_time_in_the_future_or_ten_seconds_old_is_replaced_by_now),
 		KERNEL_TEST(test_frames_the_kernel_dropped_are_counted_once),
 		KERNEL_TEST(test_a_call_reads_a_bounded_number_of_frames_that_are_not_returned),
