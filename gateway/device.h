@@ -3,7 +3,8 @@
  * ports. The process (loop.c) and the scenario tests in simulated time run this same code.
  *
  * Use: od_init() and config_apply() on device.od, then device_init(), device_start(). One thread calls it. Times are
- * CLOCK_MONOTONIC or a simulated clock, in us, and never go back. */
+ * CLOCK_MONOTONIC or a simulated clock, in us, and never go back. Each call is an input that record.h records, and so is
+ * what the ports answer: nothing else may come in. */
 #ifndef GATEWAY_DEVICE_H
 #define GATEWAY_DEVICE_H
 

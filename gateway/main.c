@@ -395,9 +395,11 @@ static struct record *open_recording(const struct config *config)
 
 	if (!config->record[0])
 		return NULL;
+	process_guard_opening(&guard, folder);
 	int rc = record_open(&recording.record);
 	if (rc == 0 && (rc = record_file_open(&recording.file, &recording.record, &recording.options)) < 0)
 		record_close(&recording.record);
+	process_guard_opening(&guard, NULL);
 	if (rc == 0)
 		log_line("recording in %s: %u files of %u MB", folder, recording.options.files,
 			recording.options.size_mb);

@@ -63,6 +63,34 @@ static void add_frame(struct frames *f, const struct can_msg *msg, uint64_t now_
 	memcpy(s->data, msg->data, msg->len);
 }
 
+/* Of all values of the dictionary, and of the pipeline's output. */
+static uint64_t hash_of(const struct device *d)
+{
+	enum { OUTPUT = offsetof(struct pipeline_output, status) + sizeof(unsigned) /* its last member */ };
+	uint64_t words[(sizeof(d->values) + OUTPUT) / sizeof(uint64_t) + 1] = {0}, hash = 0;
+
+	memcpy(words, &d->values, sizeof(d->values));
+	memcpy((uint8_t *)words + sizeof(d->values), &d->pipeline.last_good, OUTPUT);
+	for (size_t i = 0; i < sizeof(words) / sizeof(words[0]); i++)
+		hash = (hash ^ words[i]) * 0x9E3779B97F4A7C15u + (hash >> 29);
+	return hash;
+}
+
+struct hashes {
+	uint64_t *hash; /* after each sample */
+	size_t count, room;
+};
+
+static void add_hash(struct hashes *h, const struct device *d)
+{
+	if (h->count == h->room) {
+		h->room = h->room ? 2 * h->room : 4096;
+		h->hash = realloc(h->hash, h->room * sizeof(*h->hash));
+		assert_non_null(h->hash);
+	}
+	h->hash[h->count++] = hash_of(d);
+}
+
 /* ---- the device and what is around it ---------------------------------------------------------------------------- */
 
 struct site {
@@ -75,6 +103,7 @@ struct site {
 	struct sensor sensor;
 	struct store_image disk;
 	struct frames sent;
+	struct hashes values;
 	uint64_t now_us, deadline_us, next_sample_us, interval_us;
 	bool sensor_silent, late_disk, drop_next;
 	unsigned turns;
@@ -239,6 +268,7 @@ static int tear_down(void **state)
 	remove_files(s);
 	rmdir(s->folder);
 	free(s->sent.frame);
+	free(s->values.hash);
 	free(s);
 	return 0;
 }
@@ -256,6 +286,7 @@ static void deliver(struct site *s, const struct imu_sample *sample)
 {
 	s->imu.counters.samples++;
 	device_sample(&s->device, 1, sample, s->now_us);
+	add_hash(&s->values, &s->device);
 	tick(s);
 }
 
@@ -352,10 +383,11 @@ static void expect_write(uint32_t abort_code)
 /* ---- comparing --------------------------------------------------------------------------------------------------- */
 
 static struct frames replayed;
+static struct hashes replayed_values;
 
 static void on_sample(void *ctx, const struct device *d)
 {
-	(void)d;
+	add_hash(&replayed_values, d);
 	++*(unsigned *)ctx;
 }
 
@@ -381,6 +413,11 @@ static unsigned replay_file(const struct site *s, const char *name, bool good)
 	return samples;
 }
 
+static void forget_replayed(void)
+{
+	replayed.count = replayed_values.count = 0;
+}
+
 /* All files, one after the other: each begins with its state. */
 static unsigned replay_all(const struct site *s)
 {
@@ -388,7 +425,7 @@ static unsigned replay_all(const struct site *s)
 	size_t n = files_of(s, names, 2000);
 	unsigned samples = 0;
 
-	replayed.count = 0;
+	forget_replayed();
 	for (size_t i = 0; i < n; i++)
 		samples += replay_file(s, names[i], true);
 	return samples;
@@ -402,6 +439,14 @@ static void assert_same_frames(const struct frames *sent, size_t from)
 				(unsigned long long)replayed.frame[i].now_us, sent->frame[from + i].id,
 				(unsigned long long)sent->frame[from + i].now_us);
 	assert_int_equal(replayed.count, sent->count - from);
+}
+
+static void assert_same_values(const struct hashes *values, size_t from)
+{
+	for (size_t i = 0; i < replayed_values.count && from + i < values->count; i++)
+		if (replayed_values.hash[i] != values->hash[from + i])
+			fail_msg("a value of sample %zu differs", i);
+	assert_int_equal(replayed_values.count, values->count - from);
 }
 
 static unsigned count_of(const struct frames *f, uint32_t id)
@@ -481,6 +526,48 @@ static void lose_sensor(struct site *s, double seconds)
 	s->imu.health.restarts++;
 }
 
+static void write_u16(struct site *s, uint16_t index, uint8_t sub, uint16_t value)
+{
+	expect_write(write_value(s, index, sub, &value, 2));
+}
+
+static void write_u32(struct site *s, uint16_t index, uint8_t sub, uint32_t value)
+{
+	expect_write(write_value(s, index, sub, &value, 4));
+}
+
+/* What has state of its own between two samples: filters, timers, thresholds, TIME, remote frames, LSS. */
+static void other_services(struct site *s, unsigned round)
+{
+	const struct can_msg remote = {.id = 0x280 + NODE, .remote = true, .t_us = s->now_us};
+
+	expect_write(write_real(s, 0x2012, 1, round % 2 ? 0.5f : 0.2f));
+	expect_write(write_u8(s, 0x2030, 1, (uint8_t)(round % 3)));
+	expect_write(write_u8(s, 0x2040, 1, round % 3 ? 2 : 1));
+	expect_write(write_real(s, 0x2118, 1, 0.3f));
+	write_u32(s, 0x1012, 0, 0x80000100);
+	receive(s, 0x100, 6, (const uint8_t[]){0x10, 0x20, 0x30, 0, 0x20, 0x37});
+	write_u32(s, 0x1801, 1, 0x80000280 + NODE);
+	expect_write(write_u8(s, 0x1801, 2, 252));
+	write_u32(s, 0x1801, 1, 0x280 + NODE);
+	write_u32(s, 0x1800, 1, 0x80000180 + NODE);
+	expect_write(write_u8(s, 0x1800, 2, 254));
+	write_u16(s, 0x1800, 3, 700); /* inhibit time, 70 ms */
+	write_u16(s, 0x1800, 5, 130);
+	write_u32(s, 0x1800, 1, 0x180 + NODE);
+	for (int i = 0; i < 60; i++) {
+		run(s, 0.3);
+		device_receive(&s->device, &remote, s->now_us);
+		tick(s);
+	}
+	receive(s, 0x7E5, 8, (const uint8_t[8]){0x04, 1}); /* LSS: configuration, inquire, waiting */
+	receive(s, 0x7E5, 8, (const uint8_t[8]){0x5E});
+	run(s, 1);
+	receive(s, 0x7E5, 8, (const uint8_t[8]){0x04, 0});
+	device_host_clock(&s->device, true, 1790000000000000 + round);
+	run(s, 20);
+}
+
 /* Ten minutes, with something of everything. */
 static void ten_minutes(struct site *s, unsigned round)
 {
@@ -502,14 +589,15 @@ static void ten_minutes(struct site *s, unsigned round)
 	}
 	expect_write(write_u8(s, 0x2148, 0, (uint8_t)(1 + round % 4)));
 	run(s, 10);
-	expect_write(write_value(s, 0x1803, 2, &(uint8_t){254}, 1)); /* TPDO4 with each sample */
+	expect_write(write_u8(s, 0x1803, 2, 254)); /* TPDO4 with each sample */
 	run(s, 20);
-	expect_write(write_value(s, 0x1803, 2, &(uint8_t){2}, 1));
+	expect_write(write_u8(s, 0x1803, 2, 2));
+	other_services(s, round);
 	receive(s, 0x400 + NODE, 7, (const uint8_t[]){0, 1, 0, 2, 0, 30, 1}); /* attitude */
 	run(s, 5);
-	expect_write(write_value(s, 0x2073, 0, &(uint16_t){0x07}, 2));
+	write_u16(s, 0x2073, 0, 0x07);
 	run(s, 5);
-	expect_write(write_value(s, 0x2073, 0, &(uint16_t){0}, 2));
+	write_u16(s, 0x2073, 0, 0);
 	upload_name(s);
 	store(s);
 	expect_write(write_u8(s, 0x2060, 1, 2)); /* lever arm, with a reference */
@@ -538,7 +626,7 @@ static void ten_minutes(struct site *s, unsigned round)
 	device_away(&s->device, 80000, s->now_us);
 	s->drop_next = true; /* EMCY 8110h */
 	run(s, 30);
-	expect_write(write_value(s, 0x1016, 1, &(uint32_t){0x000503E8}, 4)); /* node 5, once a second */
+	write_u32(s, 0x1016, 1, 0x000503E8); /* node 5, once a second */
 	receive(s, 0x705, 1, (const uint8_t[]){5});
 	run(s, 5); /* and it is lost: EMCY 8130h, pre-operational */
 	nmt(s, 1);
@@ -572,6 +660,7 @@ static void test_an_hour_is_replayed_frame_by_frame(void **state)
 	assert_true(count_of(&s->sent, 0x180 + NODE) > 10000 && count_of(&s->sent, 0x480 + NODE) > 10000);
 	assert_true(replay_all(s) > 3550 * SLOW_HZ);
 	assert_same_frames(&s->sent, 0);
+	assert_same_values(&s->values, 0);
 }
 
 /* ---- the state --------------------------------------------------------------------------------------------------- */
@@ -619,7 +708,7 @@ static void test_a_recording_can_begin_in_the_run(void **state)
 	assert_int_equal(s->device.values.recording.state, RECORD_ON);
 	power_off(s);
 
-	replayed.count = 0;
+	forget_replayed();
 	assert_true(replay_file(s, "imu9-000002.imu.csv", true) > 99 * RATE_HZ);
 	assert_same_frames(&s->sent, from);
 }
@@ -648,7 +737,7 @@ static void test_a_transfer_under_way_continues_in_the_next_file(void **state)
 		run(s, 2); /* and its file is written */
 		record_file_turn(&s->file);
 		snprintf(name, sizeof(name), "imu9-%06d.imu.csv", i + 2);
-		replayed.count = 0;
+		forget_replayed();
 		replay_file(s, name, true);
 		assert_true(replayed.count > 500 || i == 2);
 		assert_same_frames(&s->sent, from);
@@ -674,7 +763,7 @@ static void test_a_configuration_that_is_read_again_begins_a_file(void **state)
 	nmt(s, 0x81); /* to what the file says */
 	run(s, 30);
 	power_off(s);
-	replayed.count = 0;
+	forget_replayed();
 	replay_file(s, "imu9-000002.imu.csv", true);
 	assert_same_frames(&s->sent, from);
 }
@@ -696,7 +785,7 @@ static void test_another_build_starts_with_the_recorded_configuration(void **sta
 	assert_int_equal(pwrite(fd, "0000", 4, strlen("# imu9-recording 1 ")), 4);
 	close(fd);
 
-	replayed.count = 0;
+	forget_replayed();
 	assert_true(replay_file(s, "imu9-000002.imu.csv", true) > 9 * RATE_HZ);
 	assert_true(count_of(&replayed, 0x180 + NODE) > 90);
 }
@@ -720,7 +809,7 @@ static void test_a_power_cut_costs_the_torn_line(void **state)
 	fclose(file);
 	for (long cut = size - 1; cut > size - 3000; cut -= 97) {
 		assert_int_equal(truncate(path, cut), 0);
-		replayed.count = 0;
+		forget_replayed();
 		replay_file(s, "imu9-000001.imu.csv", true);
 		assert_true(replayed.count > 400 && replayed.count <= s->sent.count);
 		assert_memory_equal(replayed.frame, s->sent.frame, replayed.count * sizeof(struct sent));
@@ -781,7 +870,7 @@ static void test_a_full_disk_ends_the_recording_and_nothing_else(void **state)
 	run(s, 10);
 	assert_int_equal(s->device.values.recording.state, RECORD_ON);
 	power_off(s);
-	replayed.count = 0;
+	forget_replayed();
 	replay_file(s, "imu9-000002.imu.csv", true);
 	assert_same_frames(&s->sent, from);
 }
@@ -821,11 +910,11 @@ static void test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample
 	run(s, 60);
 	power_off(s);
 
-	replayed.count = 0;
+	forget_replayed();
 	replay_file(s, "imu9-000001.imu.csv", true);
 	last = replayed.count;
 	assert_memory_equal(replayed.frame, s->sent.frame, last * sizeof(struct sent));
-	replayed.count = 0;
+	forget_replayed();
 	replay_file(s, "imu9-000002.imu.csv", true);
 	assert_same_frames(&s->sent, from);
 	assert_true(last < from);
@@ -901,7 +990,7 @@ static void test_the_minute_before_an_emcy_is_kept(void **state)
 	power_off(s);
 
 	size_t n = files_of(s, names, 20);
-	replayed.count = 0;
+	forget_replayed();
 	for (size_t i = 0; i < n; i++)
 		if (strstr(names[i], ".kept."))
 			replay_file(s, names[i], true);
