@@ -16,7 +16,7 @@ void config_init(struct config *config, const struct od_table *table)
 
 /* ---- keys of the process ----------------------------------------------------------------------------------------- */
 
-enum kind { TEXT, NUMBER, NODE_ID, LOG_LEVEL };
+enum kind { TEXT, LIST, NUMBER, NODE_ID, LOG_LEVEL };
 
 static const struct key {
 	const char *name;
@@ -35,6 +35,7 @@ static const struct key {
 	{"run_led", offsetof(struct config, run_led), TEXT, 0, 0},
 	{"error_led", offsetof(struct config, error_led), TEXT, 0, 0},
 	{"log_level", offsetof(struct config, log_level), LOG_LEVEL, 0, 0},
+	{"modbus", offsetof(struct config, modbus), LIST, 0, 0},
 };
 enum { KEY_COUNT = sizeof(KEYS) / sizeof(KEYS[0]) };
 
@@ -49,6 +50,22 @@ static int set_text(char *out, const char *key, const char *value, char *error)
 	}
 	strcpy(out, value);
 	return 0;
+}
+
+/* A key that is given several times: a line for each. */
+static int add_text(char *out, const char *key, const char *value, char *error)
+{
+	char line[CONFIG_TEXT_MAX];
+	size_t used = strlen(out);
+	int rc = set_text(line, key, value, error);
+
+	if (rc == 0 && used + strlen(line) + 2 > CONFIG_LIST_MAX) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s: given too often", key);
+		rc = -E2BIG;
+	}
+	if (rc == 0)
+		snprintf(out + used, CONFIG_LIST_MAX - used, "%s\n", line);
+	return rc;
 }
 
 static int set_number(unsigned *out, const char *key, const char *value, unsigned low, unsigned high, char *error)
@@ -99,6 +116,8 @@ static int set_key(struct config *c, const struct key *key, const char *value, c
 	switch (key->kind) {
 	case TEXT:
 		return set_text(at, key->name, value, error);
+	case LIST:
+		return add_text(at, key->name, value, error);
 	case NUMBER:
 		return set_number(at, key->name, value, key->low, key->high, error);
 	case NODE_ID:
@@ -127,7 +146,7 @@ const char *config_changed(const struct config *before, const struct config *aft
 		const struct key *key = &KEYS[(*from)++];
 		const char *a = (const char *)before + key->at, *b = (const char *)after + key->at;
 
-		if (key->kind == TEXT ? strcmp(a, b) != 0 : memcmp(a, b, sizeof(unsigned)) != 0)
+		if (key->kind <= LIST ? strcmp(a, b) != 0 : memcmp(a, b, sizeof(unsigned)) != 0)
 			return key->name;
 	}
 	return NULL;

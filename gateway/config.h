@@ -3,7 +3,7 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, realtime, serial,
- * vendor_id, run_led, error_led, log_level), and configuration objects by their EDS names, in their units:
+ * vendor_id, run_led, error_led, log_level, modbus), and configuration objects by their EDS names, in their units:
  * `lever_arm.l = 0.05` before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One
  * thread. */
 #ifndef GATEWAY_CONFIG_H
@@ -14,7 +14,7 @@
 
 #include "od/od.h"
 
-enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 512 };
+enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 512, CONFIG_LIST_MAX = 1024 };
 
 struct config {
 	char imu[CONFIG_TEXT_MAX];
@@ -26,7 +26,8 @@ struct config {
 	unsigned realtime;					   /* SCHED_FIFO priority; 0: ordinary scheduling */
 	unsigned serial;					   /* 1018h:4; 0: see serial.h */
 	unsigned vendor_id;					   /* 1018h:1; 0: that of the EDS */
-	unsigned log_level; /* severity of syslog(3): lines that are less severe are not written */
+	char modbus[CONFIG_LIST_MAX]; /* windows of the Modbus server, one a line; empty: none */
+	unsigned log_level;	      /* severity of syslog(3): lines that are less severe are not written */
 
 	/* PRIVATE: objects set so far, applied by config_apply() once the node-ID is known */
 	struct config_object {

@@ -25,13 +25,14 @@ enum { STAMP_TRUSTED_US = 20000 };
 /* A wake-up this late means that the process was not scheduled. */
 enum { AWAY_US = 20000 };
 
-enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_COUNT };
+enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_WINDOW, SOURCE_COUNT };
 
 struct loop {
 	struct device *device;
 	struct can_port *bus;
 	struct imu_port *imu;
 	struct store_writer *writer;
+	struct window *window;
 	struct service service;
 	loop_reload *reload;
 	int epoll, timer, signals;
@@ -156,8 +157,11 @@ static void on_store(struct loop *l, uint64_t now_us)
 {
 	int rc = store_writer_result(l->writer);
 
-	if (rc != -EAGAIN)
-		device_saved(l->device, rc, now_us);
+	if (rc == -EAGAIN)
+		return;
+	device_saved(l->device, rc, now_us);
+	if (l->window)
+		window_saved(l->window, rc);
 }
 
 static void on_event(struct loop *l, enum source source)
@@ -179,6 +183,9 @@ static void on_event(struct loop *l, enum source source)
 		break;
 	case SOURCE_STORE:
 		on_store(l, l->now_us);
+		break;
+	case SOURCE_WINDOW:
+		window_serve(l->window, l->now_us);
 		break;
 	case SOURCE_COUNT:
 		break;
@@ -238,6 +245,8 @@ static void wake(struct loop *l)
 	read_host_clock(l, l->now_us);
 	uint64_t next_us = earlier(device_tick(l->device, l->now_us), watch_threads(l));
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
+	if (l->window)
+		window_publish(l->window);
 }
 
 static sigset_t signals_read(void)
@@ -272,17 +281,20 @@ static int open_descriptors(struct loop *l)
 	if ((rc = watch(l, l->signals, SOURCE_SIGNAL)) < 0 || (rc = watch(l, l->timer, SOURCE_TIMER)) < 0 ||
 		(rc = watch(l, l->imu->fd, SOURCE_SENSOR)) < 0 || (rc = watch(l, l->bus->fd, SOURCE_BUS)) < 0)
 		return rc;
+	if (l->window && (rc = watch(l, window_fd(l->window), SOURCE_WINDOW)) < 0)
+		return rc;
 	return l->writer ? watch(l, l->writer->fd, SOURCE_STORE) : 0;
 }
 
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	bool stored_damaged, loop_reload *reload)
+	bool stored_damaged, struct window *window, loop_reload *reload)
 {
 	struct loop l = {.device = device,
 		.bus = bus,
 		.imu = imu,
 		.last_skipped = imu->counters.skipped, /* of a log: told with its notes */
 		.writer = writer,
+		.window = window,
 		.reload = reload,
 		.epoll = -1,
 		.timer = -1,

@@ -6,6 +6,7 @@
 
 #include "gateway/device.h"
 #include "gateway/store.h"
+#include "gateway/window.h"
 
 /** Blocks SIGINT, SIGTERM and SIGHUP until the loop reads them. To be called before any thread is started: threads
  * inherit it. */
@@ -15,8 +16,8 @@ void loop_hold_signals(void);
 typedef void loop_reload(struct device *device, uint64_t now_us);
 
 /** Runs until SIGINT or SIGTERM; tells the service manager of it (service.h). 0, or -errno when the loop itself cannot be
- * set up. `writer`: NULL when nothing can be stored. */
+ * set up. `writer`: NULL when nothing can be stored. `window`: NULL without a Modbus server. */
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	bool stored_damaged, loop_reload *reload);
+	bool stored_damaged, struct window *window, loop_reload *reload);
 
 #endif

@@ -41,6 +41,7 @@ static const char usage[] =
 	"      --serial N        1018h:4, unique among all units   (default: from the hardware, kept)\n"
 	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
+	"      --modbus WINDOW   Modbus server, see below; again for another one    (default: none)\n"
 	"      --log-level LEVEL  error, warning, info or debug                      (default: info)\n"
 	"      --check           only tell whether the configuration is good\n"
 	"  -h, --help            this text\n"
@@ -70,6 +71,7 @@ static const struct option options[] = {
 	{"run-led", required_argument, NULL, OPT_KEY},
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"log-level", required_argument, NULL, OPT_KEY},
+	{"modbus", required_argument, NULL, OPT_KEY},
 	{"check", no_argument, NULL, OPT_CHECK},
 	{"help", no_argument, NULL, 'h'},
 	{"version", no_argument, NULL, 'V'},
@@ -83,6 +85,8 @@ static void print_help(void)
 	imu_print_sources(stdout);
 	puts("\nBUS is one of:");
 	can_print_sources(stdout);
+	puts("\nWINDOW is one of:");
+	window_print_syntax(stdout);
 }
 
 static int usage_error(const char *why)
@@ -240,6 +244,7 @@ static int save_through_writer(void *ctx, const uint8_t *bytes, size_t size)
 static struct device device;
 static struct store_image stored;
 static struct store_writer writer;
+static struct window window;
 
 /* Reads the stored values and starts the thread that stores. NULL: nothing can be stored, which does not keep the
  * gateway from running. */
@@ -352,7 +357,7 @@ static int check_configuration(const struct config *config)
 	char why[CONFIG_ERROR_MAX];
 
 	if (imu_open(config->imu, NULL, NULL, why, sizeof(why)) < 0 ||
-		can_open(config->can, NULL, why, sizeof(why)) < 0)
+		can_open(config->can, NULL, why, sizeof(why)) < 0 || window_check(config->modbus, why, sizeof(why)) < 0)
 		return bad_configuration(why);
 	return -1;
 }
@@ -424,14 +429,22 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 			log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
 		log_notes(imu->notes);
 		open_leds(config);
+		char why[CONFIG_ERROR_MAX];
+		if (window_open(&window, config->modbus, &device, why, sizeof(why)) < 0) {
+			log_error("%s", why);
+			rc = -ECANCELED;
+		}
+	}
+	if (rc == 0) {
 		go_realtime(config->realtime);
 		process_guard_rest(&guard);
-		rc = loop_run(&device, bus, imu, store, damaged, read_again);
+		rc = loop_run(&device, bus, imu, store, damaged, window_is_open(&window) ? &window : NULL, read_again);
 		process_guard_stop(&guard);
 		if (rc < 0)
 			log_error("cannot run: %s", strerror(-rc));
-		leds_close(&device.leds);
+		window_close(&window);
 	}
+	leds_close(&device.leds);
 	if (store)
 		store_writer_close(store);
 	return rc == 0 ? EXIT_SUCCESS : status;

@@ -212,6 +212,22 @@ static void test_the_keys_that_differ_are_found(void **state)
 	assert_null(config_changed(&config, &other, &from));
 }
 
+static void test_a_modbus_window_is_added_each_time(void **state)
+{
+	static struct config before;
+	size_t from = 0;
+
+	(void)state;
+	assert_int_equal(read_file("[gateway]\nmodbus = tcp:127.0.0.1:1502\nmodbus = rtu:/dev/ttyUSB0\n"), 0);
+	before = config;
+	assert_int_equal(config_option(&config, "modbus", "tcp:[::1]:1502", why), 0);
+	assert_string_equal(config.modbus, "tcp:127.0.0.1:1502\nrtu:/dev/ttyUSB0\ntcp:[::1]:1502\n");
+	assert_string_equal(config_changed(&before, &config, &from), "modbus");
+	while (config_option(&config, "modbus", "tcp:127.0.0.1:1502", why) == 0)
+		assert_true(strlen(config.modbus) < CONFIG_LIST_MAX);
+	assert_string_equal(why, "modbus: given too often");
+}
+
 static void test_a_set_without_a_value_shows_the_syntax(void **state)
 {
 	(void)state;
@@ -265,6 +281,7 @@ int main(void)
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
 		TEST(test_the_keys_that_differ_are_found),
+		TEST(test_a_modbus_window_is_added_each_time),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
 		TEST(test_all_configuration_objects_fit_one_file),
 	};

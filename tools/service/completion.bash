@@ -20,6 +20,7 @@ _imu9() {
 	-n | --node-id) COMPREPLY=($(compgen -W "$(seq 1 127)" -- "$word")); return ;;
 	--set) compopt -o nospace; _imu9_objects "$word"; return ;;
 	--imu) compopt -o nospace; COMPREPLY=($(compgen -W 'sim replay: i2c:/dev/i2c- iio wt901:/dev/tty' -- "$word")); return ;;
+	--modbus) compopt -o nospace; COMPREPLY=($(compgen -W 'tcp: rtu:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
 	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --movements)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
