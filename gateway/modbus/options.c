@@ -166,7 +166,7 @@ static int parse(struct modbus_window *w, char *text, char *error, size_t error_
 		return -EINVAL;
 	}
 	if (w->serial ? option[4] == '\0' || strlen(option + 4) >= sizeof(w->device) : !parse_host(w, option + 4)) {
-		snprintf(error, error_size, "'%.60s': write %s", option,
+		snprintf(error, error_size, "Modbus window '%.60s': write %s", option,
 			w->serial ? "rtu:DEVICE, such as rtu:/dev/ttyUSB0"
 				  : "tcp:HOST:PORT, such as tcp:127.0.0.1:1502");
 		return -EINVAL;
