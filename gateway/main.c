@@ -405,6 +405,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 {
 	struct storing_port storage = {.ctx = &writer, .save = save_through_writer};
 	int status = EXIT_FAILURE;
+	char why[CONFIG_ERROR_MAX];
 	bool damaged;
 
 	process_guard_opening(&guard, config->store[0] ? config->store : "the store");
@@ -420,6 +421,8 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		status = bad_configuration(INCONSISTENT);
 	else if (rc < 0)
 		log_error("cannot start the device: %s", strerror(-rc));
+	if (rc == 0 && (rc = window_open(&window, config->modbus, &device, why, sizeof(why))) < 0)
+		log_error("%s", why);
 	if (rc == 0) {
 		if (node_id == CANOPEN_UNCONFIGURED)
 			log_line("on %s, sensor %s at %.1f Hz; no node-ID: waiting for LSS to assign one (imu9-sdo lss "
@@ -429,22 +432,15 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 			log_line("node %u on %s, sensor %s at %.1f Hz", node_id, bus->name, imu->name, imu->rate_hz);
 		log_notes(imu->notes);
 		open_leds(config);
-		char why[CONFIG_ERROR_MAX];
-		if (window_open(&window, config->modbus, &device, why, sizeof(why)) < 0) {
-			log_error("%s", why);
-			rc = -ECANCELED;
-		}
-	}
-	if (rc == 0) {
 		go_realtime(config->realtime);
 		process_guard_rest(&guard);
 		rc = loop_run(&device, bus, imu, store, damaged, window_is_open(&window) ? &window : NULL, read_again);
 		process_guard_stop(&guard);
 		if (rc < 0)
 			log_error("cannot run: %s", strerror(-rc));
-		window_close(&window);
+		leds_close(&device.leds);
 	}
-	leds_close(&device.leds);
+	window_close(&window);
 	if (store)
 		store_writer_close(store);
 	return rc == 0 ? EXIT_SUCCESS : status;

@@ -196,8 +196,8 @@ static void address_of(const struct sockaddr_storage *peer, uint8_t address[16],
 /* Once a second at most. */
 static void refuse(struct modbus_server *s, int fd, const char *who, const char *why, uint64_t now_us)
 {
-	close(fd);
 	count(&s->counters.refused, 1);
+	close(fd);
 	if (s->refusal_told_us && now_us - s->refusal_told_us < SECOND_US)
 		return;
 	s->refusal_told_us = now_us;

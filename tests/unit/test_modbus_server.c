@@ -62,7 +62,7 @@ static void *run_loop(void *arg)
 
 	(void)arg;
 	while (!atomic_load(&f.quit)) {
-		poll(&request, 1, 0);
+		poll(&request, 1, 1);
 		struct modbus_job *job = modbus_link_take(&f.link);
 		if (job)
 			modbus_execute(job, &imu9_modbus_map, &f.od, false, ignore, NULL);
@@ -232,7 +232,7 @@ static void test_each_response_has_the_values_of_one_sample(void **state)
 	(void)state;
 	start(",rate=10000");
 	modbus_t *client = connect_client();
-	for (int i = 0; i < 3000; i++) {
+	while (different < 300) {
 		uint16_t words[REALS];
 
 		assert_int_equal(modbus_read_input_registers(client, AT_REALS, REALS, words), REALS);
@@ -241,7 +241,6 @@ static void test_each_response_has_the_values_of_one_sample(void **state)
 		different += words[0] != last;
 		last = words[0];
 	}
-	assert_true(different > 100);
 	close_client(client);
 }
 
