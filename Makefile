@@ -40,19 +40,21 @@ LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lncursesw -l
 # ---- what is built from what ---------------------------------------------------------------------------------------
 sources = $(sort $(wildcard $(1)))
 objects = $(patsubst %.c,$(BUILD)/obj/%.o,$(1))
-GEN := $(addprefix $(BUILD)/gen/,od_index.h od_values.h od_table.c objects.md imu9-gateway.dbc)
+GEN := $(addprefix $(BUILD)/gen/,od_index.h od_values.h od_table.c objects.md imu9-gateway.dbc \
+	modbus_map.c modbus.md modbus.csv modbus-telegraf.conf modbus-node-red.json)
 
 MODEL_SRC := $(call sources,model/*.c model/*/*.c)
 OD_SRC := $(call sources,od/*.c)
 DRIVERS_SRC := $(call sources,drivers/can/*.c drivers/i2c/*.c drivers/imu/*.c drivers/imu/*/*.c)
 DRIVERS_SRC := $(filter-out drivers/imu/pololu/drdy_gpiod%,$(DRIVERS_SRC)) drivers/imu/pololu/drdy_gpiod$(GPIOD_API).c
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
+MODBUS_SRC := $(call sources,gateway/modbus/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
 TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
-LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway canopen drivers od) $(MODEL_LIB)
+LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway modbus_server canopen drivers od) $(MODEL_LIB)
 TOOLS := $(addprefix $(BUILD)/,$(subst _,-,$(basename $(notdir $(PROGRAM_SRC)))))
 PROGRAMS := $(BUILD)/imu9-gateway $(TOOLS)
 TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scenario/test_*.c \
@@ -72,7 +74,7 @@ $(BUILD)/obj/%.o: %.c | $(BUILD)/gen/od_values.h
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
 
-$(BUILD)/obj/gen/od_table.o: $(BUILD)/gen/od_table.c $(BUILD)/gen/od_values.h
+$(BUILD)/obj/gen/%.o: $(BUILD)/gen/%.c $(BUILD)/gen/od_values.h
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -c -o $@ $<
 
@@ -106,6 +108,7 @@ $(MODEL_LIB): $(call objects,$(MODEL_SRC)); $(archive)
 $(BUILD)/libod.a: $(call objects,$(OD_SRC)) $(BUILD)/obj/gen/od_table.o; $(archive)
 $(BUILD)/libdrivers.a: $(call objects,$(DRIVERS_SRC)); $(archive)
 $(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
+$(BUILD)/libmodbus_server.a: $(call objects,$(MODBUS_SRC)) $(BUILD)/obj/gen/modbus_map.o; $(archive)
 $(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
 $(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
 
@@ -207,7 +210,7 @@ mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) a
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
 lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h ## clang-tidy and cppcheck
-	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
+	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
 		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
@@ -263,6 +266,18 @@ check-drivers-readme: $(BUILD)/imu9-gateway ## fail when these tables are not th
 	@$(DRIVERS_README) | cmp -s - drivers/README.md || \
 		{ echo "drivers/README.md: the tables are out of date: make readme" >&2; exit 1; }
 
+WITH_REGISTERS = awk '/^<!-- registers/ {print; print ""; system("cat $(BUILD)/gen/modbus.md"); skip = 1} \
+	/^<!-- end of registers/ {skip = 0; print ""} !skip' gateway/modbus/README.md
+.PHONY: modbus-readme check-modbus-readme
+readme: modbus-readme
+check-readme: check-modbus-readme
+modbus-readme: $(BUILD)/gen/modbus.md ## bring the registers of gateway/modbus/README.md up to date
+	@$(WITH_REGISTERS) >$(BUILD)/modbus-README.md && cp $(BUILD)/modbus-README.md gateway/modbus/README.md
+
+check-modbus-readme: $(BUILD)/gen/modbus.md ## fail when these registers are not those of the EDS
+	@$(WITH_REGISTERS) | cmp -s - gateway/modbus/README.md || \
+		{ echo "gateway/modbus/README.md: the registers are out of date: make readme" >&2; exit 1; }
+
 # one place for all tests on recorded trials: they read IMU9_BROAD
 BROAD ?= $(or $(IMU9_BROAD),../shared/data/broad)
 export IMU9_BROAD := $(abspath $(BROAD))
@@ -307,8 +322,9 @@ install: all $(if $(shell command -v help2man),man) ## install programs, manuals
 		$(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
 	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
-		tools/service/imu9-gateway.conf \
-		tools/service/udp.conf tools/service/realtime.conf tools/imu9-json.schema.json $(DESTDIR)$(share)
+		$(addprefix $(BUILD)/gen/modbus,.csv -telegraf.conf -node-red.json) tools/service/imu9-gateway.conf \
+		$(addprefix tools/service/,udp.conf realtime.conf modbus.conf modbus-stunnel.conf) \
+		tools/imu9-json.schema.json $(DESTDIR)$(share)
 	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d
 	install -m 644 tools/service/sysusers.conf $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
 	for name in imu9-gateway imu9-sdo; do \

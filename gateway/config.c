@@ -37,6 +37,7 @@ static const struct key {
 	{"error_led", offsetof(struct config, error_led), TEXT, 0, 0},
 	{"log_level", offsetof(struct config, log_level), LOG_LEVEL, 0, 0},
 	{"cia309", offsetof(struct config, cia309), LIST, 0, 0},
+	{"modbus", offsetof(struct config, modbus), LIST, 0, 0},
 };
 enum { KEY_COUNT = sizeof(KEYS) / sizeof(KEYS[0]) };
 
@@ -53,19 +54,20 @@ static int set_text(char *out, const char *key, const char *value, char *error)
 	return 0;
 }
 
-/* The key may be given several times: its values add up, with blanks between them. */
-static int add_to_list(char *out, const char *key, const char *value, char *error)
+/* A key that is given several times: a line for each. */
+static int add_text(char *out, const char *key, const char *value, char *error)
 {
+	char line[CONFIG_TEXT_MAX];
 	size_t used = strlen(out);
+	int rc = set_text(line, key, value, error);
 
-	if (value[0] == '\0' || strchr(value, ' ') || used + 1 + strlen(value) >= CONFIG_TEXT_MAX) {
-		snprintf(error, CONFIG_ERROR_MAX,
-			"%s: needs a value without blanks, and all of them at most %d characters", key,
-			CONFIG_TEXT_MAX - 1);
-		return -EINVAL;
+	if (rc == 0 && used + strlen(line) + 2 > CONFIG_LIST_MAX) {
+		snprintf(error, CONFIG_ERROR_MAX, "%s: given too often", key);
+		rc = -E2BIG;
 	}
-	snprintf(out + used, CONFIG_TEXT_MAX - used, "%s%s", used ? " " : "", value);
-	return 0;
+	if (rc == 0)
+		snprintf(out + used, CONFIG_LIST_MAX - used, "%s\n", line);
+	return rc;
 }
 
 static int set_number(unsigned *out, const char *key, const char *value, unsigned low, unsigned high, char *error)
@@ -117,7 +119,7 @@ static int set_key(struct config *c, const struct key *key, const char *value, c
 	case TEXT:
 		return set_text(at, key->name, value, error);
 	case LIST:
-		return add_to_list(at, key->name, value, error);
+		return add_text(at, key->name, value, error);
 	case NUMBER:
 		return set_number(at, key->name, value, key->low, key->high, error);
 	case NODE_ID:

@@ -3,7 +3,8 @@
  * applies it.
  *
  * FILE is INI: a section [gateway] with the keys of the process (imu, can, node_id, bitrate, store, record, realtime,
- * serial, vendor_id, run_led, error_led, log_level, cia309), and configuration objects by their EDS names, in their units:
+ * serial, vendor_id, run_led, error_led, log_level, cia309, modbus), and configuration objects by their EDS names, in
+ * their units:
  * `lever_arm.l = 0.05` before any section or `l = 0.05` in [lever_arm]. An unknown name is an error with file:line. One
  * thread. */
 #ifndef GATEWAY_CONFIG_H
@@ -14,7 +15,7 @@
 
 #include "od/od.h"
 
-enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 512 };
+enum { CONFIG_TEXT_MAX = 256, CONFIG_ERROR_MAX = 512, CONFIG_OBJECTS_MAX = 512, CONFIG_LIST_MAX = 1024 };
 
 struct config {
 	char imu[CONFIG_TEXT_MAX];
@@ -22,7 +23,8 @@ struct config {
 	char store[CONFIG_TEXT_MAX];				   /* folder; empty: the default of main.c */
 	char record[CONFIG_TEXT_MAX];				   /* folder and options; empty: nothing is recorded */
 	char run_led[CONFIG_TEXT_MAX], error_led[CONFIG_TEXT_MAX]; /* under /sys/class/leds; empty: none */
-	char cia309[CONFIG_TEXT_MAX]; /* addresses of CiA 309-3, blanks between them; empty: none */
+	char cia309[CONFIG_LIST_MAX];				   /* addresses of CiA 309-3, one a line; empty: none */
+	char modbus[CONFIG_LIST_MAX]; /* windows of the Modbus server, one a line; empty: none */
 	unsigned node_id;	      /* 1..127; 255: unconfigured, LSS assigns one */
 	unsigned bitrate;	      /* bit/s; 0: unchanged */
 	unsigned realtime;	      /* SCHED_FIFO priority; 0: ordinary scheduling */

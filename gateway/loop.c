@@ -25,7 +25,16 @@ enum { STAMP_TRUSTED_US = 20000 };
 /* A wake-up this late means that the process was not scheduled. */
 enum { AWAY_US = 20000 };
 
-enum source { SOURCE_SENSOR, SOURCE_BUS, SOURCE_TIMER, SOURCE_SIGNAL, SOURCE_STORE, SOURCE_CIA309, SOURCE_COUNT };
+enum source {
+	SOURCE_SENSOR,
+	SOURCE_BUS,
+	SOURCE_TIMER,
+	SOURCE_SIGNAL,
+	SOURCE_STORE,
+	SOURCE_CIA309,
+	SOURCE_WINDOW,
+	SOURCE_COUNT
+};
 
 struct loop {
 	struct device *device;
@@ -34,6 +43,7 @@ struct loop {
 	struct store_writer *writer;
 	struct cia309_server *cia309; /* NULL: off */
 	bool cia309_readable;
+	struct window *window;
 	struct service service;
 	loop_reload *reload;
 	int epoll, timer, signals;
@@ -160,8 +170,11 @@ static void on_store(struct loop *l, uint64_t now_us)
 {
 	int rc = store_writer_result(l->writer);
 
-	if (rc != -EAGAIN)
-		device_saved(l->device, rc, now_us);
+	if (rc == -EAGAIN)
+		return;
+	device_saved(l->device, rc, now_us);
+	if (l->window)
+		window_saved(l->window, rc);
 }
 
 static void on_event(struct loop *l, enum source source)
@@ -186,6 +199,9 @@ static void on_event(struct loop *l, enum source source)
 		break;
 	case SOURCE_CIA309: /* after what is urgent */
 		l->cia309_readable = true;
+		break;
+	case SOURCE_WINDOW:
+		window_serve(l->window, l->now_us);
 		break;
 	case SOURCE_COUNT:
 		break;
@@ -257,6 +273,8 @@ static void wake(struct loop *l)
 	read_host_clock(l, l->now_us);
 	uint64_t next_us = earlier(tick_device(l), watch_threads(l));
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
+	if (l->window)
+		window_publish(l->window);
 }
 
 static sigset_t signals_read(void)
@@ -293,11 +311,13 @@ static int open_descriptors(struct loop *l)
 		return rc;
 	if (l->writer && (rc = watch(l, l->writer->fd, SOURCE_STORE)) < 0)
 		return rc;
+	if (l->window && (rc = watch(l, window_fd(l->window), SOURCE_WINDOW)) < 0)
+		return rc;
 	return l->cia309 ? watch(l, l->cia309->fd, SOURCE_CIA309) : 0;
 }
 
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	struct cia309_server *cia309, bool stored_damaged, loop_reload *reload)
+	struct cia309_server *cia309, struct window *window, bool stored_damaged, loop_reload *reload)
 {
 	struct loop l = {.device = device,
 		.bus = bus,
@@ -305,6 +325,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 		.last_skipped = imu->counters.skipped, /* of a log: told with its notes */
 		.writer = writer,
 		.cia309 = cia309,
+		.window = window,
 		.reload = reload,
 		.epoll = -1,
 		.timer = -1,

@@ -7,6 +7,7 @@
 #include "gateway/cia309/server.h"
 #include "gateway/device.h"
 #include "gateway/store.h"
+#include "gateway/window.h"
 
 /** Blocks SIGINT, SIGTERM and SIGHUP until the loop reads them. To be called before any thread is started: threads
  * inherit it. */
@@ -16,8 +17,8 @@ void loop_hold_signals(void);
 typedef void loop_reload(struct device *device, uint64_t now_us);
 
 /** Runs until SIGINT or SIGTERM; tells the service manager of it (service.h). 0, or -errno when the loop itself
- * cannot be set up. `writer`: NULL when nothing can be stored. `cia309`: NULL when it is off. */
+ * cannot be set up. `writer`: NULL when nothing can be stored. `cia309`, `window`: NULL when they are off. */
 int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, struct store_writer *writer,
-	struct cia309_server *cia309, bool stored_damaged, loop_reload *reload);
+	struct cia309_server *cia309, struct window *window, bool stored_damaged, loop_reload *reload);
 
 #endif

@@ -45,6 +45,7 @@ static const char usage[] =
 	"      --serial N        1018h:4, unique among all units   (default: from the hardware, kept)\n"
 	"      --vendor-id N     1018h:1, of who sells the device             (default: 0x00494D55)\n"
 	"      --run-led NAME, --error-led NAME   LEDs under /sys/class/leds (CiA 303-3)\n"
+	"      --modbus WINDOW   Modbus server, see below; again for another one    (default: none)\n"
 	"      --log-level LEVEL  error, warning, info or debug                      (default: info)\n"
 	"      --cia309 ADDRESS  unix:PATH[,group=NAME] or tcp:127.0.0.1:PORT, both [,write=yes]: CiA 309-3, the\n"
 	"                        text protocol of cocomm; repeatable                  (default: off)\n"
@@ -79,6 +80,7 @@ static const struct option options[] = {
 	{"error-led", required_argument, NULL, OPT_KEY},
 	{"log-level", required_argument, NULL, OPT_KEY},
 	{"cia309", required_argument, NULL, OPT_KEY},
+	{"modbus", required_argument, NULL, OPT_KEY},
 	{"check", no_argument, NULL, OPT_CHECK},
 	{"unlock", no_argument, NULL, OPT_UNLOCK},
 	{"help", no_argument, NULL, 'h'},
@@ -93,6 +95,8 @@ static void print_help(void)
 	imu_print_sources(stdout);
 	puts("\nBUS is one of:");
 	can_print_sources(stdout);
+	puts("\nWINDOW is one of:");
+	window_print_syntax(stdout);
 }
 
 static int usage_error(const char *why)
@@ -255,6 +259,7 @@ static int save_through_writer(void *ctx, const uint8_t *bytes, size_t size)
 static struct device device;
 static struct store_image stored;
 static struct store_writer writer;
+static struct window window;
 
 /* Reads the stored values and starts the thread that stores. NULL: nothing can be stored, which does not keep the
  * gateway from running. */
@@ -416,7 +421,8 @@ static int check_configuration(const struct config *config)
 
 	if (imu_open(config->imu, NULL, NULL, why, sizeof(why)) < 0 ||
 		can_open(config->can, NULL, why, sizeof(why)) < 0 ||
-		cia309_server_check(config->cia309, why, sizeof(why)) < 0)
+		cia309_server_check(config->cia309, why, sizeof(why)) < 0 ||
+		window_check(config->modbus, why, sizeof(why)) < 0)
 		return bad_configuration(why);
 	if (config->record[0] && record_options(config->record, &recording.options, why, sizeof(why)) < 0)
 		return bad_configuration(why);
@@ -468,12 +474,13 @@ static bool open_windows(const struct config *config, struct can_port *bus, stru
 	char why[CONFIG_ERROR_MAX];
 
 	*cia309 = NULL;
-	if (config->cia309[0] == '\0')
-		return true;
-	*cia309 = ascii_gateway_open(config->cia309, &device, bus, why, sizeof(why));
-	if (!*cia309)
+	if (window_open(&window, config->modbus, &device, why, sizeof(why)) < 0 ||
+		(config->cia309[0] &&
+			!(*cia309 = ascii_gateway_open(config->cia309, &device, bus, why, sizeof(why))))) {
 		log_error("%s", why);
-	return *cia309 != NULL;
+		return false;
+	}
+	return true;
 }
 
 static int run(const struct config *config, struct can_port *bus, struct imu_port *imu)
@@ -512,7 +519,8 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		open_leds(config);
 		go_realtime(config->realtime);
 		process_guard_rest(&guard);
-		rc = loop_run(&device, bus, imu, store, cia309, damaged, read_again);
+		rc = loop_run(&device, bus, imu, store, cia309, window_is_open(&window) ? &window : NULL, damaged,
+			read_again);
 		process_guard_stop(&guard);
 		if (rc < 0)
 			log_error("cannot run: %s", strerror(-rc));
@@ -524,6 +532,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 	}
 	if (cia309)
 		ascii_gateway_close(cia309);
+	window_close(&window);
 	if (store)
 		store_writer_close(store);
 	return rc == 0 ? EXIT_SUCCESS : status;

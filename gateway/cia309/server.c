@@ -126,8 +126,8 @@ static int parse_address(struct address *a, const char *text, size_t length, cha
 /* The next address of the list. False: there is none, or it is wrong (*rc). */
 static bool next_address(const char **list, struct address *a, int *rc, char *error, size_t error_size)
 {
-	*list += strspn(*list, " ");
-	size_t length = strcspn(*list, " ");
+	*list += strspn(*list, "\n");
+	size_t length = strcspn(*list, "\n");
 	if (length == 0)
 		return false;
 	*rc = parse_address(a, *list, length, error, error_size);

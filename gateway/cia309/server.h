@@ -42,7 +42,7 @@ struct cia309_server {
 	uint64_t accept_us; /* the next client */
 };
 
-/** Whether the addresses, separated by blanks, are written well. 0, or -EINVAL and one line in `error`. */
+/** Whether the addresses, one a line, are written well. 0, or -EINVAL and one line in `error`. */
 int cia309_server_check(const char *addresses, char *error, size_t error_size);
 /** Listens. 0, or -errno and one line in `error` that says what to do. */
 int cia309_server_open(

@@ -4,6 +4,7 @@
  * machine.
  *
  *     tests/rig/vcan-run build/tests/bench/bench_bus       (`make bench` does) */
+#include <arpa/inet.h>
 #include <errno.h>
 #include <linux/can.h>
 #include <linux/can/raw.h>
@@ -24,7 +25,10 @@
 
 enum { NODE = 1, SYNC = 0x80, NMT = 0x000, TPDO1 = 0x180 + NODE, REQUEST = 0x600 + NODE, RESPONSE = 0x580 + NODE };
 enum { BATCHES = 10, ROUNDS = 200, SEGMENT = 7, BLOCK_SEGMENTS = 127, FOREIGN = 2000, FOREIGN_ID = 0x2AA };
+enum { MODBUS_PORT = 1502, SLOW_CLIENTS = 50, MODBUS_FRAME = 40 };
 enum { FLOOR_BLOCK_BYTES = 120000, PAUSE_US = 3000 };
+
+static const char MODBUS_WINDOW[] = "tcp:127.0.0.1:1502,write=127.0.0.1,clients=32,rate=10000";
 
 static void fail(const char *what)
 {
@@ -165,7 +169,7 @@ static void set_up(int fd)
 	usleep(100000);
 }
 
-static pid_t start_gateway(const char *folder, const char *imu)
+static pid_t start_gateway(const char *folder, const char *imu, const char *modbus)
 {
 	const char *build = getenv("BUILD");
 	char program[256];
@@ -178,7 +182,8 @@ static pid_t start_gateway(const char *folder, const char *imu)
 	snprintf(program, sizeof(program), "%s/imu9-gateway", build ? build : "build");
 	if (!freopen("/dev/null", "w", stderr))
 		_exit(1);
-	execl(program, program, "--can", "vcan0", "--node-id", "1", "--imu", imu, "--store", folder, NULL);
+	execl(program, program, "--can", "vcan0", "--node-id", "1", "--imu", imu, "--store", folder,
+		modbus ? "--modbus" : NULL, modbus, NULL);
 	_exit(1);
 }
 
@@ -281,7 +286,7 @@ static void compare(int fd, const char *folder)
 		usleep(100000);
 		measure(fd, &measured[0], batch);
 		stop(pid);
-		pid = start_gateway(folder, "sim:rest");
+		pid = start_gateway(folder, "sim:rest", NULL);
 		set_up(fd);
 		measure(fd, &measured[1], batch);
 		stop(pid);
@@ -290,6 +295,66 @@ static void compare(int fd, const char *folder)
 	print_ratio("expedited SDO upload", measured[0].sdo_us, measured[1].sdo_us);
 	printf("%-28s %.0f kB/s, the floor %.0f\n", "block upload", median(measured[1].block_kb_s, BATCHES),
 		median(measured[0].block_kb_s, BATCHES));
+}
+
+/* ---- Modbus clients ---------------------------------------------------------------------------------------------- */
+
+static int connect_client(void)
+{
+	struct sockaddr_in address = {
+		.sin_family = AF_INET, .sin_port = htons(MODBUS_PORT), .sin_addr.s_addr = htonl(INADDR_LOOPBACK)};
+	int fd = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC | SOCK_NONBLOCK, 0);
+
+	if (connect(fd, (struct sockaddr *)&address, sizeof(address)) < 0 && errno != EINPROGRESS)
+		fail("Modbus");
+	return fd;
+}
+
+/* Until it is stopped: clients of which each has sent a part of a request, and one that sends random requests as fast as
+ * they are answered. */
+static pid_t start_clients(void)
+{
+	pid_t pid = fork();
+	uint8_t frame[MODBUS_FRAME] = {0, 1, 0, 0, 0, MODBUS_FRAME - 6, 1}, answer[300];
+
+	if (pid != 0) {
+		usleep(300000);
+		return pid;
+	}
+	int fd = connect_client();
+	for (int i = 0; i < SLOW_CLIENTS; i++)
+		if (write(connect_client(), frame, 4) < 0 && errno != EAGAIN)
+			continue; /* one too many: the server has closed it */
+	for (;;) {
+		struct pollfd p = {.fd = fd, .events = POLLIN};
+
+		for (size_t i = 7; i < sizeof(frame); i++)
+			frame[i] = (uint8_t)rand();
+		if (write(fd, frame, sizeof(frame)) < 0 && errno != EAGAIN)
+			fail("Modbus");
+		poll(&p, 1, 1000);
+		while (read(fd, answer, sizeof(answer)) > 0)
+			;
+	}
+}
+
+/* One gateway, alternating batches. */
+static void compare_with_clients(int fd, const char *folder)
+{
+	static double without_us[BATCHES * ROUNDS], with_us[BATCHES * ROUNDS];
+	pid_t gateway = start_gateway(folder, "sim:rest", MODBUS_WINDOW);
+
+	set_up(fd);
+	for (int batch = 0; batch < BATCHES; batch++) {
+		sync_to_tpdo(fd, without_us + (size_t)batch * ROUNDS);
+		pid_t clients = start_clients();
+		sync_to_tpdo(fd, with_us + (size_t)batch * ROUNDS);
+		stop(clients);
+	}
+	stop(gateway);
+	double without = median(without_us, BATCHES * ROUNDS), with = median(with_us, BATCHES * ROUNDS);
+	printf("%-28s %.2f times that without them (%.0f us against %.0f)\n", "SYNC to TPDO, Modbus clients",
+		with / without, with, without);
 }
 
 /* ---- system calls ------------------------------------------------------------------------------------------------ */
@@ -379,7 +444,7 @@ static void count_syscalls(int fd, const char *folder)
 	snprintf(log, sizeof(log), "%s/slow.imu.csv", folder);
 	snprintf(imu, sizeof(imu), "replay:%s", log);
 	write_slow_log(log);
-	pid_t pid = start_gateway(folder, imu);
+	pid_t pid = start_gateway(folder, imu, NULL);
 
 	set_up(fd);
 	printf("%-28s %.1f per request and answer\n", "system calls, SDO",
@@ -404,6 +469,7 @@ int main(void)
 		fail(folder);
 	only(fd, TPDO1, RESPONSE);
 	compare(fd, folder);
+	compare_with_clients(fd, folder);
 	count_syscalls(fd, folder);
 	snprintf(clean, sizeof(clean), "rm -rf %s", folder);
 	return system(clean) == 0 ? EXIT_SUCCESS : EXIT_FAILURE;

@@ -261,10 +261,10 @@ static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **stat
 		assert_memory_equal(error, "cia309: ", 8);
 	}
 	assert_int_equal(
-		cia309_server_check("unix:/run/309.sock,group=root,write=yes tcp:127.0.0.1:60000 tcp:[::1]:60000",
+		cia309_server_check("unix:/run/309.sock,group=root,write=yes\ntcp:127.0.0.1:60000\ntcp:[::1]:60000\n",
 			error, sizeof(error)),
 		0);
-	assert_int_equal(cia309_server_check("unix:/a unix:/b unix:/c unix:/d unix:/e", error, sizeof(error)), -EINVAL);
+	assert_int_equal(cia309_server_check("unix:/a\nunix:/b\nunix:/c\nunix:/d\nunix:/e\n", error, sizeof(error)), -EINVAL);
 	assert_int_equal(cia309_server_check("", error, sizeof(error)), 0);
 }
 

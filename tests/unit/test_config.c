@@ -212,6 +212,22 @@ static void test_the_keys_that_differ_are_found(void **state)
 	assert_null(config_changed(&config, &other, &from));
 }
 
+static void test_a_modbus_window_is_added_each_time(void **state)
+{
+	static struct config before;
+	size_t from = 0;
+
+	(void)state;
+	assert_int_equal(read_file("[gateway]\nmodbus = tcp:127.0.0.1:1502\nmodbus = rtu:/dev/ttyUSB0\n"), 0);
+	before = config;
+	assert_int_equal(config_option(&config, "modbus", "tcp:[::1]:1502", why), 0);
+	assert_string_equal(config.modbus, "tcp:127.0.0.1:1502\nrtu:/dev/ttyUSB0\ntcp:[::1]:1502\n");
+	assert_string_equal(config_changed(&before, &config, &from), "modbus");
+	while (config_option(&config, "modbus", "tcp:127.0.0.1:1502", why) == 0)
+		assert_true(strlen(config.modbus) < CONFIG_LIST_MAX);
+	assert_string_equal(why, "modbus: given too often");
+}
+
 static void test_a_set_without_a_value_shows_the_syntax(void **state)
 {
 	(void)state;
@@ -249,20 +265,20 @@ static void test_all_configuration_objects_fit_one_file(void **state)
 static void test_the_addresses_of_cia309_add_up(void **state)
 {
 	char text[CONFIG_TEXT_MAX];
+	int rc = 0;
 
 	(void)state;
 	assert_string_equal(config.cia309, "");
 	assert_int_equal(config_option(&config, "cia309", "unix:/run/a", why), 0);
 	assert_int_equal(config_option(&config, "cia309", "tcp:127.0.0.1:60000", why), 0);
-	assert_string_equal(config.cia309, "unix:/run/a tcp:127.0.0.1:60000");
-	assert_int_equal(config_option(&config, "cia309", "unix:/run/with blank", why), -EINVAL);
+	assert_string_equal(config.cia309, "unix:/run/a\ntcp:127.0.0.1:60000\n");
 	assert_int_equal(config_option(&config, "cia309", "", why), -EINVAL);
 	memset(text, 'x', sizeof(text));
-	text[CONFIG_TEXT_MAX - 1 - strlen(config.cia309)] = '\0';
-	assert_int_equal(config_option(&config, "cia309", text, why), -EINVAL);
-	text[strlen(text) - 1] = '\0';
-	assert_int_equal(config_option(&config, "cia309", text, why), 0);
-	assert_int_equal(strlen(config.cia309), CONFIG_TEXT_MAX - 1);
+	text[sizeof(text) - 1] = '\0';
+	for (int i = 0; i < CONFIG_LIST_MAX / CONFIG_TEXT_MAX + 1 && rc == 0; i++)
+		rc = config_option(&config, "cia309", text, why);
+	assert_int_equal(rc, -E2BIG);
+	assert_true(strlen(config.cia309) < CONFIG_LIST_MAX);
 }
 
 int main(void)
@@ -284,6 +300,7 @@ int main(void)
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
 		TEST(test_the_keys_that_differ_are_found),
+		TEST(test_a_modbus_window_is_added_each_time),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
 		TEST(test_all_configuration_objects_fit_one_file),
 		TEST(test_the_addresses_of_cia309_add_up),

@@ -951,7 +951,9 @@ static int run_gen_od(const char *eds_text, const char *folder, char *output, si
 
 static void test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output(void **state)
 {
-	static const char *const OUTPUTS[] = {"od_values.h", "od_table.c", "objects.md", "imu9-gateway.dbc"};
+	static const char *const OUTPUTS[] = {"od_values.h", "od_table.c", "objects.md", "imu9-gateway.dbc",
+		"modbus_map.c", "modbus.md", "modbus.csv", "modbus-telegraf.conf", "modbus-node-red.json"};
+	enum { COUNT = sizeof(OUTPUTS) / sizeof(*OUTPUTS) };
 	static const char *const BROKEN[][2] = {
 		{"DataType=0x0099", "unknown"},		      /* an error of the file */
 		{"ParameterName=default", "keyword of the C"} /* an error only for C */
@@ -971,14 +973,14 @@ static void test_gen_od_refuses_a_broken_file_with_its_line_and_leaves_no_output
 		snprintf(expected, sizeof(expected), "gen-od: %s/in.eds:%u: ", folder, line_of(text, BROKEN[i][0]));
 		assert_int_equal(strncmp(output, expected, strlen(expected)), 0);
 		assert_non_null(strstr(output, BROKEN[i][1]));
-		for (size_t k = 0; k < 4; k++) {
+		for (size_t k = 0; k < COUNT; k++) {
 			snprintf(path, sizeof(path), "%s/out/%s", folder, OUTPUTS[k]);
 			assert_int_not_equal(access(path, F_OK), 0);
 		}
 	}
 	assert_int_equal(run_gen_od(GOOD, folder, output, sizeof(output)), 0);
 	assert_string_equal(output, "");
-	for (size_t k = 0; k < 4; k++) {
+	for (size_t k = 0; k < COUNT; k++) {
 		snprintf(path, sizeof(path), "%s/out/%s", folder, OUTPUTS[k]);
 		assert_int_equal(unlink(path), 0);
 	}

@@ -6,6 +6,8 @@
  *   od_table.c         the table for od/, the defaults, and the bytes of the EDS itself (1021h)
  *   objects.md         every object, as tables for people
  *   imu9-gateway.dbc   the default PDOs, EMCY and heartbeat of node-ID 1, for tools that support CAN but not CANopen
+ *   modbus_map.c       the registers of the Modbus server; modbus.md, modbus.csv, modbus-telegraf.conf and
+ *                      modbus-node-red.json are the same for people and programs
  *
  * It runs at build time, so it may use the heap. The output depends on the EDS only. */
 #include <ctype.h>
@@ -19,6 +21,7 @@
 
 #include "od/od.h"
 #include "tools/eds/eds.h"
+#include "tools/eds/modbus_map.h"
 
 enum {
 	DBC_NODE_ID = 1,
@@ -797,6 +800,11 @@ int main(int argc, char **argv)
 		{.name = "od_table.c"},
 		{.name = "objects.md"},
 		{.name = "imu9-gateway.dbc"},
+		{.name = "modbus_map.c"},
+		{.name = "modbus.md"},
+		{.name = "modbus.csv"},
+		{.name = "modbus-telegraf.conf"},
+		{.name = "modbus-node-red.json"},
 	};
 	enum { COUNT = sizeof(outputs) / sizeof(*outputs) };
 	FILE *streams[COUNT];
@@ -812,6 +820,9 @@ int main(int argc, char **argv)
 	if (eds_load(&eds, argv[1], EDS_STRICT, error, sizeof(error)))
 		die("%s", error);
 	check_names(&eds, argv[1]);
+	struct modbus_layout *modbus = modbus_layout_new(&eds, error, sizeof(error));
+	if (!modbus)
+		die("%s: %s", argv[1], error);
 	file = read_bytes(argv[1], &file_size);
 	for (size_t i = 0; i < COUNT; i++) {
 		streams[i] = open_memstream(&outputs[i].text, &outputs[i].size);
@@ -823,12 +834,18 @@ int main(int argc, char **argv)
 	print_table(streams[2], &eds, file, file_size);
 	print_markdown(streams[3], &eds);
 	print_dbc(streams[4], &eds);
+	modbus_print_c(streams[5], modbus);
+	modbus_print_markdown(streams[6], modbus);
+	modbus_print_csv(streams[7], modbus);
+	modbus_print_telegraf(streams[8], modbus);
+	modbus_print_node_red(streams[9], modbus);
 	for (size_t i = 0; i < COUNT; i++)
 		fclose(streams[i]);
 	write_outputs(argv[2], outputs, COUNT);
 	for (size_t i = 0; i < COUNT; i++)
 		free(outputs[i].text);
 	free(file);
+	modbus_layout_free(modbus);
 	eds_free(&eds);
 	return 0;
 }

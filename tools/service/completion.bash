@@ -21,6 +21,7 @@ _imu9() {
 	--set) compopt -o nospace; _imu9_objects "$word"; return ;;
 	--imu) compopt -o nospace; COMPREPLY=($(compgen -W 'sim replay: i2c:/dev/i2c- iio wt901:/dev/tty' -- "$word")); return ;;
 	--cia309) compopt -o nospace; COMPREPLY=($(compgen -W 'unix: tcp:127.0.0.1:' -- "$word")); return ;;
+	--modbus) compopt -o nospace; COMPREPLY=($(compgen -W 'tcp: rtu:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
 	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
 	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --record | --movements | --frames)
