@@ -266,6 +266,8 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->preset_hook);
 	lever_arm_command_init(&d->lever_arm_command, &d->commands, &d->od, &d->values, &d->pipeline);
 	calibration_command_init(&d->calibration_command, &d->commands, &d->od, &d->values);
+	d->procedure_log = (struct procedure_log){&d->log, &d->values, &d->now_us};
+	procedure_log_attach(&d->procedure_log, &d->commands);
 	d->eds = (struct od_domain){.index = OD_INDEX_STORE_EDS, .sub = 0, .data = imu9_eds, .size = imu9_eds_size};
 	od_set_domain(&d->od, &d->eds);
 	event_log_attach(&d->log, &d->od);
