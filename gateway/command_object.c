@@ -13,6 +13,12 @@ static void enter(struct command_object *c, enum command_state state)
 		c->group->running = NULL;
 }
 
+static void tell(const struct command_object *c, const char *event)
+{
+	if (c->group->on_event)
+		c->group->on_event(c->group->ctx, c, event);
+}
+
 bool command_object_running(const struct command_object *c)
 {
 	return c->group->running == c;
@@ -28,6 +34,7 @@ static enum od_status start(struct command_object *c, uint8_t command)
 	if (status != OD_OK)
 		return status;
 	enter(c, COMMAND_RUNNING);
+	tell(c, "started");
 	return OD_CONSUMED;
 }
 
@@ -39,6 +46,7 @@ static enum od_status accept(struct command_object *c)
 	if (status != OD_OK)
 		return status;
 	enter(c, COMMAND_IDLE);
+	tell(c, "accepted");
 	return OD_CONSUMED;
 }
 
@@ -46,6 +54,7 @@ static enum od_status discard(struct command_object *c)
 {
 	if (*c->state != COMMAND_DONE && *c->state != COMMAND_REFUSED)
 		return OD_DEVICE_STATE;
+	tell(c, "discarded");
 	command_object_reset(c);
 	return OD_CONSUMED;
 }
@@ -56,6 +65,7 @@ static enum od_status abort_running(struct command_object *c)
 		return OD_CONSUMED;
 	command_object_reset(c);
 	*c->verdict = c->aborted;
+	tell(c, "stopped");
 	return OD_CONSUMED;
 }
 
@@ -81,6 +91,7 @@ void command_object_end(struct command_object *c, bool good, uint8_t verdict)
 {
 	*c->verdict = verdict;
 	enter(c, good ? COMMAND_DONE : COMMAND_REFUSED);
+	tell(c, good ? "done" : "refused");
 }
 
 void command_object_reset(struct command_object *c)

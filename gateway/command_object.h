@@ -24,6 +24,9 @@ struct command_object;
 struct command_group {
 	struct command_object *running; /* NULL: none */
 	bool sensor_lost;		/* until the next sample */
+	/** "started", "done", "refused", "accepted", "discarded", "stopped"; may be NULL. */
+	void (*on_event)(void *ctx, const struct command_object *c, const char *event);
+	void *ctx;
 };
 
 struct command_object {

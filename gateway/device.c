@@ -285,6 +285,8 @@ static void attach_hooks(struct device *d)
 	od_attach(&d->od, &d->preset_hook);
 	lever_arm_command_init(&d->lever_arm_command, &d->commands, &d->od, &d->values, &d->pipeline);
 	calibration_command_init(&d->calibration_command, &d->commands, &d->od, &d->values);
+	d->procedure_log = (struct procedure_log){&d->log, &d->values, &d->now_us};
+	procedure_log_attach(&d->procedure_log, &d->commands);
 	set_eds(d);
 	event_log_attach(&d->log, &d->od);
 	last_movement_attach(&d->last_movement, &d->od, &d->values);

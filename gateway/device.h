@@ -24,6 +24,7 @@
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
 #include "gateway/lever_arm_um.h"
+#include "gateway/procedure_log.h"
 #include "gateway/pdo_preset.h"
 #include "gateway/record.h"
 #include "gateway/sensor_watch.h"
@@ -43,6 +44,7 @@ struct device {
 	struct pipeline pipeline;
 	struct command_group commands;
 	struct lever_arm_command lever_arm_command;
+	struct procedure_log procedure_log;
 	struct calibration_command calibration_command;
 	struct aids aids;
 	struct sensor_watch sensor_watch;

@@ -26,6 +26,20 @@ check "a signal at the question means no" test "$rc" = 1
 out=$(tail -n 1 "$work/out")
 check "and the result is discarded" says "discarded"
 
+# ---- the lever arm, led
+stop_gateway
+start_gateway --imu sim:tumble --set lever_arm_identification.duration=12
+run imu9-calibrate lever-arm --yes
+check "it says what to do and how long first" says "12 s, at most 36 s"
+check "and what the sigma is on the way" says "; r = "
+check "and is accepted" says "accepted and in use"
+run imu9-sdo -q read lever_arm.l
+check "the lever arm of the simulation is in 2000h" awk "BEGIN { exit !($out > 0.047 && $out < 0.053) }"
+run imu9-sdo log
+check "the event log has the result" says "lever arm identification accepted: "
+run imu9-calibrate lever-arm --reference x.csv
+check "a reference file needs a log" fails 2 "need a log; on the bus: --aided"
+
 # ---- a sensor without samples
 stop_gateway
 printf 't,gx,gy,gz,ax,ay,az,mx,my,mz\n0.%02d,0,0,0,0,0,9.81,,,\n' 0 >"$work/short.imu.csv"

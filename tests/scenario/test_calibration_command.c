@@ -2,6 +2,8 @@
  * */
 #include <math.h>
 
+#include <string.h>
+
 #include "tests/scenario/world.h"
 
 enum { STATUS_BIT = 1 << 12 };
@@ -62,6 +64,9 @@ static void test_a_gyro_bias_is_estimated_accepted_and_used(void **state)
 	assert_int_equal(v->calibration.state, COMMAND_IDLE);
 	seconds(w, "rest", 1);
 	assert_near(v->angular_rate.l, 0, 0.02);
+	assert_non_null(strstr(w->device.log.text, "calibration gyro started"));
+	assert_non_null(strstr(w->device.log.text, "calibration gyro done: bias "));
+	assert_non_null(strstr(w->device.log.text, "calibration gyro accepted: bias "));
 }
 
 static void test_free_positions_calibrate_the_accelerometer(void **state)
@@ -160,6 +165,7 @@ static void test_motion_ends_in_a_refusal_without_a_result(void **state)
 	assert_state(w, COMMAND_REFUSED, CALIBRATE_MOVED);
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 	assert_near(w->device.values.gyro_calibration.bias_x, 0, 0);
+	assert_non_null(strstr(w->device.log.text, "calibration gyro refused: moved"));
 }
 
 static void test_accept_and_discard_need_a_result(void **state)

@@ -129,7 +129,9 @@ static void test_wrong_usage_exits_with_2_and_an_unreadable_file_with_1(void **s
 	char text[TEXT_MAX];
 
 	(void)state;
-	assert_int_equal(run(text, NULL, NULL, NULL), 2);
+	assert_int_equal(run(text, "--estimate-delay", NULL, NULL), 2); /* without a log: on the bus */
+	assert_contains(text, "need a log");
+	assert_int_equal(run(text, log_path, log_path, NULL), 2);
 	assert_contains(text, "give one log");
 	assert_int_equal(run(text, "--nonsense", log_path, NULL), 2);
 	assert_int_equal(run(text, "--set", "lever_arm.q=1", log_path), 2);

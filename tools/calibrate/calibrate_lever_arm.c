@@ -13,14 +13,16 @@
 
 static const char usage[] =
 	"Usage: imu9-calibrate lever-arm [--reference REF] [OPTION]... LOG.imu.csv\n"
-	"Identifies the lever arm (2000h: from the reference point to the accelerometer) from a log in\n"
-	"which either\n"
+	"       imu9-calibrate lever-arm [-i BUS] [-n NODE] [--aided] [--yes]\n"
+	"Identifies the lever arm (2000h: from the reference point to the accelerometer) from a log, or,\n"
+	"without one, in the gateway on the bus (2060h), from a motion in which either\n"
 	"  - the reference point was held still while the object was turned about all its axes for 30 s, or\n"
 	"  - the object moved in any way with quick rotations, and the acceleration of the reference point\n"
 	"    is known: from REF, or from the columns ref_al,ref_as,ref_at of LOG (m/s^2, object frame,\n"
 	"    without gravity).\n"
-	"The gateway can do the same online: object 2060h.\n"
+	"On the bus the program says which axis is missing, shows r and its sigma, and asks whether to accept.\n"
 	"\n"
+	"With a log ('-': standard input):\n"
 	"  -r, --reference REF   CSV with the columns t,qw,qx,qy,qz,arx,ary,arz: time in s; attitude\n"
 	"                        sensor -> world; acceleration of the reference point in the world frame\n"
 	"                        without gravity, m/s^2. Fields can be empty\n"
@@ -28,6 +30,12 @@ static const char usage[] =
 	"                        time stamps\n"
 	"  -c, --config FILE     configuration of the gateway: its calibration and mounting are applied\n"
 	"      --set NAME=VALUE  any configuration object by its EDS name\n"
+	"On the bus:\n"
+	"  -i, --can BUS         as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
+	"  -n, --node-id NODE    node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
+	"  -a, --aided           another device sends the acceleration of the reference point (2075h)\n"
+	"  -y, --yes             start and accept a good result without asking\n"
+	"  -t, --timeout MS      for one SDO answer (default 1000)\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
 	"\n"
@@ -37,6 +45,7 @@ struct options {
 	const char *reference, *log;
 	bool estimate_delay;
 	struct config config;
+	struct lever_request live;
 };
 
 /* ---- the run ----------------------------------------------------------------------------------------------------- */
@@ -135,7 +144,8 @@ static void print(const struct run *r, const struct lever_estimate *e)
 
 static const struct option known[] = {{"reference", required_argument, NULL, 'r'},
 	{"estimate-delay", no_argument, NULL, 'd'}, {"config", required_argument, NULL, 'c'},
-	{"set", required_argument, NULL, 's'}, CLI_COMMON_OPTIONS};
+	{"set", required_argument, NULL, 's'}, CLI_BUS_OPTIONS, {"aided", no_argument, NULL, 'a'},
+	{"yes", no_argument, NULL, 'y'}, {"timeout", required_argument, NULL, 't'}, CLI_COMMON_OPTIONS};
 
 static void apply_option(struct options *o, int option, char **argv)
 {
@@ -148,6 +158,21 @@ static void apply_option(struct options *o, int option, char **argv)
 		break;
 	case 's':
 		cli_config_set(&o->config, optarg);
+		break;
+	case 'i':
+		o->live.bus = optarg;
+		break;
+	case 'n':
+		o->live.node = (uint8_t)cli_integer_option("-n", optarg, 1, 127);
+		break;
+	case 'a':
+		o->live.reference = true;
+		break;
+	case 'y':
+		o->live.yes = true;
+		break;
+	case 't':
+		o->live.timeout_ms = (unsigned)cli_integer_option("-t", optarg, 1, 600000);
 		break;
 	case 'h':
 		fputs(usage, stdout);
@@ -164,16 +189,24 @@ static void apply_option(struct options *o, int option, char **argv)
 
 static void parse_options(struct options *o, int argc, char **argv)
 {
-	static const char letters[] = ":r:dc:hV";
+	static const char letters[] = ":r:dc:i:n:ayt:hV";
 	int option;
 
 	config_init(&o->config, &imu9_od_table);
 	cli_config_files(&o->config, argc, argv, letters, known);
 	while ((option = getopt_long(argc, argv, letters, known, NULL)) != -1)
 		apply_option(o, option, argv);
-	if (optind != argc - 1)
-		cli_usage_error("give one log, or - for standard input");
+	if (optind < argc - 1)
+		cli_usage_error("give one log, or none to identify it in the gateway on the bus");
 	o->log = argv[optind];
+	if (!o->log && (o->reference || o->estimate_delay))
+		cli_usage_error("--reference and --estimate-delay need a log; on the bus: --aided");
+	if (!o->live.bus)
+		o->live.bus = cli_default_bus();
+	if (!o->live.node)
+		o->live.node = (uint8_t)cli_default_node();
+	if (!o->live.timeout_ms)
+		o->live.timeout_ms = 1000;
 }
 
 int calibrate_lever_arm(int argc, char **argv)
@@ -184,6 +217,8 @@ int calibrate_lever_arm(int argc, char **argv)
 	struct imu_sample sample;
 
 	parse_options(&options, argc, argv);
+	if (!options.log)
+		return calibrate_lever_live(&options.live);
 	prepare(&run, &options);
 	while (cli_log_next(&run.log, &sample))
 		add_sample(&run, &sample);

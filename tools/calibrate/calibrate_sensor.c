@@ -31,7 +31,7 @@ static const char usage[] =
 	"On the bus:\n"
 	"  -i, --can BUS       as for imu9-sdo (default: $IMU9_CAN or vcan0)\n"
 	"  -n, --node-id NODE  node-ID 1 to 127 (default: $IMU9_NODE or 1)\n"
-	"  -y, --yes           accept a good result without asking\n"
+	"  -y, --yes           start and accept a good result without asking\n"
 	"  -t, --timeout MS    for one SDO answer (default 1000)\n"
 	"  -h, --help          this text\n"
 	"  -V, --version       the version\n"

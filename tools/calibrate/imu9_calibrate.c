@@ -23,7 +23,7 @@ static const struct subcommand {
 static void print_usage(void)
 {
 	puts("Usage: imu9-calibrate SUBCOMMAND [OPTION]... LOG.imu.csv\n"
-	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer [OPTION]...\n"
+	     "       imu9-calibrate [-i BUS] [-n NODE] gyro|accelerometer|magnetometer|lever-arm [OPTION]...\n"
 	     "Calibrates a sensor and finds its lever arm, from a log or in the gateway on the bus.\n");
 	for (const struct subcommand *s = subcommands; s->name; s++)
 		printf("  %-14s %s\n", s->name, s->about);

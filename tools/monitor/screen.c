@@ -268,7 +268,7 @@ static void add_field(
 	if (!isnan(sigma))
 		print(line, at, at + SIGMA_WIDTH, style, s->ascii ? " +-%.3g" : " \u00B1%.3g", sigma);
 	at += SIGMA_WIDTH;
-	at = print(line, at, at + 8, style, " %s", field->entry ? field->entry->unit : "");
+	print(line, at, at + 8, style, " %s", field->entry ? field->entry->unit : "");
 	at = 2 + NAME_WIDTH + VALUE_WIDTH + SIGMA_WIDTH + 8;
 	if (s->history && style == SCREEN_PLAIN)
 		draw_spark(s, s->history->values[pdo][field_number], line, at + 1, body->width - 2);

@@ -12,11 +12,11 @@ enum { NODES = 128, LISTEN_MS = 1100, STATE_UNKNOWN = 0xFF };
 enum { IDENTITY_NUMBERS = 4 };
 
 struct seen {
-	bool answers;
-	uint8_t state;			     /* in its heartbeat */
 	uint32_t type;			     /* 1000h; 0: not read */
 	uint32_t identity[IDENTITY_NUMBERS]; /* 1018h; 0: not read */
-	char name[65];			     /* 1008h */
+	bool answers;
+	uint8_t state; /* in its heartbeat */
+	char name[65]; /* 1008h */
 };
 
 static void on_frame(struct seen nodes[NODES], const struct can_msg *msg)
