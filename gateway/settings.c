@@ -126,6 +126,7 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 	c.position.navigation.preset = (enum motion_preset)v->position.motion_preset;
 	c.position.navigation.levelling = v->position.levelling;
 	c.position.navigation.velocity_prior_m_s = (double)v->position.velocity_prior;
+	c.position.navigation.rope_m = (double)v->position.rope_length;
 	return c;
 }
 

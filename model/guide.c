@@ -11,8 +11,8 @@ static const double UNEVEN_RAD = 0.00035;
 /* Sigmas of the net turn beyond which it turns, and rad, a turn that is none: flexing. By judgement. */
 static const double TURN_SIGMAS = 3, FLEXING_RAD = 0.002;
 
-/* m/s, s: 1 sigma of the horizontal velocity of a car in vertical guides, and its correlation time: play and swaying of a few
- * millimetres at some hertz. By judgement. */
+/* m/s, s: 1 sigma of the horizontal velocity of a car in vertical guides, and its correlation time: play and swaying
+ * of a few millimetres at some hertz. By judgement. */
 static const double SWAY_M_S = 0.01, SWAY_S = 0.1;
 /* rad, 1 sigma of a vertical guide's direction. By judgement: a millimetre in a metre. */
 static const double PLUMB_RAD = 0.001;

@@ -27,6 +27,7 @@ static const struct assumptions {
 	bool stands_steady; /* what is not steady (it turns, or vibrates) does not stand */
 	bool guided;	    /* it does not turn while it moves, see guide.h, */
 	bool vertical;	    /* .. and moves vertically */
+	bool hangs;	    /* it hangs on a rope, see rope.h */
 } ASSUMPTIONS[MOTION_PRESETS] = {
 	[MOTION_ANY] = {.slowest_m_s = 0.03, .creep_m_s = 0.03},
 	[MOTION_HAND_HELD] = {.dwell = true, .levelling = true},
@@ -35,6 +36,7 @@ static const struct assumptions {
 	[MOTION_ARM] = {.slowest_m_s = 0.03},
 	[MOTION_FOOT] = {.dwell = true, .stances = true},
 	[MOTION_VERTICAL_LIFT] = {.slowest_m_s = 0.3, .stands_steady = true, .guided = true, .vertical = true},
+	[MOTION_HANGING_LOAD] = {.slowest_m_s = 0.1, .hangs = true},
 };
 
 static const struct assumptions *assumptions(const struct navigation *n)
@@ -54,8 +56,8 @@ static const double START_ANGLE_RAD = 0.035;
 static const double START_VELOCITY_M_S = 0.1;
 /* rad/s, 1 sigma of the gyro bias (0.3 deg/s). By judgement: a calibration at another temperature. */
 static const double START_GYRO_BIAS_RAD_S = 0.005;
-/* m/s^2, 1 sigma of the accelerometer bias (6 mg), and where the motion goes to and fro and averages part of it out (3
- * mg). By judgement: what a calibration in six attitudes leaves, with half a percent of gravity by scale and
+/* m/s^2, 1 sigma of the accelerometer bias (6 mg), and where the motion goes to and fro and averages part of it out
+ * (3 mg). By judgement: what a calibration in six attitudes leaves, with half a percent of gravity by scale and
  * alignment. */
 static const double START_ACCEL_BIAS_M_S2 = 0.06, DWELL_ACCEL_BIAS_M_S2 = 0.03;
 /* rad, 1 sigma of an attitude from outside: a degree, as in the fusion. */
@@ -71,8 +73,8 @@ static const double GYRO_SCALE_SQRT_S = 0.001, ACCEL_SCALE_SQRT_S = 0.001;
 /* 1 sigma of the accelerometer's scale and alignment, as a share of the way: no standstill shows it, since its effect
  * on the velocity vanishes with it. By judgement: a calibrated sensor. */
 static const double ACCEL_SCALE = 0.003;
-/* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a movement
- * in one direction leaves behind. By judgement: a calibrated sensor. */
+/* 1 sigma of the gyro's scale and alignment, as a share of the angle turned since the last standstill: what a
+ * movement in one direction leaves behind. By judgement: a calibrated sensor. */
 static const double GYRO_SCALE = 0.003;
 /* rad, of a turn beyond which an error of alignment does not grow any more. Derived: half a turn, less what is
  * averaged. */
@@ -80,9 +82,9 @@ static const double ALIGNED_TURN_RAD = 2;
 /* rad/s, 1 sigma by which the gyro bias in motion differs from that at rest: vibration rectification and g-sensitivity.
  * Tuned (0.02 deg/s). */
 static const double MOVING_GYRO_BIAS_RAD_S = 0.00035;
-/* 1 sigma by which the accelerometer's bias at a standstill differs from that in the movement before it, as a share of
- * the root mean square of the acceleration: errors of scale and alignment that meet it as the object turns to and fro,
- * by an angle of the rate times that time. By judgement: a calibrated sensor; a hand or an arm. */
+/* 1 sigma by which the accelerometer's bias at a standstill differs from that in the movement before it, as a share
+ * of the root mean square of the acceleration: errors of scale and alignment that meet it as the object turns to and
+ * fro, by an angle of the rate times that time. By judgement: a calibrated sensor; a hand or an arm. */
 static const double MOVING_ACCEL_SHARE = 0.006, MOVING_TURN_S = 0.3;
 /* s, in which biases walk by their instability. By judgement: where the Allan deviation of MEMS sensors has its flat
  * part. */
@@ -97,9 +99,9 @@ static const double GAP_ACCEL_M_S2 = 2;
 
 /* m/s and m/s^2, 1 sigma of velocity and acceleration at a standstill. By judgement: vibration of the support. */
 static const double STILL_VELOCITY_M_S = 0.01, STILL_ACCEL_M_S2 = 0.01;
-/* m/s, 1 sigma of the velocity of a foot in its stance, and of the mean error that rolling feet leave behind: no number
- * of steps averages it out, and the swings inherit it. Tuned on recorded walks and on simulated feet that roll 8 mm a
- * step. */
+/* m/s, 1 sigma of the velocity of a foot in its stance, and of the mean error that rolling feet leave behind: no
+ * number of steps averages it out, and the swings inherit it. Tuned on recorded walks and on simulated feet that roll
+ * 8 mm a step. */
 static const double STANCE_M_S = 0.03, STANCE_CREEP_M_S = 0.01;
 /* m, from the sensor to the point on which the foot rolls; s, for which it may have accelerated as it does now. Both
  * add to the velocity in a stance, at its end most of all. By judgement: half a shoe, and the detector's window. */
@@ -109,8 +111,8 @@ static const double STANCE_PIVOT_M = 0.1, STANCE_END_S = 0.1;
 static const double STILL_RATE_VARIANCE = 1e-10;
 /* s. A shorter standstill does not end a movement. By judgement: a turning point is no place to stop. */
 static const double STOOD_S = 1;
-/* Sigmas by which velocity and acceleration may differ from zero at a standstill that is detected by dwell. Convention,
- * as the innovation gate. */
+/* Sigmas by which velocity and acceleration may differ from zero at a standstill that is detected by dwell.
+ * Convention, as the innovation gate. */
 static const double STILL_GATE_SIGMAS = 5;
 /* Sigmas beyond which the mean acceleration is significant. Tuned in simulation: a robot that comes to rest from 0.05
  * m/s within a second is seen to. */
@@ -124,6 +126,10 @@ static const double STANDING_S = 0.4;
 static const double MEAN_RATE_S = 0.5, TURNING_SIGMAS = 3;
 /* s, for which a motion that has just begun, and an acceleration, count as one. By judgement. */
 static const double BEGIN_S = 1, ACCELERATED_S = 0.3;
+
+/* s for which a load on a rope must be steady to stand. By judgement: longer than at the turning point of a swing on
+ * 50 m. */
+static const double HUNG_STILL_S = 3;
 
 /* ---- levelling ---- */
 
@@ -144,8 +150,8 @@ static const double LEVELLING_AFTER_S = 5;
 /* rad, 1 sigma (2 degrees, the fusion's default), and s, correlation time of its error, seen from this filter.
  * Tuned. */
 static const double HEADING_SIGMA_RAD = 0.035, HEADING_CORRELATION_S = 3;
-/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. One that the fusion knows
- * worse is unknown. By judgement. */
+/* rad. A heading further off (20 degrees) is another north, and turns attitude and velocity. One that the fusion
+ * knows worse is unknown. By judgement. */
 static const double HEADING_JUMP_RAD = 0.35;
 /* Mean square of the chord that any turn takes, as a share of the radius. Derived: mean of 4 sin^2(angle / 2). */
 static const double UNKNOWN_CHORD2 = 2;
@@ -200,8 +206,8 @@ static double accel_scale_sqrt_s(const struct navigation *n)
 int navigation_check(const struct navigation_config *c)
 {
 	const struct noise_config *noise = &c->noise;
-	const double not_negative[] = {c->velocity_prior_m_s, c->rest_s, c->gyro_bias_sigma_rad_s, c->gyro_scale_sigma,
-		c->accel_bias_sigma_m_s2, c->accel_scale_sigma, noise->gyro_density_rad_s_sqrt_hz,
+	const double not_negative[] = {c->velocity_prior_m_s, c->rope_m, c->rest_s, c->gyro_bias_sigma_rad_s,
+		c->gyro_scale_sigma, c->accel_bias_sigma_m_s2, c->accel_scale_sigma, noise->gyro_density_rad_s_sqrt_hz,
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
 		noise->accel_bias_instability_m_s2};
 
@@ -326,6 +332,8 @@ static void apply_correction(struct navigation *n, const double x[N])
 	n->position_n_m = vec3_add(n->position_n_m, part(x, P));
 	n->gyro_bias_b_rad_s = vec3_add(n->gyro_bias_b_rad_s, part(x, BG));
 	n->accel_bias_b_m_s2 = vec3_add(n->accel_bias_b_m_s2, part(x, BA));
+	if (assumptions(n)->hangs)
+		rope_correct(&n->rope, part(x, THETA), part(x, BA));
 }
 
 /* ---- standstill ---- */
@@ -416,6 +424,17 @@ static bool stands_by_dwell(struct navigation *n, bool steady, double gravity_m_
 	return true;
 }
 
+static bool hangs(const struct navigation *n)
+{
+	return assumptions(n)->hangs && n->rope.given_m > 0;
+}
+
+/* A load that may be at the turning point of a swing. */
+static bool swings(const struct navigation *n)
+{
+	return hangs(n) && n->stood && n->rest.still_s < HUNG_STILL_S;
+}
+
 /* By the hypotheses: a standstill lasts until the motion that ends it is seen to begin. */
 static bool stands_still(struct navigation *n, const struct navigation_input *in, double dt)
 {
@@ -424,6 +443,8 @@ static bool stands_still(struct navigation *n, const struct navigation_input *in
 
 	if (assumptions(n)->dwell)
 		return stands_by_dwell(n, steady, in->gravity_m_s2, dt);
+	if (swings(n) && !n->still)
+		return false;
 	return !aided_to_move(n) && (n->still || n->zero_velocity.standing_s > STANDING_S);
 }
 
@@ -450,8 +471,9 @@ static double share_of_scale(const struct navigation *n)
 	return guide_share_of_scale(n->config.accel_bias_sigma_m_s2, accel_scale(n), n->gravity_m_s2);
 }
 
-/* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale add
- * up on ways in one direction and cancel on the way back, so they follow from the distance, not from the movements. */
+/* Variance of the position since the reset, less that of the displacement and of earlier movements. Errors of scale
+ * add up on ways in one direction and cancel on the way back, so they follow from the distance, not from the
+ * movements. */
 static struct vec3 by_accel_scale(const struct navigation *n, double distance2_m2)
 {
 	double way2 = distance2_m2 - n->way2_max_m2, variance = squared(accel_scale(n)) * way2;
@@ -624,6 +646,78 @@ static void measure_vertical(struct navigation *n, double x[N])
 	measure(n, x, V + 1, -n->velocity_n_m_s.y, noise);
 }
 
+/* Of the sum row . errors. */
+static double measured_variance(const struct navigation *n, const double row[N])
+{
+	double sum = 0;
+
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			sum += row[i] * n->p[i][j] * row[j];
+	return sum;
+}
+
+/* Of the measurement matrix, for one axis of a difference. */
+static void rope_row(double row[N], const struct rope_difference *d, int axis)
+{
+	struct mat3 minus_force = mat3_minus_cross(d->force_n_m);
+
+	for (int j = 0; j < 3; j++) {
+		row[THETA + j] = minus_force.m[axis][j];
+		row[BA + j] = -d->turned_s2.m[axis][j];
+	}
+}
+
+static bool moves_steadily(const struct navigation *n, const struct rope_difference *d)
+{
+	const double point[3] = {d->point_n_m.x, d->point_n_m.y, d->point_n_m.z},
+		     up[3] = {d->up_n.x, d->up_n.y, d->up_n.z};
+
+	for (int i = 0; i < 3; i++) {
+		double row[N] = {0}, variance = d->variance_m2 + n->rope.length_variance_m2 * squared(up[i]);
+
+		rope_row(row, d, i);
+		if (squared(point[i]) > squared(ROPE_SIGMAS) * (variance + measured_variance(n, row)))
+			return false;
+	}
+	return true;
+}
+
+/* When there is another difference: those that count, and those before and after them, must be of a steady motion. The
+ * tilt is not corrected as long as that might be an error of the length. */
+static void measure_rope(struct navigation *n, double x[N])
+{
+	struct rope *rope = &n->rope;
+	struct rope_difference d[ROPE_DIFFERENCES], *middle = &d[2];
+
+	for (int i = 0; i < ROPE_DIFFERENCES; i++)
+		d[i] = rope_difference(rope, i, &n->config.noise, n->gravity_m_s2);
+	rope->steady = moves_steadily(n, &d[3]) ? rope->steady + 1 : 0;
+	n->hangs_still &= rope->steady > 0;
+	if (rope->steady < ROPE_DIFFERENCES)
+		return;
+	rope_measure_length(rope, &d[1], middle);
+	*middle = rope_difference(rope, 2, &n->config.noise, n->gravity_m_s2);
+	if (rope->length_variance_m2 * vec3_dot(middle->up_n, middle->up_n) > middle->variance_m2)
+		return;
+	const double point[3] = {middle->point_n_m.x, middle->point_n_m.y, middle->point_n_m.z};
+	const double up[3] = {middle->up_n.x, middle->up_n.y, middle->up_n.z};
+	for (int i = 0; i < 3; i++) {
+		double row[N] = {0};
+
+		rope_row(row, middle, i);
+		measure_row(n, x, row, -point[i], middle->variance_m2 + rope->length_variance_m2 * squared(up[i]));
+	}
+}
+
+/* The point from which the load hangs stands. */
+static void measure_hanging_still(struct navigation *n, double x[N])
+{
+	struct vec3 v = rope_point_velocity(&n->rope, n->velocity_n_m_s, n->gravity_m_s2);
+
+	measure3(n, x, V, vec3_scale(-1, v), squared(STILL_VELOCITY_M_S));
+}
+
 static void turn_heading(struct navigation *n, double angle_rad)
 {
 	struct quat turn = quat_from_rotation_vector((struct vec3){0, 0, angle_rad});
@@ -631,6 +725,7 @@ static void turn_heading(struct navigation *n, double angle_rad)
 	n->q_nb = quat_multiply(turn, n->q_nb);
 	n->velocity_n_m_s = quat_rotate(turn, n->velocity_n_m_s);
 	smoother_break(n->smoother);
+	rope_restart(&n->rope, n->q_nb);
 }
 
 /* Starts again with the fusion's attitude, as if the reference point stood still, when the tilt is too far from it.
@@ -654,6 +749,7 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 	n->high_pass_n_m_s = ZERO;
 	n->high_pass2_max = 0;
 	n->lever_known = false;
+	rope_restart(&n->rope, n->q_nb);
 	return true;
 }
 
@@ -692,8 +788,8 @@ static void measure_heading(struct navigation *n, double x[N], struct quat q_fus
 	mean->z += share * (difference.z * difference.z - mean->z);
 }
 
-/* At the end of a long movement: a tilt that was wrong by an angle took its square off gravity, which no linear filter
- * sees. */
+/* At the end of a long movement: a tilt that was wrong by an angle took its square off gravity, which no linear
+ * filter sees. */
 static void add_linearisation_error(struct navigation *n, const double x[N])
 {
 	double angle2 = squared(x[THETA]) + squared(x[THETA + 1]);
@@ -714,6 +810,10 @@ static void correct(struct navigation *n, const struct navigation_input *in)
 		measure_velocity(n, x, in);
 	if (!n->still && n->guide.holds && vertical(n))
 		measure_vertical(n, x);
+	if (n->rope_ended)
+		measure_rope(n, x);
+	if (n->rope_ended && n->hangs_still)
+		measure_hanging_still(n, x);
 	measure_heading(n, x, in->q_nb);
 	add_linearisation_error(n, x);
 	apply_correction(n, x);
@@ -748,6 +848,7 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(GAP_ACCEL_M_S2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
 	rest_restart(&n->rest);
+	rope_restart(&n->rope, n->q_nb);
 	zero_velocity_restart(&n->zero_velocity, false);
 	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = n->guide.holds = false;
 }
@@ -805,8 +906,8 @@ static void adopt(struct navigation *n, const struct navigation_input *in, const
 	zero_velocity_restart(&n->zero_velocity, true);
 }
 
-/* Before the first standstill the biases are those of the calibration. The length of a steady force shows when that of
- * the accelerometer is worse, and the fusion how well the gyro's is known. */
+/* Before the first standstill the biases are those of the calibration. The length of a steady force shows when that
+ * of the accelerometer is worse, and the fusion how well the gyro's is known. */
 static void observe_biases(struct navigation *n, struct vec3 gyro_bias_variance_rad2_s2, bool steady)
 {
 	double off = steady ? vec3_norm(n->rest.accel_mean) - n->gravity_m_s2 : 0;
@@ -838,6 +939,22 @@ static void add_creep(struct navigation *n, double t_s)
 		n->turning_s = 0;
 }
 
+/* Once a window: the hypotheses are those of the point from which the load hangs. */
+static void weigh_hanging(struct navigation *n, struct zero_velocity_signals signals)
+{
+	struct zero_velocity *z = &n->zero_velocity;
+	double t_s = n->rope.window[0].sums.t_s;
+
+	if (!n->rope_ended)
+		return;
+	signals.level = true;
+	signals.steady = false; /* a load that hardly swings is as quiet while it is carried along */
+	signals.accelerates = n->rope.steady < ROPE_DIFFERENCES;
+	zero_velocity_moves(z, n, &signals, rope_point_velocity(&n->rope, n->velocity_n_m_s, n->gravity_m_s2),
+		assumptions(n)->slowest_m_s, aided_to_move(n), t_s);
+	n->hangs_still = z->standing_s > 0;
+}
+
 /* At the end of an interval, after its measurements; turned_rad: how they turned the attitude. */
 static void weigh_hypotheses(
 	struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad, double t_s, double dt_s)
@@ -864,6 +981,8 @@ static void weigh_hypotheses(
 		add_creep(n, t_s);
 	if (n->still)
 		begun = zero_velocity_stands(&n->zero_velocity, n, &signals, turned_rad, lever, n->turning, t_s);
+	else if (swings(n))
+		weigh_hanging(n, signals);
 	else
 		zero_velocity_moves(&n->zero_velocity, n, &signals, vec3_sub(n->velocity_n_m_s, lever),
 			assumptions(n)->slowest_m_s, aided_to_move(n), t_s);
@@ -993,6 +1112,17 @@ static void follow_guide(struct navigation *n)
 		release(n);
 }
 
+static void follow_rope(struct navigation *n, double dt_s)
+{
+	n->rope_ended = false;
+	if (n->still || n->rope.given_m != n->config.rope_m) {
+		rope_hang(&n->rope, n->config.rope_m, n->q_nb);
+		n->hangs_still = false;
+	} else {
+		n->rope_ended = hangs(n) && rope_swing(&n->rope, n->q_nb, &n->sums, dt_s);
+	}
+}
+
 static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	double t_s = n->sums.t_s;
@@ -1015,6 +1145,10 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 		follow_guide(n);
 	else
 		n->guide.holds = false;
+	if (assumptions(n)->hangs)
+		follow_rope(n, dt_s);
+	else
+		n->hangs_still = n->rope_ended = false;
 	propagate(n, &n->sums);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
@@ -1076,6 +1210,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
 	n->last_gyro_known = n->guide.holds = false;
+	rope_restart(&n->rope, q_nb);
 	reset_errors(n, THETA, squared(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
 }
@@ -1098,8 +1233,8 @@ static struct vec3 root(struct vec3 a)
 	return (struct vec3){sqrt(fmax(a.x, 0)), sqrt(fmax(a.y, 0)), sqrt(fmax(a.z, 0))};
 }
 
-/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of both
- * and what the accelerometer's bias tilts. The error of north does not average out. */
+/* Variance of the fusion's attitude: its own, or if it has none, this filter's plus the mean square difference of
+ * both and what the accelerometer's bias tilts. The error of north does not average out. */
 static struct vec3 attitude_variance(const struct navigation *n)
 {
 	struct vec3 var = n->fusion_variance_rad2, bias = variance(n, BA);

@@ -29,6 +29,7 @@
 #include "model/navigation_sums.h"
 #include "model/noise.h"
 #include "model/rest.h"
+#include "model/rope.h"
 #include "model/zero_velocity.h"
 
 /* s between two updates of the covariance. By judgement: short against a movement, and at 200 samples a second an
@@ -47,12 +48,13 @@ enum motion_preset {
 	MOTION_ARM = 4,		  /* the link of a robot arm, moves to and fro */
 	MOTION_FOOT = 5,	  /* a shoe: stands for a moment in each step, and rolls on */
 	MOTION_VERTICAL_LIFT = 6, /* as a lift, and its rails are vertical */
+	MOTION_HANGING_LOAD = 7,  /* the load of a crane, see rope.h */
 	MOTION_PRESETS
 };
 
 struct navigation_config {
-	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are more
-	 * accurate where they are true, and wrong by more than their sigma where they are not. */
+	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are
+	 * more accurate where they are true, and wrong by more than their sigma where they are not. */
 	enum motion_preset preset;
 	/** 0 (default) or 1: levelling, as above, with any preset; without effect while there is a prior. 0 for
 	 * vehicles that keep a speed for more than some 10 s, whose position then drifts with the square of time; 1 for
@@ -66,6 +68,9 @@ struct navigation_config {
 	 * calibration. Larger ones make velocity and position less certain: until standstills have shown the biases,
 	 * and after each turn (scale, as a share of the turn) and way (as a share of it). */
 	double gyro_bias_sigma_rad_s, gyro_scale_sigma, accel_bias_sigma_m_s2, accel_scale_sigma;
+	/** m, >= 0, default 0: length of the rope, from the trolley to the sensor, of MOTION_HANGING_LOAD; 0:
+	 * unknown, and nothing is assumed. It is estimated from there. */
+	double rope_m;
 	/** Of the sensors. Smaller densities and instabilities trust the integration more, and the standstills less. */
 	struct noise_config noise;
 	struct rest_config standstill; /* the detector's parameters: STANDSTILL_DEFAULTS or STANCE_DEFAULTS */
@@ -113,6 +118,9 @@ struct navigation {
 	bool assumed;	       /* for so long that the standstill holds against them */
 	struct zero_velocity zero_velocity;
 	struct guide guide;
+	struct rope rope;
+	bool hangs_still;	       /* the point from which the load hangs */
+	bool rope_ended;	       /* a window has just become full, and there are differences */
 	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
 	bool stood;		       /* since the start */
 	bool turning;		       /* it differs from zero: the object turns in place */
@@ -181,6 +189,12 @@ static inline bool navigation_assumes_standstill(const struct navigation *n)
 static inline bool navigation_accelerates(const struct navigation *n)
 {
 	return n->started && n->accelerated_s > 0;
+}
+
+/** Nothing moves but a load that swings. */
+static inline bool navigation_stands(const struct navigation *n)
+{
+	return n->still || n->hangs_still;
 }
 
 /** rate_hz: of the samples, which is the bandwidth of the acceleration's noise. */

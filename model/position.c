@@ -129,7 +129,7 @@ void position_navigate(
 	}
 	if (navigation_step(n, &with_lever, dt_s) || first)
 		p->sigma = navigation_sigma(n, rate_hz);
-	p->moving_s = n->still ? 0 : p->moving_s + dt_s;
+	p->moving_s = navigation_stands(n) ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)
 		p->moved_from_n_m = vec3_sub(n->begin_n_m, p->anchor_n_m);
 	follow(p, in, lever_b_m);

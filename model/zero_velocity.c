@@ -83,14 +83,14 @@ static double invert3(double a[3][3], double inverse[3][3])
 	return determinant;
 }
 
-/* Inverse and determinant of the velocity's covariance plus `variance` on each axis. */
-static double invert_velocity(const double p[N][N], double variance, double inverse[3][3])
+/* Inverse and determinant of the velocity's covariance plus `variance` on each horizontal axis and `vertical`. */
+static double invert_velocity(const double p[N][N], double variance, double vertical, double inverse[3][3])
 {
 	double s[3][3];
 
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++)
-			s[i][j] = p[V + i][V + j] + (i == j ? variance : 0);
+			s[i][j] = p[V + i][V + j] + (i == j ? (i < 2 ? variance : vertical) : 0);
 	return invert3(s, inverse);
 }
 
@@ -276,16 +276,19 @@ static bool is_quiet(const struct zero_velocity *z, const struct zero_velocity_s
 				   s->gyro2_rad2_s2 < QUIET_FACTOR * z->quiet_gyro2_rad2_s2 + QUIET_GYRO2));
 }
 
-/* Likelihood of moving steadily, at a speed of any of the scales alike, as a multiple of that of standing. */
-static double likelihood_ratio(
-	const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s, double slowest_m_s)
+/* Likelihood of moving steadily, at a speed of any of the scales alike, as a multiple of that of standing. level: what moves
+ * does so horizontally. */
+static double likelihood_ratio(const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s,
+	double slowest_m_s, bool level)
 {
 	double inverse[3][3], noise = squared(STANDS_M_S) + z->vibration_m2_s2, sum = 0;
-	double determinant = invert_velocity(n->p, noise, inverse), distance = quadratic(inverse, velocity_n_m_s);
+	double determinant = invert_velocity(n->p, noise, noise, inverse),
+	       distance = quadratic(inverse, velocity_n_m_s);
 
 	for (int i = -1; i < SPEEDS; i++) {
 		double speed = i < 0 ? slowest_m_s : fmax(slowest_m_s, SPEED_M_S[i]);
-		double wider = invert_velocity(n->p, noise + squared(speed), inverse);
+		double wider =
+			invert_velocity(n->p, noise + squared(speed), level ? noise : noise + squared(speed), inverse);
 		double exponent = (distance - quadratic(inverse, velocity_n_m_s)) / 2;
 
 		sum += exp(fmin(MOST_EXPONENT, exponent)) * sqrt(determinant / wider);
@@ -302,7 +305,8 @@ static void mix(struct zero_velocity *z, const struct navigation *n, struct vec3
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
 	if (w < LEAST_WEIGHT)
 		return;
-	invert_velocity(n->p, squared(STANDS_M_S) + z->vibration_m2_s2, inverse);
+	invert_velocity(
+		n->p, squared(STANDS_M_S) + z->vibration_m2_s2, squared(STANDS_M_S) + z->vibration_m2_s2, inverse);
 	for (int k = 0; k < 2; k++)
 		for (int i = 0; i < 3; i++) {
 			const double *row = n->p[(k ? V : P) + i];
@@ -360,7 +364,7 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 		mix(z, n, velocity_n_m_s);
 		return;
 	}
-	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s), t_s);
+	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s, signals->level), t_s);
 	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share : 1));
 	z->standing_s = z->weight > STANDS_WEIGHT ? z->standing_s + t_s : 0;
 	if (z->weight < MOVES_WEIGHT && z->quiet_accel2_m2_s4 > 0) {

@@ -72,6 +72,7 @@ struct zero_velocity_signals {
 	double gyro2_rad2_s2, accel2_m2_s4; /* its mean square deviations */
 	bool accelerates;		    /* the mean acceleration differs from zero, significantly */
 	double accel_walk_m2_s3;	    /* variance of the velocity in a second by that deviation, if it is noise */
+	bool level;			    /* what moves does so horizontally */
 };
 
 /** Each sample: acceleration in the global frame. */

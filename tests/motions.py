@@ -173,6 +173,7 @@ class Motion:
     chip: Dict = field(default_factory=dict)  # what differs from a calibrated one
     turns: bool = False  # about the vertical: worth a replay without magnetometer
     preset: int = 0  # position.motion_preset
+    rope_m: float = 0  # position.rope_length
 
 
 def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None, preset=0):
@@ -191,9 +192,10 @@ def arm(length_m, amplitude_deg, hz, full_s=60.0, fade_s=2.0):
 
 
 # the load still swings at the end
-def crane(rope_m, speed, cruise_s, swings_s):
+def crane(rope_m, speed, cruise_s, swings_s, told_m=None):
+    preset = {} if told_m is None else {'preset': 7, 'rope_m': told_m}
     return Motion(lambda t: pendulum(cruise(t, REST_S, 2.0, speed, cruise_s), t, rope_m, 0.02), REST_S,
-                  REST_S + 4 + cruise_s + swings_s)
+                  REST_S + 4 + cruise_s + swings_s, **preset)
 
 
 def still(begin_s=0.0, vibration=None, **chip):
@@ -230,6 +232,8 @@ def all_motions():
     m['on foot, 40 strides of 1.3 m, preset 5'] = on_foot(40, 1.3, 0.6, 0.5)
     m['on foot, 60 strides of 0.8 m, preset 5'] = on_foot(60, 0.8, 0.5, 0.25)
     m['crane, rope 5 m'] = crane(5, 0.5, 20, 30)
+    for rope_m, told_m in ((5, 5), (5, 4), (12, 12)):
+        m[f'crane, rope {rope_m} m, preset 7 with {told_m} m'] = crane(rope_m, 0.5, 20, 30, told_m)
     for amplitude, hz in ((2, 17), (5, 33), (10, 47), (10, 80), (5, 10)):
         m[f'shaken {amplitude} m/s², {hz} Hz, from the start'] = still(
             -FADE_S, partial(shake, amplitude_m_s2=amplitude, hz=hz))

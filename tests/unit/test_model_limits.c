@@ -93,6 +93,7 @@ static void test_the_numbers_of_the_pipeline_have_their_ranges(void **state)
 		RANGE(c->position.longest_integration_s, 0, INFINITY),
 		RANGE(c->position.sigma_limit_m, 0, INFINITY),
 		RANGE(c->position.navigation.velocity_prior_m_s, 0, INFINITY),
+		RANGE(c->position.navigation.rope_m, 0, INFINITY),
 		OPEN_RANGE(c->rest.gyro_threshold_rad_s, 0, INFINITY),
 		OPEN_RANGE(c->rest.accel_threshold_m_s2, 0, INFINITY),
 		RANGE(c->rest.time_s, 0, INFINITY),
@@ -142,6 +143,7 @@ static void test_the_numbers_of_the_navigation_have_their_ranges(void **state)
 	navigation_config = PIPELINE_DEFAULTS.position.navigation;
 	const struct range ranges[] = {
 		RANGE(navigation_config.velocity_prior_m_s, 0, INFINITY),
+		RANGE(navigation_config.rope_m, 0, INFINITY),
 		RANGE(navigation_config.rest_s, 0, INFINITY),
 		RANGE(navigation_config.gyro_bias_sigma_rad_s, 0, INFINITY),
 		RANGE(navigation_config.gyro_scale_sigma, 0, INFINITY),

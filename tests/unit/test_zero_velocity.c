@@ -459,9 +459,9 @@ static void test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_stand
 	const struct {
 		struct zero_velocity_signals signals;
 		bool quiet;
-	} cases[] = {{{true, 2.9e-6, 2.9e-4, false, 0}, true}, {{true, 0, 3.1e-4, false, 0}, false},
-		{{true, 3.05e-6, 0, false, 0}, true}, {{true, 3.15e-6, 0, false, 0}, false},
-		{{false, 0, 0, false, 0}, false}};
+	} cases[] = {{{true, 2.9e-6, 2.9e-4, false, 0, false}, true}, {{true, 0, 3.1e-4, false, 0, false}, false},
+		{{true, 3.05e-6, 0, false, 0, false}, true}, {{true, 3.15e-6, 0, false, 0, false}, false},
+		{{false, 0, 0, false, 0, false}, false}};
 
 	(void)state;
 	for (int i = 0; i < 5; i++) {
