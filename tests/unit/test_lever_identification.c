@@ -721,6 +721,30 @@ static void test_up_to_three_lost_samples_in_a_row_are_interpolated(void **state
 	assert_int_equal(identify(&s).verdict, LEVER_TOO_SHORT);
 }
 
+/* Each verdict names its own cause, beginning with what is seen and behind the colon with what to do. */
+static void test_each_verdict_has_a_text(void **state)
+{
+	static const char *const words[] = {[LEVER_FOUND] = "found",
+		[LEVER_TOO_SHORT] = "too short: move it for at least 10 s",
+		[LEVER_NO_REFERENCE] = "no reference: ",
+		[LEVER_TOO_SLOW] = "too slow: turn the object",
+		[LEVER_BLIND_L] = "turned about the longitudinal axis only",
+		[LEVER_BLIND_S] = "turned about the side axis only",
+		[LEVER_BLIND_T] = "turned about the transversal axis only",
+		[LEVER_NOT_HELD] = "does not fit: the reference point was not held still",
+		[LEVER_UNSURE] = "sigma is too large: turn faster",
+		[LEVER_SENSOR_LOST] = "the sensor stopped sending samples"};
+
+	(void)state;
+	for (int verdict = LEVER_FOUND; verdict <= LEVER_SENSOR_LOST; verdict++) {
+		const char *text = lever_verdict_text((enum lever_verdict)verdict);
+
+		assert_non_null(text);
+		assert_int_equal(strncmp(text, words[verdict], strlen(words[verdict])), 0);
+	}
+	assert_string_equal(lever_verdict_text((enum lever_verdict)0), "unknown");
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -759,6 +783,7 @@ int main(void)
 		cmocka_unit_test(test_what_accelerates_a_lever_arm_of_1_m_by_less_than_1_m_s2_is_too_slow),
 		cmocka_unit_test(test_a_second_axis_needs_0_4_m_s2),
 		cmocka_unit_test(test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation),
+		cmocka_unit_test(test_each_verdict_has_a_text),
 		cmocka_unit_test(test_up_to_three_lost_samples_in_a_row_are_interpolated),
 	};
 
