@@ -279,8 +279,8 @@ OWN_NAMES := $(notdir $(PROGRAMS))
 install: all $(if $(shell command -v help2man),man) ## install programs, manual pages, completion, EDS, udev rule, systemd units and an example configuration under $(DESTDIR)$(PREFIX)
 	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) $(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
-	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md tools/service/imu9-gateway.conf \
-		tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
+	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
+		tools/service/imu9-gateway.conf tools/service/udp.conf tools/service/realtime.conf $(DESTDIR)$(share)
 	install -m 644 tools/service/70-imu9-gateway.rules $(DESTDIR)$(UDEVDIR)/rules.d
 	install -m 644 tools/service/sysusers.conf $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
 	for name in imu9-gateway imu9-sdo; do install -m 644 tools/service/completion.bash $(DESTDIR)$(COMPLETIONS)/$$name; done
