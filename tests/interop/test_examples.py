@@ -154,6 +154,7 @@ class PythonCanopenExample(rig.OnTheBus):
     def test_it_sets_the_lever_arm_and_prints_values_with_units(self):
         if not importlib.util.find_spec("canopen"):
             self.skipTest("no python-canopen, which Debian does not have: pip install canopen")
+        rig.wait_until(lambda: self.read(0x210F, 3)[0] & VALID)
         example = [sys.executable, EXAMPLES / "pdo_python_canopen.py", "--channel", rig.BUS, "--node", str(NODE)]
         done = subprocess.run([*example, "--samples", "3"], capture_output=True, text=True, timeout=rig.PATIENCE)
         self.assertEqual(done.returncode, 0, done.stderr)

@@ -369,8 +369,8 @@ static int read_entry(struct loader *l, const struct eds_object *object, uint8_t
 static int read_sub(struct loader *l, const struct eds_object *object, uint8_t sub, const struct source *source)
 {
 	struct draft draft = {0};
-	const char *name = NULL;
 	char substitute[sizeof("Sub 255")];
+	const char *name = substitute;
 
 	snprintf(substitute, sizeof(substitute), "Sub %d", sub);
 	if (read_name(l, source->section, source->label, substitute, &draft.label, &name, &draft.label_line))
