@@ -3,7 +3,7 @@
 #   CC=clang        another compiler            BUILD=DIR       where everything is built (default build)
 #   CC=aarch64-linux-gnu-gcc: cross build       CC_FOR_BUILD    the compiler for what runs while building
 #   DEPS=no         do not install packages     SAN=FLAGS       e.g. -fsanitize=thread
-#   WERROR=yes      a warning is an error (for developers and CI)
+#   WERROR=yes      a warning is an error (for developers and CI), but for what a newer library calls deprecated
 #   PREFIX, DESTDIR where `make install` puts things
 
 VERSION := 0.3.0
@@ -30,8 +30,10 @@ EMULATOR ?= $(if $(CROSS),qemu-$(firstword $(subst -, ,$(notdir $(CROSS)))))
 GPIOD_API := $(or $(shell $(PKG_CONFIG) --modversion libgpiod 2>/dev/null | cut -d. -f1),-missing)
 
 CFLAGS ?= -O2 -g
+# enumeration constants are used as the whole numbers that they are, of which clang 20 warns
 WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -Wmissing-prototypes \
-	$(if $(filter yes,$(WERROR)),-Werror)
+	-Wno-enum-float-conversion -Wno-enum-enum-conversion \
+	$(if $(filter yes,$(WERROR)),-Werror -Wno-error=deprecated-declarations)
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
 	-MMD -MP $(CFLAGS) $(SAN)

@@ -3,8 +3,8 @@
  *   LIBRARY                            its file, e.g. "libiio.so.0"
  *   FUNCTIONS(VALUE, VOID, ENTRY)      its functions that are called, with the types that its header declares:
  *     VALUE(name, type, parameters, arguments), VOID(name, parameters, arguments), ENTRY(name, type, parameters)
- * Each VALUE and VOID is defined here under its name and passes the call on: not before load_library() has succeeded. An
- * ENTRY is what is called first; the file defines it, calls load_library() there and passes on to library.name. */
+ * Each VALUE and VOID is defined here under its name and passes the call on: not before load_library() has succeeded.
+ * An ENTRY is what is called first; the file defines it, calls load_library() there and passes on to library.name. */
 #include <dlfcn.h>
 #include <stdbool.h>
 #include <stddef.h>

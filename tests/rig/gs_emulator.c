@@ -281,7 +281,7 @@ static bool obey(uint8_t request, uint16_t value, size_t length)
 static void take_setup(const struct usb_ctrlrequest *r)
 {
 	bool in = r->bRequestType & USB_DIR_IN, known = (r->bRequestType & USB_TYPE_MASK) == USB_TYPE_VENDOR;
-	char none;
+	char none = 0;
 
 	if (known && in)
 		known = answer(r->bRequest, r->wLength);

@@ -94,7 +94,7 @@ static struct gateway start(const char *machine, const char *folder, const char 
 	return g;
 }
 
-static void stop(struct gateway g)
+static void end_gateway(struct gateway g)
 {
 	kill(g.pid, SIGKILL);
 	assert_int_equal(waitpid(g.pid, NULL, 0), g.pid);
@@ -105,7 +105,7 @@ static uint32_t serial_of(const char *machine, const char *folder, const char *b
 {
 	struct gateway g = start(machine, folder, bus, 0);
 
-	stop(g);
+	end_gateway(g);
 	assert_string_equal(g.note, "");
 	return g.serial;
 }
@@ -137,7 +137,7 @@ static void test_a_copied_card_has_another_serial_number_on_another_board_and_sa
 	(void)state;
 	run("cp -r %s/. %s", store, other_store, "");
 	struct gateway copy = start(other_pi, other_store, "can0", 0);
-	stop(copy);
+	end_gateway(copy);
 	assert_int_not_equal(copy.serial, serial);
 	assert_non_null(strstr(copy.note, "is of other hardware"));
 	assert_int_equal(serial_of(other_pi, other_store, "can0"), copy.serial);
@@ -149,16 +149,16 @@ static void test_two_gateways_of_a_host_have_different_serial_numbers_in_any_ord
 	struct gateway a = start(pi, store, "can0", 0), b = start(pi, store, "can1", 0);
 
 	(void)state;
-	stop(a);
-	stop(b);
+	end_gateway(a);
+	end_gateway(b);
 	assert_int_not_equal(a.serial, b.serial);
 	assert_int_equal(serial_of(pi, store, "can1"), b.serial);
 	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
 	a = start(pi, store, "can0", 0);
 	struct gateway c = start(pi, other_store, "can0", 0); /* another folder, as for two nodes of one bus */
 	assert_int_not_equal(c.serial, a.serial);
-	stop(a);
-	stop(c);
+	end_gateway(a);
+	end_gateway(c);
 	assert_int_equal(serial_of(pi, other_store, "can0"), c.serial);
 }
 
@@ -170,8 +170,8 @@ static void test_a_serial_number_that_another_gateway_of_the_host_has_is_told(vo
 	assert_string_equal(a.note, "");
 	assert_non_null(strstr(b.note, "000004D2h is that of another gateway of this host"));
 	assert_int_equal(b.serial, 1234);
-	stop(a);
-	stop(b);
+	end_gateway(a);
+	end_gateway(b);
 }
 
 static void test_a_usb_network_adapter_changes_nothing(void **state)
@@ -189,7 +189,7 @@ static void test_a_usb_network_adapter_changes_nothing(void **state)
 	put_mac(other_pi, "eth0", "b8:27:eb:12:34:57", "0");
 	run("rm %s/proc/device-tree/serial-number", other_pi, "", "");
 	struct gateway copy = start(other_pi, store, "can0", 0);
-	stop(copy);
+	end_gateway(copy);
 	assert_int_not_equal(copy.serial, serial);
 }
 
@@ -227,7 +227,7 @@ static void test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_
 	struct gateway g = start(pi, "/proc/no", "can0", 0);
 
 	(void)state;
-	stop(g);
+	end_gateway(g);
 	assert_non_null(strstr(g.note, "cannot be kept in /proc/no/serial"));
 	assert_int_equal(serial_of(pi, store, "can0"), g.serial);
 }
