@@ -292,10 +292,12 @@ static void transferred(struct cia309 *g, uint64_t now_us)
 	g->sdo_running = false;
 	switch (g->sdo.result) {
 	case SDO_DONE:
-		if (s->command.verb == CIA309_READ)
+		if (s->command.verb == CIA309_READ) {
 			print_value(s, g->buffer, g->sdo.size);
-		else
+			print_on(g, s); /* with its head: cocomm takes a short answer for one */
+		} else {
 			answer(g, s, now_us, "OK");
+		}
 		break;
 	case SDO_UNSENT:
 		answer_error(g, s, bus_error(g), now_us);
