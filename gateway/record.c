@@ -293,15 +293,17 @@ void record_tick(struct record *r, uint64_t now_us)
 
 int record_open(struct record *r)
 {
+	const size_t state_size = sizeof(struct device);
+
 	*r = (struct record){.wanted = true};
 	r->ring = malloc(RECORD_RING * sizeof(*r->ring));
-	r->state = malloc(sizeof(struct device));
+	r->state = malloc(state_size);
 	if (!r->ring || !r->state) {
 		record_close(r);
 		return -ENOMEM;
 	}
 	memset(r->ring, 0, RECORD_RING * sizeof(*r->ring)); /* no page is missing later */
-	memset(r->state, 0, sizeof(struct device));
+	memset(r->state, 0, state_size);
 	return 0;
 }
 

@@ -17,7 +17,7 @@
 #include "gateway/device_state.h"
 #include "od_values.h"
 
-enum { SIZE_MB = 16, SIZE_MB_MAX = 4096, FILES = 8, KEEP_US = 60000000, TURN_NS = 100000000, TURNS_OF_SYNC = 50 };
+enum { SIZE_MB = 16, SIZE_MB_MAX = 2000, FILES = 8, KEEP_US = 60000000, TURN_NS = 100000000, TURNS_OF_SYNC = 50 };
 
 /* ---- options ----------------------------------------------------------------------------------------------------- */
 

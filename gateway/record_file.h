@@ -20,7 +20,7 @@ enum { RECORD_FOLDER_MAX = 256, RECORD_FILES_MAX = 1000 };
 
 struct record_options {
 	char folder[RECORD_FOLDER_MAX];
-	unsigned size_mb; /* of a file, 1..4096, default 16: about ten minutes at 100 samples a second */
+	unsigned size_mb; /* of a file, 1..2000, default 16: about ten minutes at 100 samples a second */
 	unsigned files;	  /* 2..1000, default 8; as many kept ones */
 };
 

@@ -117,6 +117,16 @@ static int digit(char c)
 	return isdigit((unsigned char)c) ? c - '0' : c >= 'A' && c <= 'F' ? c - 'A' + 10 : -1;
 }
 
+static bool byte_of(const char *text, uint8_t *byte)
+{
+	int high = digit(text[0]), low = high < 0 ? -1 : digit(text[1]);
+
+	if (low < 0)
+		return false;
+	*byte = (uint8_t)(16 * high + low);
+	return true;
+}
+
 static int parse_frame(const char *text, struct record_entry *e)
 {
 	struct can_msg *msg = &e->msg;
@@ -127,8 +137,8 @@ static int parse_frame(const char *text, struct record_entry *e)
 	msg->extended = at - id == 8;
 	text += at + 1;
 	msg->remote = *text == 'R';
-	for (; !msg->remote && digit(text[0]) >= 0 && digit(text[1]) >= 0 && length < 8; text += 2)
-		msg->data[length++] = (uint8_t)(digit(text[0]) << 4 | digit(text[1]));
+	for (; !msg->remote && length < 8 && byte_of(text, &msg->data[length]); text += 2)
+		length++;
 	if (msg->remote) {
 		length = digit(text[1]);
 		text += length < 0 ? 0 : 2;
@@ -251,23 +261,31 @@ size_t record_text(const struct record_entry *e, char out[RECORD_ROW_MAX])
 }
 
 /* Reads one number, if it is due. */
-static bool take(const char **text, bool due, const char *format, void *value)
+static bool take(const char **text, bool due, int64_t *value)
 {
-	int n = 0;
+	char *end;
 
-	if (due && (sscanf(*text, format, value, &n) != 1 || n == 0))
-		return false;
-	*text += n;
-	return true;
+	*value = 0;
+	if (!due)
+		return true;
+	*value = strtoll(*text, &end, 10);
+	bool good = end != *text && (*end == '\0' || *end == ' ');
+	*text = end + (*end == ' ');
+	return good;
 }
 
 static int parse_plain(const char *text, int has, struct record_entry *e)
 {
-	return take(&text, has & HAS_NOW, "%" SCNu64 "%n", &e->now_us) &&
-			       take(&text, has & HAS_VALUE, "%" SCNd32 "%n", &e->value) &&
-			       take(&text, has & HAS_OFFSET, "%" SCNd64 "%n", &e->offset_us) && *text == '\0'
-		       ? 1
-		       : -EBADMSG;
+	int64_t now_us, value, offset_us;
+
+	if (!take(&text, has & HAS_NOW, &now_us) || !take(&text, has & HAS_VALUE, &value) ||
+		!take(&text, has & HAS_OFFSET, &offset_us) || *text || now_us < 0 || value != (int32_t)value)
+		return -EBADMSG;
+	e->now_us = (uint64_t)now_us;
+	e->value = (int32_t)value;
+	if (has & HAS_OFFSET)
+		e->offset_us = offset_us;
+	return e->kind == RECORD_FAILED && value >= 0 ? -EBADMSG : 1;
 }
 
 int record_parse(const char *line, struct record_entry *e)
@@ -295,9 +313,7 @@ int record_parse(const char *line, struct record_entry *e)
 		case RECORD_SELF:
 			return parse_self(numbers, &e->self);
 		default:
-			if (parse_plain(numbers, WORDS[i].has, e) < 0 || (e->kind == RECORD_FAILED && e->value >= 0))
-				return -EBADMSG;
-			return 1;
+			return parse_plain(numbers, WORDS[i].has, e);
 		}
 	}
 	return 0;

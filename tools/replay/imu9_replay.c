@@ -20,7 +20,7 @@
 
 static const char usage[] =
 	"Usage: imu9-replay [-c FILE] [--set NAME=VALUE]... [--format FORMAT] [--movements FILE] LOG.imu.csv >OUT.csv\n"
-	"       imu9-replay [--frames FILE] [--movements FILE] [--set NAME=VALUE]... RECORDING.imu.csv... >OUT.csv\n"
+	"  or:  imu9-replay [--frames FILE] [--movements FILE] [--set NAME=VALUE]... RECORDING.imu.csv... >OUT.csv\n"
 	"Runs a recorded IMU log through the pipeline of the gateway; `-` reads standard input.\n"
 	"\n"
 	"  -c, --config FILE     configuration file of the gateway (its section [gateway] is ignored)\n"
@@ -35,8 +35,8 @@ static const char usage[] =
 	"LOG: header t,gx,gy,gz,ax,ay,az,mx,my,mz; s, rad/s, m/s^2, uT, or the units that it names, e.g.\n"
 	"     t[ms], gx[deg/s], ax[g], mx[gauss]; magnetometer fields can be empty. What was skipped or\n"
 	"     converted, and units that are unlikely, are told on standard error.\n"
-	"RECORDING: files of imu9-gateway --record, which have the configuration and all that came in:\n"
-	"     the values and frames are those of then, bit for bit; with -c or --set, what they would have been.\n"
+	"RECORDING: files of imu9-gateway --record. They have the configuration and all that came in, so values\n"
+	"     and frames are those of then, bit for bit; with -c or --set, what they would have been.\n"
 	"OUT: attitude object -> ENU (qw..qz; roll, pitch, yaw in degrees), acceleration of the\n"
 	"     reference point in object (al..at) and global frame (awx..awz), velocity, position\n"
 	"     (ENU), the rest flag, the sample counter as in the PDOs (here without wrap-around),\n"
