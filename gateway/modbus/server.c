@@ -208,7 +208,7 @@ static void refuse(struct modbus_server *s, int fd, const char *who, const char 
 static bool accept_one(struct modbus_server *s, size_t window, uint64_t now_us)
 {
 	const struct modbus_window *w = &s->windows[window];
-	struct sockaddr_storage peer;
+	struct sockaddr_storage peer = {0};
 	socklen_t size = sizeof(peer);
 	uint8_t address[16];
 	char who[MODBUS_WHO_MAX];
