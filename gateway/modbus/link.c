@@ -92,6 +92,7 @@ enum od_status modbus_link_submit(struct modbus_link *link)
 {
 	int posted = POSTED;
 
+	link->job.ticket++;
 	atomic_store(&link->state, POSTED);
 	if (link->serve)
 		link->serve(link->ctx);
@@ -105,11 +106,12 @@ enum od_status modbus_link_submit(struct modbus_link *link)
 	return link->job.status;
 }
 
-bool modbus_link_late(struct modbus_link *link, enum od_status *status)
+bool modbus_link_late(struct modbus_link *link, uint8_t *ticket, enum od_status *status)
 {
 	int late = atomic_exchange(&link->late, NOTHING_LATE);
 
-	*status = late == NOTHING_LATE ? OD_PENDING : (enum od_status)late;
+	*ticket = (uint8_t)((unsigned)late >> 8);
+	*status = (enum od_status)(late & 0xFF);
 	return late != NOTHING_LATE;
 }
 
@@ -125,7 +127,10 @@ struct modbus_job *modbus_link_take(struct modbus_link *link)
 
 void modbus_link_done(struct modbus_link *link)
 {
-	link->pending = link->pending || link->job.status == OD_PENDING;
+	if (link->job.status == OD_PENDING) {
+		link->pending = true;
+		link->pending_ticket = link->job.ticket;
+	}
 	atomic_store(&link->state, DONE);
 	if (link->done_fd >= 0)
 		eventfd_write(link->done_fd, 1);
@@ -136,7 +141,7 @@ void modbus_link_ended(struct modbus_link *link, enum od_status status)
 	if (!link->pending)
 		return;
 	link->pending = false;
-	atomic_store(&link->late, (int)status);
+	atomic_store(&link->late, link->pending_ticket << 8 | (int)status);
 	if (link->done_fd >= 0)
 		eventfd_write(link->done_fd, 1);
 }

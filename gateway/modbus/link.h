@@ -38,6 +38,7 @@ struct modbus_job {
 	uint8_t *out;		      /* OD_DOMAIN_MAX bytes for what is read */
 	const uint8_t *read;	      /* result: it is here (out, or constant memory) */
 	enum od_status status;	      /* result */
+	uint8_t ticket;		      /* its number, for modbus_link_late() */
 };
 
 struct modbus_link {
@@ -47,8 +48,9 @@ struct modbus_link {
 	unsigned writing, reading; /* of the loop, of the thread */
 	struct modbus_job job;
 	atomic_int state;
-	atomic_int late; /* enum od_status of a job that was OD_PENDING; -1: none */
+	atomic_int late; /* ticket << 8 | enum od_status of a job that was OD_PENDING; -1: none */
 	bool pending;	 /* of the loop: the last such job has not ended */
+	uint8_t pending_ticket;
 	atomic_bool closing;
 	int request_fd, done_fd;  /* eventfd; -1: direct */
 	void (*serve)(void *ctx); /* direct: executes the job, without a thread */
@@ -70,8 +72,8 @@ const struct od_values *modbus_link_values(struct modbus_link *link);
 /** Executes link->job and returns its status. OD_PENDING: modbus_link_late() has the status when done_fd is readable.
  * OD_DEVICE_STATE: the loop did not take it within MODBUS_LINK_PATIENCE_MS, and will not. */
 enum od_status modbus_link_submit(struct modbus_link *link);
-/** False: not yet. */
-bool modbus_link_late(struct modbus_link *link, enum od_status *status);
+/** The ticket and the status of a job that was OD_PENDING and has ended. False: none has. */
+bool modbus_link_late(struct modbus_link *link, uint8_t *ticket, enum od_status *status);
 
 /** The job to be executed, or NULL. */
 struct modbus_job *modbus_link_take(struct modbus_link *link);

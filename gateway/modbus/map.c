@@ -98,7 +98,7 @@ static enum od_status narrow(const struct od_entry *entry, const uint8_t wire[2]
 static enum od_status decode(const uint8_t *in, unsigned count, bool low_first, struct modbus_item *item)
 {
 	const struct od_entry *entry = item->entry;
-	uint8_t wire[OD_VALUE_MAX + 1];
+	uint8_t wire[OD_VALUE_MAX + 1] = {0};
 
 	item->size = entry->size;
 	if (is_text(entry)) {

@@ -34,8 +34,9 @@ struct client {
 	const struct modbus_window *window; /* NULL: unused */
 	int fd;				    /* -1: a serial line that is to be opened again */
 	modbus_t *line;
-	bool waiting; /* its write is not complete: OD_PENDING */
-	bool told;    /* of a line: that it is gone */
+	bool waiting;	/* its write is not complete: OD_PENDING */
+	uint8_t ticket; /* of this write */
+	bool told;	/* of a line: that it is gone */
 	uint8_t in[ADU_MAX];
 	size_t used;
 	uint64_t request_us, byte_us; /* the last one */
@@ -208,7 +209,7 @@ static void refuse(struct modbus_server *s, int fd, const char *who, const char 
 static bool accept_one(struct modbus_server *s, size_t window, uint64_t now_us)
 {
 	const struct modbus_window *w = &s->windows[window];
-	struct sockaddr_storage peer;
+	struct sockaddr_storage peer = {0};
 	socklen_t size = sizeof(peer);
 	uint8_t address[16];
 	char who[MODBUS_WHO_MAX];
@@ -285,6 +286,7 @@ static bool serve(struct modbus_server *s, struct client *c, size_t size, size_t
 	c->access.registers.node_id = (uint8_t)atomic_load_explicit(&s->node_id, memory_order_relaxed);
 	size_t n = modbus_pdu(&c->access.registers, request, request_size, response);
 	c->waiting = n == 0;
+	c->ticket = s->config.link->job.ticket;
 	if (c->waiting)
 		return true;
 	bool good = answer(s, c, response, n);
@@ -367,18 +369,19 @@ static bool receive(struct client *c, short events, uint64_t now_us)
 	return true;
 }
 
-/* A write that was OD_PENDING is complete. One at a time is: the store is busy for others. */
+/* A write that was OD_PENDING is complete. */
 static void answer_late(struct modbus_server *s, uint64_t now_us)
 {
 	uint8_t response[MODBUS_PDU_MAX];
 	enum od_status status;
+	uint8_t ticket;
 
-	if (!modbus_link_late(s->config.link, &status))
+	if (!modbus_link_late(s->config.link, &ticket, &status))
 		return;
 	for (struct client *c = s->clients; c < s->clients + MODBUS_CLIENTS_MAX; c++) {
 		size_t size;
 
-		if (!c->window || !c->waiting)
+		if (!c->window || !c->waiting || c->ticket != ticket)
 			continue;
 		size_t n = modbus_pdu_done(&c->access.registers, c->in + pdu_at(c), status, response);
 		c->waiting = false;

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #include "gateway/canopen/sdo_abort.h"
+#include "gateway/log.h"
 #include "gateway/window.h"
 #include "od/little_endian.h"
 #include "tests/scenario/world.h"
@@ -566,6 +567,152 @@ static void test_identification_is_that_of_the_device(void **state)
 	assert_non_null(memmem(response, size, "IMU9 CANopen gateway", 20));
 }
 
+/* ---- a day ---------------------------------------------------------------------------------------------------------- */
+
+/* What the dictionary has to have, kept without it. */
+struct model {
+	float arm[3];
+	uint8_t lever_arm_model, rates_from, word_order;
+};
+
+struct day {
+	struct fixture *f;
+	struct model now, stored;
+	unsigned seed, refused;
+};
+
+static unsigned roll(struct day *day, unsigned sides)
+{
+	return (unsigned)rand_r(&day->seed) % sides;
+}
+
+/* Within the limits of 10 m three times of four. */
+static float some_metres(struct day *day)
+{
+	float metres = (float)roll(day, 10000) / 1000;
+
+	return (roll(day, 2) ? 1.0f : -1.0f) * (roll(day, 4) ? metres : metres + 10.5f);
+}
+
+static void put_arm(const struct day *day, uint16_t *words, float value)
+{
+	put_real(words, value);
+	if (day->now.word_order) {
+		uint16_t first = words[0];
+
+		words[0] = words[1];
+		words[1] = first;
+	}
+}
+
+static void write_arm(struct day *day, bool modbus)
+{
+	uint16_t words[6];
+	float arm[3];
+	bool good = true;
+
+	for (unsigned i = 0; i < 3; i++) {
+		arm[i] = some_metres(day);
+		put_arm(day, words + (size_t)2 * i, arm[i]);
+		bool fits = fabsf(arm[i]) <= 10;
+		if (!modbus && fits)
+			day->now.arm[i] = arm[i];
+		if (!modbus)
+			assert_int_equal(
+				world_sdo_write(&day->f->world, 0x2000, (uint8_t)(i + 1), &arm[i], 4) == 0, fits);
+		good = good && fits;
+	}
+	if (modbus)
+		assert_int_equal(write_words(day->f, AT_LEVER_ARM, 6, words), good ? 0 : 3);
+	if (modbus && good)
+		memcpy(day->now.arm, arm, sizeof(arm));
+	day->refused += !good;
+}
+
+static void write_model(struct day *day, unsigned how)
+{
+	uint8_t value = (uint8_t)roll(day, 6);
+	const uint8_t object[] = {0x2B, 0x0D, 1, WORLD_NODE_ID, 0x20, 0x01, 0, 0, 0, 0, 1, value};
+	bool good = value <= 3;
+
+	if (how == 0)
+		assert_int_equal(write_words(day->f, AT_MODEL, 1, (uint16_t[]){value}), good ? 0 : 3);
+	else if (how == 1)
+		assert_int_equal(request(day->f, object, sizeof(object)), good ? 11 : 10);
+	else
+		assert_int_equal(world_sdo_write(&day->f->world, 0x2001, 0, &value, 1) == 0, good);
+	if (good)
+		day->now.lever_arm_model = value;
+	day->refused += !good;
+}
+
+static void act(struct day *day)
+{
+	bool on = roll(day, 2);
+
+	switch (roll(day, 8)) {
+	case 0:
+		write_arm(day, false);
+		break;
+	case 1:
+	case 2:
+		write_arm(day, true);
+		break;
+	case 3:
+	case 4:
+		write_model(day, roll(day, 3));
+		break;
+	case 5:
+		assert_int_equal(write_coil(day->f, 0x1080, on), 0);
+		day->now.rates_from = on;
+		break;
+	case 6:
+		assert_int_equal(write_coil(day->f, WORD_ORDER, on), 0);
+		day->now.word_order = on;
+		break;
+	default:
+		if (on) {
+			assert_int_equal(write_coil(day->f, COIL_STORE, true), 0);
+			day->stored = day->now;
+		} else {
+			world_nmt(&day->f->world, 0x81);
+			day->now = day->stored;
+		}
+	}
+}
+
+static void assert_agrees(const struct day *day)
+{
+	const struct od_values *v = &day->f->world.device.values;
+	uint16_t words[6], expected[6];
+
+	assert_true(v->lever_arm.l == day->now.arm[0] && v->lever_arm.s == day->now.arm[1] &&
+		    v->lever_arm.t == day->now.arm[2]);
+	assert_int_equal(v->lever_arm_model, day->now.lever_arm_model);
+	assert_int_equal(v->rates_from, day->now.rates_from);
+	assert_int_equal(v->modbus.word_order, day->now.word_order);
+	for (unsigned i = 0; i < 3; i++)
+		put_arm(day, expected + (size_t)2 * i, day->now.arm[i]);
+	assert_int_equal(read_words(day->f, AT_LEVER_ARM, 6, words), 0);
+	assert_memory_equal(words, expected, sizeof(expected));
+}
+
+static void test_after_a_day_with_both_windows_the_dictionary_has_what_was_written(void **state)
+{
+	struct day day = {.f = *state, .seed = 1};
+
+	log_set_level(LOG_ERR);
+	day.now.lever_arm_model = day.stored.lever_arm_model = 2;
+	for (int t_s = 0; t_s < 24 * 3600; t_s += 10) {
+		day.f->world.now_us += 10000000;
+		act(&day);
+		pass(day.f, 0.02);
+		assert_agrees(&day);
+	}
+	log_set_level(LOG_INFO);
+	assert_true(day.refused > 500);
+}
+
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, world_tear_down)
 
 int main(void)
@@ -596,6 +743,7 @@ int main(void)
 		TEST(test_objects_are_written_by_function_43_13_with_the_aborts_of_sdo),
 		TEST(test_the_event_log_tells_who_wrote_what),
 		TEST(test_identification_is_that_of_the_device),
+		TEST(test_after_a_day_with_both_windows_the_dictionary_has_what_was_written),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

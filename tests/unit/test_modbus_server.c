@@ -450,6 +450,42 @@ static void test_requests_to_other_slaves_and_noise_are_not_answered(void **stat
 	assert_int_equal(atomic_load(&modbus_server_counters(f.server)->requests), 2);
 }
 
+/* ---- the link ------------------------------------------------------------------------------------------------------ */
+
+static void take_and_wait(void *ctx)
+{
+	struct modbus_link *link = ctx;
+	struct modbus_job *job = modbus_link_take(link);
+
+	assert_non_null(job);
+	job->status = OD_PENDING;
+	modbus_link_done(link);
+}
+
+static void test_the_end_of_a_job_is_that_of_its_ticket(void **state)
+{
+	static struct modbus_link link;
+	enum od_status status;
+	uint8_t first, ticket;
+
+	(void)state;
+	modbus_link_direct(&link, take_and_wait, &link);
+	modbus_link_ended(&link, OD_OK); /* of another client of the store */
+	assert_false(modbus_link_late(&link, &ticket, &status));
+	assert_int_equal(modbus_link_submit(&link), OD_PENDING);
+	first = link.job.ticket;
+	modbus_link_ended(&link, OD_CANNOT_STORE);
+	assert_int_equal(modbus_link_submit(&link), OD_PENDING); /* before the first answer was taken */
+	assert_true(modbus_link_late(&link, &ticket, &status));
+	assert_int_equal(ticket, first);
+	assert_int_equal(status, OD_CANNOT_STORE);
+	assert_false(modbus_link_late(&link, &ticket, &status));
+	modbus_link_ended(&link, OD_OK);
+	assert_true(modbus_link_late(&link, &ticket, &status));
+	assert_int_equal(ticket, link.job.ticket);
+	assert_int_equal(status, OD_OK);
+}
+
 /* ---- start and end ------------------------------------------------------------------------------------------------- */
 
 static void test_a_window_that_cannot_be_opened_is_told(void **state)
@@ -508,6 +544,7 @@ int main(void)
 		TEST(test_a_broadcast_is_executed_without_a_response),
 		TEST(test_requests_to_other_slaves_and_noise_are_not_answered),
 		TEST(test_a_window_that_cannot_be_opened_is_told),
+		cmocka_unit_test(test_the_end_of_a_job_is_that_of_its_ticket),
 		cmocka_unit_test(test_the_server_ends_while_a_job_waits_for_the_loop),
 	};
 

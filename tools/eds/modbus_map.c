@@ -77,27 +77,25 @@ static const struct {
 
 /* Coils that are commands: the value that goes to the entry. */
 static const struct {
-	unsigned address;
-	const char *entry;
-	unsigned value;
-	const char *what;
+	unsigned address, value;
+	const char *entry, *what;
 } COMMANDS[] = {
-	{0, "position.reset", 1, "velocity and position become 0"},
-	{1, "store_parameters.all", 0x65766173, "store the configuration"},
-	{2, "restore_defaults.all", 0x64616F6C, "clear the stored configuration"},
-	{3, "bus_health.restart", 1, "restart a CAN controller that is bus-off"},
-	{8, "lever_arm_identification.command", 1, "start, reference point held still"},
-	{9, "lever_arm_identification.command", 2, "start, its acceleration is known"},
-	{10, "lever_arm_identification.command", 3, "accept"},
-	{11, "lever_arm_identification.command", 4, "discard"},
-	{12, "lever_arm_identification.command", 0, "abort"},
-	{16, "calibration.command", 1, "gyro bias"},
-	{17, "calibration.command", 2, "accelerometer on six faces"},
-	{18, "calibration.command", 3, "accelerometer in free positions"},
-	{19, "calibration.command", 4, "magnetometer"},
-	{20, "calibration.command", 10, "accept"},
-	{21, "calibration.command", 11, "discard"},
-	{22, "calibration.command", 0, "abort"},
+	{0, 1, "position.reset", "velocity and position become 0"},
+	{1, 0x65766173, "store_parameters.all", "store the configuration"},
+	{2, 0x64616F6C, "restore_defaults.all", "clear the stored configuration"},
+	{3, 1, "bus_health.restart", "restart a CAN controller that is bus-off"},
+	{8, 1, "lever_arm_identification.command", "start, reference point held still"},
+	{9, 2, "lever_arm_identification.command", "start, its acceleration is known"},
+	{10, 3, "lever_arm_identification.command", "accept"},
+	{11, 4, "lever_arm_identification.command", "discard"},
+	{12, 0, "lever_arm_identification.command", "abort"},
+	{16, 1, "calibration.command", "gyro bias"},
+	{17, 2, "calibration.command", "accelerometer on six faces"},
+	{18, 3, "calibration.command", "accelerometer in free positions"},
+	{19, 4, "calibration.command", "magnetometer"},
+	{20, 10, "calibration.command", "accept"},
+	{21, 11, "calibration.command", "discard"},
+	{22, 0, "calibration.command", "abort"},
 };
 
 #define COUNT_OF(array) (sizeof(array) / sizeof(*(array)))
