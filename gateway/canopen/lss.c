@@ -38,13 +38,13 @@ enum {
 	FASTSCAN_RESET = 0x80,
 };
 
-void lss_init(struct canopen_node *node)
+void lss_init(struct canopen_node *node, uint8_t node_id)
 {
 	struct lss *lss = &node->lss;
 
 	for (uint8_t i = 0; i < LSS_NUMBERS; i++)
 		lss->identity[i] = node_value(node, OD_INDEX_IDENTITY, (uint8_t)(i + 1), sizeof(uint32_t));
-	lss->start_id = lss->stored_id = lss->node_id = node->id;
+	lss->start_id = lss->stored_id = lss->node_id = node->id = node_id;
 }
 
 static void answer(struct canopen_node *node, uint8_t command, uint32_t value)

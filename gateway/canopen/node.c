@@ -142,10 +142,9 @@ int canopen_init(struct canopen_node *node, struct od *od, struct can_port *bus,
 	memset(node, 0, offsetof(struct canopen_node, sdo_buffers));
 	node->od = od;
 	node->bus = bus;
-	node->id = node_id;
 	if (device)
 		node->device = *device;
-	lss_init(node);
+	lss_init(node, node_id);
 	nmt_init(node);
 	heartbeat_init(node);
 	guard_init(node);

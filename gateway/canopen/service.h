@@ -175,7 +175,7 @@ size_t collision_ids(const struct canopen_node *node, uint32_t ids[COLLISION_IDS
 bool collision_receive(struct canopen_node *node, const struct can_msg *msg);
 
 /* ---- lss.c ------------------------------------------------------------------------------------------------------- */
-void lss_init(struct canopen_node *node);
+void lss_init(struct canopen_node *node, uint8_t node_id);
 /** After the dictionary was reset: applies the node-ID that holds from this reset on. */
 void lss_reset(struct canopen_node *node, enum od_group group);
 void lss_receive(struct canopen_node *node, const struct can_msg *msg);
