@@ -15,10 +15,7 @@ static void receive(void *ctx, const struct can_msg *msg, uint64_t now_us)
 static enum od_status write_object(
 	void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us)
 {
-	struct device *d = ctx;
-
-	d->now_us = now_us;
-	return canopen_write(&d->canopen, index, sub, wire, size, now_us);
+	return device_write(ctx, index, sub, wire, size, now_us);
 }
 
 static void log_change(

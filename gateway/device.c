@@ -483,6 +483,14 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 	canopen_receive(&d->canopen, msg, now_us);
 }
 
+enum od_status device_write(
+	struct device *d, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us)
+{
+	record_write(d->record, index, sub, wire, size, now_us);
+	d->now_us = now_us;
+	return canopen_write(&d->canopen, index, sub, wire, size, now_us);
+}
+
 void device_away(struct device *d, uint64_t us, uint64_t now_us)
 {
 	record_input(

@@ -86,6 +86,10 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
 /** The result of imu_read(): 1 and the sample, or a negative errno (the sensor has failed or the log has ended). */
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us);
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us);
+/** A write to the dictionary that did not come by the bus, as an SDO download of the whole value. OD_PENDING: the value is
+ * being stored; device_saved() ends it. */
+enum od_status device_write(
+	struct device *d, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
 /** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second.
  * */
 void device_host_clock(struct device *d, bool synchronised, int64_t offset_us);

@@ -14,6 +14,7 @@
 
 #include "gateway/canopen/deadline.h"
 #include "gateway/log.h"
+#include "gateway/record.h"
 #include "gateway/service.h"
 
 /* Limits for each wake-up, so that no source starves the others; what is left is read at the next one. */
@@ -128,6 +129,11 @@ static void update_time(struct loop *l, const struct can_msg *msg)
 		read_clock(l);
 }
 
+static uint32_t frames_sent(const struct can_port *bus)
+{
+	return bus->counters.tx + bus->counters.tx_dropped + (uint32_t)bus->queue_count;
+}
+
 static void on_bus(struct loop *l)
 {
 	struct can_msg msg;
@@ -138,8 +144,12 @@ static void on_bus(struct loop *l)
 			return;
 		update_time(l, &msg);
 		device_receive(l->device, &msg, l->now_us);
-		if (l->cia309)
-			cia309_receive(l->cia309->core, &msg, l->now_us);
+		if (!l->cia309)
+			continue;
+		uint32_t sent = frames_sent(l->bus);
+		cia309_receive(l->cia309->core, &msg, l->now_us);
+		if (frames_sent(l->bus) != sent)
+			record_others(l->device->record);
 	}
 	l->frames_left = true;
 }
@@ -251,8 +261,11 @@ static uint64_t tick_device(struct loop *l)
 
 	if (!l->cia309)
 		return next_us;
+	uint32_t sent = frames_sent(l->bus);
 	next_us = cia309_server_step(l->cia309, l->cia309_readable, l->now_us);
 	l->cia309_readable = false;
+	if (frames_sent(l->bus) != sent)
+		record_others(l->device->record);
 	return earlier(next_us, device_tick(l->device, l->now_us));
 }
 

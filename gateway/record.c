@@ -219,6 +219,23 @@ void record_refreshed(struct record *r, const struct can_port *bus)
 	put_now(r, &(struct record_entry){.kind = RECORD_BUS, .bus = now});
 }
 
+void record_write(struct record *r, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us)
+{
+	struct record_entry e = {.kind = RECORD_WRITE, .now_us = now_us, .write = {index, sub, (uint8_t)size, {0}}};
+
+	if (size > sizeof(e.write.wire)) { /* a DOMAIN: the next file has what it changed */
+		record_begin_again(r);
+		return;
+	}
+	memcpy(e.write.wire, wire, size);
+	record_input(r, &e);
+}
+
+void record_others(struct record *r)
+{
+	put_now(r, &(struct record_entry){.kind = RECORD_OTHERS});
+}
+
 void record_emcy(struct record *r, uint64_t now_us)
 {
 	put_now(r, &(struct record_entry){.kind = RECORD_KEEP, .now_us = now_us});

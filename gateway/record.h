@@ -16,6 +16,7 @@
 
 #include "drivers/ports/can.h"
 #include "drivers/ports/imu.h"
+#include "od/od.h"
 
 struct device;
 
@@ -24,6 +25,7 @@ enum record_kind {
 	RECORD_SAMPLE,	  /* device_sample() of one */
 	RECORD_FAILED,	  /* device_sample() without; value: what imu_read() returned */
 	RECORD_FRAME,	  /* device_receive() */
+	RECORD_WRITE,	  /* device_write() of up to OD_VALUE_MAX bytes */
 	RECORD_CLOCK,	  /* device_host_clock(): offset; value: synchronised */
 	RECORD_SAVED,	  /* device_saved(): value */
 	RECORD_AWAY,	  /* device_away(): offset */
@@ -32,7 +34,8 @@ enum record_kind {
 	RECORD_BUS,	  /* the ports as the next input finds them */
 	RECORD_IMU,
 	RECORD_SELF,
-	RECORD_LOST, /* value: inputs that are missing here; a file ends */
+	RECORD_OTHERS, /* others have sent frames through the bus's port since it was recorded last */
+	RECORD_LOST,   /* value: inputs that are missing here; a file ends */
 	RECORD_LAST_ROW = RECORD_LOST,
 	/* for the files alone */
 	RECORD_CUT,  /* a file begins, with the state */
@@ -59,6 +62,13 @@ struct record_imu {
 
 enum record_state { RECORD_OFF, RECORD_ON, RECORD_ENDED }; /* 215Ch:2 */
 
+/** A write that came by none of the buses. */
+struct record_write {
+	uint16_t index;
+	uint8_t sub, size;
+	uint8_t wire[OD_VALUE_MAX];
+};
+
 /** What 215Ch shows. */
 struct record_self {
 	uint32_t lost;
@@ -74,6 +84,7 @@ struct record_entry {
 	union {
 		struct imu_sample sample;
 		struct can_msg msg;
+		struct record_write write;
 		int64_t offset_us;
 		struct record_bus bus;
 		struct record_imu imu;
@@ -123,6 +134,10 @@ int record_answer(struct record *r, int rc);
 void record_configured(struct record *r, int rc, const struct imu_port *imu);
 /** can_refresh() has run. */
 void record_refreshed(struct record *r, const struct can_port *bus);
+/** RECORD_WRITE, as device_write() gets it. */
+void record_write(struct record *r, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
+/** RECORD_OTHERS */
+void record_others(struct record *r);
 /** An error was raised: the last minute is kept. */
 void record_emcy(struct record *r, uint64_t now_us);
 /** Something came in that is no input: goes on with a new file. */

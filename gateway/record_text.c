@@ -151,6 +151,30 @@ static int parse_frame(const char *text, struct record_entry *e)
 	return length >= 0 && length <= 8 ? 1 : -EBADMSG;
 }
 
+/* ---- writes ------------------------------------------------------------------------------------------------------ */
+
+/* "# write 1000 2000 1 0000803F": time, index and sub-index in hexadecimal, bytes */
+static size_t write_row(const struct record_entry *e, char *out)
+{
+	size_t n = (size_t)sprintf(out, "# write %" PRIu64 " %X %X ", e->now_us, e->write.index, e->write.sub);
+
+	for (int i = 0; i < e->write.size; i++)
+		n += (size_t)sprintf(out + n, "%02X", e->write.wire[i]);
+	return n + (size_t)sprintf(out + n, "\n");
+}
+
+static int parse_write(const char *text, struct record_entry *e)
+{
+	struct record_write *w = &e->write;
+	int at = 0;
+
+	if (sscanf(text, "%" SCNu64 " %hX %hhX %n", &e->now_us, &w->index, &w->sub, &at) != 3 || at == 0)
+		return -EBADMSG;
+	for (text += at; w->size < sizeof(w->wire) && byte_of(text, &w->wire[w->size]); text += 2)
+		w->size++;
+	return *text ? -EBADMSG : 1;
+}
+
 /* ---- ports ------------------------------------------------------------------------------------------------------- */
 
 static size_t bus_row(const struct record_bus *b, char *out)
@@ -218,7 +242,9 @@ static const struct {
 	{"tick", RECORD_TICK, HAS_NOW},
 	{"answer", RECORD_ANSWER, HAS_VALUE},
 	{"lost", RECORD_LOST, HAS_VALUE},
+	{"others", RECORD_OTHERS, 0},
 	{"rx", RECORD_FRAME, 0},
+	{"write", RECORD_WRITE, 0},
 	{"bus", RECORD_BUS, 0},
 	{"imu", RECORD_IMU, 0},
 	{"recording", RECORD_SELF, 0},
@@ -249,6 +275,8 @@ size_t record_text(const struct record_entry *e, char out[RECORD_ROW_MAX])
 		return sample_row(e, out);
 	case RECORD_FRAME:
 		return frame_row(e, out);
+	case RECORD_WRITE:
+		return write_row(e, out);
 	case RECORD_BUS:
 		return bus_row(&e->bus, out);
 	case RECORD_IMU:
@@ -306,6 +334,8 @@ int record_parse(const char *line, struct record_entry *e)
 		switch (e->kind) {
 		case RECORD_FRAME:
 			return parse_frame(numbers, e);
+		case RECORD_WRITE:
+			return parse_write(numbers, e);
 		case RECORD_BUS:
 			return parse_bus(numbers, &e->bus);
 		case RECORD_IMU:

@@ -94,6 +94,13 @@ int window_fd(const struct window *w)
 
 /* ---- what clients write -------------------------------------------------------------------------------------------- */
 
+static enum od_status on_write(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size)
+{
+	struct device *d = ctx;
+
+	return device_write(d, index, sub, wire, size, d->now_us);
+}
+
 /* A kind of line for each object: one that is written often does not hide the others. */
 static void on_wrote(
 	void *ctx, const char *who, const struct od_entry *entry, const void *wire, size_t size, enum od_status status)
@@ -117,7 +124,8 @@ void window_execute(struct modbus_link *link, struct device *device, uint64_t no
 	if (!job)
 		return;
 	device_tick(device, now_us); /* the services read the time of the last tick */
-	modbus_execute(job, &imu9_modbus_map, &device->od, device->values.modbus.word_order, on_wrote, device);
+	modbus_execute(
+		job, &imu9_modbus_map, &device->od, device->values.modbus.word_order, on_write, on_wrote, device);
 	modbus_link_publish(link, &device->values);
 	modbus_link_done(link);
 }

@@ -202,6 +202,7 @@ void modbus_access_init(struct modbus_access *access, struct modbus_link *link, 
 struct execution {
 	struct od *od;
 	const char *who;
+	modbus_write *write;
 	modbus_wrote *wrote;
 	void *ctx;
 };
@@ -213,7 +214,7 @@ static void tell(const struct execution *x, const struct modbus_item *item, enum
 
 static enum od_status write_item(const struct execution *x, const struct modbus_item *item)
 {
-	return od_write(x->od, item->entry->index, item->entry->sub, item->wire, item->size);
+	return x->write(x->ctx, item->entry->index, item->entry->sub, item->wire, item->size);
 }
 
 /* What is refused without a hook. What cannot be read cannot be taken back: it is written alone. */
@@ -296,15 +297,15 @@ static enum od_status write_dictionary(const struct execution *x, const struct m
 
 	if (!entry)
 		return status;
-	status = od_write(x->od, job->index, job->sub, job->data, job->size);
+	status = x->write(x->ctx, job->index, job->sub, job->data, job->size);
 	x->wrote(x->ctx, x->who, entry, entry->type == OD_DOMAIN ? NULL : job->data, job->size, status);
 	return status;
 }
 
 void modbus_execute(struct modbus_job *job, const struct modbus_map *map, struct od *od, bool low_first,
-	modbus_wrote *wrote, void *ctx)
+	modbus_write *write, modbus_wrote *wrote, void *ctx)
 {
-	const struct execution x = {.od = od, .who = job->who, .wrote = wrote, .ctx = ctx};
+	const struct execution x = {.od = od, .who = job->who, .write = write, .wrote = wrote, .ctx = ctx};
 	struct modbus_item items[MODBUS_REGISTERS_MAX];
 	enum od_status status = OD_GENERAL;
 	uint8_t masked[2];

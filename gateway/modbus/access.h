@@ -33,10 +33,12 @@ void modbus_access_init(struct modbus_access *access, struct modbus_link *link, 
 typedef void modbus_wrote(
 	void *ctx, const char *who, const struct od_entry *entry, const void *wire, size_t size, enum od_status status);
 
-/** Executes a job on the dictionary. A write of several values changes all of them or none; values that cannot be read are
- * written alone.
- * Of the loop. */
+/** od_write(), or what does more than that. */
+typedef enum od_status modbus_write(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size);
+
+/** Executes a job on the dictionary. A write of several values changes all of them or none; values that cannot be read
+ * are written alone. Of the loop. */
 void modbus_execute(struct modbus_job *job, const struct modbus_map *map, struct od *od, bool low_first,
-	modbus_wrote *wrote, void *ctx);
+	modbus_write *write, modbus_wrote *wrote, void *ctx);
 
 #endif

@@ -32,13 +32,19 @@ static void wrote(
 	check(who && entry && status < OD_STATUS_COUNT);
 }
 
+static enum od_status write_value(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size)
+{
+	(void)ctx;
+	return od_write(&od, index, sub, wire, size);
+}
+
 static void serve(void *ctx)
 {
 	struct modbus_job *job = modbus_link_take(&link_);
 
 	(void)ctx;
 	check(job);
-	modbus_execute(job, &imu9_modbus_map, &od, values.modbus.word_order, wrote, NULL);
+	modbus_execute(job, &imu9_modbus_map, &od, values.modbus.word_order, write_value, wrote, NULL);
 	modbus_link_publish(&link_, &values);
 	modbus_link_done(&link_);
 }

@@ -537,6 +537,13 @@ static void write_u32(struct site *s, uint16_t index, uint8_t sub, uint32_t valu
 }
 
 /* What has state of its own between two samples: filters, timers, thresholds, TIME, remote frames, LSS. */
+/* As clients of Modbus and CiA 309-3 do. */
+static void write_beside_the_bus(struct site *s, uint16_t index, uint8_t sub, float value)
+{
+	assert_int_equal(device_write(&s->device, index, sub, &value, sizeof(value), s->now_us), OD_OK);
+	tick(s);
+}
+
 static void other_services(struct site *s, unsigned round)
 {
 	const struct can_msg remote = {.id = 0x280 + NODE, .remote = true, .t_us = s->now_us};
@@ -545,6 +552,7 @@ static void other_services(struct site *s, unsigned round)
 	expect_write(write_u8(s, 0x2030, 1, (uint8_t)(round % 3)));
 	expect_write(write_u8(s, 0x2040, 1, round % 3 ? 2 : 1));
 	expect_write(write_real(s, 0x2118, 1, 0.3f));
+	write_beside_the_bus(s, 0x2011, 3, 15.0f + (float)round);
 	write_u32(s, 0x1012, 0, 0x80000100);
 	receive(s, 0x100, 6, (const uint8_t[]){0x10, 0x20, 0x30, 0, 0x20, 0x37});
 	write_u32(s, 0x1801, 1, 0x80000280 + NODE);

@@ -40,6 +40,12 @@ static struct fixture {
 	int pty;
 } f;
 
+static enum od_status write_value(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size)
+{
+	(void)ctx;
+	return od_write(&f.od, index, sub, wire, size);
+}
+
 static void ignore(
 	void *ctx, const char *who, const struct od_entry *entry, const void *wire, size_t size, enum od_status status)
 {
@@ -65,7 +71,7 @@ static void *run_loop(void *arg)
 		poll(&request, 1, 1);
 		struct modbus_job *job = modbus_link_take(&f.link);
 		if (job)
-			modbus_execute(job, &imu9_modbus_map, &f.od, false, ignore, NULL);
+			modbus_execute(job, &imu9_modbus_map, &f.od, false, write_value, ignore, NULL);
 		next_sample(&f.values);
 		modbus_link_publish(&f.link, &f.values);
 		if (job)

@@ -35,6 +35,7 @@ struct recording {
 	struct record_entry next; /* read ahead */
 	bool has_next, running;
 	bool bus_is_new, imu_is_new; /* they count the frame or sample that comes next */
+	bool others;		     /* have sent frames, too, since then */
 	uint32_t sent_then, sent;    /* frames, by the gateway until it last said so, and by the replay since */
 	long differs;		     /* first line where the replay differs; 0: it does not */
 };
@@ -85,10 +86,11 @@ static void show_bus(struct recording *r, const struct record_bus *b)
 {
 	uint32_t sent = b->counters.tx + b->counters.tx_dropped + b->queued;
 
-	if (r->running && sent - r->sent_then != r->sent)
+	if (r->running && !r->others && sent - r->sent_then != r->sent)
 		differs(r);
 	r->sent_then = sent;
 	r->sent = 0;
+	r->others = false;
 	r->bus.counters = b->counters;
 	r->bus.traffic.frames = b->frames;
 	r->bus.traffic.bytes = b->bytes;
@@ -120,6 +122,9 @@ static bool show(struct recording *r, const struct record_entry *e)
 		return true;
 	case RECORD_SELF:
 		r->record.self = e->self;
+		return true;
+	case RECORD_OTHERS:
+		r->others = true;
 		return true;
 	default:
 		return false;
@@ -378,6 +383,9 @@ static void input(struct recording *r, const struct record_entry *e)
 	case RECORD_FRAME:
 		r->bus.counters.rx += !r->bus_is_new;
 		device_receive(d, &e->msg, e->now_us);
+		break;
+	case RECORD_WRITE:
+		(void)device_write(d, e->write.index, e->write.sub, e->write.wire, e->write.size, e->now_us);
 		break;
 	case RECORD_CLOCK:
 		device_host_clock(d, e->value, e->offset_us);
