@@ -174,23 +174,27 @@ static void reopen(struct modbus_server *s, struct client *c, uint64_t now_us)
 	tell(s, LOG_INFO, "Modbus: %s is back", c->window->device);
 }
 
+union peer {
+	struct sockaddr any;
+	struct sockaddr_in v4;
+	struct sockaddr_in6 v6;
+};
+
 /* IPv4 as IPv6, and as text with the port. */
-static void address_of(const struct sockaddr_storage *peer, uint8_t address[16], char *who, size_t size)
+static void address_of(const union peer *peer, uint8_t address[16], char *who, size_t size)
 {
-	const struct sockaddr_in6 *v6 = (const struct sockaddr_in6 *)peer;
-	const struct sockaddr_in *v4 = (const struct sockaddr_in *)peer;
 	char text[INET6_ADDRSTRLEN] = "";
 
-	if (peer->ss_family == AF_INET) {
+	if (peer->any.sa_family == AF_INET) {
 		memset(address, 0, 16);
 		address[10] = address[11] = 0xFF;
-		memcpy(address + 12, &v4->sin_addr, 4);
-		inet_ntop(AF_INET, &v4->sin_addr, text, sizeof(text));
-		snprintf(who, size, "%s:%u", text, ntohs(v4->sin_port));
+		memcpy(address + 12, &peer->v4.sin_addr, 4);
+		inet_ntop(AF_INET, &peer->v4.sin_addr, text, sizeof(text));
+		snprintf(who, size, "%s:%u", text, ntohs(peer->v4.sin_port));
 	} else {
-		memcpy(address, &v6->sin6_addr, 16);
-		inet_ntop(AF_INET6, &v6->sin6_addr, text, sizeof(text));
-		snprintf(who, size, "[%s]:%u", text, ntohs(v6->sin6_port));
+		memcpy(address, &peer->v6.sin6_addr, 16);
+		inet_ntop(AF_INET6, &peer->v6.sin6_addr, text, sizeof(text));
+		snprintf(who, size, "[%s]:%u", text, ntohs(peer->v6.sin6_port));
 	}
 }
 
@@ -209,11 +213,11 @@ static void refuse(struct modbus_server *s, int fd, const char *who, const char 
 static bool accept_one(struct modbus_server *s, size_t window, uint64_t now_us)
 {
 	const struct modbus_window *w = &s->windows[window];
-	struct sockaddr_storage peer = {0};
+	union peer peer = {.v6 = {0}};
 	socklen_t size = sizeof(peer);
 	uint8_t address[16];
 	char who[MODBUS_WHO_MAX];
-	int fd = accept4(s->listeners[window], (struct sockaddr *)&peer, &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
+	int fd = accept4(s->listeners[window], &peer.any, &size, SOCK_NONBLOCK | SOCK_CLOEXEC);
 
 	if (fd < 0)
 		return false;
