@@ -212,7 +212,8 @@ mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) a
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
 lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h ## clang-tidy and cppcheck
-	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) $(TOOLS_SRC) | \
+	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) \
+		$(TOOLS_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
 		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
@@ -300,7 +301,7 @@ check-layers: $(PURE_LIBS) ## fail when a layer includes or needs what it must n
 check-docs: ## fail when a link or a file name in a Markdown file leads nowhere
 	@tests/check-docs
 
-check-objects: $(BUILD)/gen/od_table.c $(BUILD)/gen/build_id.h ## fail when nothing in the gateway uses an object of the EDS
+check-objects: $(BUILD)/gen/od_table.c $(BUILD)/gen/build_id.h ## fail when nothing uses an object of the EDS
 	@tests/check-objects $(BUILD) "$(CC)"
 
 # ---- installing ----------------------------------------------------------------------------------------------------

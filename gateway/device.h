@@ -3,8 +3,8 @@
  * ports. The process (loop.c) and the scenario tests in simulated time run this same code.
  *
  * Use: od_init() and config_apply() on device.od, then device_init(), device_start(). One thread calls it. Times are
- * CLOCK_MONOTONIC or a simulated clock, in us, and never go back. Each call is an input that record.h records, and so is
- * what the ports answer: nothing else may come in. */
+ * CLOCK_MONOTONIC or a simulated clock, in us, and never go back. Each call is an input that record.h records, and so
+ * is what the ports answer: nothing else may come in. */
 #ifndef GATEWAY_DEVICE_H
 #define GATEWAY_DEVICE_H
 
@@ -86,8 +86,8 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us);
 /** The result of imu_read(): 1 and the sample, or a negative errno (the sensor has failed or the log has ended). */
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us);
 void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us);
-/** A write to the dictionary that did not come by the bus, as an SDO download of the whole value. OD_PENDING: the value is
- * being stored; device_saved() ends it. */
+/** A write to the dictionary that did not come by the bus, as an SDO download of the whole value. OD_PENDING: the value
+ * is being stored; device_saved() ends it. */
 enum od_status device_write(
 	struct device *d, uint16_t index, uint8_t sub, const void *wire, size_t size, uint64_t now_us);
 /** UTC of the host's clock less the clock of `now_us`, and whether an NTP or PTP daemon synchronises it. Once a second.

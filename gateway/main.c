@@ -138,8 +138,8 @@ static int set_key(struct config *config, const char *option, const char *value,
 
 enum action { RUN, CHECK, UNLOCK };
 
-/* One option of the command line; --config, --check and --unlock were handled before all others. -1: continue, else the exit
- * status. */
+/* One option of the command line; --config, --check and --unlock were handled before all others. -1: continue, else the
+ * exit status. */
 static int apply_option(struct config *config, int option, int index, char *const argv[])
 {
 	char why[CONFIG_ERROR_MAX];

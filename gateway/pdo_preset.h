@@ -1,7 +1,7 @@
 /* gateway/pdo_preset.h
  * 2148h: one write maps TPDO1 to TPDO4 for a purpose. It writes the communication and mapping parameters through the
- * dictionary, as a master would, within one call, so that no PDO is sent in between; what cannot be mapped changes nothing.
- * One thread. */
+ * dictionary, as a master would, within one call, so that no PDO is sent in between; what cannot be mapped changes
+ * nothing. One thread. */
 #ifndef GATEWAY_PDO_PRESET_H
 #define GATEWAY_PDO_PRESET_H
 

@@ -4,8 +4,8 @@
  *
  * File, little-endian: "IMU9STOR"; u32 version of the format; u32 size of what follows up to the CRC; for each group 2
  * to 4 a u32 size and a concise DCF (od_encode()); u32 node-ID and u32 bit rate of LSS, 0: none (since version 2); u32
- * revision of the objects (since version 3); u32 key of the write lock (version 4, written only while it is locked); u32
- * CRC-32 of all before. */
+ * revision of the objects (since version 3); u32 key of the write lock (version 4, written only while it is locked);
+ * u32 CRC-32 of all before. */
 #ifndef GATEWAY_STORE_H
 #define GATEWAY_STORE_H
 

@@ -92,7 +92,7 @@ int window_fd(const struct window *w)
 	return w->link->request_fd;
 }
 
-/* ---- what clients write -------------------------------------------------------------------------------------------- */
+/* ---- what clients write ------------------------------------------------------------------------------------------ */
 
 static enum od_status on_write(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size)
 {
@@ -130,7 +130,7 @@ void window_execute(struct modbus_link *link, struct device *device, uint64_t no
 	modbus_link_done(link);
 }
 
-/* ---- the loop ------------------------------------------------------------------------------------------------------ */
+/* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
 void window_serve(struct window *w, uint64_t now_us)
 {

@@ -58,7 +58,8 @@ void rope_restart(struct rope *r, struct quat q_nb);
 bool rope_swing(struct rope *r, struct quat q_nb, const struct navigation_sums *s, double dt_s);
 /** Attitude and bias, with which the sums were taken, were corrected by these. */
 void rope_correct(struct rope *r, struct vec3 theta_n_rad, struct vec3 accel_bias_b_m_s2);
-/** Over the last two full windows (which = ROPE_DIFFERENCES - 1), or as many seconds earlier as it is less than that. */
+/** Over the last two full windows (which = ROPE_DIFFERENCES - 1), or as many seconds earlier as it is less than
+ * that. */
 struct rope_difference rope_difference(
 	const struct rope *r, int which, const struct noise_config *noise, double gravity_m_s2);
 /** Mean velocity of the point over the last full window; velocity_n_m_s: of the load at its end. */

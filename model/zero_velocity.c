@@ -276,8 +276,8 @@ static bool is_quiet(const struct zero_velocity *z, const struct zero_velocity_s
 				   s->gyro2_rad2_s2 < QUIET_FACTOR * z->quiet_gyro2_rad2_s2 + QUIET_GYRO2));
 }
 
-/* Likelihood of moving steadily, at a speed of any of the scales alike, as a multiple of that of standing. level: what moves
- * does so horizontally. */
+/* Likelihood of moving steadily, at a speed of any of the scales alike, as a multiple of that of standing. level: what
+ * moves does so horizontally. */
 static double likelihood_ratio(const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s,
 	double slowest_m_s, bool level)
 {

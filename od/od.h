@@ -134,7 +134,8 @@ struct od_domain {
 
 /** Callbacks for writes to a range of indices. `before` gets the new value (wire form, type and limits already checked)
  * and can refuse it with a status, consume it (OD_CONSUMED) or complete it later (OD_PENDING); then the value is not
- * changed. `after` is called when the value has changed; a DOMAIN has its own write() instead. Either may be NULL. Hooks run in the order of attachment. */
+ * changed. `after` is called when the value has changed; a DOMAIN has its own write() instead. Either may be NULL.
+ * Hooks run in the order of attachment. */
 struct od_hook {
 	struct od_hook *next;
 	uint16_t first, last; /* indices, inclusive */
@@ -175,8 +176,7 @@ const struct od_entry *od_resolution(const struct od_table *table, const struct 
 double od_step(const struct od *od, const struct od_entry *entry);
 
 /** By name ("lever_arm.l", any case, spaces as '_', or "Lever arm l" as the EDS has it), by index ("0x2000:1",
- * "2000h:1",
- * "0x2000" for sub-index 0). */
+ * "2000h:1", "0x2000" for sub-index 0). */
 const struct od_entry *od_find_name(const struct od_table *table, const char *name);
 
 enum od_group od_group_of(uint16_t index);

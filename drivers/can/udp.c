@@ -278,8 +278,8 @@ static int own_memberships_only(int fd, int family)
 }
 
 /* A socket with its own source port. The kernel's defaults: multicasts go one hop and are looped back to this host. The
- * kernel chooses a port that no socket has; from then on, others may open a bus of that port, of which this socket, in no
- * group, receives nothing. */
+ * kernel chooses a port that no socket has; from then on, others may open a bus of that port, of which this socket, in
+ * no group, receives nothing. */
 static int open_sender(const union address *group)
 {
 	union address own = {.any.sa_family = group->any.sa_family};

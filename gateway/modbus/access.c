@@ -5,7 +5,7 @@
 
 #include "od/little_endian.h"
 
-/* ---- the thread: reading ------------------------------------------------------------------------------------------- */
+/* ---- the thread: reading ----------------------------------------------------------------------------------------- */
 
 /* The dictionary as of the latest snapshot. Nothing is written through it. */
 static struct od latest(struct modbus_access *a)
@@ -34,8 +34,8 @@ static enum od_status read_bits(void *ctx, enum modbus_bits kind, uint16_t addre
 	return modbus_map_read_bits(a->map, &od, kind, address, count, out);
 }
 
-/* VendorName, ProductCode, MajorMinorRevision, VendorUrl (none), ProductName, ModelName, UserApplicationName (none); then
- * the serial number and the revision of the objects, in hex as 1018h has them. */
+/* VendorName, ProductCode, MajorMinorRevision, VendorUrl (none), ProductName, ModelName, UserApplicationName (none);
+ * then the serial number and the revision of the objects, in hex as 1018h has them. */
 static const char *identification(void *ctx, uint8_t number)
 {
 	struct modbus_access *a = ctx;
@@ -63,7 +63,7 @@ static const char *identification(void *ctx, uint8_t number)
 	}
 }
 
-/* ---- the thread: jobs ---------------------------------------------------------------------------------------------- */
+/* ---- the thread: jobs -------------------------------------------------------------------------------------------- */
 
 static struct modbus_job *new_job(struct modbus_access *a, enum modbus_job_kind kind)
 {
@@ -197,7 +197,7 @@ void modbus_access_init(struct modbus_access *access, struct modbus_link *link, 
 	snprintf(access->who, sizeof(access->who), "%s", who);
 }
 
-/* ---- the loop ------------------------------------------------------------------------------------------------------ */
+/* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
 struct execution {
 	struct od *od;

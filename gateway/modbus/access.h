@@ -1,6 +1,6 @@
 /* gateway/modbus/access.h
- * What a client of the Modbus server reads and writes (struct modbus_registers): the map over the snapshots of the link,
- * and jobs for the loop. The loop executes them by modbus_execute(). */
+ * What a client of the Modbus server reads and writes (struct modbus_registers): the map over the snapshots of the
+ * link, and jobs for the loop. The loop executes them by modbus_execute(). */
 #ifndef GATEWAY_MODBUS_ACCESS_H
 #define GATEWAY_MODBUS_ACCESS_H
 

@@ -1,5 +1,6 @@
 /* gateway/modbus/exception.h
- * Statuses of the dictionary as exceptions of Modbus (MODBUS Application Protocol Specification V1.1b3, 7). Any thread. */
+ * Statuses of the dictionary as exceptions of Modbus (MODBUS Application Protocol Specification V1.1b3, 7). Any
+ * thread. */
 #ifndef GATEWAY_MODBUS_EXCEPTION_H
 #define GATEWAY_MODBUS_EXCEPTION_H
 

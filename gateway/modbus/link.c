@@ -57,7 +57,7 @@ void modbus_link_closing(struct modbus_link *link)
 	eventfd_write(link->done_fd, 1);
 }
 
-/* ---- values -------------------------------------------------------------------------------------------------------- */
+/* ---- values ------------------------------------------------------------------------------------------------------ */
 
 void modbus_link_publish(struct modbus_link *link, const struct od_values *values)
 {
@@ -72,7 +72,7 @@ const struct od_values *modbus_link_values(struct modbus_link *link)
 	return &link->values[link->reading];
 }
 
-/* ---- jobs ---------------------------------------------------------------------------------------------------------- */
+/* ---- jobs -------------------------------------------------------------------------------------------------------- */
 
 /* False: the loop has not answered in time. */
 static bool wait_done(struct modbus_link *link)

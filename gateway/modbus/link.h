@@ -4,9 +4,9 @@
  * Values go to the thread as snapshots in three buffers: one that the loop writes, one that the thread reads, and one
  * that they exchange by an atomic swap. Neither ever waits, and the thread sees whole snapshots only.
  *
- * What changes the dictionary, or needs the device to read it, goes to the loop as a job: one at a time. The thread waits
- * for it, the loop executes it between two events, and publishes a snapshot before it says that the job is done: a
- * client reads what it wrote.
+ * What changes the dictionary, or needs the device to read it, goes to the loop as a job: one at a time. The thread
+ * waits for it, the loop executes it between two events, and publishes a snapshot before it says that the job is done:
+ * a client reads what it wrote.
  *
  * modbus_link_submit(), _values() and _late() belong to the thread, the other functions to the loop. */
 #ifndef GATEWAY_MODBUS_LINK_H

@@ -16,7 +16,7 @@ static bool is_signed(const struct od_entry *entry)
 	return entry->type == OD_INTEGER8;
 }
 
-/* ---- registers ----------------------------------------------------------------------------------------------------- */
+/* ---- registers --------------------------------------------------------------------------------------------------- */
 
 /* The point that has the register, or NULL. */
 static const struct modbus_point *find_point(const struct modbus_map *map, uint16_t address)
@@ -136,7 +136,7 @@ enum od_status modbus_map_items(const struct modbus_map *map, const struct od_ta
 	return status;
 }
 
-/* ---- bits ---------------------------------------------------------------------------------------------------------- */
+/* ---- bits -------------------------------------------------------------------------------------------------------- */
 
 static const struct modbus_coil *find_coil(const struct modbus_map *map, unsigned address)
 {

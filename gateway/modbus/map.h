@@ -2,8 +2,9 @@
  * The map of registers, coils and discrete inputs, generated from the EDS (tools/eds/modbus_map.c has its rules), and
  * what it makes of the values of a dictionary. Input and holding registers are the same registers. Pure, any thread.
  *
- * Values of 8 and 16 bits have one register (of 8 bits: extended), of 32 bits two, of 64 bits four: the most significant
- * one first, or the least significant one when `low_first`. Strings have two characters in each, padded with 0. */
+ * Values of 8 and 16 bits have one register (of 8 bits: extended), of 32 bits two, of 64 bits four: the most
+ * significant one first, or the least significant one when `low_first`. Strings have two characters in each, padded
+ * with 0. */
 #ifndef GATEWAY_MODBUS_MAP_H
 #define GATEWAY_MODBUS_MAP_H
 
@@ -57,10 +58,10 @@ struct modbus_item {
 	size_t size;
 };
 
-/** The values that the registers or coils are. Their number in *items, at most MODBUS_REGISTERS_MAX. OD_NO_OBJECT: one is
- * not in the map, or belongs to a value that is not written as a whole. OD_TOO_HIGH, OD_TOO_LOW: it does not fit into 8
- * bits. OD_INCOMPATIBLE: a command beside another coil that is 1: commands cannot be
- * taken back. Values are not checked against the dictionary. */
+/** The values that the registers or coils are. Their number in *items, at most MODBUS_REGISTERS_MAX. OD_NO_OBJECT: one
+ * is not in the map, or belongs to a value that is not written as a whole. OD_TOO_HIGH, OD_TOO_LOW: it does not fit
+ * into 8 bits. OD_INCOMPATIBLE: a command beside another coil that is 1: commands cannot be taken back. Values are not
+ * checked against the dictionary. */
 enum od_status modbus_map_items(const struct modbus_map *map, const struct od_table *table, bool low_first,
 	uint16_t address, unsigned count, const uint8_t *in, struct modbus_item *items, unsigned *item_count);
 enum od_status modbus_map_coil_items(const struct modbus_map *map, const struct od_table *table, uint16_t address,

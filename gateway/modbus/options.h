@@ -4,8 +4,8 @@
  *	tcp:HOST[:PORT][,allow=NET]...[,write=NET]...[,clients=N][,idle=S][,rate=N]
  *	rtu:DEVICE[,baud=B][,parity=even|odd|none][,stop=1|2][,address=A][,write=yes]
  *
- * NET is an address, or an address and the number of bits that count: 192.168.1.0/24. HOST is a name or an address, IPv6 in
- * brackets. Pure, any thread. */
+ * NET is an address, or an address and the number of bits that count: 192.168.1.0/24. HOST is a name or an address,
+ * IPv6 in brackets. Pure, any thread. */
 #ifndef GATEWAY_MODBUS_OPTIONS_H
 #define GATEWAY_MODBUS_OPTIONS_H
 

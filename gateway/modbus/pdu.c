@@ -237,7 +237,7 @@ static size_t identify(const struct modbus_registers *r, const uint8_t *request,
 	return used;
 }
 
-/* ---- 43/13: every object of the dictionary ------------------------------------------------------------------------- */
+/* ---- 43/13: every object of the dictionary ----------------------------------------------------------------------- */
 
 static size_t refuse_object(const uint8_t *request, uint32_t abort_code, uint8_t *response)
 {
@@ -308,7 +308,7 @@ static size_t encapsulated(const struct modbus_registers *r, const uint8_t *requ
 	return refuse(request, MODBUS_ILLEGAL_FUNCTION, response);
 }
 
-/* ---- all of them --------------------------------------------------------------------------------------------------- */
+/* ---- all of them ------------------------------------------------------------------------------------------------- */
 
 bool modbus_pdu_writes(const uint8_t *request, size_t size)
 {

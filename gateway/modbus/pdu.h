@@ -1,9 +1,10 @@
 /* gateway/modbus/pdu.h
- * A request of Modbus to its response, without header or CRC (MODBUS Application Protocol Specification V1.1b3; function
- * 43/13: CANopen General Reference, CiA 309-2). Pure but for the callbacks; any one thread at a time.
+ * A request of Modbus to its response, without header or CRC (MODBUS Application Protocol Specification V1.1b3;
+ * function 43/13: CANopen General Reference, CiA 309-2). Pure but for the callbacks; any one thread at a time.
  *
  * Functions: 1 to 6, 15, 16, 22, 23, 43/13 and 43/14. Others, and writes of a client that may only read, are answered
- * with exception 01. The order of checks is that of the specification: function, quantity (03), address (02), values. */
+ * with exception 01. The order of checks is that of the specification: function, quantity (03), address (02),
+ * values. */
 #ifndef GATEWAY_MODBUS_PDU_H
 #define GATEWAY_MODBUS_PDU_H
 
@@ -18,8 +19,8 @@ enum { MODBUS_PDU_MAX = 253, MODBUS_REGISTERS_MAX = 125, MODBUS_BITS_MAX = 2000 
 enum modbus_bits { MODBUS_COILS, MODBUS_DISCRETE_INPUTS };
 
 /** What requests read and write. Registers are two bytes, the high one first; bits are packed from bit 0 of the first
- * byte on. `address` + `count` is at most 65536. A read gets a coherent set of values; a write changes all or nothing. A
- * write that returns OD_PENDING is answered by modbus_pdu_done(). */
+ * byte on. `address` + `count` is at most 65536. A read gets a coherent set of values; a write changes all or nothing.
+ * A write that returns OD_PENDING is answered by modbus_pdu_done(). */
 struct modbus_registers {
 	void *ctx;
 	bool read_only; /* this client may not write */

@@ -85,7 +85,7 @@ __attribute__((format(printf, 3, 4))) static void tell(
 	s->config.log(severity, text);
 }
 
-/* ---- clients ------------------------------------------------------------------------------------------------------- */
+/* ---- clients ----------------------------------------------------------------------------------------------------- */
 
 static unsigned clients_of(const struct modbus_server *s, const struct modbus_window *window)
 {
@@ -231,7 +231,7 @@ static bool accept_one(struct modbus_server *s, size_t window, uint64_t now_us)
 	return true;
 }
 
-/* ---- requests ------------------------------------------------------------------------------------------------------ */
+/* ---- requests ---------------------------------------------------------------------------------------------------- */
 
 static bool send_all(const struct client *c, const uint8_t *bytes, size_t size)
 {
@@ -399,7 +399,7 @@ static void answer_late(struct modbus_server *s, uint64_t now_us)
 	}
 }
 
-/* ---- the thread ---------------------------------------------------------------------------------------------------- */
+/* ---- the thread -------------------------------------------------------------------------------------------------- */
 
 static uint64_t earlier(uint64_t a, uint64_t b)
 {
@@ -515,7 +515,7 @@ static void *thread_main(void *arg)
 	return NULL;
 }
 
-/* ---- start and end ------------------------------------------------------------------------------------------------- */
+/* ---- start and end ----------------------------------------------------------------------------------------------- */
 
 static int open_listener(const struct modbus_window *w)
 {

@@ -1,14 +1,14 @@
 /* gateway/modbus/server.h
  * The Modbus server: a thread that accepts clients on TCP and reads serial lines, and answers requests by modbus_pdu().
- * It has the scheduling of the thread that starts it, a lower priority (nice) than the loop, and shares with it only the
- * link.
+ * It has the scheduling of the thread that starts it, a lower priority (nice) than the loop, and shares with it only
+ * the link.
  *
  * libmodbus opens sockets and lines. It does not read them: its modbus_receive() knows no function 43, and waits for a
  * slow client, and modbus_reply() sleeps after a bad request.
  *
  * Limits, so that no client takes more than its share: MODBUS_CLIENTS_MAX clients in all, and those of each window; one
- * request of each at a time, and so many a second; a client that sends no whole request for the idle time, whose frame has
- * a wrong header, or who does not read its responses, is disconnected. */
+ * request of each at a time, and so many a second; a client that sends no whole request for the idle time, whose frame
+ * has a wrong header, or who does not read its responses, is disconnected. */
 #ifndef GATEWAY_MODBUS_SERVER_H
 #define GATEWAY_MODBUS_SERVER_H
 

@@ -315,8 +315,8 @@ static int connect_client(void)
 	return fd;
 }
 
-/* Until it is stopped: clients of which each has sent a part of a request, and one that sends random requests as fast as
- * they are answered. */
+/* Until it is stopped: clients of which each has sent a part of a request, and one that sends random requests as fast
+ * as they are answered. */
 static pid_t start_clients(void)
 {
 	pid_t pid = fork();
@@ -343,7 +343,8 @@ static pid_t start_clients(void)
 	}
 }
 
-/* One gateway, and clients that are stopped and continued: short batches, so that what else the machine does is in both. */
+/* One gateway, and clients that are stopped and continued: short batches, so that what else the machine does is in
+ * both. */
 static void compare_with_clients(int fd, const char *folder)
 {
 	static double without_us[BATCHES * ROUNDS], with_us[BATCHES * ROUNDS];

@@ -1,7 +1,8 @@
 /* tests/bench/bench_flood.c
- * What a flood costs: 20000 frames a second of one kind on the udp bus, and the time from SYNC to TPDO1 in the flood and
- * in the quiet before each part of it, in turn, medians. Prints the ratio of both, and what the gateway did meanwhile.
- * Gateway and master share processor 0; the flood comes from another one where there is one, as from an adapter.
+ * What a flood costs: 20000 frames a second of one kind on the udp bus, and the time from SYNC to TPDO1 in the flood
+ * and in the quiet before each part of it, in turn, medians. Prints the ratio of both, and what the gateway did
+ * meanwhile. Gateway and master share processor 0; the flood comes from another one where there is one, as from an
+ * adapter.
  *
  *     build/tests/bench/bench_flood [SECONDS]       of flood for each kind, default 2 */
 #include <arpa/inet.h>

@@ -1,7 +1,7 @@
-/* Arbitrary bytes as requests of Modbus: a sequence of a length byte and a PDU each, to a dictionary with the values of the
- * EDS. A response is a response or an exception of its function within its size, a client that may not write changes
- * nothing, and at the end every value has the type and limits of its entry. The same bytes go through the framing of a
- * serial line and the options. */
+/* Arbitrary bytes as requests of Modbus: a sequence of a length byte and a PDU each, to a dictionary with the values of
+ * the EDS. A response is a response or an exception of its function within its size, a client that may not write
+ * changes nothing, and at the end every value has the type and limits of its entry. The same bytes go through the
+ * framing of a serial line and the options. */
 #include <stdlib.h>
 #include <string.h>
 

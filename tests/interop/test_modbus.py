@@ -1,5 +1,5 @@
-"""The Modbus window beside the bus: other Modbus clients (pymodbus, mbpoll, raw frames) against what the PDOs of the same
-sample counter have. IMU9_MODBUS_SECONDS=60 compares longer, IMU9_MODBUS_FRAMES=10000 sends more random frames."""
+"""The Modbus window beside the bus: other Modbus clients (pymodbus, mbpoll, raw frames) against what the PDOs of the
+same sample counter have. IMU9_MODBUS_SECONDS=60 compares longer, IMU9_MODBUS_FRAMES=10000 sends more random frames."""
 import collections
 import os
 import pty
@@ -223,7 +223,8 @@ class SameSample(Window):
             self.skipTest("no mbpoll")
 
         def read():
-            out = subprocess.run(["mbpoll", "-a", "1", "-0", "-1", "-t", "3:hex", "-r", "0", "-c", "45", "-o", "10", *target],
+            out = subprocess.run(["mbpoll", "-a", "1", "-0", "-1", "-t", "3:hex", "-r", "0", "-c", "45", "-o", "10",
+                                  *target],
                                  capture_output=True, text=True, timeout=rig.PATIENCE)
             words = {int(a): int(b, 16) for a, b in re.findall(r"^\[(\d+)\]:\s+0x([0-9A-F]{4})", out.stdout, re.M)}
             self.assertEqual(sorted(words), list(range(45)), out)
@@ -349,6 +350,7 @@ class Limits(Window):
         self.assertEqual(rig.run("imu9-gateway", "--check", "--modbus", "tcp:0.0.0.0:502").returncode, 0)
 
     def test_a_port_in_use_is_told(self):
-        result = rig.run("imu9-gateway", "--can", "vcan1", "--node-id", NODE + 1, "--modbus", "tcp:127.0.0.1:%d" % self.port)
+        result = rig.run("imu9-gateway", "--can", "vcan1", "--node-id", NODE + 1, "--modbus",
+                         "tcp:127.0.0.1:%d" % self.port)
         self.assertEqual(result.returncode, 1, result)
         self.assertIn("Modbus: 127.0.0.1:%d: Address already in use" % self.port, result.stderr)

@@ -1,5 +1,5 @@
-/* The dictionary through Modbus: the map of registers over a whole device in simulated time. The oracle for values is the
- * same device over CAN: PDOs and SDO. */
+/* The dictionary through Modbus: the map of registers over a whole device in simulated time. The oracle for values is
+ * the same device over CAN: PDOs and SDO. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -63,7 +63,7 @@ static void pass(struct fixture *f, double seconds)
 	modbus_link_publish(&f->link, &f->world.device.values);
 }
 
-/* ---- requests ------------------------------------------------------------------------------------------------------ */
+/* ---- requests ---------------------------------------------------------------------------------------------------- */
 
 static uint8_t response[MODBUS_PDU_MAX];
 
@@ -135,7 +135,7 @@ static int16_t i16(const struct can_msg *msg, unsigned n)
 	return (int16_t)get_u16(msg->data + (size_t)2 * n);
 }
 
-/* ---- the sample ---------------------------------------------------------------------------------------------------- */
+/* ---- the sample -------------------------------------------------------------------------------------------------- */
 
 static void test_the_block_of_integers_is_what_the_pdos_of_its_counter_have(void **state)
 {
@@ -194,7 +194,7 @@ static void test_a_request_sees_the_sample_that_was_published_and_no_half_of_the
 	assert_int_equal((uint16_t)(after[0] - before[0]), 51);
 }
 
-/* ---- the map ------------------------------------------------------------------------------------------------------- */
+/* ---- the map ----------------------------------------------------------------------------------------------------- */
 
 /* The object of 2000h at 1000h + 64 * (index - 2000h), those of 6000h at 8000h + 16 * (index - 6000h). */
 static void test_every_readable_entry_is_where_its_index_says(void **state)
@@ -282,7 +282,7 @@ static void test_the_word_order_is_an_object(void **state)
 	assert_int_equal(write_words(f, WORD_ORDER, 1, (uint16_t[]){2}), 3);
 }
 
-/* ---- configuration ------------------------------------------------------------------------------------------------- */
+/* ---- configuration ----------------------------------------------------------------------------------------------- */
 
 static void test_a_written_lever_arm_is_used_from_the_next_sample_on_as_by_sdo(void **state)
 {
@@ -410,7 +410,7 @@ static void test_values_are_stored_by_1010h_as_any(void **state)
 	assert_int_equal(write_coil(f, COIL_STORE, true), 4);
 }
 
-/* ---- bits ---------------------------------------------------------------------------------------------------------- */
+/* ---- bits -------------------------------------------------------------------------------------------------------- */
 
 static void test_discrete_inputs_are_the_bits_of_the_status_and_the_error_register(void **state)
 {
@@ -468,7 +468,7 @@ static void test_of_several_commands_none_is_executed(void **state)
 	assert_int_equal(f->world.device.values.lever_arm_identification.state, 1);
 }
 
-/* ---- 43/13 --------------------------------------------------------------------------------------------------------- */
+/* ---- 43/13 ------------------------------------------------------------------------------------------------------- */
 
 static size_t read_object(struct fixture *f, uint16_t index, uint8_t sub, unsigned offset, unsigned count)
 {
@@ -542,7 +542,7 @@ static void test_objects_are_written_by_function_43_13_with_the_aborts_of_sdo(vo
 	assert_memory_equal(response, "\xAB\xFF\x00\x06\x0D\xEC\x06\x09\x00\x31", 10);
 }
 
-/* ---- who wrote ------------------------------------------------------------------------------------------------------ */
+/* ---- who wrote --------------------------------------------------------------------------------------------------- */
 
 static void test_the_event_log_tells_who_wrote_what(void **state)
 {
@@ -567,7 +567,7 @@ static void test_identification_is_that_of_the_device(void **state)
 	assert_non_null(memmem(response, size, "IMU9 CANopen gateway", 20));
 }
 
-/* ---- a day ---------------------------------------------------------------------------------------------------------- */
+/* ---- a day ------------------------------------------------------------------------------------------------------- */
 
 /* What the dictionary has to have, kept without it. */
 struct model {

@@ -264,7 +264,8 @@ static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **stat
 		cia309_server_check("unix:/run/309.sock,group=root,write=yes\ntcp:127.0.0.1:60000\ntcp:[::1]:60000\n",
 			error, sizeof(error)),
 		0);
-	assert_int_equal(cia309_server_check("unix:/a\nunix:/b\nunix:/c\nunix:/d\nunix:/e\n", error, sizeof(error)), -EINVAL);
+	assert_int_equal(
+		cia309_server_check("unix:/a\nunix:/b\nunix:/c\nunix:/d\nunix:/e\n", error, sizeof(error)), -EINVAL);
 	assert_int_equal(cia309_server_check("", error, sizeof(error)), 0);
 }
 

@@ -358,7 +358,7 @@ static void test_a_write_that_takes_longer_is_answered_when_it_has_ended(void **
 	assert_int_equal(modbus_pdu_done(&bank.registers, object, OD_OK, response), sizeof(object));
 }
 
-/* ---- 43/14 --------------------------------------------------------------------------------------------------------- */
+/* ---- 43/14 ------------------------------------------------------------------------------------------------------- */
 
 static void identify(void)
 {
@@ -425,7 +425,7 @@ static void test_identification_that_does_not_fit_goes_on_in_the_next_response(v
 	assert_int_equal(response[6], 1);
 }
 
-/* ---- 43/13 --------------------------------------------------------------------------------------------------------- */
+/* ---- 43/13 ------------------------------------------------------------------------------------------------------- */
 
 static void sync_object(void)
 {
@@ -484,7 +484,7 @@ static void test_malformed_requests_of_function_43_are_exception_3(void **state)
 	assert_int_equal(bank.writes, 0);
 }
 
-/* ---- any request ---------------------------------------------------------------------------------------------------- */
+/* ---- any request ------------------------------------------------------------------------------------------------- */
 
 /* Exhaustive in the length: whatever is cut off, the response is an exception 3 or 1, and nothing is written. */
 static void test_a_request_that_is_cut_off_writes_nothing(void **state)

@@ -1,5 +1,5 @@
-/* Frames of a serial line, and the options of --modbus. The CRC of "02 07" is the example of the Modicon Modbus Protocol
- * Reference Guide; that of the read request is of the same format as any Modbus master sends it. */
+/* Frames of a serial line, and the options of --modbus. The CRC of "02 07" is the example of the Modicon Modbus
+ * Protocol Reference Guide; that of the read request is of the same format as any Modbus master sends it. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -105,7 +105,7 @@ static void test_a_size_beyond_a_frame_is_no_request(void **state)
 	assert_int_equal(modbus_rtu_next(frame, used, ADDRESS, false, &size), MODBUS_RTU_BAD);
 }
 
-/* ---- options -------------------------------------------------------------------------------------------------------- */
+/* ---- options ----------------------------------------------------------------------------------------------------- */
 
 static struct modbus_window window;
 static char why[400];

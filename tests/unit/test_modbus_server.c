@@ -1,5 +1,5 @@
-/* The Modbus server with its thread, on sockets and on a pty, beside a thread that takes the part of the loop. The other
- * side is libmodbus' client, or raw bytes. Nothing here is judged by the time it takes. */
+/* The Modbus server with its thread, on sockets and on a pty, beside a thread that takes the part of the loop. The
+ * other side is libmodbus' client, or raw bytes. Nothing here is judged by the time it takes. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
@@ -25,7 +25,7 @@
 
 enum { AT_REALS = 100, REALS = 102, AT_MODEL = 0x1040, COIL_STORE = 1, PATIENCE_MS = 60000 };
 
-/* ---- the loop ------------------------------------------------------------------------------------------------------ */
+/* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
 static struct fixture {
 	struct od od;
@@ -163,7 +163,7 @@ static int stop(void **state)
 	return 0;
 }
 
-/* ---- clients ------------------------------------------------------------------------------------------------------- */
+/* ---- clients ----------------------------------------------------------------------------------------------------- */
 
 static modbus_t *connect_client(void)
 {
@@ -228,7 +228,7 @@ static float real(const uint16_t *words)
 	return modbus_get_float_abcd(words);
 }
 
-/* ---- TCP ----------------------------------------------------------------------------------------------------------- */
+/* ---- TCP --------------------------------------------------------------------------------------------------------- */
 
 static void test_each_response_has_the_values_of_one_sample(void **state)
 {
@@ -390,7 +390,7 @@ static void test_a_store_that_takes_long_keeps_only_its_client_waiting(void **st
 	close_client(client);
 }
 
-/* ---- RTU ----------------------------------------------------------------------------------------------------------- */
+/* ---- RTU --------------------------------------------------------------------------------------------------------- */
 
 static void send_line(const uint8_t *bytes, size_t size)
 {
@@ -456,7 +456,7 @@ static void test_requests_to_other_slaves_and_noise_are_not_answered(void **stat
 	assert_int_equal(atomic_load(&modbus_server_counters(f.server)->requests), 2);
 }
 
-/* ---- the link ------------------------------------------------------------------------------------------------------ */
+/* ---- the link ---------------------------------------------------------------------------------------------------- */
 
 static void take_and_wait(void *ctx)
 {
@@ -492,7 +492,7 @@ static void test_the_end_of_a_job_is_that_of_its_ticket(void **state)
 	assert_int_equal(status, OD_OK);
 }
 
-/* ---- start and end ------------------------------------------------------------------------------------------------- */
+/* ---- start and end ----------------------------------------------------------------------------------------------- */
 
 static void test_a_window_that_cannot_be_opened_is_told(void **state)
 {

@@ -1,4 +1,5 @@
-/* imu9-calibrate lever-arm on the bus: the gateway identifies the lever arm (2060h) while the program says what is missing. */
+/* imu9-calibrate lever-arm on the bus: the gateway identifies the lever arm (2060h) while the program says what is
+ * missing. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

@@ -1,7 +1,7 @@
 /* The rules of the register map:
  *
  * - Each object of 2000h to 21BFh begins at register 1000h + 64 * (index - 2000h), each of 6000h to 67FFh at register
- *   8000h + 16 * (index - 6000h). Its sub-indices follow each other without gaps; sub-index 0 of records is left out, as
+ * 8000h + 16 * (index - 6000h). Its sub-indices follow each other without gaps; sub-index 0 of records is left out, as
  *   are DOMAINs. An object that is added changes no address.
  * - Below are the blocks: copies of what belongs to one sample, to be read by one request.
  * - A value that is written and only 0 or 1 is a coil, too, at the address of its register.
@@ -109,7 +109,7 @@ struct modbus_layout {
 	size_t count;
 };
 
-/* ---- the layout ---------------------------------------------------------------------------------------------------- */
+/* ---- the layout -------------------------------------------------------------------------------------------------- */
 
 static unsigned registers_of(const struct od_entry *entry)
 {
@@ -226,7 +226,7 @@ void modbus_layout_free(struct modbus_layout *layout)
 	free(layout);
 }
 
-/* ---- C ------------------------------------------------------------------------------------------------------------- */
+/* ---- C ----------------------------------------------------------------------------------------------------------- */
 
 static bool is_block(const struct point *p)
 {
@@ -279,7 +279,7 @@ void modbus_print_c(FILE *out, const struct modbus_layout *l)
 		l->eds->info.vendor_name, l->eds->info.order_code);
 }
 
-/* ---- for people ---------------------------------------------------------------------------------------------------- */
+/* ---- for people -------------------------------------------------------------------------------------------------- */
 
 static const char *type_name(const struct od_entry *entry)
 {
@@ -363,7 +363,7 @@ void modbus_print_markdown(FILE *out, const struct modbus_layout *l)
 	print_rows(out, l, MANUFACTURER_AT, 0x10000);
 }
 
-/* ---- for programs -------------------------------------------------------------------------------------------------- */
+/* ---- for programs ------------------------------------------------------------------------------------------------ */
 
 void modbus_print_csv(FILE *out, const struct modbus_layout *l)
 {

@@ -324,8 +324,8 @@ static bool find_angles(const struct watch *w, double angles_rad[3], uint64_t *a
 	return found[0] && found[1] && found[2];
 }
 
-/* As seen along l: the horizon, which turns with roll and moves with pitch (a row is 10 deg), and the compass below: yaw is
- * counter-clockwise from east, the heading clockwise from north. */
+/* As seen along l: the horizon, which turns with roll and moves with pitch (a row is 10 deg), and the compass below:
+ * yaw is counter-clockwise from east, the heading clockwise from north. */
 static void add_attitude(const struct screen *s, struct body *body)
 {
 	static const char COMPASS[] = "N . . NE. . E . . SE. . S . . SW. . W . . NW. . ";
@@ -421,8 +421,8 @@ static int block_length(const struct body *body, int from)
 	return to - from;
 }
 
-/* Places the lines one below the other; a block that does not fit any more begins the next column. Returns the number of
- * columns of all pages. */
+/* Places the lines one below the other; a block that does not fit any more begins the next column. Returns the number
+ * of columns of all pages. */
 static int flow(const struct body *body, struct screen_cells *cells, int columns, unsigned int page, bool draw)
 {
 	int height = cells->rows - HEADER_ROWS - 1, slot = 0, row = 0;

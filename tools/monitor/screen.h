@@ -1,7 +1,7 @@
 /* tools/monitor/screen.h
  * The layout of imu9-monitor: a pure function from what is known of the node to a grid of characters, whatever shows it
- * (terminal.c: ncurses; --once: text). Three lines of header stay visible; below them blocks (PDOs, attitude, EMCY, event
- * log) flow through as many columns as fit, and over pages. */
+ * (terminal.c: ncurses; --once: text). Three lines of header stay visible; below them blocks (PDOs, attitude, EMCY,
+ * event log) flow through as many columns as fit, and over pages. */
 #ifndef TOOLS_MONITOR_SCREEN_H
 #define TOOLS_MONITOR_SCREEN_H
 

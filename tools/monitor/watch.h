@@ -128,8 +128,8 @@ void watch_poll(struct watch *watch, uint64_t now_us);
 void watch_read_events(struct watch *watch);
 /** Writes an object by SDO when its turn comes; `message` then says what became of it. `name` lives as long as that. */
 void watch_command(struct watch *watch, const char *name, uint16_t index, uint8_t sub, uint32_t value, uint8_t size);
-/** The 1 sigma of a mapped value as polled, in its unit; NAN: unknown. Sigmas are of the global frame: for an axis of the
- * object, or roll and pitch, it is that of the least certain axis (for roll and pitch: of the horizontal ones). */
+/** The 1 sigma of a mapped value as polled, in its unit; NAN: unknown. Sigmas are of the global frame: for an axis of
+ * the object, or roll and pitch, it is that of the least certain axis (for roll and pitch: of the horizontal ones). */
 double watch_sigma(const struct watch *watch, const struct od_entry *entry);
 /** A polled value, or NAN. */
 double watch_polled(const struct watch *watch, uint16_t index, uint8_t sub);

@@ -1,4 +1,5 @@
-/* imu9-plot: figures of a log, a replay or a bus: attitude, acceleration, position, trajectory, spectrum, Allan deviation. */
+/* imu9-plot: figures of a log, a replay or a bus: attitude, acceleration, position, trajectory, spectrum, Allan
+ * deviation. */
 #include <getopt.h>
 #include <math.h>
 #include <stdio.h>
@@ -76,7 +77,8 @@ static void draw(struct figures *f, const struct plot_figure *figure)
 
 /* ---- over time ---- */
 
-/* A CSV of quantities, three columns each: "l0".."l2" of the first one, "m0".. of the second, empty where there is none. */
+/* A CSV of quantities, three columns each: "l0".."l2" of the first one, "m0".. of the second, empty where there is
+ * none. */
 static void write_rows(const struct figures *f, const char *csv, const enum series_quantity *quantities, int count)
 {
 	FILE *file = open_csv(f, csv);

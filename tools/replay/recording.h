@@ -1,7 +1,8 @@
 /* tools/replay/recording.h
  * Replays a file of imu9-gateway --record (gateway/record_file.h): the device of the gateway, with ports that give what
  * those of the recording gave. It continues from the state in the file when this program and the gateway are of one
- * build; otherwise it starts with the recorded configuration, and says so. Failures end the program, as in cli_file.h. */
+ * build; otherwise it starts with the recorded configuration, and says so. Failures end the program, as in
+ * cli_file.h. */
 #ifndef TOOLS_REPLAY_RECORDING_H
 #define TOOLS_REPLAY_RECORDING_H
 
