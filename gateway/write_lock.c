@@ -41,7 +41,7 @@ static enum od_status before_write(void *ctx, const struct od_entry *entry, cons
 	enum od_status status = OD_OK;
 
 	(void)size;
-	if (entry->index == OD_INDEX_WRITE_LOCK) {
+	if (entry->index == OD_INDEX_WRITE_LOCK && entry->sub == OD_SUB_WRITE_LOCK_KEY) {
 		uint32_t key = get_u32(wire);
 
 		status = locked ? open_with(lock, key) : key ? storing_store_lock(lock->storing, key) : OD_BAD_VALUE;
