@@ -1,29 +1,21 @@
 /* Arbitrary text from a client of CiA 309-3. Checked: each line has one answer, which ends with CR LF; the frames
  * sent are those of a master; a value that was read is the same after it was printed. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "gateway/cia309/cia309.h"
 #include "od_values.h"
+#include "tests/fuzz/fuzz.h"
 
 enum { NODE_ID = 5, TICKS_MAX = 2000 };
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static struct canopen_node node;
 static struct cia309 gateway;
 
-static void check(bool holds)
-{
-	if (!holds)
-		abort();
-}
-
 static int port_send(struct can_port *port, const struct can_msg *msg)
 {
 	(void)port;
-	check(msg->len <= 8 && !msg->extended && !msg->remote);
-	check((msg->id == 0 && msg->len == 2 && msg->data[1] != NODE_ID) || msg->id == 0x7E4 || msg->id == 0x7E5 ||
+	require(msg->len <= 8 && !msg->extended && !msg->remote);
+	require((msg->id == 0 && msg->len == 2 && msg->data[1] != NODE_ID) || msg->id == 0x7E4 || msg->id == 0x7E5 ||
 		(msg->id > 0x600 && msg->id <= 0x67F && msg->id != 0x600 + NODE_ID) || msg->id == 0x700 + NODE_ID);
 	return 0;
 }
@@ -31,7 +23,7 @@ static int port_send(struct can_port *port, const struct can_msg *msg)
 static int port_filter(struct can_port *port, const uint32_t *ids, size_t n)
 {
 	(void)port, (void)ids;
-	check(n > 0);
+	require(n > 0);
 	return 0;
 }
 
@@ -52,9 +44,9 @@ static void log_change(
 	void *ctx, unsigned number, const char *who, const char *command, const char *answer, uint64_t now_us)
 {
 	(void)ctx, (void)number, (void)answer, (void)now_us;
-	check(strcmp(who, "fuzzer") == 0);
+	require(strcmp(who, "fuzzer") == 0);
 	for (; *command; command++)
-		check(*command >= ' ' && *command <= '~');
+		require(*command >= ' ' && *command <= '~');
 }
 
 /* The line's value, printed and read again. */
@@ -68,14 +60,14 @@ static void check_value(const char *line, size_t length)
 	if (cia309_parse(line, length, &c) != CIA309_OK || c.verb != CIA309_WRITE)
 		return;
 	long size = cia309_scan(c.type, c.value, c.value_length, bytes, sizeof(bytes));
-	check(size <= (long)sizeof(bytes));
+	require(size <= (long)sizeof(bytes));
 	if (size < 0 || c.type->form == CIA309_STRING) /* CR and NUL are not printed */
 		return;
 	struct cia309_printer p = {.type = c.type, .bytes = bytes, .size = (size_t)size};
 	while (!cia309_printed(&p))
 		n += cia309_print(&p, text + n, CIA309_PRINT_MIN);
 	if (size > 0)
-		check(cia309_scan(c.type, text, n, back, sizeof(back)) == size &&
+		require(cia309_scan(c.type, text, n, back, sizeof(back)) == size &&
 			memcmp(bytes, back, (size_t)size) == 0);
 }
 
@@ -107,7 +99,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		i += length + 1;
 	}
 	od_init(&od, &imu9_od_table, &values, NODE_ID);
-	check(canopen_init(&node, &od, &bus, NULL, NODE_ID) == 0);
+	require(canopen_init(&node, &od, &bus, NULL, NODE_ID) == 0);
 	canopen_start(&node, now_us);
 	cia309_init(&gateway, &device, &node, &bus);
 	struct cia309_session *s = cia309_open(&gateway, "fuzzer", true);
@@ -121,7 +113,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		uint64_t next_us = canopen_tick(&node, now_us), due_us = cia309_tick(&gateway, now_us);
 		const char *out = cia309_output(s, &n);
 		answers += count(out, n, '\r');
-		check(n == 0 || count(out, n, '\r') <= count(out, n, '\n'));
+		require(n == 0 || count(out, n, '\r') <= count(out, n, '\n'));
 		if (cia309_closing(s))
 			return 0;
 		if (n > 0)
@@ -131,8 +123,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 			next_us = due_us;
 		now_us = next_us > now_us ? next_us : now_us + (n > 0);
 	}
-	check(answers <= lines);
-	check(lines > 10 || answers == lines); /* a search over all nodes takes long */
+	require(answers <= lines);
+	require(lines > 10 || answers == lines); /* a search over all nodes takes long */
 	cia309_close(&gateway, s);
 	return 0;
 }

@@ -2,34 +2,26 @@
  * the EDS. A response is a response or an exception of its function within its size, a client that may not write
  * changes nothing, and at the end every value has the type and limits of its entry. The same bytes go through the
  * framing of a serial line and the options. */
-#include <stdlib.h>
 #include <string.h>
 
 #include "gateway/canopen/sdo_abort.h"
 #include "gateway/modbus/access.h"
 #include "gateway/modbus/options.h"
 #include "gateway/modbus/rtu.h"
+#include "tests/fuzz/fuzz.h"
 
 enum { NODE_ID = 5, ERROR = 0x80 };
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
 static struct od od;
 static struct od_values values, before, initial;
 static struct modbus_link link_;
 static struct modbus_access writer, reader;
 
-static void check(bool holds)
-{
-	if (!holds)
-		abort();
-}
-
 static void wrote(
 	void *ctx, const char *who, const struct od_entry *entry, const void *wire, size_t size, enum od_status status)
 {
 	(void)ctx, (void)wire, (void)size;
-	check(who && entry && status < OD_STATUS_COUNT);
+	require(who && entry && status < OD_STATUS_COUNT);
 }
 
 static enum od_status write_value(void *ctx, uint16_t index, uint8_t sub, const void *wire, size_t size)
@@ -43,7 +35,7 @@ static void serve(void *ctx)
 	struct modbus_job *job = modbus_link_take(&link_);
 
 	(void)ctx;
-	check(job);
+	require(job);
 	modbus_execute(job, &imu9_modbus_map, &od, values.modbus.word_order, write_value, wrote, NULL);
 	modbus_link_publish(&link_, &values);
 	modbus_link_done(&link_);
@@ -56,11 +48,11 @@ static void request(struct modbus_access *access, const uint8_t *data, size_t si
 
 	memcpy(exact, data, size);
 	size_t n = modbus_pdu(&access->registers, exact, size, response);
-	check(n >= 2 && n <= MODBUS_PDU_MAX);
-	check(response[0] == exact[0] || response[0] == (exact[0] | ERROR));
+	require(n >= 2 && n <= MODBUS_PDU_MAX);
+	require(response[0] == exact[0] || response[0] == (exact[0] | ERROR));
 	if (response[0] & ERROR && !(exact[0] & ERROR) && response[1] != 0xFF)
-		check(n == 2 && (response[1] >= 1 && response[1] <= 6));
-	check(modbus_pdu_size(exact, size) >= -1);
+		require(n == 2 && (response[1] >= 1 && response[1] <= 6));
+	require(modbus_pdu_size(exact, size) >= -1);
 	free(exact);
 	free(response);
 }
@@ -73,7 +65,7 @@ static void check_values(void)
 		const struct od_entry *e = &od.table->entries[i];
 
 		if (e->type != OD_DOMAIN && e->access & OD_WRITE)
-			check(od_check(e, wire, od_get(&od, e, wire, sizeof(wire))) == OD_OK);
+			require(od_check(e, wire, od_get(&od, e, wire, sizeof(wire))) == OD_OK);
 	}
 }
 
@@ -84,9 +76,9 @@ static void frames(const uint8_t *data, size_t size)
 	for (int silent = 0; silent < 2 && used > 0; silent++) {
 		enum modbus_rtu_result result = modbus_rtu_next(data, used, data[0], silent, &frame);
 
-		check(result == MODBUS_RTU_WAIT || result == MODBUS_RTU_BAD || (frame > 0 && frame <= used));
+		require(result == MODBUS_RTU_WAIT || result == MODBUS_RTU_BAD || (frame > 0 && frame <= used));
 		result = modbus_rtu_next(data, used, (uint8_t)(data[0] + 1), silent, &frame);
-		check(result != MODBUS_RTU_DROP || (frame > 0 && frame <= used));
+		require(result != MODBUS_RTU_DROP || (frame > 0 && frame <= used));
 	}
 }
 
@@ -99,10 +91,10 @@ static void options(const uint8_t *data, size_t size)
 	memcpy(text, data, size);
 	text[size] = '\0';
 	if (modbus_options_parse(&window, text, why, sizeof(why)) == 0)
-		check(window.clients >= 1 && window.clients <= MODBUS_CLIENTS_MAX && window.rate >= 1 &&
+		require(window.clients >= 1 && window.clients <= MODBUS_CLIENTS_MAX && window.rate >= 1 &&
 			window.baud >= 1200);
 	else
-		check(why[0]);
+		require(why[0]);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -123,7 +115,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		if (n >= 1 && n <= MODBUS_PDU_MAX) {
 			before = values;
 			request(&reader, data + at + 1, n);
-			check(memcmp(&before, &values, sizeof(values)) == 0);
+			require(memcmp(&before, &values, sizeof(values)) == 0);
 			request(&writer, data + at + 1, n);
 		}
 		at += 1 + n;

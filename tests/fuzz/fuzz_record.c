@@ -1,18 +1,8 @@
 /* Arbitrary lines of a recording: what is accepted is written as a line that reads back to the same. */
-#include <stddef.h>
-#include <stdint.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "gateway/record_text.h"
-
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
-
-static void check(bool holds)
-{
-	if (!holds)
-		abort();
-}
+#include "tests/fuzz/fuzz.h"
 
 static void check_line(const char *line)
 {
@@ -23,12 +13,12 @@ static void check_line(const char *line)
 	if (rc != 1)
 		return;
 	size_t n = record_text(&e, text);
-	check(n > 0 && n < sizeof(text) && text[n - 1] == '\n');
+	require(n > 0 && n < sizeof(text) && text[n - 1] == '\n');
 	text[n - 1] = '\0';
-	check(record_parse(text, &e) == 1);
+	require(record_parse(text, &e) == 1);
 	n = record_text(&e, again);
 	again[n - 1] = '\0';
-	check(strcmp(text, again) == 0);
+	require(strcmp(text, again) == 0);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
@@ -36,10 +26,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 	char *text = malloc(size + 1), *rest = text, *line;
 	uint8_t *bytes = malloc(size + 3);
 
-	check(text && bytes);
+	require(text && bytes);
 	memcpy(text, data, size);
 	text[size] = '\0';
-	check(record_from_base64(text, strlen(text), bytes) <= (long)size);
+	require(record_from_base64(text, strlen(text), bytes) <= (long)size);
 	while ((line = strsep(&rest, "\n")) != NULL)
 		check_line(line);
 	free(text);
