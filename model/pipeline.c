@@ -162,26 +162,35 @@ static struct position_config position_config(const struct pipeline_config *conf
 	return position;
 }
 
-int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
+/* All but the noise of the rates, which takes as long as 4096 samples. */
+static int prepare(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
 	struct fusion_config fusion = fusion_config(config, rate_hz);
 	struct position_config position = position_config(config);
+
+	memset(p, 0, sizeof(*p));
+	p->config = *config;
+	p->rate_hz = rate_hz;
+	p->since_mag_s = INFINITY;
+	p->last_good.q_nb = QUAT_IDENTITY;
+	if (latency_check(&config->latency) < 0 || calibration_init(&p->calibration, &config->calibration) < 0 ||
+		filter3_init(&p->accel_filter, &config->accel_filter, rate_hz) < 0 ||
+		rates_init(&p->rates, &config->rate_filter, rate_hz) < 0 || fusion_init(&p->fusion, &fusion) < 0 ||
+		estimator_check(&config->estimator) < 0 || rest_check(&config->rest) < 0 ||
+		position_init(&p->position, &position) < 0)
+		return -EINVAL;
+	p->accel_delay_s = filter3_delay_s(&p->accel_filter, rate_hz);
+	differentiator3_tune(&p->accel_change, CHANGE_CUTOFF_HZ, rate_hz);
+	update_change_noise(p);
+	return 0;
+}
+
+int pipeline_init(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
+{
 	struct pipeline fresh;
 
-	memset(&fresh, 0, sizeof(fresh));
-	fresh.config = *config;
-	fresh.rate_hz = rate_hz;
-	fresh.since_mag_s = INFINITY;
-	fresh.last_good.q_nb = QUAT_IDENTITY;
-	if (latency_check(&config->latency) < 0 || calibration_init(&fresh.calibration, &config->calibration) < 0 ||
-		filter3_init(&fresh.accel_filter, &config->accel_filter, rate_hz) < 0 ||
-		rates_init(&fresh.rates, &config->rate_filter, rate_hz) < 0 ||
-		fusion_init(&fresh.fusion, &fusion) < 0 || estimator_check(&config->estimator) < 0 ||
-		rest_check(&config->rest) < 0 || position_init(&fresh.position, &position) < 0)
+	if (prepare(&fresh, config, rate_hz) < 0)
 		return -EINVAL;
-	fresh.accel_delay_s = filter3_delay_s(&fresh.accel_filter, rate_hz);
-	differentiator3_tune(&fresh.accel_change, CHANGE_CUTOFF_HZ, rate_hz);
-	update_change_noise(&fresh);
 	update_rates_noise(&fresh);
 	*p = fresh;
 	return 0;
@@ -297,21 +306,19 @@ void pipeline_smooth(struct pipeline *p, struct smoother *smoother)
 
 static void start_over(struct pipeline *p)
 {
-	struct calibration calibration = p->calibration;
-	struct smoother *smoother = p->position.navigation.smoother;
-	struct pipeline_output last_good = p->last_good;
-	struct vibration counted = {
-		.clipped_accel = p->vibration.clipped_accel, .clipped_gyro = p->vibration.clipped_gyro};
-	uint32_t gaps = p->gaps, refused = p->refused, implausible = p->implausible;
+	struct pipeline fresh;
 
-	pipeline_init(p, &p->config, p->rate_hz);
-	p->calibration = calibration; /* with the last temperature */
-	p->last_good = last_good;
-	p->vibration = counted;
-	p->gaps = gaps;
-	p->refused = refused;
-	p->implausible = implausible;
-	pipeline_smooth(p, smoother);
+	(void)prepare(&fresh, &p->config, p->rate_hz); /* valid, as it was before */
+	fresh.rates_variance = p->rates_variance;
+	fresh.calibration = p->calibration; /* with the last temperature */
+	fresh.last_good = p->last_good;
+	fresh.vibration.clipped_accel = p->vibration.clipped_accel;
+	fresh.vibration.clipped_gyro = p->vibration.clipped_gyro;
+	fresh.gaps = p->gaps;
+	fresh.refused = p->refused;
+	fresh.implausible = p->implausible;
+	pipeline_smooth(&fresh, p->position.navigation.smoother);
+	*p = fresh;
 }
 
 static bool usable(const struct pipeline *p, const struct imu_sample *s)
