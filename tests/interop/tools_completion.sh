@@ -30,5 +30,6 @@ offers "--imu" imu9-gateway --im
 offers "trajectory" imu9-plot -f t
 offers "turntable tumble" imu9-sim t
 offers "accelerometer" imu9-calibrate a
+offers "--answers" imu9-commission --a
 offers "save apply compare" imu9-sdo dcf ""
 exit $failed

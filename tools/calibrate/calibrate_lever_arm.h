@@ -14,7 +14,8 @@ struct lever_request {
 	const char *bus;
 	uint8_t node;
 	unsigned timeout_ms;
-	bool yes, reference; /* do not ask; 2075h gives the acceleration of the reference point */
+	bool yes, reference;	     /* do not ask; 2075h gives the acceleration of the reference point */
+	struct procedure_lead *lead; /* or NULL */
 };
 int calibrate_lever_live(const struct lever_request *request);
 

@@ -113,9 +113,9 @@ static bool print_result(struct procedure *p)
 
 	if (!read_vector(p, ARM, arm_m) || !read_vector(p, SIGMA, sigma_m) || !procedure_real(p, RESIDUAL, &residual))
 		return false;
-	printf("lever arm   l %9.2f +- %.2f   s %9.2f +- %.2f   t %9.2f +- %.2f mm (1 sigma)\n", 1e3 * arm_m[0],
-		1e3 * sigma_m[0], 1e3 * arm_m[1], 1e3 * sigma_m[1], 1e3 * arm_m[2], 1e3 * sigma_m[2]);
-	printf("residual    %.3f m/s^2 RMS\n", (double)residual);
+	procedure_result(p, "lever arm   l %9.2f +- %.2f   s %9.2f +- %.2f   t %9.2f +- %.2f mm (1 sigma)\n",
+		1e3 * arm_m[0], 1e3 * sigma_m[0], 1e3 * arm_m[1], 1e3 * sigma_m[1], 1e3 * arm_m[2], 1e3 * sigma_m[2]);
+	procedure_result(p, "residual    %.3f m/s^2 RMS\n", (double)residual);
 	return true;
 }
 
@@ -148,7 +148,10 @@ static int run(struct procedure *p, bool reference)
 
 int calibrate_lever_live(const struct lever_request *r)
 {
-	struct procedure p = {.object = OD_INDEX_LEVER_ARM_IDENTIFICATION, .signal_fd = cli_signal_fd(), .yes = r->yes};
+	struct procedure p = {.object = OD_INDEX_LEVER_ARM_IDENTIFICATION,
+		.signal_fd = cli_signal_fd(),
+		.yes = r->yes,
+		.lead = r->lead};
 
 	cli_node_open(&p.node, r->bus, r->node, r->timeout_ms);
 	int result = run(&p, r->reference);

@@ -74,15 +74,16 @@ static bool print_result(struct procedure *p, uint8_t kind)
 			return false;
 	if (!procedure_real(p, QUALITY, &quality) || !procedure_real(p, TEMPERATURE, &temperature))
 		return false;
-	printf("bias     %12.6g %12.6g %12.6g %s\n", (double)value[0], (double)value[1], (double)value[2], UNITS[kind]);
+	procedure_result(p, "bias     %12.6g %12.6g %12.6g %s\n", (double)value[0], (double)value[1], (double)value[2],
+		UNITS[kind]);
 	if (kind != GYRO)
 		for (int i = 3; i < 12; i += 3)
-			printf("%-8s %12.6f %12.6f %12.6f\n", i == 3 ? "matrix" : "", (double)value[i],
+			procedure_result(p, "%-8s %12.6f %12.6f %12.6f\n", i == 3 ? "matrix" : "", (double)value[i],
 				(double)value[i + 1], (double)value[i + 2]);
-	printf("%-8s %12.4g %s\n", kind == GYRO ? "1 sigma" : "residual", (double)quality,
+	procedure_result(p, "%-8s %12.4g %s\n", kind == GYRO ? "1 sigma" : "residual", (double)quality,
 		kind == MAGNETOMETER ? "% of the field" : UNITS[kind]);
 	if (temperature > -300)
-		printf("%-8s %12.4g degC\n", "at", (double)temperature);
+		procedure_result(p, "%-8s %12.4g degC\n", "at", (double)temperature);
 	return true;
 }
 
@@ -111,7 +112,8 @@ int calibrate_live(const struct calibrate_request *r)
 			     : r->six				    ? SIX_FACES
 								    : FREE;
 	/* signals stay blocked: at a question they mean no */
-	struct procedure p = {.object = OD_INDEX_CALIBRATION, .signal_fd = cli_signal_fd(), .yes = r->yes};
+	struct procedure p = {
+		.object = OD_INDEX_CALIBRATION, .signal_fd = cli_signal_fd(), .yes = r->yes, .lead = r->lead};
 
 	cli_node_open(&p.node, r->bus, r->node, r->timeout_ms);
 	int result = run(&p, r, kind);

@@ -21,6 +21,7 @@ struct calibrate_request {
 	const char *bus;
 	uint8_t node;
 	unsigned timeout_ms;
+	struct procedure_lead *lead; /* on the bus; or NULL */
 };
 
 /** argv[0] is the name of the subcommand. Returns an exit code of cli.h. */

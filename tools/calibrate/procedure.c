@@ -1,6 +1,7 @@
 #include "tools/calibrate/procedure.h"
 
 #include <poll.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 #include <unistd.h>
@@ -58,13 +59,27 @@ bool procedure_write_real(struct procedure *p, uint8_t sub, float value)
 
 /* ---- the user ---------------------------------------------------------------------------------------------------- */
 
-/* A line from standard input; false when a signal arrives before, or at its end. */
-static bool read_answer(const struct procedure *p, char *answer, int size)
+bool procedure_ask(const struct procedure *p, const char *prompt, char *answer, int size)
 {
 	struct pollfd fds[] = {{STDIN_FILENO, POLLIN, 0}, {p->signal_fd, POLLIN, 0}};
 
+	fputs(prompt, stdout);
 	fflush(stdout);
-	return poll(fds, 2, -1) > 0 && !fds[1].revents && fgets(answer, size, stdin);
+	if (poll(fds, 2, -1) <= 0 || fds[1].revents || !fgets(answer, size, stdin)) {
+		putchar('\n');
+		return false;
+	}
+	answer[strcspn(answer, "\r\n")] = '\0';
+	if (!isatty(STDIN_FILENO))
+		puts(answer);
+	return true;
+}
+
+bool procedure_agree(const struct procedure *p, const char *prompt)
+{
+	char answer[16];
+
+	return p->yes || (procedure_ask(p, prompt, answer, sizeof answer) && (answer[0] == 'y' || answer[0] == 'Y'));
 }
 
 bool procedure_begin(const struct procedure *p, const char *what_to_do)
@@ -72,10 +87,27 @@ bool procedure_begin(const struct procedure *p, const char *what_to_do)
 	char answer[16];
 
 	puts(what_to_do);
-	if (p->yes || !isatty(STDIN_FILENO))
+	if (p->yes)
 		return true;
-	printf("Enter starts, Ctrl-C leaves everything as it is: ");
-	return read_answer(p, answer, sizeof answer);
+	if (p->lead) {
+		if (!procedure_ask(p, p->lead->prompt, p->lead->answer, sizeof p->lead->answer))
+			strcpy(p->lead->answer, "q");
+		return p->lead->answer[0] == '\0';
+	}
+	return !isatty(STDIN_FILENO) ||
+	       procedure_ask(p, "Enter starts, Ctrl-C leaves everything as it is: ", answer, sizeof answer);
+}
+
+void procedure_result(const struct procedure *p, const char *format, ...)
+{
+	FILE *const files[] = {stdout, p->lead ? p->lead->report : NULL};
+	va_list args;
+
+	for (size_t i = 0; i < 2 && files[i]; i++) {
+		va_start(args, format);
+		vfprintf(files[i], format, args);
+		va_end(args);
+	}
 }
 
 void procedure_show(const char *text)
@@ -89,16 +121,18 @@ void procedure_show(const char *text)
 	fflush(stdout);
 }
 
-static void pause_for(struct procedure *p, uint64_t us, bool *stop)
+bool procedure_pause(struct procedure *p, uint64_t us)
 {
 	const uint64_t end_us = cli_now_us() + us;
 	struct can_msg msg;
+	bool stop = false;
 
-	while (!*stop && cli_now_us() < end_us) {
-		*stop = cli_wait(p->node.bus, p->signal_fd, end_us);
+	while (!stop && cli_now_us() < end_us) {
+		stop = cli_wait(p->node.bus, p->signal_fd, end_us);
 		while (can_receive(p->node.bus, &msg, cli_now_us()) > 0)
 			continue;
 	}
+	return stop;
 }
 
 bool procedure_watch(struct procedure *p, bool (*show)(struct procedure *p, void *ctx), void *ctx, uint8_t *state)
@@ -112,7 +146,7 @@ bool procedure_watch(struct procedure *p, bool (*show)(struct procedure *p, void
 			break;
 		if (!show(p, ctx))
 			return false;
-		pause_for(p, POLL_US, &stop);
+		stop = procedure_pause(p, POLL_US);
 	}
 	if (isatty(STDOUT_FILENO))
 		putchar('\n');
@@ -123,18 +157,13 @@ bool procedure_watch(struct procedure *p, bool (*show)(struct procedure *p, void
 
 bool procedure_accept(struct procedure *p, uint8_t accept, uint8_t discard)
 {
-	char answer[16];
-
-	if (!p->yes) {
-		printf("accept? [y/N] ");
-		if (!read_answer(p, answer, sizeof answer) || (answer[0] != 'y' && answer[0] != 'Y')) {
-			if (procedure_command(p, discard))
-				puts("discarded");
-			return false;
-		}
+	if (!procedure_agree(p, "accept? [y/N] ")) {
+		if (procedure_command(p, discard))
+			puts("discarded");
+		return false;
 	}
 	if (!procedure_command(p, accept))
 		return false;
-	puts("accepted and in use; 'imu9-sdo store' makes it permanent");
+	puts(p->lead ? "accepted and in use" : "accepted and in use; 'imu9-sdo store' makes it permanent");
 	return true;
 }

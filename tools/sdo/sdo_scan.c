@@ -54,6 +54,32 @@ static bool request_all(struct session *s, struct can_port *bus, struct seen nod
 	return true;
 }
 
+/* Whether the requests could be sent. */
+static bool look(struct session *s, struct can_port *bus, struct seen nodes[NODES])
+{
+	uint64_t until_us = cli_now_us() + (s->timeout_given ? s->timeout_ms : LISTEN_MS) * 1000ull;
+
+	for (int id = 0; id < NODES; id++)
+		nodes[id] = (struct seen){.state = STATE_UNKNOWN};
+	if (!request_all(s, bus, nodes))
+		return false;
+	listen(bus, nodes, until_us);
+	return true;
+}
+
+int sdo_find_nodes(struct session *s, uint8_t *first)
+{
+	struct can_port *bus = cli_open_bus(s->bus);
+	struct seen nodes[NODES];
+	int found = look(s, bus, nodes) ? 0 : -1;
+
+	for (uint8_t id = 1; found >= 0 && id < NODES; id++)
+		if (nodes[id].answers && found++ == 0)
+			*first = id;
+	can_close(bus);
+	return found;
+}
+
 static const char *state_text(uint8_t state)
 {
 	switch (state) {
@@ -148,12 +174,7 @@ int sdo_command_scan(struct session *s, int argc, char **argv)
 	int found = 0;
 
 	(void)argc, (void)argv;
-	for (int id = 0; id < NODES; id++)
-		nodes[id] = (struct seen){.state = STATE_UNKNOWN};
-	uint64_t until_us = cli_now_us() + (s->timeout_given ? s->timeout_ms : LISTEN_MS) * 1000ull;
-	bool sent = request_all(s, bus, nodes);
-	if (sent)
-		listen(bus, nodes, until_us);
+	bool sent = look(s, bus, nodes);
 	for (uint8_t id = 1; sent && id < NODES; id++) {
 		if (!nodes[id].answers && nodes[id].state == STATE_UNKNOWN)
 			continue;

@@ -80,6 +80,8 @@ int sdo_command_store(struct session *s, int argc, char **argv);
 int sdo_command_restore(struct session *s, int argc, char **argv);
 int sdo_command_nmt(struct session *s, int argc, char **argv);
 /* sdo_scan.c */
+/** How many nodes answer on the bus, and the lowest of their node-IDs; below 0 after a message. */
+int sdo_find_nodes(struct session *s, uint8_t *first);
 int sdo_command_scan(struct session *s, int argc, char **argv);
 /* sdo_lss.c */
 int sdo_command_lss(struct session *s, int argc, char **argv);

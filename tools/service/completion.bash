@@ -24,7 +24,7 @@ _imu9() {
 	--modbus) compopt -o nospace; COMPREPLY=($(compgen -W 'tcp: rtu:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
 	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
-	-c | --config | -e | --eds | -o | --output | -r | --reference | --store | --record | --movements | --frames)
+	-c | --config | -e | --eds | -o | --output | --answers | -r | --reference | --store | --record | --movements | --frames)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
 	if [[ $word == -* ]]; then
@@ -64,4 +64,4 @@ _imu9() {
 	esac
 }
 
-complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-replay imu9-sim imu9-allan imu9-plot
+complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-commission imu9-replay imu9-sim imu9-allan imu9-plot
