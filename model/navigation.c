@@ -44,6 +44,11 @@ static const struct assumptions *assumptions(const struct navigation *n)
 	return &ASSUMPTIONS[n->config.preset];
 }
 
+static bool levels(const struct navigation *n)
+{
+	return n->config.levelling || assumptions(n)->levelling;
+}
+
 /* Where a constant is "tuned", its value was chosen for the least position error with honest sigmas on the recorded
  * trials of BROAD and in the simulations of tests/unit/test_navigation.c. Where it is "by judgement", the reason is all
  * there is. */
@@ -631,7 +636,7 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
 	if (n->config.velocity_prior_m_s > 0)
 		spread2 = squared(n->config.velocity_prior_m_s);
-	else if (!(n->config.levelling || assumptions(n)->levelling) || n->moving_s < LEVELLING_AFTER_S)
+	else if (!levels(n) || n->moving_s < LEVELLING_AFTER_S)
 		return;
 	measure_reference_velocity(
 		n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
@@ -849,8 +854,55 @@ void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
 	memset(&n->sums, 0, sizeof(n->sums));
 	rest_restart(&n->rest);
 	rope_restart(&n->rope, n->q_nb);
+	n->alias = (struct alias){.velocity_m_s = {0}};
 	zero_velocity_restart(&n->zero_velocity, false);
 	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = n->guide.holds = false;
+}
+
+static double alias_variance(const struct alias *a)
+{
+	const double *v = a->velocity_m_s;
+
+	return fmax(squared(v[0]), fmax(squared(v[1]), squared(v[2])));
+}
+
+/* Since an alias began, t_s ago, the velocity may have been wrong by a constant. */
+static void add_constant_velocity(struct navigation *n, int axis, double variance, double t_s)
+{
+	n->p[V + axis][V + axis] += variance;
+	n->p[P + axis][V + axis] += variance * t_s;
+	n->p[V + axis][P + axis] += variance * t_s;
+	n->p[P + axis][P + axis] += variance * squared(t_s);
+}
+
+/* Where an alias ends, its sine stays behind. */
+static void add_sine(struct navigation *n, const double velocity_m_s[ALIAS_AXES], const double position_m[ALIAS_AXES])
+{
+	for (int i = 0; i < ALIAS_AXES; i++) {
+		n->p[V + i][V + i] += squared(velocity_m_s[i]);
+		n->p[P + i][P + i] += squared(position_m[i]);
+	}
+}
+
+/* Once an interval, after its transition. What goes to and fro by assumption does so, and levelling removes a constant
+ * velocity. */
+static void follow_alias(struct navigation *n, const struct navigation_sums *s)
+{
+	struct alias *a = &n->alias;
+	struct vec3 accel = vec3_scale(1 / s->t_s, s->f);
+
+	if (levels(n)) {
+		*a = (struct alias){.velocity_m_s = {0}};
+		return;
+	}
+	accel.z -= n->gravity_m_s2;
+	alias_step(a, accel, s->turned_b_rad, s->t_s);
+	if (n->still)
+		return;
+	for (int i = 0; i < ALIAS_AXES; i++)
+		if (a->found_s[i] > 0)
+			add_constant_velocity(n, i, squared(a->velocity_m_s[i]), fmin(a->found_s[i], n->moved_s));
+	add_sine(n, a->ended_m_s, a->ended_m);
 }
 
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
@@ -866,7 +918,7 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	if (vertical(n))
 		accel.z *= 1 - share_of_scale(n) * mat3_apply(r_nb, n->accel_bias_b_m_s2).z / in->gravity_m_s2;
 	navigation_sums_add(&n->sums, &r_nb, omega, force, accel, dt);
-	zero_velocity_vibration(&n->zero_velocity, accel, dt);
+	zero_velocity_vibration(&n->zero_velocity, accel, alias_variance(&n->alias), dt);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
@@ -1150,6 +1202,7 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 	else
 		n->hangs_still = n->rope_ended = false;
 	propagate(n, &n->sums);
+	follow_alias(n, &n->sums);
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
 	if (!assumptions(n)->dwell)
@@ -1166,6 +1219,8 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 		begin_movement(n, reference_point(n, in));
 	if (still && !n->still && n->moved_s > 0 && !assumptions(n)->dwell)
 		end_movement(n);
+	if (still && !n->still)
+		add_sine(n, n->alias.velocity_m_s, n->alias.position_m);
 	if (n->still != still)
 		zero_velocity_restart(&n->zero_velocity, n->still);
 	n->ended_by_reset &= still;
@@ -1251,6 +1306,11 @@ static double standstill_velocity_variance(const struct navigation *n)
 	return n->zero_velocity.vibration_m2_s2 + (n->turning ? squared(assumptions(n)->creep_m_s) : 0);
 }
 
+static struct vec3 squares(const double a[3])
+{
+	return (struct vec3){squared(a[0]), squared(a[1]), squared(a[2])};
+}
+
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
@@ -1262,10 +1322,14 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 	struct vec3 position = vec3_add(vec3_add(n->earlier_variance_m2, displacement),
 		by_accel_scale(n, vec3_dot(n->position_n_m, n->position_n_m)));
 
+	displacement = vec3_add(displacement, squares(n->alias.position_m));
+	position = vec3_add(position, squares(n->alias.position_m));
 	if (n->still) {
 		double variance = standstill_velocity_variance(n);
 
 		velocity = vec3_add(velocity, (struct vec3){variance, variance, variance});
+	} else {
+		velocity = vec3_add(velocity, squares(n->alias.velocity_m_s));
 	}
 	if (heading_unknown(n)) {
 		position = vec3_add(position, by_heading(n->position_n_m, UNKNOWN_CHORD2));

@@ -25,6 +25,7 @@
 #ifndef MODEL_NAVIGATION_H
 #define MODEL_NAVIGATION_H
 
+#include "model/alias.h"
 #include "model/guide.h"
 #include "model/navigation_sums.h"
 #include "model/noise.h"
@@ -119,6 +120,7 @@ struct navigation {
 	struct zero_velocity zero_velocity;
 	struct guide guide;
 	struct rope rope;
+	struct alias alias;
 	bool hangs_still;	       /* the point from which the load hangs */
 	bool rope_ended;	       /* a window has just become full, and there are differences */
 	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
@@ -189,6 +191,14 @@ static inline bool navigation_assumes_standstill(const struct navigation *n)
 static inline bool navigation_accelerates(const struct navigation *n)
 {
 	return n->started && n->accelerated_s > 0;
+}
+
+/** What seems to move may be a vibration near a multiple of the sampling rate. */
+static inline bool navigation_may_be_alias(const struct navigation *n)
+{
+	const double *v = n->alias.velocity_m_s;
+
+	return n->started && v[0] + v[1] + v[2] > 0;
 }
 
 /** Nothing moves but a load that swings. */

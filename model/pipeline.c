@@ -544,14 +544,15 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 {
 	struct vec3 variance = fusion_variance(p);
 	bool known = fusion_started(&p->fusion) && fmax(variance.x, variance.y) < TILT_UNKNOWN_RAD * TILT_UNKNOWN_RAD;
+	bool vibrates = p->vibration.lately || fusion_force_doubted(&p->fusion) ||
+			navigation_may_be_alias(&p->position.navigation);
 
 	return (known ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
 	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u) |
 	       (navigation_assumes_standstill(&p->position.navigation) ? PIPELINE_ASSUMED : 0u) |
-	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u) |
-	       (p->vibration.lately || fusion_force_doubted(&p->fusion) ? PIPELINE_VIBRATION : 0u);
+	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u) | (vibrates ? PIPELINE_VIBRATION : 0u);
 }
 
 static double root_of_sum(double sigma, double more)

@@ -86,7 +86,7 @@ enum {
 	PIPELINE_ASSUMED = 1 << 6,    /* a standstill is assumed against the estimated velocity */
 	PIPELINE_DISAGREES = 1 << 7,  /* the magnetic field does not turn as the gyro says, and is not used */
 	/* bits 8 to 13 are the gateway's (gateway/status.h) */
-	PIPELINE_VIBRATION = 1 << 14, /* vibration or clipping falsifies the force, and the sigmas are larger */
+	PIPELINE_VIBRATION = 1 << 14, /* vibration or clipping may falsify the force, and the sigmas are larger */
 };
 
 struct pipeline_output {

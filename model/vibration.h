@@ -9,7 +9,7 @@
  *   clipped samples of that.
  *
  * A vibration near a multiple of the sampling rate looks like a slow acceleration. That cannot be seen here;
- * fusion_kalman.h compares the velocity with its sigma for that. Pure. */
+ * fusion_kalman.h compares the velocity with its sigma for that, and alias.h looks for its repetition. Pure. */
 #ifndef MODEL_VIBRATION_H
 #define MODEL_VIBRATION_H
 

@@ -105,13 +105,14 @@ static double quadratic(double a[3][3], struct vec3 v)
 	return sum;
 }
 
-void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double dt_s)
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double alias_m2_s2, double dt_s)
 {
 	struct vec3 off = vec3_sub(accel_n_m_s2, z->accel_low_n_m_s2), *v = &z->vibration_n_m_s;
 
 	*v = vec3_scale(VIBRATION_S / (VIBRATION_S + dt_s), vec3_add(*v, vec3_scale(dt_s, off)));
 	z->accel_low_n_m_s2 = vec3_add(z->accel_low_n_m_s2, vec3_scale(dt_s / (VIBRATION_BASE_S + dt_s), off));
-	z->vibration_m2_s2 += dt_s / (VIBRATION_MEMORY_S + dt_s) * (vec3_dot(*v, *v) - z->vibration_m2_s2);
+	z->fast_vibration_m2_s2 += dt_s / (VIBRATION_MEMORY_S + dt_s) * (vec3_dot(*v, *v) - z->fast_vibration_m2_s2);
+	z->vibration_m2_s2 = z->fast_vibration_m2_s2 + alias_m2_s2;
 }
 
 void zero_velocity_restart(struct zero_velocity *z, bool moving)

@@ -58,6 +58,7 @@ struct zero_velocity {
 	/* PRIVATE */
 	struct zero_velocity_fork forks[ZERO_VELOCITY_FORKS]; /* from the oldest to the youngest */
 	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
+	double fast_vibration_m2_s2;			/* without what may be an alias */
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
 	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */
 	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
@@ -75,8 +76,8 @@ struct zero_velocity_signals {
 	bool level;			    /* what moves does so horizontally */
 };
 
-/** Each sample: acceleration in the global frame. */
-void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double dt_s);
+/** Each sample: acceleration in the global frame; variance of the velocity by what may be an alias (alias.h). */
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double alias_m2_s2, double dt_s);
 
 /** The end of an interval of samples while it stands, before the update that ends it. dt_s: of the last sample. */
 void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s);

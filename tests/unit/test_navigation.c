@@ -1178,8 +1178,8 @@ static void test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certai
 		n.moved_s = moved_s;
 		n.moved_accel2_m2_s3 = accel2 * moved_s;
 		n.moved_turned2_rad2_s = rate2 * moved_s;
-		n.zero_velocity.standing_s = 1;	     /* as seen by the last correction */
-		n.zero_velocity.vibration_m2_s2 = 1; /* the first measurement of zero tells nothing of it */
+		n.zero_velocity.standing_s = 1;		  /* as seen by the last correction */
+		n.zero_velocity.fast_vibration_m2_s2 = 1; /* the first measurement of zero tells nothing of it */
 		one_interval(&n, ZERO, ZERO);
 		assert_true(n.still);
 		assert_near(sqrt(n.p[NAVIGATION_BA][NAVIGATION_BA]) / (0.006 * 10 * (fast ? 1 : 0.3 * 2)), 1, 0.02);

@@ -396,14 +396,14 @@ static void test_vibration_is_the_velocity_above_5_hz(void **state)
 		double t = 0, mean = 0, later;
 
 		for (; t < 4; t += dt_s) {
-			zero_velocity_vibration(&z, (struct vec3){sin(w * t), 0, 2 * cos(w * t)}, dt_s);
+			zero_velocity_vibration(&z, (struct vec3){sin(w * t), 0, 2 * cos(w * t)}, 0, dt_s);
 			mean += t < 2 ? 0 : z.vibration_m2_s2 * dt_s / 2;
 		}
 		assert_near(mean / (5 * gain * gain / 2), 1, 0.02);
 		z.vibration_n_m_s = z.accel_low_n_m_s2 = (struct vec3){0};
 		later = z.vibration_m2_s2 * exp(-1);
 		for (t = 0; t < 0.3; t += dt_s) /* it is forgotten with a time constant of 0.3 s */
-			zero_velocity_vibration(&z, (struct vec3){0}, dt_s);
+			zero_velocity_vibration(&z, (struct vec3){0}, 0, dt_s);
 		assert_near(z.vibration_m2_s2 / later, 1, 0.02);
 	}
 }
