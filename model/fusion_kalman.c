@@ -386,6 +386,7 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 	propagate_rows(k, force);
 	kalman_transpose(STATES, k->covariance[0]);
 	propagate_rows(k, force);
+	kalman_symmetrize(STATES, k->covariance[0]);
 	if (!k->doubted)
 		forget_force_error(k, t);
 	k->doubted = false;

@@ -274,6 +274,7 @@ static void propagate(struct navigation *n, const struct navigation_sums *s)
 	navigation_sums_propagate(s, n->p, n->still);
 	kalman_transpose(N, n->p[0]);
 	navigation_sums_propagate(s, n->p, n->still);
+	kalman_symmetrize(N, n->p[0]);
 
 	if (s->held) {
 		for (int i = V; i < V + 2; i++)

@@ -63,4 +63,14 @@ static inline void kalman_transpose(int n, double *p)
 		}
 }
 
+/** Makes p symmetric again, by its upper triangle. Rounding makes p_ij and p_ji differ, and F p F^T as above takes this
+ * for a covariance: through a chain of integrators the difference grows with the cube of the time, for hours of a
+ * standstill beyond the variances themselves. To be called after each F p F^T. */
+static inline void kalman_symmetrize(int n, double *p)
+{
+	for (int i = 0; i < n; i++)
+		for (int j = 0; j < i; j++)
+			p[i * n + j] = p[j * n + i];
+}
+
 #endif
