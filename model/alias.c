@@ -9,8 +9,8 @@ static const double LEAST_M_S2 = 0.04, LEAST_SHARE = 0.2;
 /* By which area and time of half-waves that are alike may differ, and the area of one as a share of peak times time
  * (2 / pi of a sine). By judgement: a tilt, samples that miss the peak, and noise. */
 static const double ALIKE = 1.3, LEAST_FULL = 0.5, MOST_FULL = 0.8;
-/* s, of half-waves that are looked at, and of those above which two that are alike suffice; otherwise so many have to be.
- * By judgement: a random vibration has two of them often, four hardly ever. */
+/* s, of half-waves that are looked at, and of those above which two that are alike suffice; otherwise so many have to
+ * be. By judgement: a random vibration has two of them often, four hardly ever. */
 static const double LEAST_S = 0.1, SLOW_S = 0.4;
 enum { ALIKE_SLOW = 2, ALIKE_FAST = 4 };
 /* Of the last half-wave's time: what lasts longer is no longer alike. By judgement. */
