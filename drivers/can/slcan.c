@@ -45,10 +45,10 @@ struct slcan {
 	bool silent;   /* a command of this set-up was not answered */
 	bool answers;  /* this adapter has answered a command of the set-up */
 
-	bool status_due;     /* the answer to F */
-	bool status_refused; /* a BEL since F: to F or to a frame */
-	bool status_known;   /* F was answered since the device was opened */
-	bool refusal_told;
+	bool status_due;       /* the answer to F */
+	bool status_refused;   /* a BEL since F: to F or to a frame */
+	bool status_known;     /* F was answered since the device was opened */
+	bool refusal_untold;   /* frames were refused; whether it only was full is not known yet */
 	unsigned status_tries; /* that were refused */
 
 	int fd; /* -1: unplugged */
@@ -146,6 +146,7 @@ static void detach(struct slcan *can, const char *why)
 	if (can->port.state != CAN_STATE_DOWN)
 		can->port.down_why = why;
 	can->port.state = CAN_STATE_DOWN;
+	can->refusal_untold = false; /* that says it */
 }
 
 static void unplugged(struct slcan *can)
@@ -190,10 +191,18 @@ static int write_line(struct slcan *can, size_t length)
 
 /* ---- answers of the adapter -------------------------------------------------------------------------------------- */
 
+/* Once, when the adapter is on the bus again: if it cannot be, that is what is told. */
+static void tell_refusal(struct slcan *can)
+{
+	if (can->refusal_untold)
+		can->port.notice = "the adapter has refused frames: its buffer was full, or it had left the bus";
+	can->refusal_untold = false;
+}
+
 static void frame_accepted(struct slcan *can)
 {
 	can->refused_us = 0;
-	can->refusal_told = false;
+	tell_refusal(can);
 	can->backoff_us = BACKOFF_MIN_US;
 }
 
@@ -203,9 +212,7 @@ static void frame_refused(struct slcan *can)
 	if (can->refused_us == 0)
 		can->refused_us = can->heard_us;
 	can->refused_last_us = can->heard_us;
-	if (!can->refusal_told)
-		can->port.notice = "the adapter refuses frames: its buffer is full, or it left the bus";
-	can->refusal_told = true;
+	can->refusal_untold = true;
 }
 
 static void handle_status(struct slcan *can, uint8_t flags)
@@ -233,6 +240,7 @@ static void next_step(struct slcan *can)
 		return;
 	can->port.state = CAN_STATE_ACTIVE;
 	can->port.retry_at_us = 0; /* what has waited is sent now */
+	tell_refusal(can);
 }
 
 /* CR or BEL. An adapter that is closed already refuses C. */
