@@ -19,8 +19,9 @@ static const double FORK_M_S = 0.001;
  * reached within a second are seen by a fork of 1 s; from 2 s on the tilt's random walk hides them. */
 static const double FORK_S = 0.75;
 /* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in
- * place. Tuned in simulation; a false alarm costs little, since the odds of standing are high after it. */
-static const double BEGIN_SIGMAS = 5, BEGIN_TURNING_SIGMAS = 3;
+ * place. Tuned in simulation: of days at rest (make soak), in which 5 raise a false alarm once in a day or so. Most are
+ * made up for, since the odds of standing are high after them, but not all. */
+static const double BEGIN_SIGMAS = 6, BEGIN_TURNING_SIGMAS = 3;
 /* Squared sigmas of a fork's velocity from which on its displacement counts in the variance: between the mean of the
  * chi-squared distribution of 3 degrees of freedom and the limit. */
 static const double BEGIN_DOUBT = 3;

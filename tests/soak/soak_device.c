@@ -151,6 +151,7 @@ static void report(const struct soak *s)
 	promise(mallinfo2().uordblks == s->heap, "no memory is allocated after the first hour");
 	promise(s->tilt_off * 50 <= s->judged && s->heading_off * 50 <= s->judged && s->position_off * 50 <= s->judged,
 		"at most 2 % of the errors are beyond 3 sigma");
+	promise(s->position_sigma_m < 100, "the position is not given up: each standstill was seen");
 }
 
 int main(int argc, char **argv)

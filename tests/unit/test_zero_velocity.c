@@ -294,7 +294,7 @@ static void test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_b
 	}
 }
 
-/* When the last one doubts that it stands: of 25 squared sigmas, at which it moves, 3 are noise. */
+/* When the last one doubts that it stands: of 36 squared sigmas, at which it moves, 3 are noise. */
 static void test_a_fork_begins_with_the_velocity_that_the_last_one_suspects(void **state)
 {
 	static const struct noise_config noise = {0};
@@ -304,7 +304,7 @@ static void test_a_fork_begins_with_the_velocity_that_the_last_one_suspects(void
 	for (int i = 0; i < 2; i++) {
 		struct standing s = standing_with_fork(&noise, 0, 0.75);
 		struct zero_velocity_fork *f = s.z.forks;
-		const double chi2 = i ? 14 : 2.9, doubt = i ? 0.5 : 0;
+		const double chi2 = i ? 19.5 : 2.9, doubt = i ? 0.5 : 0;
 
 		f[2].velocity_n_m_s.y = sigma * sqrt(chi2);
 		assert_null(zero_velocity_stands(&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.04));
@@ -326,10 +326,10 @@ static void test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instabili
 		const double up = sqrt(0.001 * 0.001 + 0.002 * 0.002 + walk * t + pow(2 * 0.001 * t, 2));
 		const struct zero_velocity_signals moved = {.steady = true, .accel_walk_m2_s3 = walks[i]};
 
-		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 4.9 * up};
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 5.9 * up};
 		assert_null(zero_velocity_stands(&s.z, &s.n, &moved, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 		s = standing_with_fork(&noise, 0, t);
-		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 5.1 * up};
+		s.z.forks[ZERO_VELOCITY_FORKS - 1].velocity_n_m_s = (struct vec3){0, 0, 6.1 * up};
 		assert_non_null(
 			zero_velocity_stands(&s.z, &s.n, &moved, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 	}
@@ -337,7 +337,7 @@ static void test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instabili
 
 /* sigma of the velocity of what stands for t_s: 1 mm/s at its begin, 2 mm/s by the support, the accelerometer's random
  * walk, and horizontally the tilt by the gyro's random walk and bias, times gravity, integrated. */
-static void test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_object_turns(void **state)
+static void test_a_motion_begins_at_6_sigma_of_the_velocity_and_at_3_while_the_object_turns(void **state)
 {
 	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0},
 				  real = {.accel_density_m_s2_sqrt_hz = 0.003, .gyro_density_rad_s_sqrt_hz = 1e-3};
@@ -352,7 +352,7 @@ static void test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_o
 
 		for (int k = 0; k < 2; k++) {
 			const bool turning = k;
-			const double limit = turning ? 3 : 5;
+			const double limit = turning ? 3 : 6;
 
 			assert_false(begins(&s, (struct vec3){0.98 * limit * sqrt(level2), 0, 0}, turning));
 			assert_true(begins(&s, (struct vec3){1.02 * limit * sqrt(level2), 0, 0}, turning));
@@ -364,12 +364,12 @@ static void test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_o
 	}
 }
 
-/* A chi-squared value of 3 is that of what stands; the limit, 25, that of what moves. The way of the fork counts in
+/* A chi-squared value of 3 is that of what stands; the limit, 36, that of what moves. The way of the fork counts in
  * between. */
 static void test_a_way_that_may_be_one_makes_the_position_less_certain(void **state)
 {
 	const struct noise_config none = {.accel_density_m_s2_sqrt_hz = 0};
-	const double chi2[] = {2.9, 3 + 0.25 * 22, 3 + 0.75 * 22}, doubts[] = {0, 0.25, 0.75};
+	const double chi2[] = {2.9, 3 + 0.25 * 33, 3 + 0.75 * 33}, doubts[] = {0, 0.25, 0.75};
 
 	(void)state;
 	for (int i = 0; i < 3; i++) {
@@ -644,7 +644,7 @@ int main(void)
 		cmocka_unit_test(test_a_motion_counts_from_the_youngest_fork_that_is_older_than_its_beginning),
 		cmocka_unit_test(test_a_fork_begins_with_the_velocity_that_the_last_one_suspects),
 		cmocka_unit_test(test_what_stands_may_be_as_noisy_as_it_is_and_drift_by_its_instability),
-		cmocka_unit_test(test_a_motion_begins_at_5_sigma_of_the_velocity_and_at_3_while_the_object_turns),
+		cmocka_unit_test(test_a_motion_begins_at_6_sigma_of_the_velocity_and_at_3_while_the_object_turns),
 		cmocka_unit_test(test_a_way_that_may_be_one_makes_the_position_less_certain),
 		cmocka_unit_test(test_vibration_is_the_velocity_above_5_hz),
 		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
