@@ -1,27 +1,11 @@
 /* LSS slave (CiA 305): a master finds this node by its LSS address, the identity of 1018h, and configures node-ID and
  * bit rate. There are two states, waiting and configuration. LSS is available in every NMT state, and is the only
  * service of a node without a node-ID. */
+#include "gateway/canopen/cia305.h"
 #include "gateway/canopen/service.h"
 #include "od_index.h"
 
 #include <string.h>
-
-enum command {
-	SWITCH_GLOBAL = 0x04,
-	CONFIGURE_NODE_ID = 0x11,
-	CONFIGURE_BIT_TIMING = 0x13,
-	ACTIVATE_BIT_TIMING = 0x15,
-	STORE = 0x17,
-	SWITCH_SELECTIVE = 0x40, /* to 43h: vendor-ID, product code, revision, serial number */
-	SWITCHED = 0x44,
-	IDENTIFY = 0x46, /* to 4Bh: vendor-ID, product code, lowest and highest revision, serial number */
-	IDENTIFY_UNCONFIGURED = 0x4C,
-	IDENTIFIED = 0x4F,
-	IDENTIFIED_UNCONFIGURED = 0x50,
-	FASTSCAN = 0x51,
-	INQUIRE_IDENTITY = 0x5A, /* to 5Dh */
-	INQUIRE_NODE_ID = 0x5E,
-};
 
 enum answer {
 	ANSWER_OK = 0,
@@ -79,7 +63,7 @@ static void configure_node_id(struct canopen_node *node, uint8_t node_id)
 
 	if (valid)
 		node->lss.node_id = node_id;
-	answer(node, CONFIGURE_NODE_ID, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+	answer(node, LSS_CONFIGURE_NODE_ID, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
 /* ---- bit timing and storage, where the device supports them ------------------------------------------------------ */
@@ -100,7 +84,7 @@ static void configure_bit_timing(struct canopen_node *node, uint8_t table, uint8
 
 	if (valid)
 		node->lss.bit_s = bit_s;
-	answer(node, CONFIGURE_BIT_TIMING, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
+	answer(node, LSS_CONFIGURE_BIT_TIMING, valid ? ANSWER_OK : ANSWER_OUT_OF_RANGE);
 }
 
 /* All nodes receive this at once and switch together: each sends nothing for one delay at the old bit rate and for one
@@ -153,7 +137,7 @@ static void store_ended(struct canopen_node *node, enum od_status status)
 	if (status == OD_OK)
 		lss->stored_id = lss->storing_id;
 	if (lss->configuring && !lss_silent(node))
-		answer(node, STORE, status == OD_OK ? ANSWER_OK : ANSWER_STORE_FAILED);
+		answer(node, LSS_STORE, status == OD_OK ? ANSWER_OK : ANSWER_STORE_FAILED);
 }
 
 void canopen_lss_stored(struct canopen_node *node, enum od_status status, uint64_t now_us)
@@ -170,11 +154,11 @@ static void store(struct canopen_node *node)
 	enum od_status status;
 
 	if (!device->store_lss) {
-		answer(node, STORE, ANSWER_NOT_SUPPORTED);
+		answer(node, LSS_STORE, ANSWER_NOT_SUPPORTED);
 		return;
 	}
 	if (lss->storing) {
-		answer(node, STORE, ANSWER_STORE_FAILED);
+		answer(node, LSS_STORE, ANSWER_STORE_FAILED);
 		return;
 	}
 	lss->storing_id = lss->node_id;
@@ -216,7 +200,7 @@ static void switch_selective(struct canopen_node *node, unsigned number, uint32_
 		return;
 	lss->selected = 0;
 	lss->configuring = true;
-	answer(node, SWITCHED, 0);
+	answer(node, LSS_SWITCHED, 0);
 }
 
 /* Steps 0 to 5: vendor, product, lowest and highest revision, lowest and highest serial number. */
@@ -245,7 +229,7 @@ static void identify(struct canopen_node *node, unsigned step, uint32_t value)
 	if (lss->identified < 6)
 		return;
 	lss->identified = 0;
-	answer(node, IDENTIFIED, 0);
+	answer(node, LSS_IDENTIFIED, 0);
 }
 
 /* Neither an active nor a pending node-ID. */
@@ -267,7 +251,7 @@ static void fastscan(struct canopen_node *node, const uint8_t data[8])
 	if (bit == FASTSCAN_RESET) {
 		lss->scanned = VENDOR;
 		lss->confirmed = 0;
-		answer(node, IDENTIFIED, 0);
+		answer(node, LSS_IDENTIFIED, 0);
 		return;
 	}
 	if (bit > 31 || number >= LSS_NUMBERS || next >= LSS_NUMBERS || number != lss->scanned ||
@@ -278,7 +262,7 @@ static void fastscan(struct canopen_node *node, const uint8_t data[8])
 		lss->confirmed |= (uint8_t)(1u << number);
 		lss->configuring = next < number && lss->confirmed == (1u << LSS_NUMBERS) - 1;
 	}
-	answer(node, IDENTIFIED, 0);
+	answer(node, LSS_IDENTIFIED, 0);
 }
 
 /* ---- requests of the master -------------------------------------------------------------------------------------- */
@@ -287,24 +271,24 @@ static void fastscan(struct canopen_node *node, const uint8_t data[8])
 static void receive_configuration(struct canopen_node *node, const uint8_t data[8])
 {
 	switch (data[0]) {
-	case CONFIGURE_NODE_ID:
+	case LSS_CONFIGURE_NODE_ID:
 		configure_node_id(node, data[1]);
 		break;
-	case CONFIGURE_BIT_TIMING:
+	case LSS_CONFIGURE_BIT_TIMING:
 		configure_bit_timing(node, data[1], data[2]);
 		break;
-	case ACTIVATE_BIT_TIMING:
+	case LSS_ACTIVATE_BIT_TIMING:
 		activate_bit_timing(node, get_u16(data + 1));
 		break;
-	case STORE:
+	case LSS_STORE:
 		store(node);
 		break;
-	case INQUIRE_NODE_ID:
-		answer(node, INQUIRE_NODE_ID, node->id);
+	case LSS_INQUIRE_NODE_ID:
+		answer(node, LSS_INQUIRE_NODE_ID, node->id);
 		break;
 	default:
-		if (data[0] >= INQUIRE_IDENTITY && data[0] < INQUIRE_IDENTITY + LSS_NUMBERS)
-			answer(node, data[0], *node->lss.identity[data[0] - INQUIRE_IDENTITY]);
+		if (data[0] >= LSS_INQUIRE_IDENTITY && data[0] < LSS_INQUIRE_IDENTITY + LSS_NUMBERS)
+			answer(node, data[0], *node->lss.identity[data[0] - LSS_INQUIRE_IDENTITY]);
 		break;
 	}
 }
@@ -315,16 +299,16 @@ void lss_receive(struct canopen_node *node, const struct can_msg *msg)
 
 	if (msg->len != 8)
 		return;
-	if (data[0] == SWITCH_GLOBAL)
+	if (data[0] == LSS_SWITCH_GLOBAL)
 		switch_global(node, data[1]);
-	else if (data[0] >= SWITCH_SELECTIVE && data[0] < SWITCH_SELECTIVE + LSS_NUMBERS)
-		switch_selective(node, data[0] - SWITCH_SELECTIVE, get_u32(data + 1));
-	else if (data[0] >= IDENTIFY && data[0] < IDENTIFY + 6)
-		identify(node, data[0] - IDENTIFY, get_u32(data + 1));
-	else if (data[0] == FASTSCAN)
+	else if (data[0] >= LSS_SWITCH_SELECTIVE && data[0] < LSS_SWITCH_SELECTIVE + LSS_NUMBERS)
+		switch_selective(node, data[0] - LSS_SWITCH_SELECTIVE, get_u32(data + 1));
+	else if (data[0] >= LSS_IDENTIFY && data[0] < LSS_IDENTIFY + 6)
+		identify(node, data[0] - LSS_IDENTIFY, get_u32(data + 1));
+	else if (data[0] == LSS_FASTSCAN)
 		fastscan(node, data);
-	else if (data[0] == IDENTIFY_UNCONFIGURED && unconfigured(node))
-		answer(node, IDENTIFIED_UNCONFIGURED, 0);
+	else if (data[0] == LSS_IDENTIFY_UNCONFIGURED && unconfigured(node))
+		answer(node, LSS_IDENTIFIED_UNCONFIGURED, 0);
 	else if (node->lss.configuring)
 		receive_configuration(node, data);
 }

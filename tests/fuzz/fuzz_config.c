@@ -4,7 +4,7 @@
 
 #include "gateway/config.h"
 #include "od_values.h"
-#include "tests/fuzz/fuzz.h"
+#include "tests/fuzz/fuzz_od.h"
 
 static void check_error(const char *error)
 {
@@ -20,13 +20,7 @@ static void check_values(const struct config *config)
 
 	od_init(&od, &imu9_od_table, &values, 1);
 	config_apply(config, &od);
-	for (size_t i = 0; i < imu9_od_table.count; i++) {
-		const struct od_entry *entry = &imu9_od_table.entries[i];
-		uint8_t wire[OD_VALUE_MAX];
-		size_t size = od_get(&od, entry, wire, sizeof(wire));
-
-		require(entry->type == OD_DOMAIN || od_check(entry, wire, size) == OD_OK);
-	}
+	require_valid_values(&od);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)

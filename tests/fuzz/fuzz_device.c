@@ -7,7 +7,7 @@
 #include "gateway/device.h"
 #include "gateway/log.h"
 #include "gateway/snapshot.h"
-#include "tests/fuzz/fuzz.h"
+#include "tests/fuzz/fuzz_od.h"
 
 enum { NODE_ID = 0x10, MAX_TICKS = 64, INTERVAL_US = 10000, BURST_MAX = 32 };
 
@@ -75,18 +75,6 @@ static void power_on(void)
 	od_init(&device.od, &imu9_od_table, &device.values, node_id);
 	require(device_init(&device, &bus, &imu, &storage, &disk, node_id) == 0);
 	device_start(&device, false, now_us);
-}
-
-/* All values have the type and the limits of their entry. */
-static void check_values(void)
-{
-	for (size_t i = 0; i < imu9_od_table.count; i++) {
-		const struct od_entry *entry = &imu9_od_table.entries[i];
-		uint8_t wire[OD_VALUE_MAX];
-		size_t size = od_get(&device.od, entry, wire, sizeof(wire));
-
-		require(entry->type == OD_DOMAIN || od_check(entry, wire, size) == OD_OK);
-	}
 }
 
 /* ---- steps ------------------------------------------------------------------------------------------------------- */
@@ -280,6 +268,6 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		}
 		tick();
 	}
-	check_values();
+	require_valid_values(&device.od);
 	return 0;
 }

@@ -1000,3 +1000,38 @@ void eds_free(struct eds *eds)
 	eds_free_memory(eds->memory);
 	memset(eds, 0, sizeof(*eds));
 }
+
+const char *eds_type_name(const struct od_entry *entry)
+{
+	switch ((enum od_type)entry->type) {
+	case OD_BOOLEAN:
+		return "BOOLEAN";
+	case OD_INTEGER8:
+		return "INTEGER8";
+	case OD_INTEGER16:
+		return "INTEGER16";
+	case OD_INTEGER32:
+		return "INTEGER32";
+	case OD_INTEGER64:
+		return "INTEGER64";
+	case OD_UNSIGNED8:
+		return "UNSIGNED8";
+	case OD_UNSIGNED16:
+		return "UNSIGNED16";
+	case OD_UNSIGNED32:
+		return "UNSIGNED32";
+	case OD_UNSIGNED64:
+		return "UNSIGNED64";
+	case OD_REAL32:
+		return "REAL32";
+	case OD_REAL64:
+		return "REAL64";
+	case OD_VISIBLE_STRING:
+		return "VISIBLE_STRING";
+	case OD_OCTET_STRING:
+		return "OCTET_STRING";
+	case OD_DOMAIN:
+		return "DOMAIN";
+	}
+	return "";
+}

@@ -78,4 +78,7 @@ enum od_status eds_value(
  * none at the ends. Returns its length, truncated to fit. */
 size_t eds_normalise(const char *label, char *name, size_t capacity);
 
+/** The data type as CiA 301 writes it, "UNSIGNED16". */
+const char *eds_type_name(const struct od_entry *entry);
+
 #endif

@@ -50,41 +50,6 @@ static void die(const char *format, ...)
 
 /* ---- shared by several outputs ---- */
 
-static const char *type_name(const struct od_entry *entry)
-{
-	switch ((enum od_type)entry->type) {
-	case OD_BOOLEAN:
-		return "BOOLEAN";
-	case OD_INTEGER8:
-		return "INTEGER8";
-	case OD_INTEGER16:
-		return "INTEGER16";
-	case OD_INTEGER32:
-		return "INTEGER32";
-	case OD_INTEGER64:
-		return "INTEGER64";
-	case OD_UNSIGNED8:
-		return "UNSIGNED8";
-	case OD_UNSIGNED16:
-		return "UNSIGNED16";
-	case OD_UNSIGNED32:
-		return "UNSIGNED32";
-	case OD_UNSIGNED64:
-		return "UNSIGNED64";
-	case OD_REAL32:
-		return "REAL32";
-	case OD_REAL64:
-		return "REAL64";
-	case OD_VISIBLE_STRING:
-		return "VISIBLE_STRING";
-	case OD_OCTET_STRING:
-		return "OCTET_STRING";
-	case OD_DOMAIN:
-		return "DOMAIN";
-	}
-	return "";
-}
-
 static const char *c_type(const struct od_entry *entry)
 {
 	switch ((enum od_type)entry->type) {
@@ -306,7 +271,7 @@ static void print_c_number(FILE *out, const struct od_entry *entry, union od_num
 static void print_entry(FILE *out, const struct od_entry *entry)
 {
 	fprintf(out, "\t{.index = 0x%04X, .sub = %u, .type = OD_%s, .access = ", entry->index, entry->sub,
-		type_name(entry));
+		eds_type_name(entry));
 	print_access(out, entry->access);
 	if (entry->type != OD_DOMAIN)
 		fprintf(out, ",\n\t .size = %u, .offset = offsetof(struct od_values, %s)", entry->size, entry->name);
@@ -478,7 +443,7 @@ static void print_row(FILE *out, const struct eds *eds, const struct od_entry *e
 {
 	char words[1024];
 
-	fprintf(out, "| %04Xh | %u | `%s` | %s | %s |", entry->index, entry->sub, entry->name, type_name(entry),
+	fprintf(out, "| %04Xh | %u | `%s` | %s | %s |", entry->index, entry->sub, entry->name, eds_type_name(entry),
 		access_text(entry));
 	print_default_cell(out, eds, entry);
 	print_limits_cell(out, entry);

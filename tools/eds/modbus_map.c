@@ -281,38 +281,10 @@ void modbus_print_c(FILE *out, const struct modbus_layout *l)
 
 /* ---- for people -------------------------------------------------------------------------------------------------- */
 
+/* The registers of both kinds of strings are the same. */
 static const char *type_name(const struct od_entry *entry)
 {
-	switch ((enum od_type)entry->type) {
-	case OD_BOOLEAN:
-		return "BOOLEAN";
-	case OD_INTEGER8:
-		return "INTEGER8";
-	case OD_INTEGER16:
-		return "INTEGER16";
-	case OD_INTEGER32:
-		return "INTEGER32";
-	case OD_INTEGER64:
-		return "INTEGER64";
-	case OD_UNSIGNED8:
-		return "UNSIGNED8";
-	case OD_UNSIGNED16:
-		return "UNSIGNED16";
-	case OD_UNSIGNED32:
-		return "UNSIGNED32";
-	case OD_UNSIGNED64:
-		return "UNSIGNED64";
-	case OD_REAL32:
-		return "REAL32";
-	case OD_REAL64:
-		return "REAL64";
-	case OD_VISIBLE_STRING:
-	case OD_OCTET_STRING:
-		return "string";
-	case OD_DOMAIN:
-		break;
-	}
-	return "";
+	return entry->type == OD_VISIBLE_STRING || entry->type == OD_OCTET_STRING ? "string" : eds_type_name(entry);
 }
 
 static const char *access_text(const struct od_entry *entry)

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "gateway/canopen/cia301.h"
+#include "gateway/canopen/cia305.h"
 #include "tools/sdo/sdo_session.h"
 #include "od_index.h"
 
@@ -12,20 +13,6 @@ enum {
 	BOOT_UP_MS = 1000,
 	NODES_MAX = 127,
 	UNCONFIGURED = 255,
-};
-
-enum command {
-	SWITCH_GLOBAL = 0x04,
-	CONFIGURE_NODE_ID = 0x11,
-	CONFIGURE_BIT_TIMING = 0x13,
-	ACTIVATE_BIT_TIMING = 0x15,
-	STORE = 0x17,
-	SWITCH_SELECTIVE = 0x40,
-	SWITCHED = 0x44,
-	IDENTIFIED = 0x4F,
-	FASTSCAN = 0x51,
-	INQUIRE_IDENTITY = 0x5A,
-	INQUIRE_NODE_ID = 0x5E,
 };
 
 enum { VENDOR, PRODUCT, REVISION, SERIAL, NUMBERS };
@@ -86,8 +73,8 @@ static bool fastscan_step(struct lss *lss, uint32_t value, uint8_t bit, uint8_t 
 {
 	struct can_msg msg;
 
-	send_command(lss, FASTSCAN, value, (const uint8_t[3]){bit, number, next});
-	return await(lss, CAN_ID_LSS_RESPONSE, IDENTIFIED, lss->answer_ms, &msg);
+	send_command(lss, LSS_FASTSCAN, value, (const uint8_t[3]){bit, number, next});
+	return await(lss, CAN_ID_LSS_RESPONSE, LSS_IDENTIFIED, lss->answer_ms, &msg);
 }
 
 /* Finds one node without a node-ID bit by bit (CiA 305, fastscan); it is then in LSS configuration state. False: there
@@ -114,8 +101,8 @@ static bool select_by_identity(struct lss *lss)
 	struct can_msg msg;
 
 	for (uint8_t i = 0; i < NUMBERS; i++)
-		send_command(lss, (uint8_t)(SWITCH_SELECTIVE + i), lss->wanted[i], NULL);
-	if (await(lss, CAN_ID_LSS_RESPONSE, SWITCHED, lss->answer_ms, &msg))
+		send_command(lss, (uint8_t)(LSS_SWITCH_SELECTIVE + i), lss->wanted[i], NULL);
+	if (await(lss, CAN_ID_LSS_RESPONSE, LSS_SWITCHED, lss->answer_ms, &msg))
 		return true;
 	cli_error(
 		"no node with vendor %08Xh, product %08Xh, revision %08Xh, serial %08Xh on %s: 'imu9-sdo lss scan' and "
@@ -127,7 +114,7 @@ static bool select_by_identity(struct lss *lss)
 
 static void switch_all(struct lss *lss, bool configuring)
 {
-	send_command(lss, SWITCH_GLOBAL, configuring, NULL);
+	send_command(lss, LSS_SWITCH_GLOBAL, configuring, NULL);
 }
 
 /* Selects the node given by the options; without them all nodes on the bus, so there should be only one. */
@@ -191,12 +178,12 @@ static bool configured(struct lss *lss, uint8_t command, uint32_t value, unsigne
 
 static bool store(struct lss *lss)
 {
-	return configured(lss, STORE, 0, STORE_MS, "it cannot store node-ID and bit rate");
+	return configured(lss, LSS_STORE, 0, STORE_MS, "it cannot store node-ID and bit rate");
 }
 
 static bool set_node_id(struct lss *lss, uint32_t id)
 {
-	return configured(lss, CONFIGURE_NODE_ID, id, lss->answer_ms, "node-ID out of range");
+	return configured(lss, LSS_CONFIGURE_NODE_ID, id, lss->answer_ms, "node-ID out of range");
 }
 
 static uint32_t node_id_of(const char *text)
@@ -261,10 +248,10 @@ static int change_bit_rate(struct lss *lss, const char *text, const char *delay)
 		cli_usage_error("%s kbit/s: use 10, 20, 50, 125, 250, 500, 800 or 1000", text);
 	if (delay)
 		delay_ms = cli_integer_option("--activate", delay, 1, 65535);
-	bool done = select_node(lss) &&
-		    configured(lss, CONFIGURE_BIT_TIMING, index << 8, lss->answer_ms, "this bit rate is not possible");
+	bool done = select_node(lss) && configured(lss, LSS_CONFIGURE_BIT_TIMING, index << 8, lss->answer_ms,
+						"this bit rate is not possible");
 	if (done && delay)
-		send_command(lss, ACTIVATE_BIT_TIMING, (uint32_t)delay_ms, NULL);
+		send_command(lss, LSS_ACTIVATE_BIT_TIMING, (uint32_t)delay_ms, NULL);
 	else
 		switch_all(lss, false);
 	return done ? CLI_OK : CLI_FAILED;
@@ -286,8 +273,8 @@ static int inquire(struct lss *lss)
 	if (!done)
 		return CLI_FAILED;
 	for (uint8_t i = 0; done && i < NUMBERS; i++)
-		done = request(lss, (uint8_t)(INQUIRE_IDENTITY + i), 0, lss->answer_ms, &identity[i]);
-	done = done && request(lss, INQUIRE_NODE_ID, 0, lss->answer_ms, &id);
+		done = request(lss, (uint8_t)(LSS_INQUIRE_IDENTITY + i), 0, lss->answer_ms, &identity[i]);
+	done = done && request(lss, LSS_INQUIRE_NODE_ID, 0, lss->answer_ms, &id);
 	switch_all(lss, false);
 	if (!done)
 		return no_answer(lss);

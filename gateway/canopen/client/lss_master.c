@@ -3,20 +3,8 @@
 #include <string.h>
 
 #include "gateway/canopen/cia301.h"
+#include "gateway/canopen/cia305.h"
 #include "od/little_endian.h"
-
-enum command {
-	SWITCH_GLOBAL = 0x04,
-	CONFIGURE_NODE_ID = 0x11,
-	CONFIGURE_BIT_TIMING = 0x13,
-	ACTIVATE_BIT_TIMING = 0x15,
-	STORE = 0x17,
-	SWITCH_SELECTIVE = 0x40, /* to 43h */
-	SWITCHED = 0x44,
-	IDENTIFIED = 0x4F,
-	FASTSCAN = 0x51,
-	INQUIRE = 0x5A, /* to 5Eh */
-};
 
 enum { FASTSCAN_RESET = 0x80 };
 
@@ -48,21 +36,21 @@ static void expect(struct lss_master *m, unsigned command, uint64_t now_us)
 
 void lss_master_switch_global(struct lss_master *m, bool configuration, uint64_t now_us)
 {
-	send(m, SWITCH_GLOBAL, configuration, NULL, now_us);
+	send(m, LSS_SWITCH_GLOBAL, configuration, NULL, now_us);
 	m->result = LSS_DONE;
 }
 
 void lss_master_activate_bit_rate(struct lss_master *m, uint16_t delay_ms, uint64_t now_us)
 {
-	send(m, ACTIVATE_BIT_TIMING, delay_ms, NULL, now_us);
+	send(m, LSS_ACTIVATE_BIT_TIMING, delay_ms, NULL, now_us);
 	m->result = LSS_DONE;
 }
 
 void lss_master_switch_selective(struct lss_master *m, const uint32_t address[LSS_ADDRESS], uint64_t now_us)
 {
-	expect(m, SWITCHED, now_us);
+	expect(m, LSS_SWITCHED, now_us);
 	for (unsigned i = 0; i < LSS_ADDRESS; i++)
-		send(m, SWITCH_SELECTIVE + i, address[i], NULL, now_us);
+		send(m, LSS_SWITCH_SELECTIVE + i, address[i], NULL, now_us);
 }
 
 /* A service whose answer has an error code. */
@@ -75,23 +63,23 @@ static void configure(struct lss_master *m, unsigned command, uint32_t value, ui
 
 void lss_master_configure_node_id(struct lss_master *m, uint8_t node_id, uint64_t now_us)
 {
-	configure(m, CONFIGURE_NODE_ID, node_id, now_us);
+	configure(m, LSS_CONFIGURE_NODE_ID, node_id, now_us);
 }
 
 void lss_master_configure_bit_rate(struct lss_master *m, uint8_t table, uint8_t index, uint64_t now_us)
 {
-	configure(m, CONFIGURE_BIT_TIMING, table | (uint32_t)index << 8, now_us);
+	configure(m, LSS_CONFIGURE_BIT_TIMING, table | (uint32_t)index << 8, now_us);
 }
 
 void lss_master_store(struct lss_master *m, uint64_t now_us)
 {
-	configure(m, STORE, 0, now_us);
+	configure(m, LSS_STORE, 0, now_us);
 }
 
 void lss_master_inquire(struct lss_master *m, uint8_t part, uint64_t now_us)
 {
-	expect(m, INQUIRE + part, now_us);
-	send(m, INQUIRE + part, 0, NULL, now_us);
+	expect(m, LSS_INQUIRE_IDENTITY + part, now_us);
+	send(m, LSS_INQUIRE_IDENTITY + part, 0, NULL, now_us);
 }
 
 /* ---- fastscan ---------------------------------------------------------------------------------------------------- */
@@ -109,7 +97,7 @@ static void ask(struct lss_master *m, uint8_t bit, uint8_t next, uint64_t now_us
 {
 	m->answered = false;
 	m->next_us = now_us + m->timeout_us;
-	send(m, FASTSCAN, bit == FASTSCAN_RESET ? 0 : m->address[m->part], (const uint8_t[3]){bit, m->part, next},
+	send(m, LSS_FASTSCAN, bit == FASTSCAN_RESET ? 0 : m->address[m->part], (const uint8_t[3]){bit, m->part, next},
 		now_us);
 }
 
@@ -135,7 +123,7 @@ static void scan_part(struct lss_master *m, uint8_t part, uint64_t now_us)
 void lss_master_fastscan(
 	struct lss_master *m, const enum lss_scan how[LSS_ADDRESS], const uint32_t match[LSS_ADDRESS], uint64_t now_us)
 {
-	expect(m, IDENTIFIED, now_us);
+	expect(m, LSS_IDENTIFIED, now_us);
 	m->scanning = SCAN_RESET;
 	m->part = LSS_VENDOR;
 	for (int i = 0; i < LSS_ADDRESS; i++) {
