@@ -10,7 +10,7 @@
 #include "gateway/status.h"
 #include "model/pipeline.h"
 #include "od_values.h"
-#include "tools/monitor/watch.h"
+#include "tools/lib/watch.h"
 
 enum { NODE = 5, SECOND = 1000000 };
 

@@ -15,7 +15,7 @@
 #include "tools/monitor/output.h"
 #include "tools/monitor/screen.h"
 #include "tools/monitor/terminal.h"
-#include "tools/monitor/watch.h"
+#include "tools/lib/watch.h"
 
 enum {
 	TEXT_MAX = 256,

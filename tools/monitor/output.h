@@ -3,7 +3,7 @@
 #ifndef TOOLS_MONITOR_OUTPUT_H
 #define TOOLS_MONITOR_OUTPUT_H
 
-#include "tools/monitor/watch.h"
+#include "tools/lib/watch.h"
 
 enum output { OUTPUT_SCREEN, OUTPUT_LINE, OUTPUT_CSV, OUTPUT_JSON };
 

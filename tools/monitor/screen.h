@@ -5,7 +5,7 @@
 #ifndef TOOLS_MONITOR_SCREEN_H
 #define TOOLS_MONITOR_SCREEN_H
 
-#include "tools/monitor/watch.h"
+#include "tools/lib/watch.h"
 
 enum {
 	SCREEN_ROWS = 400,

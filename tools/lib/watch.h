@@ -1,4 +1,4 @@
-/* tools/monitor/watch.h
+/* tools/lib/watch.h
  * Monitors one node: decodes its frames by its PDO mapping. Passive like the core of the node itself: frames and time
  * are arguments; SDO requests, which read the mapping, are sent through the bus. */
 #ifndef TOOLS_MONITOR_WATCH_H

@@ -1,4 +1,4 @@
-#include "tools/monitor/watch.h"
+#include "tools/lib/watch.h"
 
 #include <math.h>
 #include <stdio.h>
