@@ -35,8 +35,9 @@ WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 	-Wno-enum-float-conversion -Wno-enum-enum-conversion \
 	$(if $(filter yes,$(WERROR)),-Werror -Wno-error=deprecated-declarations)
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
+# -ffile-prefix-map: the same bytes wherever it is built
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
-	-MMD -MP $(CFLAGS) $(SAN)
+	-ffile-prefix-map=$(BUILD)=build -ffile-prefix-map=$(CURDIR)=. -MMD -MP $(CFLAGS) $(SAN)
 LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lncursesw -lm -pthread
 
 # ---- what is built from what ---------------------------------------------------------------------------------------
