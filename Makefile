@@ -169,7 +169,7 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format \
+.PHONY: tests check distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format check-reproducible \
 	check-layers check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
@@ -238,6 +238,9 @@ check-format: ## fail when a file is not formatted
 	@awk -F '\t' '{w = 0; for (i = 1; i < NF; i++) w += length($$i) + 8 - (w + length($$i)) % 8; \
 		w += length($$NF)} w > 120 {print FILENAME ":" FNR ": " w " columns, at most 120"; bad = 1} \
 		END {exit bad}' Makefile $(FORMATTED) $(PYTHON)
+
+check-reproducible: $(PROGRAMS) ## fail when a second build, in another folder, gives other bytes
+	@CC="$(CC)" WERROR=$(WERROR) tests/reproducible $(PROGRAMS)
 
 WITH_OBJECTS = awk '/^<!-- objects/ {print; system("sed -n \"/^\#\# /,$$ p\" $(BUILD)/gen/objects.md"); skip = 1} \
 	/^<!-- end of objects/ {skip = 0} !skip' eds/README.md
