@@ -7,7 +7,7 @@
 
 /** For all threads of the process, those that start later, too, and for good. From then on such a system call fails with
  * EPERM. Call it when the ports and windows are open. 0, or -errno: -ENOENT without libseccomp.so.2, -ENOSYS or -EINVAL
- * from a kernel without seccomp filters; -ENOTSUP under AddressSanitizer, which starts a process at the end. */
+ * from a kernel without seccomp filters, -ENOTSUP under AddressSanitizer, which starts a process at the end. */
 int sandbox_enter(void);
 
 #endif

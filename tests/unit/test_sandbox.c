@@ -67,7 +67,7 @@ static bool reach_out(void)
 	struct timespec now;
 
 	clock_gettime(CLOCK_REALTIME, &now);
-	/* the last three are to the value that is: root could do them, and nothing changes where the sandbox has a hole */
+	/* the last three set what is so already: done by root, they change nothing where the sandbox has a hole */
 	return refused(ptrace(PTRACE_TRACEME, 0, NULL, NULL)) && refused(mount("none", "/", "tmpfs", 0, NULL)) &&
 	       refused(unshare(CLONE_NEWNS)) && refused(chroot("/")) && refused(setuid(getuid())) &&
 	       refused(syscall(SYS_personality, 0xFFFFFFFF)) && refused(clock_settime(CLOCK_REALTIME, &now));
