@@ -5,9 +5,9 @@
 #ifndef GATEWAY_SANDBOX_H
 #define GATEWAY_SANDBOX_H
 
-/** For all threads of the process, those that start later, too, and for good. From then on such a system call fails with
- * EPERM. Call it when the ports and windows are open. 0, or -errno: -ENOENT without libseccomp.so.2, -ENOSYS or -EINVAL
- * from a kernel without seccomp filters, -ENOTSUP under AddressSanitizer, which starts a process at the end. */
+/** For all threads of the process, those that start later, too, and for good. Such a system call fails with EPERM from
+ * then on. Call it when the ports and windows are open. 0, or -errno: -ENOENT without libseccomp.so.2, -ENOSYS or
+ * -EINVAL from a kernel without seccomp filters, -ENOTSUP under AddressSanitizer, which starts a process at the end. */
 int sandbox_enter(void);
 
 #endif
