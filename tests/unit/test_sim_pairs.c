@@ -301,6 +301,7 @@ static void test_the_ak09916_keeps_the_data_that_are_being_read(void **state)
 	assert_int_equal(get_one(0x10), 0x03);
 	wait_ms(1000);
 	get(0x11, first, 6);
+	get_one(0x17);
 	assert_int_equal(get_one(0x10), 0x03);
 	wait_ms(1000);
 	get(0x11, second, 8); /* to ST2 */

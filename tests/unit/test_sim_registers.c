@@ -312,11 +312,51 @@ static void test_the_digit_and_the_axes_of_each_range(void **state)
 		}
 }
 
+/* Steps and ranges of the sensor model, which a preset has, are not those of the chip. */
+static void test_the_chip_alone_rounds_and_limits(void **state)
+{
+	static const struct {
+		enum imu_chip chip;
+		uint8_t writes[2][2], data;
+	} triads[] = {{IMU_CHIP_GYRO, {{0x11, 0x40}, {0x11, 0x40}}, 0x22},
+		{IMU_CHIP_ACCEL, {{0x10, 0x40}, {0x10, 0x40}}, 0x28},
+		{IMU_CHIP_MAG, {{0x22, 0x00}, {0x20, 0x1C}}, 0xA8}};
+
+	(void)state;
+	for (size_t i = 0; i < 3; i++) {
+		uint8_t words[2][6];
+
+		for (int coarse = 0; coarse < 2; coarse++) {
+			struct sim_config config;
+			struct sim_board *sim;
+
+			start("v5");
+			config = w->config;
+			if (coarse)
+				config.sensor.gyro.step = config.sensor.accel.step = config.sensor.mag.step =
+					config.sensor.gyro.range = config.sensor.accel.range = config.sensor.mag.range =
+						0.1;
+			assert_int_equal(sim_board_open(&config, &sim), 0);
+			for (int k = 0; k < 2; k++)
+				i2c_write(sim_board_bus(sim), sim_board_address(sim, triads[i].chip),
+					triads[i].writes[k][0], triads[i].writes[k][1]);
+			wait_ms(7000);
+			assert_int_equal(i2c_read(sim_board_bus(sim), sim_board_address(sim, triads[i].chip),
+						 triads[i].data, words[coarse], 6),
+				0);
+			i2c_close(sim_board_bus(sim));
+			world_free(w);
+		}
+		assert_memory_equal(words[0], words[1], 6);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_rate_of_each_code),
 		cmocka_unit_test(test_the_digit_and_the_axes_of_each_range),
+		cmocka_unit_test(test_the_chip_alone_rounds_and_limits),
 	};
 
 	return cmocka_run_group_tests_name("sim_registers", tests, NULL, NULL);
