@@ -129,6 +129,7 @@ static void step(struct world *w)
 {
 	int64_t wake_ns = board_step(&w->board);
 
+	w->wakes++;
 	if (wake_ns > w->now_ns)
 		w->now_ns = wake_ns;
 	if (w->late_ns > 0)

@@ -19,7 +19,7 @@ struct world {
 	const uint8_t *firmware; /* for board.firmware */
 	struct rng rng;
 	int64_t late_ns; /* upper limit of the delay of a wake-up */
-	unsigned long accesses;
+	unsigned long accesses, wakes;
 
 	/* faults: hooks of the test for the accesses from number `fault_at` on */
 	unsigned long fault_at, fault_count;
