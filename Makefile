@@ -123,6 +123,17 @@ $$(BUILD)/$(subst _,-,$(notdir $(1))): $$(BUILD)/obj/$(1).o $$(LIBS)
 endef
 $(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
 
+# The page is compiled into imu9-web, with Chart.js of Debian's libjs-chart.js. No other program needs libwebsockets.
+CHART_JS ?= /usr/share/javascript/chart.js/chart.min.js
+PAGE := $(filter-out %.md,$(wildcard tools/web/page/*)) $(CHART_JS)
+$(BUILD)/gen/web_files.c: tools/web/embed $(PAGE)
+	@mkdir -p $(@D)
+	$(Q)tools/web/embed $(PAGE) >$@ || { rm -f $@; exit 1; }
+$(CHART_JS):
+	@echo "$@ is missing: tools/deps build" >&2; exit 1
+$(BUILD)/imu9-web: $(BUILD)/obj/gen/web_files.o
+$(BUILD)/imu9-web: LDLIBS += -lwebsockets
+
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
 	@mkdir -p $(@D)

@@ -139,6 +139,12 @@ static void start_reading(struct watch *watch, uint64_t now_us)
 	read_next(watch, now_us);
 }
 
+void watch_read_mapping(struct watch *watch, uint64_t now_us)
+{
+	if (!watch->passive && watch->mapping != WATCH_READING)
+		watch->retry_us = now_us;
+}
+
 static void on_mapping(struct watch *watch, uint64_t now_us)
 {
 	const struct od_entry *entry = &watch->mirror.table->entries[watch->reading];

@@ -1,8 +1,8 @@
 /* tools/lib/watch.h
  * Monitors one node: decodes its frames by its PDO mapping. Passive like the core of the node itself: frames and time
  * are arguments; SDO requests, which read the mapping, are sent through the bus. */
-#ifndef TOOLS_MONITOR_WATCH_H
-#define TOOLS_MONITOR_WATCH_H
+#ifndef TOOLS_LIB_WATCH_H
+#define TOOLS_LIB_WATCH_H
 
 #include <stdbool.h>
 #include <stddef.h>
@@ -122,6 +122,8 @@ uint64_t watch_tick(struct watch *watch, uint64_t now_us);
 /** The program itself has sent a SYNC. */
 void watch_sync_sent(struct watch *watch, uint64_t now_us);
 
+/** Reads the mapping again at the next watch_tick(): it may have changed. Not with `passive`. */
+void watch_read_mapping(struct watch *watch, uint64_t now_us);
 /** Reads sigmas and bus health by SDO from now on, one value each 0.1 s. */
 void watch_poll(struct watch *watch, uint64_t now_us);
 /** Reads the event log (2131h) once. */
