@@ -1,6 +1,5 @@
 /* imu9-sdo dcf: device configuration files (CiA 306: an EDS with [DeviceComissioning] and ParameterValue), and concise
  * ones (CiA 302-3, as 2130h gives them). */
-#include <ctype.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,116 +14,27 @@
 
 /* ---- save -------------------------------------------------------------------------------------------------------- */
 
-/* The notation of an EDS: integers in decimal, COB-IDs and mappings in hexadecimal, REALs as their IEEE 754 bits. */
-static bool value_text(const struct session *s, const struct od_entry *entry, const uint8_t *wire, size_t size,
-	char *text, size_t capacity)
-{
-	bool real = entry->type == OD_REAL32 || entry->type == OD_REAL64;
-	unsigned long long value = sdo_number(wire, size);
-	uint32_t base = 0;
-
-	if (entry->type != OD_VISIBLE_STRING && size != entry->size)
-		return false;
-	if (entry->access & OD_NODE_ID && size == 4)
-		memcpy(&base, (const uint8_t *)s->table->defaults + entry->offset, 4);
-	if (base && value == base + (unsigned long long)s->node_id)
-		return snprintf(text, capacity, "$NODEID+0x%X", (unsigned int)base) > 0;
-	if (real || (entry->type == OD_UNSIGNED32 && entry->index < 0x2000))
-		return snprintf(text, capacity, "0x%0*llX", (int)(2 * size), value) > 0;
-	return od_format(entry, wire, size, text, capacity) >= 0;
-}
-
-/* The entry of a section such as [1A00sub3], or NULL. */
-static const struct od_entry *entry_of_section(const struct od_table *table, const char *section, size_t length)
-{
-	const struct od_entry *entry;
-	char text[16], *end;
-	unsigned long index, sub = 0;
-	bool is_sub = false;
-
-	if (length < 4 || length >= sizeof(text) || !isxdigit((unsigned char)section[0]))
-		return NULL;
-	memcpy(text, section, length);
-	text[length] = '\0';
-	index = strtoul(text, &end, 16);
-	if (end != text + 4)
-		return NULL;
-	if (strncasecmp(end, "sub", 3) == 0 && isxdigit((unsigned char)end[3])) {
-		is_sub = true;
-		sub = strtoul(end + 3, &end, 16);
-	}
-	entry = *end || sub > 0xFF ? NULL : od_find(table, (uint16_t)index, (uint8_t)sub, NULL);
-	/* a record itself has no value */
-	return entry && is_sub == (strchr(entry->name, '.') != NULL) ? entry : NULL;
-}
-
 struct save {
 	struct session *session;
-	FILE *out;
-	int saved, failed;
 	bool lost;
 };
 
-static void print_parameter(struct save *save, const struct od_entry *entry)
+static bool read_value(void *ctx, const struct od_entry *entry, uint8_t wire[OD_VALUE_MAX], size_t *size)
 {
-	struct session *s = save->session;
-	uint8_t wire[OD_VALUE_MAX];
-	char text[CLI_VALUE_TEXT_MAX];
+	struct save *save = ctx;
+	struct cli_node *node = &save->session->node;
 
-	if (!entry || !sdo_is_configuration(entry) || save->lost)
-		return;
-	if (!cli_node_read(&s->node, entry->index, entry->sub, wire, sizeof(wire))) {
-		cli_node_explain(&s->node, entry);
-		save->failed++;
-		save->lost = s->node.sdo.result != SDO_ABORTED;
-	} else if (value_text(s, entry, wire, s->node.sdo.size, text, sizeof(text))) {
-		fprintf(save->out, "ParameterValue=%s\r\n", text);
-		save->saved++;
-	} else {
+	if (save->lost)
+		return false;
+	if (!cli_node_read(node, entry->index, entry->sub, wire, OD_VALUE_MAX)) {
+		cli_node_explain(node, entry);
+		save->lost = node->sdo.result != SDO_ABORTED;
+		return false;
+	}
+	*size = node->sdo.size;
+	if (entry->type != OD_VISIBLE_STRING && *size != entry->size)
 		cli_error("%s: the value in the node does not have the type given in the EDS", entry->name);
-		save->failed++;
-	}
-}
-
-static void print_commissioning(const struct save *save)
-{
-	fprintf(save->out, "[DeviceComissioning]\r\nNodeID=%ld\r\nNodeName=Node %ld\r\nCANopenManager=0\r\n\r\n",
-		save->session->node_id, save->session->node_id);
-}
-
-/* Copies the EDS line by line and appends the value to each section of an object. */
-static void print_dcf(struct save *save, const char *text, size_t size)
-{
-	const struct od_entry *entry = NULL;
-	const char *end = text + size;
-	bool skip = false; /* [DeviceComissioning] of a DCF that is used as EDS */
-
-	while (text < end) {
-		const char *newline = memchr(text, '\n', (size_t)(end - text));
-		size_t length = (size_t)((newline ? newline : end) - text);
-		const char *line = text;
-
-		text = newline ? newline + 1 : end;
-		while (length && (line[length - 1] == '\r' || line[length - 1] == ' '))
-			length--;
-		if (length && line[0] == '[') {
-			const char *close = memchr(line, ']', length);
-			size_t name = (size_t)((close ? close : line + length) - (line + 1));
-
-			print_parameter(save, entry); /* there was no blank line before this section */
-			skip = name == 18 && strncasecmp(line + 1, "DeviceComissioning", name) == 0;
-			if (name == 16 && strncasecmp(line + 1, "MandatoryObjects", name) == 0)
-				print_commissioning(save);
-			entry = entry_of_section(save->session->table, line + 1, name);
-		}
-		if (length == 0 && entry) {
-			print_parameter(save, entry);
-			entry = NULL;
-		}
-		if (!skip && (length < 15 || strncasecmp(line, "ParameterValue=", 15) != 0))
-			fprintf(save->out, "%.*s\r\n", (int)length, line);
-	}
-	print_parameter(save, entry);
+	return true;
 }
 
 /* The EDS of this program with the vendor-ID of the node, as the node gives it in 1021h. */
@@ -153,52 +63,27 @@ static int save_dcf(struct session *s, const char *path)
 	size_t eds_size, size = 0;
 	uint8_t *eds = s->eds_path ? sdo_read_file(s->eds_path, &eds_size) : own_eds(&eds_size);
 	char *text = NULL;
-	struct save save = {.session = s, .out = open_memstream(&text, &size)};
+	struct save save = {.session = s};
+	FILE *out = open_memstream(&text, &size);
+	int saved, failed;
 
-	if (!save.out || !eds) {
+	if (!out || !eds) {
 		free(eds);
 		return CLI_FAILED;
 	}
 	sdo_open(s);
 	if (!s->eds_path)
 		set_vendor(s, eds);
-	print_dcf(&save, (const char *)eds, eds_size);
+	settings_write_dcf(out, s->table, (const char *)eds, eds_size, s->node_id, read_value, &save, &saved, &failed);
 	sdo_close(s);
-	fclose(save.out);
-	int exit_code = save.lost ? CLI_FAILED : sdo_finish_save(s, path, text, size, save.saved, save.failed);
+	fclose(out);
+	int exit_code = save.lost ? CLI_FAILED : sdo_finish_save(s, path, text, size, saved, failed);
 	free(text);
 	free(eds);
 	return exit_code;
 }
 
 /* ---- apply, compare: a DCF --------------------------------------------------------------------------------------- */
-
-static bool parse_values(struct settings *settings, const struct eds *dcf, const char *path, uint8_t node_id)
-{
-	for (size_t i = 0; i < dcf->table.count; i++) {
-		const struct od_entry *entry = &dcf->table.entries[i];
-		struct setting *setting = &settings->list[settings->count];
-
-		if (!dcf->entries[i].value || !sdo_is_configuration(entry))
-			continue;
-		if (settings->count == SETTINGS_MAX - 1) {
-			cli_error("%s: more than %d values", path, SETTINGS_MAX - 1);
-			return false;
-		}
-		setting->entry = entry;
-		enum od_status status = eds_value(
-			entry, dcf->entries[i].value, node_id, setting->wire, sizeof(setting->wire), &setting->size);
-		if (status != OD_OK) {
-			cli_error("%s:%u: %s: ParameterValue=%s: %s", path, dcf->entries[i].line, entry->name,
-				dcf->entries[i].value, od_status_text(status));
-			return false;
-		}
-		settings->count++;
-	}
-	if (settings->count == 0)
-		cli_error("%s: contains no ParameterValue of a configuration object: is it a DCF?", path);
-	return settings->count > 0;
-}
 
 static int use_dcf(struct session *s, const char *path, const uint8_t *text, size_t size, bool apply)
 {
@@ -213,9 +98,9 @@ static int use_dcf(struct session *s, const char *path, const uint8_t *text, siz
 	}
 	const struct od_table *table = s->table;
 	s->table = &dcf.table;
-	settings.session = s;
-	settings.node_id = dcf.info.node_id >= 1 && dcf.info.node_id <= 127 ? (long)dcf.info.node_id : 0;
-	if (parse_values(&settings, &dcf, path, (uint8_t)s->node_id))
+	if (!settings_take_dcf(&settings, &dcf, path, (uint8_t)s->node_id, error, sizeof(error)))
+		cli_error("%s", error);
+	else
 		exit_code = apply ? sdo_load(s, &settings) : sdo_compare(s, &settings);
 	s->table = table;
 	eds_free(&dcf);

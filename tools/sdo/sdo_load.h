@@ -1,24 +1,10 @@
 /* tools/sdo/sdo_load.h
- * A configuration in memory, and its transfer to a node: only values that differ, PDOs by the mapping procedure. */
+ * The transfer of a configuration to a node, and its comparison with that of the node. */
 #ifndef TOOLS_SDO_SDO_LOAD_H
 #define TOOLS_SDO_SDO_LOAD_H
 
+#include "tools/lib/settings.h"
 #include "tools/sdo/sdo_session.h"
-
-enum { SETTINGS_MAX = 4096 };
-
-struct setting {
-	const struct od_entry *entry;
-	uint8_t wire[OD_VALUE_MAX];
-	size_t size;
-};
-
-struct settings {
-	const struct session *session;
-	struct setting list[SETTINGS_MAX];
-	size_t count;
-	long node_id; /* node-ID of the configuration; 0: not in the file */
-};
 
 /** Writes the values that differ, reports failures and counts. Returns the exit code. */
 int sdo_load(struct session *s, struct settings *settings);

@@ -177,11 +177,6 @@ bool sdo_send_frame(const struct session *s, struct can_port *bus, const struct 
 	return rc == 0;
 }
 
-bool sdo_is_configuration(const struct od_entry *entry)
-{
-	return (entry->access & OD_STORED) && (entry->access & OD_WRITE);
-}
-
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
 /* Control codes from another device must not reach a terminal. */

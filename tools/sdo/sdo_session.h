@@ -53,9 +53,6 @@ int sdo_finish_save(const struct session *s, const char *path, const char *text,
 bool sdo_extract_flag(int *argc, char **argv, const char *option);
 const char *sdo_extract_value(int *argc, char **argv, const char *option);
 
-/** Whether an entry can be copied to another node: stored and writable. */
-bool sdo_is_configuration(const struct od_entry *entry);
-
 uint64_t sdo_number(const uint8_t *wire, size_t size);
 void sdo_put_u32(uint8_t *wire, uint32_t value);
 

@@ -16,7 +16,7 @@ enum { WEB_TOKEN_MIN = 16, WEB_TOKEN_MAX = 64 };
 /** Whether a Host header (NULL: none) names this server as no foreign DNS name can: an IP address, localhost, or one of
  * the `count` names that the user gave; with or without a port. */
 bool web_host_allowed(const char *host, const char *const *names, size_t count);
-/** Whether an Origin header (NULL: none, which is refused) is that of a page of this server: http or https at `host`. */
+/** Whether an Origin header (NULL: none, refused) is that of a page of this server: http or https at `host`. */
 bool web_origin_allowed(const char *origin, const char *host);
 
 /** "127.0.0.1:8410", "[::1]:8410": an IP address and a port. False: it is written in another way. `address` gets at

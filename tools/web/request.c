@@ -9,6 +9,24 @@ static struct json_object *member(struct json_object *json, const char *key, enu
 	return json_object_object_get_ex(json, key, &value) && json_object_is_type(value, type) ? value : NULL;
 }
 
+/* Of all arrays and objects; WEB_REQUEST_DEPTH bounds the recursion. */
+static size_t count_values(struct json_object *json)
+{
+	size_t n = 1;
+
+	if (json_object_is_type(json, json_type_array))
+		for (size_t i = 0; i < json_object_array_length(json); i++)
+			n += count_values(json_object_array_get_idx(json, i));
+	if (json_object_is_type(json, json_type_object)) {
+		json_object_object_foreach(json, key, value)
+		{
+			(void)key;
+			n += count_values(value);
+		}
+	}
+	return n;
+}
+
 bool web_request_parse(struct web_request *request, const char *text, size_t size, const char **error)
 {
 	struct json_tokener *tokener = size <= WEB_REQUEST_MAX ? json_tokener_new_ex(WEB_REQUEST_DEPTH) : NULL;
@@ -26,6 +44,11 @@ bool web_request_parse(struct web_request *request, const char *text, size_t siz
 	json_tokener_free(tokener);
 	if (!complete) {
 		*error = "the request is not one JSON object";
+		web_request_free(request);
+		return false;
+	}
+	if (count_values(request->json) > WEB_REQUEST_VALUES) {
+		*error = "the request has too many values";
 		web_request_free(request);
 		return false;
 	}

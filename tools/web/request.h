@@ -8,7 +8,11 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { WEB_REQUEST_MAX = 1 << 19 /* bytes: a DCF has 300 kB */, WEB_REQUEST_DEPTH = 6 };
+enum {
+	WEB_REQUEST_MAX = 1 << 19, /* bytes: a DCF has 300 kB */
+	WEB_REQUEST_DEPTH = 6,
+	WEB_REQUEST_VALUES = 1024, /* in all its arrays and objects: each takes memory */
+};
 
 struct web_request {
 	struct json_object *json; /* an object; owned, released by web_request_free() */

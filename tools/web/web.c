@@ -22,11 +22,13 @@ void web_free(struct web *web)
 	for (int i = 1; i < WEB_NODES; i++)
 		web_node_free(web, &web->nodes[i]);
 	web_eds_free(web);
+	web_lss_free(web);
 }
 
 void web_receive(struct web *web, const struct can_msg *msg, uint64_t now_us)
 {
 	web_bus_receive(web, msg, now_us);
+	web_lss_receive(web, msg, now_us);
 	if (msg->extended || msg->remote)
 		return;
 	struct web_node *node = web_node(web, msg->id & 0x7F);
@@ -41,6 +43,7 @@ uint64_t web_tick(struct web *web, uint64_t now_us)
 {
 	uint64_t next_us = earlier(web_bus_tick(web, now_us), web_clients_tick(web, now_us));
 
+	next_us = earlier(next_us, web_lss_tick(web, now_us));
 	for (int i = 1; i < WEB_NODES; i++)
 		next_us = earlier(next_us, web_node_tick(web, &web->nodes[i], now_us));
 	return next_us;

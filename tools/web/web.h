@@ -4,9 +4,9 @@
  * runs it in simulated time, and no SDO transfer ever blocks the loop.
  *
  * A browser is a client, a slot of struct web. What it asks of a node is a job: it waits in the queue of that node and
- * then takes SDO transfers one after the other. Answers wait in a queue for each client, which ends when the client does
- * not fetch them; events are written only when the client can take one, from what the bus and the nodes are then, so a
- * slow browser loses rows of PDOs and no more.
+ * then takes SDO transfers one after the other. Answers wait in a queue for each client, whose next requests wait until
+ * it has fetched them; events are written only when the client can take one, from what the bus and the nodes are then,
+ * so a slow browser loses rows of PDOs and no more.
  *
  * Memory grows with nodes and clients up to the limits below and not with time. One thread; times are us of
  * CLOCK_MONOTONIC. */
@@ -19,6 +19,7 @@
 #include <stdint.h>
 
 #include "drivers/ports/can.h"
+#include "gateway/canopen/client/lss_master.h"
 #include "gateway/canopen/client/sdo_client.h"
 #include "od/od.h"
 #include "tools/eds/eds.h"
@@ -85,7 +86,8 @@ struct web_job {
 	uint32_t serial;
 	struct json_object *request; /* owned; NULL: none */
 	int64_t id;
-	int poll; /* the poll of the client that gets the result as an event; -1: it is an answer */
+	size_t bytes; /* of the request */
+	int poll;     /* the poll of the client that gets the result as an event; -1: it is an answer */
 	unsigned int poll_version;
 	bool ready; /* needs neither identity nor EDS */
 	bool changes;
@@ -95,7 +97,8 @@ struct web_job {
 	size_t count, room, at;
 	uint8_t *buffer; /* of the transfer under way */
 	size_t capacity;
-	void *data; /* free()d with the job */
+	void *data; /* of the work; free()d with the job, or released by: */
+	void (*release)(void *data);
 };
 
 /** The samples of a watched node as text, each a row of its PDOs. */
@@ -168,6 +171,7 @@ struct web_client {
 	double allowance;
 	uint64_t allowance_us;
 	unsigned int jobs; /* without an answer yet */
+	size_t job_bytes;  /* of their requests */
 	struct web_message *answers, *last_answer;
 	unsigned int answer_count;
 	struct web_subscription subscriptions[WEB_SUBSCRIPTIONS];
@@ -184,6 +188,18 @@ struct web_client {
 struct web_emcy {
 	uint8_t node, error_register;
 	uint16_t code;
+};
+
+struct web_lss {
+	enum { WEB_LSS_NOTHING, WEB_LSS_FINDING, WEB_LSS_SELECTING, WEB_LSS_SETTING, WEB_LSS_STORING } doing;
+	struct lss_master master;
+	int client;
+	uint32_t serial;
+	int64_t id;
+	uint32_t identity[LSS_ADDRESS];
+	uint8_t node_id;
+	bool store;
+	struct json_object *units; /* that were found */
 };
 
 struct web_config {
@@ -222,6 +238,8 @@ struct web {
 	int64_t scan_id; /* that of the request + 1; 0: no scan is under way */
 	int scan_client;
 	uint32_t scan_serial;
+
+	struct web_lss lss;
 
 	uint64_t emcy_count;
 	struct web_emcy emcys[WEB_EMCYS];
@@ -309,6 +327,11 @@ uint64_t web_bus_tick(struct web *web, uint64_t now_us);
 struct json_object *web_nodes_json(const struct web *web, uint64_t now_us);
 void web_bus_disconnect(struct web *web, int client);
 
+/* web_lss.c */
+void web_lss_receive(struct web *web, const struct can_msg *msg, uint64_t now_us);
+uint64_t web_lss_tick(struct web *web, uint64_t now_us);
+void web_lss_free(struct web *web);
+
 /* web_value.c */
 /** An object, or all members of a record, as targets with a step that reads each of them and what its step of scaled
  * values needs. The count; 0: the EDS has no such object, and it is no index. */
@@ -338,9 +361,10 @@ struct web_op {
 const struct web_op *web_find_op(const char *name);
 
 web_work web_op_read, web_op_write, web_op_objects, web_op_events, web_op_subscribe, web_op_mapping, web_op_set_mapping,
-	web_op_store, web_op_restore, web_op_record;
+	web_op_store, web_op_restore, web_op_record, web_op_save, web_op_compare, web_op_load;
 void web_op_nmt(struct web *web, int client, int64_t id, struct json_object *request, uint64_t now_us);
 void web_op_sync(struct web *web, int client, int64_t id, struct json_object *request, uint64_t now_us);
+void web_op_lss(struct web *web, int client, int64_t id, struct json_object *request, uint64_t now_us);
 void web_op_scan(struct web *web, int client, int64_t id, struct json_object *request, uint64_t now_us);
 
 #endif

@@ -382,12 +382,16 @@ static const struct web_op OPS[] = {
 	{"unsubscribe", .now = op_unsubscribe},
 	{"poll", .now = op_poll},
 	{"mapping", .work = web_op_mapping},
+	{"save", .work = web_op_save},
+	{"compare", .work = web_op_compare},
 	{"write", true, .work = web_op_write},
+	{"load", true, .work = web_op_load},
 	{"store", true, .work = web_op_store},
 	{"restore", true, .work = web_op_restore},
 	{"nmt", true, .now = web_op_nmt},
 	{"set_mapping", true, .work = web_op_set_mapping},
 	{"sync", true, .now = web_op_sync},
+	{"lss", true, .now = web_op_lss},
 	{"record", true, .work = web_op_record},
 };
 
@@ -419,7 +423,8 @@ static void refuse_locked(struct web_client *client, int64_t id)
 	queue_json(client, json);
 }
 
-static void start_job(struct web *web, int client, const struct web_op *op, const struct web_request *request)
+static void start_job(
+	struct web *web, int client, const struct web_op *op, const struct web_request *request, size_t size)
 {
 	int64_t number;
 	struct web_node *node =
@@ -436,7 +441,9 @@ static void start_job(struct web *web, int client, const struct web_op *op, cons
 	job->serial = web->clients[client].serial;
 	job->id = request->id;
 	job->changes = op->changes;
+	job->bytes = size;
 	web->clients[client].jobs++;
+	web->clients[client].job_bytes += size;
 }
 
 void web_request(struct web *web, int client, const char *text, size_t size, uint64_t now_us)
@@ -462,7 +469,7 @@ void web_request(struct web *web, int client, const char *text, size_t size, uin
 	else if (op->now)
 		op->now(web, client, request.id, request.json, now_us);
 	else
-		start_job(web, client, op, &request);
+		start_job(web, client, op, &request, size);
 	web_request_free(&request);
 }
 
@@ -470,7 +477,7 @@ bool web_takes_input(const struct web *web, int client)
 {
 	const struct web_client *from = &web->clients[client];
 
-	return from->jobs + from->answer_count < WEB_CLIENT_JOBS;
+	return from->jobs + from->answer_count < WEB_CLIENT_JOBS && from->job_bytes < WEB_REQUEST_MAX;
 }
 
 /* ---- connections ------------------------------------------------------------------------------------------------- */

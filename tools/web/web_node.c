@@ -18,6 +18,7 @@ enum {
 	LOST_PERIODS = 3,
 	LOST_MIN_US = 1000000,
 	FRESH_US = 2000000,
+	PING_US = 5000000, /* of silence of a node without heartbeat */
 	IDENTITY_STEPS = 6,
 };
 
@@ -94,12 +95,16 @@ static void free_job(struct web *web, struct web_job *job)
 			client->polls[job->poll].running = false;
 		else
 			client->jobs--;
+		client->job_bytes -= job->bytes;
 	}
 	web_clear_steps(job);
 	json_object_put(job->request);
 	free(job->steps);
 	free(job->buffer);
-	free(job->data);
+	if (job->release)
+		job->release(job->data);
+	else
+		free(job->data);
 	free(job);
 }
 
@@ -518,6 +523,21 @@ static uint64_t identify_at(const struct web_node *node)
 	return found && !node->identified && node->job_count == 0 ? node->identify_us : UINT64_MAX;
 }
 
+/* Whether a node without heartbeat is still there: a transfer without an answer makes it lost. */
+static bool work_ping(struct web *web, struct web_job *job, uint64_t now_us)
+{
+	(void)web, (void)now_us;
+	return job->stage == 0 && web_read(job, 0x1000, 0);
+}
+
+static uint64_t ping_at(const struct web_node *node)
+{
+	bool silent = node->listed && node->identified && node->heartbeat_interval_us == 0 &&
+		      node->state != NMT_STOPPED && node->state != WATCH_NMT_LOST;
+
+	return silent && node->job_count == 0 ? node->heard_us + PING_US : UINT64_MAX;
+}
+
 uint64_t web_node_tick(struct web *web, struct web_node *node, uint64_t now_us)
 {
 	uint64_t next_us = UINT64_MAX;
@@ -531,6 +551,8 @@ uint64_t web_node_tick(struct web *web, struct web_node *node, uint64_t now_us)
 		lose(web, node);
 	if (now_us >= identify_at(node))
 		push_front(node, work_identify);
+	if (now_us >= ping_at(node))
+		push_front(node, work_ping);
 	if (node->watch && node->sdo.result != SDO_RUNNING)
 		next_us = watch_tick(node->watch, now_us);
 	run_jobs(web, node, now_us);
@@ -538,7 +560,7 @@ uint64_t web_node_tick(struct web *web, struct web_node *node, uint64_t now_us)
 		next_us = sdo_client_tick(&node->sdo, now_us);
 	if (node->rows)
 		next_us = earlier(next_us, web_rows_tick(web, node, now_us));
-	return earlier(next_us, earlier(lost_at(node), identify_at(node)));
+	return earlier(earlier(next_us, ping_at(node)), earlier(lost_at(node), identify_at(node)));
 }
 
 /* ---- the watch --------------------------------------------------------------------------------------------------- */
