@@ -107,17 +107,9 @@ function toast(text, kind = "good") {
 
 function dialogue(title, body, actions) {
   return new Promise((done) => {
-    const box = h(
-      "dialog",
-      {"aria-labelledby": "dialogue-title"},
-      h(
-        "form",
-        {method: "dialog"},
-        h("h2", {id: "dialogue-title"}, title),
-        body,
-        h("div", {class: "actions"}, actions(box))
-      )
-    );
+    const box = h("dialog", {"aria-labelledby": "dialogue-title"});
+    const heading = h("h2", {id: "dialogue-title"}, title);
+    fill(box, h("form", {method: "dialog"}, heading, body, h("div", {class: "actions"}, actions(box))));
     box.addEventListener("close", () => {
       done(box.returnValue);
       box.remove();
@@ -350,7 +342,8 @@ function tab_keys(event) {
   event.preventDefault();
   const tab = tabs[(to + tabs.length) % tabs.length];
   location.hash = tab.getAttribute("href");
-  requestAnimationFrame(() => $(tab.id)?.focus());
+  show_view();
+  $(tab.id).focus();
 }
 
 /* ---- events ------------------------------------------------------------------------------------------------------ */

@@ -25,7 +25,7 @@ export function by_record(list) {
       records.set(object.index, {
         index: object.index,
         objects: [],
-        title: object.record ? object.record : label_of(object.name),
+        title: label_of(object.record || object.name),
       });
     records.get(object.index).objects.push(object);
   }
@@ -57,15 +57,11 @@ function row(ctx, node, object) {
   const edit = field(object, (value) => editor.write(value), name_id);
   const editor = {
     async write(value) {
-      try {
-        const result = await ctx.act("write", {node, object: object.name, value}, (error) => edit.error(error.message));
-        if (!result) return false;
-        ctx.toast(T.objects.written(label_of(object.name)));
-        (result.values ?? []).filter((v) => v.name === object.name).forEach((v) => editor.show(v));
-        return true;
-      } catch {
-        return false;
-      }
+      const result = await ctx.act("write", {node, object: object.name, value}, (error) => edit.error(error.message));
+      if (!result) return false;
+      ctx.toast(T.objects.written(label_of(object.name)));
+      (result.values ?? []).filter((v) => v.name === object.name).forEach((v) => editor.show(v));
+      return true;
     },
     show(value) {
       if (value.error) return edit.error(value.error);

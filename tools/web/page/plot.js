@@ -82,11 +82,11 @@ export class Plot {
     this.paint();
   }
 
-  axis({title, ...rest}) {
+  axis({title, ticks, ...rest}) {
     return {
       type: "linear",
       title: {display: Boolean(title), text: title, font: {size: 11}},
-      ticks: {maxTicksLimit: 6, font: {size: 11}, maxRotation: 0, ...rest.ticks},
+      ticks: {maxTicksLimit: 6, includeBounds: false, font: {size: 11}, maxRotation: 0, ...ticks},
       ...rest,
       border: {display: false},
     };
