@@ -153,11 +153,16 @@ $(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
 Q = $(if $(V),,@echo "  build   $@";)
 
 # ---- the two commands of the README --------------------------------------------------------------------------------
-.PHONY: demo test
+.PHONY: demo demo-web test
 demo: ## install what is missing, build, and show the gateway at work (no hardware needed)
 	@DEPS=$(DEPS) tools/deps build
 	@$(MAKE) --no-print-directory -j2 all
 	@BUILD=$(BUILD) tools/demo
+
+demo-web: ## the same in the browser: two simulated nodes and imu9-web, which prints its address
+	@DEPS=$(DEPS) tools/deps build
+	@$(MAKE) --no-print-directory -j2 all
+	@BUILD=$(BUILD) tools/web/demo
 
 test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
 	@DEPS=$(DEPS) tools/deps build test
