@@ -1201,8 +1201,8 @@ static void test_after_a_gap_sigma_has_grown_by_what_may_have_happened(void **st
 	assert_sigma(&n, NAVIGATION_P, gap_s * sqrt(v2 + 4 * gap_s * gap_s));
 }
 
-/* An alias that is found is a constant velocity since it began: both errors are one, which grows with the time. Where it
- * ends, its sine is left. */
+/* An alias that is found is a constant velocity since it began: both errors are one, which grows with the time. Where
+ * it ends, its sine is left. */
 static void test_what_may_be_an_alias_is_an_error_of_velocity_and_position_as_long_as_it_lasts(void **state)
 {
 	struct navigation n = started(MOTION_ANY);
