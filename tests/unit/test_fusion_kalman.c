@@ -276,7 +276,7 @@ static void test_another_homogeneous_field_becomes_the_reference_after_20_second
 	assert_true(used > 500);
 }
 
-/* Half a minute still in one hall, and then 20 s of turning in another one: what was seen in the first is no part of it. */
+/* Half a minute still in one hall, and then 20 s of turning in another one: the first is no part of what was seen. */
 static void test_a_reference_is_of_one_field_from_its_first_moment_on(void **state)
 {
 	struct fusion f = fusion(NINE_AXES);

@@ -164,6 +164,38 @@ static void test_a_level_that_a_fifo_cannot_have_is_a_failed_transfer(void **sta
 	}
 }
 
+static uint8_t overrun_bit;
+
+/* FIFO_STATUS2 of the LSM6DSO: FIFO_OVR_IA 40h becomes another bit. */
+static void change_overrun(struct world *w, const struct sim_access *access)
+{
+	if (access->write || access->sub != 0x3A || access->address != sim_board_address(w->sim, IMU_CHIP_GYRO) ||
+		!(access->bytes[1] & 0x40))
+		return;
+	access->bytes[1] = (uint8_t)((access->bytes[1] & ~0x40) | overrun_bit);
+}
+
+/* An overrun that has ended shows as FIFO_OVR_LATCHED 08h. */
+static void test_a_latched_overrun_of_the_lsm6dso_counts(void **state)
+{
+	uint32_t lost[2];
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct world *w = settled("v6");
+		const uint32_t before = w->board.health.overruns;
+
+		overrun_bit = i ? 0x08 : 0x40;
+		w->after = change_overrun;
+		w->now_ns += 3500000000; /* the FIFO holds 2.5 s */
+		board_step(&w->board);
+		lost[i] = w->board.health.overruns - before;
+		world_free(w);
+	}
+	assert_true(lost[0] > 50);
+	assert_int_equal(lost[1], lost[0]);
+}
+
 static void test_a_chip_without_new_samples_is_detected_and_recovers(void **state)
 {
 	struct world *w;
@@ -598,6 +630,7 @@ int main(void)
 		cmocka_unit_test(test_a_chip_that_does_not_answer_is_detected_and_recovers),
 		cmocka_unit_test(test_on_spi_a_chip_that_is_gone_is_detected_and_its_data_are_not_used),
 		cmocka_unit_test(test_a_level_that_a_fifo_cannot_have_is_a_failed_transfer),
+		cmocka_unit_test(test_a_latched_overrun_of_the_lsm6dso_counts),
 		cmocka_unit_test(test_a_chip_without_new_samples_is_detected_and_recovers),
 		cmocka_unit_test(test_frozen_data_are_detected_and_cleared_by_the_first_other_value),
 		cmocka_unit_test(test_a_coarse_range_at_rest_is_not_frozen),
