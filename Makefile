@@ -53,7 +53,8 @@ CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 MODBUS_SRC := $(call sources,gateway/modbus/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
-TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
+FLEET_SRC := $(filter-out $(PROGRAM_SRC),$(call sources,tools/fleet/*.c))
+TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC) $(FLEET_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway modbus_server canopen drivers od) $(MODEL_LIB)
@@ -113,6 +114,7 @@ $(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
 $(BUILD)/libmodbus_server.a: $(call objects,$(MODBUS_SRC)) $(BUILD)/obj/gen/modbus_map.o; $(archive)
 $(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
 $(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
+$(BUILD)/libfleet.a: $(call objects,$(FLEET_SRC)); $(archive)
 
 $(BUILD)/imu9-gateway: $(BUILD)/obj/gateway/main.o $(LIBS)
 	$(Q)$(CC) $(CFLAGS) $(SAN) $(LDFLAGS) -o $@ $^ $(LDLIBS)
@@ -122,6 +124,11 @@ $$(BUILD)/$(subst _,-,$(notdir $(1))): $$(BUILD)/obj/$(1).o $$(LIBS)
 	$$(Q)$$(CC) $$(CFLAGS) $$(SAN) $$(LDFLAGS) -o $$@ $$^ $$(LDLIBS)
 endef
 $(foreach s,$(basename $(PROGRAM_SRC)),$(eval $(call program,$(s))))
+
+# the only programs that need these libraries
+FLEET_PROGRAMS := $(BUILD)/imu9-fleet $(foreach t,$(TESTS) $(FUZZERS),$(if $(findstring _fleet,$(notdir $(t))),$(t)))
+$(FLEET_PROGRAMS): $(BUILD)/libfleet.a
+$(FLEET_PROGRAMS): LDLIBS := $(BUILD)/libfleet.a $(LIBS) -lmosquitto $(LDLIBS)
 
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
