@@ -54,7 +54,8 @@ CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 MODBUS_SRC := $(call sources,gateway/modbus/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
-TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
+FLEET_SRC := $(filter-out $(PROGRAM_SRC),$(call sources,tools/fleet/*.c))
+TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC) $(FLEET_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway modbus_server canopen drivers od) $(MODEL_LIB)
@@ -114,6 +115,7 @@ $(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
 $(BUILD)/libmodbus_server.a: $(call objects,$(MODBUS_SRC)) $(BUILD)/obj/gen/modbus_map.o; $(archive)
 $(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
 $(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
+$(BUILD)/libfleet.a: $(call objects,$(FLEET_SRC)); $(archive)
 
 $(BUILD)/imu9-gateway: $(BUILD)/obj/gateway/main.o $(LIBS)
 	$(Q)$(CC) $(CFLAGS) $(SAN) $(LDFLAGS) -o $@ $^ $(LDLIBS)
@@ -134,6 +136,10 @@ $(CHART_JS):
 	@echo "$@ is missing: tools/deps build" >&2; exit 1
 $(BUILD)/imu9-web: $(BUILD)/obj/gen/web_files.o
 $(BUILD)/imu9-web: LDLIBS += -lwebsockets
+# the only programs that need these libraries
+FLEET_PROGRAMS := $(BUILD)/imu9-fleet $(foreach t,$(TESTS) $(FUZZERS),$(if $(findstring _fleet,$(notdir $(t))),$(t)))
+$(FLEET_PROGRAMS): $(BUILD)/libfleet.a
+$(FLEET_PROGRAMS): LDLIBS := $(BUILD)/libfleet.a $(LIBS) -lmosquitto $(LDLIBS)
 
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
