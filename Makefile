@@ -242,12 +242,9 @@ lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h ## clang-tidy and cppchec
 		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
 		model od drivers gateway tools
 
-cov: ## line coverage of the unit and scenario tests
+cov: ## line and branch coverage of the unit and scenario tests
 	@$(MAKE) --no-print-directory BUILD=$(BUILD)/cov CFLAGS="-O0 -g --coverage" check
-	@cd $(BUILD)/cov && find obj -name '*.gcda' | xargs gcov -n 2>/dev/null | \
-		awk "/^File '[a-z]/ {f = \$$2} \
-			/^Lines executed/ && f != \"\" {split(\$$0, p, \":\"); print p[2], f; f = \"\"}" | \
-		grep -v "'/usr" | sort -n
+	@tests/coverage -p $(BUILD)/cov
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
 PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run)
