@@ -122,6 +122,8 @@ static const double STILL_GATE_SIGMAS = 5;
 /* Sigmas beyond which the mean acceleration is significant. Tuned in simulation: a robot that comes to rest from 0.05
  * m/s within a second is seen to. */
 static const double ACCEL_SIGMAS = 2.5;
+/* .. and at one by the hypotheses. Convention. */
+static const double CONTRADICTED_SIGMAS = 3;
 /* m/s, 1 sigma of the velocity at a standstill by the hypotheses of zero_velocity.h, beside its vibration. By
  * judgement. */
 static const double ZERO_VELOCITY_M_S = 0.003;
@@ -876,6 +878,21 @@ static void add_constant_velocity(struct navigation *n, int axis, double varianc
 	n->p[P + axis][P + axis] += variance * squared(t_s);
 }
 
+/* It stands, against the estimate: the velocity was wrong, since the movement began or later. */
+static void doubt_velocity(struct navigation *n, struct vec3 velocity_n_m_s)
+{
+	const double v[3] = {velocity_n_m_s.x, velocity_n_m_s.y, velocity_n_m_s.z};
+
+	n->assumed = false;
+	for (int i = 0; i < 3; i++) {
+		if (may_be_zero(v[i], n->p[V + i][V + i], ZERO_VELOCITY_M_S, CONTRADICTED_SIGMAS))
+			continue;
+		n->assumed = true;
+		add_constant_velocity(n, i, squared(v[i]), n->moved_s);
+		n->p[P + i][P + i] += squared(v[i] * n->moved_s / 2);
+	}
+}
+
 /* Where an alias ends, its sine stays behind. */
 static void add_sine(struct navigation *n, const double velocity_m_s[ALIAS_AXES], const double position_m[ALIAS_AXES])
 {
@@ -1218,12 +1235,16 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 
 	if (n->still && !still && (n->stood_s > STOOD_S || n->ended_by_reset))
 		begin_movement(n, reference_point(n, in));
-	if (still && !n->still && n->moved_s > 0 && !assumptions(n)->dwell)
+	if (still && !n->still && n->moved_s > 0 && !assumptions(n)->dwell) {
+		doubt_velocity(n, reference_point(n, in).velocity_n_m_s);
 		end_movement(n);
+	}
 	if (still && !n->still)
 		add_sine(n, n->alias.velocity_m_s, n->alias.position_m);
-	if (n->still != still)
-		zero_velocity_restart(&n->zero_velocity, n->still);
+	if (still && !n->still)
+		zero_velocity_settle(&n->zero_velocity);
+	else if (!still && n->still)
+		zero_velocity_restart(&n->zero_velocity, true);
 	n->ended_by_reset &= still;
 	smoother_elapse(n->smoother, dt_s);
 	n->aided_s = fmax(0, n->aided_s - dt_s);

@@ -91,25 +91,44 @@ void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, doub
 	p->accel_n_m_s2 = accel_n_m_s2;
 }
 
+static struct vec3 add_square(struct vec3 sigma, struct vec3 off)
+{
+	return (struct vec3){hypot(sigma.x, off.x), hypot(sigma.y, off.y), hypot(sigma.z, off.z)};
+}
+
+/* The position stays, and zero velocity is published: what the navigation says of both is part of their error. */
+static void hold(struct position *p, struct vec3 position_n_m, struct vec3 velocity_n_m_s, bool new_sigma)
+{
+	p->velocity_n_m_s = (struct vec3){0, 0, 0};
+	if (!new_sigma)
+		return;
+	p->sigma.position_m = add_square(p->sigma.position_m, vec3_sub(position_n_m, p->position_n_m));
+	p->sigma.velocity_m_s = add_square(p->sigma.velocity_m_s, velocity_n_m_s);
+}
+
 /* Velocity and position of the reference point from the navigation's of the sensor. */
-static void follow(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m)
+static void follow(struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, bool new_sigma)
 {
 	const struct navigation *n = &p->navigation;
 	struct vec3 omega_b_rad_s = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
 	struct vec3 reference_n_m = vec3_sub(n->position_n_m, quat_rotate(n->q_nb, lever_b_m));
+	struct vec3 position_n_m, velocity_n_m_s = {0, 0, 0};
 
 	if (!p->anchored) {
 		p->anchor_n_m = vec3_sub(reference_n_m, p->position_n_m);
 		p->anchored = true;
 	}
 	p->omega_b_rad_s = omega_b_rad_s;
-	p->velocity_n_m_s = (struct vec3){0, 0, 0};
-	if (position_limited(p))
-		return;
-	p->position_n_m = vec3_add(vec3_sub(reference_n_m, p->anchor_n_m), n->zero_velocity.position_shift_n_m);
+	position_n_m = vec3_add(vec3_sub(reference_n_m, p->anchor_n_m), n->zero_velocity.position_shift_n_m);
 	if (!n->still)
-		p->velocity_n_m_s = vec3_sub(vec3_add(n->velocity_n_m_s, n->zero_velocity.velocity_shift_n_m_s),
+		velocity_n_m_s = vec3_sub(vec3_add(n->velocity_n_m_s, n->zero_velocity.velocity_shift_n_m_s),
 			quat_rotate(n->q_nb, vec3_cross(omega_b_rad_s, lever_b_m)));
+	if (position_limited(p)) {
+		hold(p, position_n_m, velocity_n_m_s, new_sigma);
+		return;
+	}
+	p->position_n_m = position_n_m;
+	p->velocity_n_m_s = velocity_n_m_s;
 }
 
 void position_navigate(
@@ -118,7 +137,7 @@ void position_navigate(
 	struct navigation *n = &p->navigation;
 	struct navigation_input with_lever = *in;
 	unsigned movements = n->movements;
-	bool first = !n->started;
+	bool first = !n->started, new_sigma;
 
 	with_lever.lever_b_m = lever_b_m;
 	if (first) {
@@ -127,12 +146,13 @@ void position_navigate(
 		n->velocity_n_m_s = quat_rotate(in->q_nb, vec3_cross(in->gyro_b_rad_s, lever_b_m));
 		p->anchored = false;
 	}
-	if (navigation_step(n, &with_lever, dt_s) || first)
+	new_sigma = navigation_step(n, &with_lever, dt_s) || first;
+	if (new_sigma)
 		p->sigma = navigation_sigma(n, rate_hz);
 	p->moving_s = navigation_stands(n) ? 0 : p->moving_s + dt_s;
 	if (n->movements != movements)
 		p->moved_from_n_m = vec3_sub(n->begin_n_m, p->anchor_n_m);
-	follow(p, in, lever_b_m);
+	follow(p, in, lever_b_m, new_sigma);
 	if (n->still && !n->ended_by_reset) {
 		p->displacement_n_m = vec3_sub(p->position_n_m, p->moved_from_n_m);
 		p->displacement_sigma_m = p->sigma.displacement_m;

@@ -20,7 +20,7 @@ static const double FORK_M_S = 0.001;
 static const double FORK_S = 0.75;
 /* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in
  * place. Tuned in simulation: of days at rest (make soak), in which 5 raise a false alarm once in a day or so. Most are
- * made up for, since the odds of standing are high after them, but not all. */
+ * made up for within seconds, since the odds of standing are high after them; some cost the position. */
 static const double BEGIN_SIGMAS = 6, BEGIN_TURNING_SIGMAS = 3;
 /* Squared sigmas of a fork's velocity from which on its displacement counts in the variance: between the mean of the
  * chi-squared distribution of 3 degrees of freedom and the limit. */
@@ -65,6 +65,11 @@ static const double STANDS_WEIGHT = 0.95, MOVES_WEIGHT = 0.05;
 static const double LEAST_WEIGHT = 0.001;
 /* The exponent of a likelihood ratio is limited to that. Numerical limit. */
 static const double MOST_EXPONENT = 500;
+/* s, in which the odds that what is as quiet as it stood moves nevertheless fall to 1 / e; and what they are at most,
+ * since once in a while a knock leaves a velocity behind that is wrong by any amount. By judgement: a quiet motion of a
+ * minute is usual, and the longest integration time by default; one of ten minutes is neither. So a false alarm ends
+ * after three to four minutes if the velocity has become unknown meanwhile, and after a quarter of an hour if not. */
+static const double CRUISE_S = 60, MOST_QUIET_ODDS = 1e5;
 
 /* Inverse of the symmetric, positive definite a; returns the determinant of a. */
 static double invert3(double a[3][3], double inverse[3][3])
@@ -121,8 +126,17 @@ void zero_velocity_restart(struct zero_velocity *z, bool moving)
 	for (int i = 0; i < ZERO_VELOCITY_FORKS; i++)
 		z->forks[i].set = false;
 	z->least_odds = moving ? BEGIN_ODDS : 0;
-	z->weight = z->standing_s = 0;
+	z->weight = z->standing_s = z->quiet_s = 0;
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
+}
+
+void zero_velocity_settle(struct zero_velocity *z)
+{
+	double quietly_s = fmin(z->quiet_s, z->moved_quietly_s);
+
+	z->moved_quietly_s -= quietly_s;
+	z->moved_s -= quietly_s;
+	zero_velocity_restart(z, false);
 }
 
 /* ---- it stands ---- */
@@ -344,7 +358,10 @@ static bool has_accelerated(const struct zero_velocity *z, const struct navigati
 static void update_odds(
 	struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s, double odds, double t_s)
 {
-	z->least_odds *= 1 - t_s / ODDS_MEMORY_S;
+	double most = z->quiet_s > 0 ? MOST_QUIET_ODDS : INFINITY;
+
+	odds = fmin(odds, most);
+	z->least_odds = fmin(z->least_odds * (1 - t_s / ODDS_MEMORY_S), most);
 	z->odds_age_s += t_s;
 	if (odds < z->least_odds && !has_accelerated(z, n, velocity_n_m_s))
 		return;
@@ -357,17 +374,19 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
 	double t_s)
 {
-	bool quiet = is_quiet(z, signals);
+	bool quiet = is_quiet(z, signals) && !known;
 	double quiet_share = fmax(LEAST_QUIET, (z->moved_quietly_s + PRIOR_QUIET * PRIOR_S) / (z->moved_s + PRIOR_S));
 
 	z->weight = 0;
-	if (known || signals->accelerates) {
+	z->quiet_s = quiet ? z->quiet_s + t_s : 0;
+	/* nothing accelerates evenly for so long: its tilt or bias is another */
+	if (known || (signals->accelerates && z->quiet_s < CRUISE_S)) {
 		z->least_odds = z->standing_s = 0;
 		mix(z, n, velocity_n_m_s);
 		return;
 	}
 	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s, signals->level), t_s);
-	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share : 1));
+	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share * exp(-z->quiet_s / CRUISE_S) : 1));
 	z->standing_s = z->weight > STANDS_WEIGHT ? z->standing_s + t_s : 0;
 	if (z->weight < MOVES_WEIGHT && z->quiet_accel2_m2_s4 > 0) {
 		z->moved_s += t_s;

@@ -13,8 +13,9 @@
  * of v = 0 against a speed of any scale (a Gaussian each, the slowest given by the user's assumptions), times prior
  * odds. The prior odds grow as far as known motions of this carrier have differed from standing: one that vibrated
  * whenever it moved stands when the vibration ends; one that cruised without vibration (a lift) may cruise again. A
- * motion cannot end without an acceleration, so without one the odds do not rise while P grows. Above a limit it
- * stands; below, position and velocity are those of both, weighted, and their variance has the spread of both.
+ * motion cannot end without an acceleration, so without one the odds do not rise while P grows; but the longer it is
+ * as quiet as it stood, the less likely is it that it ever moved. Above a limit it stands; below, position and velocity
+ * are those of both, weighted, and their variance has the spread of both.
  *
  * Sources: I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection - an algorithm evaluation", IEEE
  * TBME 57(11), 2010 (likelihood ratio); J. Wahlstrom, I. Skog, F. Gustafsson, A. Markham, N. Trigoni, "Zero-velocity
@@ -62,6 +63,7 @@ struct zero_velocity {
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
 	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */
 	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
+	double quiet_s;			 /* for how long it has been that quiet while it moves */
 	double least_odds;		 /* of moving, since the last acceleration, */
 	struct vec3 odds_velocity_n_m_s; /* .. and the velocity that they rest on, */
 	double odds_age_s;		 /* .. so long ago */
@@ -93,6 +95,9 @@ struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const s
 void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
 	double t_s);
+
+/** It stands: what was quiet until now was no motion to learn from. */
+void zero_velocity_settle(struct zero_velocity *z);
 
 /** A motion has begun, or samples were missing: no forks, and no odds of standing until an acceleration. */
 void zero_velocity_restart(struct zero_velocity *z, bool moving);

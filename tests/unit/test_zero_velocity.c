@@ -18,6 +18,8 @@ struct motion {
 	enum motion_preset preset;
 };
 
+static const double KNOCK_S = 60;
+
 struct run {
 	struct pipeline pipeline;
 	struct pipeline_output out;
@@ -35,7 +37,8 @@ static double acceleration(const struct motion *m, double t_s)
 	return down > 0 && down < m->ramp_s ? -a * sin(PI * down / m->ramp_s) : 0;
 }
 
-static struct run move(const struct motion *m, double until_s)
+/* knock_m_s: velocity along x that a knock at KNOCK_S leaves in the samples only. */
+static struct run move_and_knock(const struct motion *m, double until_s, double knock_m_s)
 {
 	struct run run = {.way_m = 0};
 	struct pipeline_config config = PIPELINE_DEFAULTS;
@@ -56,6 +59,8 @@ static struct run move(const struct motion *m, double until_s)
 		sample.accel_m_s2 = vec3_add(vec3_add(quat_rotate_inverse(q, force_n), bias), any_vec(0.025));
 		if (v > 1e-3)
 			sample.accel_m_s2.z += m->vibration_m_s2 * (sin(2 * PI * 7.3 * t) + sin(2 * PI * 17.1 * t));
+		if (t > KNOCK_S && t < KNOCK_S + 0.5)
+			sample.accel_m_s2.x += 2 * knock_m_s;
 		sample.gyro_rad_s = vec3_add((struct vec3){0, 0, rate}, any_vec(0.1 * RAD_PER_DEG));
 		sample.mag_uT = vec3_add(quat_rotate_inverse(q, (struct vec3){0, 20, -44}), any_vec(0.5));
 		assert_int_equal(pipeline_step(&run.pipeline, &sample, &run.out), 0);
@@ -74,6 +79,11 @@ static struct run move(const struct motion *m, double until_s)
 	}
 	run.beyond /= seen;
 	return run;
+}
+
+static struct run move(const struct motion *m, double until_s)
+{
+	return move_and_knock(m, until_s, 0);
 }
 
 static double error_m(const struct run *r, const struct motion *m)
@@ -176,6 +186,46 @@ static void test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped(vo
 	assert_false(stands(&r));
 	assert_true(r.beyond < 0.02);
 	assert_true(vec3_norm(r.out.sigma.position_m) > error_m(&r, &m) / 3);
+}
+
+/* A knock that the sensor falsifies looks like the start of a drive that never ends, to a carrier that drives quietly.
+ * Nobody drives so for minutes: it stands again, and sigma says where it may have gone. */
+static void test_a_motion_that_was_none_ends_and_sigma_covers_it(void **state)
+{
+	const struct {
+		enum motion_preset preset;
+		double knock_m_s, until_s;
+	} cases[] = {{MOTION_ANY, 0.06, 300}, {MOTION_ANY, 0.3, 300}, {MOTION_ROBOT_BASE, 0.15, 300},
+		{MOTION_LINEAR_AXIS, 0.1, 400}};
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct motion m = {{0, 1, 0}, 0.5, 1, 10, 0, 0, cases[i].preset};
+		struct run r = move_and_knock(&m, KNOCK_S + 10, cases[i].knock_m_s);
+
+		assert_false(stands(&r));
+		r = move_and_knock(&m, KNOCK_S + cases[i].until_s, cases[i].knock_m_s);
+		assert_true(stands(&r));
+		assert_true(r.beyond < 0.02);
+		assert_vec_near(r.out.velocity_n_m_s, ((struct vec3){0, 0, 0}), 0);
+	}
+}
+
+/* .. but a lift of 90 s, or a cruise of two minutes, is one. */
+static void test_a_quiet_motion_of_two_minutes_is_one(void **state)
+{
+	const struct motion motions[] = {{{0, 0, 1}, 1, 1, 90, 0, 0, MOTION_LINEAR_AXIS},
+		{{1, 0, 0}, 0.3, 1, 120, 0, 0, MOTION_ANY}, {{1, 0, 0}, 2, 1, 120, 0, 0, MOTION_ROBOT_BASE}};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		double end_s = 10 + motions[i].cruise_s + 2 * motions[i].ramp_s;
+		struct run r = move(&motions[i], end_s - 2);
+
+		assert_false(stands(&r));
+		r = move(&motions[i], end_s + 20);
+		assert_true(r.beyond < 0.02);
+	}
 }
 
 /* By dwell, as before the hypotheses: it moves to and fro, so what is steady stands. */
@@ -449,7 +499,7 @@ static void test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrie
 		s.z.moved_quietly_s = cases[i].quietly_s;
 		noisy = s;
 		double odds = 1 / weight_of(&noisy, &NOISY, 0.2) - 1;
-		assert_near(1 / weight_of(&s, &QUIET, 0.2) - 1, odds * cases[i].share, 1e-6 * odds);
+		assert_near(1 / weight_of(&s, &QUIET, 0.2) - 1, odds * cases[i].share * exp(-0.1 / 60), 1e-6 * odds);
 	}
 }
 
@@ -468,8 +518,8 @@ static void test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_stand
 		struct standing s = moving_with(0.04), noisy = s;
 		double odds = 1 / weight_of(&noisy, &NOISY, 0.2) - 1;
 
-		assert_near(
-			1 / weight_of(&s, &cases[i].signals, 0.2) - 1, odds * (cases[i].quiet ? 0.01 : 1), 1e-6 * odds);
+		assert_near(1 / weight_of(&s, &cases[i].signals, 0.2) - 1,
+			odds * (cases[i].quiet ? 0.01 * exp(-0.1 / 60) : 1), 1e-6 * odds);
 	}
 }
 
@@ -488,6 +538,51 @@ static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state
 		s.n = fresh.n;
 		assert_near((1 / weight_of(&s, &NOISY, v) - 1) / (i < 2 ? odds * (1 - 0.1 / 20) : now), 1, 1e-6);
 	}
+}
+
+/* To 1 / e within a minute: what is as quiet as it stood moves by 100000 to 1 at most. A moment that is not quiet begins
+ * anew. */
+static void test_the_odds_of_a_quiet_motion_fall_with_its_time(void **state)
+{
+	const double share = 0.01;
+
+	(void)state;
+	for (int far = 0; far < 2; far++) {
+		struct standing s = moving_with(0.04);
+		double v = far ? 0.6 : 0.2, odds = 1 / weight_of(&s, &NOISY, v) - 1;
+
+		s = moving_with(0.04);
+		s.z.moved_s = 1e9; /* nothing more is learnt */
+		s.z.moved_quietly_s = 1e9 * share;
+		odds = fmin(odds, 1e5) * share;
+		for (int k = 1; k <= 3000; k++) {
+			double weight = weight_of(&s, &QUIET, v);
+
+			if (k % 100 == 0)
+				assert_near(1 / weight - 1, odds * exp(-0.1 * k / 60), 1e-5 * odds);
+		}
+		weight_of(&s, &NOISY, v);
+		assert_near(1 / weight_of(&s, &QUIET, v) - 1, odds * exp(-0.1 / 60), 1e-4 * odds);
+	}
+}
+
+/* What was quiet before the standstill was part of it. */
+static void test_a_quiet_time_that_ends_in_a_standstill_was_no_motion_to_learn_from(void **state)
+{
+	struct standing s = moving_with(0.01);
+
+	(void)state;
+	for (int k = 0; k < 50; k++) {
+		weight_of(&s, &NOISY, 1);
+		weight_of(&s, &NOISY, 1);
+	}
+	for (int k = 0; k < 30; k++)
+		weight_of(&s, &QUIET, 1);
+	assert_near(s.z.moved_s, 13, 1e-6);
+	assert_near(s.z.moved_quietly_s, 3, 1e-6);
+	zero_velocity_settle(&s.z);
+	assert_near(s.z.moved_s, 10, 1e-6);
+	assert_near(s.z.moved_quietly_s, 0, 1e-6);
 }
 
 static void test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill(void **state)
@@ -636,6 +731,8 @@ int main(void)
 		cmocka_unit_test(test_a_turn_in_place_leaves_the_position_and_turns_the_heading),
 		cmocka_unit_test(test_the_end_of_the_vibration_is_a_standstill_of_what_vibrates_in_motion),
 		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
+		cmocka_unit_test(test_a_motion_that_was_none_ends_and_sigma_covers_it),
+		cmocka_unit_test(test_a_quiet_motion_of_two_minutes_is_one),
 		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
 		cmocka_unit_test(
 			test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows),
@@ -650,6 +747,8 @@ int main(void)
 		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
 		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
+		cmocka_unit_test(test_the_odds_of_a_quiet_motion_fall_with_its_time),
+		cmocka_unit_test(test_a_quiet_time_that_ends_in_a_standstill_was_no_motion_to_learn_from),
 		cmocka_unit_test(test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill),
 		cmocka_unit_test(test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again),
 		cmocka_unit_test(test_position_and_velocity_are_the_moments_of_the_mixture),
