@@ -26,15 +26,19 @@ static void write_vec3(FILE *f, const char *name, struct vec3 v)
 	fprintf(f, "%s_x = %.7g\n%s_y = %.7g\n%s_z = %.7g\n", name, v.x, name, v.y, name, v.z);
 }
 
-static void write_triad(FILE *f, const char *section, const struct triad_calibration *t)
+static void write_matrix(FILE *f, const double m[9])
 {
 	static const char AXES[] = "xyz";
 
+	for (int i = 0; i < 9; i++)
+		fprintf(f, "%c%c = %.7g\n", AXES[i / 3], AXES[i % 3], m[i]);
+}
+
+static void write_triad(FILE *f, const char *section, const struct triad_calibration *t)
+{
 	fprintf(f, "[%s]\n", section);
 	write_vec3(f, "bias", t->bias);
-	for (int i = 0; i < 3; i++)
-		for (int j = 0; j < 3; j++)
-			fprintf(f, "%c%c = %.7g\n", AXES[i], AXES[j], t->matrix[i][j]);
+	write_matrix(f, &t->matrix[0][0]);
 }
 
 static int save_triad(const struct calibrate_request *r, const char *section, const struct triad_calibration *t)
@@ -182,8 +186,18 @@ static int accelerometer(const struct calibrate_request *r)
 	if (r->six)
 		printf("%-12s %12.2f deg between faces and sensor axes\n", "rotation",
 			c.result.faces_turned_rad * DEG_PER_RAD);
+	if (c.result.gyro.found)
+		printf("%-12s %12.2g (each element of the matrix of the gyro, from %d turns)\n", "1 sigma",
+			c.result.gyro.sigma, c.result.gyro.turns);
 	triad.bias = bias_at_reference(r, triad.bias, c.result.temperature_degC, calibration_accel_shift);
-	return save_triad(r, "accelerometer_calibration", &triad);
+	FILE *f = open_output(r);
+	write_triad(f, "accelerometer_calibration", &triad);
+	if (c.result.gyro.found) {
+		fputs("[gyro_calibration]\n", f);
+		write_matrix(f, &c.result.gyro.matrix[0][0]);
+	}
+	cli_close(f, r->output);
+	return CLI_OK;
 }
 
 static int magnetometer(const struct calibrate_request *r)
