@@ -1,9 +1,9 @@
 /* model/identify/gyro_turns.h
- * Matrix of the gyro (scale factors, cross-axis terms, rotation against the accelerometer) from the turns between rests:
- * what the gyro says of a turn must carry gravity, as the accelerometer measured it before, to what it measures after.
- * Both triads have the axes of the accelerometer afterwards. Method: D. Tedaldi, A. Pretto, E. Menegatti, "A robust and
- * easy to implement method for IMU calibration without external equipments", ICRA 2014, by Gauss-Newton, with the error
- * of the bias as three more unknowns. Pure, no heap. */
+ * Matrix of the gyro (scale factors, cross-axis terms, rotation against the accelerometer) from the turns between
+ * rests: what the gyro says of a turn must carry gravity, as the accelerometer measured it before, to what it measures
+ * after. Both triads have the axes of the accelerometer afterwards. Method: D. Tedaldi, A. Pretto, E. Menegatti, "A
+ * robust and easy to implement method for IMU calibration without external equipments", ICRA 2014, by Gauss-Newton,
+ * with the error of the bias as three more unknowns. Pure, no heap. */
 #ifndef MODEL_IDENTIFY_GYRO_TURNS_H
 #define MODEL_IDENTIFY_GYRO_TURNS_H
 

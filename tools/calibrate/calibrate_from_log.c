@@ -26,19 +26,20 @@ static void write_vec3(FILE *f, const char *name, struct vec3 v)
 	fprintf(f, "%s_x = %.7g\n%s_y = %.7g\n%s_z = %.7g\n", name, v.x, name, v.y, name, v.z);
 }
 
-static void write_matrix(FILE *f, const double m[9])
+static void write_matrix(FILE *f, const struct triad_calibration *t)
 {
 	static const char AXES[] = "xyz";
 
-	for (int i = 0; i < 9; i++)
-		fprintf(f, "%c%c = %.7g\n", AXES[i / 3], AXES[i % 3], m[i]);
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			fprintf(f, "%c%c = %.7g\n", AXES[i], AXES[j], t->matrix[i][j]);
 }
 
 static void write_triad(FILE *f, const char *section, const struct triad_calibration *t)
 {
 	fprintf(f, "[%s]\n", section);
 	write_vec3(f, "bias", t->bias);
-	write_matrix(f, &t->matrix[0][0]);
+	write_matrix(f, t);
 }
 
 static int save_triad(const struct calibrate_request *r, const char *section, const struct triad_calibration *t)
@@ -193,8 +194,9 @@ static int accelerometer(const struct calibrate_request *r)
 	FILE *f = open_output(r);
 	write_triad(f, "accelerometer_calibration", &triad);
 	if (c.result.gyro.found) {
+		memcpy(triad.matrix, c.result.gyro.matrix, sizeof(triad.matrix));
 		fputs("[gyro_calibration]\n", f);
-		write_matrix(f, &c.result.gyro.matrix[0][0]);
+		write_matrix(f, &triad);
 	}
 	cli_close(f, r->output);
 	return CLI_OK;
