@@ -86,7 +86,6 @@ static bool request(struct hammer *h, const uint8_t *pdu, size_t size)
 /* The registers of a value. Their number, 0: it has none. */
 static unsigned registers_of(const struct hammer *h, unsigned i, uint16_t *address, const uint8_t *wire, uint8_t *out)
 {
-	static const struct od_entry *order;
 	const struct od_entry *e = entry_of(i);
 	unsigned count = (e->size + 1u) / 2;
 
@@ -101,9 +100,7 @@ static unsigned registers_of(const struct hammer *h, unsigned i, uint16_t *addre
 			out[1] = wire[0];
 			return 1;
 		}
-		if (!order)
-			order = od_find(&imu9_od_table, OD_INDEX_MODBUS, OD_SUB_MODBUS_WORD_ORDER, NULL);
-		bool low_first = h->now[order - imu9_od_table.entries].wire[0];
+		bool low_first = h->now[find(OD_INDEX_MODBUS, OD_SUB_MODBUS_WORD_ORDER)].wire[0];
 		for (unsigned k = 0; k < count; k++) {
 			unsigned word = low_first ? k : count - 1 - k;
 

@@ -87,7 +87,8 @@ static bool print_result(struct procedure *p, uint8_t kind)
 	if (temperature > -300)
 		procedure_result(p, "%-8s %12.4g degC\n", "at", (double)temperature);
 	if (gyro > 0)
-		procedure_result(p, "%-8s %12.2g %% (1 sigma of its matrix, from the turns; accepted with this)\n",
+		procedure_result(p,
+			"%-8s %12.2g %% (1 sigma of its matrix; accepted with this if its bias is calibrated)\n",
 			"gyro", (double)gyro);
 	return true;
 }
