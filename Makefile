@@ -65,7 +65,7 @@ TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scen
 	tests/interop/test_*.c))
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
-SOAK := $(BUILD)/tests/soak/soak_device
+SOAKS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/soak/*.c))
 RIG_PROGRAMS := $(patsubst %.c,$(BUILD)/%,$(filter-out tests/rig/uml_xstate.c,$(call sources,tests/rig/*.c)))
 # what the tests of one folder share: its .c files that are no program of their own
 helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wildcard $(1)/*.c)))
@@ -148,7 +148,7 @@ $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,
 
 $(BUILD)/tests/unit/test_i2c_drdy: $(BUILD)/obj/tests/unit/gpiod/gpiod$(GPIOD_API)_stub.o
 
-$(SOAK): tests/soak/soak_device.c $(BUILD)/obj/tests/scenario/world.o $(LIBS)
+$(SOAKS): $(BUILD)/%: %.c $(addprefix $(BUILD)/obj/tests/scenario/,world.o hammer.o) $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
 
@@ -224,8 +224,9 @@ $(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c tests/fuzz/fuzz.h tests/fuzz/f
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
 
-soak: $(SOAK) ## the device for SOAK_DAYS in simulated time (a week: ten minutes)
-	@$(SOAK) $(SOAK_DAYS)
+soak: $(SOAKS) ## the device for SOAK_DAYS in simulated time (a week: ten minutes), its windows for a day
+	@$(BUILD)/tests/soak/soak_device $(SOAK_DAYS)
+	@$(BUILD)/tests/soak/soak_windows
 
 bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done

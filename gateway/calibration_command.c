@@ -46,6 +46,7 @@ static void clear(void *ctx)
 	c->values->calibration.quality = 0;
 	c->values->calibration.coverage = 0;
 	c->values->calibration.field = 0;
+	c->values->calibration.gyro_sigma = 0;
 	publish_temperature(c, (double)NAN);
 	publish_triad(c, &none);
 }
@@ -73,11 +74,13 @@ static enum calibrate_verdict gyro_sample(struct calibration_command *c, const s
 static enum calibrate_verdict accelerometer_sample(struct calibration_command *c, const struct imu_sample *raw)
 {
 	struct calibrate_accelerometer *a = &c->accelerometer;
-	const int before = a->positions, wanted = c->values->calibration.positions_wanted;
+	const int before = a->positions;
 	enum calibrate_verdict verdict = calibrate_accelerometer_step(a, raw);
+	const int wanted = calibrate_accelerometer_wanted(a);
 
 	if (a->positions != before)
 		c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(a);
+	c->values->calibration.positions_wanted = (uint8_t)wanted;
 
 	c->values->calibration.progress =
 		verdict == CALIBRATE_COLLECTING ? percent(fmin(0.99, (double)a->positions / wanted)) : 100;
@@ -87,6 +90,7 @@ static enum calibrate_verdict accelerometer_sample(struct calibration_command *c
 		return verdict;
 	c->values->calibration.next_side = 0;
 	c->values->calibration.quality = (float)a->result.residual_m_s2;
+	c->values->calibration.gyro_sigma = a->result.gyro.found ? (float)(100 * a->result.gyro.sigma) : 0;
 	publish_triad(c, &a->result.calibration);
 	publish_temperature(c, a->result.temperature_degC);
 	return verdict;
@@ -138,7 +142,6 @@ void calibration_command_sample(struct calibration_command *c, const struct imu_
 static void start_accelerometer(struct calibration_command *c, const struct calibrate_accelerometer_config *config)
 {
 	calibrate_accelerometer_init(&c->accelerometer, config);
-	c->values->calibration.positions_wanted = (uint8_t)calibrate_accelerometer_wanted(&c->accelerometer);
 	c->values->calibration.next_side = (uint8_t)calibrate_accelerometer_next(&c->accelerometer);
 }
 
@@ -186,6 +189,20 @@ static void to_reference_temperature(const struct calibration_command *c, float 
 	v[2] -= (float)shift.z;
 }
 
+/* That of a gyro without a bias is not taken: it would pass for a calibrated one, or a module calibrates it. */
+static enum od_status accept_gyro_matrix(const struct calibration_command *c)
+{
+	const struct gyro_turns_result *gyro = &c->accelerometer.result.gyro;
+	const struct vec3 bias = settings_pipeline(c->values).calibration.gyro.bias;
+	float v[TRIAD_VALUES] = {(float)bias.x, (float)bias.y, (float)bias.z};
+
+	if (!gyro->found || vec3_norm(bias) == 0)
+		return OD_OK;
+	for (int i = 0; i < 9; i++)
+		v[3 + i] = (float)gyro->matrix[i / 3][i % 3];
+	return settings_write(c->od, OD_INDEX_GYRO_CALIBRATION, v, TRIAD_VALUES);
+}
+
 static enum od_status accept(void *ctx)
 {
 	const struct calibration_command *c = ctx;
@@ -198,7 +215,8 @@ static enum od_status accept(void *ctx)
 	for (int i = 0; i < TRIAD_VALUES; i++)
 		v[i] = *result(c, i);
 	to_reference_temperature(c, v);
-	return settings_write(c->od, index, v, TRIAD_VALUES);
+	enum od_status status = settings_write(c->od, index, v, TRIAD_VALUES);
+	return status == OD_OK && index == OD_INDEX_ACCELEROMETER_CALIBRATION ? accept_gyro_matrix(c) : status;
 }
 
 /* ---- life -------------------------------------------------------------------------------------------------------- */

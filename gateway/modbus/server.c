@@ -7,6 +7,7 @@
 #include <netinet/tcp.h>
 #include <poll.h>
 #include <pthread.h>
+#include <sched.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -509,7 +510,9 @@ static void *thread_main(void *arg)
 	struct modbus_server *s = arg;
 	uint64_t now_us = now();
 
-	setpriority(PRIO_PROCESS, 0, NICE); /* of this thread: the loop comes first */
+	/* The loop comes first, also where who started the process gave it real-time scheduling. */
+	pthread_setschedparam(pthread_self(), SCHED_OTHER, &(struct sched_param){.sched_priority = 0});
+	setpriority(PRIO_PROCESS, 0, NICE); /* of this thread */
 	while (!atomic_load(&s->quit))
 		now_us = turn(s, now_us);
 	return NULL;

@@ -1,7 +1,6 @@
 /* gateway/modbus/server.h
  * The Modbus server: a thread that accepts clients on TCP and reads serial lines, and answers requests by modbus_pdu().
- * It has the scheduling of the thread that starts it, a lower priority (nice) than the loop, and shares with it only
- * the link.
+ * It is never scheduled in real time, has a lower priority (nice) than the loop, and shares with it only the link.
  *
  * libmodbus opens sockets and lines. It does not read them: its modbus_receive() knows no function 43, and waits for a
  * slow client, and modbus_reply() sleeps after a bad request.

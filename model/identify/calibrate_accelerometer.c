@@ -23,11 +23,14 @@ void calibrate_accelerometer_init(
 {
 	*c = (struct calibrate_accelerometer){.config = *config, .at = -1};
 	calibrate_rest_init(&c->rest, &CALIBRATE_HELD);
+	gyro_turns_init(&c->turns);
 }
 
 int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c)
 {
-	return c->config.positions == CALIBRATE_SIX_FACES ? CALIBRATE_FACES : CALIBRATE_FREE_MIN;
+	if (c->config.positions == CALIBRATE_SIX_FACES)
+		return CALIBRATE_FACES;
+	return c->positions < CALIBRATE_FREE_MIN || c->result.gyro.found ? CALIBRATE_FREE_MIN : CALIBRATE_SIDES;
 }
 
 static double cosine(struct vec3 a, struct vec3 b)
@@ -230,7 +233,10 @@ static enum calibrate_verdict solve(struct calibrate_accelerometer *c)
 		return verdict;
 	if (c->result.residual_m_s2 > MAX_RESIDUAL * c->config.gravity_m_s2)
 		return CALIBRATE_LARGE_RESIDUAL;
-	return plausible(c) ? CALIBRATE_GOOD : CALIBRATE_IMPLAUSIBLE;
+	if (!plausible(c))
+		return CALIBRATE_IMPLAUSIBLE;
+	c->result.gyro = gyro_turns_solve(&c->turns, &c->result.calibration);
+	return CALIBRATE_GOOD;
 }
 
 /* ---- sample by sample -------------------------------------------------------------------------------------------- */
@@ -276,11 +282,15 @@ enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_acceleromet
 
 	if (c->verdict != CALIBRATE_COLLECTING)
 		return c->verdict;
+	gyro_turns_sample(&c->turns, raw);
 	event = calibrate_rest_step(&c->rest, raw);
-	if (event == CALIBRATE_REST_BLOCK)
+	if (event == CALIBRATE_REST_BLOCK) {
+		gyro_turns_block(&c->turns, &c->rest.block);
 		rest_block(c);
-	else if (event == CALIBRATE_REST_ENDED)
+	} else if (event == CALIBRATE_REST_ENDED) {
+		gyro_turns_moved(&c->turns);
 		end_rest(c);
+	}
 	if (c->verdict == CALIBRATE_COLLECTING && calibrate_rest_time_s(&c->rest) > c->config.patience_s)
 		c->verdict = solve(c);
 	return c->verdict;

@@ -9,11 +9,15 @@
  * CALIBRATE_FREE: without a fixture, in at least twelve positions. Only the magnitude of gravity is known. The rotation
  * of the triad against the other triads is not observable, so the matrix is symmetric (model/identify/ellipsoid.h).
  * Method: I. Skog and P. Handel, "Calibration of a MEMS inertial measurement unit", 2006, solved by
- * Levenberg-Marquardt. */
+ * Levenberg-Marquardt.
+ *
+ * The turns from one position to the next give the matrix of the gyro, too, if they are about enough axes. On the
+ * device the free positions go on for that to one on each side and corner, but no longer. */
 #ifndef MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 #define MODEL_IDENTIFY_CALIBRATE_ACCELEROMETER_H
 
 #include "model/identify/calibrate.h"
+#include "model/identify/gyro_turns.h"
 #include "model/calibration.h"
 
 enum calibrate_positions { CALIBRATE_SIX_FACES, CALIBRATE_FREE };
@@ -40,10 +44,11 @@ struct calibrate_accelerometer_config {
 struct calibrate_accelerometer_result {
 	struct triad_calibration calibration;
 	double residual_m_s2; /* RMS per degree of freedom, of |corrected| - gravity (six faces: of the vector) */
-	struct vec3 bias_sigma_m_s2; /* 1 sigma, from residual, geometry and bias instability */
-	double matrix_sigma;	     /* 1 sigma of the least certain element */
-	double faces_turned_rad;     /* six faces: angle between the faces and the sensor's axes */
-	double temperature_degC;     /* mean during the rests; NAN: not known */
+	struct vec3 bias_sigma_m_s2;   /* 1 sigma, from residual, geometry and bias instability */
+	double matrix_sigma;	       /* 1 sigma of the least certain element */
+	double faces_turned_rad;       /* six faces: angle between the faces and the sensor's axes */
+	double temperature_degC;       /* mean during the rests; NAN: not known */
+	struct gyro_turns_result gyro; /* in the axes of the accelerometer */
 };
 
 struct calibrate_accelerometer {
@@ -54,6 +59,7 @@ struct calibrate_accelerometer {
 	double coverage; /* 0..1: share of the faces; free: see struct ellipsoid, from ten positions on */
 	/* PRIVATE */
 	struct calibrate_rest rest;
+	struct gyro_turns turns;
 	struct calibrate_position {
 		struct vec3 force_m_s2;
 		unsigned blocks; /* 0: not recorded yet */
@@ -71,7 +77,7 @@ void calibrate_accelerometer_init(
 enum calibrate_verdict calibrate_accelerometer_step(struct calibrate_accelerometer *c, const struct imu_sample *raw);
 /** Call after the last sample of a log. */
 enum calibrate_verdict calibrate_accelerometer_finish(struct calibrate_accelerometer *c);
-/** Number of positions that are needed. */
+/** Number of positions that are needed. It becomes larger when the turns do not give the matrix of the gyro. */
 int calibrate_accelerometer_wanted(const struct calibrate_accelerometer *c);
 /** The angle from a side (calibrate_side()) up to the nearest position so far; PI: there is none. */
 double calibrate_accelerometer_gap_rad(const struct calibrate_accelerometer *c, int side);

@@ -46,7 +46,8 @@ class Json(rig.OnTheBus):
         self.assertEqual(values["lever_arm.s"],
                          {"name": "lever_arm.s", "address": "2000h:02", "value": 0.05, "unit": "m"})
         self.assertEqual((values["lever_arm_model"]["value"], values["lever_arm_model"]["words"]), (2, "rigid_body"))
-        self.assertIn("valid", values["sample.status"]["words"])
+        # after the reset before this test it takes the node some samples
+        rig.wait_until(lambda: "valid" in self.values("read", "sample.status")["sample.status"]["words"])
         self.assertEqual(values["manufacturer_device_name"]["value"], "IMU9 CANopen gateway")
 
     def test_a_scaled_value_is_physical_and_its_steps_are_raw(self):

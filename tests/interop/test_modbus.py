@@ -1,6 +1,9 @@
 """The Modbus window beside the bus: other Modbus clients (pymodbus, mbpoll, raw frames) against what the PDOs of the
-same sample counter have. IMU9_MODBUS_SECONDS=60 compares longer, IMU9_MODBUS_FRAMES=10000 sends more random frames."""
+same sample counter have. IMU9_MODBUS_SECONDS=60 compares longer, IMU9_MODBUS_FRAMES=10000 sends more random frames.
+IMU9_NODE_RED: the folder in which `npm install node-red@3.1 node-red-contrib-modbus@5.23.3` ran; without it Node-RED is
+left out."""
 import collections
+import json
 import os
 import pty
 import random
@@ -106,6 +109,43 @@ class Raw:
         counter = self.read_object(0x210F, 1, "H")
         value = self.read_object(0x2100 + pdo, 1 + field, "h")
         return (counter, {(pdo, field): value}) if counter == self.read_object(0x210F, 1, "H") else None
+
+
+class NodeRed:
+    """A flow that reads the block of integers every 10 ms."""
+
+    FOLDER = os.environ.get("IMU9_NODE_RED", "")
+
+    def __init__(self, client):
+        listener = socket.create_server(("127.0.0.1", 0))
+        home = rig.scratch(".node-red")
+        home.mkdir()
+        (home / "node_modules").symlink_to(os.path.join(self.FOLDER, "node_modules"))
+        (home / "settings.js").write_text("module.exports = {httpAdminRoot: false, httpNodeRoot: false, uiPort: %d};"
+                                          % free_port())
+        (home / "flow.json").write_text(json.dumps([
+            {"id": "tab", "type": "tab"},
+            {"id": "client", "type": "modbus-client", "unit_id": 1, "commandDelay": 1, "clientTimeout": 1000,
+             "reconnectTimeout": 200, "bufferCommands": True, **client},
+            {"id": "read", "type": "modbus-read", "z": "tab", "server": "client", "dataType": "InputRegister",
+             "adr": "0", "quantity": "45", "rate": "10", "rateUnit": "ms", "wires": [["line"], []]},
+            {"id": "line", "type": "function", "z": "tab", "outputs": 1, "wires": [["out"]],
+             "func": "return {payload: JSON.stringify(msg.payload) + '\\n'};"},
+            {"id": "out", "type": "tcp out", "z": "tab", "beserver": "client", "host": "127.0.0.1",
+             "port": listener.getsockname()[1], "base64": False, "end": False}]))
+        self.process = subprocess.Popen([home / "node_modules/.bin/node-red", "-u", home, home / "flow.json"],
+                                        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        listener.settimeout(rig.PATIENCE)
+        self.lines = listener.accept()[0].makefile()
+        listener.close()
+
+    def close(self):
+        self.process.terminate()
+        self.process.wait(rig.PATIENCE)
+        self.lines.close()
+
+    def read(self):
+        return of_registers(json.loads(self.lines.readline()))
 
 
 class Window(unittest.TestCase):
@@ -237,6 +277,21 @@ class SameSample(Window):
 
     def test_mbpoll_over_a_serial_line_reads_the_values_of_the_pdos(self):
         self.mbpoll("-m", "rtu", "-b", "115200", "-P", "none", self.line.names[1])
+
+    def node_red(self, **client):
+        if not NodeRed.FOLDER:
+            self.skipTest("no Node-RED: IMU9_NODE_RED is not set")
+        node_red = NodeRed(client)
+        self.addCleanup(node_red.close)
+        self.collect(node_red.read, 50)
+
+    def test_node_red_over_tcp_reads_the_values_of_the_pdos(self):
+        self.node_red(clienttype="tcp", tcpHost="127.0.0.1", tcpPort=str(self.port))
+
+    def test_node_red_over_a_serial_line_reads_the_values_of_the_pdos(self):
+        self.node_red(clienttype="simpleser", serialPort=self.line.names[1], serialType="RTU-BUFFERD",
+                      serialBaudrate="115200", serialDatabits="8", serialStopbits="1", serialParity="none",
+                      serialConnectionDelay="100")
 
 
 class Writing(Window):

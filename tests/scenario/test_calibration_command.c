@@ -89,6 +89,36 @@ static void test_free_positions_calibrate_the_accelerometer(void **state)
 	assert_near(v->accelerometer_calibration.xy, v->accelerometer_calibration.yx, 0);
 }
 
+static void calibrate_in_free_positions(struct world *w)
+{
+	assert_int_equal(command(w, 3), 0);
+	seconds(w, "multiposition", 63);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+	assert_true(w->device.values.calibration.gyro_sigma > 0 && w->device.values.calibration.gyro_sigma < 0.2f);
+	assert_int_equal(command(w, 10), 0);
+}
+
+static void test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+	const struct sensor *chip = &w->sensor;
+
+	calibrate_in_free_positions(w);
+	assert_true(v->gyro_calibration.xx == 1 && v->gyro_calibration.yz == 0); /* its bias is not */
+
+	assert_int_equal(command(w, 1), 0);
+	seconds(w, "rest", 12);
+	assert_int_equal(command(w, 10), 0);
+	float bias = v->gyro_calibration.bias_x;
+	calibrate_in_free_positions(w);
+	assert_true(v->gyro_calibration.bias_x == bias);
+	/* the scale of the first axis, to second order in the cross-axis terms */
+	assert_near((double)v->gyro_calibration.xx * chip->gyro.matrix[0][0],
+		(double)v->accelerometer_calibration.xx * chip->accel.matrix[0][0], 0.004);
+	assert_true(fabs(chip->gyro.matrix[0][0] - 1) > 0.005);
+}
+
 static void test_six_faces_calibrate_the_accelerometer(void **state)
 {
 	struct world *w = *state;
@@ -276,6 +306,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
 		TEST(test_free_positions_calibrate_the_accelerometer),
+		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),
 		TEST(test_six_faces_calibrate_the_accelerometer),
 		TEST(test_turning_calibrates_the_magnetometer_to_the_given_field),
 		TEST(test_an_accepted_and_stored_result_is_used_after_power_on),

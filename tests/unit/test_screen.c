@@ -113,7 +113,7 @@ static void test_values_have_units_and_a_sparkline(void **state)
 	for (uint8_t n = 1; n <= 8; n++)
 		sample(n, (uint64_t)(1 + n) * SECOND / 10);
 	draw(80, 24);
-	assert_row_begins(0, "node 5 on can0: operational");
+	assert_row_begins(0, "node 5: operational");
 	assert_row_begins(1, "SYNC 10.0 Hz");
 	assert_row_begins(2, "EMCY none");
 	assert_row_begins(4, "TPDO1  185h  10.0 Hz  8 received, sample 8");
@@ -136,6 +136,17 @@ static void test_a_rate_is_shown_when_it_was_measured(void **state)
 	assert_row_begins(1, "SYNC once; PDO mapping");
 	assert_row_begins(4, "TPDO1  185h  1 received, sample 1");
 	assert_false(shows("Hz"));
+}
+
+static void test_a_long_name_of_the_bus_hides_neither_state_nor_heartbeat(void **state)
+{
+	(void)state;
+	node_begins();
+	screen.bus_name = "udp:239.74.163.97:43197,interface=lo";
+	FRAME(0x705, SECOND, 5);
+	sample(1, SECOND + SECOND / 2);
+	draw(60, 15);
+	assert_row_begins(0, "node 5: operational, heartbeat 0.5 s ago");
 }
 
 static void test_a_value_has_the_sigma_of_its_axis_beside_it(void **state)
@@ -164,7 +175,7 @@ static void test_a_lost_node_is_grey_with_its_age(void **state)
 	sample(1, SECOND);
 	screen.now_us = SECOND * 25 / 2;
 	draw(80, 24);
-	assert_row_begins(0, "node 5 on can0: lost for 11.5 s");
+	assert_row_begins(0, "node 5: lost for 11.5 s, on can0");
 	assert_row_begins(4, "TPDO1  185h  1 received, the last 11.5 s ago");
 	for (int column = 0; column < 30; column++)
 		if (cells.cell[5][column].glyph)
@@ -329,6 +340,7 @@ static void test_keys_hint_event_log_and_the_result_of_a_command_are_shown(void 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_long_name_of_the_bus_hides_neither_state_nor_heartbeat),
 		cmocka_unit_test(test_values_have_units_and_a_sparkline),
 		cmocka_unit_test(test_a_rate_is_shown_when_it_was_measured),
 		cmocka_unit_test(test_a_value_has_the_sigma_of_its_axis_beside_it),

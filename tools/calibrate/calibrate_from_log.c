@@ -26,15 +26,20 @@ static void write_vec3(FILE *f, const char *name, struct vec3 v)
 	fprintf(f, "%s_x = %.7g\n%s_y = %.7g\n%s_z = %.7g\n", name, v.x, name, v.y, name, v.z);
 }
 
-static void write_triad(FILE *f, const char *section, const struct triad_calibration *t)
+static void write_matrix(FILE *f, const struct triad_calibration *t)
 {
 	static const char AXES[] = "xyz";
 
-	fprintf(f, "[%s]\n", section);
-	write_vec3(f, "bias", t->bias);
 	for (int i = 0; i < 3; i++)
 		for (int j = 0; j < 3; j++)
 			fprintf(f, "%c%c = %.7g\n", AXES[i], AXES[j], t->matrix[i][j]);
+}
+
+static void write_triad(FILE *f, const char *section, const struct triad_calibration *t)
+{
+	fprintf(f, "[%s]\n", section);
+	write_vec3(f, "bias", t->bias);
+	write_matrix(f, t);
 }
 
 static int save_triad(const struct calibrate_request *r, const char *section, const struct triad_calibration *t)
@@ -182,8 +187,19 @@ static int accelerometer(const struct calibrate_request *r)
 	if (r->six)
 		printf("%-12s %12.2f deg between faces and sensor axes\n", "rotation",
 			c.result.faces_turned_rad * DEG_PER_RAD);
+	if (c.result.gyro.found)
+		printf("%-12s %12.2g (each element of the matrix of the gyro, from %d turns)\n", "1 sigma",
+			c.result.gyro.sigma, c.result.gyro.turns);
 	triad.bias = bias_at_reference(r, triad.bias, c.result.temperature_degC, calibration_accel_shift);
-	return save_triad(r, "accelerometer_calibration", &triad);
+	FILE *f = open_output(r);
+	write_triad(f, "accelerometer_calibration", &triad);
+	if (c.result.gyro.found) {
+		memcpy(triad.matrix, c.result.gyro.matrix, sizeof(triad.matrix));
+		fputs("[gyro_calibration]\n", f);
+		write_matrix(f, &triad);
+	}
+	cli_close(f, r->output);
+	return CLI_OK;
 }
 
 static int magnetometer(const struct calibrate_request *r)

@@ -18,7 +18,8 @@ enum {
 	FIELD,
 	TEMPERATURE,
 	STRENGTH,
-	FOUND
+	FOUND,
+	GYRO_SIGMA = FOUND + 12
 }; /* sub-indices */
 enum { GYRO = 1, SIX_FACES, FREE, MAGNETOMETER, ACCEPT = 10, DISCARD = 11 };
 
@@ -67,12 +68,13 @@ static bool show_progress(struct procedure *p, void *ctx)
 static bool print_result(struct procedure *p, uint8_t kind)
 {
 	static const char *const UNITS[] = {"", "rad/s", "m/s^2", "m/s^2", "uT"};
-	float value[12], quality, temperature;
+	float value[12], quality, temperature, gyro;
 
 	for (uint8_t i = 0; i < 12; i++)
 		if (!procedure_real(p, (uint8_t)(FOUND + i), &value[i]))
 			return false;
-	if (!procedure_real(p, QUALITY, &quality) || !procedure_real(p, TEMPERATURE, &temperature))
+	if (!procedure_real(p, QUALITY, &quality) || !procedure_real(p, TEMPERATURE, &temperature) ||
+		!procedure_real(p, GYRO_SIGMA, &gyro))
 		return false;
 	procedure_result(p, "bias     %12.6g %12.6g %12.6g %s\n", (double)value[0], (double)value[1], (double)value[2],
 		UNITS[kind]);
@@ -84,6 +86,10 @@ static bool print_result(struct procedure *p, uint8_t kind)
 		kind == MAGNETOMETER ? "% of the field" : UNITS[kind]);
 	if (temperature > -300)
 		procedure_result(p, "%-8s %12.4g degC\n", "at", (double)temperature);
+	if (gyro > 0)
+		procedure_result(p,
+			"%-8s %12.2g %% (1 sigma of its matrix; accepted with this if its bias is calibrated)\n",
+			"gyro", (double)gyro);
 	return true;
 }
 

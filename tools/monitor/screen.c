@@ -124,15 +124,16 @@ static void draw_title(const struct screen *s, struct screen_cells *cells)
 		snprintf(right, sizeof(right), cells->pages > 1 ? "  page %u/%u  ? keys " : "  ? keys ",
 			s->page % cells->pages + 1, cells->pages);
 	int room = end - (int)strlen(right) > 0 ? end - (int)strlen(right) : 0;
-	int at = print(row, 0, room, style, "node %ld on %s: %s", s->node_id, s->bus_name, watch_nmt_text(state));
+	int at = print(row, 0, room, style, "node %ld: %s", s->node_id, watch_nmt_text(state));
 	if (state == WATCH_NMT_LOST)
 		at = print(row, at, room, style, " for %.1f s", seconds_since(w->heard_us, s->now_us));
 	else if (w->heartbeat.count)
 		at = print(
 			row, at, room, style, ", heartbeat %.1f s ago", seconds_since(w->heartbeat.last_us, s->now_us));
 	if (w->boot_ups)
-		print(row, at, room, style, ", %llu boot-up%s", (unsigned long long)w->boot_ups,
+		at = print(row, at, room, style, ", %llu boot-up%s", (unsigned long long)w->boot_ups,
 			w->boot_ups > 1 ? "s" : "");
+	print(row, at, room, style, ", on %s", s->bus_name); /* the name can be long: what matters is before it */
 	put(row, room, end, style, right);
 }
 
@@ -245,6 +246,15 @@ static void add_words(struct body *body, struct screen_cell *line, int at, const
 	}
 }
 
+/* A name that is too long is cut before its member. */
+static void print_name(struct screen_cell *line, enum screen_style style, const char *name)
+{
+	const int record = (int)strcspn(name, "."), member = (int)strlen(name + record);
+
+	print(line, 2, 2 + NAME_WIDTH, style, "%.*s%s", record < NAME_WIDTH - member ? record : NAME_WIDTH - member,
+		name, name + record);
+}
+
 static void add_field(
 	const struct screen *s, struct body *body, size_t pdo, size_t field_number, enum screen_style style)
 {
@@ -255,7 +265,7 @@ static void add_field(
 	int at;
 
 	if (field->entry)
-		print(line, 2, 2 + NAME_WIDTH, style, "%s", field->entry->name);
+		print_name(line, style, field->entry->name);
 	else
 		print(line, 2, 2 + NAME_WIDTH, style, "%04Xh:%02X", field->mapping >> 16, field->mapping >> 8 & 0xFF);
 	watch_field_text(field, value, sizeof(value));
