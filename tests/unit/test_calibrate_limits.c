@@ -928,6 +928,32 @@ static void test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives(void **st
 	assert_near(e.matrix.m[2][2], 50 / 40.0, 1e-8);
 }
 
+/* Ten of 200 points that lie 10 uT outside, all to one side, move the centre of a plain fit, and hardly that of a robust
+ * one. */
+static void test_a_robust_fit_is_hardly_moved_by_outliers(void **state)
+{
+	struct vec3 points[200];
+	double off[2];
+
+	(void)state;
+	for (int i = 0; i < 200; i++) {
+		const struct vec3 n = quat_rotate(any_attitude(), (struct vec3){0, 0, 1});
+
+		points[i] = vec3_scale(50, n);
+		if (i < 10)
+			points[i] = vec3_scale(60, quat_rotate_inverse(quat_from_rotation_vector(vec3_scale(0.3, n)),
+							   (struct vec3){1, 0, 0}));
+	}
+	for (int robust = 0; robust < 2; robust++) {
+		struct ellipsoid e = {.matrix = {{{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}}};
+
+		assert_int_equal(ellipsoid_fit(points, 200, 50, robust, &e), 0);
+		off[robust] = vec3_norm(e.centre);
+	}
+	assert_true(off[0] > 0.5);
+	assert_true(off[1] < 0.4 * off[0]);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -944,6 +970,7 @@ int main(void)
 		cmocka_unit_test_setup(test_the_time_stands_still_in_gaps_of_more_than_half_a_second, fresh_rest),
 		cmocka_unit_test_setup(test_a_discontinuity_or_a_saturated_sample_ends_a_rest, fresh_rest),
 		cmocka_unit_test_setup(test_a_gyro_needs_five_seconds_of_rest, fresh_rest),
+		cmocka_unit_test(test_a_robust_fit_is_hardly_moved_by_outliers),
 		cmocka_unit_test(test_the_sigma_of_a_gyro_without_noise_is_that_of_its_drift),
 		cmocka_unit_test(test_equal_measurements_of_a_gyro_have_no_scatter),
 		cmocka_unit_test(test_a_gyro_bias_of_more_than_100_degrees_per_second_is_implausible),

@@ -329,6 +329,19 @@ static void test_a_turned_object_frame_turns_the_attitude_and_not_the_world(void
 	assert_vec_near(quat_rotate(f.q_nb, v_new), quat_rotate(truth, v_old), 1e-6);
 }
 
+/* What is known of the sensors is that of the same directions in space, by other names. */
+static void test_a_turned_object_frame_turns_the_gyros_bias(void **state)
+{
+	const struct quat turn = any_attitude();
+	const struct vec3 bias = {0.01, -0.02, 0.03};
+	struct fusion f = standing(MADGWICK, any_attitude());
+
+	(void)state;
+	f.gyro_errors.bias_b_rad_s = bias;
+	fusion_turn_object(&f, turn);
+	assert_vec_near(f.gyro_errors.bias_b_rad_s, quat_rotate(turn, bias), 1e-12);
+}
+
 static void test_a_step_of_any_length_keeps_the_attitude_finite(void **state)
 {
 	struct quat truth = any_attitude();
@@ -386,6 +399,7 @@ int main(void)
 		cmocka_unit_test(test_free_fall_does_not_start_the_filter),
 		cmocka_unit_test(test_a_restart_without_a_magnetometer_keeps_the_heading),
 		cmocka_unit_test(test_a_turned_object_frame_turns_the_attitude_and_not_the_world),
+		cmocka_unit_test(test_a_turned_object_frame_turns_the_gyros_bias),
 		cmocka_unit_test(test_a_step_of_any_length_keeps_the_attitude_finite),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
 	};

@@ -607,6 +607,27 @@ static double tilt_off_rad(const struct fusion *f, struct quat truth)
 	return acos(fmin(1, vec3_dot(up_of(f->q_nb), up_of(truth))));
 }
 
+static void test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is_none(void **state)
+{
+	struct errors e = {.arm = {0, 0, 0}};
+	struct fusion f = fusion(NINE_AXES);
+	const struct hard_iron *h = &f.kalman.hard_iron;
+
+	(void)state;
+	follow(&f, &e, 1, 30);
+	assert_true(h->information[0][0] > 0);
+	assert_true(vec3_norm(f.kalman.heading_by_offset_rad_uT) > 0);
+	f.kalman.covariance[3][3] = NAN;
+	for (int k = 0; k < 20; k++) {
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+
+		fusion_step(&f, &m.sample, 0.005);
+	}
+	assert_true(h->information[0][0] == 0);
+	assert_true(vec3_norm(f.kalman.heading_by_offset_rad_uT) == 0);
+	assert_true(f.kalman.covariance[3][3] < 1);
+}
+
 static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(void **state)
 {
 	const double turns_rad[] = {PI, 3, 2};
@@ -1351,6 +1372,7 @@ int main(void)
 		cmocka_unit_test(test_switching_the_algorithm_keeps_attitude_and_bias),
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
 		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
+		cmocka_unit_test(test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is_none),
 		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
 		cmocka_unit_test(test_a_lost_tilt_takes_bias_and_scale_with_it),
 		cmocka_unit_test(test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis),

@@ -291,6 +291,48 @@ static void test_self_tests_are_switched_on_as_in_the_data_sheets(void **state)
 	}
 }
 
+/* Output data rates that the driver uses, with their codes: ODR, DR, DO, SMPLRT_DIV, MODE. */
+static void test_rates_and_their_codes_are_those_of_the_data_sheets(void **state)
+{
+	static const struct {
+		const struct chip *chip;
+		struct {
+			double hz;
+			uint8_t code;
+		} rates[9]; /* ends with 0 Hz */
+	} chips[] = {{&CHIP_L3G4200D, {{100, 0}, {200, 1}, {400, 2}, {800, 3}}},
+		{&CHIP_L3GD20, {{95, 0}, {190, 1}, {380, 2}, {760, 3}}},
+		{&CHIP_L3GD20H, {{100, 0}, {200, 1}, {400, 2}, {800, 3}}},
+		{&CHIP_LSM303DLH_ACCEL, {{50, 0}, {100, 1}, {400, 2}, {1000, 3}}},
+		{&CHIP_LSM303DLHC_ACCEL, {{10, 2}, {25, 3}, {50, 4}, {100, 5}, {200, 6}, {400, 7}, {1344, 9}}},
+		{&CHIP_LSM303DLH_MAG, {{7.5, 3}, {15, 4}, {30, 5}, {75, 6}}},
+		{&CHIP_LSM303DLM_MAG, {{7.5, 3}, {15, 4}, {30, 5}, {75, 6}}},
+		{&CHIP_LSM303DLHC_MAG, {{7.5, 3}, {15, 4}, {30, 5}, {75, 6}}},
+		{&CHIP_LSM303D_ACCEL,
+			{{12.5, 3}, {25, 4}, {50, 5}, {100, 6}, {200, 7}, {400, 8}, {800, 9}, {1600, 10}}},
+		{&CHIP_LSM303D_MAG, {{6.25, 1}, {12.5, 2}, {25, 3}, {50, 4}}},
+		{&CHIP_LSM6DS33, {{104, 4}, {208, 5}, {416, 6}, {833, 7}, {1660, 8}}},
+		{&CHIP_LSM6DSO, {{104, 4}, {208, 5}, {416, 6}, {833, 7}, {1660, 8}}},
+		{&CHIP_LIS3MDL, {{10, 4}, {20, 5}, {40, 6}, {80, 7}}},
+		{&CHIP_LSM9DS1, {{59.5, 2}, {119, 3}, {238, 4}, {476, 5}, {952, 6}}},
+		{&CHIP_LSM9DS1_MAG, {{10, 4}, {20, 5}, {40, 6}, {80, 7}}},
+		{&CHIP_ICM20948, {{1125. / 22, 21}, {1125. / 11, 10}, {225, 4}, {562.5, 1}, {1125, 0}}},
+		{&CHIP_AK09916, {{10, 2}, {20, 4}, {50, 6}, {100, 8}}},
+		{&CHIP_ICM42688P, {{50, 9}, {100, 8}, {200, 7}, {500, 15}, {1000, 6}, {2000, 5}}},
+		{&CHIP_BMI270, {{50, 7}, {100, 8}, {200, 9}, {400, 10}, {800, 11}, {1600, 12}}}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof chips / sizeof *chips; i++) {
+		size_t k = 0;
+
+		for (; chips[i].rates[k].hz > 0; k++) {
+			assert_near(chips[i].chip->name, chips[i].chip->rates[k].hz, chips[i].rates[k].hz);
+			assert_int_equal(chips[i].chip->rates[k].code, chips[i].rates[k].code);
+		}
+		assert_true(chips[i].chip->rates[k].hz == 0);
+	}
+}
+
 /* Low-pass at half of the rate where there is no filter to choose. */
 static void test_a_sensor_without_filters_has_half_of_its_rate_as_bandwidth(void **state)
 {
@@ -334,6 +376,7 @@ int main(void)
 		cmocka_unit_test(test_ranges_are_those_of_the_data_sheets),
 		cmocka_unit_test(test_packets_are_those_of_the_data_sheets),
 		cmocka_unit_test(test_self_tests_are_switched_on_as_in_the_data_sheets),
+		cmocka_unit_test(test_rates_and_their_codes_are_those_of_the_data_sheets),
 		cmocka_unit_test(test_a_sensor_without_filters_has_half_of_its_rate_as_bandwidth),
 		cmocka_unit_test(test_filters_of_accelerometers_are_those_of_the_data_sheets),
 	};

@@ -1483,6 +1483,7 @@ static void test_a_magnetometer_that_was_removed_is_used_again_when_it_is_back(v
 		had_field |= result == 1 && (sample.flags & SAMPLE_MAG) != 0;
 	assert_true(had_field);
 	assert_int_equal(port->health.degraded, IMU_FAULT_NONE);
+	assert_int_equal(port->health.degraded_chip, 0);
 }
 
 static void magnetometer_comes_back(void)

@@ -411,6 +411,22 @@ static void test_a_missing_reference_is_reported(void **state)
 	assert_int_equal(lever_identification_estimate(&id).verdict, LEVER_NO_REFERENCE);
 }
 
+/* Without one for more than half of the samples. */
+static void test_a_reference_may_be_missing_for_half_of_the_samples(void **state)
+{
+	const struct lever_identification_config config = {.rate_hz = 100, .duration_s = 30, .reference = true};
+	const struct vec3 reference = {0, 0, 0};
+
+	(void)state;
+	for (uint64_t missing = 1000; missing <= 1002; missing++) {
+		assert_int_equal(lever_identification_init(&id, &config), 0);
+		for (uint64_t k = 0; k < 2002; k++)
+			lever_identification_step(
+				&id, k * 10000, any_vec(1), any_vec(10), k < missing ? NULL : &reference);
+		assert_int_equal(lever_identification_estimate(&id).verdict == LEVER_NO_REFERENCE, missing > 1001);
+	}
+}
+
 static void test_a_configuration_out_of_range_is_refused(void **state)
 {
 	struct lever_identification_config config = {.rate_hz = 24.9, .duration_s = 30};
@@ -768,6 +784,7 @@ int main(void)
 		cmocka_unit_test(test_a_robot_at_rest_and_a_slow_one_are_too_slow),
 		cmocka_unit_test(test_too_little_motion_is_too_short),
 		cmocka_unit_test(test_a_missing_reference_is_reported),
+		cmocka_unit_test(test_a_reference_may_be_missing_for_half_of_the_samples),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_estimate_stays_finite_for_any_input),
 		cmocka_unit_test(test_only_the_sample_that_ends_a_window_gives_news),

@@ -92,6 +92,24 @@ static void test_more_than_half_of_the_values_tell_the_unit(void **state)
 	assert_unit(&u, MAG, NULL, 0);
 }
 
+/* A row without a field says nothing of its unit. */
+static void test_of_few_fields_more_than_half_tell_the_unit(void **state)
+{
+	struct log_units u = {0};
+
+	(void)state;
+	for (int k = 0; k < 100; k++) {
+		struct imu_sample s = {.t_us = (uint64_t)(k * 10000), .accel_m_s2 = {0, 0, 9.81}};
+
+		if (k % 10 == 0) {
+			s.mag_uT.x = 0.5;
+			s.flags = SAMPLE_MAG;
+		}
+		log_units_add(&u, &s);
+	}
+	assert_unit(&u, MAG, "in gauss,", 0.5);
+}
+
 static void test_a_rate_that_no_gyro_measures_is_told(void **state)
 {
 	static const struct vec3 rates[] = {{69, 0, 0}, {71, 0, 0}, {0, -71, 0}, {0, 0, 71}, {0, -69, 69}};
@@ -305,6 +323,7 @@ int main(void)
 		cmocka_unit_test(test_the_magnitude_of_gravity_tells_the_unit_of_the_force),
 		cmocka_unit_test(test_the_magnitude_of_the_field_of_the_earth_tells_its_unit),
 		cmocka_unit_test(test_more_than_half_of_the_values_tell_the_unit),
+		cmocka_unit_test(test_of_few_fields_more_than_half_tell_the_unit),
 		cmocka_unit_test(test_a_rate_that_no_gyro_measures_is_told),
 		cmocka_unit_test(test_the_noise_at_rest_tells_degrees),
 		cmocka_unit_test(test_gravity_that_turns_tells_degrees),

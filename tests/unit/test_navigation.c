@@ -1164,6 +1164,26 @@ static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 	}
 }
 
+/* To and fro: the spread is that of the fastest moment, not of the last one. A high-pass of a second takes away what is
+ * constant. */
+static void test_the_spread_is_that_of_the_fastest_moment(void **state)
+{
+	struct navigation n = started(MOTION_HAND_HELD);
+	double most = 0, velocity = 0;
+
+	(void)state;
+	for (int k = 0; k < 100; k++) {
+		const double accel = (k < 50 ? 3 : 1) * sin(0.3 * k),
+			     t = one_interval(&n, ZERO, (struct vec3){accel, 0, 0});
+
+		velocity = (velocity + accel * t) / (1 + t);
+		most = fmax(most, velocity * velocity);
+		assert_near(n.high_pass_n_m_s.x, velocity, 0.01);
+		assert_near(sqrt(n.high_pass2_max), sqrt(most), 0.01);
+	}
+	assert_true(most > 0.05);
+}
+
 /* The bias at a standstill differs from that in the movement by 0.006 of the acceleration, as far as it has turned
  * within 0.3 s. */
 static void test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion(void **state)
@@ -1442,6 +1462,7 @@ int main(void)
 		cmocka_unit_test(test_the_fusions_heading_counts_with_2_degrees_once_in_3_s),
 		cmocka_unit_test(test_a_standstill_by_dwell_is_measured_with_what_may_still_move),
 		cmocka_unit_test(test_levelling_measures_the_velocity_by_its_spread),
+		cmocka_unit_test(test_the_spread_is_that_of_the_fastest_moment),
 		cmocka_unit_test(test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion),
 		cmocka_unit_test(test_after_a_gap_sigma_has_grown_by_what_may_have_happened),
 		cmocka_unit_test(test_what_may_be_an_alias_is_an_error_of_velocity_and_position_as_long_as_it_lasts),

@@ -67,6 +67,7 @@ static void test_integers_are_decimal_or_hex(void **state)
 	(void)state;
 	assert_parses(&U32, "305419896", "\x78\x56\x34\x12", 4);
 	assert_parses(&U32, "0x12345678", "\x78\x56\x34\x12", 4);
+	assert_parses(&U32, "0X12345678", "\x78\x56\x34\x12", 4);
 	assert_parses(&U8, "010", "\x0A", 1);
 	assert_parses(&I16, "-2", "\xFE\xFF", 2);
 	assert_parses(&I16, "-0x10", "\xF0\xFF", 2);
