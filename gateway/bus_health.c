@@ -172,9 +172,9 @@ static void came_back(struct bus_health *h)
 
 static void watch_state(struct bus_health *h)
 {
-	enum can_state state = h->bus->state, seen = h->seen;
+	enum can_state state = h->bus->state;
 
-	if (state == seen)
+	if (state == h->seen)
 		return;
 	h->seen = state;
 	if (state == CAN_STATE_ACTIVE)
@@ -185,10 +185,10 @@ static void watch_state(struct bus_health *h)
 		went_off(h);
 	if (state == CAN_STATE_PASSIVE)
 		canopen_error_set(h->node, EMCY_ERROR_PASSIVE, ERROR_COMMUNICATION, NULL, h->now_us);
-	if (seen == CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
-		canopen_error_clear(h->node, EMCY_ERROR_PASSIVE, h->now_us);
 	if (h->was_off && state != CAN_STATE_BUS_OFF && state != CAN_STATE_DOWN)
 		came_back(h);
+	if (state != CAN_STATE_PASSIVE && state != CAN_STATE_BUS_OFF)
+		canopen_error_clear(h->node, EMCY_ERROR_PASSIVE, h->now_us);
 }
 
 static void pass_notice_on(struct bus_health *h)

@@ -436,6 +436,22 @@ static void watch_uncertainty(struct device *d, unsigned status)
 	d->position_unsure = unsure;
 }
 
+/* Samples are refused whose time does not increase. When the sensor counts as lost, and the time of such samples does
+ * increase, its clock has gone back, or one time stamp was too far ahead: the pipeline starts over. */
+static int step_pipeline(struct device *d, const struct imu_sample *sample, struct pipeline_output *out)
+{
+	struct imu_sample again = *sample;
+	int rc = pipeline_step(&d->pipeline, sample, out);
+
+	if (rc < 0 && d->sensor_lost && sample->t_us > d->refused_t_us) {
+		again.flags |= SAMPLE_DISCONTINUITY;
+		rc = pipeline_step(&d->pipeline, &again, out);
+	}
+	if (rc < 0)
+		d->refused_t_us = sample->t_us;
+	return rc;
+}
+
 void device_sample(struct device *d, int read, const struct imu_sample *sample, uint64_t now_us)
 {
 	struct pipeline_output out;
@@ -450,7 +466,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 		apply_or_report(d);
 	aids_step(&d->aids, now_us);
 	uint16_t counter = (uint16_t)d->samples++;
-	if (pipeline_step(&d->pipeline, sample, &out) < 0)
+	if (step_pipeline(d, sample, &out) < 0)
 		return;
 	d->last_sample_us = now_us;
 	sensor_back(d);

@@ -67,6 +67,7 @@ struct device {
 	struct record *record; /* NULL: none */
 	struct od_hook record_hook;
 	uint64_t last_sample_us; /* arrival of the last sample; before the first one, the start */
+	uint64_t refused_t_us;	 /* time stamp of the last sample that the pipeline refused */
 	uint32_t samples;	 /* delivered since the start */
 	bool configuration_changed, sensor_lost, sensor_testing, position_unsure;
 	unsigned uncalibrated;	 /* PIPELINE_UNCALIBRATED_... as last told */

@@ -123,15 +123,33 @@ static struct can_msg *waiting(struct can_port *port, size_t i)
 	return &port->queue[(port->queue_head + i) % CAN_QUEUE_LEN];
 }
 
-/* Drops the oldest frame with the same identifier, whose value is superseded; if there is none, the oldest of all. So a
- * burst of PDOs does not displace an EMCY. */
+static bool same_id(const struct can_msg *a, const struct can_msg *b)
+{
+	return a->id == b->id && a->extended == b->extended;
+}
+
+/* Whether a later frame of the queue has the same identifier. */
+static bool superseded(struct can_port *port, size_t i)
+{
+	size_t k = i + 1;
+
+	while (k < port->queue_count && !same_id(waiting(port, k), waiting(port, i)))
+		k++;
+	return k < port->queue_count;
+}
+
+/* Drops the oldest frame with the same identifier, whose value is superseded; if there is none, the oldest one that
+ * another frame of the queue supersedes; if there is none, the oldest of all. So neither PDOs nor a heartbeat
+ * displaces an EMCY. */
 static void make_room(struct can_port *port, const struct can_msg *msg)
 {
 	size_t i = 0;
 
-	while (i < port->queue_count &&
-		(waiting(port, i)->id != msg->id || waiting(port, i)->extended != msg->extended))
+	while (i < port->queue_count && !same_id(waiting(port, i), msg))
 		i++;
+	if (i == port->queue_count)
+		for (i = 0; i < port->queue_count && !superseded(port, i);)
+			i++;
 	for (i %= port->queue_count; i > 0; i--)
 		*waiting(port, i) = *waiting(port, i - 1);
 	drop_oldest(port);

@@ -205,6 +205,19 @@ static void test_a_controller_that_is_error_passive_at_the_start_raises_8120h(vo
 	assert_int_equal(emcy_count(w, 0x0000), 1);
 }
 
+static void test_error_passive_that_ended_in_bus_off_is_over_when_the_controller_is_error_active(void **state)
+{
+	struct world *w = *state;
+
+	set_state(w, CAN_STATE_PASSIVE);
+	set_state(w, CAN_STATE_BUS_OFF);
+	assert_int_equal(emcy_count(w, 0x0000), 0);
+	run(w, 2 * SECOND);
+	assert_int_equal(w->values.bus_health.state, 0);
+	assert_int_equal(emcy_count(w, 0x0000), 1);
+	assert_int_equal(w->values.error_register, 0);
+}
+
 static void test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent(void **state)
 {
 	struct world *w = *state;
@@ -369,6 +382,7 @@ int main(void)
 		TEST(test_counters_that_restart_at_zero_are_no_load),
 		TEST(test_state_error_counters_and_bit_rate_are_objects),
 		TEST(test_a_controller_that_is_error_passive_at_the_start_raises_8120h),
+		TEST(test_error_passive_that_ended_in_bus_off_is_over_when_the_controller_is_error_active),
 		TEST(test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent),
 		TEST(test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute),
 		TEST(test_a_minute_without_bus_off_resets_the_delay),

@@ -1,5 +1,6 @@
 #include "tests/scenario/world.h"
 
+#include <errno.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -24,9 +25,12 @@ static int save_to_disk(void *ctx, const uint8_t *bytes, size_t size)
 {
 	struct world *w = ctx;
 
-	if (w->disk_answer < 0)
+	if (w->disk_answer < 0 && w->disk_answer != -EINPROGRESS)
 		return w->disk_answer;
-	return store_decode(&w->disk, bytes, size);
+	if (w->disk_answer == 0)
+		return store_decode(&w->disk, bytes, size);
+	w->disk_waits = true;
+	return store_decode(&w->to_disk, bytes, size) < 0 ? -EBADMSG : -EINPROGRESS;
 }
 
 void world_init(struct world *w, const struct sensor_config *sensor, uint64_t seed, const char *signal)

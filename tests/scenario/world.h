@@ -30,10 +30,12 @@ struct world {
 		frames[WORLD_FRAMES]; /* sent by the device, the last WORLD_FRAMES; frame k at k % WORLD_FRAMES */
 	size_t frame_count;
 	struct store_image disk; /* content of the storage */
-	int disk_answer;	 /* 0, or the negative errno of the storage */
-	uint8_t node_id;	 /* of the command line; one that LSS stored takes precedence */
-	uint32_t serial;	 /* 1018h:4, of the command line */
-	uint32_t vendor;	 /* vendor_id of the configuration, or 0 */
+	int disk_answer;	 /* 0, or the negative errno of the storage; -EINPROGRESS: device_saved() will end it */
+	bool disk_waits;	 /* for that */
+	struct store_image to_disk; /* what the disk will have */
+	uint8_t node_id;	    /* of the command line; one that LSS stored takes precedence */
+	uint32_t serial;	    /* 1018h:4, of the command line */
+	uint32_t vendor;	    /* vendor_id of the configuration, or 0 */
 	uint64_t now_us, interval_us;
 };
 

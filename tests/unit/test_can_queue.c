@@ -227,6 +227,23 @@ static void test_in_a_full_queue_a_new_frame_replaces_the_oldest_with_its_identi
 	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 0x190);
 }
 
+static void test_a_full_queue_drops_a_superseded_frame_rather_than_the_only_one_of_its_identifier(void **state)
+{
+	struct fake fake;
+
+	(void)state;
+	fake_init(&fake, 0);
+	send_id(&fake, 0x90, 1000); /* an EMCY among PDOs */
+	for (int i = 1; i < CAN_QUEUE_LEN; i++)
+		send_id(&fake, 0x190, 1000);
+	send_id(&fake, 0x710, 1000); /* a heartbeat */
+	fake.room = CAN_QUEUE_LEN;
+	can_service(&fake.port, 1000000);
+	assert_int_equal(fake.sent_count, CAN_QUEUE_LEN);
+	assert_int_equal(fake.sent[0], 0x90);
+	assert_int_equal(fake.sent[CAN_QUEUE_LEN - 1], 0x710);
+}
+
 static void test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped(void **state)
 {
 	struct fake fake;
@@ -423,6 +440,7 @@ int main(void)
 		cmocka_unit_test(test_nothing_is_lost_until_the_queue_is_full),
 		cmocka_unit_test(test_a_full_queue_drops_the_oldest_frame_and_counts_it),
 		cmocka_unit_test(test_in_a_full_queue_a_new_frame_replaces_the_oldest_with_its_identifier),
+		cmocka_unit_test(test_a_full_queue_drops_a_superseded_frame_rather_than_the_only_one_of_its_identifier),
 		cmocka_unit_test(test_the_queue_keeps_its_order_when_a_superseded_frame_is_dropped),
 		cmocka_unit_test(test_of_two_superseded_frames_the_older_one_is_dropped_even_at_the_head),
 		cmocka_unit_test(test_the_order_is_kept_through_many_refusals),
