@@ -26,7 +26,7 @@ enum {
 struct connection {
 	const struct web_file *file;
 	size_t sent;
-	int client; /* slot + 1; 0: none */
+	int client; /* slot + 1; 0: none, also of a browser that was refused */
 	char *text; /* of a message that has not arrived completely */
 	size_t size;
 	bool paused;
@@ -276,6 +276,8 @@ static int on_message(struct lws *wsi, struct connection *connection, const char
 {
 	struct server *server = server_of(wsi);
 
+	if (connection->client <= 0)
+		return -1; /* it was refused */
 	if (lws_frame_is_binary(wsi) || connection->size + size > WEB_REQUEST_MAX) {
 		lws_close_reason(wsi,
 			lws_frame_is_binary(wsi) ? LWS_CLOSE_STATUS_UNACCEPTABLE_OPCODE
@@ -305,6 +307,9 @@ static int on_writable(struct lws *wsi, struct connection *connection)
 	struct server *server = server_of(wsi);
 	uint64_t now_us = cli_now_us();
 	size_t size;
+
+	if (connection->client <= 0)
+		return -1; /* it was refused */
 	const char *text = web_output(server->web, connection->client - 1, &size, now_us);
 	int rc = 0;
 
@@ -396,6 +401,7 @@ static int run(struct server *server, struct lws_vhost *vhost)
 		cli_error("libwebsockets does not take the descriptor of the bus");
 		return -EINVAL;
 	}
+	lws_set_log_level(0, NULL); /* what others send must not fill a log */
 	set_timer(server, 0);
 	while (!server->ends && lws_service(server->context, 0) >= 0)
 		;
