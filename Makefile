@@ -35,8 +35,9 @@ WARNINGS := -Wall -Wextra -Wpedantic -Wconversion -Wshadow -Wstrict-prototypes -
 	-Wno-enum-float-conversion -Wno-enum-enum-conversion \
 	$(if $(filter yes,$(WERROR)),-Werror -Wno-error=deprecated-declarations)
 # -ffp-contract=off: the same bits from gcc and clang, with and without fused multiply-add
+# -ffile-prefix-map: the same bytes wherever it is built
 ALL_CFLAGS = -std=c11 -D_GNU_SOURCE -DIMU9_VERSION='"$(VERSION)"' -I. -I$(BUILD)/gen $(WARNINGS) -ffp-contract=off \
-	-MMD -MP $(CFLAGS) $(SAN)
+	-ffile-prefix-map=$(BUILD)=build -ffile-prefix-map=$(CURDIR)=. -MMD -MP $(CFLAGS) $(SAN)
 LDLIBS := -Wl,--as-needed -linih -lmpack -lmodbus -lgpiod -ljson-c -lncursesw -lm -pthread
 
 # ---- what is built from what ---------------------------------------------------------------------------------------
@@ -53,7 +54,8 @@ CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 MODBUS_SRC := $(call sources,gateway/modbus/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
 PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
-TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC),$(call sources,tools/*/*.c))
+FLEET_SRC := $(filter-out $(PROGRAM_SRC),$(call sources,tools/fleet/*.c))
+TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC) $(FLEET_SRC),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway modbus_server canopen drivers od) $(MODEL_LIB)
@@ -113,6 +115,7 @@ $(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
 $(BUILD)/libmodbus_server.a: $(call objects,$(MODBUS_SRC)) $(BUILD)/obj/gen/modbus_map.o; $(archive)
 $(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
 $(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
+$(BUILD)/libfleet.a: $(call objects,$(FLEET_SRC)); $(archive)
 
 $(BUILD)/imu9-gateway: $(BUILD)/obj/gateway/main.o $(LIBS)
 	$(Q)$(CC) $(CFLAGS) $(SAN) $(LDFLAGS) -o $@ $^ $(LDLIBS)
@@ -133,6 +136,10 @@ $(CHART_JS):
 	@echo "$@ is missing: tools/deps build" >&2; exit 1
 $(BUILD)/imu9-web: $(BUILD)/obj/gen/web_files.o
 $(BUILD)/imu9-web: LDLIBS += -lwebsockets
+# the only programs that need these libraries
+FLEET_PROGRAMS := $(BUILD)/imu9-fleet $(foreach t,$(TESTS) $(FUZZERS),$(if $(findstring _fleet,$(notdir $(t))),$(t)))
+$(FLEET_PROGRAMS): $(BUILD)/libfleet.a
+$(FLEET_PROGRAMS): LDLIBS := $(BUILD)/libfleet.a $(LIBS) -lmosquitto $(LDLIBS)
 
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
@@ -152,11 +159,16 @@ $(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
 Q = $(if $(V),,@echo "  build   $@";)
 
 # ---- the two commands of the README --------------------------------------------------------------------------------
-.PHONY: demo test
+.PHONY: demo demo-web test
 demo: ## install what is missing, build, and show the gateway at work (no hardware needed)
 	@DEPS=$(DEPS) tools/deps build
 	@$(MAKE) --no-print-directory -j2 all
 	@BUILD=$(BUILD) tools/demo
+
+demo-web: ## the same in the browser: two simulated nodes and imu9-web, which prints its address
+	@DEPS=$(DEPS) tools/deps build
+	@$(MAKE) --no-print-directory -j2 all
+	@BUILD=$(BUILD) tools/web/demo
 
 test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
 	@DEPS=$(DEPS) tools/deps build test
@@ -180,7 +192,7 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 
 # ---- for developers ------------------------------------------------------------------------------------------------
 .PHONY: tests check distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format \
-	check-layers check-objects readme check-readme eds-revision check-eds
+	check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
@@ -248,6 +260,9 @@ check-format: ## fail when a file is not formatted
 	@awk -F '\t' '{w = 0; for (i = 1; i < NF; i++) w += length($$i) + 8 - (w + length($$i)) % 8; \
 		w += length($$NF)} w > 120 {print FILENAME ":" FNR ": " w " columns, at most 120"; bad = 1} \
 		END {exit bad}' Makefile $(FORMATTED) $(PYTHON)
+
+check-reproducible: $(PROGRAMS) ## fail when a second build, in another folder, gives other bytes
+	@CC="$(CC)" WERROR=$(WERROR) tests/reproducible $(PROGRAMS)
 
 WITH_OBJECTS = awk '/^<!-- objects/ {print; system("sed -n \"/^\#\# /,$$ p\" $(BUILD)/gen/objects.md"); skip = 1} \
 	/^<!-- end of objects/ {skip = 0} !skip' eds/README.md

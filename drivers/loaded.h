@@ -15,6 +15,7 @@
 static struct {
 	FUNCTIONS(MEMBER, VOID_MEMBER, ENTRY_MEMBER)
 } library;
+static void *library_handle;
 
 #define CALL(name, type, parameters, arguments) \
 	type name parameters                    \
@@ -38,11 +39,14 @@ static bool find_function(void *handle, const char *name, void **function)
 	return *function;
 }
 
-#define FIND(name, ...) &&find_function(handle, #name, (void **)&library.name)
-/* False: it is not installed, or has not these functions. It stays loaded. */
-static bool load_library(void)
+#define FIND(name, ...) &&find_function(library_handle, #name, (void **)&library.name)
+/* False: it is not installed, or has not these functions. It stays loaded, unless unload_library() is called. */
+static inline bool load_library(void)
 {
-	void *handle = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
-
-	return handle FUNCTIONS(FIND, FIND, FIND);
+	library_handle = dlopen(LIBRARY, RTLD_NOW | RTLD_LOCAL);
+	return library_handle FUNCTIONS(FIND, FIND, FIND);
+}
+static inline void unload_library(void)
+{
+	dlclose(library_handle);
 }

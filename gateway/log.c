@@ -1,6 +1,7 @@
 #include "gateway/log.h"
 
 #include <ctype.h>
+#include <errno.h>
 #include <poll.h>
 #include <stdarg.h>
 #include <stdatomic.h>
@@ -36,7 +37,7 @@ void log_at(int severity, const char *format, ...)
 	if (severity > atomic_load(&log_threshold))
 		return;
 	size_t prefix = (size_t)(journal_reads() ? snprintf(text, sizeof(text), "<%d>", severity)
-						 : snprintf(text, sizeof(text), "imu9-gateway: "));
+						 : snprintf(text, sizeof(text), "%s: ", program_invocation_short_name));
 	va_start(args, format);
 	int n = vsnprintf(text + prefix, sizeof(text) - prefix - 1, format, args);
 	va_end(args);

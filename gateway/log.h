@@ -1,6 +1,7 @@
 /* gateway/log.h
  * Lines on standard error for the operator: start, faults and their end; never per sample. Any thread. Where systemd's
- * journal reads standard error, a line begins with its priority (<4>, sd-daemon(3)), else with "imu9-gateway: ". */
+ * journal reads standard error, a line begins with its priority (<4>, sd-daemon(3)), else with the name of the program
+ * ("imu9-gateway: "). */
 #ifndef GATEWAY_LOG_H
 #define GATEWAY_LOG_H
 

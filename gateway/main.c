@@ -19,6 +19,7 @@
 #include "gateway/process_guard.h"
 #include "gateway/record_file.h"
 #include "gateway/reload.h"
+#include "gateway/sandbox.h"
 #include "gateway/serial.h"
 #include "gateway/settings.h"
 #include "gateway/store_name.h"
@@ -384,6 +385,16 @@ static void open_leds(const struct config *config)
 		log_warning("/sys/class/leds/%s/brightness: %s: this LED is not used", name, strerror(-rc));
 }
 
+/* The gateway runs without it, too. */
+static void enter_sandbox(void)
+{
+	int rc = sandbox_enter();
+
+	if (rc < 0)
+		log_at(LOG_DEBUG, "no seccomp filter: %s",
+			rc == -ENOENT ? "libseccomp is not installed" : strerror(-rc));
+}
+
 static const char INCONSISTENT[] = "the configuration is inconsistent: check for a singular calibration matrix or a "
 				   "filter order 0";
 
@@ -518,6 +529,7 @@ static int run(const struct config *config, struct can_port *bus, struct imu_por
 		log_notes(imu->notes);
 		open_leds(config);
 		go_realtime(config->realtime);
+		enter_sandbox();
 		process_guard_rest(&guard);
 		rc = loop_run(&device, bus, imu, store, cia309, window_is_open(&window) ? &window : NULL, damaged,
 			read_again);

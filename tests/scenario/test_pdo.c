@@ -451,6 +451,35 @@ static void test_with_a_threshold_a_pdo_is_sent_when_its_value_of_any_type_chang
 	(void)state;
 }
 
+/* A value of more than 4 bytes has no distance: any change of it is one. */
+static void test_with_a_threshold_a_pdo_of_8_bytes_is_sent_when_they_change(void **state)
+{
+	static const uint64_t values[] = {0, 1, UINT64_C(1) << 63};
+	struct bus *bus = bus_new();
+	uint64_t *utc = od_value(&bus->od, 0x2117, 3, sizeof(*utc));
+
+	bus_start(bus);
+	bus_forget(bus);
+	only_tpdo1(bus, 254);
+	bus->node.device.change_threshold = threshold_of_3;
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, INVALID | 0x190), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 0), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 1, 4, 0x21170340), 0);
+	assert_int_equal(bus_write(bus, 0x1A00, 0, 1, 1), 0);
+	assert_int_equal(bus_write(bus, 0x1800, 1, 4, NO_RTR | 0x190), 0);
+	bus_send(bus, "000 01 10");
+	for (size_t i = 0; i < sizeof(values) / sizeof(values[0]); i++)
+		for (int again = 0; again < 2; again++) {
+			size_t before = bus->sent_count;
+
+			*utc = values[i];
+			bus_sample(bus, 0);
+			assert_int_equal(bus->sent_count - before, !again);
+		}
+	test_free(bus);
+	(void)state;
+}
+
 /* ---- communication parameters ------------------------------------------------------------------------------------ */
 
 static void test_an_invalid_pdo_is_not_sent(void **state)
@@ -966,6 +995,7 @@ int main(void)
 		OPERATIONAL(test_the_event_timer_may_change_while_the_pdo_is_valid),
 		OPERATIONAL(test_a_synchronous_pdo_has_neither_event_timer_nor_inhibit_time),
 		cmocka_unit_test(test_with_a_threshold_a_pdo_is_sent_when_its_value_of_any_type_changes_by_more),
+		cmocka_unit_test(test_with_a_threshold_a_pdo_of_8_bytes_is_sent_when_they_change),
 		OPERATIONAL(test_an_invalid_pdo_is_not_sent),
 		OPERATIONAL(test_the_identifier_changes_only_while_the_pdo_is_invalid),
 		PRE_OPERATIONAL(test_the_identifier_may_change_together_with_the_valid_bit),

@@ -480,6 +480,36 @@ static void test_every_object_reads_by_sdo_as_in_the_dictionary(void **state)
 
 /* ---- the further channels (1201h to 1207h) ----------------------------------------------------------------------- */
 
+/* A channel of its own has identifiers that nothing else of the node has; those of what is off are free. */
+static void test_an_identifier_of_another_service_is_refused_for_a_channel(void **state)
+{
+	static const struct {
+		uint16_t index;
+		uint8_t sub;
+		uint32_t off, on, id;
+	} services[] = {{0x1014, 0, 0x80000090, 0x90, 0x90}, {0x1012, 0, 0x100, 0x80000100, 0x100},
+		{0x1012, 0, 0x100, 0x40000100, 0x100}, {0x1800, 1, 0xC0000190, 0x40000190, 0x190},
+		{0x1803, 1, 0xC0000490, 0x40000490, 0x490}, {0x1400, 1, 0x80000210, 0x210, 0x210},
+		{0x1202, 1, 0x80000000, 0x6A2, 0x6A2}, {0x1207, 2, 0x80000000, 0x6A3, 0x6A3}};
+	struct bus *bus = bus_new();
+
+	(void)state;
+	bus_start(bus);
+	bus_forget(bus);
+	assert_int_equal(bus_write(bus, 0x1201, 2, 4, 0x80), 0x06040043); /* SYNC is always there */
+	for (size_t i = 0; i < sizeof(services) / sizeof(services[0]); i++) {
+		assert_int_equal(bus_write(bus, services[i].index, services[i].sub, 4, services[i].off), 0);
+		assert_int_equal(bus_write(bus, services[i].index, services[i].sub, 4, services[i].on), 0);
+		assert_int_equal(bus_write(bus, 0x1201, 1, 4, services[i].id), 0x06040043);
+		assert_int_equal(bus_write(bus, services[i].index, services[i].sub, 4, services[i].off), 0);
+		assert_int_equal(bus_write(bus, 0x1201, 1, 4, services[i].id), 0);
+		assert_int_equal(bus_write(bus, 0x1201, 1, 4, services[i].id), 0); /* its own */
+		assert_int_equal(bus_write(bus, 0x1201, 2, 4, services[i].id), 0x06040043);
+		assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x80000000), 0);
+	}
+	test_free(bus);
+}
+
 static void open_second(struct bus *bus)
 {
 	assert_int_equal(bus_write(bus, 0x1201, 1, 4, 0x6A0), 0);
@@ -812,6 +842,7 @@ int main(void)
 		PRE_OPERATIONAL(test_reserved_bits_and_bytes_are_ignored),
 		PRE_OPERATIONAL(test_a_request_to_another_node_has_no_response),
 		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_sdo_requests),
+		cmocka_unit_test(test_an_identifier_of_another_service_is_refused_for_a_channel),
 		cmocka_unit_test(test_every_status_of_the_dictionary_has_its_abort_code),
 		PRE_OPERATIONAL(test_every_object_reads_by_sdo_as_in_the_dictionary),
 		PRE_OPERATIONAL(test_the_second_channel_is_closed_until_configured),

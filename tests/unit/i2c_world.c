@@ -103,6 +103,21 @@ struct world *world_new(const char *board, const char *scenario, bool ideal)
 	return w;
 }
 
+void world_load_bmi270(struct world *w)
+{
+	const uint8_t address = sim_board_address(w->sim, IMU_CHIP_GYRO);
+
+	i2c_write(w->bus, address, 0x7C, 0x00); /* no power saving */
+	i2c_write(w->bus, address, 0x59, 0x00);
+	for (unsigned byte = 0; byte < sizeof firmware; byte += 32) {
+		i2c_write(w->bus, address, 0x5B, byte / 2 & 15);
+		i2c_write(w->bus, address, 0x5C, (uint8_t)(byte / 2 >> 4));
+		i2c_write_block(w->bus, address, 0x5E, firmware + byte, 32);
+	}
+	i2c_write(w->bus, address, 0x59, 0x01);
+	w->now_ns += 20000000;
+}
+
 void world_free(struct world *w)
 {
 	i2c_close(w->bus);
@@ -114,6 +129,7 @@ static void step(struct world *w)
 {
 	int64_t wake_ns = board_step(&w->board);
 
+	w->wakes++;
 	if (wake_ns > w->now_ns)
 		w->now_ns = wake_ns;
 	if (w->late_ns > 0)

@@ -19,7 +19,7 @@ struct world {
 	const uint8_t *firmware; /* for board.firmware */
 	struct rng rng;
 	int64_t late_ns; /* upper limit of the delay of a wake-up */
-	unsigned long accesses;
+	unsigned long accesses, wakes;
 
 	/* faults: hooks of the test for the accesses from number `fault_at` on */
 	unsigned long fault_at, fault_count;
@@ -34,6 +34,8 @@ struct world *world_new(const char *board, const char *scenario, bool ideal);
 struct world *world_make(const char *board, const char *scenario, bool ideal);
 void world_detect(struct world *world);
 void world_set_up(struct world *world, const struct imu_settings *settings, bool fifo);
+/** Gives the BMI270 its configuration file, as its driver does, and waits until it works. */
+void world_load_bmi270(struct world *world);
 void world_free(struct world *world);
 
 /** Runs until the driver has a sample, at most `us`. */

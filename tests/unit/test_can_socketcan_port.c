@@ -374,7 +374,7 @@ static void open_bus(void)
 {
 	char error[300] = "";
 
-	if (can_open("can7", &port, error, sizeof(error)) < 0)
+	if (can_open("can7", &port, error, sizeof(error)) < 0 || error[0])
 		fail_msg("%s", error);
 }
 

@@ -322,7 +322,7 @@ static struct can_port *open_bus(const char *format)
 
 	skip_in_an_emulator();
 	snprintf(bus, sizeof(bus), format, test_port());
-	if (can_open(bus, &port, error, sizeof(error)) < 0)
+	if (can_open(bus, &port, error, sizeof(error)) < 0 || error[0])
 		fail_msg("%s", error);
 	return port;
 }

@@ -51,12 +51,12 @@ static int make_networks(void **state)
 
 static struct can_port *open_bus(const char *bus)
 {
-	char error[300];
+	char error[300] = "";
 	struct can_port *port;
 
 	if (!have_networks)
 		skip();
-	if (can_open(bus, &port, error, sizeof(error)) < 0)
+	if (can_open(bus, &port, error, sizeof(error)) < 0 || error[0])
 		fail_msg("%s", error);
 	return port;
 }

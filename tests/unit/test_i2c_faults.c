@@ -114,6 +114,88 @@ static void test_on_spi_a_chip_that_is_gone_is_detected_and_its_data_are_not_use
 	}
 }
 
+/* ---- levels of FIFOs --------------------------------------------------------------------------------------------- */
+
+static struct {
+	uint8_t at, size, bytes[4];
+	int times;
+} false_level;
+
+static void put_false_level(struct world *w, const struct sim_access *access)
+{
+	if (access->write || access->address != sim_board_address(w->sim, IMU_CHIP_GYRO) ||
+		(access->sub & 0x7F) != false_level.at || false_level.times == 0)
+		return;
+	memcpy(access->bytes, false_level.bytes, false_level.size);
+	false_level.times--;
+}
+
+/* More than the FIFO holds, or an overrun of an empty one: an error of the bus, and the samples are read later. */
+static void test_a_level_that_a_fifo_cannot_have_is_a_failed_transfer(void **state)
+{
+	static const struct {
+		const char *board;
+		uint8_t at, size, bytes[4];
+	} levels[] = {{"v0", 0x2F, 1, {0xFF}}, {"v2", 0x2F, 1, {0xFF}}, {"v3", 0x2F, 1, {0xFF}},
+		{"lsm9ds1", 0x2F, 1, {0xFF}}, {"lsm9ds1", 0x2F, 1, {33}}, {"v5", 0x3A, 4, {0xFF, 0xFF, 0xFF, 0xFF}},
+		{"v5", 0x3A, 4, {1, 0x10, 0, 0}}, {"v6", 0x3A, 2, {0xFF, 0xFF}}, {"v6", 0x3A, 2, {0x01, 0x02}},
+		{"icm20948", 0x70, 2, {0xFF, 0xFF}}, {"icm20948", 0x70, 2, {0x02, 0x0D}},
+		{"icm42688", 0x2E, 2, {0xFF, 0xFF}}, {"icm42688", 0x2E, 2, {0x08, 0x11}},
+		{"bmi270", 0x24, 2, {0xFF, 0xFF}}, {"bmi270", 0x24, 2, {0x0E, 0x08}}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof levels / sizeof *levels; i++) {
+		struct world *w = settled(levels[i].board);
+		const uint32_t errors = w->board.health.bus_errors, lost = w->board.health.overruns;
+
+		false_level.at = levels[i].at;
+		false_level.size = levels[i].size;
+		memcpy(false_level.bytes, levels[i].bytes, sizeof false_level.bytes);
+		false_level.times = 1;
+		w->after = put_false_level;
+		world_run(w, 500000);
+		assert_int_equal(false_level.times, 0);
+		if (w->board.health.bus_errors != errors + 1 || w->board.health.overruns != lost)
+			fail_msg("%s, %02X %02X: %u errors, %u samples lost", levels[i].board, levels[i].bytes[0],
+				levels[i].bytes[1], w->board.health.bus_errors - errors,
+				w->board.health.overruns - lost);
+		assert_int_equal(w->board.health.fault, 0);
+		world_free(w);
+	}
+}
+
+static uint8_t overrun_bit;
+
+/* FIFO_STATUS2 of the LSM6DSO: FIFO_OVR_IA 40h becomes another bit. */
+static void change_overrun(struct world *w, const struct sim_access *access)
+{
+	if (access->write || access->sub != 0x3A || access->address != sim_board_address(w->sim, IMU_CHIP_GYRO) ||
+		!(access->bytes[1] & 0x40))
+		return;
+	access->bytes[1] = (uint8_t)((access->bytes[1] & ~0x40) | overrun_bit);
+}
+
+/* An overrun that has ended shows as FIFO_OVR_LATCHED 08h. */
+static void test_a_latched_overrun_of_the_lsm6dso_counts(void **state)
+{
+	uint32_t lost[2];
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct world *w = settled("v6");
+		const uint32_t before = w->board.health.overruns;
+
+		overrun_bit = i ? 0x08 : 0x40;
+		w->after = change_overrun;
+		w->now_ns += 3500000000; /* the FIFO holds 2.5 s */
+		board_step(&w->board);
+		lost[i] = w->board.health.overruns - before;
+		world_free(w);
+	}
+	assert_true(lost[0] > 50);
+	assert_int_equal(lost[1], lost[0]);
+}
+
 static void test_a_chip_without_new_samples_is_detected_and_recovers(void **state)
 {
 	struct world *w;
@@ -547,6 +629,8 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_chip_that_does_not_answer_is_detected_and_recovers),
 		cmocka_unit_test(test_on_spi_a_chip_that_is_gone_is_detected_and_its_data_are_not_used),
+		cmocka_unit_test(test_a_level_that_a_fifo_cannot_have_is_a_failed_transfer),
+		cmocka_unit_test(test_a_latched_overrun_of_the_lsm6dso_counts),
 		cmocka_unit_test(test_a_chip_without_new_samples_is_detected_and_recovers),
 		cmocka_unit_test(test_frozen_data_are_detected_and_cleared_by_the_first_other_value),
 		cmocka_unit_test(test_a_coarse_range_at_rest_is_not_frozen),

@@ -70,6 +70,7 @@ static struct world {
 	unsigned device_count;
 	bool no_iio, no_configfs, no_raw;
 	const char *denied; /* attribute that must not be written */
+	enum { NOTHING, KERNEL_BUFFERS, BUFFER, NOT_BLOCKING } refused;
 	unsigned contexts;
 	char made[TIMERS][80], removed[TIMERS][80];
 	unsigned made_count, removed_count;
@@ -350,7 +351,7 @@ int iio_device_set_trigger(const struct iio_device *device, const struct iio_dev
 int iio_device_set_kernel_buffers_count(const struct iio_device *device, unsigned count)
 {
 	((struct iio_device *)device)->kernel_samples = count;
-	return 0;
+	return w.refused == KERNEL_BUFFERS ? -ENOMEM : 0;
 }
 
 struct iio_buffer *iio_device_create_buffer(const struct iio_device *device, size_t samples, bool cyclic)
@@ -359,6 +360,10 @@ struct iio_buffer *iio_device_create_buffer(const struct iio_device *device, siz
 
 	assert_int_equal(samples, 1);
 	assert_false(cyclic);
+	if (w.refused == BUFFER) {
+		errno = EBUSY;
+		return NULL;
+	}
 	d->buffer.device = d;
 	d->buffered = true;
 	return &d->buffer;
@@ -373,7 +378,7 @@ int iio_buffer_set_blocking_mode(struct iio_buffer *buffer, bool blocking)
 {
 	(void)buffer;
 	assert_false(blocking);
-	return 0;
+	return w.refused == NOT_BLOCKING ? -ENOSYS : 0;
 }
 
 int iio_buffer_get_poll_fd(struct iio_buffer *buffer)
@@ -1225,6 +1230,17 @@ static void test_an_attribute_that_must_not_be_written_is_named_with_what_to_do(
 	}
 }
 
+static void test_a_buffer_that_cannot_be_had_is_named(void **state)
+{
+	(void)state;
+	w.refused = KERNEL_BUFFERS;
+	assert_refused("iio", -ENOMEM, "the buffer of lsm6dso");
+	w.refused = BUFFER;
+	assert_refused("iio", -EBUSY, "the buffer of lsm6dso");
+	w.refused = NOT_BLOCKING;
+	assert_refused("iio", -ENOSYS, "the buffer of lsm6dso");
+}
+
 static void test_a_timer_that_could_not_be_made_is_not_removed(void **state)
 {
 	(void)state;
@@ -1585,6 +1601,7 @@ int main(void)
 		IIO_TEST(test_a_polled_device_has_the_rate_that_is_possible_at_most),
 		IIO_TEST(test_an_attribute_that_must_not_be_written_is_named_with_what_to_do),
 		IIO_TEST(test_a_timer_is_removed_once),
+		IIO_TEST(test_a_buffer_that_cannot_be_had_is_named),
 		IIO_TEST(test_a_timer_that_could_not_be_made_is_not_removed),
 		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),

@@ -52,10 +52,10 @@ static int remove_log(void **state)
 static struct imu_port *opened(const char *options)
 {
 	struct imu_port *port;
-	char src[128], error[256];
+	char src[128], error[256] = "";
 
 	snprintf(src, sizeof src, "replay:%s%s", path, options);
-	if (imu_open(src, NULL, &port, error, sizeof error) != 0)
+	if (imu_open(src, NULL, &port, error, sizeof error) != 0 || error[0])
 		fail_msg("%s", error);
 	return port;
 }

@@ -23,9 +23,9 @@ static double now_s(void)
 static struct imu_port *opened(const char *src)
 {
 	struct imu_port *port;
-	char error[256];
+	char error[256] = "";
 
-	if (imu_open(src, NULL, &port, error, sizeof error) != 0)
+	if (imu_open(src, NULL, &port, error, sizeof error) != 0 || error[0])
 		fail_msg("%s", error);
 	return port;
 }

@@ -6,6 +6,7 @@
 
 #include <cmocka.h>
 
+#include <errno.h>
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -134,6 +135,8 @@ int main(void)
 		cmocka_unit_test(test_the_level_leaves_out_what_is_less_severe),
 		cmocka_unit_test(test_a_reader_that_does_not_read_does_not_block_the_gateway),
 	};
+	static char name[] = "imu9-gateway"; /* what log lines begin with */
 
+	program_invocation_short_name = name;
 	return cmocka_run_group_tests_name("log", tests, count_descriptors, no_descriptor_is_left);
 }

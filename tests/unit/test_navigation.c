@@ -1201,6 +1201,49 @@ static void test_after_a_gap_sigma_has_grown_by_what_may_have_happened(void **st
 	assert_sigma(&n, NAVIGATION_P, gap_s * sqrt(v2 + 4 * gap_s * gap_s));
 }
 
+/* An alias that is found is a constant velocity since it began: both errors are one, which grows with the time. Where
+ * it ends, its sine is left. */
+static void test_what_may_be_an_alias_is_an_error_of_velocity_and_position_as_long_as_it_lasts(void **state)
+{
+	struct navigation n = started(MOTION_ANY);
+	int found = 0, ended = 0;
+
+	(void)state;
+	for (int k = 0; k < 2400; k++) {
+		const double t = k * DT_S, a = k < 1600 ? sin(2 * PI * t) : 0.3 * sin(0.3 * t);
+		const struct navigation_input in = {
+			.force_b_m_s2 = {a, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+		struct navigation none = n;
+
+		none.alias = (struct alias){.velocity_m_s = {0}};
+		navigation_step(&n, &in, DT_S);
+		navigation_step(&none, &in, DT_S);
+		const struct alias *alias = &n.alias;
+		const double began_s = fmin(alias->found_s[0], n.moved_s), v2 = pow(alias->velocity_m_s[0], 2),
+			     vv = n.p[NAVIGATION_V][NAVIGATION_V] - none.p[NAVIGATION_V][NAVIGATION_V],
+			     pv = n.p[NAVIGATION_P][NAVIGATION_V] - none.p[NAVIGATION_P][NAVIGATION_V],
+			     vp = n.p[NAVIGATION_V][NAVIGATION_P] - none.p[NAVIGATION_V][NAVIGATION_P],
+			     pp = n.p[NAVIGATION_P][NAVIGATION_P] - none.p[NAVIGATION_P][NAVIGATION_P];
+
+		if (n.still || vv == 0)
+			continue;
+		if (alias->found_s[0] > 0) {
+			found++;
+			assert_near(vv, v2, 1e-9 + 1e-3 * v2);
+			assert_near(pv, v2 * began_s, 1e-9 + 1e-3 * v2 * began_s);
+			assert_near(vp, v2 * began_s, 1e-9 + 1e-3 * v2 * began_s);
+			assert_near(pp, v2 * began_s * began_s, 1e-9 + 1e-3 * v2 * began_s * began_s);
+		} else if (alias->ended_m_s[0] > 0) {
+			ended++;
+			assert_near(vv, pow(alias->ended_m_s[0], 2), 1e-9);
+			assert_near(pp, pow(alias->ended_m[0], 2), 1e-9);
+			assert_near(pv, 0, 1e-9);
+		}
+	}
+	assert_true(found > 0);
+	assert_int_equal(ended, 1);
+}
+
 /* In motion the bias differs by 0.02 deg/s from that at rest. */
 static void test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before(void **state)
 {
@@ -1401,6 +1444,7 @@ int main(void)
 		cmocka_unit_test(test_levelling_measures_the_velocity_by_its_spread),
 		cmocka_unit_test(test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certain_by_its_motion),
 		cmocka_unit_test(test_after_a_gap_sigma_has_grown_by_what_may_have_happened),
+		cmocka_unit_test(test_what_may_be_an_alias_is_an_error_of_velocity_and_position_as_long_as_it_lasts),
 		cmocka_unit_test(test_a_gyro_bias_is_less_certain_in_motion_than_at_the_rest_before),
 		cmocka_unit_test(test_an_aided_velocity_beyond_5_sigma_replaces_the_velocity),
 		cmocka_unit_test(test_an_aided_motion_is_no_standstill_for_5_s),

@@ -740,6 +740,44 @@ static struct pipeline_output stand_aided(struct pipeline *p, double yaw_rad, do
 	return out;
 }
 
+/* The fifth of five yaws that contradict the heading, and an attitude that is set. */
+static void test_the_jump_of_a_heading_from_outside_is_not_an_angular_rate(void **state)
+{
+	(void)state;
+	for (int set = 0; set < 2; set++) {
+		struct pipeline_config config = with_lever();
+		struct pipeline_output out;
+		struct pipeline p;
+
+		config.estimator.rates_from = RATES_FROM_ANGLES;
+		p = pipeline(&config);
+		out = run(&p, standing, 0, 400);
+		for (int i = 0; i < 5 && !set; i++)
+			assert_int_equal(pipeline_aid_yaw(&p, out.angles_rad.z + 1.5, 1 * RAD_PER_DEG), 0);
+		if (set)
+			pipeline_reset_attitude(
+				&p, quat_multiply(quat_from_rotation_vector((struct vec3){0, 0, 1.5}), out.q_nb));
+		for (int k = 400; k < 420; k++) {
+			const struct pipeline_output after = run(&p, standing, k, k + 1);
+
+			assert_near(after.angles_rad.z, out.angles_rad.z + 1.5, 0.02);
+			assert_vec_near(after.rate_b_rad_s, ZERO, 0.01);
+			assert_vec_near(after.alpha_b_rad_s2, ZERO, 1);
+		}
+	}
+}
+
+/* A yaw that fits the heading is no jump: rest is still found. */
+static void test_rest_is_found_under_aided_yaws(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	const double yaw_rad = run(&p, standing, 0, 10).angles_rad.z;
+
+	(void)state;
+	assert_true(stand_aided(&p, yaw_rad, 1 * RAD_PER_DEG, 10, 1000).status & PIPELINE_REST);
+}
+
 static void test_the_first_aided_yaw_sets_the_heading_when_north_is_unknown(void **state)
 {
 	(void)state;
@@ -1546,6 +1584,8 @@ int main(void)
 		cmocka_unit_test(test_a_live_change_of_anything_but_the_calibration_keeps_attitude_and_position),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_as_a_whole),
 		cmocka_unit_test(test_the_same_samples_give_the_same_bits),
+		cmocka_unit_test(test_the_jump_of_a_heading_from_outside_is_not_an_angular_rate),
+		cmocka_unit_test(test_rest_is_found_under_aided_yaws),
 		cmocka_unit_test(test_the_first_aided_yaw_sets_the_heading_when_north_is_unknown),
 		cmocka_unit_test(test_an_aided_yaw_takes_precedence_over_the_magnetometer),
 		cmocka_unit_test(test_a_yaw_beyond_the_innovation_gate_is_rejected_and_the_fifth_in_a_row_applied),

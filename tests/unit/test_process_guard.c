@@ -241,6 +241,8 @@ int main(void)
 		cmocka_unit_test(test_a_store_that_hangs_does_not_keep_the_process_from_ending),
 		cmocka_unit_test(test_closed_standard_descriptors_are_opened_so_that_no_device_gets_one),
 	};
+	static char name[] = "imu9-gateway"; /* what log lines begin with */
 
+	program_invocation_short_name = name;
 	return cmocka_run_group_tests(tests, NULL, NULL);
 }

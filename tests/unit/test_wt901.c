@@ -224,7 +224,7 @@ static struct imu_port *open_baud(int baud)
 	struct imu_port *port = NULL;
 
 	snprintf(src, sizeof src, "wt901:%s,baud=%d", sensor.link, baud);
-	if (imu_open(src, NULL, &port, error, sizeof error) != 0)
+	if (imu_open(src, NULL, &port, error, sizeof error) != 0 || error[0])
 		fail_msg("%s", error);
 	return port;
 }

@@ -236,7 +236,7 @@ static void open_sensor(const char *options, const struct imu_settings *settings
 	char src[80], error[200] = "";
 
 	snprintf(src, sizeof(src), "wt901:/dev/ttyUSB7%s", options);
-	if (imu_open(src, settings, &port, error, sizeof(error)) < 0)
+	if (imu_open(src, settings, &port, error, sizeof(error)) < 0 || error[0])
 		fail_msg("%s", error);
 }
 

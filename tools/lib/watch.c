@@ -131,11 +131,11 @@ static void read_next(struct watch *watch, uint64_t now_us)
 
 static void start_reading(struct watch *watch, uint64_t now_us)
 {
+	watch->retry_us = UINT64_MAX;
 	if (watch->passive)
 		return;
 	watch->job = WATCH_MAP;
 	watch->reading = 0;
-	watch->retry_us = UINT64_MAX;
 	read_next(watch, now_us);
 }
 

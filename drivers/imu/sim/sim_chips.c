@@ -504,7 +504,6 @@ static void command(struct sim_chip *c, uint8_t reg, uint8_t value, double now_n
 static void write_register(struct sim_board *b, struct sim_chip *c, uint8_t reg, uint8_t value)
 {
 	const double rates[] = {c->triads[0].rate_hz, c->triads[1].rate_hz};
-	const bool fifo_was_on = c->fifo_on;
 	double now_ns = (double)b->config.now_ns(b->config.clock);
 
 	if (read_only(c, reg))
@@ -518,7 +517,7 @@ static void write_register(struct sim_board *b, struct sim_chip *c, uint8_t reg,
 			restart(b, &c->triads[i], now_ns);
 	if (sim_is_pair(c->kind))
 		c->triads[1].epoch_ns = c->triads[0].epoch_ns;
-	if (c->fifo_on != fifo_was_on || !c->fifo_on)
+	if (!c->fifo_on)
 		clear_fifo(c);
 	show_status(c);
 	show_fifo(c);
