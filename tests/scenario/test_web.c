@@ -645,6 +645,10 @@ static void test_sync_ends_with_its_browser_and_there_is_only_one_producer(void 
 	size_t before = b->total;
 	run(b, -1, 1000);
 	assert_near(b->total - before, 50, 1);
+	before = b->total;
+	b->world.now_us += SECOND; /* the program was stopped so long */
+	run(b, -1, 100);
+	assert_near(b->total - before, 5, 1);
 	web_disconnect(&b->web, client);
 	before = b->total;
 	run(b, -1, 1000);
