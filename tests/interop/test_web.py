@@ -192,7 +192,8 @@ class Web(rig.OnTheBus):
         self.master.drain()
         self.write(0x2000, 3, struct.pack("<f", 0.25))
         differences = browser.result("compare", node=NODE, format="ini", text=text)["differences"]
-        self.assertEqual([(d["name"], d["node_value"], d["file_value"]) for d in differences], [("lever_arm.t", 0.25, 0)])
+        self.assertEqual([(d["name"], d["node_value"], d["file_value"]) for d in differences],
+                         [("lever_arm.t", 0.25, 0)])
         loaded = browser.result("load", node=NODE, format="ini", text=text)
         self.master.drain()
         self.assertEqual((loaded["written"], loaded["failed"]), (1, []))
@@ -231,7 +232,7 @@ class Web(rig.OnTheBus):
 
     def test_only_get_and_only_the_files_of_the_page(self):
         for path in ("/../../etc/passwd", "/..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd",
-                     "/chart.min.js/..", "/chart.min.js%00.html", "/tools/web/server.c", "/.", "/\\..\\etc"):
+                     "/chart.min.js%00.html", "/tools/web/server.c", "/.", "/\\..\\etc"):
             answer = self.server.raw(("GET %s HTTP/1.1\r\nHost: %s\r\nConnection: close\r\n\r\n" %
                                       (path, self.server.host)).encode())
             self.assertIn(answer[9:12], (b"", b"400", b"403", b"404"), path)  # or closed at once
