@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <libwebsockets.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
@@ -401,7 +402,8 @@ static int run(struct server *server, struct lws_vhost *vhost)
 		cli_error("libwebsockets does not take the descriptor of the bus");
 		return -EINVAL;
 	}
-	lws_set_log_level(0, NULL); /* what others send must not fill a log */
+	fputs(server->config->greeting, stdout);
+	fflush(stdout);
 	set_timer(server, 0);
 	while (!server->ends && lws_service(server->context, 0) >= 0)
 		;
@@ -431,14 +433,14 @@ int web_serve(struct web *web, const struct web_server_config *config)
 
 	if (strchr(config->address, ':') == NULL)
 		info.options |= LWS_SERVER_OPTION_DISABLE_IPV6;
-	lws_set_log_level(LLL_ERR, NULL);
+	lws_set_log_level(0, NULL); /* what others send must not fill a log */
 	int rc = open_events(&server);
 	if (rc == 0) {
 		server.context = lws_create_context(&info);
 		vhost = server.context ? lws_create_vhost(server.context, &info) : NULL;
 		if (!vhost) {
-			cli_error("cannot listen on %s port %d: is another program there?", config->address,
-				config->port);
+			cli_error("cannot listen on %s port %d: is another program there, or is the port below 1024?",
+				config->address, config->port);
 			rc = -EADDRINUSE;
 		}
 	}
