@@ -31,5 +31,6 @@ offers "trajectory" imu9-plot -f t
 offers "turntable tumble" imu9-sim t
 offers "accelerometer" imu9-calibrate a
 offers "--answers" imu9-commission --a
+offers "--token-file" imu9-web --t
 offers "save apply compare" imu9-sdo dcf ""
 exit $failed

@@ -347,7 +347,7 @@ static void test_objects_have_units_limits_words_and_defaults(void **state)
 	assert_string_equal(text_of(arm, "type"), "REAL32");
 	assert_string_equal(text_of(arm, "access"), "rw");
 	assert_string_equal(text_of(arm, "unit"), "m");
-	assert_int_equal(number(arm, "low"), -10);
+	assert_true(number(arm, "low") == -10);
 	assert_int_equal(number(arm, "default"), 0);
 	assert_true(json_object_get_boolean(at(arm, "stored")));
 	model = object_named(answer, "lever_arm_model");
@@ -368,6 +368,46 @@ static void test_the_eds_of_another_revision_is_read_from_the_node_once(void **s
 	before = b->world.frame_count;
 	assert_done(ask(b, client, "\"op\":\"read\"," NODE ",\"objects\":[\"lever_arm\"]"));
 	assert_int_equal(b->world.frame_count - before, 3);
+}
+
+static void test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines(void **state)
+{
+	static const char TEXT[] =
+		"[DeviceInfo]\nVendorNumber=0x77\nProductNumber=0x88\n"
+		"[ManufacturerObjects]\nSupportedObjects=1\n1=0x2000\n[2000]\nParameterName=Their arm\n"
+		"ObjectType=7\nDataType=0x0008\nAccessType=rw\n";
+	struct bench *b = *state;
+	struct eds eds;
+	char error[200];
+	const char *text = TEXT;
+	size_t size = sizeof(TEXT) - 1;
+
+	if (eds_parse(&eds, "test", TEXT, size, EDS_LENIENT, error, sizeof(error)) < 0)
+		fail_msg("%s", error);
+	b->web.config.eds = &eds;
+	b->web.config.eds_texts = &text;
+	b->web.config.eds_sizes = &size;
+	b->web.config.eds_count = 1;
+	b->world.device.eds.index = 0x5FFE; /* instead of 1021h */
+	b->world.device.values.identity.vendor_id = 0x77;
+	b->world.device.values.identity.product_code = 0x89;
+	int client = browser(b);
+	struct json_object *answer = ask(b, client, "\"op\":\"objects\"," NODE);
+	assert_non_null(object_named(answer, "producer_heartbeat_time"));
+	assert_null(object_named(answer, "lever_arm.l"));
+	b->world.device.values.identity.product_code = 0x88;
+	world_nmt(&b->world, 0x82);
+	b->world.device.values.identity.vendor_id = 0x77;
+	b->world.device.values.identity.product_code = 0x88;
+	run(b, client, BOOT_MS);
+	answer = ask(b, client, "\"op\":\"objects\"," NODE);
+	assert_int_equal(json_object_array_length(at(answer, "result.objects")), 1);
+	assert_string_equal(text_of(answer, "result.objects.0.name"), "their_arm");
+	assert_false(json_object_get_boolean(at(ask(b, client, "\"op\":\"nodes\""), "result.nodes.0.ours")));
+	web_free(&b->web);
+	eds_free(&eds);
+	memset(&b->web, 0, sizeof(b->web));
+	web_init(&b->web, &(struct web_config){.bus = &b->bus, .bus_name = "sim", .token = &b->token}, b->world.now_us);
 }
 
 static void test_values_are_those_of_the_node(void **state)
@@ -645,6 +685,10 @@ static void test_sync_ends_with_its_browser_and_there_is_only_one_producer(void 
 	size_t before = b->total;
 	run(b, -1, 1000);
 	assert_near(b->total - before, 50, 1);
+	before = b->total;
+	b->world.now_us += SECOND; /* the program was stopped so long */
+	run(b, -1, 100);
+	assert_near(b->total - before, 5, 1);
 	web_disconnect(&b->web, client);
 	before = b->total;
 	run(b, -1, 1000);
@@ -845,6 +889,7 @@ int main(void)
 		TEST(test_the_load_is_that_of_the_bit_rate_and_null_without_one),
 		TEST(test_objects_have_units_limits_words_and_defaults),
 		TEST(test_the_eds_of_another_revision_is_read_from_the_node_once),
+		TEST(test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines),
 		TEST(test_values_are_those_of_the_node),
 		TEST(test_a_node_that_does_not_answer_is_told),
 		TEST(test_nothing_is_written_without_the_token),

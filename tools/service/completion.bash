@@ -23,9 +23,10 @@ _imu9() {
 	--cia309) compopt -o nospace; COMPREPLY=($(compgen -W 'unix: tcp:127.0.0.1:' -- "$word")); return ;;
 	--modbus) compopt -o nospace; COMPREPLY=($(compgen -W 'tcp: rtu:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
+	--listen) compopt -o nospace; COMPREPLY=($(compgen -W '127.0.0.1:8410 [::1]:8410' -- "$word")); return ;;
 	--broker) compopt -o nospace; COMPREPLY=($(compgen -W 'mqtt:// mqtts://' -- "$word")); return ;;
 	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
-	-c | --config | -e | --eds | -o | --output | --answers | -r | --reference | --store | --record | --movements | --frames | --ca | --cert | --key | --credentials | --spool)
+	-c | --config | -e | --eds | -o | --output | --answers | -r | --reference | --store | --record | --movements | --frames | --ca | --cert | --key | --credentials | --spool | --token-file)
 		compopt -o filenames; COMPREPLY=($(compgen -f -- "$word")); return ;;
 	esac
 	if [[ $word == -* ]]; then
@@ -65,4 +66,4 @@ _imu9() {
 	esac
 }
 
-complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-commission imu9-replay imu9-sim imu9-allan imu9-plot imu9-fleet
+complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-commission imu9-web imu9-replay imu9-sim imu9-allan imu9-plot imu9-fleet

@@ -130,7 +130,7 @@ int main(int argc, char **argv)
 	struct options o = {.bus = cli_default_bus(), .listen = "127.0.0.1:8410"};
 	struct web_server_config server = {0};
 	struct web_token token;
-	char address[64], *texts[EDS_FILES];
+	char address[64], *texts[EDS_FILES], greeting[1024];
 	size_t sizes[EDS_FILES];
 
 	parse_options(&o, argc, argv);
@@ -153,12 +153,9 @@ int main(int argc, char **argv)
 	config.eds_sizes = sizes;
 	config.eds_count = o.eds_count;
 	web_init(&web, &config, cli_now_us());
-	printf("page:  http://%s/\n", o.listen);
-	if (o.token_file)
-		printf("token: in %s\n", o.token_file);
-	else
-		printf("token: %s\n", token.text);
-	fflush(stdout);
+	snprintf(greeting, sizeof(greeting), "page:  http://%s/\ntoken: %s%s\n", o.listen, o.token_file ? "in " : "",
+		o.token_file ? o.token_file : token.text);
+	server.greeting = greeting;
 	int rc = web_serve(&web, &server);
 	web_free(&web);
 	can_close(config.bus);

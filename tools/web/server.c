@@ -2,6 +2,7 @@
 
 #include <errno.h>
 #include <libwebsockets.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
@@ -26,7 +27,7 @@ enum {
 struct connection {
 	const struct web_file *file;
 	size_t sent;
-	int client; /* slot + 1; 0: none */
+	int client; /* slot + 1; 0: none, also of a browser that was refused */
 	char *text; /* of a message that has not arrived completely */
 	size_t size;
 	bool paused;
@@ -276,6 +277,8 @@ static int on_message(struct lws *wsi, struct connection *connection, const char
 {
 	struct server *server = server_of(wsi);
 
+	if (connection->client <= 0)
+		return -1; /* it was refused */
 	if (lws_frame_is_binary(wsi) || connection->size + size > WEB_REQUEST_MAX) {
 		lws_close_reason(wsi,
 			lws_frame_is_binary(wsi) ? LWS_CLOSE_STATUS_UNACCEPTABLE_OPCODE
@@ -305,6 +308,9 @@ static int on_writable(struct lws *wsi, struct connection *connection)
 	struct server *server = server_of(wsi);
 	uint64_t now_us = cli_now_us();
 	size_t size;
+
+	if (connection->client <= 0)
+		return -1; /* it was refused */
 	const char *text = web_output(server->web, connection->client - 1, &size, now_us);
 	int rc = 0;
 
@@ -396,6 +402,8 @@ static int run(struct server *server, struct lws_vhost *vhost)
 		cli_error("libwebsockets does not take the descriptor of the bus");
 		return -EINVAL;
 	}
+	fputs(server->config->greeting, stdout);
+	fflush(stdout);
 	set_timer(server, 0);
 	while (!server->ends && lws_service(server->context, 0) >= 0)
 		;
@@ -425,14 +433,14 @@ int web_serve(struct web *web, const struct web_server_config *config)
 
 	if (strchr(config->address, ':') == NULL)
 		info.options |= LWS_SERVER_OPTION_DISABLE_IPV6;
-	lws_set_log_level(LLL_ERR, NULL);
+	lws_set_log_level(0, NULL); /* what others send must not fill a log */
 	int rc = open_events(&server);
 	if (rc == 0) {
 		server.context = lws_create_context(&info);
 		vhost = server.context ? lws_create_vhost(server.context, &info) : NULL;
 		if (!vhost) {
-			cli_error("cannot listen on %s port %d: is another program there?", config->address,
-				config->port);
+			cli_error("cannot listen on %s port %d: is another program there, or is the port below 1024?",
+				config->address, config->port);
 			rc = -EADDRINUSE;
 		}
 	}

@@ -23,7 +23,8 @@ struct web_server_config {
 	int port;
 	const char *const *hosts; /* names that Host may have, besides IP addresses and localhost */
 	size_t host_count;
-	int signal_fd; /* ends the loop */
+	int signal_fd;	      /* ends the loop */
+	const char *greeting; /* printed on standard output as soon as browsers can connect */
 };
 
 /** Serves until a signal arrives. 0, or -errno after a message on stderr. */

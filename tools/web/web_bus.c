@@ -205,8 +205,10 @@ static uint64_t tick_sync(struct web *web, uint64_t now_us)
 			if (web->nodes[i].watch)
 				watch_sync_sent(web->nodes[i].watch, now_us);
 	}
-	/* no burst after a delay */
-	web->sync_us = later(web->sync_us + (uint64_t)web->sync_interval_us, now_us + 1);
+	uint64_t interval_us = (uint64_t)web->sync_interval_us;
+	web->sync_us += interval_us;
+	if (web->sync_us <= now_us) /* no burst after a delay */
+		web->sync_us = now_us + interval_us;
 	return web->sync_us;
 }
 

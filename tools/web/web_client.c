@@ -452,9 +452,13 @@ void web_request(struct web *web, int client, const char *text, size_t size, uin
 	struct web_request request;
 	const char *error = NULL;
 
+	/* not even parsed: its id is unknown */
 	if (!takes_one(from, now_us)) {
-		/* not even parsed: its id is unknown */
 		web_answer_now(web, client, 0, NULL, "too many requests in a second");
+		return;
+	}
+	if (from->jobs + from->answer_count >= 2 * WEB_CLIENT_JOBS) { /* it should have waited */
+		web_answer_now(web, client, 0, NULL, "too many requests without an answer");
 		return;
 	}
 	if (!web_request_parse(&request, text, size, &error)) {

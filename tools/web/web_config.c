@@ -152,6 +152,7 @@ struct file {
 	bool parsed;
 	struct settings_plan plan;
 	struct json_object *failures;
+	const struct od_entry *writing; /* NULL: still reading */
 	struct settings settings;
 };
 
@@ -336,19 +337,24 @@ bool web_op_load(struct web *web, struct web_job *job, uint64_t now_us)
 	if (job->stage == 0)
 		return start_load(web, job);
 	if (last && last->result != SDO_DONE && last->result != SDO_ABORTED) {
-		add_failure(file->failures, last->entry ? last->entry : file->settings.list[0].entry, last->result, 0);
+		if (!file->writing) {
+			web_refuse(web, job, "no answer from node %u", job->node->id);
+			return false;
+		}
+		add_failure(file->failures, file->writing, last->result, 0);
 		return end_load(web, job, now_us);
 	}
 	if (job->stage == 1 && !plan_writes(file, job)) {
 		web_refuse(web, job, "out of memory");
 		return false;
 	}
-	bool failed = job->stage > 1 && last && last->result == SDO_ABORTED;
+	bool failed = file->writing && last->result == SDO_ABORTED;
 	if (failed)
-		add_failure(file->failures, last->entry, last->result, last->abort_code);
+		add_failure(file->failures, file->writing, last->result, last->abort_code);
 	write = settings_plan_next(&file->plan, failed);
 	if (!write)
 		return end_load(web, job, now_us);
 	web_clear_steps(job);
+	file->writing = write->entry;
 	return web_write(job, write->entry->index, write->entry->sub, write->wire, write->size);
 }

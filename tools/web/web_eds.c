@@ -68,6 +68,15 @@ struct web_eds *web_eds_known(struct web *web, const struct web_node *node)
 	return eds;
 }
 
+/* Control codes of another device must not reach a terminal. */
+static void tell(const struct web_node *node, char *error)
+{
+	for (char *c = error; *c; c++)
+		if (*c < 0x20 || *c > 0x7E)
+			*c = '?';
+	fprintf(stderr, "imu9-web: EDS of node %u: %s\n", node->id, error);
+}
+
 struct web_eds *web_eds_read(struct web *web, const struct web_node *node, char *text, size_t size)
 {
 	struct web_eds *eds = place(web, node, true);
@@ -75,7 +84,7 @@ struct web_eds *web_eds_read(struct web *web, const struct web_node *node, char 
 
 	if (!eds || eds_parse(&eds->parsed, "1021h", text, size, EDS_LENIENT, error, sizeof(error)) < 0) {
 		if (eds)
-			fprintf(stderr, "imu9-web: EDS of node %u: %s\n", node->id, error);
+			tell(node, error);
 		free(text);
 		return NULL;
 	}
@@ -216,7 +225,7 @@ static struct json_object *object(const struct od *defaults, const struct od_ent
 	add_default(to, defaults, entry);
 	if (od_has_words(entry))
 		add_words(to, entry);
-	json_object_object_add(to, "mappable", json_object_new_boolean((entry->access & (OD_TPDO | OD_RPDO)) != 0));
+	json_object_object_add(to, "mappable", json_object_new_boolean((entry->access & OD_TPDO) != 0));
 	json_object_object_add(to, "stored", json_object_new_boolean((entry->access & OD_STORED) != 0));
 	json_object_object_add(to, "text", json_object_new_string(entry->description));
 	json_object_object_add(to, "bits_size", json_object_new_int(8 * entry->size));

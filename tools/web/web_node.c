@@ -59,12 +59,16 @@ struct web_step *web_read(struct web_job *job, uint16_t index, uint8_t sub)
 
 struct web_step *web_write(struct web_job *job, uint16_t index, uint8_t sub, const void *wire, size_t size)
 {
-	struct web_step *step = size <= OD_VALUE_MAX ? add_step(job, index, sub) : NULL;
+	uint8_t copy[OD_VALUE_MAX]; /* `wire` may be in a step, which a new one moves */
 
+	if (size > sizeof(copy))
+		return NULL;
+	memcpy(copy, wire, size);
+	struct web_step *step = add_step(job, index, sub);
 	if (step) {
 		step->write = true;
 		step->size = size;
-		memcpy(step->wire, wire, size);
+		memcpy(step->wire, copy, size);
 	}
 	return step;
 }
