@@ -1,6 +1,6 @@
 /* The view of what a node measures, live. */
 import {AttitudeView} from "./attitude.js";
-import {button, fill, h, say} from "./dom.js";
+import {button, card, fill, h, list_table, say} from "./dom.js";
 import {spectrum} from "./fft.js";
 import {colours, on_scheme, Plot} from "./plot.js";
 import {Recorder} from "./record.js";
@@ -24,13 +24,12 @@ const UNRESTRICTED_ID = 0x680; /* 680h to 6DFh are free for use in CiA 301 */
 export const live_cob_id = (node, pdo) =>
   node <= 48 ? UNRESTRICTED_ID + 2 * (node - 1) + (pdo - LIVE_PDOS[0].pdo) : null;
 
-function card(title, body, extra, properties) {
-  return h(
-    "section",
-    {class: "card", "aria-label": title, ...properties},
-    h("header", {}, h("h2", {}, title), extra ?? null),
-    body
-  );
+/** A card with something beside its title. */
+function panel(title, body, extra, name) {
+  const element = card(title, body);
+  if (name) element.classList.add(name);
+  if (extra) element.firstChild.append(extra);
+  return element;
 }
 
 const canvas = (name) => h("div", {class: "plot"}, h("canvas", {role: "img", "aria-label": name}));
@@ -80,33 +79,8 @@ function plain_view(ctx, node) {
   const recorder = new Recorder(node.node);
   let fields = [],
     cells = [];
-  const element = h(
-    "div",
-    {class: "stack"},
-    recorder.element,
-    card(
-      T.live.pdo_values,
-      h(
-        "div",
-        {},
-        none,
-        h(
-          "table",
-          {class: "list"},
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              [T.live.pdo, T.live.object, T.live.value, T.live.unit].map((text) => h("th", {scope: "col"}, text))
-            )
-          ),
-          body
-        )
-      )
-    )
-  );
+  const table = list_table([T.live.pdo, T.live.object, T.live.value, T.live.unit], body);
+  const element = h("div", {class: "stack"}, recorder.element, card(T.live.pdo_values, none, table));
   const stop = [
     ctx.bus.on("fields", (event) => {
       if (event.node !== node.node) return;
@@ -184,18 +158,18 @@ function imu_view(ctx, node) {
     h(
       "div",
       {class: "live"},
-      card(
+      panel(
         T.live.attitude,
         h("div", {class: "attitude"}, scene, angles.table),
         h("span", {class: "note wide-only"}, T.live.drag),
-        {class: "card tall"}
+        "tall"
       ),
-      card(
+      panel(
         T.live.acceleration,
         h("div", {class: "chart"}, areas.acceleration, acceleration.table, rms),
         h("span", {class: "check"}, before, h("label", {for: "show-before"}, T.live.show_before))
       ),
-      card(
+      panel(
         T.live.state,
         h(
           "div",
@@ -214,18 +188,18 @@ function imu_view(ctx, node) {
         ),
         recorder.element
       ),
-      card(T.live.rate, h("div", {class: "chart"}, areas.rate, rate.table)),
-      card(
+      panel(T.live.rate, h("div", {class: "chart"}, areas.rate, rate.table)),
+      panel(
         T.live.position,
         h("div", {class: "chart"}, areas.position, position.table),
         button(T.live.zero, () => ctx.act("write", {node: id, object: "position.reset", value: 1}))
       ),
-      card(
+      panel(
         T.live.trajectory,
         h("div", {class: "chart"}, areas.trajectory),
         button(T.live.clear, () => signals.series.position.clear())
       ),
-      card(T.live.spectrum, h("div", {class: "chart"}, areas.spectrum, spectrum_note))
+      panel(T.live.spectrum, h("div", {class: "chart"}, areas.spectrum, spectrum_note))
     )
   );
 

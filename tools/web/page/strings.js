@@ -71,8 +71,7 @@ export const T = {
     trajectory: "Trajectory from above",
     spectrum: "Vibration spectrum",
     state: "Sensor",
-    scene:
-      "The board in 3D, with axes l, s and t, lever arm, horizon, north and gravity. Arrow keys turn the view",
+    scene: "The board in 3D, with axes l, s and t, lever arm, horizon, north and gravity. Arrow keys turn the view",
     drag: "Drag to look around",
     roll: "Roll",
     pitch: "Pitch",
@@ -103,8 +102,7 @@ export const T = {
     hint_state: (state) =>
       `The node is ${state}: it sends no PDOs. The values below are read by SDO, a few times a second.`,
     hint_sync: "No SYNC is heard, and no PDO comes. The values below are read by SDO, a few times a second.",
-    hint_map:
-      "With specific force and rates in TPDO5 and TPDO6, the acceleration before its correction is shown, too.",
+    hint_map: "With specific force and rates in TPDO5 and TPDO6, the acceleration before its correction is shown, too.",
     produce_sync: "Produce SYNC at 100 Hz",
     map: "Map force and rates",
     mapped: "TPDO5 and TPDO6 carry specific force and rates. Store the configuration to keep that.",
@@ -259,9 +257,7 @@ export const T = {
       "−y",
       "+z",
       "−z",
-      ...["+z", "−z"].flatMap((z) =>
-        ["+x +y", "−x +y", "+x −y", "−x −y"].map((side) => `the corner ${side} ${z}`)
-      ),
+      ...["+z", "−z"].flatMap((z) => ["+x +y", "−x +y", "+x −y", "−x −y"].map((side) => `the corner ${side} ${z}`)),
     ],
     result: "Done. Look at the result, then accept or discard it.",
     accepted: "Accepted and in use. Store it to keep it over a power cut.",
