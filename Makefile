@@ -166,7 +166,7 @@ demo-web: ## the same in the browser: two simulated nodes and imu9-web, which pr
 test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
 	@DEPS=$(DEPS) tools/deps build test
 	@$(MAKE) --no-print-directory -j2 all tests check-layers check-objects
-	@BUILD=$(BUILD) tests/run unit scenario interop
+	@BUILD=$(BUILD) tests/run unit scenario interop page
 
 .PHONY: rig test-rig
 rig: ## what the drivers need to be tested without hardware: a guest kernel (five minutes, once), emulated adapters
