@@ -243,7 +243,7 @@ cov: ## line coverage of the unit and scenario tests
 		grep -v "'/usr" | sort -n
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
-PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run)
+PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run)
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 

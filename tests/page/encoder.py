@@ -1,5 +1,5 @@
-"""A device of another vendor: an encoder that answers SDO, with a heartbeat and one TPDO. It has no object 1021h; its EDS
-is a file."""
+"""A device of another vendor: an encoder that answers SDO, with a heartbeat and one TPDO. It has no object 1021h; its
+EDS is a file."""
 import struct
 import threading
 import time
@@ -30,9 +30,9 @@ SupportedObjects=3
 """
 
 
-def variable(section, name, data_type, access, default, mapped=0, extra=""):
-    return "[%s]\nParameterName=%s\nObjectType=0x7\nDataType=0x%04X\nAccessType=%s\nDefaultValue=%s\nPDOMapping=%d\n%s" \
-        % (section, name, data_type, access, default, mapped, extra)
+def variable(section, name, data_type, access, default, mapped=0):
+    return "[%s]\nParameterName=%s\nObjectType=0x7\nDataType=0x%04X\nAccessType=%s\nDefaultValue=%s\nPDOMapping=%d\n" \
+        % (section, name, data_type, access, default, mapped)
 
 
 def record(index, name, subs):
@@ -46,7 +46,8 @@ EDS += variable("1000", "Device type", 7, "ro", "0x00080196") + variable("1001",
                                 ("Revision number", 7, "ro", 1), ("Serial number", 7, "ro", 99)]) + \
     "[OptionalObjects]\nSupportedObjects=4\n1=0x1008\n2=0x1800\n3=0x1A00\n4=0x6004\n" + \
     variable("1008", "Manufacturer device name", 9, "const", "ENC7") + \
-    record("1800", "TPDO1 communication", [("COB-ID", 7, "rw", "$NODEID+0x180"), ("Transmission type", 5, "rw", 254)]) + \
+    record("1800", "TPDO1 communication",
+           [("COB-ID", 7, "rw", "$NODEID+0x180"), ("Transmission type", 5, "rw", 254)]) + \
     "[1A00]\nParameterName=TPDO1 mapping\nObjectType=0x9\nSubNumber=2\n" + \
     variable("1A00sub0", "Number of mapped objects", 5, "rw", 1) + \
     variable("1A00sub1", "Object 1", 7, "rw", "0x60040020") + \
@@ -75,7 +76,8 @@ class Encoder(threading.Thread):
         command, index, sub = struct.unpack("<BHB", request[:4])
         value = self.values.get((index, sub))
         if command == 0x40 and value is not None:
-            self.send(0x580 + NODE, struct.pack("<BHB", 0x43 | (4 - len(value)) << 2, index, sub) + value.ljust(4, b"\0"))
+            head = struct.pack("<BHB", 0x43 | (4 - len(value)) << 2, index, sub)
+            self.send(0x580 + NODE, head + value.ljust(4, b"\0"))
         else:
             self.send(0x580 + NODE, struct.pack("<BHBI", 0x80, index, sub, 0x06020000))
 

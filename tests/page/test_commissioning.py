@@ -116,7 +116,7 @@ class Uncalibrated(rig.OnThePage):
 
     def error_of_gravity(self):
         """Median distance of the specific force from gravity, m/s^2, over several positions."""
-        lines = sdo(1, "-q", "watch", "specific_force", "--rate", "10", "--count", "300").splitlines()
+        lines = sdo(1, "-q", "watch", "specific_force", "--rate", "10", "--count", "200").splitlines()
         forces = [[float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", line)[-3:]] for line in lines]
         return statistics.median(abs(math.hypot(*force) - GRAVITY) for force in forces if len(force) == 3)
 
@@ -164,6 +164,32 @@ class Mapping(rig.OnThePage):
         entries = [int(sdo(1, "-q", "read", "tpdo3_mapping.object_%d" % i).split()[0]) for i in (1, 2, 3)]
         self.assertEqual(["%08X" % entry for entry in entries], ["21400110", "21060120", "210F0110"])
         self.assertEqual(value(1, "tpdo3_mapping.number_of_mapped_objects"), 3)
+
+    def drag(self, source, target):
+        """Drags an element to the middle of another one, as a mouse does."""
+        self.driver.execute_script("""
+            const [source, target] = arguments, dataTransfer = new DataTransfer(), box = target.getBoundingClientRect();
+            const at = {bubbles: true, cancelable: true, dataTransfer, clientX: box.x + box.width / 2,
+                clientY: box.y + box.height / 2 + 1};
+            source.dispatchEvent(new DragEvent("dragstart", {bubbles: true, dataTransfer}));
+            for (const type of ["dragover", "drop"])
+                target.dispatchEvent(new DragEvent(type, at));""", source, target)
+
+    def entries(self, pdo):
+        return [item.get_attribute("data-entry") for item in self.all('[data-pdo="%d"] li' % pdo)]
+
+    def test_entries_are_dragged_within_a_pdo_and_from_one_to_another(self):
+        self.open("node/1/pdos")
+        self.until(lambda: len(self.entries(2)) == 4, "the mapping is read")
+        first, second = self.all('[data-pdo="2"] li')[:2]
+        self.drag(first, second)
+        self.assertEqual(self.entries(2), ["angles.pitch", "angles.roll", "angles.yaw", "sample.counter"])
+        self.drag(self.all('[data-pdo="2"] li')[2], self.find('[data-pdo="7"]'))
+        self.assertEqual(self.entries(2), ["angles.pitch", "angles.roll", "sample.counter"])
+        self.assertEqual(self.entries(7), ["angles.yaw"])
+        self.drag(self.all('[data-pdo="2"] li')[0], self.find('[data-pdo="4"]'))
+        self.assertEqual(len(self.entries(2)), 3, "what has no room stays where it was")
+        self.assertEqual(sdo(1, "-q", "read", "tpdo7_mapping.number_of_mapped_objects").split()[0], "0")
 
     def test_a_preset_maps_all_pdos(self):
         self.open("node/1/pdos")

@@ -155,6 +155,7 @@ export const T = {
 
   pdo: {
     entries: (name) => `Objects in ${name}`,
+    short: (n) => (n % 8 ? `${n} bit` : `${n / 8} B`),
     bits: (n) => (n % 8 ? plural(n, "bit", "bits") : plural(n / 8, "byte", "bytes")),
     left: (bytes) => `${plural(bytes, "byte", "bytes")} left`,
     enabled: "Enabled",
