@@ -84,7 +84,7 @@ class Gateway(Process):
     def __init__(self, node, imu, *args):
         self.node = node
         super().__init__(program("imu9-gateway"), "--imu", imu, "--can", BUS, "--node-id", str(node),
-                         "--store", str(WORK / ("store%d" % node)), *args)
+                         "--store", tempfile.mkdtemp(dir=WORK), *args)
 
     def wait(self):
         wait_until(lambda: "NMT state" in self.text(), "the gateway: " + self.text())

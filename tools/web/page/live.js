@@ -11,7 +11,8 @@ import {norm} from "./rotation.js";
 
 const SPAN_S = 10;
 const POLL_HZ = 4;
-const DRAW_MS = 100;
+const SCENE_MS = 30;
+const CHARTS_MS = 100;
 const SEGMENT = 256; /* samples of a segment of the spectrum */
 const LIVE_PDOS = [
   /* what "map" adds, to two TPDOs that are free */
@@ -253,7 +254,8 @@ function imu_view(ctx, node) {
   /* -- data */
   let words = {},
     poll = "",
-    drawn_ms = 0,
+    scene_ms = 0,
+    charts_ms = 0,
     frame = 0,
     running = true,
     counted = {at: 0, rows: 0};
@@ -470,16 +472,19 @@ function imu_view(ctx, node) {
   function draw(at_ms) {
     if (!running) return;
     frame = requestAnimationFrame(draw);
-    if (at_ms - drawn_ms < DRAW_MS / 3) return;
+    if (at_ms < scene_ms) return;
+    scene_ms = at_ms + SCENE_MS;
     attitude.stale = ctx.lost(id);
     attitude.r = signals.attitude;
     attitude.draw();
-    if (at_ms - drawn_ms < DRAW_MS) return;
-    drawn_ms = at_ms;
+    if (at_ms < charts_ms) return;
+    const began_ms = performance.now();
     ask();
     draw_hint();
     draw_numbers();
     if (plots.acceleration && !ctx.lost(id)) draw_plots(signals.now_s());
+    /* on a slow machine less often, so that there is time for all else */
+    charts_ms = at_ms + Math.max(CHARTS_MS, 4 * (performance.now() - began_ms));
   }
 
   subscribe();
