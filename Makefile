@@ -173,7 +173,7 @@ demo-web: ## the same in the browser: two simulated nodes and imu9-web, which pr
 test: ## install what is missing, build, and run every test: unit, scenario, and interop on a real vcan
 	@DEPS=$(DEPS) tools/deps build test
 	@$(MAKE) --no-print-directory -j2 all tests check-layers check-objects
-	@BUILD=$(BUILD) tests/run unit scenario interop
+	@BUILD=$(BUILD) tests/run unit scenario interop page
 
 .PHONY: rig test-rig
 rig: ## what the drivers need to be tested without hardware: a guest kernel (five minutes, once), emulated adapters
@@ -248,7 +248,7 @@ cov: ## line and branch coverage of the unit and scenario tests
 	@tests/coverage -p $(BUILD)/cov
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
-PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run)
+PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run)
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 

@@ -225,11 +225,13 @@ function show_nodes() {
   const key = JSON.stringify(nodes.map((node) => [node.node, node.name, node.state]));
   if ($("nodes").dataset.shown !== key) {
     $("nodes").dataset.shown = key;
+    const focused = $("nodes").contains(document.activeElement) && document.activeElement.dataset.node;
     links = nodes.map(node_link);
     fill(
       $("nodes"),
       links.map((link) => link.element)
     );
+    if (focused) $("nodes").querySelector(`[data-node="${focused}"]`)?.focus();
     $("no-nodes").hidden = nodes.length > 0;
   }
   mark_links();
@@ -283,7 +285,8 @@ function show_head() {
   say($("node-state"), T.states[state] ?? state);
   $("main").classList.toggle("is-lost", lost);
   $("lost").hidden = !lost;
-  say($("lost"), lost ? (bus.open && node ? T.lost(seconds(ctx.heard_s(node))) : T.no_server) : "");
+  say($("lost-text"), lost ? (bus.open ? T.lost : T.no_server) : "");
+  say($("lost-age"), lost && node && bus.open ? T.last_heard(seconds(ctx.heard_s(node))) : "");
   const emcy = ctx.emcys(shown.node)[0],
     active = emcy && emcy.code !== "0000h" && !emcy.seen;
   $("emcy").hidden = !active;
@@ -301,6 +304,7 @@ function show_view() {
   if (shown && shown.view === next.view && shown.node === next.node && shown.ours === next.ours) return;
   shown?.content?.close();
   shown = next;
+  $("main").classList.remove("is-lost");
   $("node-head").hidden = shown.view === "bus";
   $("bus-head").hidden = shown.view !== "bus";
   shown.content = shown.view === "bus" ? bus_view(ctx) : VIEWS[shown.view](ctx, node);

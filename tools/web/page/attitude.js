@@ -2,8 +2,8 @@
  * and gravity. A projection of our own on a canvas. */
 import {apply, norm, plus, times} from "./rotation.js";
 
-const BOARD = [0.62, 0.42, 0.06]; /* half of its size along l, s, t; the picture has no scale */
-const ARM = 0.85; /* length of the lever arm in the picture */
+const BOARD = [0.52, 0.36, 0.05]; /* half of its size along l, s, t; the picture has no scale */
+const ARM = 0.9; /* length of the lever arm in the picture */
 const AXIS = 1.15;
 const DISTANCE = 7; /* of the eye */
 const RADIUS = 1.3; /* of the horizon */
@@ -107,8 +107,13 @@ export class AttitudeView {
   }
 
   text(text, x, y, colour) {
-    this.context.fillStyle = colour;
-    this.context.fillText(text, x, y);
+    const c = this.context;
+    c.strokeStyle = this.colours.surface; /* a rim, so that it can be read on anything */
+    c.lineWidth = 3;
+    c.lineJoin = "round";
+    c.strokeText(text, x, y);
+    c.fillStyle = colour;
+    c.fillText(text, x, y);
   }
 
   horizon(colours) {
@@ -224,15 +229,12 @@ export class AttitudeView {
     this.arrow(sensor, plus(sensor, [0, 0, -0.95]), colours.muted, 1.5, "g");
     this.board(sensor, colours);
     axes.filter((axis) => !behind.includes(axis)).forEach(show);
-    if (length_m > 0) {
-      this.line([[0, 0, 0], sensor], colours.arm, 2.5, [5, 4]);
-      const [x, y] = this.project(times(0.5, sensor));
-      this.text(this.words.arm(length_m), x, y - 12, colours.arm);
-    }
+    if (length_m > 0) this.line([[0, 0, 0], sensor], colours.arm, 2.5, [5, 4]);
     const [x, y] = this.project([0, 0, 0]);
     c.fillStyle = colours.arm;
     c.beginPath();
     c.arc(x, y, 4, 0, 2 * Math.PI);
     c.fill();
+    if (length_m > 0) this.text(this.words.arm(length_m), x, y + 16, colours.arm);
   }
 }

@@ -1,10 +1,7 @@
 /* The bus: all nodes, NMT, SYNC, and units without a node-ID (LSS). */
-import {button, fill, h, labelled, say} from "./dom.js";
+import {button, card, fill, h, labelled, list_table, say} from "./dom.js";
 import {T} from "./strings.js";
 import {hex, numeric, seconds} from "./text.js";
-
-const card = (title, ...children) =>
-  h("section", {class: "card", "aria-label": title}, h("header", {}, h("h2", {}, title)), ...children);
 
 export function bus_view(ctx) {
   const rows = h("tbody", {}),
@@ -32,8 +29,8 @@ export function bus_view(ctx) {
           h("th", {scope: "row"}, h("a", {href: `#/node/${node.node}`}, `${node.node}`)),
           h("td", {}, node.name || "–"),
           h("td", {}, h("span", {class: `state state-${node.state}`}, T.states[node.state] ?? node.state)),
-          h("td", {class: "number wide-only"}, typeof node.serial === "number" ? hex(node.serial, 8) : "–"),
-          h("td", {class: "number wide-only"}, seconds(ctx.heard_s(node)))
+          h("td", {class: "number"}, typeof node.serial === "number" ? hex(node.serial, 8) : "–"),
+          h("td", {class: "number"}, seconds(ctx.heard_s(node)))
         )
       )
     );
@@ -42,24 +39,7 @@ export function bus_view(ctx) {
     button(T.nmt[command], () => ctx.act("nmt", {node: 0, command}), {title: T.nmt.titles[command]});
   const nodes = card(
     T.bus.nodes,
-    h(
-      "table",
-      {class: "list"},
-      h(
-        "thead",
-        {},
-        h(
-          "tr",
-          {},
-          h("th", {scope: "col"}, T.bus.node),
-          h("th", {scope: "col"}, T.bus.name),
-          h("th", {scope: "col"}, T.bus.state),
-          h("th", {scope: "col", class: "wide-only"}, T.bus.serial),
-          h("th", {scope: "col", class: "wide-only"}, T.bus.heard)
-        )
-      ),
-      rows
-    ),
+    list_table([T.bus.node, T.bus.name, T.bus.state, T.bus.serial, T.bus.heard], rows),
     none,
     h("div", {class: "actions"}, scan, ["start", "preop", "stop", "reset"].map(nmt)),
     h("p", {class: "note"}, T.bus.all_note)
@@ -121,7 +101,7 @@ export function bus_view(ctx) {
   });
   const lss = card(T.bus.lss, h("p", {}, T.bus.lss_text), h("div", {class: "actions"}, find), lss_note, units);
 
-  nodes.classList.add("wide");
+  nodes.classList.add("wide", "nodes");
   show();
   const timer = setInterval(show, 1000);
   const stop = ctx.bus.on("bus", (event) =>

@@ -1,6 +1,6 @@
 /* Guided calibrations (2061h) and the identification of the lever arm (2060h). The node measures and judges; the page
  * says what to do, shows how far it is, and asks whether to accept. */
-import {button, fill, h, say} from "./dom.js";
+import {button, card, fill, h, say} from "./dom.js";
 import {about_a_point, in_field, rest, side_up} from "./drawings.js";
 import {T} from "./strings.js";
 import {fixed, numeric} from "./text.js";
@@ -224,19 +224,7 @@ export function calibration_view(ctx, node) {
   function show_stage(procedure, ...children) {
     stage.hidden = false;
     cards.hidden = true;
-    fill(
-      stage,
-      h(
-        "section",
-        {
-          class: "card",
-          "aria-label": T.calibration[procedure.key].title,
-          "data-procedure": procedure.key,
-        },
-        h("header", {}, h("h2", {}, T.calibration[procedure.key].title)),
-        ...children
-      )
-    );
+    fill(stage, card(T.calibration[procedure.key].title, ...children));
   }
   function show_cards() {
     active = view = last = null;
@@ -329,12 +317,16 @@ export function calibration_view(ctx, node) {
       )
     );
   }
+  const give_up = (error) => {
+    ctx.toast(error.message, "bad");
+    show_cards();
+  };
   const stop_polling = ctx.bus.on("poll", (event) => {
     if (event.node !== id || !active) return;
     const v = named(event.values),
       state = v.state_word;
     if (state === RUNNING) view.show(v);
-    else if (last === RUNNING && state === DONE) (end_poll(), done(active));
+    else if (last === RUNNING && state === DONE) (end_poll(), done(active).catch(give_up));
     else if (last === RUNNING && state === REFUSED) (end_poll(), refused(active, v));
     else if (last === RUNNING && state === "idle") show_cards();
     last = state ?? last;

@@ -1,15 +1,13 @@
 /* The configuration as a whole: presets, store and restore, differences, files, recording by the node. */
-import {button, choose_file, download, fill, h, labelled, option, say} from "./dom.js";
+import {button, card, file_button, download, fill, h, labelled, list_table, option, say} from "./dom.js";
 import {is_default, shown, writable} from "./field.js";
 import {T} from "./strings.js";
 import {label_of} from "./text.js";
 
 const AT_ONCE = 60; /* objects read in one request */
+const FILES = ".ini,.conf,.cfg,.dcf,.txt";
 const GROUPS = ["all", "communication", "application", "manufacturer"];
 const format_of = (name) => (/\.(?:dcf|eds)$/i.test(name) ? "dcf" : "ini");
-
-const card = (title, ...children) =>
-  h("section", {class: "card", "aria-label": title}, h("header", {}, h("h2", {}, title)), ...children);
 
 export function configuration_view(ctx, node) {
   const id = node.node,
@@ -99,59 +97,32 @@ export function configuration_view(ctx, node) {
   /* -- differences */
   const differences = h("div", {}),
     note = h("p", {class: "note", role: "status"});
-  function table(rows, other, objects, set_text) {
-    fill(
-      differences,
-      rows.length
-        ? h(
-            "table",
-            {class: "list"},
-            h(
-              "thead",
-              {},
-              h(
-                "tr",
-                {},
-                [T.configuration.object, T.configuration.node_value, other, ""].map((text) =>
-                  h("th", {scope: "col"}, text)
-                )
-              )
-            ),
-            h(
-              "tbody",
-              {},
-              rows.map(({name, node_value, file_value}) => {
-                const object = objects.by_name.get(name) ?? {name};
-                const value = h("td", {class: "number"}, shown(object, node_value));
-                const set = button(
-                  set_text,
-                  async () => {
-                    if (
-                      !(await ctx.act("write", {
-                        node: id,
-                        object: name,
-                        value: file_value,
-                      }))
-                    )
-                      return;
-                    say(value, shown(object, file_value));
-                    set.disabled = true;
-                  },
-                  {class: "small"}
-                );
-                return h(
-                  "tr",
-                  {"data-object": name},
-                  h("th", {scope: "row"}, label_of(name)),
-                  value,
-                  h("td", {class: "number"}, shown(object, file_value)),
-                  h("td", {}, object.stored ? set : null)
-                );
-              })
-            )
-          )
-        : null
+  function row({name, node_value, file_value}, objects, set_text) {
+    const object = objects.by_name.get(name) ?? {name};
+    const value = h("td", {class: "number"}, shown(object, node_value));
+    const set = button(
+      set_text,
+      async () => {
+        if (!(await ctx.act("write", {node: id, object: name, value: file_value}))) return;
+        say(value, shown(object, file_value));
+        set.disabled = true;
+      },
+      {class: "small"}
     );
+    /* PDOs change only as a whole, by the procedure of CiA 301 */
+    const of_pdo = object.index >= "1400h" && object.index < "1C00h";
+    const way = of_pdo ? h("a", {href: `#/node/${id}/pdos`}, T.tabs.pdos) : object.stored ? set : null;
+    const wanted = h("td", {class: "number"}, shown(object, file_value));
+    return h("tr", {"data-object": name}, h("th", {scope: "row"}, label_of(name)), value, wanted, h("td", {}, way));
+  }
+  function show(rows, other, objects, set_text) {
+    const body = h(
+      "tbody",
+      {},
+      rows.map((found) => row(found, objects, set_text))
+    );
+    const headings = [T.configuration.object, T.configuration.node_value, other, null];
+    fill(differences, rows.length ? list_table(headings, body) : null);
     say(note, T.configuration.differences(rows.length));
   }
   async function with_defaults() {
@@ -171,27 +142,25 @@ export function configuration_view(ctx, node) {
       }
       say(note, T.configuration.compared(Math.min(i + AT_ONCE, wanted.length), wanted.length));
     }
-    table(rows, T.configuration.default_value, objects, T.configuration.set_default);
+    show(rows, T.configuration.default_value, objects, T.configuration.set_default);
   }
-  async function with_file() {
-    const file = await choose_file(".ini,.conf,.cfg,.dcf,.txt");
-    if (!file) return;
+  async function with_file(file) {
     say(note, T.loading);
     const found = await ctx.bus.request("compare", {
       node: id,
       format: format_of(file.name),
       text: file.text,
     });
-    table(found.differences, file.name, await ctx.objects(id), T.configuration.set_file);
+    show(found.differences, file.name, await ctx.objects(id), T.configuration.set_file);
   }
-  const guarded = (f) => () => f().catch((error) => say(note, error.message));
+  const guarded = (f) => (file) => f(file).catch((error) => say(note, error.message));
   const comparing = card(
     T.configuration.compare,
     h(
       "div",
       {class: "actions"},
       button(T.configuration.with_defaults, guarded(with_defaults)),
-      button(T.configuration.with_file, guarded(with_file))
+      file_button(T.configuration.with_file, FILES, guarded(with_file))
     ),
     note,
     differences
@@ -203,9 +172,7 @@ export function configuration_view(ctx, node) {
     const {text} = await ctx.bus.request("save", {node: id, format});
     download(`node-${id}.${format}`, text);
   }
-  async function load() {
-    const file = await choose_file(".ini,.conf,.cfg,.dcf,.txt");
-    if (!file) return;
+  async function load(file) {
     const done = await ctx.act("load", {node: id, format: format_of(file.name), text: file.text});
     if (done)
       fill(
@@ -231,7 +198,7 @@ export function configuration_view(ctx, node) {
       {class: "actions"},
       button(T.configuration.save_ini, () => save("ini").catch(show_error)),
       button(T.configuration.save_dcf, () => save("dcf").catch(show_error)),
-      button(T.configuration.load, load, {class: "primary"})
+      file_button(T.configuration.load, FILES, load)
     ),
     loaded
   );
@@ -254,13 +221,14 @@ export function configuration_view(ctx, node) {
     );
   }
 
-  fill(element, storing, comparing, files);
+  comparing.classList.add("wide");
+  fill(element, storing, files, comparing);
   ctx
     .objects(id)
     .then((objects) => {
       const motion = objects.by_name.get("position.motion_preset");
       if (motion?.words) element.prepend(preset(motion));
-      if (objects.by_name.has("recording.state")) element.append(recording());
+      if (objects.by_name.has("recording.state")) comparing.before(recording());
     })
     .catch(show_error);
   return {element, close() {}};

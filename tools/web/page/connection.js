@@ -42,8 +42,10 @@ export class Connection {
       this.tell(message.event, message);
       return;
     }
-    const waiting = this.waiting.get(message.id);
-    this.waiting.delete(message.id);
+    /* without an id: one that was refused unread; it was the last */
+    const id = message.id || [...this.waiting.keys()].pop();
+    const waiting = this.waiting.get(id);
+    this.waiting.delete(id);
     if (message.ok) waiting?.done(message.result);
     else waiting?.fail(new Refused(message));
   }

@@ -48,17 +48,17 @@ export function labelled(text, field, properties) {
 
 export const option = (value, text, selected) => h("option", {value, selected: selected && "selected"}, text);
 
-/** A file of the user's, as {name, text}; null when none was chosen. */
-export function choose_file(accept) {
-  return new Promise((done) => {
-    const input = h("input", {type: "file", accept});
-    input.addEventListener("change", async () => {
-      const file = input.files[0];
-      done(file ? {name: file.name, text: await file.text()} : null);
-    });
-    input.addEventListener("cancel", () => done(null));
-    input.click();
+/** A button that asks for a file; f gets {name, text}. */
+export function file_button(text, accept, f, properties) {
+  const input = h("input", {type: "file", accept, class: "unseen"});
+  input.addEventListener("change", async () => {
+    const file = input.files[0];
+    if (!file) return;
+    const content = await file.text();
+    input.value = ""; /* the same file can be chosen again */
+    f({name: file.name, text: content});
   });
+  return h("label", {class: "button", ...properties}, text, input);
 }
 
 export function download(name, text, type = "text/plain") {
@@ -66,3 +66,24 @@ export function download(name, text, type = "text/plain") {
   h("a", {href: url, download: name}).click();
   setTimeout(() => URL.revokeObjectURL(url), 60000);
 }
+
+/** A part of a view, with its title. */
+export const card = (title, ...children) =>
+  h("section", {class: "card", "aria-label": title}, h("header", {}, h("h2", {}, title)), ...children);
+
+/** headings: texts, or null for a column without one. */
+export const list_table = (headings, body) =>
+  h(
+    "table",
+    {class: "list"},
+    h(
+      "thead",
+      {},
+      h(
+        "tr",
+        {},
+        headings.map((text) => (text ? h("th", {scope: "col"}, text) : h("td", {})))
+      )
+    ),
+    body
+  );

@@ -1,6 +1,6 @@
 /* The view of what a node measures, live. */
 import {AttitudeView} from "./attitude.js";
-import {button, fill, h, say} from "./dom.js";
+import {button, card, fill, h, list_table, say} from "./dom.js";
 import {spectrum} from "./fft.js";
 import {colours, on_scheme, Plot} from "./plot.js";
 import {Recorder} from "./record.js";
@@ -11,7 +11,8 @@ import {norm} from "./rotation.js";
 
 const SPAN_S = 10;
 const POLL_HZ = 4;
-const DRAW_MS = 100;
+const SCENE_MS = 30;
+const CHARTS_MS = 100;
 const SEGMENT = 256; /* samples of a segment of the spectrum */
 const LIVE_PDOS = [
   /* what "map" adds, to two TPDOs that are free */
@@ -24,13 +25,12 @@ const UNRESTRICTED_ID = 0x680; /* 680h to 6DFh are free for use in CiA 301 */
 export const live_cob_id = (node, pdo) =>
   node <= 48 ? UNRESTRICTED_ID + 2 * (node - 1) + (pdo - LIVE_PDOS[0].pdo) : null;
 
-function card(title, body, extra, properties) {
-  return h(
-    "section",
-    {class: "card", "aria-label": title, ...properties},
-    h("header", {}, h("h2", {}, title), extra ?? null),
-    body
-  );
+/** A card with something beside its title. */
+function panel(title, body, extra, name) {
+  const element = card(title, body);
+  if (name) element.classList.add(name);
+  if (extra) element.firstChild.append(extra);
+  return element;
 }
 
 const canvas = (name) => h("div", {class: "plot"}, h("canvas", {role: "img", "aria-label": name}));
@@ -80,33 +80,8 @@ function plain_view(ctx, node) {
   const recorder = new Recorder(node.node);
   let fields = [],
     cells = [];
-  const element = h(
-    "div",
-    {class: "stack"},
-    recorder.element,
-    card(
-      T.live.pdo_values,
-      h(
-        "div",
-        {},
-        none,
-        h(
-          "table",
-          {class: "list"},
-          h(
-            "thead",
-            {},
-            h(
-              "tr",
-              {},
-              [T.live.pdo, T.live.object, T.live.value, T.live.unit].map((text) => h("th", {scope: "col"}, text))
-            )
-          ),
-          body
-        )
-      )
-    )
-  );
+  const table = list_table([T.live.pdo, T.live.object, T.live.value, T.live.unit], body);
+  const element = h("div", {class: "stack"}, recorder.element, card(T.live.pdo_values, none, table));
   const stop = [
     ctx.bus.on("fields", (event) => {
       if (event.node !== node.node) return;
@@ -184,18 +159,18 @@ function imu_view(ctx, node) {
     h(
       "div",
       {class: "live"},
-      card(
+      panel(
         T.live.attitude,
         h("div", {class: "attitude"}, scene, angles.table),
         h("span", {class: "note wide-only"}, T.live.drag),
-        {class: "card tall"}
+        "tall"
       ),
-      card(
+      panel(
         T.live.acceleration,
         h("div", {class: "chart"}, areas.acceleration, acceleration.table, rms),
         h("span", {class: "check"}, before, h("label", {for: "show-before"}, T.live.show_before))
       ),
-      card(
+      panel(
         T.live.state,
         h(
           "div",
@@ -214,18 +189,18 @@ function imu_view(ctx, node) {
         ),
         recorder.element
       ),
-      card(T.live.rate, h("div", {class: "chart"}, areas.rate, rate.table)),
-      card(
+      panel(T.live.rate, h("div", {class: "chart"}, areas.rate, rate.table)),
+      panel(
         T.live.position,
         h("div", {class: "chart"}, areas.position, position.table),
         button(T.live.zero, () => ctx.act("write", {node: id, object: "position.reset", value: 1}))
       ),
-      card(
+      panel(
         T.live.trajectory,
         h("div", {class: "chart"}, areas.trajectory),
         button(T.live.clear, () => signals.series.position.clear())
       ),
-      card(T.live.spectrum, h("div", {class: "chart"}, areas.spectrum, spectrum_note))
+      panel(T.live.spectrum, h("div", {class: "chart"}, areas.spectrum, spectrum_note))
     )
   );
 
@@ -279,7 +254,8 @@ function imu_view(ctx, node) {
   /* -- data */
   let words = {},
     poll = "",
-    drawn_ms = 0,
+    scene_ms = 0,
+    charts_ms = 0,
     frame = 0,
     running = true,
     counted = {at: 0, rows: 0};
@@ -496,16 +472,19 @@ function imu_view(ctx, node) {
   function draw(at_ms) {
     if (!running) return;
     frame = requestAnimationFrame(draw);
-    if (at_ms - drawn_ms < DRAW_MS / 3) return;
+    if (at_ms < scene_ms) return;
+    scene_ms = at_ms + SCENE_MS;
     attitude.stale = ctx.lost(id);
     attitude.r = signals.attitude;
     attitude.draw();
-    if (at_ms - drawn_ms < DRAW_MS) return;
-    drawn_ms = at_ms;
+    if (at_ms < charts_ms) return;
+    const began_ms = performance.now();
     ask();
     draw_hint();
     draw_numbers();
     if (plots.acceleration && !ctx.lost(id)) draw_plots(signals.now_s());
+    /* on a slow machine less often, so that there is time for all else */
+    charts_ms = at_ms + Math.max(CHARTS_MS, 4 * (performance.now() - began_ms));
   }
 
   subscribe();

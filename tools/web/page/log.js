@@ -1,10 +1,7 @@
 /* What happened: the node's event log (2131h) and the EMCY messages received. */
-import {button, fill, h, labelled, say} from "./dom.js";
+import {button, card, fill, h, labelled, say} from "./dom.js";
 import {T} from "./strings.js";
 import {fixed} from "./text.js";
-
-const card = (title, ...children) =>
-  h("section", {class: "card", "aria-label": title}, h("header", {}, h("h2", {}, title)), ...children);
 
 export function log_view(ctx, node) {
   const emcys = h("ol", {class: "events"}),

@@ -105,7 +105,7 @@ function editor(ctx, node, pdo, objects, drag) {
           {tabindex: 0, draggable: "true", "data-entry": entry},
           h("span", {class: `swatch swatch-${i % 8}`}),
           h("span", {class: "grow"}, label_of(entry)),
-          h("span", {class: "note"}, T.pdo.bits(by_name.get(entry)?.bits_size ?? 0)),
+          h("span", {class: "note"}, T.pdo.short(by_name.get(entry)?.bits_size ?? 0)),
           button("↑", () => move(i, i - 1), {
             class: "icon",
             "aria-label": T.pdo.up(label_of(entry)),
@@ -128,10 +128,7 @@ function editor(ctx, node, pdo, objects, drag) {
           else if (event.key === "Delete" || event.key === "Backspace") (event.preventDefault(), remove(i));
         });
         item.addEventListener("dragstart", (event) => {
-          drag.what = {
-            entry,
-            take: (to) => (to === element ? i : ((entries = entries.filter((_, k) => k !== i)), render(), -1)),
-          };
+          drag.what = {entry, from: element, at: i, remove: () => remove(i)};
           event.dataTransfer.effectAllowed = "move";
           event.dataTransfer.setData("text/plain", entry);
         });
@@ -210,11 +207,10 @@ function editor(ctx, node, pdo, objects, drag) {
       return event.clientY < box.top + box.height / 2;
     });
     at = at < 0 ? items.length : at;
-    const {entry, take} = drag.what ?? {};
+    const what = drag.what;
     drag.what = null;
-    const from = take?.(element) ?? -1;
-    if (from >= 0) move(from, at > from ? at - 1 : at);
-    else if (entry) insert(entry, at);
+    if (what?.from === element) move(what.at, at > what.at ? at - 1 : at);
+    else if (what && insert(what.entry, at)) what.remove?.();
   });
   fill(
     element,

@@ -14,7 +14,8 @@ export const T = {
   seen: "Dismiss",
   ago: (text) => `${text} ago`,
   no_server: "No connection to imu9-web. It is tried again once a second; what is shown is old.",
-  lost: (text) => `This node is silent: last heard ${text} ago. What is shown is old.`,
+  lost: "This node is silent. What is shown is old.",
+  last_heard: (text) => `Last heard ${text} ago.`,
   emcy: (code, text) => `EMCY ${code}: ${text}`,
   emcy_of: (node, code, text) => `Node ${node}: EMCY ${code}: ${text}`,
   load: (percent) => `Load ${percent} %`,
@@ -71,8 +72,7 @@ export const T = {
     trajectory: "Trajectory from above",
     spectrum: "Vibration spectrum",
     state: "Sensor",
-    scene:
-      "The board in 3D, with axes l, s and t, lever arm, horizon, north and gravity. Arrow keys turn the view",
+    scene: "The board in 3D, with axes l, s and t, lever arm, horizon, north and gravity. Arrow keys turn the view",
     drag: "Drag to look around",
     roll: "Roll",
     pitch: "Pitch",
@@ -103,8 +103,7 @@ export const T = {
     hint_state: (state) =>
       `The node is ${state}: it sends no PDOs. The values below are read by SDO, a few times a second.`,
     hint_sync: "No SYNC is heard, and no PDO comes. The values below are read by SDO, a few times a second.",
-    hint_map:
-      "With specific force and rates in TPDO5 and TPDO6, the acceleration before its correction is shown, too.",
+    hint_map: "With specific force and rates in TPDO5 and TPDO6, the acceleration before its correction is shown, too.",
     produce_sync: "Produce SYNC at 100 Hz",
     map: "Map force and rates",
     mapped: "TPDO5 and TPDO6 carry specific force and rates. Store the configuration to keep that.",
@@ -157,6 +156,7 @@ export const T = {
 
   pdo: {
     entries: (name) => `Objects in ${name}`,
+    short: (n) => (n % 8 ? `${n} bit` : `${n / 8} B`),
     bits: (n) => (n % 8 ? plural(n, "bit", "bits") : plural(n / 8, "byte", "bytes")),
     left: (bytes) => `${plural(bytes, "byte", "bytes")} left`,
     enabled: "Enabled",
@@ -259,9 +259,7 @@ export const T = {
       "−y",
       "+z",
       "−z",
-      ...["+z", "−z"].flatMap((z) =>
-        ["+x +y", "−x +y", "+x −y", "−x −y"].map((side) => `the corner ${side} ${z}`)
-      ),
+      ...["+z", "−z"].flatMap((z) => ["+x +y", "−x +y", "+x −y", "−x −y"].map((side) => `the corner ${side} ${z}`)),
     ],
     result: "Done. Look at the result, then accept or discard it.",
     accepted: "Accepted and in use. Store it to keep it over a power cut.",

@@ -13,10 +13,16 @@ export function numeric(value) {
   return String(Number.isInteger(value) ? value : Number(value.toPrecision(7)));
 }
 
-/** "lever_arm.l" -> "Lever arm · l" */
+const ABBREVIATIONS = /\b(?:[tr]?pdo\d*|nmt|sdo|emcy|eds|utc|id)\b/g;
+
+/** "lever_arm.l" -> "Lever arm · l", "tpdo1_communication.cob_id" -> "TPDO1 communication · COB-ID" */
 export function label_of(name) {
   const [record, member] = name.split(".");
-  const words = (text) => text.replaceAll("_", " ");
+  const words = (text) =>
+    text
+      .replaceAll("_", " ")
+      .replace("cob id", "COB-ID")
+      .replace(ABBREVIATIONS, (word) => word.toUpperCase());
   const first = words(record).replace(/^./, (c) => c.toUpperCase());
   return member ? `${first} · ${words(member)}` : first;
 }

@@ -1,0 +1,281 @@
+"""What one sees and does on the page, with simulated chips, compared with imu9-sdo."""
+import csv
+import math
+import re
+import signal
+import statistics
+
+import rig
+from rig import sdo, value
+
+if not rig.MISSING:
+    from selenium.webdriver.common.keys import Keys
+
+ARM_M = 0.05, 0, 0  # of the simulations
+GRAVITY = 9.80665
+
+
+def newest(pattern):
+    """A file that the browser has downloaded."""
+    return rig.wait_until(lambda: next(iter(rig.WORK.glob(pattern)), None), pattern)
+
+
+class Live(rig.OnThePage):
+    nodes = {1: "sim:tumble", 2: "sim:rest"}
+
+    def test_values_move_and_agree_with_sdo(self):
+        sdo(2, "write", "mounting.roll", 20)
+        sdo(2, "write", "mounting.pitch", -10)
+        self.addCleanup(sdo, 2, "write", "mounting.roll", 0)
+        self.addCleanup(sdo, 2, "write", "mounting.pitch", 0)
+        self.open()
+        self.produce_sync()
+        self.go("node/2/live")
+        roll, pitch = value(2, "angles_deg.roll"), value(2, "angles_deg.pitch")
+        self.assertGreater(abs(roll), 5)
+        self.until(lambda: self.number('[data-fact="pdo_rate"]'), "PDOs come")
+        self.until(lambda: abs((self.reading("angles", 1) or 0) - roll) < 0.3, "the roll of SDO, %.2f" % roll)
+        self.until(lambda: abs((self.reading("angles", 2) or 0) - pitch) < 0.3, "the pitch of SDO, %.2f" % pitch)
+        self.go("node/1/live")
+        seen = set()
+        self.until(lambda: seen.add(self.reading("angles", 1)) or len(seen) > 10, "the roll of the other node moves")
+
+    def test_without_pdos_the_values_are_read_by_sdo(self):
+        sdo(1, "nmt", "preop")
+        self.open("node/1/live")
+        self.until(lambda: "pre-operational" in self.text(".hint"), "the page says why")
+        seen = set()
+        self.until(lambda: seen.add(self.reading("angles", 1)) or len(seen) > 5, "the roll moves")
+        self.button("Start", ".hint").click()
+        self.until(lambda: "operational" == self.text("#node-state"), "the node is started")
+
+    def test_the_lever_arm_removes_what_rotation_causes(self):
+        self.open()
+        self.produce_sync()
+
+        def rms():
+            return float(self.driver.execute_script(
+                "return document.querySelector('[data-fact=\"rms\"]')?.dataset.after") or "nan")
+
+        self.go("node/1/live")
+        self.until(lambda: rms() > 0.4, "the acceleration of a sensor 5 cm from the point that stands still")
+        self.go("node/1/objects")
+        self.write("lever_arm.l", "0.05")
+        self.assertAlmostEqual(value(1, "lever_arm.l"), 0.05, 6)
+        self.go("node/1/live")
+        self.until(lambda: rms() < 0.2, "the acceleration of that point")
+        sdo(1, "write", "lever_arm.l", 0)
+
+    def test_force_and_rates_are_mapped_by_a_button_and_a_spectrum_appears(self):
+        self.open()
+        self.produce_sync()
+        self.go("node/1/live")
+        self.button("Map force and rates").click()
+        self.until(lambda: "Specific force, sampled at 100" in self.text("#view"), "the spectrum of the force")
+        self.assertEqual(sdo(1, "-q", "read", "tpdo5_mapping.object_1").split()[0], str(0x21430110))
+        self.until(lambda: "before the lever arm correction" in self.text('[data-fact="rms"]'),
+                   "the acceleration before the correction")
+
+    def test_a_recording_is_downloaded_with_every_sample(self):
+        self.open()
+        self.produce_sync()
+        self.go("node/1/live")
+        self.until(lambda: self.number('[data-fact="pdo_rate"]'), "PDOs come")
+        self.button("Record").click()
+        self.until(lambda: (self.number(".recorder .note") or 0) > 200, "200 rows")
+        self.button("Stop and download").click()
+        with open(newest("node-1-*.csv")) as file:
+            rows = list(csv.DictReader(file))
+        self.assertGreater(len(rows), 200)
+        times = [float(row["t [s]"]) for row in rows]
+        self.assertEqual(times, sorted(times))
+        counter = next(name for name in rows[0] if name.startswith("sample.counter"))
+        steps = [(int(b[counter]) - int(a[counter])) % 65536 for a, b in zip(rows, rows[1:])
+                 if a[counter] and b[counter]]
+        self.assertLess(max(steps), 20)  # SYNC and sensor have different clocks: no counter, no step, or some
+        self.assertGreater(statistics.pstdev(float(row["acceleration.l [m/s^2]"]) for row in rows
+                                             if row["acceleration.l [m/s^2]"]), 0.1)
+
+
+class Identification(rig.OnThePage):
+    nodes = {1: "sim:tumble"}
+
+    def test_the_lever_arm_is_identified_to_1_mm(self):
+        self.open("node/1/calibration")
+        self.find('[data-start="lever_arm"]').click()
+        self.until(lambda: "±" in self.text(".guide"), "an estimate with its sigma")
+        self.button("Accept").click()
+        self.button("Store over a power cut").click()
+        self.until(lambda: "Stored" in self.text("#toasts"), "it is stored")
+        for axis, true in zip("lst", ARM_M):
+            self.assertLess(abs(value(1, "lever_arm." + axis) - true), 1e-3, axis)
+
+
+class Uncalibrated(rig.OnThePage):
+    nodes = {1: "sim:multiposition,uncalibrated", 2: "sim:rest,uncalibrated"}
+
+    def error_of_gravity(self):
+        """Median distance of the specific force from gravity, m/s^2, over several positions."""
+        lines = sdo(1, "-q", "watch", "specific_force", "--rate", "10", "--count", "200").splitlines()
+        forces = [[float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", line)[-3:]] for line in lines]
+        return statistics.median(abs(math.hypot(*force) - GRAVITY) for force in forces if len(force) == 3)
+
+    def test_an_accelerometer_is_calibrated_in_free_positions(self):
+        before = self.error_of_gravity()
+        self.open("node/1/calibration")
+        self.find('[data-start="accelerometer_free"]').click()
+        self.until(lambda: "of 12 positions" in self.text(".now"), "it counts positions")
+        self.find(".big-drawing svg")
+        self.button("Accept").click()
+        self.button("Later").click()
+        after = self.error_of_gravity()
+        self.assertGreater(before, 0.1)
+        self.assertLess(after, 0.03)
+
+    def test_a_gyro_is_calibrated_at_rest(self):
+        self.open("node/2/calibration")
+        self.find('[data-start="gyro"]').click()
+        self.until(lambda: "Do not touch" in self.text(".now"), "it says what to do")
+        self.button("Accept").click()
+        self.button("Later").click()
+        biases = [value(2, "gyro_calibration.bias_" + axis) for axis in "xyz"]
+        self.assertGreater(max(map(abs, biases)), 1e-4)
+        for axis, bias in zip("xyz", biases):
+            self.assertAlmostEqual(value(2, "calibration.bias_" + axis), bias, 7)
+
+
+class Mapping(rig.OnThePage):
+    def test_a_pdo_is_mapped_by_keyboard(self):
+        self.open("node/1/pdos")
+        pdo = '[data-pdo="3"] '
+        self.until(lambda: len(self.all(pdo + "li")) == 4, "the mapping is read")
+        self.assertIn("0 bytes left", self.text(pdo + "header"))
+        for left in (2, 4, 6, 8):
+            self.find(pdo + "li").send_keys(Keys.DELETE)
+            self.until(lambda: "%d bytes left" % left in self.text(pdo + "header"), "%d bytes left" % left)
+        for name in ("quaternion16.w", "sample.counter", "angular_acceleration.l"):
+            self.find(pdo + "input[list]").send_keys(name, Keys.ENTER)
+        self.until(lambda: "0 bytes left" in self.text(pdo + "header"), "it is full")
+        self.all(pdo + "li")[2].send_keys(Keys.ALT, Keys.ARROW_UP)
+        self.find(pdo + "input[list]").send_keys("quaternion16.x", Keys.ENTER)
+        self.assertIn("No room", self.text(pdo))
+        self.button("Apply", pdo).click()
+        self.until(lambda: "TPDO3 is mapped" in self.text("#toasts"), "it is mapped")
+        entries = [int(sdo(1, "-q", "read", "tpdo3_mapping.object_%d" % i).split()[0]) for i in (1, 2, 3)]
+        self.assertEqual(["%08X" % entry for entry in entries], ["21400110", "21060120", "210F0110"])
+        self.assertEqual(value(1, "tpdo3_mapping.number_of_mapped_objects"), 3)
+
+    def drag(self, source, target):
+        """Drags an element to the middle of another one, as a mouse does."""
+        self.driver.execute_script("""
+            const [source, target] = arguments, dataTransfer = new DataTransfer(), box = target.getBoundingClientRect();
+            const at = {bubbles: true, cancelable: true, dataTransfer, clientX: box.x + box.width / 2,
+                clientY: box.y + box.height / 2 + 1};
+            source.dispatchEvent(new DragEvent("dragstart", {bubbles: true, dataTransfer}));
+            for (const type of ["dragover", "drop"])
+                target.dispatchEvent(new DragEvent(type, at));""", source, target)
+
+    def entries(self, pdo):
+        return [item.get_attribute("data-entry") for item in self.all('[data-pdo="%d"] li' % pdo)]
+
+    def test_entries_are_dragged_within_a_pdo_and_from_one_to_another(self):
+        self.open("node/1/pdos")
+        self.until(lambda: len(self.entries(2)) == 4, "the mapping is read")
+        first, second = self.all('[data-pdo="2"] li')[:2]
+        self.drag(first, second)
+        self.assertEqual(self.entries(2), ["angles.pitch", "angles.roll", "angles.yaw", "sample.counter"])
+        self.drag(self.all('[data-pdo="2"] li')[2], self.find('[data-pdo="7"]'))
+        self.assertEqual(self.entries(2), ["angles.pitch", "angles.roll", "sample.counter"])
+        self.assertEqual(self.entries(7), ["angles.yaw"])
+        self.drag(self.all('[data-pdo="2"] li')[0], self.find('[data-pdo="4"]'))
+        self.assertEqual(len(self.entries(2)), 3, "what has no room stays where it was")
+        self.assertEqual(sdo(1, "-q", "read", "tpdo7_mapping.number_of_mapped_objects").split()[0], "0")
+
+    def test_a_preset_maps_all_pdos(self):
+        self.open("node/1/pdos")
+        rig.Select(self.find("#view select")).select_by_visible_text("IMU: specific force, rates, magnetic field")
+        self.button("Apply", '[aria-label="Purpose of the PDOs"]').click()
+        self.until(lambda: len(self.all('[data-pdo="1"] [data-entry="specific_force16.l"]')) == 1, "it is shown")
+        self.assertEqual(sdo(1, "-q", "read", "pdo_preset").split()[0], "4")
+        sdo(1, "write", "pdo_preset", 1)
+
+
+class Lost(rig.OnThePage):
+    nodes = {1: "sim:rest", 2: "sim:tumble"}
+
+    def test_a_killed_gateway_is_greyed_and_comes_back_with_what_was_stored(self):
+        self.open("node/1/objects")
+        self.write("lever_arm.s", "0.125")
+        self.go("node/1/configuration")
+        self.find('[data-do="store"]').click()
+        self.until(lambda: "Stored" in self.text("#toasts"), "it is stored")
+        self.gateways[1].end(signal.SIGKILL)
+        self.until(lambda: len(self.all('.lost[data-node="1"]')) == 1, "the node is greyed in the list")
+        self.until(lambda: len(self.all("#main.is-lost")) == 1, "and its view, too")
+        self.assertIn("This node is silent", self.text("#lost"))
+        self.assertRegex(self.text("#lost"), r"Last heard \d+")
+        self.go("bus")
+        self.until(lambda: "lost" in self.text("#view tr.lost"), "and in the list of the bus")
+        self.assertEqual(self.all("#main.is-lost"), [], "the view Bus itself is not grey")
+        self.go("node/1/configuration")
+        self.assertEqual(self.all('.lost[data-node="2"]'), [])
+        self.gateways[1].start()
+        self.until(lambda: not self.all('.lost[data-node="1"]') and not self.all("#main.is-lost"), "it is back")
+        self.go("node/1/objects")
+        self.find('input[type="search"]').send_keys("lever_arm.s")
+        self.until(lambda: self.find('[data-object="lever_arm.s"] input').get_attribute("value") == "0.125",
+                   "the stored value")
+        self.assertEqual(value(1, "lever_arm.s"), 0.125)
+
+
+class Configuration(rig.OnThePage):
+    def give(self, button, path):
+        """The user's file for the dialogue that this button opens."""
+        label = next(label for label in self.all("label.button") if button in label.text)
+        label.find_element(rig.By.CSS_SELECTOR, "input").send_keys(str(path))
+
+    def check_files(self, format):
+        """A file that is saved is compared and loaded again."""
+        sdo(1, "write", "lever_arm.t", 0.0625)
+        self.addCleanup(sdo, 1, "write", "lever_arm.t", 0)
+        self.open("node/1/configuration")
+        self.button("Save " + format.upper()).click()
+        path = newest("node-1*." + format)
+        rig.wait_until(lambda: path.stat().st_size > 1000, "the whole file")
+        sdo(1, "write", "lever_arm.t", 0.5)
+        self.give("Compare with a file …", path)
+        self.assertRegex(self.find('tr[data-object="lever_arm.t"]').text, r"0\.5\b.*0\.0625")
+        self.assertEqual(len(self.all("tr[data-object]")), 1)
+        self.give("Load a file …", path)
+        self.until(lambda: "1 object written" in self.text("#view"), "one object is written")
+        self.assertEqual(value(1, "lever_arm.t"), 0.0625)
+
+    def test_a_saved_configuration_is_compared_and_loaded_again(self):
+        self.check_files("ini")
+
+    def test_a_dcf_is_saved_compared_and_loaded_again(self):
+        self.check_files("dcf")
+
+    def test_a_changed_object_is_found_among_the_defaults_and_set_back(self):
+        sdo(1, "write", "rate_filter.cutoff", 33)
+        self.open("node/1/configuration")
+        self.button("Compare with the defaults").click()
+        row = self.find('tr[data-object="rate_filter.cutoff"]')
+        self.assertRegex(row.text, r"33.*40")
+        self.button("Set default", 'tr[data-object="rate_filter.cutoff"]').click()
+        self.until(lambda: value(1, "rate_filter.cutoff") == 40, "it is set back")
+
+
+class WithoutNodeId(rig.OnThePage):
+    def test_a_unit_is_found_and_named_by_lss(self):
+        unit = rig.Gateway(255, "sim:rest")
+        self.addCleanup(unit.end)
+        rig.wait_until(lambda: "LSS" in unit.text(), "the unit has started: " + unit.text())
+        self.open("bus")
+        self.button("Find units").click()
+        entry = self.find(".unit-row input")
+        entry.clear()
+        entry.send_keys("77")
+        self.button("Set", ".unit-row").click()
+        self.find('[data-node="77"]')
+        self.assertEqual(sdo(77, "-q", "read", "0x1018:2").split()[0], "9")
