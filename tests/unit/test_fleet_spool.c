@@ -1,7 +1,8 @@
 /* The spool of imu9-fleet on a disk that loses its power, or fails, at every single operation: what comes back are the
- * records that were appended, as they were and in order; all that were synchronised and not delivered are among them.
- * The disk is simulated, its functions are defined here. It keeps what POSIX promises and nothing else: bytes are durable
- * after fsync() of their file, names after that of their folder; of everything before, a power cut may keep any part. */
+ * records that were appended, as they were and in order; all that were synchronised and not delivered are there.
+ * The disk is simulated, its functions are defined here. It keeps what POSIX promises and nothing else: bytes are
+ * durable after fsync() of their file, names after that of their folder; of everything before, a power cut may keep any
+ * part. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>

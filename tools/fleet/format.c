@@ -4,6 +4,8 @@
 #include <string.h>
 #include <time.h>
 
+#include "tools/lib/cli.h"
+
 void format_init(struct format *f, const struct format_ops *ops, const struct format_config *config, uint8_t birth)
 {
 	*f = (struct format){.ops = ops, .config = *config, .birth = birth};
@@ -55,6 +57,13 @@ bool format_learn(struct node_view *view, const struct record *record)
 		*field = record->fields[i];
 	}
 	return is_new;
+}
+
+int format_node(const char *text)
+{
+	long id;
+
+	return cli_integer(text, 1, FORMAT_NODES - 1, &id) ? (int)id : -1;
 }
 
 void format_level(const char *text, char *level, size_t capacity)
