@@ -165,6 +165,16 @@ class FleetPublishes(Published):
             self.wait_for(counter)
             self.assertEqual(struct.pack("<f", self.samples()[0][counter]["quaternion.w"]), struct.pack("<f", w))
 
+    def test_the_names_of_the_eds_of_a_node(self):
+        text = rig.EDS.read_bytes().replace(b"[2100]\r\nParameterName=Acceleration\r\n",
+                                            b"[2100]\r\nParameterName=Shock\r\n")
+        eds = rig.scratch(".eds")
+        eds.write_bytes(text)
+        self.start()
+        self.run_fleet("-e", "%d=%s" % (NODE, eds))
+        rig.wait_until(self.values)
+        self.assertIn("shock.acceleration_l", self.values()[0]["values"])
+
     def test_at_most_so_many_samples_a_second(self):
         self.start()
         self.run_fleet("--hz", "10")

@@ -147,6 +147,7 @@ static void each_second(struct loop *loop, uint64_t now_us)
 				      .withheld = loop->fleet.withheld,
 				      .misfits = loop->fleet.misfits,
 				      .bus_dropped = loop->bus->counters.rx_dropped,
+				      .commands_dropped = atomic_load(&commands.dropped),
 			      });
 	if (down && !loop->down_told)
 		log_warning("%s is down%s%s", loop->bus->name, loop->bus->down_why ? ": " : "",
@@ -163,11 +164,17 @@ static uint64_t serve(struct loop *loop, uint64_t now_us, int64_t offset_us)
 {
 	uint64_t next_us = fleet_tick(&loop->fleet, now_us, offset_us);
 
-	writes_poll(&options.writes, &loop->fleet, now_us, offset_us);
+	writes_poll(&options.writes, &loop->fleet, now_us, offset_us); /* what got no answer */
 	if (now_us >= loop->second_us)
 		each_second(loop, now_us);
 	uint64_t sign_us = service_tick(&loop->service, 0, sender_is_busy(&sender, &loop->turns), now_us);
 	return earlier(earlier(next_us, loop->second_us), sign_us);
+}
+
+static void receive(struct loop *loop, const struct can_msg *msg, uint64_t now_us, int64_t offset_us)
+{
+	fleet_receive(&loop->fleet, msg, now_us, offset_us);
+	writes_poll(&options.writes, &loop->fleet, now_us, offset_us);
 }
 
 static void take_commands(struct loop *loop, uint64_t now_us, int64_t offset_us)
@@ -184,9 +191,9 @@ static int signal_or_command(int signal_fd)
 	struct epoll_event event = {.events = EPOLLIN};
 	int fd = epoll_create1(EPOLL_CLOEXEC);
 
-	if (fd < 0 || epoll_ctl(fd, EPOLL_CTL_ADD, signal_fd, &event) < 0 ||
-		epoll_ctl(fd, EPOLL_CTL_ADD, commands.fd, &event) < 0)
-		return -1;
+	if (fd < 0 || epoll_ctl(fd, EPOLL_CTL_ADD, signal_fd, &event) < 0)
+		return signal_fd;
+	epoll_ctl(fd, EPOLL_CTL_ADD, commands.fd, &event); /* else they wait for the next frame */
 	return fd;
 }
 
@@ -210,7 +217,7 @@ static void run(struct loop *loop, int signal_fd)
 		now_us = cli_now_us();
 		int64_t offset_us = utc_offset_us(now_us);
 		for (int n = 0; n < FRAMES_A_WAKE && can_receive(loop->bus, &msg, now_us) > 0; n++)
-			fleet_receive(&loop->fleet, &msg, now_us, offset_us);
+			receive(loop, &msg, now_us, offset_us);
 		if (woken)
 			ring_clear(&commands);
 		take_commands(loop, now_us, offset_us);

@@ -83,6 +83,7 @@ static const char *submit(
 		!watch_write(&node->watch, entry->name, entry->index, entry->sub, wire, size))
 		return node->watch.passive ? "not with --passive" : "too many writes at once";
 	own->waiting[own->count++] = *command;
+	w->waiting_count++;
 	node->due_us = 0;
 	return NULL;
 }
@@ -99,7 +100,7 @@ void writes_submit(
 
 void writes_poll(struct writes *w, struct fleet *fleet, uint64_t now_us, int64_t utc_offset_us)
 {
-	for (size_t i = 0; i < fleet->node_count; i++) {
+	for (size_t i = 0; w->waiting_count > 0 && i < fleet->node_count; i++) {
 		const struct watch *watch = &fleet->nodes[fleet->known[i]]->watch;
 		struct writes_node *own = &w->nodes[fleet->known[i]];
 
@@ -107,13 +108,14 @@ void writes_poll(struct writes *w, struct fleet *fleet, uint64_t now_us, int64_t
 			continue;
 		bool done = watch->command_result == SDO_DONE, aborted = watch->command_result == SDO_ABORTED;
 
-		own->done++; /* transfers take frames: at most one has ended since the call before */
+		own->done++; /* at most one transfer ends by a frame */
 		answer(w, fleet, &own->waiting[0],
 			done	  ? NULL
 			: aborted ? sdo_abort_text(watch->command_abort)
 				  : "no answer from the node",
 			aborted ? watch->command_abort : 0, (int64_t)now_us + utc_offset_us);
 		own->count--;
+		w->waiting_count--;
 		memmove(own->waiting, own->waiting + 1, own->count * sizeof(own->waiting[0]));
 	}
 }

@@ -23,12 +23,13 @@ struct writes {
 		size_t count;
 		unsigned done; /* watch.commands_done */
 	} nodes[FLEET_NODES];
+	size_t waiting_count; /* of all */
 };
 
 /** Checks the command and gives it to the node; refuses it with an answer otherwise. */
 void writes_submit(
 	struct writes *w, struct fleet *fleet, const struct command *command, uint64_t now_us, int64_t utc_offset_us);
-/** After fleet_receive() and fleet_tick(): answers what is done. */
+/** After each fleet_receive() and fleet_tick(): answers what is done. */
 void writes_poll(struct writes *w, struct fleet *fleet, uint64_t now_us, int64_t utc_offset_us);
 
 #endif
