@@ -1,6 +1,6 @@
 /* What imu9-fleet reads that others may have written. Arbitrary bytes as a file of the spool, as they are, and as
- * records whose CRC is right: what is read fits, in order, and both formats make messages of it that parse. And arbitrary
- * messages of the broker: only objects that are allowed are written, within their limits. */
+ * records whose CRC is right: what is read fits, in order, and both formats make messages of it that parse. And
+ * arbitrary messages of the broker: only objects that are allowed are written, within their limits. */
 #include <fcntl.h>
 #include <json-c/json.h>
 #include <string.h>

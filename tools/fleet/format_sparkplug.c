@@ -1,6 +1,6 @@
-/* Sparkplug B 3.0: this process is an edge node, the CANopen nodes of the bus are its devices, the values are metrics by
- * their names in the EDS, with aliases. Births and deaths are QoS 0 as the specification says; data are QoS 1, which
- * subscribers do not see, so that what was not acknowledged is sent again. */
+/* Sparkplug B 3.0: this process is an edge node, the CANopen nodes of the bus are its devices, the values are metrics
+ * by their names in the EDS, with aliases. Births are QoS 0 as the specification says; data and the death of a
+ * device are QoS 1, so that what was not acknowledged is sent again. */
 #include <math.h>
 #include <stdio.h>
 #include <string.h>

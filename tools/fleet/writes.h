@@ -1,6 +1,6 @@
 /* tools/fleet/writes.h
- * Writes that a subscriber asks for: only of objects that are allowed, with the types and limits of the EDS, by SDO, and
- * with an answer for each. Passive; the thread of the bus. */
+ * Writes that a subscriber asks for: only of objects that are allowed, with the types and limits of the EDS, by SDO,
+ * and with an answer for each. Passive; the thread of the bus. */
 #ifndef TOOLS_FLEET_WRITES_H
 #define TOOLS_FLEET_WRITES_H
 
