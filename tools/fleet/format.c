@@ -76,12 +76,13 @@ void format_level(const char *text, char *level, size_t capacity)
 
 void format_utc(int64_t utc_us, char text[FORMAT_UTC_TEXT])
 {
-	int64_t second = utc_us / 1000000 - (utc_us % 1000000 < 0);
-	time_t t = (time_t)second;
+	bool before = utc_us % 1000000 < 0; /* of 1970: the division rounds up */
+	time_t t = (time_t)(utc_us / 1000000 - before);
 	struct tm utc;
 
 	if (!gmtime_r(&t, &utc) || utc.tm_year < -1900 || utc.tm_year > 8099)
 		utc = (struct tm){.tm_year = 70, .tm_mday = 1};
 	strftime(text, FORMAT_UTC_TEXT, "%Y-%m-%dT%H:%M:%S", &utc);
-	snprintf(text + strlen(text), FORMAT_UTC_TEXT - strlen(text), ".%06dZ", (int)(utc_us - second * 1000000));
+	snprintf(text + strlen(text), FORMAT_UTC_TEXT - strlen(text), ".%06dZ",
+		(int)(utc_us % 1000000 + (before ? 1000000 : 0)));
 }
