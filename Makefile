@@ -66,6 +66,8 @@ TESTS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/unit/test_*.c tests/scen
 BENCHES := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/bench/bench_*.c))
 FUZZERS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/fuzz/fuzz_*.c))
 SOAKS := $(patsubst %.c,$(BUILD)/%,$(call sources,tests/soak/*.c))
+SOAK := $(BUILD)/tests/soak/soak_device
+PLANT := $(BUILD)/tests/plant/nodes
 RIG_PROGRAMS := $(patsubst %.c,$(BUILD)/%,$(filter-out tests/rig/uml_xstate.c,$(call sources,tests/rig/*.c)))
 # what the tests of one folder share: its .c files that are no program of their own
 helpers = $(call objects,$(filter-out $(1)/test_% $(1)/bench_% $(1)/fuzz_%,$(wildcard $(1)/*.c)))
@@ -104,6 +106,12 @@ $(GEN) &: eds/imu9-gateway.eds $(BUILD)/gen-od
 	@mkdir -p $(BUILD)/gen
 	$(Q)$(BUILD)/gen-od $< $(BUILD)/gen
 
+SPARKPLUG := $(BUILD)/gen/sparkplug_b.pb-c.c $(BUILD)/gen/sparkplug_b.pb-c.h
+$(SPARKPLUG) &: tools/fleet/sparkplug_b.proto
+	@mkdir -p $(BUILD)/gen
+	$(Q)protoc-c --proto_path=$(<D) --c_out=$(BUILD)/gen $(<F)
+$(call objects,tools/fleet/format_sparkplug.c): $(SPARKPLUG)
+
 define archive =
 	@rm -f $@
 	$(Q)$(AR) rcs $@ $^
@@ -115,7 +123,7 @@ $(BUILD)/libcanopen.a: $(call objects,$(CANOPEN_SRC)); $(archive)
 $(BUILD)/libmodbus_server.a: $(call objects,$(MODBUS_SRC)) $(BUILD)/obj/gen/modbus_map.o; $(archive)
 $(BUILD)/libgateway.a: $(call objects,$(GATEWAY_SRC)); $(archive)
 $(BUILD)/libtools.a: $(call objects,$(TOOLS_SRC)); $(archive)
-$(BUILD)/libfleet.a: $(call objects,$(FLEET_SRC)); $(archive)
+$(BUILD)/libfleet.a: $(call objects,$(FLEET_SRC)) $(BUILD)/obj/gen/sparkplug_b.pb-c.o; $(archive)
 
 $(BUILD)/imu9-gateway: $(BUILD)/obj/gateway/main.o $(LIBS)
 	$(Q)$(CC) $(CFLAGS) $(SAN) $(LDFLAGS) -o $@ $^ $(LDLIBS)
@@ -139,7 +147,7 @@ $(BUILD)/imu9-web: LDLIBS += -lwebsockets
 # the only programs that need these libraries
 FLEET_PROGRAMS := $(BUILD)/imu9-fleet $(foreach t,$(TESTS) $(FUZZERS),$(if $(findstring _fleet,$(notdir $(t))),$(t)))
 $(FLEET_PROGRAMS): $(BUILD)/libfleet.a
-$(FLEET_PROGRAMS): LDLIBS := $(BUILD)/libfleet.a $(LIBS) -lmosquitto $(LDLIBS)
+$(FLEET_PROGRAMS): LDLIBS := $(BUILD)/libfleet.a $(LIBS) -lmosquitto -lprotobuf-c $(LDLIBS)
 
 .SECONDEXPANSION:
 $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,%,$$(dir tests/$$*))) $(LIBS)
@@ -152,7 +160,7 @@ $(SOAKS): $(BUILD)/%: %.c $(addprefix $(BUILD)/obj/tests/scenario/,world.o hamme
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
 
-$(RIG_PROGRAMS): $(BUILD)/tests/%: tests/%.c $(LIBS)
+$(RIG_PROGRAMS) $(PLANT): $(BUILD)/tests/%: tests/%.c $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $< $(LIBS) $(LDLIBS)
 
@@ -228,6 +236,14 @@ soak: $(SOAKS) ## the device for SOAK_DAYS in simulated time (a week: ten minute
 	@$(BUILD)/tests/soak/soak_device $(SOAK_DAYS)
 	@$(BUILD)/tests/soak/soak_windows
 
+PLANT_NODES ?= 10
+PLANT_BUSES ?= 2
+PLANT_SECONDS ?= 9
+.PHONY: plant
+plant: $(BUILD)/imu9-fleet $(BUILD)/imu9-gateway $(PLANT) ## PLANT_NODES on PLANT_BUSES at one MQTT broker that restarts
+	@DEPS=$(DEPS) tools/deps test
+	@BUILD=$(BUILD) tests/plant/run --nodes $(PLANT_NODES) --buses $(PLANT_BUSES) --seconds $(PLANT_SECONDS)
+
 bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done
 	@echo "== bench_bus"; BUILD=$(BUILD) tests/rig/vcan-run $(BUILD)/tests/bench/bench_bus
@@ -235,9 +251,9 @@ bench: all $(BENCHES) ## print the measured figures
 mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
-lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h ## clang-tidy and cppcheck
+lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h $(SPARKPLUG) ## clang-tidy and cppcheck
 	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) \
-		$(TOOLS_SRC) | \
+		$(TOOLS_SRC) $(FLEET_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
 		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
@@ -248,7 +264,7 @@ cov: ## line and branch coverage of the unit and scenario tests
 	@tests/coverage -p $(BUILD)/cov
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
-PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run)
+PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run) tests/plant/run)
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 
@@ -343,9 +359,11 @@ UDEVDIR ?= $(LIBDIR)/udev
 COMPLETIONS ?= $(PREFIX)/share/bash-completion/completions
 share = $(PREFIX)/share/imu9-gateway
 UNIT := tools/service/imu9-gateway.service
+fleet_share = $(PREFIX)/share/imu9-fleet
+FLEET_FILES := imu9-fleet.conf sparkplug_b.proto telegraf.conf grafana-dashboard.json
 OWN_NAMES := $(notdir $(PROGRAMS))
 install: all $(if $(shell command -v help2man),man) ## install programs, manuals and units under $(DESTDIR)$(PREFIX)
-	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) \
+	install -d $(addprefix $(DESTDIR),$(PREFIX)/bin $(share) $(fleet_share) \
 		$(UDEVDIR)/rules.d $(UNITDIR) $(LIBDIR)/sysusers.d $(COMPLETIONS) $(PREFIX)/share/man/man1)
 	install -m 755 $(PROGRAMS) $(DESTDIR)$(PREFIX)/bin
 	install -m 644 eds/imu9-gateway.eds eds/imu9-gateway.xdd $(BUILD)/gen/imu9-gateway.dbc $(BUILD)/gen/objects.md \
@@ -363,14 +381,16 @@ install: all $(if $(shell command -v help2man),man) ## install programs, manuals
 	sed -e 's|@PREFIX@|$(PREFIX)|g; s|/etc/imu9-gateway.conf|/etc/imu9-gateway/%i.conf|g' \
 		-e 's|^Description=.*|& %i|; s|^\[Service\]|&\nEnvironment=IMU9_CAN=%i|' \
 		$(UNIT) >$(DESTDIR)$(UNITDIR)/imu9-gateway@.service
+	install -m 644 $(addprefix tools/fleet/,$(FLEET_FILES)) $(DESTDIR)$(fleet_share)
+	sed 's|@PREFIX@|$(PREFIX)|g' tools/service/imu9-fleet@.service >$(DESTDIR)$(UNITDIR)/imu9-fleet@.service
 	$(if $(DESTDIR),,-systemd-sysusers $(LIBDIR)/sysusers.d/imu9-gateway.conf)
 
 uninstall: ## remove what install put there
 	rm -f $(addprefix $(DESTDIR)$(PREFIX)/bin/,$(OWN_NAMES)) $(addprefix $(DESTDIR)$(COMPLETIONS)/,$(OWN_NAMES))
 	rm -f $(patsubst %,$(DESTDIR)$(PREFIX)/share/man/man1/%.1,$(OWN_NAMES))
-	rm -rf $(DESTDIR)$(share)
+	rm -rf $(DESTDIR)$(share) $(DESTDIR)$(fleet_share)
 	rm -f $(DESTDIR)$(UDEVDIR)/rules.d/70-imu9-gateway.rules $(DESTDIR)$(LIBDIR)/sysusers.d/imu9-gateway.conf
-	rm -f $(DESTDIR)$(UNITDIR)/imu9-gateway.service $(DESTDIR)$(UNITDIR)/imu9-gateway@.service
+	rm -f $(addprefix $(DESTDIR)$(UNITDIR)/,imu9-gateway.service imu9-gateway@.service imu9-fleet@.service)
 
 deb: ## Debian packages: $(BUILD)/deb (needs debhelper, help2man and fakeroot: tools/deps package)
 	@DEPS=$(DEPS) tools/deps build package

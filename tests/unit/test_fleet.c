@@ -287,6 +287,8 @@ static void test_utc_is_written_as_iso_8601(void **state)
 	assert_string_equal(text, "1969-12-31T23:59:59.999999Z");
 	format_utc(INT64_MAX, text);
 	assert_int_equal(strlen(text), FORMAT_UTC_TEXT - 1);
+	format_utc(INT64_MIN, text);
+	assert_int_equal(strlen(text), FORMAT_UTC_TEXT - 1);
 }
 
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)

@@ -1,7 +1,8 @@
 /* The spool of imu9-fleet on a disk that loses its power, or fails, at every single operation: what comes back are the
- * records that were appended, as they were and in order; all that were synchronised and not delivered are among them.
- * The disk is simulated, its functions are defined here. It keeps what POSIX promises and nothing else: bytes are durable
- * after fsync() of their file, names after that of their folder; of everything before, a power cut may keep any part. */
+ * records that were appended, as they were and in order; all that were synchronised and not delivered are there.
+ * The disk is simulated, its functions are defined here. It keeps what POSIX promises and nothing else: bytes are
+ * durable after fsync() of their file, names after that of their folder; of everything before, a power cut may keep any
+ * part. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
@@ -311,9 +312,8 @@ static void work_until_cut(void)
 
 static void begin(int until, int error)
 {
-	static const struct disk empty;
-
-	disk = empty;
+	memset(disk.files, 0, (size_t)disk.file_count * sizeof(disk.files[0])); /* the others are empty */
+	memset(&disk.file_count, 0, sizeof(disk) - offsetof(struct disk, file_count));
 	memset(&did, 0, sizeof(did));
 	disk.until = NEVER;
 	assert_int_equal(spool_open(&spool, FOLDER, SIZE), 0);

@@ -10,7 +10,7 @@
 #include "tools/fleet/format.h"
 #include "tools/fleet/ring.h"
 
-enum { BROKER_TEXT_MAX = 256, BROKER_SUBSCRIPTIONS = 4, BROKER_COMMAND_MAX = 2048 };
+enum { BROKER_TEXT_MAX = 256, BROKER_COMMAND_MAX = 2048 };
 
 struct broker_config {
 	char host[BROKER_TEXT_MAX], client_id[BROKER_TEXT_MAX];
@@ -18,7 +18,7 @@ struct broker_config {
 	bool tls;
 	char ca[BROKER_TEXT_MAX], cert[BROKER_TEXT_MAX], key[BROKER_TEXT_MAX]; /* files; empty: system's CAs, none */
 	char user[BROKER_TEXT_MAX], password[BROKER_TEXT_MAX];		       /* empty: none */
-	char subscriptions[BROKER_SUBSCRIPTIONS][FORMAT_TOPIC_MAX];
+	char subscriptions[FORMAT_SUBSCRIPTIONS][FORMAT_TOPIC_MAX];
 	size_t subscription_count;
 };
 

@@ -192,7 +192,7 @@ static void on_pdo(
 		close_sample(fleet, node);
 }
 
-/* ---- the mapping of a node ---------------------------------------------------------------------------------------- */
+/* ---- the mapping of a node --------------------------------------------------------------------------------------- */
 
 static uint32_t counter_mapping(const struct watch *watch)
 {

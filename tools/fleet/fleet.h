@@ -1,7 +1,7 @@
 /* tools/fleet/fleet.h
  * All nodes of a bus: finds them by their frames, decodes each by its EDS and the mapping that is read from it
- * (tools/lib/watch.h), puts the PDOs of one sample together, and says what is to be published. Passive: frames, time and
- * the offset to UTC are arguments; records go to a callback. One thread.
+ * (tools/lib/watch.h), puts the PDOs of one sample together, and says what is to be published. Passive: frames, time
+ * and the offset to UTC are arguments; records go to a callback. One thread.
  *
  * A sample is what the PDOs with the same sample counter have. It is complete when all PDOs have come that the sample
  * before had, when the counter changes, or after SAMPLE_US. A PDO without a counter joins the sample that is open. */

@@ -4,6 +4,8 @@
 #include <string.h>
 #include <time.h>
 
+#include "tools/lib/cli.h"
+
 void format_init(struct format *f, const struct format_ops *ops, const struct format_config *config, uint8_t birth)
 {
 	*f = (struct format){.ops = ops, .config = *config, .birth = birth};
@@ -57,6 +59,13 @@ bool format_learn(struct node_view *view, const struct record *record)
 	return is_new;
 }
 
+int format_node(const char *text)
+{
+	long id;
+
+	return cli_integer(text, 1, FORMAT_NODES - 1, &id) ? (int)id : -1;
+}
+
 void format_level(const char *text, char *level, size_t capacity)
 {
 	snprintf(level, capacity, "%s", text);
@@ -67,12 +76,13 @@ void format_level(const char *text, char *level, size_t capacity)
 
 void format_utc(int64_t utc_us, char text[FORMAT_UTC_TEXT])
 {
-	int64_t second = utc_us / 1000000 - (utc_us % 1000000 < 0);
-	time_t t = (time_t)second;
+	bool before = utc_us % 1000000 < 0; /* of 1970: the division rounds up */
+	time_t t = (time_t)(utc_us / 1000000 - before);
 	struct tm utc;
 
 	if (!gmtime_r(&t, &utc) || utc.tm_year < -1900 || utc.tm_year > 8099)
 		utc = (struct tm){.tm_year = 70, .tm_mday = 1};
 	strftime(text, FORMAT_UTC_TEXT, "%Y-%m-%dT%H:%M:%S", &utc);
-	snprintf(text + strlen(text), FORMAT_UTC_TEXT - strlen(text), ".%06dZ", (int)(utc_us - second * 1000000));
+	snprintf(text + strlen(text), FORMAT_UTC_TEXT - strlen(text), ".%06dZ",
+		(int)(utc_us % 1000000 + (before ? 1000000 : 0)));
 }

@@ -8,7 +8,7 @@
 #include "od/od.h"
 #include "tools/fleet/record.h"
 
-enum { FORMAT_NODES = 128, FORMAT_TOPIC_MAX = 256, FORMAT_PAYLOAD_MAX = 16384 };
+enum { FORMAT_NODES = 128, FORMAT_TOPIC_MAX = 256, FORMAT_PAYLOAD_MAX = 16384, FORMAT_SUBSCRIPTIONS = 4 };
 
 struct message {
 	const char *topic;
@@ -56,13 +56,29 @@ struct format {
 	const struct format_ops *ops;
 	struct format_config config;
 	struct node_view nodes[FORMAT_NODES];
-	uint8_t birth; /* Sparkplug: bdSeq of the connection */
-	uint8_t seq;   /* Sparkplug: of the next message */
+	struct fleet_status status; /* the last one published */
+	uint8_t birth;		    /* Sparkplug: bdSeq of the connection */
+	uint8_t seq;		    /* Sparkplug: of the next message */
 	char topic[FORMAT_TOPIC_MAX];
 	uint8_t payload[FORMAT_PAYLOAD_MAX];
 };
 
+/** What a subscriber asks for. */
+struct command {
+	enum { COMMAND_WRITE, COMMAND_REBIRTH } kind;
+	uint8_t node_id;
+	char object[96]; /* name or address */
+	char value[128]; /* as imu9-sdo write takes it */
+	char id[64];	 /* returned with the answer; or empty */
+};
+typedef void format_on_command(void *ctx, const struct command *command);
+
 struct format_ops {
+	/** Topics of commands, for subscriptions, in topics[FORMAT_SUBSCRIPTIONS]. Returns their number. */
+	size_t (*subscriptions)(const struct format_config *config, bool writes, char topics[][FORMAT_TOPIC_MAX]);
+	/** Calls `on_command` for each command in a message. False: it is none. Any thread. */
+	bool (*command)(const struct format_config *config, const char *topic, const uint8_t *payload, size_t size,
+		format_on_command *on_command, void *ctx);
 	/** The last will, for the next connection; it is in f->topic and f->payload. */
 	void (*will)(struct format *f, struct message *message);
 	/** Just connected: what a subscriber must know first. Also for a rebirth. False: no connection. */
@@ -74,7 +90,7 @@ struct format_ops {
 	void (*end)(struct format *f, const struct publisher *to, int64_t utc_us);
 };
 
-extern const struct format_ops format_json;
+extern const struct format_ops format_json, format_sparkplug;
 
 /** `birth`: the bdSeq before the first one. */
 void format_init(struct format *f, const struct format_ops *ops, const struct format_config *config, uint8_t birth);
@@ -87,6 +103,8 @@ const struct od_entry *format_entry(const struct format *f, uint8_t node_id, con
 void format_name(const struct od_entry *entry, const struct record_field *field, char *name, size_t capacity);
 /** Remembers the values. True: there are some that were not known before. */
 bool format_learn(struct node_view *view, const struct record *record);
+/** The node-ID that the rest of a topic is, or -1. */
+int format_node(const char *text);
 /** The name of a bus as a level of a topic: '_' for what has a meaning there. */
 void format_level(const char *text, char *level, size_t capacity);
 /** ISO 8601 with microseconds. */

@@ -267,5 +267,70 @@ static long json_record(struct format *f, const struct publisher *to, const stru
 	return 0;
 }
 
-const struct format_ops format_json = {
-	.will = json_will, .begin = json_begin, .record = json_record, .status = json_status, .end = json_end};
+/* ---- commands ---------------------------------------------------------------------------------------------------- */
+
+static size_t json_subscriptions(const struct format_config *config, bool writes, char topics[][FORMAT_TOPIC_MAX])
+{
+	if (!writes)
+		return 0;
+	snprintf(topics[0], FORMAT_TOPIC_MAX, "%s/%s/+/write", config->prefix, config->bus);
+	return 1;
+}
+
+/* A text, number or boolean as text. False: another type, or too long. */
+static bool member(struct json_object *document, const char *key, char *text, size_t size)
+{
+	struct json_object *value;
+
+	if (!json_object_object_get_ex(document, key, &value))
+		return false;
+	bool scalar = json_object_is_type(value, json_type_string) || json_object_is_type(value, json_type_int) ||
+		      json_object_is_type(value, json_type_double) || json_object_is_type(value, json_type_boolean);
+	const char *written = scalar ? json_object_get_string(value) : NULL;
+	if (!written || strlen(written) >= size)
+		return false;
+	memcpy(text, written, strlen(written) + 1);
+	return true;
+}
+
+/* PREFIX/BUS/NODE/write {"object":"lever_arm.l","value":0.05,"id":"7"} */
+static bool json_command(const struct format_config *config, const char *topic, const uint8_t *payload, size_t size,
+	format_on_command *on_command, void *ctx)
+{
+	struct command command = {.kind = COMMAND_WRITE};
+	char start[FORMAT_TOPIC_MAX], id[8];
+	int length = snprintf(start, sizeof(start), "%s/%s/", config->prefix, config->bus);
+
+	if (strncmp(topic, start, (size_t)length) != 0)
+		return false;
+	const char *slash = strchr(topic + length, '/');
+	if (!slash || strcmp(slash, "/write") != 0 || slash - (topic + length) > 3)
+		return false;
+	snprintf(id, sizeof(id), "%.*s", (int)(slash - (topic + length)), topic + length);
+	int node_id = format_node(id);
+	struct json_tokener *tokener = json_tokener_new_ex(4);
+	struct json_object *document =
+		tokener && size > 0 ? json_tokener_parse_ex(tokener, (const char *)payload, (int)size) : NULL;
+	bool good = document && json_object_is_type(document, json_type_object) && node_id > 0 &&
+		    json_tokener_get_parse_end(tokener) == size &&
+		    member(document, "object", command.object, sizeof(command.object)) &&
+		    member(document, "value", command.value, sizeof(command.value)) &&
+		    (!json_object_object_get_ex(document, "id", NULL) ||
+			    member(document, "id", command.id, sizeof(command.id)));
+	json_object_put(document);
+	if (tokener)
+		json_tokener_free(tokener);
+	if (!good)
+		return false;
+	command.node_id = (uint8_t)node_id;
+	on_command(ctx, &command);
+	return true;
+}
+
+const struct format_ops format_json = {.subscriptions = json_subscriptions,
+	.command = json_command,
+	.will = json_will,
+	.begin = json_begin,
+	.record = json_record,
+	.status = json_status,
+	.end = json_end};

@@ -1,11 +1,11 @@
 /* imu9-fleet: publishes what the CANopen nodes of a bus send at an MQTT broker. */
 #include <errno.h>
 #include <getopt.h>
+#include <poll.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
-#include <sys/signalfd.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -33,6 +33,8 @@ static const char help[] =
 	"      --client-id ID    (default: imu9-fleet-HOSTNAME-NAME)\n"
 	"      --topic PREFIX    the first levels of the topics                      (default: imu9)\n"
 	"      --name NAME       of the bus in the topics                            (default: BUS)\n"
+	"      --format FORMAT   json, or sparkplug: Sparkplug B 3.0; PREFIX is the group then, NAME the\n"
+	"                        edge node                                           (default: json)\n"
 	"      --hz HZ           samples a second of each node, at most              (default: all)\n"
 	"      --change OBJECT=X  only samples in which a value of OBJECT has changed by more than X in\n"
 	"                        its unit; repeatable\n"
@@ -41,13 +43,21 @@ static const char help[] =
 	"                        ~/.local/state/imu9-fleet/NAME when not root; 64)\n"
 	"      --late-rate N     records a second from the spool, at most            (default: 1000)\n"
 	"      --check           only tell whether the configuration is good\n"
+	"      --allow-writes OBJECT,...  subscribers may write these objects, or records, of the nodes:\n"
+	"                        PREFIX/NAME/NODE/write, answered by .../answer; repeatable (default: none)\n"
 	"  -h, --help            this text\n"
 	"  -V, --version         the version\n"
 	"\n"
 	"Topics: PREFIX/NAME/NODE/values, objects, state and emcy, and PREFIX/NAME/status.\n"
 	"\n" CLI_EXIT_STATUS "\nExample: imu9-fleet -i can0 --broker mqtt://localhost --hz 10\n";
 
-enum { FRAMES_A_WAKE = 1000, OPT_KEY = 256, OPT_CHECK }; /* OPT_KEY: a key of [fleet] */
+enum {
+	FRAMES_A_WAKE = 1000,
+	COMMANDS_A_WAKE = 16,
+	COMMANDS_BYTES = 1 << 15,
+	OPT_KEY = 256,
+	OPT_CHECK
+}; /* OPT_KEY: a key of [fleet] */
 
 static const char letters[] = ":c:i:n:e:phV";
 static const struct option long_options[] = {
@@ -63,17 +73,42 @@ static const struct option long_options[] = {
 	{"client-id", required_argument, NULL, OPT_KEY},
 	{"topic", required_argument, NULL, OPT_KEY},
 	{"name", required_argument, NULL, OPT_KEY},
+	{"format", required_argument, NULL, OPT_KEY},
 	{"hz", required_argument, NULL, OPT_KEY},
 	{"change", required_argument, NULL, OPT_KEY},
 	{"at-least", required_argument, NULL, OPT_KEY},
 	{"spool", required_argument, NULL, OPT_KEY},
 	{"late-rate", required_argument, NULL, OPT_KEY},
+	{"allow-writes", required_argument, NULL, OPT_KEY},
 	{"check", no_argument, NULL, OPT_CHECK},
 	CLI_COMMON_OPTIONS,
 };
 
 static struct options options;
 static struct sender sender;
+
+/* ---- commands, in the thread of the broker ----------------------------------------------------------------------- */
+
+static struct ring commands; /* struct command, for the loop */
+
+static void hand_over(void *ctx, const struct command *command)
+{
+	(void)ctx;
+	if (command->kind == COMMAND_REBIRTH)
+		sender_rebirth(&sender);
+	else
+		ring_put(&commands, command, sizeof(*command));
+}
+
+static void on_message(void *ctx, const char *topic, const void *payload, size_t size, bool retained)
+{
+	bool good = !retained && size <= BROKER_COMMAND_MAX &&
+		    options.sender.ops->command(&options.sender.format, topic, payload, size, hand_over, ctx);
+
+	if (!good)
+		log_warning("message on %.100s not executed: %s", topic,
+			retained ? "it was retained, and so it would be executed again and again" : "it is no command");
+}
 
 /* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
@@ -112,6 +147,7 @@ static void each_second(struct loop *loop, uint64_t now_us)
 				      .withheld = loop->fleet.withheld,
 				      .misfits = loop->fleet.misfits,
 				      .bus_dropped = loop->bus->counters.rx_dropped,
+				      .commands_dropped = atomic_load(&commands.dropped),
 			      });
 	if (down && !loop->down_told)
 		log_warning("%s is down%s%s", loop->bus->name, loop->bus->down_why ? ": " : "",
@@ -128,30 +164,64 @@ static uint64_t serve(struct loop *loop, uint64_t now_us, int64_t offset_us)
 {
 	uint64_t next_us = fleet_tick(&loop->fleet, now_us, offset_us);
 
+	writes_poll(&options.writes, &loop->fleet, now_us, offset_us); /* what got no answer */
 	if (now_us >= loop->second_us)
 		each_second(loop, now_us);
 	uint64_t sign_us = service_tick(&loop->service, 0, sender_is_busy(&sender, &loop->turns), now_us);
 	return earlier(earlier(next_us, loop->second_us), sign_us);
 }
 
+static void receive(struct loop *loop, const struct can_msg *msg, uint64_t now_us, int64_t offset_us)
+{
+	fleet_receive(&loop->fleet, msg, now_us, offset_us);
+	writes_poll(&options.writes, &loop->fleet, now_us, offset_us);
+}
+
+static void take_commands(struct loop *loop, uint64_t now_us, int64_t offset_us)
+{
+	struct command command;
+
+	for (int n = 0; n < COMMANDS_A_WAKE && ring_get(&commands, &command, sizeof(command)) > 0; n++)
+		writes_submit(&options.writes, &loop->fleet, &command, now_us, offset_us);
+}
+
+/* Readable when a signal arrives, or a command. */
+static int signal_or_command(int signal_fd)
+{
+	struct epoll_event event = {.events = EPOLLIN};
+	int fd = epoll_create1(EPOLL_CLOEXEC);
+
+	if (fd < 0 || epoll_ctl(fd, EPOLL_CTL_ADD, signal_fd, &event) < 0)
+		return signal_fd;
+	epoll_ctl(fd, EPOLL_CTL_ADD, commands.fd, &event); /* else they wait for the next frame */
+	return fd;
+}
+
+static bool is_signal(int signal_fd)
+{
+	struct pollfd signal = {.fd = signal_fd, .events = POLLIN};
+
+	return poll(&signal, 1, 0) > 0;
+}
+
 static void run(struct loop *loop, int signal_fd)
 {
+	int wake_fd = signal_or_command(signal_fd);
 	struct can_msg msg;
 	uint64_t now_us = cli_now_us();
 
 	for (;;) {
-		if (cli_wait(loop->bus, signal_fd, serve(loop, now_us, utc_offset_us(now_us))))
+		bool woken = cli_wait(loop->bus, wake_fd, serve(loop, now_us, utc_offset_us(now_us)));
+		if (woken && is_signal(signal_fd))
 			return;
 		now_us = cli_now_us();
 		int64_t offset_us = utc_offset_us(now_us);
 		for (int n = 0; n < FRAMES_A_WAKE && can_receive(loop->bus, &msg, now_us) > 0; n++)
-			fleet_receive(&loop->fleet, &msg, now_us, offset_us);
+			receive(loop, &msg, now_us, offset_us);
+		if (woken)
+			ring_clear(&commands);
+		take_commands(loop, now_us, offset_us);
 	}
-}
-
-static void on_command(void *ctx, const char *topic, const void *payload, size_t size, bool retained)
-{
-	(void)ctx, (void)topic, (void)payload, (void)size, (void)retained;
 }
 
 static int publish_the_bus(void)
@@ -163,7 +233,12 @@ static int publish_the_bus(void)
 	service_open(&loop.service, getenv("NOTIFY_SOCKET"), getenv("WATCHDOG_USEC"), getenv("WATCHDOG_PID"));
 	int signal_fd = cli_signal_fd();
 	loop.bus = cli_open_bus(options.bus);
-	int result = sender_start(&sender, &options.sender, on_command, NULL);
+	int result = ring_open(&commands, COMMANDS_BYTES);
+	if (result < 0) {
+		log_error("commands: %s", strerror(-result));
+		return CLI_FAILED;
+	}
+	result = sender_start(&sender, &options.sender, on_message, NULL);
 	if (result < 0) {
 		log_error("spool %s: %s", options.sender.spool_folder,
 			result == -EBUSY ? "another process has it; use another folder with --spool"

@@ -77,6 +77,16 @@ static int set_yes(bool *to, const char *key, const char *value, char *why)
 	return 0;
 }
 
+static int set_format(struct options *o, const char *value, char *why)
+{
+	bool sparkplug = strcmp(value, "sparkplug") == 0;
+
+	if (!sparkplug && strcmp(value, "json") != 0)
+		return refuse(why, -EINVAL, "format %s: json or sparkplug", value);
+	o->sender.ops = sparkplug ? &format_sparkplug : &format_json;
+	return 0;
+}
+
 int options_set(struct options *o, const char *option, const char *value, char *why)
 {
 	struct broker_config *broker = &o->sender.broker;
@@ -102,12 +112,16 @@ int options_set(struct options *o, const char *option, const char *value, char *
 		return add_text(o->eds_names, &o->eds_count, option, value, why);
 	if (strcmp(key, "change") == 0)
 		return add_text(o->change, &o->change_count, option, value, why);
+	if (strcmp(key, "allow_writes") == 0)
+		return add_text(o->allow, &o->allow_count, option, value, why);
 	if (strcmp(key, "hz") == 0)
 		return set_real(&o->fleet.hz, option, value, 0, 10000, why);
 	if (strcmp(key, "at_least") == 0)
 		return set_real(&o->fleet.at_least_s, option, value, 0.1, 86400, why);
 	if (strcmp(key, "late_rate") == 0)
 		return set_real(&o->sender.late_hz, option, value, 1, 1e6, why);
+	if (strcmp(key, "format") == 0)
+		return set_format(o, value, why);
 	if (strcmp(key, "passive") == 0)
 		return set_yes(&o->fleet.passive, option, value, why);
 	return refuse(why, -ENOENT, "%s: no such option", option);
@@ -304,6 +318,15 @@ static bool find_object(const struct options *o, const char *name, uint16_t *ind
 	return false;
 }
 
+/* Whether all members of the object are meant. */
+static bool is_record(const struct options *o, const char *name)
+{
+	for (unsigned id = 1; id < FLEET_NODES; id++)
+		if (o->fleet.tables[id] && od_find_name(o->fleet.tables[id], name))
+			return false;
+	return true;
+}
+
 static int parse_changes(struct options *o, char *why)
 {
 	for (size_t i = 0; i < o->change_count; i++) {
@@ -320,10 +343,30 @@ static int parse_changes(struct options *o, char *why)
 	return 0;
 }
 
+static int parse_allowed(struct options *o, char *why)
+{
+	struct writes *w = &o->writes;
+	uint16_t index;
+	uint8_t sub;
+
+	for (size_t i = 0; i < o->allow_count; i++)
+		for (char *rest = o->allow[i], *name; (name = strsep(&rest, ", ")) != NULL;) {
+			if (name[0] == '\0')
+				continue;
+			if (w->allowed_count == WRITES_ALLOWED || !find_object(o, name, &index, &sub))
+				return refuse(why, -EINVAL, "allow-writes %s: %s", name,
+					w->allowed_count == WRITES_ALLOWED ? "too many objects"
+									   : "no such object in the EDS");
+			w->allowed[w->allowed_count++] = (struct writes_allowed){index, is_record(o, name) ? -1 : sub};
+		}
+	return 0;
+}
+
 /* DIR[,size=MB] */
 static int parse_spool(struct options *o, char *why)
 {
 	const char *state = getenv("XDG_STATE_HOME"), *home = getenv("HOME");
+	const char *service = getenv("STATE_DIRECTORY"); /* of systemd */
 	char *size = strstr(o->spool, ",size=");
 	long mb = SPOOL_MB;
 
@@ -333,6 +376,8 @@ static int parse_spool(struct options *o, char *why)
 		*size = '\0';
 	if (o->spool[0])
 		snprintf(o->spool_folder, sizeof(o->spool_folder), "%s", o->spool);
+	else if (service && service[0])
+		snprintf(o->spool_folder, sizeof(o->spool_folder), "%.400s", service);
 	else if (geteuid() == 0 || (!state && !home))
 		snprintf(o->spool_folder, sizeof(o->spool_folder), "/var/lib/imu9-fleet/%s", o->name);
 	else
@@ -353,17 +398,22 @@ static int set_names(struct options *o, char *why)
 		return refuse(why, -EINVAL, "topic %s: 1 to 64 characters, not +, # or a $ in front", o->topic);
 	format_level(o->name[0] ? o->name : o->bus, name, sizeof(name));
 	snprintf(o->name, sizeof(o->name), "%.64s", name);
+	if (o->sender.ops == &format_sparkplug && strchr(o->topic, '/'))
+		return refuse(why, -EINVAL, "topic %s: it is the group of Sparkplug: without /", o->topic);
 	gethostname(host, sizeof(host) - 1);
 	if (broker->client_id[0] == '\0')
 		snprintf(broker->client_id, sizeof(broker->client_id), "imu9-fleet-%s-%.64s", host, o->name);
+	o->writes.bus = o->name;
 	o->sender.format = (struct format_config){.prefix = o->topic, .bus = o->name, .tables = o->fleet.tables};
+	broker->subscription_count =
+		o->sender.ops->subscriptions(&o->sender.format, o->allow_count > 0, broker->subscriptions);
 	return 0;
 }
 
 int options_finish(struct options *o, char *why)
 {
-	int (*const steps[])(struct options * o, char *why) = {
-		parse_broker, read_credentials, parse_nodes, load_eds, parse_changes, set_names, parse_spool};
+	int (*const steps[])(struct options * o, char *why) = {parse_broker, read_credentials, parse_nodes, load_eds,
+		parse_changes, parse_allowed, set_names, parse_spool};
 	int result = 0;
 
 	for (size_t i = 0; result == 0 && i < sizeof(steps) / sizeof(steps[0]); i++)

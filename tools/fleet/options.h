@@ -1,11 +1,13 @@
 /* tools/fleet/options.h
- * The configuration of imu9-fleet: defaults, FILE (INI, section [fleet], keys as the options with '_'), command line. */
+ * The configuration of imu9-fleet: defaults, FILE (INI, section [fleet], keys as the options with '_'), command
+ * line. */
 #ifndef TOOLS_FLEET_OPTIONS_H
 #define TOOLS_FLEET_OPTIONS_H
 
 #include "tools/eds/eds.h"
 #include "tools/fleet/fleet.h"
 #include "tools/fleet/sender.h"
+#include "tools/fleet/writes.h"
 
 enum { OPTIONS_TEXT_MAX = 256, OPTIONS_ERROR_MAX = 512, OPTIONS_LIST_MAX = 32 };
 
@@ -13,12 +15,15 @@ struct options {
 	char bus[OPTIONS_TEXT_MAX];
 	struct fleet_config fleet;
 	struct sender_config sender;
+	struct writes writes; /* what is allowed */
 
 	/* PRIVATE */
 	char broker[OPTIONS_TEXT_MAX], topic[OPTIONS_TEXT_MAX], name[OPTIONS_TEXT_MAX], spool[OPTIONS_TEXT_MAX];
 	char nodes[OPTIONS_TEXT_MAX], credentials[OPTIONS_TEXT_MAX];
 	char change[OPTIONS_LIST_MAX][OPTIONS_TEXT_MAX]; /* OBJECT=X */
 	size_t change_count;
+	char allow[OPTIONS_LIST_MAX][OPTIONS_TEXT_MAX]; /* OBJECT,... */
+	size_t allow_count;
 	char eds_names[OPTIONS_LIST_MAX][OPTIONS_TEXT_MAX]; /* [NODE=]FILE */
 	struct eds eds[OPTIONS_LIST_MAX];
 	size_t eds_count;

@@ -1,7 +1,7 @@
 /* tools/fleet/record.h
  * What is said of a node at one moment, independent of the format in which it is published: the values of one sample, a
- * state, an EMCY. It is handed over between threads and spooled as bytes, little-endian, and carries the mapping and the
- * step of each value, so that it means the same after a restart. No allocation, no state. */
+ * state, an EMCY. It is handed over between threads and spooled as bytes, little-endian, and carries the mapping and
+ * the step of each value, so that it means the same after a restart. No allocation, no state. */
 #ifndef TOOLS_FLEET_RECORD_H
 #define TOOLS_FLEET_RECORD_H
 
@@ -9,7 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-enum { RECORD_FIELDS = 64, RECORD_TEXT_MAX = 512, RECORD_MAX = 1024 /* bytes of the encoded form */ };
+enum { RECORD_FIELDS = 64, RECORD_TEXT_MAX = 768, RECORD_MAX = 1024 /* bytes of the encoded form */ };
 
 enum record_kind {
 	RECORD_VALUES = 1, /* of one sample */

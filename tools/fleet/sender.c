@@ -17,6 +17,7 @@ enum {
 	RECORDS_BYTES = 1 << 20, /* of 10 nodes at 100 Hz, 5 s */
 	RECORDS_A_TURN = 512,
 	STATUS_US = 10000000,
+	LAST_ACKNOWLEDGEMENTS_US = 500000,
 	FIRST_PAUSE_US = 500000,
 	LAST_PAUSE_US = 10000000
 };
@@ -193,6 +194,17 @@ static void wait_until(struct sender *s, uint64_t until_us)
 	ppoll(fds, 2, &timeout, NULL);
 }
 
+/* What is acknowledged at the last moment is not sent again after the next start. */
+static void wait_for_acknowledgements(struct sender *s)
+{
+	uint64_t now_us = cli_now_us(), end_us = now_us + LAST_ACKNOWLEDGEMENTS_US;
+
+	for (; s->connected && s->outbox.count > 0 && now_us < end_us; now_us = cli_now_us()) {
+		wait_until(s, end_us);
+		take_events(s, now_us);
+	}
+}
+
 static void *run(void *ctx)
 {
 	struct sender *s = ctx;
@@ -209,7 +221,7 @@ static void *run(void *ctx)
 	}
 	while (take_records(s, cli_now_us()))
 		;
-	take_events(s, cli_now_us());
+	wait_for_acknowledgements(s);
 	if (s->connected)
 		s->format.ops->end(&s->format, &s->publisher, utc_us());
 	outbox_disconnected(&s->outbox);

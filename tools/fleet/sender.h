@@ -51,7 +51,7 @@ void sender_put(struct sender *s, const struct record *record);
 void sender_count(struct sender *s, const struct fleet_status *can);
 /** Any thread: a subscriber asks for names and last values. */
 void sender_rebirth(struct sender *s);
-/** Whether the thread is in the same turn as at the call before: it may be waiting for the disk. One thread calls it. */
+/** Whether the thread is in the same turn as at the call before: it may be waiting for the disk. */
 bool sender_is_busy(struct sender *s, unsigned *turns);
 /** Puts into the spool what is not delivered, and disconnects. */
 void sender_stop(struct sender *s);

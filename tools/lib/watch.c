@@ -194,13 +194,24 @@ void watch_read_events(struct watch *watch)
 
 void watch_command(struct watch *watch, const char *name, uint16_t index, uint8_t sub, uint32_t value, uint8_t size)
 {
-	struct watch_command command = {.name = name, .index = index, .sub = sub, .size = size};
+	uint8_t wire[4];
 
-	put_uint(command.wire, value, size);
+	put_uint(wire, value, size);
 	if (watch->passive)
 		snprintf(watch->message, sizeof(watch->message), "%s: not with --passive", name);
-	else if (watch->command_count < WATCH_COMMANDS)
-		watch->commands[watch->command_count++] = command;
+	else
+		watch_write(watch, name, index, sub, wire, size);
+}
+
+bool watch_write(struct watch *watch, const char *name, uint16_t index, uint8_t sub, const void *wire, size_t size)
+{
+	struct watch_command command = {.name = name, .index = index, .sub = sub, .size = (uint8_t)size};
+
+	if (watch->passive || watch->command_count == WATCH_COMMANDS || size > sizeof(command.wire))
+		return false;
+	memcpy(command.wire, wire, size);
+	watch->commands[watch->command_count++] = command;
+	return true;
 }
 
 static const char *result_text(const struct sdo_client *sdo)
@@ -220,6 +231,9 @@ static void on_command(struct watch *watch)
 	const struct watch_command *command = &watch->commands[0];
 
 	snprintf(watch->message, sizeof(watch->message), "%s: %s", command->name, result_text(&watch->sdo));
+	watch->commands_done++;
+	watch->command_result = watch->sdo.result;
+	watch->command_abort = watch->sdo.abort_code;
 	watch->command_count--;
 	memmove(watch->commands, watch->commands + 1, watch->command_count * sizeof(watch->commands[0]));
 }

@@ -76,7 +76,7 @@ struct watch_polled {
 struct watch_command {
 	const char *name;
 	uint16_t index;
-	uint8_t sub, size, wire[4];
+	uint8_t sub, size, wire[OD_VALUE_MAX];
 };
 
 struct watch {
@@ -91,7 +91,10 @@ struct watch {
 	double bus_hz;			      /* frames of all nodes, in the last second; 0: not measured yet */
 	uint64_t heard_us;		      /* time of the last frame of the node; 0: none yet */
 	struct watch_polled polled[WATCH_POLLED];
-	char message[160];		/* what became of the last command; "" before */
+	char message[160];	/* what became of the last command; "" before */
+	unsigned commands_done; /* all commands so far, and the result of the last one */
+	enum sdo_result command_result;
+	uint32_t command_abort;
 	char events[OD_DOMAIN_MAX + 1]; /* 2131h when it was read last */
 
 	/* PRIVATE */
@@ -130,6 +133,8 @@ void watch_poll(struct watch *watch, uint64_t now_us);
 void watch_read_events(struct watch *watch);
 /** Writes an object by SDO when its turn comes; `message` then says what became of it. `name` lives as long as that. */
 void watch_command(struct watch *watch, const char *name, uint16_t index, uint8_t sub, uint32_t value, uint8_t size);
+/** The same for a value of any type but DOMAIN. False: passive, or WATCH_COMMANDS of them are waiting. */
+bool watch_write(struct watch *watch, const char *name, uint16_t index, uint8_t sub, const void *wire, size_t size);
 /** The 1 sigma of a mapped value as polled, in its unit; NAN: unknown. Sigmas are of the global frame: for an axis of
  * the object, or roll and pitch, it is that of the least certain axis (for roll and pitch: of the horizontal ones). */
 double watch_sigma(const struct watch *watch, const struct od_entry *entry);

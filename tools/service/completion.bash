@@ -18,12 +18,13 @@ _imu9() {
 	case $before in
 	-i | --can) _imu9_interfaces "$word"; return ;;
 	-n | --node-id) COMPREPLY=($(compgen -W "$(seq 1 127)" -- "$word")); return ;;
-	--set | --change) compopt -o nospace; _imu9_objects "$word"; return ;;
+	--set | --change | --allow-writes) compopt -o nospace; _imu9_objects "$word"; return ;;
 	--imu) compopt -o nospace; COMPREPLY=($(compgen -W 'sim replay: i2c:/dev/i2c- iio wt901:/dev/tty' -- "$word")); return ;;
 	--cia309) compopt -o nospace; COMPREPLY=($(compgen -W 'unix: tcp:127.0.0.1:' -- "$word")); return ;;
 	--modbus) compopt -o nospace; COMPREPLY=($(compgen -W 'tcp: rtu:/dev/tty' -- "$word")); return ;;
 	--log-level) COMPREPLY=($(compgen -W 'error warning info debug' -- "$word")); return ;;
 	--listen) compopt -o nospace; COMPREPLY=($(compgen -W '127.0.0.1:8410 [::1]:8410' -- "$word")); return ;;
+	--format) COMPREPLY=($(compgen -W 'json sparkplug' -- "$word")); return ;;
 	--broker) compopt -o nospace; COMPREPLY=($(compgen -W 'mqtt:// mqtts://' -- "$word")); return ;;
 	-f | --figure) COMPREPLY=($(compgen -W 'attitude acceleration position trajectory spectrum allan' -- "$word")); return ;;
 	-c | --config | -e | --eds | -o | --output | --answers | -r | --reference | --store | --record | --movements | --frames | --ca | --cert | --key | --credentials | --spool | --token-file)
