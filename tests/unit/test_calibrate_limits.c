@@ -928,8 +928,8 @@ static void test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives(void **st
 	assert_near(e.matrix.m[2][2], 50 / 40.0, 1e-8);
 }
 
-/* Ten of 200 points that lie 10 uT outside, all to one side, move the centre of a plain fit, and hardly that of a robust
- * one. */
+/* Ten of 200 points that lie 10 uT outside, all to one side, move the centre of a plain fit, and hardly that of a
+ * robust one. */
 static void test_a_robust_fit_is_hardly_moved_by_outliers(void **state)
 {
 	struct vec3 points[200];

@@ -225,6 +225,29 @@ static void test_a_large_bias_of_what_lies_is_learnt_from_the_start(void **state
 	}
 }
 
+/* Two seconds in a row that agree: a pause of 1.5 s has none, however many there are. */
+static void test_a_bias_is_learnt_from_two_steady_seconds_in_a_row(void **state)
+{
+	static const struct {
+		double pause_s;
+		bool learnt;
+	} cases[] = {{1.5, false}, {2.5, true}};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct fusion f = fusion(six_axes());
+
+		for (int k = 0; k < 200 * 20; k++) {
+			const struct imu_sample s = {.gyro_rad_s = {0.002, -0.001, 0.001}, .accel_m_s2 = {0, 0, G}};
+
+			if (fmod(k / 200.0, cases[i].pause_s + 0.3) < cases[i].pause_s)
+				fusion_update_bias_at_rest(&f, s.gyro_rad_s, 1.0 / 200);
+			fusion_step(&f, &s, 1.0 / 200);
+		}
+		assert_int_equal(f.kalman.bias_known, cases[i].learnt);
+	}
+}
+
 static void test_a_magnet_for_20_seconds_does_not_turn_the_heading(void **state)
 {
 	const struct vec3 magnets_b[] = {{15, 0, 0}, {0, -30, 20}, {100, 100, 0}};
@@ -1353,6 +1376,7 @@ int main(void)
 		cmocka_unit_test(test_the_bias_is_estimated_in_motion),
 		cmocka_unit_test(test_the_bias_estimate_is_limited),
 		cmocka_unit_test(test_a_large_bias_of_what_lies_is_learnt_from_the_start),
+		cmocka_unit_test(test_a_bias_is_learnt_from_two_steady_seconds_in_a_row),
 		cmocka_unit_test(test_a_magnet_for_20_seconds_does_not_turn_the_heading),
 		cmocka_unit_test(test_a_magnet_beside_a_still_object_does_not_turn_its_heading),
 		cmocka_unit_test(test_another_homogeneous_field_becomes_the_reference_after_20_seconds_of_turning),
