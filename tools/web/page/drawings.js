@@ -54,11 +54,13 @@ function up(direction) {
   ];
 }
 
+const ASIDE = 0.6; /* rad, so that the axis that points to the eye can be seen */
+
 /** Then turned about the vertical, so that the side with the chip is seen if that can be. */
 function towards_eye(r) {
   const [x, y] = [r[0][2], r[1][2]];
   if (Math.hypot(x, y) < 0.1) return r;
-  const turn = Math.atan2(OUT[1], OUT[0]) - Math.atan2(y, x),
+  const turn = Math.atan2(OUT[1], OUT[0]) + ASIDE - Math.atan2(y, x),
     c = Math.cos(turn),
     s = Math.sin(turn);
   return [0, 1, 2].map((row) =>
