@@ -1,5 +1,6 @@
 /* imu9-web without its network, and a whole device on the same simulated bus: what browsers ask for and get. */
 #include <json-c/json.h>
+#include <malloc.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -876,6 +877,41 @@ static void test_a_browser_that_leaves_takes_its_reads_with_it_but_not_its_write
 	assert_int_equal(b->web.nodes[WORLD_NODE_ID].job_count, 0);
 }
 
+static void test_memory_is_constant_with_twenty_browsers(void **state)
+{
+	struct bench *b = *state;
+	int clients[20];
+	size_t at_first = 0, size;
+
+	clients[0] = unlocked(b);
+	ask(b, clients[0], "\"op\":\"nmt\"," NODE ",\"command\":\"start\"");
+	ask(b, clients[0], "\"op\":\"sync\",\"hz\":100");
+	for (int i = 1; i < 20; i++)
+		clients[i] = web_connect(&b->web, b->world.now_us);
+	for (int i = 0; i < 20; i++) {
+		ask(b, clients[i], "\"op\":\"subscribe\"," NODE ",\"hz\":20");
+		ask(b, clients[i], "\"op\":\"poll\"," NODE ",\"objects\":[\"position_sigma\"],\"hz\":10");
+	}
+	for (int second = 0; second < 60; second++) {
+		uint64_t due_us = UINT64_MAX;
+
+		web_disconnect(&b->web, clients[19]); /* one comes and goes */
+		clients[19] = web_connect(&b->web, b->world.now_us);
+		ask(b, clients[19], "\"op\":\"subscribe\"," NODE ",\"hz\":20");
+		ask(b, clients[19], "\"op\":\"read\"," NODE ",\"objects\":[\"lever_arm\"]");
+		for (int i = 0; i < 100; i++) {
+			run(b, -1, 10);
+			for (int k = 0; k < 20; k++)
+				while (web_has_output(&b->web, clients[k], b->world.now_us, &due_us))
+					assert_non_null(web_output(&b->web, clients[k], &size, b->world.now_us));
+		}
+		forget_events(b);
+		if (second == 29) /* each has had its first events of every kind */
+			at_first = mallinfo2().uordblks;
+	}
+	assert_true(mallinfo2().uordblks < at_first + 10000);
+}
+
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
 
 int main(void)
@@ -912,6 +948,7 @@ int main(void)
 		TEST(test_requests_that_are_none_are_refused),
 		TEST(test_names_of_devices_in_another_encoding_arrive_as_utf8),
 		TEST(test_a_browser_that_leaves_takes_its_reads_with_it_but_not_its_writes),
+		TEST(test_memory_is_constant_with_twenty_browsers),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -12,6 +12,14 @@
 #include "tools/web/request.h"
 #include "tools/web/web.h"
 
+/* Whether the node stopped answering: the last step is then the one that failed, or was not tried. */
+static bool is_lost(const struct web_job *job)
+{
+	const struct web_step *last = job->steps + job->count;
+
+	return job->count > 0 && last[-1].result != SDO_DONE && last[-1].result != SDO_ABORTED;
+}
+
 /* "format". False after an answer. */
 static bool find_format(struct web *web, struct web_job *job, bool *dcf)
 {
@@ -137,8 +145,7 @@ bool web_op_save(struct web *web, struct web_job *job, uint64_t now_us)
 				ok = web_read(job, table->entries[i].index, table->entries[i].sub) && ok;
 		return ok;
 	}
-	const struct web_step *last = job->count ? &job->steps[job->count - 1] : NULL;
-	if (last && last->result != SDO_DONE && last->result != SDO_ABORTED) {
+	if (is_lost(job)) {
 		web_refuse(web, job, "no answer from node %u", job->node->id);
 		return false;
 	}
@@ -331,26 +338,28 @@ static bool end_load(struct web *web, struct web_job *job, uint64_t now_us)
 bool web_op_load(struct web *web, struct web_job *job, uint64_t now_us)
 {
 	struct file *file = job->data;
-	const struct web_step *last = job->count ? &job->steps[job->count - 1] : NULL;
 	const struct settings_write *write;
+	bool failed = false;
 
 	if (job->stage == 0)
 		return start_load(web, job);
-	if (last && last->result != SDO_DONE && last->result != SDO_ABORTED) {
+	if (is_lost(job)) {
 		if (!file->writing) {
 			web_refuse(web, job, "no answer from node %u", job->node->id);
 			return false;
 		}
-		add_failure(file->failures, file->writing, last->result, 0);
+		add_failure(file->failures, file->writing, SDO_TIMEOUT, 0);
 		return end_load(web, job, now_us);
 	}
 	if (job->stage == 1 && !plan_writes(file, job)) {
 		web_refuse(web, job, "out of memory");
 		return false;
 	}
-	bool failed = file->writing && last->result == SDO_ABORTED;
-	if (failed)
-		add_failure(file->failures, file->writing, last->result, last->abort_code);
+	if (file->writing) { /* the only step */
+		failed = job->steps[0].result == SDO_ABORTED;
+		if (failed)
+			add_failure(file->failures, file->writing, SDO_ABORTED, job->steps[0].abort_code);
+	}
 	write = settings_plan_next(&file->plan, failed);
 	if (!write)
 		return end_load(web, job, now_us);
