@@ -2,7 +2,8 @@
  * sensors. After a line on standard input each node sends its four TPDOs HZ times a second, for SECONDS. The sample
  * counter counts from 0, and acceleration and angles follow from it: the receiver knows what it must have got.
  *
- * usage: nodes BUS FIRST COUNT HZ SECONDS: nodes FIRST to FIRST + COUNT - 1. Prints the number of samples of each. */
+ * usage: nodes BUS FIRST COUNT HZ SECONDS: nodes FIRST to FIRST + COUNT - 1. Prints the number of samples of
+ * each, and that of frames that could not be sent. */
 #include <errno.h>
 #include <poll.h>
 #include <stdio.h>
@@ -16,7 +17,7 @@
 #include "od_values.h"
 #include "tools/lib/cli.h"
 
-enum { NODES = 127, EACH_SAMPLE = 254, BEYOND_US = 2000000 };
+enum { NODES = 127, EACH_SAMPLE = 254, BEYOND_US = 2000000, FLUSH_US = 1000 };
 
 static struct simulated {
 	struct can_port port; /* first member: what it sends goes to the bus */
@@ -106,10 +107,12 @@ int main(int argc, char **argv)
 	for (uint32_t k = 0; k < samples; k++)
 		for (size_t i = 0; i < count; i++) { /* spread over the period, as nodes without a common clock are */
 			serve_until(begin_us + (uint64_t)(1e6 / hz * ((double)k + (double)i / (double)count)), -1);
+			while (bus->queue_count > 0) /* a late player must not make the bus lose frames */
+				serve_until(cli_now_us() + FLUSH_US, -1);
 			sample(&nodes[i], (uint8_t)(first + (long)i), k, cli_now_us());
 		}
 	serve_until(cli_now_us() + BEYOND_US, -1);
-	printf("%u\n", samples);
+	printf("%u %u\n", samples, bus->counters.tx_dropped);
 	can_close(bus);
 	return 0;
 }

@@ -159,6 +159,21 @@ static void test_no_sample_is_lost_or_doubled_when_frames_of_two_interleave(void
 			assert_int_equal(seen[sample][number], 1);
 }
 
+static void test_two_records_of_a_sample_have_different_times(void **state)
+{
+	uint64_t first_us = b.now_us;
+
+	(void)state;
+	pdo(1, 5, 1, 7);
+	pass(30 * MS);
+	b.now_us = first_us; /* the time stamps of both frames are the same */
+	pdo(2, 5, 2, 7);
+	pass(60 * MS);
+	assert_int_equal(count_of(RECORD_VALUES), 2);
+	assert_int_equal(record_of(RECORD_VALUES, 1)->counter, record_of(RECORD_VALUES, 0)->counter);
+	assert_true(record_of(RECORD_VALUES, 1)->utc_us > record_of(RECORD_VALUES, 0)->utc_us);
+}
+
 static void test_a_sample_that_is_sent_again_is_published_once(void **state)
 {
 	(void)state;
@@ -298,6 +313,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_pdos_with_one_counter_are_one_sample_with_the_time_of_the_first),
 		TEST(test_no_sample_is_lost_or_doubled_when_frames_of_two_interleave),
+		TEST(test_two_records_of_a_sample_have_different_times),
 		TEST(test_a_sample_that_is_sent_again_is_published_once),
 		TEST(test_decimation_keeps_the_average_rate),
 		TEST(test_with_a_threshold_only_changes_are_published_and_one_a_minute),

@@ -126,10 +126,11 @@ static void close_sample(struct fleet *fleet, struct fleet_node *node)
 	node->any_published = true;
 }
 
+/* Two records of a node never have the same time: with the sample counter it is the key that tells duplicates. */
 static void open_sample(struct fleet_node *node, uint64_t t_us)
 {
 	node->sample = (struct record){0};
-	node->opened_us = t_us;
+	node->opened_us = later(t_us, node->opened_us + 1);
 }
 
 static uint64_t field_wire(const struct watch_field *field, uint64_t payload)
