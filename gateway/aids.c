@@ -19,9 +19,9 @@ enum { USED_FOR_US = 1000000, STANDSTILL_FOR_US = 500000 };
 
 /* ---- the same value as REAL32 and in 16 bits --------------------------------------------------------------------- */
 
-static int16_t to_16(float value, double lsb)
+int16_t aids_to_16(float value, double step)
 {
-	return (int16_t)fmax(INT16_MIN, fmin(INT16_MAX, round((double)value / lsb)));
+	return (int16_t)fmax(INT16_MIN, fmin(INT16_MAX, round((double)value / step)));
 }
 
 static double step_of(const struct aids *a, uint16_t index, uint8_t sub)
@@ -38,7 +38,7 @@ static void follow_velocity(struct aids *a, uint8_t sub)
 	int16_t *twin[] = {&v->velocity_aid.x16, &v->velocity_aid.y16, &v->velocity_aid.z16};
 
 	if (sub >= 1 && sub <= 3)
-		*twin[sub - 1] = to_16(*real[sub - 1], step_m_s);
+		*twin[sub - 1] = aids_to_16(*real[sub - 1], step_m_s);
 	else if (sub >= 5 && sub <= 7)
 		*real[sub - 5] = (float)(*twin[sub - 5] * step_m_s);
 	else if (sub == 4)
@@ -55,7 +55,7 @@ static void follow_attitude(struct aids *a, uint8_t sub)
 	int16_t *twin[] = {&v->attitude_reset.roll16, &v->attitude_reset.pitch16, &v->attitude_reset.yaw16};
 
 	if (sub >= 1 && sub <= 3)
-		*twin[sub - 1] = to_16(*real[sub - 1], step_deg);
+		*twin[sub - 1] = aids_to_16(*real[sub - 1], step_deg);
 	else if (sub >= 4 && sub <= 6)
 		*real[sub - 4] = (float)(*twin[sub - 4] * step_deg);
 }
@@ -176,6 +176,8 @@ void aids_reset(struct aids *a)
 	v->attitude_reset.roll = v->attitude_reset.pitch = v->attitude_reset.yaw = 0;
 	v->attitude_reset.roll16 = v->attitude_reset.pitch16 = v->attitude_reset.yaw16 = 0;
 	v->attitude_reset.command = a->reset_command = 0;
+	v->reference_acceleration.l = v->reference_acceleration.s = v->reference_acceleration.t = 0;
+	v->reference_acceleration.l16 = v->reference_acceleration.s16 = v->reference_acceleration.t16 = 0;
 	v->commands = a->commands = 0;
 	a->aided = a->standstill = false;
 	a->used_until_us = a->standstill_until_us = 0;

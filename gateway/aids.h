@@ -28,6 +28,8 @@ struct aids { /* PRIVATE */
 void aids_init(struct aids *aids, struct od *od, struct od_values *values, struct pipeline *pipeline);
 /** NMT reset node: no aid was written yet. */
 void aids_reset(struct aids *aids);
+/** A value in steps of its twin in 16 bits, which saturates. */
+int16_t aids_to_16(float value, double step);
 /** Before each pipeline_step(). */
 void aids_step(struct aids *aids, uint64_t now_us);
 /** STATUS_EXTERNAL_AID, or 0. */

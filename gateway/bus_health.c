@@ -198,12 +198,15 @@ static void pass_notice_on(struct bus_health *h)
 	h->bus->notice = NULL;
 }
 
-/* One error for all frames lost with less than a second between them. */
+/* One error for all frames lost with less than a second between them. Those of the time in which the interface is down
+ * are none; the last of them are counted after the last tick of that time. */
 static void watch_lost_frames(struct bus_health *h)
 {
 	uint32_t dropped = h->bus->counters.tx_dropped;
+	bool down = h->bus->state == CAN_STATE_DOWN, was_down = h->was_down;
 
-	if (dropped != h->dropped_seen && h->bus->state != CAN_STATE_DOWN) {
+	h->was_down = down;
+	if (dropped != h->dropped_seen && !down && !was_down) {
 		h->overrun = true;
 		h->overrun_us = h->now_us;
 		canopen_error_set(h->node, EMCY_CAN_OVERRUN, ERROR_COMMUNICATION, NULL, h->now_us);
@@ -287,6 +290,7 @@ uint64_t bus_health_tick(struct bus_health *h, uint64_t now_us)
 
 	h->now_us = now_us;
 	poll_bus(h);
+	canopen_bus_down(h->node, h->bus->state == CAN_STATE_DOWN);
 	watch_state(h);
 	pass_notice_on(h);
 	tick_restart(h);

@@ -23,7 +23,7 @@ struct bus_health {
 	struct record *record; /* of the device */
 	struct od_hook hook;
 	enum can_state seen;
-	bool was_off, overrun, excess_told;
+	bool was_off, was_down, overrun, excess_told;
 	uint32_t dropped_seen; /* bus->counters.tx_dropped at the last tick */
 	uint64_t overrun_us;   /* the last tick that found frames lost */
 	struct can_traffic traffic;

@@ -1,5 +1,6 @@
 #include "gateway/lever_arm_command.h"
 
+#include "gateway/aids.h"
 #include "gateway/settings.h"
 #include "od_index.h"
 
@@ -62,19 +63,26 @@ static enum od_status accept(void *ctx)
 
 /* ---- acceleration of the reference point ------------------------------------------------------------------------- */
 
-/* The write of the last component, the transversal one (REAL32 or 16 bits), completes it. */
+/* The value that was written is copied to its twin: sub-indices 1 to 3 REAL32, 4 to 6 in 16 bits. The write of the last
+ * component, the transversal one, completes it. */
 static void on_reference(void *ctx, const struct od_entry *entry)
 {
 	struct lever_arm_command *c = ctx;
-	const struct od_values *v = c->values;
+	struct od_values *v = c->values;
+	float *real[] = {&v->reference_acceleration.l, &v->reference_acceleration.s, &v->reference_acceleration.t};
+	int16_t *twin[] = {
+		&v->reference_acceleration.l16, &v->reference_acceleration.s16, &v->reference_acceleration.t16};
+	const struct od_entry *steps =
+		od_find(c->od->table, OD_INDEX_REFERENCE_ACCELERATION, OD_SUB_REFERENCE_ACCELERATION_L16, NULL);
 
+	if (entry->sub <= 3)
+		*twin[entry->sub - 1] = aids_to_16(*real[entry->sub - 1], steps->factor);
+	else
+		*real[entry->sub - 4] = (float)(*twin[entry->sub - 4] * steps->factor);
 	if (entry->sub == 3)
-		c->ref_b_m_s2 = (struct vec3){(double)v->reference_acceleration.l, (double)v->reference_acceleration.s,
-			(double)v->reference_acceleration.t};
+		c->ref_b_m_s2 = (struct vec3){(double)*real[0], (double)*real[1], (double)*real[2]};
 	else if (entry->sub == 6)
-		c->ref_b_m_s2 = vec3_scale(
-			entry->factor, (struct vec3){v->reference_acceleration.l16, v->reference_acceleration.s16,
-					       v->reference_acceleration.t16});
+		c->ref_b_m_s2 = vec3_scale(steps->factor, (struct vec3){*twin[0], *twin[1], *twin[2]});
 	else
 		return;
 	c->ref_written = true;

@@ -109,6 +109,8 @@ void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_
 /** Whether an error with this code is active, from any source. */
 bool canopen_error_active(const struct canopen_node *node, uint16_t code);
 
+/** While the interface is down, when frames are lost, EMCYs wait. */
+void canopen_bus_down(struct canopen_node *node, bool down);
 /** The controller went bus-off: NMT follows 1029h:1 (CiA 301, 7.5.2.32). The device raises EMCY 8140h on recovery. */
 void canopen_bus_off(struct canopen_node *node, uint64_t now_us);
 

@@ -201,7 +201,7 @@ static uint64_t send_queue(struct canopen_node *node)
 
 	if (!enabled(emcy))
 		emcy->queue_count = 0;
-	while (emcy->queue_count && nmt_communicates(node) && !lss_silent(node)) {
+	while (emcy->queue_count && nmt_communicates(node) && !lss_silent(node) && !emcy->bus_down) {
 		if (node->now_us < emcy->inhibited_until_us)
 			return emcy->inhibited_until_us;
 		node_send(node, *emcy->cob_id & COB_ID_MASK, emcy->queue[0].data, 8);
@@ -366,4 +366,9 @@ void canopen_error_clear(struct canopen_node *node, uint16_t code, uint64_t now_
 {
 	node->now_us = now_us;
 	emcy_clear(node, code, EMCY_NO_SOURCE);
+}
+
+void canopen_bus_down(struct canopen_node *node, bool down)
+{
+	node->emcy.bus_down = down;
 }

@@ -180,6 +180,7 @@ struct emcy {
 	size_t queue_count;
 	uint32_t lost; /* errors or messages beyond EMCY_ERRORS and EMCY_QUEUE */
 	uint64_t inhibited_until_us;
+	bool bus_down; /* messages wait */
 };
 
 struct store {

@@ -3,7 +3,6 @@
 #include <errno.h>
 #include <math.h>
 #include <stdio.h>
-#include <stdlib.h>
 #include <string.h>
 
 #include "model/math/quat.h"
@@ -18,7 +17,15 @@ enum { EMCY_ID = 0x080 + NODE, REQUEST = 0x600 + NODE, RESPONSE = 0x580 + NODE, 
 static const int64_t HOST_OFFSET_US = INT64_C(1795953600000000);
 
 /* bits of the status word, gateway/README.md */
-enum { VALID = 1 << 0, REST = 1 << 1, FIELD_USED = 1 << 2, GAP = 1 << 4, UNSURE = 1 << 5, SATURATED = 1 << 8, LOST = 1 << 9 };
+enum {
+	VALID = 1 << 0,
+	REST = 1 << 1,
+	FIELD_USED = 1 << 2,
+	GAP = 1 << 4,
+	UNSURE = 1 << 5,
+	SATURATED = 1 << 8,
+	LOST = 1 << 9
+};
 enum { CHIP_FAULT = 1 << 10, AIDED = 1 << 11, UTC = 1 << 13, FORCE_DOUBTED = 1 << 14 };
 
 /* ---- the bus ----------------------------------------------------------------------------------------------------- */
@@ -40,17 +47,16 @@ static int send(struct can_port *port, const struct can_msg *msg)
 {
 	struct site *s = (struct site *)port;
 
+	if (msg->id == HEARTBEAT && msg->data[0] == 0) /* also when it is lost: the next heartbeat is of this start */
+		s->last_emcy = 0;
 	if (port->state == CAN_STATE_DOWN)
 		return -ENETDOWN;
 	if (s->full || port->state == CAN_STATE_BUS_OFF)
 		return -ENOBUFS;
 	if ((msg->id & 0x7F) == NODE && msg->id >= TPDO1 && msg->id <= TPDO4 && msg->id != RESPONSE)
 		s->tpdos[(msg->id - TPDO1) / 0x100] += (msg->id & 0x80) != 0;
-	if (msg->id == HEARTBEAT) {
+	if (msg->id == HEARTBEAT)
 		s->heartbeats++;
-		if (msg->data[0] == 0)
-			s->last_emcy = 0;
-	}
 	if (msg->id == EMCY_ID)
 		note_emcy(s, msg);
 	if (msg->id == RESPONSE) {
@@ -75,18 +81,46 @@ static int filter(struct can_port *port, const uint32_t *ids, size_t n)
 	return 0;
 }
 
+/* The device has it, and was not called since. */
+static void hand_over(struct site *s, const struct can_msg *msg)
+{
+	enum nmt_state before = s->world.device.canopen.nmt.state;
+	bool disk_waited = s->world.disk_waits;
+
+	if (!connected(s))
+		return;
+	device_receive(&s->world.device, msg, s->world.now_us);
+	if (s->heard)
+		s->heard(s, msg, before, disk_waited);
+}
+
+void site_send_msg(struct site *s, const struct can_msg *msg)
+{
+	hand_over(s, msg);
+	device_tick(&s->world.device, s->world.now_us);
+}
+
+static struct can_msg frame(const struct site *s, uint32_t id, size_t len, const void *data)
+{
+	struct can_msg msg = {.id = id, .len = (uint8_t)len, .t_us = s->world.now_us};
+
+	if (len)
+		memcpy(msg.data, data, len);
+	return msg;
+}
+
 void site_send(struct site *s, uint32_t id, size_t len, const void *data)
 {
-	if (connected(s))
-		world_receive(&s->world, id, len, data);
+	struct can_msg msg = frame(s, id, len, data);
+
+	site_send_msg(s, &msg);
 }
 
 static void send_sync(struct site *s, size_t len, uint64_t age_us)
 {
 	struct can_msg msg = {.id = 0x080, .len = (uint8_t)len, .t_us = s->world.now_us - age_us};
 
-	if (connected(s))
-		device_receive(&s->world.device, &msg, s->world.now_us);
+	hand_over(s, &msg);
 }
 
 void site_set_real(struct site *s, uint16_t index, uint8_t sub, float value)
@@ -126,6 +160,13 @@ static void pass(struct site *s, uint64_t us)
 	w->now_us = end_us;
 }
 
+void site_wait(struct site *s, uint64_t us)
+{
+	assert_true(s->waited_us + us < STEP_US);
+	pass(s, us);
+	s->waited_us += us;
+}
+
 static void measure(struct site *s)
 {
 	struct imu_sample sample;
@@ -146,9 +187,13 @@ static void write_to_disk(struct site *s)
 		return;
 	s->disk_steps = 0;
 	s->world.disk_waits = false;
-	if (s->disk_result == 0)
+	if (s->disk_result == 0) {
 		s->world.disk = s->world.to_disk;
+		s->saves++;
+	}
 	device_saved(&s->world.device, s->disk_result, s->world.now_us);
+	if (s->saved)
+		s->saved(s);
 }
 
 static void repair(struct site *s)
@@ -176,7 +221,8 @@ static void send_the_rest(struct site *s)
 
 static void step(struct site *s)
 {
-	pass(s, STEP_US);
+	pass(s, STEP_US - s->waited_us);
+	s->waited_us = 0;
 	if (s->off_us && s->world.now_us >= s->off_us) {
 		s->off_us = 0;
 		s->world.bus.state = CAN_STATE_BUS_OFF;
@@ -498,14 +544,13 @@ static void velocity_flood(struct site *s)
 static void broken_client(struct site *s)
 {
 	static const uint8_t requests[][8] = {
-		{0x21, 0x30, 0x21, 0, 100},	  /* segmented download of 2130h */
-		{0xA4, 0x21, 0x10, 0, 127},	  /* block upload of the EDS */
-		{0xA3},				  /* its start: 127 segments, none is confirmed */
-		{0xC6, 0x30, 0x21, 0, 0, 1},	  /* block download */
-		{0x05, 1, 2, 3, 4, 5, 6, 7},	  /* a segment of it */
-		{0x70},				  /* a segment of no transfer */
-		{0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF},
-		{0x2F, 0x00, 0x10, 0, 1},	  /* a write of a constant */
+		{0x21, 0x30, 0x21, 0, 100},  /* segmented download of 2130h */
+		{0xA4, 0x21, 0x10, 0, 127},  /* block upload of the EDS */
+		{0xA3},			     /* its start: 127 segments, none is confirmed */
+		{0xC6, 0x30, 0x21, 0, 0, 1}, /* block download */
+		{0x05, 1, 2, 3, 4, 5, 6, 7}, /* a segment of it */
+		{0x70},			     /* a segment of no transfer */
+		{0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF}, {0x2F, 0x00, 0x10, 0, 1}, /* a write of a constant */
 	};
 
 	site_send(s, REQUEST, 8, requests[s->steps % (sizeof(requests) / sizeof(requests[0]))]);
@@ -513,11 +558,10 @@ static void broken_client(struct site *s)
 
 static void impatient_client(struct site *s)
 {
-	const struct can_msg msg = {
-		.id = REQUEST, .len = 8, .data = {0x40, 0x00, 0x10}, .t_us = s->world.now_us};
+	const struct can_msg msg = {.id = REQUEST, .len = 8, .data = {0x40, 0x00, 0x10}, .t_us = s->world.now_us};
 
-	for (int i = 0; connected(s) && i < 40; i++)
-		device_receive(&s->world.device, &msg, s->world.now_us);
+	for (int i = 0; i < 40; i++)
+		hand_over(s, &msg);
 }
 
 static void short_request(struct site *s)
@@ -599,18 +643,18 @@ static void clock_synchronised(struct site *s)
 static void process_stopped(struct site *s)
 {
 	enum { STEPS = 25 };
-	static const struct can_msg heartbeat = {.id = 0x700 + SITE_OTHER_NODE, .len = 1, .data = {5}};
-	static const struct can_msg velocity = {.id = RPDO1, .len = 8};
+	struct can_msg heartbeat = {.id = 0x700 + SITE_OTHER_NODE, .len = 1, .data = {5}};
+	struct can_msg velocity = {.id = RPDO1, .len = 8};
 	struct world *w = &s->world;
 
 	w->now_us += STEPS * STEP_US;
 	s->sensor_offset_us += STEPS * STEP_US;
 	for (unsigned i = 0; i < STEPS && s->sync; i++)
 		send_sync(s, 0, (STEPS - i) * STEP_US);
-	if (s->heartbeat && connected(s))
-		device_receive(&w->device, &heartbeat, w->now_us);
-	if (s->velocity && connected(s))
-		device_receive(&w->device, &velocity, w->now_us);
+	if (s->heartbeat)
+		hand_over(s, &heartbeat);
+	if (s->velocity)
+		hand_over(s, &velocity);
 	device_away(&w->device, STEPS * STEP_US, w->now_us);
 	device_tick(&w->device, w->now_us);
 }
@@ -949,7 +993,7 @@ const struct fault FAULTS[] = {
 		.over = "can: error active",
 		.over_s = 1,
 		.recovered_s = 1,
-		.takes = RECEPTION | SENDING | OPERATIONAL},
+		.takes = RECEPTION | OPERATIONAL},
 	{.name = "the bus accepts no frame",
 		.begin = bus_full,
 		.end = bus_has_room,
@@ -1217,15 +1261,13 @@ void site_forget(struct site *s)
 	s->emcy_count = 0;
 }
 
-struct site *site_new(uint64_t seed)
+void site_init(struct site *s, uint64_t seed)
 {
 	static const char *const settings[] = {"communication_cycle_period=10000", "synchronous_window_length=5000",
 		"consumer_heartbeat_time.consumer_1=327980", /* node 5, 300 ms */
 		"rpdo1_communication.event_timer=300", NULL};
 	struct sensor_config sensor = *sensor_preset("lsm303dlhc_l3gd20");
-	struct site *s = calloc(1, sizeof(*s));
 
-	assert_non_null(s);
 	sensor_calibrate(&sensor);
 	world_init(&s->world, &sensor, seed, "rest");
 	s->can = (struct can_ops){.send = send, .filter = filter, .restart = restart};
@@ -1241,7 +1283,6 @@ struct site *site_new(uint64_t seed)
 	site_run(s, 12);
 	s->master_repairs = false;
 	site_forget(s);
-	return s;
 }
 
 bool site_log_has(const struct site *s, const char *text)
@@ -1276,15 +1317,17 @@ static double utc_error_s(const struct site *s)
 	return fabs((double)(utc_us - s->host_offset_us - (int64_t)s->world.now_us)) * 1e-6;
 }
 
-const char *site_deviation(struct site *s, unsigned but)
+const char *site_communicates(struct site *s)
 {
-	static char what[160];
+	static char what[80];
 	const struct od_values *v = &s->world.device.values;
 	uint16_t counter = v->sample.counter;
 	uint32_t value;
 
-	if (s->last_emcy != 0)
-		return "the last EMCY is not 0000h";
+	if (s->last_emcy != 0) {
+		snprintf(what, sizeof(what), "the last EMCY is %04Xh", s->last_emcy);
+		return what;
+	}
 	site_forget(s);
 	site_run(s, 1);
 	for (int i = 0; i < 4; i++)
@@ -1298,10 +1341,6 @@ const char *site_deviation(struct site *s, unsigned but)
 		snprintf(what, sizeof(what), "EMCY %04Xh", get_u16(s->emcy[0].data));
 		return what;
 	}
-	if ((v->sample.status | but) != (VALID | REST | FIELD_USED | UTC | but)) {
-		snprintf(what, sizeof(what), "the status is %04Xh", v->sample.status);
-		return what;
-	}
 	if ((uint16_t)(v->sample.counter - counter) != STEPS_S)
 		return "samples are not counted";
 	if (!site_read(s, 0x1001, 0, &value) || (value & 0xFF) != 0)
@@ -1309,6 +1348,21 @@ const char *site_deviation(struct site *s, unsigned but)
 	if (s->world.device.canopen.nmt.state != NMT_OPERATIONAL || v->status_leds.error != RED_OFF ||
 		v->status_leds.run != 1)
 		return "NMT state or LEDs";
+	return NULL;
+}
+
+const char *site_deviation(struct site *s, unsigned but)
+{
+	static char what[160];
+	const struct od_values *v = &s->world.device.values;
+	const char *wrong = site_communicates(s);
+
+	if (wrong)
+		return wrong;
+	if ((v->sample.status | but) != (VALID | REST | FIELD_USED | UTC | but)) {
+		snprintf(what, sizeof(what), "the status is %04Xh", v->sample.status);
+		return what;
+	}
 	if (tilt_error_deg(s) > 1 || fabs((double)v->acceleration_object.l) > 0.3 ||
 		fabs((double)v->acceleration_object.s) > 0.3 || fabs((double)v->acceleration_object.t) > 0.3) {
 		snprintf(what, sizeof(what), "tilt off by %.2f deg, acceleration %.2f %.2f %.2f m/s^2",

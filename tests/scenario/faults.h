@@ -23,14 +23,19 @@ struct site {
 	bool full;			/* the bus accepts no frame */
 	bool off_again;			/* the controller goes bus-off after each restart */
 	uint64_t off_us;		/* when it does; 0: not */
-	/** The master repairs: it starts a device that is not operational, takes it out of LSS configuration, and resets
-	 * a position that exceeds its integers. */
+	/** The master starts a device that is not operational, takes it out of LSS configuration, and resets a
+	 * position that exceeds its integers. */
 	bool master_repairs;
-	uint64_t age_us;		/* of a SYNC, when the device gets it */
-	uint64_t sensor_offset_us;	/* of its clock */
-	bool stamp_ahead;		/* the next time stamp is wrong */
-	int disk_result;		/* of each store */
-	unsigned disk_steps;		/* that the present one has taken */
+	uint64_t age_us;	   /* of a SYNC, when the device gets it */
+	uint64_t waited_us;	   /* since the last step */
+	uint64_t sensor_offset_us; /* of its clock */
+	bool stamp_ahead;	   /* the next time stamp is wrong */
+	int disk_result;	   /* of each store */
+	unsigned saves;		   /* that have succeeded */
+	/** NULL, or told each frame that the device has received, and what it was before. */
+	void (*heard)(struct site *, const struct can_msg *, enum nmt_state before, bool disk_waited);
+	void (*saved)(struct site *); /* NULL, or told when a save has ended */
+	unsigned disk_steps;	      /* that the present one has taken */
 	const struct fault *faults[SITE_FAULTS];
 	size_t fault_count;
 
@@ -40,7 +45,7 @@ struct site {
 		uint8_t data[8];
 	} emcy[SITE_EMCYS];
 	size_t emcy_count;   /* the first SITE_EMCYS are kept */
-	uint16_t last_emcy; /* 0 after a boot-up */
+	uint16_t last_emcy;  /* 0 after a boot-up */
 	uint32_t sdo_answer; /* the last abort code, or 0 */
 	struct can_msg sdo;  /* the last response */
 };
@@ -75,8 +80,8 @@ struct fault {
 	double seen_s;
 	uint16_t code; /* of the EMCY; 0: none is sent */
 	uint8_t error_register, info[5];
-	uint16_t also[3];	/* codes of what it causes besides */
-	uint16_t set, clear;	/* bits of the status word */
+	uint16_t also[3];    /* codes of what it causes besides */
+	uint16_t set, clear; /* bits of the status word */
 	enum site_led led;
 	bool pre_operational;	/* the device leaves operational */
 	const char *log, *over; /* lines of the event log, parts of them: at its beginning, and after its end */
@@ -91,8 +96,8 @@ struct fault {
 extern const struct fault FAULTS[];
 extern const size_t FAULT_COUNT;
 
-/** A site that has been at rest for 12 s, operational; allocated. `seed`: of the sensor's noise. */
-struct site *site_new(uint64_t seed);
+/** A site that has been at rest for 12 s, operational. `s` is zeroed; `seed`: of the sensor's noise. */
+void site_init(struct site *s, uint64_t seed);
 
 void fault_begin(struct site *, const struct fault *);
 void fault_end(struct site *, const struct fault *);
@@ -103,6 +108,9 @@ void site_forget(struct site *);
 
 /** A frame of another node, which the controller does not hear while it is bus-off or down. */
 void site_send(struct site *, uint32_t id, size_t len, const void *data);
+void site_send_msg(struct site *, const struct can_msg *);
+/** Time passes without a sample, less than 10 ms. */
+void site_wait(struct site *, uint64_t us);
 /** A write as Modbus does it: in every NMT state. */
 void site_set_real(struct site *, uint16_t index, uint8_t sub, float value);
 /** Expedited upload: whether there was an answer, and that. */
@@ -111,6 +119,8 @@ bool site_read(struct site *, uint16_t index, uint8_t sub, uint32_t *value);
 /** Whether the event log has this text. */
 bool site_log_has(const struct site *, const char *text);
 
+/** Lets a second pass and looks at communication alone: NULL, or what is wrong. */
+const char *site_communicates(struct site *);
 /** Lets a second pass and compares the device with what it was before all faults, but for these bits of the status
  * word. NULL, or what is not as before. */
 const char *site_deviation(struct site *, unsigned but);

@@ -341,6 +341,20 @@ static void test_an_interface_that_goes_down_after_bus_off_has_not_recovered(voi
 	assert_int_equal(emcy_count(w, 0x8140), 1);
 }
 
+static void test_emcys_of_the_time_when_the_interface_is_down_are_sent_when_it_is_up(void **state)
+{
+	struct world *w = *state;
+
+	canopen_error_set(&w->node, 0xFF00, 0x81, NULL, w->now_us);
+	set_state(w, CAN_STATE_DOWN);
+	canopen_error_clear(&w->node, 0xFF00, w->now_us);
+	assert_int_equal(emcy_count(w, 0x0000), 0);
+	set_state(w, CAN_STATE_ACTIVE);
+	run(w, SECOND);
+	assert_int_equal(emcy_count(w, 0xFF00), 1);
+	assert_int_equal(emcy_count(w, 0x0000), 1);
+}
+
 static void test_a_restart_due_while_the_interface_is_down_waits_without_busy_polling(void **state)
 {
 	struct world *w = *state;
@@ -392,6 +406,7 @@ int main(void)
 		TEST(test_a_failed_restart_is_repeated_later),
 		TEST(test_the_command_is_refused_unless_the_controller_is_bus_off),
 		TEST(test_an_interface_that_goes_down_after_bus_off_has_not_recovered),
+		TEST(test_emcys_of_the_time_when_the_interface_is_down_are_sent_when_it_is_up),
 		TEST(test_a_restart_due_while_the_interface_is_down_waits_without_busy_polling),
 		TEST(test_a_bit_rate_that_is_unsupported_or_not_permitted_is_not_possible),
 	};

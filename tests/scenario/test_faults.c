@@ -25,9 +25,11 @@ static struct site *at_rest; /* a copy of it, before any fault */
 static int set_up(void **state)
 {
 	(void)state;
-	site = site_new(1);
+	site = calloc(1, sizeof(*site));
 	at_rest = malloc(sizeof(*at_rest));
+	assert_non_null(site);
 	assert_non_null(at_rest);
+	site_init(site, 1);
 	*at_rest = *site;
 	return 0;
 }
@@ -91,8 +93,8 @@ static void check_signs(const struct fault *f, bool log)
 /* CiA 303-3: of two the one of the higher priority. */
 static enum site_led led_of(const struct fault *f, const struct fault *other)
 {
-	static const enum site_led order[] = {RED_ON, RED_QUADRUPLE, RED_TRIPLE, RED_DOUBLE, RED_SINGLE, RED_BLINKING,
-		RED_FLICKERING};
+	static const enum site_led order[] = {
+		RED_ON, RED_QUADRUPLE, RED_TRIPLE, RED_DOUBLE, RED_SINGLE, RED_BLINKING, RED_FLICKERING};
 
 	for (size_t i = 0; i < sizeof(order) / sizeof(order[0]); i++)
 		if ((f->led == order[i] && shows(f, other)) || (other && other->led == order[i] && shows(other, f)))
@@ -168,7 +170,8 @@ static void run_one(const struct fault *f)
 	site->master_repairs = true;
 	site_run(site, f->over_s);
 	if (f->code) {
-		expect(!canopen_error_active(&site->world.device.canopen, f->code), "EMCY %04Xh is not over", f->code, 0);
+		expect(!canopen_error_active(&site->world.device.canopen, f->code), "EMCY %04Xh is not over", f->code,
+			0);
 		snprintf(line, sizeof(line), "error %04Xh (%s) is over", f->code, emcy_code_text(f->code));
 		expect(site_log_has(site, line), "the log does not have the end of the error", 0, 0);
 	}

@@ -186,6 +186,22 @@ static void test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2(void **stat
 	assert_near(w->device.lever_arm_command.ref_b_m_s2.z, 0.005, 1e-12);
 }
 
+static void test_each_write_of_2075h_updates_the_twin_and_reset_node_sets_both_to_zero(void **state)
+{
+	struct world *w = *state;
+	const float l = 1.26f;
+	const int16_t s = -400;
+
+	assert_int_equal(world_sdo_write(w, 0x2075, 1, &l, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x2075, 5, &s, 2), 0);
+	assert_int_equal(w->device.values.reference_acceleration.l16, 252);
+	assert_true(w->device.values.reference_acceleration.s == -2);
+	world_nmt(w, 0x81);
+	assert_int_equal(w->device.values.reference_acceleration.l16, 0);
+	assert_true(w->device.values.reference_acceleration.l == 0);
+	assert_true(w->device.values.reference_acceleration.s == 0);
+}
+
 static void test_a_reference_that_comes_with_the_samples_is_used_without_a_delay(void **state)
 {
 	struct robot *robot = *state;
@@ -366,6 +382,7 @@ int main(void)
 		TEST(test_a_reference_that_comes_with_the_samples_is_used_without_a_delay),
 		TEST(test_one_rpdo_can_carry_the_reference),
 		TEST(test_the_16_bit_twins_of_2075h_count_in_steps_of_5_mm_s2),
+		TEST(test_each_write_of_2075h_updates_the_twin_and_reset_node_sets_both_to_zero),
 		TEST(test_a_reference_that_stops_is_used_for_50_ms_and_the_identification_refused),
 		TEST(test_a_reference_point_that_moves_is_refused_and_2000h_stays),
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
