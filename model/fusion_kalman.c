@@ -458,6 +458,14 @@ static void doubt_mean_force(
 	doubt_force(k, off2);
 }
 
+/* m^2/s^2, of the lever arm's velocity by the gyro's noise and bias, each axis. */
+static double lever_variance(const struct fusion_kalman *k)
+{
+	double bias = k->covariance[BIAS][BIAS] + k->covariance[BIAS + 1][BIAS + 1] + k->covariance[BIAS + 2][BIAS + 2];
+
+	return vec3_dot(k->lever_arm_b_m, k->lever_arm_b_m) * (squared(REST_GYRO_NOISE) / k->sums.time_s + bias / 3);
+}
+
 static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	struct vec3 lever_n_m_s, bool rest, double *error)
 {
@@ -467,7 +475,8 @@ static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman
 
 	k->spread_m2_s2 += share * ((x * x + y * y) / 2 - k->spread_m2_s2);
 	k->spread_m2_s2 = fmin(most, fmax(k->spread_m2_s2, squared(LEAST_SPREAD) * most));
-	variance = rest ? squared(REST_VELOCITY_M_S) : 2 * VELOCITY_TIME_S / k->sums.time_s * k->spread_m2_s2;
+	variance = rest ? squared(REST_VELOCITY_M_S)
+			: 2 * VELOCITY_TIME_S / k->sums.time_s * k->spread_m2_s2 + lever_variance(k);
 	doubt_mean_force(k, config, x * x + y * y, rest);
 	measure(k, error, VELOCITY, -x, variance);
 	measure(k, error, VELOCITY + 1, -y, variance);
@@ -917,7 +926,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	for (int i = VELOCITY; i < VELOCITY + 2 && rest && !k->resting; i++)
 		set_variance(k, i, squared(STEADY_VELOCITY_M_S));
 	k->resting = rest;
-	measure_velocity(k, config, lever_n_m_s, rest, error);
+	measure_velocity(k, config, rest ? (struct vec3){0, 0, 0} : lever_n_m_s, rest, error);
 	measure_bias(k, steady, gyro_errors->bias_b_rad_s, error);
 	field_used = k->sums.fields > 0 && measure_heading(k, config, *q_nb, rest, error);
 	if (!covariance_is_valid(k)) {

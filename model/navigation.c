@@ -259,6 +259,12 @@ static struct vec3 variance(const struct navigation *n, int at)
 	return (struct vec3){n->p[at][at], n->p[at + 1][at + 1], n->p[at + 2][at + 2]};
 }
 
+/* m^2/s^2, each axis: of the sensor's velocity relative to the reference point by the noise of the mean rate of t_s. */
+static double lever_noise(const struct navigation *n, double t_s)
+{
+	return squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t_s * vec3_dot(n->lever_b_m, n->lever_b_m);
+}
+
 static double guide_walk(const struct navigation *n)
 {
 	return guide_walk_m2_s3(n->config.noise.gyro_density_rad_s_sqrt_hz, n->gravity_m_s2);
@@ -333,9 +339,18 @@ static struct vec3 part(const double x[N], int at)
 	return (struct vec3){x[at], x[at + 1], x[at + 2]};
 }
 
+/* The reference point of what stands stays where it is. */
+static void turn_to(struct navigation *n, struct quat q_nb)
+{
+	if (n->still)
+		n->position_n_m = vec3_add(
+			n->position_n_m, vec3_sub(quat_rotate(q_nb, n->lever_b_m), quat_rotate(n->q_nb, n->lever_b_m)));
+	n->q_nb = q_nb;
+}
+
 static void apply_correction(struct navigation *n, const double x[N])
 {
-	n->q_nb = quat_normalize(quat_multiply(quat_from_rotation_vector(part(x, THETA)), n->q_nb));
+	turn_to(n, quat_normalize(quat_multiply(quat_from_rotation_vector(part(x, THETA)), n->q_nb)));
 	n->velocity_n_m_s = vec3_add(n->velocity_n_m_s, part(x, V));
 	n->position_n_m = vec3_add(n->position_n_m, part(x, P));
 	n->gyro_bias_b_rad_s = vec3_add(n->gyro_bias_b_rad_s, part(x, BG));
@@ -730,7 +745,8 @@ static void turn_heading(struct navigation *n, double angle_rad)
 {
 	struct quat turn = quat_from_rotation_vector((struct vec3){0, 0, angle_rad});
 
-	n->q_nb = quat_multiply(turn, n->q_nb);
+	turn_to(n, quat_multiply(turn, n->q_nb));
+	n->lever_from_n_m = quat_rotate(turn, n->lever_from_n_m);
 	n->velocity_n_m_s = quat_rotate(turn, n->velocity_n_m_s);
 	smoother_break(n->smoother);
 	rope_restart(&n->rope, n->q_nb);
@@ -745,7 +761,7 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 
 	if (off.z > 0 && hypot(off.x, off.y) < LOST_RAD)
 		return false;
-	n->q_nb = in->q_nb;
+	turn_to(n, in->q_nb);
 	n->gyro_bias_b_rad_s = in->gyro_bias_b_rad_s;
 	n->accel_bias_b_m_s2 = ZERO;
 	n->velocity_n_m_s =
@@ -929,14 +945,15 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	struct vec3 last = n->last_gyro_known ? vec3_sub(n->last_gyro_b_rad_s, n->gyro_bias_b_rad_s) : omega;
 	struct mat3 r_nb;
 
-	n->q_nb = quat_multiply(n->q_nb, quat_from_rotation_vector(rotation_between(last, omega, dt)));
+	turn_to(n, quat_multiply(n->q_nb, quat_from_rotation_vector(rotation_between(last, omega, dt))));
 	r_nb = mat3_from_quat(n->q_nb);
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
 	if (vertical(n))
 		accel.z *= 1 - share_of_scale(n) * mat3_apply(r_nb, n->accel_bias_b_m_s2).z / in->gravity_m_s2;
 	navigation_sums_add(&n->sums, &r_nb, omega, force, accel, dt);
-	zero_velocity_vibration(&n->zero_velocity, accel, alias_variance(&n->alias), dt);
+	zero_velocity_vibration(
+		&n->zero_velocity, accel, alias_variance(&n->alias) + lever_noise(n, NAVIGATION_INTERVAL_S), dt);
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
@@ -1025,12 +1042,12 @@ static void weigh_hanging(struct navigation *n, struct zero_velocity_signals sig
 	n->hangs_still = z->standing_s > 0;
 }
 
-/* At the end of an interval, after its measurements; turned_rad: how they turned the attitude. */
-static void weigh_hypotheses(
-	struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad, double t_s, double dt_s)
+/* At the end of an interval, after its measurements; turned_rad: how they turned the attitude, rate_b_rad_s: mean of
+ * the interval, whose noise is less than that of a sample. */
+static void weigh_hypotheses(struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad,
+	struct vec3 rate_b_rad_s, double t_s, double dt_s)
 {
-	struct vec3 lever =
-		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
+	struct vec3 lever = quat_rotate(n->q_nb, vec3_cross(rate_b_rad_s, in->lever_b_m));
 	bool steady = n->rest.still_s > n->config.standstill.time_s;
 
 	n->stood |= n->still;
@@ -1197,6 +1214,7 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 {
 	double t_s = n->sums.t_s;
 	struct quat before = n->q_nb;
+	struct vec3 rate_b_rad_s = vec3_scale(1 / t_s, n->sums.turned_b_rad);
 
 	if (!assumptions(n)->dwell)
 		add_scale_error(n);
@@ -1224,9 +1242,19 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 	correct(n, in);
 	memset(&n->sums, 0, sizeof(n->sums));
 	if (!assumptions(n)->dwell)
-		weigh_hypotheses(
-			n, in, quat_to_rotation_vector(quat_multiply(n->q_nb, quat_conjugate(before))), t_s, dt_s);
+		weigh_hypotheses(n, in, quat_to_rotation_vector(quat_multiply(n->q_nb, quat_conjugate(before))),
+			rate_b_rad_s, t_s, dt_s);
 	record(n, in);
+}
+
+static void follow_lever(struct navigation *n, struct vec3 lever_b_m)
+{
+	struct vec3 change = vec3_sub(lever_b_m, n->lever_b_m);
+
+	if (!n->lever_from_known || vec3_dot(change, change) > 0)
+		n->lever_from_n_m = quat_rotate(n->q_nb, lever_b_m);
+	n->lever_from_known = true;
+	n->lever_b_m = lever_b_m;
 }
 
 bool navigation_step(struct navigation *n, const struct navigation_input *in, double dt_s)
@@ -1251,6 +1279,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->stood_s = still ? n->stood_s + dt_s : 0;
 	n->still = still;
 	n->gravity_m_s2 = in->gravity_m_s2;
+	follow_lever(n, in->lever_b_m);
 	n->fusion_variance_rad2 = in->attitude_variance_rad2;
 	n->north_found |= in->north_found;
 	n->force_variance_m2_s3 += dt_s * in->force_variance_m2_s4;
@@ -1286,7 +1315,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 {
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
-	n->last_gyro_known = n->guide.holds = false;
+	n->last_gyro_known = n->guide.holds = n->lever_from_known = false;
 	rope_restart(&n->rope, q_nb);
 	reset_errors(n, THETA, squared(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));
@@ -1298,6 +1327,7 @@ void navigation_reset_position(struct navigation *n)
 		smoother_end(n->smoother, n->stood_s, n->p);
 	n->position_n_m = n->earlier_variance_m2 = n->way_from_n_m = ZERO;
 	n->way2_max_m2 = 0;
+	n->lever_from_known = false;
 	set_variance(n, P, 0);
 	n->ended_by_reset = n->still;
 	n->reset_in_motion = !n->still;
@@ -1333,6 +1363,24 @@ static struct vec3 squares(const double a[3])
 	return (struct vec3){squared(a[0]), squared(a[1]), squared(a[2])};
 }
 
+/* m^2/s^2: of the reference point's velocity, by the gyro's noise and bias. */
+static struct vec3 by_lever_rate(const struct navigation *n, double rate_hz)
+{
+	struct vec3 bias = variance(n, BG);
+	double v = lever_noise(n, 1 / rate_hz) + (bias.x + bias.y + bias.z) / 3 * vec3_dot(n->lever_b_m, n->lever_b_m);
+
+	return (struct vec3){v, v, v};
+}
+
+/* The reference point is off by the lever arm's turn since the position was zero, times the error of the attitude. */
+static struct vec3 by_lever(const struct navigation *n, struct vec3 angle2)
+{
+	struct vec3 d = vec3_sub(quat_rotate(n->q_nb, n->lever_b_m), n->lever_from_n_m);
+
+	return (struct vec3){angle2.y * d.z * d.z + angle2.z * d.y * d.y, angle2.x * d.z * d.z + angle2.z * d.x * d.x,
+		angle2.x * d.y * d.y + angle2.y * d.x * d.x};
+}
+
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
@@ -1344,6 +1392,7 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 	struct vec3 position = vec3_add(vec3_add(n->earlier_variance_m2, displacement),
 		by_accel_scale(n, vec3_dot(n->position_n_m, n->position_n_m)));
 
+	position = vec3_add(position, by_lever(n, angle));
 	displacement = vec3_add(displacement, squares(n->alias.position_m));
 	position = vec3_add(position, squares(n->alias.position_m));
 	if (n->still) {
@@ -1351,7 +1400,7 @@ struct navigation_sigma navigation_sigma(const struct navigation *n, double rate
 
 		velocity = vec3_add(velocity, (struct vec3){variance, variance, variance});
 	} else {
-		velocity = vec3_add(velocity, squares(n->alias.velocity_m_s));
+		velocity = vec3_add(vec3_add(velocity, squares(n->alias.velocity_m_s)), by_lever_rate(n, rate_hz));
 	}
 	if (heading_unknown(n)) {
 		position = vec3_add(position, by_heading(n->position_n_m, UNKNOWN_CHORD2));

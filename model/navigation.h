@@ -107,6 +107,7 @@ struct navigation {
 	double force_variance_m2_s3;	     /* integral of navigation_input.force_variance_m2_s4 over the interval */
 	struct vec3 fusion_variance_rad2;    /* the last of navigation_input.attitude_variance_rad2 */
 	double gravity_m_s2;
+	struct vec3 lever_b_m; /* the last of navigation_input.lever_b_m */
 	bool started, still;
 	bool ended_by_reset;   /* the movement before this standstill ended with a reset of the position */
 	unsigned movements;    /* that began after a standstill of a second, or one with a reset of the position */
@@ -139,6 +140,8 @@ struct navigation {
 	double high_pass2_max;	      /* and its greatest square since the last standstill */
 	struct vec3 lever_n_m_s;      /* the lever arm's velocity when that was last moved on */
 	bool lever_known;
+	struct vec3 lever_from_n_m; /* the lever arm when the position was zero */
+	bool lever_from_known;
 	double moving_s;      /* since the last standstill */
 	double aided_s;	      /* for how long the last velocity from outside holds */
 	bool aided_in_motion; /* it was not that of a standstill */

@@ -111,14 +111,14 @@ static double quadratic(double a[3][3], struct vec3 v)
 	return sum;
 }
 
-void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double alias_m2_s2, double dt_s)
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double beside_m2_s2, double dt_s)
 {
 	struct vec3 off = vec3_sub(accel_n_m_s2, z->accel_low_n_m_s2), *v = &z->vibration_n_m_s;
 
 	*v = vec3_scale(VIBRATION_S / (VIBRATION_S + dt_s), vec3_add(*v, vec3_scale(dt_s, off)));
 	z->accel_low_n_m_s2 = vec3_add(z->accel_low_n_m_s2, vec3_scale(dt_s / (VIBRATION_BASE_S + dt_s), off));
 	z->fast_vibration_m2_s2 += dt_s / (VIBRATION_MEMORY_S + dt_s) * (vec3_dot(*v, *v) - z->fast_vibration_m2_s2);
-	z->vibration_m2_s2 = z->fast_vibration_m2_s2 + alias_m2_s2;
+	z->vibration_m2_s2 = z->fast_vibration_m2_s2 + beside_m2_s2;
 }
 
 void zero_velocity_restart(struct zero_velocity *z, bool moving)
@@ -208,11 +208,12 @@ static double distance2(const struct zero_velocity_fork *f, const struct zero_ve
 	const double by_tilt = g2 * (squared(noise->gyro_density_rad_s_sqrt_hz) / 2 * t * t * t / 3 +
 					    f->bias_variance_rad2_s2 * t * t * t * t / 4);
 	const double walk = fmax(squared(noise->accel_density_m_s2_sqrt_hz) / 2, z->accel_walk_m2_s3);
+	const double by_lever = f->bias_variance_rad2_s2 * vec3_dot(n->lever_b_m, n->lever_b_m);
 	double sum = 0;
 
 	for (int i = 0; i < 3; i++) {
 		double variance =
-			f->p[V + i][V + i] + z->vibration_m2_s2 + squared(STANDS_M_S) +
+			by_lever + f->p[V + i][V + i] + z->vibration_m2_s2 + squared(STANDS_M_S) +
 			(f->accel_variance_m2_s4[i] + squared(INSTABILITIES * noise->accel_bias_instability_m_s2)) * t *
 				t +
 			walk * t + turned_bias_variance(f, i) + squared(ACCEL_SCALE_SQRT_S) * f->sums.accel2_m2_s3 / 3 +

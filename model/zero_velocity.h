@@ -52,14 +52,14 @@ struct zero_velocity {
 	double weight;
 	/** To be added to the reference point's position and velocity, and to their variances, to get the mixture's. */
 	struct vec3 position_shift_n_m, velocity_shift_n_m_s, position_variance_m2, velocity_variance_m2_s2;
-	/** Variance of the velocity of vibration, all axes. */
+	/** Variance of the velocity of vibration, all axes, with what counts like it. */
 	double vibration_m2_s2;
 	/** For how long the odds have been those of standing. */
 	double standing_s;
 	/* PRIVATE */
 	struct zero_velocity_fork forks[ZERO_VELOCITY_FORKS]; /* from the oldest to the youngest */
 	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
-	double fast_vibration_m2_s2;			/* without what may be an alias */
+	double fast_vibration_m2_s2;			/* of vibration alone */
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
 	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */
 	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
@@ -78,8 +78,9 @@ struct zero_velocity_signals {
 	bool level;			    /* what moves does so horizontally */
 };
 
-/** Each sample: acceleration in the global frame; variance of the velocity by what may be an alias (alias.h). */
-void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double alias_m2_s2, double dt_s);
+/** Each sample: acceleration in the global frame; variance of the velocity by what may be an alias (alias.h) and by the
+ * noise of the lever arm's velocity. */
+void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, double beside_m2_s2, double dt_s);
 
 /** The end of an interval of samples while it stands, before the update that ends it. dt_s: of the last sample. */
 void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n, double dt_s);

@@ -228,6 +228,74 @@ static void test_a_quiet_motion_of_two_minutes_is_one(void **state)
 	}
 }
 
+/* The object turns about its reference point, by angle_rad and back within 20 s, with the sensor at the end of a lever
+ * arm; the reference point stands. */
+static struct run turn_about(struct vec3 lever_b_m, double angle_rad)
+{
+	struct run run = {.way_m = 0};
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	const double w = 2 * PI / 20;
+
+	config.latency.sensor_s = config.latency.accelerometer_s = 0;
+	config.estimator.lever_arm_b_m = lever_b_m;
+	assert_int_equal(pipeline_init(&run.pipeline, &config, RATE_HZ), 0);
+	for (int k = 0; k < 50 * RATE_HZ; k++) {
+		double t = k * DT_S, turning = t > 20 && t < 40, phase = w * (t - 20);
+		double yaw = turning * angle_rad / 2 * (1 - cos(phase)),
+		       rate = turning * angle_rad / 2 * w * sin(phase);
+		const struct vec3 omega = {0, 0, rate}, alpha = {0, 0, turning * angle_rad / 2 * w * w * cos(phase)};
+		struct vec3 at_lever =
+			vec3_add(vec3_cross(alpha, lever_b_m), vec3_cross(omega, vec3_cross(omega, lever_b_m)));
+		struct imu_sample sample = {.t_us = (uint64_t)(k * 10000) + 10000, .flags = SAMPLE_MAG};
+		struct vec3 p, s;
+
+		sample.accel_m_s2 = vec3_add(vec3_add(at_lever, (struct vec3){0.01, -0.02, G}), any_vec(0.025));
+		sample.gyro_rad_s = vec3_add(omega, any_vec(0.35 * RAD_PER_DEG));
+		sample.mag_uT = vec3_add(quat_rotate_inverse(quat_from_rotation_vector((struct vec3){0, 0, yaw}),
+						 (struct vec3){0, 20, -44}),
+			any_vec(0.5));
+		assert_int_equal(pipeline_step(&run.pipeline, &sample, &run.out), 0);
+		p = run.out.position_n_m;
+		s = run.out.sigma.position_m;
+		run.beyond += fabs(p.x) > 3 * hypot(s.x, 1e-3) || fabs(p.y) > 3 * hypot(s.y, 1e-3) ||
+			      fabs(p.z) > 3 * hypot(s.z, 1e-3);
+	}
+	run.beyond /= 50 * RATE_HZ;
+	return run;
+}
+
+/* The gyro's noise times the lever arm is no motion. */
+static void test_the_reference_point_stands_at_the_end_of_a_lever_arm(void **state)
+{
+	const struct vec3 levers_b_m[] = {{0.05, 0, 0}, {0.5, 0, 0}, {5, 0, 0}, {0, -5, 0}, {0, 0, 5}};
+
+	(void)state;
+	for (int i = 0; i < 5; i++) {
+		struct run r = turn_about(levers_b_m[i], 0);
+
+		assert_true(stands(&r));
+		assert_true(vec3_norm(r.out.position_n_m) < 0.02);
+		assert_true(vec3_norm(r.out.sigma.position_m) < 0.05);
+		assert_true(r.beyond < 0.02);
+	}
+}
+
+/* .. and stays where it is while the object turns about it: what stands is that point, not the sensor. */
+static void test_an_object_that_turns_about_its_reference_point_does_not_move_it(void **state)
+{
+	const struct vec3 levers_b_m[] = {{0.05, 0, 0}, {0.5, 0, 0}, {0, 5, 0}, {0, 0, 5}};
+	const double angles_rad[] = {0.1, 2};
+
+	(void)state;
+	for (int i = 0; i < 8; i++) {
+		struct run r = turn_about(levers_b_m[i % 4], angles_rad[i / 4]);
+
+		assert_true(r.beyond < 0.02);
+		assert_true(vec3_norm(r.out.position_n_m) < (i / 4 ? 5 : 0.5));
+		assert_true(vec3_norm(r.out.sigma.position_m) < 6);
+	}
+}
+
 /* By dwell, as before the hypotheses: it moves to and fro, so what is steady stands. */
 static void test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be(void **state)
 {
@@ -540,8 +608,8 @@ static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state
 	}
 }
 
-/* To 1 / e within a minute: what is as quiet as it stood moves by 100000 to 1 at most. A moment that is not quiet begins
- * anew. */
+/* To 1 / e within a minute: what is as quiet as it stood moves by 100000 to 1 at most. A moment that is not quiet
+ * begins anew. */
 static void test_the_odds_of_a_quiet_motion_fall_with_its_time(void **state)
 {
 	const double share = 0.01;
@@ -733,6 +801,8 @@ int main(void)
 		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
 		cmocka_unit_test(test_a_motion_that_was_none_ends_and_sigma_covers_it),
 		cmocka_unit_test(test_a_quiet_motion_of_two_minutes_is_one),
+		cmocka_unit_test(test_the_reference_point_stands_at_the_end_of_a_lever_arm),
+		cmocka_unit_test(test_an_object_that_turns_about_its_reference_point_does_not_move_it),
 		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
 		cmocka_unit_test(
 			test_the_odds_of_standing_are_those_of_the_velocity_against_the_speeds_that_the_preset_allows),
