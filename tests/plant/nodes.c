@@ -1,9 +1,10 @@
 /* Many CANopen nodes in one process, for tests/plant/run: the CANopen core and the dictionary of the gateway, without
- * sensors. After a line on standard input each node sends its four TPDOs HZ times a second, for SECONDS. The sample
- * counter counts from 0, and acceleration and angles follow from it: the receiver knows what it must have got.
+ * sensors. They send sample 65535 again and again. After a line on standard input each node sends its four TPDOs HZ
+ * times a second, for SECONDS. The sample counter counts from 0, and acceleration and angles follow from it: the
+ * receiver knows what it must have got.
  *
- * usage: nodes BUS FIRST COUNT HZ SECONDS: nodes FIRST to FIRST + COUNT - 1. Prints the number of samples of
- * each, and that of frames that could not be sent. */
+ * usage: nodes BUS FIRST COUNT HZ SECONDS: nodes FIRST to FIRST + COUNT - 1. Prints the number of samples of each, and
+ * that of frames that could not be sent. */
 #include <errno.h>
 #include <poll.h>
 #include <stdio.h>
@@ -17,7 +18,7 @@
 #include "od_values.h"
 #include "tools/lib/cli.h"
 
-enum { NODES = 127, EACH_SAMPLE = 254, BEYOND_US = 2000000, FLUSH_US = 1000 };
+enum { NODES = 127, EACH_SAMPLE = 254, BEYOND_US = 2000000, FLUSH_US = 1000, HELLO_US = 500000, HELLO = 65535 };
 
 static struct simulated {
 	struct can_port port; /* first member: what it sends goes to the bus */
@@ -101,7 +102,11 @@ int main(int argc, char **argv)
 	count = (size_t)n;
 	for (size_t i = 0; i < count; i++)
 		make_node(&nodes[i], (uint8_t)(first + (long)i), cli_now_us());
-	serve_until(UINT64_MAX, 0);
+	while (poll(&(struct pollfd){.fd = 0, .events = POLLIN}, 1, 0) == 0) { /* until all are known to the receiver */
+		serve_until(cli_now_us() + HELLO_US, 0);
+		for (size_t i = 0; i < count; i++)
+			sample(&nodes[i], (uint8_t)(first + (long)i), HELLO, cli_now_us());
+	}
 	uint64_t begin_us = cli_now_us();
 	uint32_t samples = (uint32_t)(hz * seconds);
 	for (uint32_t k = 0; k < samples; k++)

@@ -118,16 +118,27 @@ struct loop {
 	struct service service;
 	unsigned turns; /* of the sender */
 	uint64_t second_us;
+	int64_t offset_us; /* UTC - CLOCK_MONOTONIC */
 	bool down_told;
 };
 
-/* UTC - CLOCK_MONOTONIC */
-static int64_t utc_offset_us(uint64_t now_us)
+/* UTC - CLOCK_MONOTONIC. The best of three: the process can lose the processor between the clocks. */
+static int64_t utc_offset_us(void)
 {
-	struct timespec t;
+	uint64_t shortest_us = UINT64_MAX;
+	int64_t offset_us = 0;
 
-	clock_gettime(CLOCK_REALTIME, &t);
-	return (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)now_us;
+	for (int i = 0; i < 3; i++) {
+		struct timespec t;
+		uint64_t before_us = cli_now_us();
+		clock_gettime(CLOCK_REALTIME, &t);
+		uint64_t took_us = cli_now_us() - before_us;
+
+		if (took_us < shortest_us)
+			offset_us = (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)(before_us + took_us / 2);
+		shortest_us = earlier(took_us, shortest_us);
+	}
+	return offset_us;
 }
 
 static void put_record(void *ctx, const struct record *record)
@@ -140,6 +151,7 @@ static void each_second(struct loop *loop, uint64_t now_us)
 	bool down = loop->bus->state == CAN_STATE_DOWN;
 
 	loop->second_us = now_us + 1000000;
+	loop->offset_us = utc_offset_us();
 	can_refresh(loop->bus);
 	sender_count(&sender, &(struct fleet_status){
 				      .nodes = loop->fleet.node_count,
@@ -160,29 +172,28 @@ static void each_second(struct loop *loop, uint64_t now_us)
 	loop->bus->notice = NULL;
 }
 
-static uint64_t serve(struct loop *loop, uint64_t now_us, int64_t offset_us)
+static uint64_t serve(struct loop *loop, uint64_t now_us)
 {
-	uint64_t next_us = fleet_tick(&loop->fleet, now_us, offset_us);
-
-	writes_poll(&options.writes, &loop->fleet, now_us, offset_us); /* what got no answer */
 	if (now_us >= loop->second_us)
 		each_second(loop, now_us);
+	uint64_t next_us = fleet_tick(&loop->fleet, now_us, loop->offset_us);
+	writes_poll(&options.writes, &loop->fleet, now_us, loop->offset_us); /* what got no answer */
 	uint64_t sign_us = service_tick(&loop->service, 0, sender_is_busy(&sender, &loop->turns), now_us);
 	return earlier(earlier(next_us, loop->second_us), sign_us);
 }
 
-static void receive(struct loop *loop, const struct can_msg *msg, uint64_t now_us, int64_t offset_us)
+static void receive(struct loop *loop, const struct can_msg *msg, uint64_t now_us)
 {
-	fleet_receive(&loop->fleet, msg, now_us, offset_us);
-	writes_poll(&options.writes, &loop->fleet, now_us, offset_us);
+	fleet_receive(&loop->fleet, msg, now_us, loop->offset_us);
+	writes_poll(&options.writes, &loop->fleet, now_us, loop->offset_us);
 }
 
-static void take_commands(struct loop *loop, uint64_t now_us, int64_t offset_us)
+static void take_commands(struct loop *loop, uint64_t now_us)
 {
 	struct command command;
 
 	for (int n = 0; n < COMMANDS_A_WAKE && ring_get(&commands, &command, sizeof(command)) > 0; n++)
-		writes_submit(&options.writes, &loop->fleet, &command, now_us, offset_us);
+		writes_submit(&options.writes, &loop->fleet, &command, now_us, loop->offset_us);
 }
 
 /* Readable when a signal arrives, or a command. */
@@ -211,16 +222,15 @@ static void run(struct loop *loop, int signal_fd)
 	uint64_t now_us = cli_now_us();
 
 	for (;;) {
-		bool woken = cli_wait(loop->bus, wake_fd, serve(loop, now_us, utc_offset_us(now_us)));
+		bool woken = cli_wait(loop->bus, wake_fd, serve(loop, now_us));
 		if (woken && is_signal(signal_fd))
 			return;
 		now_us = cli_now_us();
-		int64_t offset_us = utc_offset_us(now_us);
 		for (int n = 0; n < FRAMES_A_WAKE && can_receive(loop->bus, &msg, now_us) > 0; n++)
-			receive(loop, &msg, now_us, offset_us);
+			receive(loop, &msg, now_us);
 		if (woken)
 			ring_clear(&commands);
-		take_commands(loop, now_us, offset_us);
+		take_commands(loop, now_us);
 	}
 }
 
