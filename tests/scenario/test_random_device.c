@@ -1,8 +1,8 @@
 /* Random sequences of everything that reaches the whole device: writes of aids (2070h to 2075h) and configuration by
- * SDO, RPDO, Modbus and CiA 309-3, store and restore, the write lock, resets, procedures, other services, and the faults
- * of the list (faults.c), up to three at once. A model of the objects says what each write must answer and what each
- * value is after each step, by whatever interface it is read. In the end all faults end, the device recovers, and after
- * 1011h and reset node (of each fourth sequence) it is as it was at the start.
+ * SDO, RPDO, Modbus and CiA 309-3, store and restore, the write lock, resets, procedures, other services, and the
+ * faults of the list (faults.c), up to three at once. A model of the objects says what each write must answer and what
+ * each value is after each step, by whatever interface it is read. In the end all faults end and the device recovers;
+ * after 1011h and reset node (of each fourth sequence) it is as it was at the start.
  *
  * IMU9_SEED=N repeats one sequence; IMU9_SEQUENCES=N sets their number (the first is IMU9_FIRST, 1). */
 #include "tests/scenario/faults.h"
