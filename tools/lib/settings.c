@@ -223,7 +223,6 @@ void settings_write_dcf(FILE *out, const struct od_table *table, const char *eds
 	const char *text = eds, *end = eds + size;
 	bool skip = false; /* [DeviceComissioning] of a DCF that is used as EDS */
 
-	*saved = *failed = 0;
 	while (text < end) {
 		const char *newline = memchr(text, '\n', (size_t)(end - text));
 		size_t length = (size_t)((newline ? newline : end) - text);

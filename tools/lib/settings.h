@@ -43,7 +43,8 @@ bool settings_write_value(FILE *out, const struct od_entry *entry, const uint8_t
 /** Gets a value of the node. False: it has none. */
 typedef bool settings_value(void *ctx, const struct od_entry *entry, uint8_t wire[OD_VALUE_MAX], size_t *size);
 /** Copies an EDS line by line as a DCF: [DeviceComissioning], and the value behind each configuration object of
- * `table`. Values that `value` does not get, or that have another type, are left out: `saved` and `failed` count. */
+ * `table`. Values that `value` does not get, or that have another type, are left out: these are added to `failed`, the
+ * others to `saved`. */
 void settings_write_dcf(FILE *out, const struct od_table *table, const char *eds, size_t size, long node_id,
 	settings_value *value, void *ctx, int *saved, int *failed);
 

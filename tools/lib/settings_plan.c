@@ -321,7 +321,7 @@ const struct settings_write *settings_plan_next(struct settings_plan *plan, bool
 	} else if (last) {
 		plan->written += last->counts;
 	}
-	while (plan->at < plan->write_count) {
+	while (plan->writes && plan->at < plan->write_count) {
 		const struct settings_write *write = &plan->writes[plan->at++];
 		bool after_failure = write->group == plan->failed_group;
 

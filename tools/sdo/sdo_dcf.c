@@ -65,7 +65,7 @@ static int save_dcf(struct session *s, const char *path)
 	char *text = NULL;
 	struct save save = {.session = s};
 	FILE *out = open_memstream(&text, &size);
-	int saved, failed;
+	int saved = 0, failed = 0;
 
 	if (!out || !eds) {
 		free(eds);

@@ -95,7 +95,7 @@ static char *eds_text(const struct web_node *node)
 static void write_dcf(FILE *out, struct web_job *job, int *failed)
 {
 	char *eds = eds_text(job->node);
-	int saved;
+	int saved = 0;
 
 	if (eds)
 		settings_write_dcf(out, job->node->eds->table, eds, job->node->eds->size, job->node->id, step_value,
