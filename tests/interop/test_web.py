@@ -232,7 +232,7 @@ class Web(rig.OnTheBus):
 
     def test_only_get_and_only_the_files_of_the_page(self):
         for path in ("/../../etc/passwd", "/..%2f..%2fetc/passwd", "/%2e%2e/%2e%2e/etc/passwd", "//etc/passwd",
-                     "/chart.min.js%00.html", "/tools/web/server.c", "/.", "/\\..\\etc"):
+                     "/chart.min.js%00.html", "/tools/web/server.c", "/\\..\\etc"):
             answer = self.server.raw(("GET %s HTTP/1.1\r\nHost: %s\r\nConnection: close\r\n\r\n" %
                                       (path, self.server.host)).encode())
             self.assertIn(answer[9:12], (b"", b"400", b"403", b"404"), path)  # or closed at once

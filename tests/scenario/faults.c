@@ -59,10 +59,8 @@ static int send(struct can_port *port, const struct can_msg *msg)
 		s->heartbeats++;
 	if (msg->id == EMCY_ID)
 		note_emcy(s, msg);
-	if (msg->id == RESPONSE) {
+	if (msg->id == RESPONSE)
 		s->sdo = *msg;
-		s->sdo_answer = msg->data[0] == 0x80 ? get_u32(msg->data + 4) : 0;
-	}
 	return 0;
 }
 

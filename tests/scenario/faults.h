@@ -44,10 +44,9 @@ struct site {
 	struct {
 		uint8_t data[8];
 	} emcy[SITE_EMCYS];
-	size_t emcy_count;   /* the first SITE_EMCYS are kept */
-	uint16_t last_emcy;  /* 0 after a boot-up */
-	uint32_t sdo_answer; /* the last abort code, or 0 */
-	struct can_msg sdo;  /* the last response */
+	size_t emcy_count;  /* the first SITE_EMCYS are kept */
+	uint16_t last_emcy; /* 0 after a boot-up */
+	struct can_msg sdo; /* the last response */
 };
 
 /** What the signs of one fault need, and another one may take. */
