@@ -264,7 +264,8 @@ cov: ## line and branch coverage of the unit and scenario tests
 	@tests/coverage -p $(BUILD)/cov
 
 FORMATTED = $(shell git ls-files '*.c' '*.h')
-PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run tests/plant/run)
+PYTHON = $(shell git ls-files '*.py' tests/mutate tests/honesty tests/score tests/interop/run tests/page/run \
+	tests/plant/run)
 format: ## apply .clang-format
 	clang-format -i $(FORMATTED)
 
