@@ -894,16 +894,19 @@ static void add_constant_velocity(struct navigation *n, int axis, double varianc
 	n->p[P + axis][P + axis] += variance * squared(t_s);
 }
 
-/* It stands, against the estimate: the velocity was wrong, since the movement began or later. */
+/* It stands, against the estimate, or because nobody moves so quietly for so long: the velocity was wrong, since the
+ * movement began or later; or it moves on. */
 static void doubt_velocity(struct navigation *n, struct vec3 velocity_n_m_s)
 {
 	const double v[3] = {velocity_n_m_s.x, velocity_n_m_s.y, velocity_n_m_s.z};
 
 	n->assumed = false;
 	for (int i = 0; i < 3; i++) {
-		if (may_be_zero(v[i], n->p[V + i][V + i], ZERO_VELOCITY_M_S, CONTRADICTED_SIGMAS))
+		bool contradicted = !may_be_zero(v[i], n->p[V + i][V + i], ZERO_VELOCITY_M_S, CONTRADICTED_SIGMAS);
+
+		n->assumed |= contradicted;
+		if (!contradicted && !zero_velocity_quiet_for_long(&n->zero_velocity))
 			continue;
-		n->assumed = true;
 		add_constant_velocity(n, i, squared(v[i]), n->moved_s);
 		n->p[P + i][P + i] += squared(v[i] * n->moved_s / 2);
 	}

@@ -130,6 +130,11 @@ void zero_velocity_restart(struct zero_velocity *z, bool moving)
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
 }
 
+bool zero_velocity_quiet_for_long(const struct zero_velocity *z)
+{
+	return z->quiet_s >= CRUISE_S;
+}
+
 void zero_velocity_settle(struct zero_velocity *z)
 {
 	double quietly_s = fmin(z->quiet_s, z->moved_quietly_s);

@@ -97,6 +97,8 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
 	double t_s);
 
+/** It has been as quiet as it stood for a minute or longer: what then is a standstill may be a cruise. */
+bool zero_velocity_quiet_for_long(const struct zero_velocity *z);
 /** It stands: what was quiet until now was no motion to learn from. */
 void zero_velocity_settle(struct zero_velocity *z);
 

@@ -296,6 +296,17 @@ static void test_an_object_that_turns_about_its_reference_point_does_not_move_it
 	}
 }
 
+/* One of five minutes is taken for a standstill in the end, and sigma covers that it was none. */
+static void test_a_quiet_motion_that_is_taken_for_a_standstill_is_within_its_sigma(void **state)
+{
+	struct motion m = {{1, 0, 0}, 0.3, 2, 300, 0, 0, MOTION_LINEAR_AXIS};
+	struct run r = move(&m, 300);
+
+	(void)state;
+	assert_true(stands(&r) && error_m(&r, &m) > 30); /* it was taken for one */
+	assert_true(r.beyond < 0.02);
+}
+
 /* By dwell, as before the hypotheses: it moves to and fro, so what is steady stands. */
 static void test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be(void **state)
 {
@@ -801,6 +812,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_long_quiet_drive_sigma_says_that_it_may_have_stopped),
 		cmocka_unit_test(test_a_motion_that_was_none_ends_and_sigma_covers_it),
 		cmocka_unit_test(test_a_quiet_motion_of_two_minutes_is_one),
+		cmocka_unit_test(test_a_quiet_motion_that_is_taken_for_a_standstill_is_within_its_sigma),
 		cmocka_unit_test(test_the_reference_point_stands_at_the_end_of_a_lever_arm),
 		cmocka_unit_test(test_an_object_that_turns_about_its_reference_point_does_not_move_it),
 		cmocka_unit_test(test_what_a_hand_holds_steadily_stands_whatever_its_velocity_seems_to_be),
