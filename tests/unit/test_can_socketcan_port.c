@@ -27,6 +27,7 @@
 
 enum { INDEX = 7, CAN_TYPE = 280, ETHERNET_TYPE = 1, FRAMES = 40, ORDERS = 8, CAN_RAW_LEVEL = 101 };
 enum { NETDEV_UP = 1, REALTIME_AHEAD_S = 1000 };
+enum { STAMP_OPTION = sizeof(time_t) > sizeof(long) ? 64 : 35 }; /* SO_TIMESTAMPNS_NEW or _OLD */
 
 struct frame {
 	uint8_t bytes[80];
@@ -115,7 +116,7 @@ int setsockopt(int fd, int level, int option, const void *value, socklen_t size)
 		memcpy(&k.forced_bytes, value, 4);
 	if (level == SOL_SOCKET && option == 8) /* SO_RCVBUF */
 		memcpy(&k.bytes, value, 4);
-	if (level == SOL_SOCKET && option == 35) /* SO_TIMESTAMPNS */
+	if (level == SOL_SOCKET && option == STAMP_OPTION)
 		k.stamps = *(const int *)value == 1;
 	if (level == SOL_SOCKET && option == 40) /* SO_RXQ_OVFL */
 		k.drops_counted = *(const int *)value == 1;
@@ -203,7 +204,7 @@ int recvmmsg(int fd, struct mmsghdr *headers, unsigned n, int flags, struct time
 
 		assert_int_equal(h->msg_iovlen, 1);
 		assert_true(h->msg_iov->iov_len >= f->size);
-		assert_int_equal(h->msg_controllen, (16 + 16) + (16 + 8)); /* a header and a timespec, and a counter */
+		assert_int_equal(h->msg_controllen, CMSG_SPACE(16) + CMSG_SPACE(4)); /* a timespec and a counter */
 		memcpy(h->msg_iov->iov_base, f->bytes, f->size);
 		headers[count].msg_len = (unsigned)f->size;
 		h->msg_controllen = 0;

@@ -696,13 +696,14 @@ static void test_a_source_port_of_one_bus_can_be_the_port_of_another(void **stat
 
 static void test_a_port_that_a_program_has_for_itself_is_told(void **state)
 {
-	int fd = socket(AF_INET, SOCK_DGRAM, 0);
 	struct sockaddr_in own = {.sin_family = AF_INET};
 	socklen_t size = sizeof(own);
 	struct can_port *port;
 	char name[80], error[200] = "";
 
 	(void)state;
+	skip_in_an_emulator();
+	int fd = socket(AF_INET, SOCK_DGRAM, 0);
 	assert_int_equal(bind(fd, (struct sockaddr *)&own, size), 0);
 	assert_int_equal(getsockname(fd, (struct sockaddr *)&own, &size), 0);
 	snprintf(name, sizeof(name), "udp:239.74.163.77:%u", ntohs(own.sin_port));
