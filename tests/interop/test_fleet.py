@@ -52,6 +52,7 @@ class Published(rig.OnTheBus):
         super().setUp()
         self.broker = mqtt.Broker()
         self.addCleanup(self.broker.close)
+        self.parsed = {}
         self.subscriber = mqtt.Subscriber(self.broker)
         self.addCleanup(self.subscriber.close)
         for number in range(4):
@@ -64,7 +65,9 @@ class Published(rig.OnTheBus):
         return fleet
 
     def documents(self, ending):
-        return [json.loads(payload) for _, payload in self.subscriber.messages(ending)]
+        parsed = self.parsed.setdefault(ending, [])
+        parsed += [json.loads(payload) for _, payload in self.subscriber.messages(ending)[len(parsed):]]
+        return parsed
 
     def values(self):
         return self.documents("/values")
@@ -79,7 +82,7 @@ class Published(rig.OnTheBus):
         return samples, order
 
     def wait_for(self, counter):
-        rig.wait_until(lambda: counter in self.samples()[0])
+        rig.wait_until(lambda: any(d["sample"] == counter for d in self.values()))
 
     def listen_from_first(self, seconds):
         """The frames of complete samples that imu9-fleet has seen, too, and more for so long."""

@@ -127,7 +127,7 @@ struct model {
 	uint32_t value[COUNT], stored[COUNT], saving_value[COUNT]; /* bits; of I16: 16 */
 	uint8_t preset, stored_preset, saving_preset;
 	uint32_t key, saving_key; /* of the write lock; 0: open */
-	enum { NO_SAVE, STORE, RESTORE, LOCK } saving;
+	enum save { NO_SAVE, STORE, RESTORE, LOCK } saving;
 	unsigned saves;
 	bool bad_stored;   /* a value that a fault has written was stored: a reset brings it back */
 	bool rpdo_refused; /* one of this test: EMCY 8200h */
@@ -192,7 +192,7 @@ static uint32_t refusal(size_t i, uint32_t bits)
 	return 0;
 }
 
-static void begin_save(struct model *m, int kind)
+static void begin_save(struct model *m, enum save kind)
 {
 	m->saving = kind;
 	memcpy(m->saving_value, kind == STORE ? m->value : base, sizeof(m->saving_value));
