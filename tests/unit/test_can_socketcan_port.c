@@ -873,7 +873,7 @@ static void test_frames_have_the_time_and_the_losses_of_the_kernel_and_a_buffer_
 	assert_int_equal(k.bytes, 1 << 20);
 	can_close(port);
 	port = NULL;
-	k.refused_option = 35;
+	k.refused_option = STAMP_OPTION;
 	assert_int_equal(can_open("can7", &port, error, sizeof(error)), -EPERM);
 	k.refused_option = 40;
 	assert_int_equal(can_open("can7", &port, error, sizeof(error)), -EPERM);
