@@ -199,9 +199,12 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format \
+.PHONY: tests check emulator distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format \
 	check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
+
+emulator: ## print what runs the programs that CC builds here: nothing, or qemu
+	@echo $(EMULATOR)
 
 check: all tests check-objects ## unit and scenario tests only (seconds, no rig)
 	@BUILD=$(BUILD) EMULATOR=$(EMULATOR) tests/run unit scenario
