@@ -53,9 +53,11 @@ DRIVERS_SRC := $(filter-out drivers/imu/pololu/drdy_gpiod%,$(DRIVERS_SRC)) drive
 CANOPEN_SRC := $(call sources,gateway/canopen/*.c gateway/canopen/client/*.c)
 MODBUS_SRC := $(call sources,gateway/modbus/*.c)
 GATEWAY_SRC := $(filter-out gateway/main.c,$(call sources,gateway/*.c gateway/cia309/*.c))
-PROGRAM_SRC := $(call sources,tools/*/imu9_*.c)
+# imu9-web is for the machine that builds: Debian's libwebsockets-dev cannot be installed for a second architecture
+NOT_CROSS := $(if $(CROSS),tools/web/imu9_web.c tools/web/server.c)
+PROGRAM_SRC := $(filter-out $(NOT_CROSS),$(call sources,tools/*/imu9_*.c))
 FLEET_SRC := $(filter-out $(PROGRAM_SRC),$(call sources,tools/fleet/*.c))
-TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC) $(FLEET_SRC),$(call sources,tools/*/*.c))
+TOOLS_SRC := $(filter-out tools/eds/gen_od.c $(PROGRAM_SRC) $(FLEET_SRC) $(NOT_CROSS),$(call sources,tools/*/*.c))
 
 MODEL_LIB := $(BUILD)/libmodel.a
 LIBS := $(patsubst %,$(BUILD)/lib%.a,tools gateway modbus_server canopen drivers od) $(MODEL_LIB)
