@@ -82,7 +82,7 @@ class Published(rig.OnTheBus):
         return samples, order
 
     def wait_for(self, counter):
-        rig.wait_until(lambda: any(d["sample"] == counter for d in self.values()))
+        rig.wait_until(lambda: counter in self.samples()[0])
 
     def listen_from_first(self, seconds):
         """The frames of complete samples that imu9-fleet has seen, too, and more for so long."""

@@ -36,7 +36,11 @@ static long publish(void *ctx, const struct message *message)
 {
 	struct sender *s = ctx;
 
-	return broker_publish(&s->broker, message);
+	long acknowledgement = broker_publish(&s->broker, message);
+
+	if (acknowledgement > 0)
+		s->awaited = acknowledgement;
+	return acknowledgement;
 }
 
 static long send_record(void *ctx, const uint8_t *bytes, size_t size, bool late)
@@ -141,6 +145,8 @@ static void take_events(struct sender *s, uint64_t now_us)
 			break;
 		case BROKER_ACKED:
 			outbox_acked(&s->outbox, event.acknowledgement);
+			if (event.acknowledgement == s->awaited)
+				s->awaited = 0;
 			break;
 		}
 }
@@ -194,12 +200,13 @@ static void wait_until(struct sender *s, uint64_t until_us)
 	ppoll(fds, 2, &timeout, NULL);
 }
 
-/* What is acknowledged at the last moment is not sent again after the next start. */
+/* What is acknowledged at the last moment is not sent again after the next start. And a connection that is closed with
+ * input unread is reset: the broker then misses the DISCONNECT, and publishes the will. */
 static void wait_for_acknowledgements(struct sender *s)
 {
 	uint64_t now_us = cli_now_us(), end_us = now_us + LAST_ACKNOWLEDGEMENTS_US;
 
-	for (; s->connected && s->outbox.count > 0 && now_us < end_us; now_us = cli_now_us()) {
+	for (; s->connected && (s->outbox.count > 0 || s->awaited > 0) && now_us < end_us; now_us = cli_now_us()) {
 		wait_until(s, end_us);
 		take_events(s, now_us);
 	}
@@ -222,8 +229,10 @@ static void *run(void *ctx)
 	while (take_records(s, cli_now_us()))
 		;
 	wait_for_acknowledgements(s);
-	if (s->connected)
+	if (s->connected) {
 		s->format.ops->end(&s->format, &s->publisher, utc_us());
+		wait_for_acknowledgements(s);
+	}
 	outbox_disconnected(&s->outbox);
 	spool_close(&s->spool);
 	return NULL;

@@ -34,6 +34,7 @@ struct sender {
 	uint64_t pause_us;
 	uint64_t status_us, told_dropped;
 	uint64_t connections;
+	long awaited; /* acknowledgement of the last message; 0: it has come */
 	bool connected, failed_told, disk_told;
 	atomic_bool ending, rebirth;
 	atomic_bool working;
