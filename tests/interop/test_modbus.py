@@ -301,7 +301,7 @@ class Writing(Window):
         self.assertFalse(client.write_registers(LEVER_ARM, words, slave=1).isError())
         self.assertEqual(self.master.upload(NODE, 0x2000, 2), struct.pack("<f", -0.25))
         self.master.download(NODE, 0x2000, 1, struct.pack("<f", 0.5))
-        rig.wait_until(lambda: client.read_holding_registers(LEVER_ARM, 2, slave=1).registers == [0x3F00, 0])
+        rig.wait_until(lambda: client.read_holding_registers(LEVER_ARM, count=2, slave=1).registers == [0x3F00, 0])
 
     def test_refused_writes_are_exceptions_2_and_3_and_keep_the_old_value(self):
         client = self.tcp()
