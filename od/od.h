@@ -227,6 +227,8 @@ void od_words_text(const struct od_entry *entry, uint64_t value, char *text, siz
 enum od_status od_parse(const struct od_entry *entry, const char *text, void *wire, size_t capacity, size_t *size);
 int od_format(const struct od_entry *entry, const void *wire, size_t size, char *text, size_t capacity);
 
+/** A number of an entry, such as a limit, as its type says; in steps. */
+double od_number_value(enum od_type type, union od_number number);
 /** "-10 to 10 m", "0 or more", or "" without limits; limits of scaled integers are in steps, without unit. */
 void od_limits_text(const struct od_entry *entry, char *text, size_t capacity);
 

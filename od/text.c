@@ -379,7 +379,7 @@ int od_format(const struct od_entry *entry, const void *wire, size_t size, char 
 	return (int)length;
 }
 
-static double limit(enum od_type type, union od_number number)
+double od_number_value(enum od_type type, union od_number number)
 {
 	switch (type) {
 	case OD_REAL32:
@@ -397,7 +397,7 @@ static double limit(enum od_type type, union od_number number)
 
 void od_limits_text(const struct od_entry *entry, char *text, size_t capacity)
 {
-	double low = limit(entry->type, entry->low), high = limit(entry->type, entry->high);
+	double low = od_number_value(entry->type, entry->low), high = od_number_value(entry->type, entry->high);
 	const char *unit = entry->factor == 1 ? entry->unit : "", *space = unit[0] ? " " : "";
 
 	text[0] = '\0';

@@ -162,22 +162,6 @@ static void add_number(struct json_object *to, const char *key, double value)
 	json_object_object_add(to, key, json_number(text));
 }
 
-static double limit(const struct od_entry *entry, union od_number number)
-{
-	switch (entry->type) {
-	case OD_REAL32:
-	case OD_REAL64:
-		return number.f;
-	case OD_INTEGER8:
-	case OD_INTEGER16:
-	case OD_INTEGER32:
-	case OD_INTEGER64:
-		return (double)number.i;
-	default:
-		return (double)number.u;
-	}
-}
-
 static void add_words(struct json_object *to, const struct od_entry *entry)
 {
 	struct json_object *words = json_object_new_object();
@@ -219,9 +203,9 @@ static struct json_object *object(const struct od *defaults, const struct od_ent
 	json_object_object_add(to, "unit", json_object_new_string(entry->unit));
 	add_number(to, "step", entry->factor);
 	if (entry->access & OD_LIMIT_LOW)
-		add_number(to, "low", limit(entry, entry->low) * entry->factor);
+		add_number(to, "low", od_number_value(entry->type, entry->low) * entry->factor);
 	if (entry->access & OD_LIMIT_HIGH)
-		add_number(to, "high", limit(entry, entry->high) * entry->factor);
+		add_number(to, "high", od_number_value(entry->type, entry->high) * entry->factor);
 	add_default(to, defaults, entry);
 	if (od_has_words(entry))
 		add_words(to, entry);
