@@ -329,8 +329,12 @@ class Writing(Window):
         self.assertIn(name.encode(), self.master.upload(NODE, 0x2131))
 
     def test_identification_is_read_by_pymodbus(self):
-        from pymodbus.mei_message import ReadDeviceInformationRequest
-        answer = self.tcp().execute(ReadDeviceInformationRequest(3, 0, unit=1))
+        client = self.tcp()
+        if hasattr(client, "read_device_information"):
+            answer = client.read_device_information(read_code=3, object_id=0, slave=1)
+        else:  # pymodbus 3.0
+            from pymodbus.mei_message import ReadDeviceInformationRequest
+            answer = client.execute(ReadDeviceInformationRequest(3, 0, unit=1))
         self.assertEqual(answer.information[0x04], b"IMU9 CANopen gateway")
         self.assertEqual(int(answer.information[0x80], 16), struct.unpack("<I", self.master.upload(NODE, 0x1018, 4))[0])
 
