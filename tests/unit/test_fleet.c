@@ -6,6 +6,7 @@
 #include <stdint.h>
 #include <cmocka.h>
 
+#include <stdio.h>
 #include <string.h>
 
 #include "gateway/canopen/canopen.h"
@@ -306,6 +307,36 @@ static void test_utc_is_written_as_iso_8601(void **state)
 	assert_int_equal(strlen(text), FORMAT_UTC_TEXT - 1);
 }
 
+static long remember(void *ctx, const struct message *message)
+{
+	struct message *last = ctx;
+
+	*last = *message;
+	return 1;
+}
+
+static void test_an_answer_that_is_no_json_object_is_not_published(void **state)
+{
+	const struct format_config config = {.prefix = "imu9", .bus = "can0", .tables = b.config.tables};
+	struct message last = {0};
+	const struct publisher to = {&last, remember};
+	struct record record = {.kind = RECORD_ANSWER, .node_id = 5};
+	static struct format json;
+
+	(void)state;
+	format_init(&json, &format_json, &config, 0);
+	static const char *const DAMAGED[] = {
+		"", "1", "\"object\"", "[1]", "{\"done\":", "{\"done\":true}}", "{\"object\":\"\xC3\x28\"}"};
+	for (size_t i = 0; i < sizeof(DAMAGED) / sizeof(DAMAGED[0]); i++) {
+		snprintf(record.text, sizeof(record.text), "%s", DAMAGED[i]);
+		assert_int_equal(json.ops->record(&json, &to, &record, false), 0);
+		assert_null(last.topic);
+	}
+	snprintf(record.text, sizeof(record.text), "{\"done\":true}\n");
+	assert_int_equal(json.ops->record(&json, &to, &record, false), 1);
+	assert_string_equal(last.topic, "imu9/can0/5/answer");
+}
+
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
 
 int main(void)
@@ -323,6 +354,7 @@ int main(void)
 		TEST(test_frames_that_nobody_maps_are_ignored),
 		TEST(test_a_pdo_of_the_wrong_length_is_counted_and_not_decoded),
 		TEST(test_utc_is_written_as_iso_8601),
+		TEST(test_an_answer_that_is_no_json_object_is_not_published),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -32,6 +32,25 @@ static void node_topic(struct format *f, uint8_t node_id, const char *what)
 	snprintf(f->topic, sizeof(f->topic), "%s/%s/%u/%s", f->config.prefix, f->config.bus, node_id, what);
 }
 
+/* NULL: it is no JSON object, or not in UTF-8. */
+static struct json_object *parse_object(const char *text, size_t size)
+{
+	struct json_tokener *tokener = json_tokener_new_ex(4);
+	struct json_object *object = NULL;
+
+	if (tokener && size > 0) {
+		json_tokener_set_flags(tokener, JSON_TOKENER_STRICT | JSON_TOKENER_VALIDATE_UTF8);
+		object = json_tokener_parse_ex(tokener, text, (int)size);
+	}
+	if (object && (!json_object_is_type(object, json_type_object) || json_tokener_get_parse_end(tokener) != size)) {
+		json_object_put(object);
+		object = NULL;
+	}
+	if (tokener)
+		json_tokener_free(tokener);
+	return object;
+}
+
 static void add_text(struct json_object *to, const char *key, const char *text)
 {
 	json_object_object_add(to, key, json_object_new_string(text));
@@ -260,7 +279,7 @@ static long json_record(struct format *f, const struct publisher *to, const stru
 		view->configured = false;
 		return 0;
 	case RECORD_ANSWER:
-		answer = json_tokener_parse(record->text);
+		answer = parse_object(record->text, strlen(record->text));
 		node_topic(f, record->node_id, "answer");
 		return answer ? publish(f, to, answer, false) : 0;
 	}
@@ -308,18 +327,12 @@ static bool json_command(const struct format_config *config, const char *topic, 
 		return false;
 	snprintf(id, sizeof(id), "%.*s", (int)(slash - (topic + length)), topic + length);
 	int node_id = format_node(id);
-	struct json_tokener *tokener = json_tokener_new_ex(4);
-	struct json_object *document =
-		tokener && size > 0 ? json_tokener_parse_ex(tokener, (const char *)payload, (int)size) : NULL;
-	bool good = document && json_object_is_type(document, json_type_object) && node_id > 0 &&
-		    json_tokener_get_parse_end(tokener) == size &&
-		    member(document, "object", command.object, sizeof(command.object)) &&
+	struct json_object *document = parse_object((const char *)payload, size);
+	bool good = document && node_id > 0 && member(document, "object", command.object, sizeof(command.object)) &&
 		    member(document, "value", command.value, sizeof(command.value)) &&
 		    (!json_object_object_get_ex(document, "id", NULL) ||
 			    member(document, "id", command.id, sizeof(command.id)));
 	json_object_put(document);
-	if (tokener)
-		json_tokener_free(tokener);
 	if (!good)
 		return false;
 	command.node_id = (uint8_t)node_id;
