@@ -25,7 +25,7 @@ static long check_json(void *ctx, const struct message *message)
 	struct json_tokener *tokener = json_tokener_new();
 
 	(void)ctx;
-	json_tokener_set_flags(tokener, JSON_TOKENER_STRICT | JSON_TOKENER_VALIDATE_UTF8);
+	json_tokener_set_flags(tokener, JSON_TOKENER_VALIDATE_UTF8);
 	struct json_object *document = json_tokener_parse_ex(tokener, message->payload, (int)message->size);
 	require(document && json_object_is_type(document, json_type_object));
 	require(strncmp(message->topic, "imu9/bus/", 9) == 0 && message->qos == 1);

@@ -86,7 +86,7 @@ static void pull(int client, uint64_t now_us)
 		struct json_tokener *tokener = json_tokener_new();
 
 		require(text);
-		json_tokener_set_flags(tokener, JSON_TOKENER_STRICT | JSON_TOKENER_VALIDATE_UTF8);
+		json_tokener_set_flags(tokener, JSON_TOKENER_VALIDATE_UTF8);
 		struct json_object *json = json_tokener_parse_ex(tokener, text, (int)size);
 		require(json_tokener_get_error(tokener) == json_tokener_success);
 		require(json_object_is_type(json, json_type_object));

@@ -248,12 +248,12 @@ class SameSample(Window):
 
     def test_pymodbus_over_tcp_reads_the_values_of_the_pdos(self):
         client = self.tcp()
-        read = lambda: of_registers(client.read_input_registers(INTEGERS, 45, slave=1).registers)
+        read = lambda: of_registers(client.read_input_registers(INTEGERS, count=45, slave=1).registers)
         self.collect(read, 50)
 
     def test_pymodbus_over_a_serial_line_reads_the_values_of_the_pdos(self):
         client = self.serial()
-        read = lambda: of_registers(client.read_input_registers(INTEGERS, 45, slave=1).registers)
+        read = lambda: of_registers(client.read_input_registers(INTEGERS, count=45, slave=1).registers)
         self.collect(read, 50)
 
     def test_raw_frames_of_function_43_13_read_the_values_of_the_pdos(self):

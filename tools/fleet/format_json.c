@@ -8,7 +8,10 @@
 #include "od/little_endian.h"
 #include "tools/fleet/format.h"
 #include "tools/lib/cli_value.h"
+#include "tools/lib/json_value.h"
 #include "tools/lib/watch.h"
+
+enum { DEPTH = 4 /* of a document */ };
 
 static long publish(struct format *f, const struct publisher *to, struct json_object *document, bool retain)
 {
@@ -30,25 +33,6 @@ static void bus_topic(struct format *f, const char *what)
 static void node_topic(struct format *f, uint8_t node_id, const char *what)
 {
 	snprintf(f->topic, sizeof(f->topic), "%s/%s/%u/%s", f->config.prefix, f->config.bus, node_id, what);
-}
-
-/* NULL: it is no JSON object, or not in UTF-8. */
-static struct json_object *parse_object(const char *text, size_t size)
-{
-	struct json_tokener *tokener = json_tokener_new_ex(4);
-	struct json_object *object = NULL;
-
-	if (tokener && size > 0) {
-		json_tokener_set_flags(tokener, JSON_TOKENER_STRICT | JSON_TOKENER_VALIDATE_UTF8);
-		object = json_tokener_parse_ex(tokener, text, (int)size);
-	}
-	if (object && (!json_object_is_type(object, json_type_object) || json_tokener_get_parse_end(tokener) != size)) {
-		json_object_put(object);
-		object = NULL;
-	}
-	if (tokener)
-		json_tokener_free(tokener);
-	return object;
 }
 
 static void add_text(struct json_object *to, const char *key, const char *text)
@@ -279,7 +263,7 @@ static long json_record(struct format *f, const struct publisher *to, const stru
 		view->configured = false;
 		return 0;
 	case RECORD_ANSWER:
-		answer = parse_object(record->text, strlen(record->text));
+		answer = json_parse_object(record->text, strlen(record->text), DEPTH);
 		node_topic(f, record->node_id, "answer");
 		return answer ? publish(f, to, answer, false) : 0;
 	}
@@ -327,7 +311,7 @@ static bool json_command(const struct format_config *config, const char *topic, 
 		return false;
 	snprintf(id, sizeof(id), "%.*s", (int)(slash - (topic + length)), topic + length);
 	int node_id = format_node(id);
-	struct json_object *document = parse_object((const char *)payload, size);
+	struct json_object *document = json_parse_object((const char *)payload, size, DEPTH);
 	bool good = document && node_id > 0 && member(document, "object", command.object, sizeof(command.object)) &&
 		    member(document, "value", command.value, sizeof(command.value)) &&
 		    (!json_object_object_get_ex(document, "id", NULL) ||

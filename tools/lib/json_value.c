@@ -1,5 +1,6 @@
 #include "tools/lib/json_value.h"
 
+#include <limits.h>
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,6 +8,25 @@
 #include "od/little_endian.h"
 #include "tools/lib/cli_value.h"
 #include "tools/lib/json_words.h"
+
+/* Not with JSON_TOKENER_STRICT, which refuses all that is not ASCII in json-c 0.18 (Debian 13). */
+struct json_object *json_parse_object(const char *text, size_t size, int depth)
+{
+	struct json_tokener *tokener = json_tokener_new_ex(depth);
+	struct json_object *json = NULL;
+
+	if (tokener && size > 0 && size <= INT_MAX) {
+		json_tokener_set_flags(tokener, JSON_TOKENER_VALIDATE_UTF8);
+		json = json_tokener_parse_ex(tokener, text, (int)size);
+	}
+	if (json && (!json_object_is_type(json, json_type_object) || json_tokener_get_parse_end(tokener) != size)) {
+		json_object_put(json);
+		json = NULL;
+	}
+	if (tokener)
+		json_tokener_free(tokener);
+	return json;
+}
 
 static bool is_text(const struct od_entry *entry)
 {

@@ -8,6 +8,8 @@
 #include "gateway/canopen/client/sdo_client.h"
 #include "od/od.h"
 
+/** One whole JSON object in UTF-8, of at most `depth` levels; NULL: the text is something else. */
+struct json_object *json_parse_object(const char *text, size_t size, int depth);
 /** The digits of the text, since 0.05 as REAL32 is 0.0500000007; NULL for a number that JSON does not have. */
 struct json_object *json_number(const char *text);
 /** The physical value of a value in wire form: a number, true, false, a text, or NULL for a number that JSON does not

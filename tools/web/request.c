@@ -2,6 +2,8 @@
 
 #include <math.h>
 
+#include "tools/lib/json_value.h"
+
 static struct json_object *member(struct json_object *json, const char *key, enum json_type type)
 {
 	struct json_object *value = NULL;
@@ -29,22 +31,14 @@ static size_t count_values(struct json_object *json)
 
 bool web_request_parse(struct web_request *request, const char *text, size_t size, const char **error)
 {
-	struct json_tokener *tokener = size <= WEB_REQUEST_MAX ? json_tokener_new_ex(WEB_REQUEST_DEPTH) : NULL;
-
 	*request = (struct web_request){0};
-	if (!tokener) {
-		*error = size > WEB_REQUEST_MAX ? "the request is too long" : "out of memory";
+	if (size > WEB_REQUEST_MAX) {
+		*error = "the request is too long";
 		return false;
 	}
-	json_tokener_set_flags(tokener, JSON_TOKENER_STRICT | JSON_TOKENER_VALIDATE_UTF8);
-	request->json = json_tokener_parse_ex(tokener, text, (int)size);
-	bool complete = json_tokener_get_error(tokener) == json_tokener_success &&
-			json_tokener_get_parse_end(tokener) == size &&
-			json_object_is_type(request->json, json_type_object);
-	json_tokener_free(tokener);
-	if (!complete) {
+	request->json = json_parse_object(text, size, WEB_REQUEST_DEPTH);
+	if (!request->json) {
 		*error = "the request is not one JSON object";
-		web_request_free(request);
 		return false;
 	}
 	if (count_values(request->json) > WEB_REQUEST_VALUES) {
