@@ -22,11 +22,16 @@ class BlockTransfer(rig.OnTheBus):
     """SDO block transfer (CiA 301, 7.2.4.3.9 to 16). The client drops segment n, counted from 1, if lost(n) is true."""
 
     def request(self, *data):
-        answer = self.master.sdo_request(NODE, bytes(data).ljust(8, b"\0"))
-        if answer[0] == 0x80:
-            raise canopen.Abort(*struct.unpack("<xHBI", answer))
-        return answer
+        self.master.send(canopen.SDO_RX + NODE, bytes(data).ljust(8, b"\0"))
+        return self.answer()
 
+    def answer(self):
+        data = bytes(self.master.wait(canopen.SDO_TX + NODE).data)
+        if data[0] == 0x80:
+            raise canopen.Abort(*struct.unpack("<xHBI", data))
+        return data
+
+    @canopen.again_after_a_timeout
     def upload(self, index, block_size, lost=lambda n: False):
         """The bytes of the object and the CRC that the server sent."""
         data, count = b"", 0
@@ -38,7 +43,7 @@ class BlockTransfer(rig.OnTheBus):
             in_order, done = 0, False
             segments = min(block_size, -(-(size - len(data)) // 7))
             for sequence in range(1, segments + 1):
-                segment = self.master.wait(canopen.SDO_TX + NODE).data
+                segment = self.answer()
                 self.assertEqual(segment[0] & 0x7F, sequence)
                 count += 1
                 if sequence == in_order + 1 and not lost(count):
@@ -47,13 +52,14 @@ class BlockTransfer(rig.OnTheBus):
             self.master.send(canopen.SDO_RX + NODE, bytes((0xA2, in_order, block_size)) + bytes(5))
             if done:
                 break
-        end = self.master.wait(canopen.SDO_TX + NODE).data
+        end = self.answer()
         self.assertEqual(end[0] & 0xE3, 0xC1)
         self.master.send(canopen.SDO_RX + NODE, b"\xA1" + bytes(7))
         data = data[:len(data) - (end[0] >> 2 & 7)]
         self.assertEqual(len(data), size)
         return data, struct.unpack_from("<H", end, 1)[0]
 
+    @canopen.again_after_a_timeout
     def download(self, index, data, lost=lambda n: False, crc=None):
         answer = self.request(0xC6, index & 0xFF, index >> 8, 0, *u32(len(data)))
         self.assertEqual(answer[0] & 0xFB, 0xA0)
@@ -66,7 +72,7 @@ class BlockTransfer(rig.OnTheBus):
                 if not lost(count):
                     self.master.send(
                         canopen.SDO_RX + NODE, bytes((i + 1 | (0x80 if last else 0),)) + segment.ljust(7, b"\0"))
-            answer = self.master.wait(canopen.SDO_TX + NODE).data
+            answer = self.answer()
             self.assertEqual(answer[0], 0xA2)
             at, size = at + answer[1] * 7, answer[2]
         crc = binascii.crc_hqx(data, 0) if crc is None else crc

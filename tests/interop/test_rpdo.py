@@ -104,11 +104,12 @@ class ReceivePdos(rig.OnTheBus):
         self.start()
         self.master.listen(0.3)
         self.send(1, struct.pack("<hhhH", 3000, -2000, 0, 1))
-        received = self.master.wait(RPDO[0] + NODE)
-        self.master.listen(0.1)
-        after = [f for f in self.pdos(self.master.frames) if f.timestamp > received.timestamp]
-        x, y = canopen.decode(after[1].data, "ff")
-        self.assertLess(math.hypot(x - 3, y + 2), 0.5)
+
+        def is_set(frame):
+            x, y = canopen.decode(frame.data, "ff") if frame.arbitration_id == canopen.TPDO[0] + NODE else (0, 0)
+            return math.hypot(x - 3, y + 2) < 0.5
+
+        self.master.wait(is_set)
         self.assertTrue(struct.unpack("<H", self.read(0x210F, 3))[0] & EXTERNAL_AID)
 
     def test_a_change_threshold_reduces_event_driven_pdos(self):
