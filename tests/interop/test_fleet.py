@@ -84,11 +84,20 @@ class Published(rig.OnTheBus):
     def wait_for(self, counter):
         rig.wait_until(lambda: counter in self.samples()[0])
 
-    def listen_from_first(self, seconds):
-        """The frames of complete samples that imu9-fleet has seen, too, and more for so long."""
+    def listen_from_first(self, count):
+        """The frames of so many samples that imu9-fleet has seen, too, and more."""
         rig.wait_until(self.values)
         self.master.drain()
-        return self.master.listen(seconds)
+        return self.listen_to(count)
+
+    def listen_to(self, count):
+        """The frames of at least so many samples."""
+        frames = []
+        while len(self.pdos(frames)) < count + 2:  # the first and the last may not be complete
+            frame = self.master.receive(rig.PATIENCE)
+            self.assertIsNotNone(frame, "no PDO came")
+            frames.append(frame)
+        return frames
 
     def check(self, frames, beside=()):
         """Of each complete sample on the bus: it was published once, in order, with the same values."""
@@ -111,7 +120,7 @@ class FleetPublishes(Published):
     def test_the_values_of_the_pdos_with_their_counters(self):
         self.start()
         self.run_fleet()
-        self.assertGreater(len(self.check(self.listen_from_first(1))), 50)
+        self.assertGreater(len(self.check(self.listen_from_first(100))), 50)
 
     @unittest.skipUnless(jsonschema, "python3-jsonschema is not installed")
     def test_documents_that_fit_the_schema(self):
@@ -162,7 +171,7 @@ class FleetPublishes(Published):
         self.master.remap(NODE, 2, [(0x2103, 1, 32), (0x210F, 1, 16)], transmission=254)  # quaternion.w, REAL32
         self.start()
         self.run_fleet()
-        frames = self.listen_from_first(0.5)
+        frames = self.listen_from_first(50)
         for frame in self.pdos(frames, 2)[1:-1]:
             w, counter = struct.unpack("<fH", frame.data)
             self.wait_for(counter)
@@ -205,13 +214,13 @@ class FleetLosesNothing(Published):
         rig.wait_until(lambda: self.subscriber.process.poll() is None)
         fleet = self.run_fleet()
         self.broker.keep_sessions()
-        frames = self.listen_from_first(0.5)
+        frames = self.listen_from_first(50)
         self.broker.kill_idle(self.gateway, self.subscriber)
-        frames += self.master.listen(SECONDS)
+        frames += self.listen_to(100 * SECONDS)
         self.assertGreater(fleet.spool_bytes(), 0)
         self.assertLess(fleet.spool_bytes(), 64 << 20)
         self.broker.start()
-        frames += self.master.listen(2)
+        frames += self.listen_to(200)
         self.assertGreater(len(self.check(frames)), 100 * SECONDS / 2)
         rig.wait_until(lambda: fleet.spool_bytes() == 0)
 
@@ -219,9 +228,9 @@ class FleetLosesNothing(Published):
         self.start()
         fleet = self.run_fleet()
         self.broker.keep_sessions()
-        frames = self.listen_from_first(0.5)
+        frames = self.listen_from_first(50)
         self.broker.kill_idle(self.gateway, self.subscriber)
-        frames += self.master.listen(1)
+        frames += self.listen_to(100)
         self.assertEqual(fleet.end(), 0)
         self.broker.start()
         fleet.start()
@@ -231,10 +240,10 @@ class FleetLosesNothing(Published):
         self.start()
         fleet = self.run_fleet()
         self.broker.keep_sessions()
-        frames = self.listen_from_first(0.2)
+        frames = self.listen_from_first(20)
         self.broker.kill_idle(self.gateway, self.subscriber)
         rig.wait_until(lambda: fleet.spool_bytes() > 0)
-        frames += self.master.listen(SECONDS + 1)
+        frames += self.listen_to(100 * (SECONDS + 1))
         fleet.end(signal.SIGKILL)
         last = max(of_frames(frames))
         self.broker.start()
@@ -362,7 +371,7 @@ class FleetSpeaksSparkplug(Published):
         self.run_fleet()
         rig.wait_until(lambda: self.of("DDATA"))
         self.master.drain()
-        self.check(self.master.listen(1))
+        self.check(self.listen_to(100))
         birth = {m.name: m for m in self.of("DBIRTH")[0].metrics}
         self.assertEqual(birth["acceleration.l"].properties.values[0].string_value, "m/s^2")
         self.assertEqual(birth["nmt_state"].string_value, "operational")
@@ -372,11 +381,12 @@ class FleetSpeaksSparkplug(Published):
         self.start()
         self.run_fleet()
         rig.wait_until(lambda: len(self.received()) > 300)
-        kinds = [kind for kind, _, _ in self.received()]
+        received = self.received()
+        kinds = [kind for kind, _, _ in received]
         self.assertEqual(kinds[0], "NBIRTH")
         self.assertEqual(kinds.count("NBIRTH"), 1)
         self.assertLess(kinds.index("DBIRTH"), kinds.index("DDATA"))
-        self.assertEqual([p.seq for _, _, p in self.received()], [i % 256 for i in range(len(kinds))])
+        self.assertEqual([p.seq for _, _, p in received], [i % 256 for i in range(len(kinds))])
 
     def test_a_rebirth_when_asked_for(self):
         self.start()
@@ -424,11 +434,11 @@ class FleetSpeaksSparkplug(Published):
         fleet = self.run_fleet()
         self.broker.keep_sessions()
         self.master.drain()
-        frames = self.master.listen(0.5)
+        frames = self.listen_to(50)
         self.broker.kill_idle(self.gateway, self.host)
-        away = self.master.listen(1)
+        away = self.listen_to(100)
         self.broker.start()
-        frames += away + self.master.listen(1)
+        frames += away + self.listen_to(100)
         self.check(frames)
         inner = sorted(c for c, v in of_frames(away).items() if len(v) == 9)[30:-1]
         self.assertEqual([c for c in inner if c not in self.late], [])

@@ -48,7 +48,7 @@ time.sleep(0.4)
 os.close(adapter)
 sys.exit(sdo.wait())' "$@"
 }
-run on_an_adapter_that_is_removed read gravity
+run on_an_adapter_that_is_removed -t 60000 read gravity
 check "a removed adapter is reported" fails 1 "is the adapter plugged in?"
 # with_a_malicious_node ARGUMENT...: imu9-sdo in a terminal, on a bus where node 5 sends control codes in each value
 with_a_malicious_node() {
@@ -92,7 +92,10 @@ start_unconfigured() {
 	done
 }
 start_unconfigured
-run imu9-sdo lss scan
+for _ in {1..10}; do # on a busy machine an answer may come too late
+	run imu9-sdo lss scan
+	[ -z "$out" ] || break
+done
 check "lss scan finds its identity bit by bit" prints \
 	"vendor 00494D55h  product 00000009h  revision ${revision}h  serial ${serial#0x}h"
 run imu9-sdo scan
