@@ -802,6 +802,35 @@ static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 		assert_near(x[i], y[i], 1e-12);
 }
 
+/* The first steady interval counts in full, later ones alike: a step of all quantities is followed by the same share. */
+static void test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill(void **state)
+{
+	static const struct noise_config noise = {.accel_density_m_s2_sqrt_hz = 0.002};
+	struct zero_velocity_signals signals = {
+		.steady = true, .gyro2_rad2_s2 = 1e-6, .accel2_m2_s4 = 1e-4, .accel_walk_m2_s3 = 1e-5};
+	struct standing s = standing_with_fork(&noise, 0, 0.1);
+	double followed;
+
+	(void)state;
+	s.z.quiet_accel2_m2_s4 = s.z.quiet_gyro2_rad2_s2 = s.z.accel_walk_m2_s3 = 0;
+	for (int step = 0; step < 2; step++) {
+		zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+		assert_near(s.z.quiet_gyro2_rad2_s2, 1e-6, 1e-18);
+		assert_near(s.z.quiet_accel2_m2_s4, 1e-4, 1e-16);
+		assert_near(s.z.accel_walk_m2_s3, 1e-5, 1e-17);
+	}
+	signals = (struct zero_velocity_signals){
+		.steady = true, .gyro2_rad2_s2 = 2e-6, .accel2_m2_s4 = 2e-4, .accel_walk_m2_s3 = 2e-5};
+	zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+	followed = s.z.quiet_accel2_m2_s4 / 1e-4 - 1;
+	assert_near(followed, 0.1, 1e-9); /* 0.1 s of a second */
+	assert_near(s.z.quiet_gyro2_rad2_s2 / 1e-6 - 1, followed, 1e-9);
+	assert_near(s.z.accel_walk_m2_s3 / 1e-5 - 1, followed, 1e-9);
+	signals.steady = false;
+	zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+	assert_near(s.z.quiet_accel2_m2_s4 / 1e-4 - 1, followed, 1e-9);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -838,6 +867,7 @@ int main(void)
 		cmocka_unit_test(test_position_and_velocity_are_the_moments_of_the_mixture),
 		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
+		cmocka_unit_test(test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
