@@ -122,7 +122,6 @@ static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4
 	memcpy(covariance, h->information, sizeof(h->information));
 	for (int i = 0; i < 3; i++)
 		covariance[i][i] += 1 / squared(OFFSET_UT);
-	covariance[3][3] += 1e-12;
 	if (linalg_invert(4, covariance[0]) < 0)
 		return false;
 	for (int i = 0; i < 4; i++) {

@@ -991,7 +991,6 @@ static void adopt(struct navigation *n, const struct navigation_input *in, const
 	n->gyro_bias_b_rad_s = f->gyro_bias_b_rad_s;
 	n->accel_bias_b_m_s2 = f->accel_bias_b_m_s2;
 	n->ended_by_reset = false;
-	n->stood_s = 0;
 	n->accelerated_s = BEGIN_S;
 	zero_velocity_restart(&n->zero_velocity, true);
 }

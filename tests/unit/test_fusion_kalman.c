@@ -1366,6 +1366,30 @@ static void test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_time
 	}
 }
 
+/* The offset was wrong: the heading is off by what each microtesla of it has turned it; by too much for a linear
+ * filter, and it is unknown. */
+static void test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it(void **state)
+{
+	struct errors e = {.arm = {0, 0, 0}};
+	struct fusion settled = fusion(NINE_AXES);
+
+	(void)state;
+	follow(&settled, &e, 1, 30);
+	settled.kalman.hard_iron.changes = true;
+	settled.kalman.heading_by_offset_rad_uT = (struct vec3){0.01, 0, 0};
+	memset(settled.kalman.hard_iron.variance_uT2, 0, sizeof settled.kalman.hard_iron.variance_uT2);
+	for (int much = 0; much < 2; much++) {
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+		struct fusion f = settled;
+
+		f.kalman.hard_iron.variance_uT2[0][0] = much ? 300 * 300 : 10 * 10;
+		fusion_step(&f, &m.sample, 0.005);
+		assert_int_equal(f.north_known, !much);
+		assert_near(f.kalman.covariance[2][2] - settled.kalman.covariance[2][2], much ? 0 : 0.01, 1e-4);
+		assert_vec_near(f.kalman.heading_by_offset_rad_uT, ((struct vec3){0, 0, 0}), 1e-3);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1426,6 +1450,7 @@ int main(void)
 		cmocka_unit_test(test_the_fifth_yaw_in_a_row_that_contradicts_the_heading_sets_it),
 		cmocka_unit_test(test_under_a_heading_that_was_set_the_field_is_the_reference_again),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up),
+		cmocka_unit_test(test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

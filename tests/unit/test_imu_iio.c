@@ -1570,6 +1570,48 @@ static void test_a_gyro_that_does_not_come_back_is_reported_each_time(void **sta
 	assert_true(port->health.bus_errors > 1);
 }
 
+/* A timer reads both, of which one has measured 2.5 ms earlier on average: the later one is not waited for. */
+static void test_readings_by_timer_belong_together_within_half_an_interval_of_the_slower_chip(void **state)
+{
+	struct imu_sample sample;
+
+	(void)state;
+	add_triad(add_device("l3gd20", "200", "200"), IIO_ANGL_VEL, "0.00122", 0);
+	add_triad(add_device("lsm303", "100", "100"), IIO_ACCEL, "0.0024", 0);
+	for (int device = 2; device < 4; device++) {
+		add_timestamp(&w.devices[device]);
+		needs_trigger(device);
+	}
+	open_sensor("iio:l3gd20,lsm303");
+	w.now_ns += 100 * MS;
+	run(1, both);
+	assert_int_equal(imu_read(port, &sample), 1);
+	assert_near(sample.accel_m_s2.x, 4 * 0.0024, 1e-9);
+}
+
+static void first_the_gyro_alone(void)
+{
+	if (scans_left-- > 0)
+		only_the_gyro();
+	else
+		both();
+}
+
+static void test_readings_of_the_gyro_before_the_first_acceleration_are_counted_as_lost(void **state)
+{
+	(void)state;
+	add_triad(add_device("l3gd20", "100", "100"), IIO_ANGL_VEL, "0.00122", 0);
+	add_triad(add_device("lsm303", "100", "100"), IIO_ACCEL, "0.0024", 0);
+	add_timestamp(&w.devices[2]);
+	add_timestamp(&w.devices[3]);
+	open_sensor("iio:l3gd20,lsm303");
+	w.now_ns += 100 * MS;
+	scans_left = 3;
+	run(8, first_the_gyro_alone);
+	assert_int_equal(last_result(), 1);
+	assert_int_equal(port->health.overruns, 3);
+}
+
 int main(void)
 {
 #define IIO_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -1613,6 +1655,8 @@ int main(void)
 		IIO_TEST(test_the_capture_starts_again_when_the_magnetometer_is_back),
 		IIO_TEST(test_an_accelerometer_of_its_own_that_stops_is_named),
 		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
+		IIO_TEST(test_readings_of_the_gyro_before_the_first_acceleration_are_counted_as_lost),
+		IIO_TEST(test_readings_by_timer_belong_together_within_half_an_interval_of_the_slower_chip),
 	};
 
 	return cmocka_run_group_tests_name("imu_iio", tests, count_descriptors, no_descriptor_is_left);

@@ -713,6 +713,22 @@ static void test_a_second_axis_needs_0_4_m_s2(void **state)
 	assert_int_equal(verdict_about_l_and_t(0.44, 5), LEVER_FOUND);
 }
 
+/* Quick swings about t, of 15 Hz: at 5 Hz the tilted bias of the accelerometer could explain as much. */
+static void test_a_second_axis_needs_a_twentieth_of_the_first(void **state)
+{
+	const double t_hz = 15, t_rms_s2 = 16;
+
+	(void)state;
+	for (int enough = 0; enough < 2; enough++) {
+		struct scene s = about_l_and_t((enough ? 1.15 : 0.85) * t_rms_s2 / 20, 0);
+
+		s.rate_hz = 200;
+		s.swing_hz.z = t_hz;
+		s.swing_rad.z = sqrt(2) * t_rms_s2 / pow(2 * PI * t_hz, 2) * sqrt(1 + pow(t_hz / LEVER_CUTOFF_HZ, 4));
+		assert_int_equal(identify(&s).verdict, enough ? LEVER_FOUND : LEVER_BLIND_T);
+	}
+}
+
 /* Too uncertain, since the hand sways: more of all helps, or more about the other axes only. */
 static void test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation(void **state)
 {
@@ -799,6 +815,7 @@ int main(void)
 			test_the_residual_may_be_0_3_m_s2_or_1_with_a_reference_and_a_tenth_of_what_the_arm_explains),
 		cmocka_unit_test(test_what_accelerates_a_lever_arm_of_1_m_by_less_than_1_m_s2_is_too_slow),
 		cmocka_unit_test(test_a_second_axis_needs_0_4_m_s2),
+		cmocka_unit_test(test_a_second_axis_needs_a_twentieth_of_the_first),
 		cmocka_unit_test(test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation),
 		cmocka_unit_test(test_each_verdict_has_a_text),
 		cmocka_unit_test(test_up_to_three_lost_samples_in_a_row_are_interpolated),

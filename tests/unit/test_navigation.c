@@ -1420,6 +1420,66 @@ static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a
 	assert_near(navigation_sigma(&n, 100).velocity_m_s.y, hypot(0.02, 0.03), 1e-12);
 }
 
+/* Axis by axis, with parts of which no two have the same sum. */
+static void test_the_sigmas_of_position_and_velocity_are_the_roots_of_the_sums_of_their_parts(void **state)
+{
+	(void)state;
+	for (int still = 0; still < 2; still++) {
+		struct navigation n = {.started = false};
+		struct navigation_sigma sigma;
+
+		navigation_start(&n, &BARE, QUAT_IDENTITY);
+		memset(n.p, 0, sizeof n.p);
+		n.still = still;
+		n.gravity_m_s2 = G;
+		n.earlier_variance_m2 = (struct vec3){1, 2, 3};
+		n.zero_velocity.position_variance_m2 = (struct vec3){40, 50, 60};
+		n.zero_velocity.velocity_variance_m2_s2 = (struct vec3){4, 5, 6};
+		n.zero_velocity.vibration_m2_s2 = 1000;
+		for (int i = 0; i < 3; i++) {
+			n.p[NAVIGATION_V + i][NAVIGATION_V + i] = 0.1 * (i + 1);
+			n.p[NAVIGATION_P + i][NAVIGATION_P + i] = 100 * (i + 1);
+			n.alias.position_m[i] = 20 + i;
+			n.alias.velocity_m_s[i] = 7 + i;
+		}
+		sigma = navigation_sigma(&n, 200);
+		assert_vec_near(
+			sigma.displacement_m, ((struct vec3){sqrt(140 + 400), sqrt(250 + 441), sqrt(360 + 484)}), 1e-9);
+		assert_vec_near(
+			sigma.position_m, ((struct vec3){sqrt(141 + 400), sqrt(252 + 441), sqrt(363 + 484)}), 1e-9);
+		assert_vec_near(sigma.velocity_m_s,
+			(still ? (struct vec3){sqrt(1004.1), sqrt(1005.2), sqrt(1006.3)}
+			       : (struct vec3){sqrt(4.1 + 49), sqrt(5.2 + 64), sqrt(6.3 + 81)}),
+			1e-9);
+	}
+}
+
+/* What the filter learns of tilt and bias holds for the windows of the rope that it has integrated with the wrong ones:
+ * the specific force turns with the attitude. */
+static void test_a_correction_of_the_attitude_turns_the_forces_of_a_rope(void **state)
+{
+	const struct vec3 force = {1, 2, 3};
+	struct navigation_config config = BARE;
+	struct navigation n = {.started = false};
+	struct vec3 theta;
+
+	(void)state;
+	config.preset = MOTION_HANGING_LOAD;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	n.gravity_m_s2 = G;
+	n.rope.window[0].sums.f = force;
+	memset(n.p, 0, sizeof n.p);
+	for (int i = 0; i < 3; i++) { /* the velocity is off by 0.1 s of a tilt */
+		n.p[i][i] = 1e-4;
+		n.p[NAVIGATION_V + i][NAVIGATION_V + i] = 1e-6;
+		n.p[i][NAVIGATION_V + i] = n.p[NAVIGATION_V + i][i] = 1e-5;
+	}
+	navigation_aid_velocity(&n, (struct vec3){1e-3, -2e-3, 1e-3}, 1e-3, ZERO, ZERO);
+	theta = quat_to_rotation_vector(n.q_nb);
+	assert_true(vec3_norm(theta) > 1e-3);
+	assert_vec_near(n.rope.window[0].sums.f, quat_rotate(n.q_nb, force), vec3_dot(theta, theta) * vec3_norm(force));
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1473,6 +1533,8 @@ int main(void)
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
 		cmocka_unit_test(test_a_tilt_or_a_heading_too_far_from_the_fusions_starts_again_from_it),
 		cmocka_unit_test(test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias),
+		cmocka_unit_test(test_the_sigmas_of_position_and_velocity_are_the_roots_of_the_sums_of_their_parts),
+		cmocka_unit_test(test_a_correction_of_the_attitude_turns_the_forces_of_a_rope),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

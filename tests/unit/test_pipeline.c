@@ -1550,6 +1550,32 @@ static void test_a_new_gyro_bias_is_not_an_angular_acceleration(void **state)
 	assert_vec_near(out.rate_b_rad_s, ((struct vec3){0.5, 0, 0}), 0.01);
 }
 
+/* Only the Kalman filter knows how well; the first intervals of a motion take the variance of the bias from it. */
+static void test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_fusion(void **state)
+{
+	(void)state;
+	for (int kalman = 0; kalman < 2; kalman++) {
+		struct pipeline_config config = with_lever();
+		const struct navigation *n;
+		const struct fusion_kalman *k;
+		struct pipeline p;
+		struct vec3 expected;
+
+		config.fusion.algorithm = kalman ? FUSION_KALMAN : FUSION_MAHONY;
+		config.fusion.kalman.bias_sigma_rad_s = 0.05;
+		p = pipeline(&config);
+		run(&p, moving, 0, RATE_HZ);
+		n = &p.position.navigation;
+		k = &p.fusion.kalman;
+		expected = (struct vec3){k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k)};
+		assert_vec_near(n->fusion_variance_rad2, kalman ? expected : ZERO, 0);
+		for (int i = 0; i < 3; i++)
+			assert_int_equal(n->p[NAVIGATION_BG + i][NAVIGATION_BG + i] >
+						 0.9 * k->covariance[KALMAN_BIAS + i][KALMAN_BIAS + i],
+				kalman);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1618,6 +1644,7 @@ int main(void)
 		cmocka_unit_test(test_a_new_acceleration_filter_continues_from_the_last_output),
 		cmocka_unit_test(test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise),
 		cmocka_unit_test(test_a_new_gyro_bias_is_not_an_angular_acceleration),
+		cmocka_unit_test(test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_fusion),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

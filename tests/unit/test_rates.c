@@ -234,6 +234,19 @@ static void test_a_new_filter_gives_the_rates_that_it_gives_from_the_start(void 
 	}
 }
 
+/* What the first sample has turned by since then, the gyro measures as well. */
+static void test_before_the_first_sample_the_attitude_is_that_of_no_turn(void **state)
+{
+	const struct vec3 turn = {0.01, -0.02, 0.03};
+	struct rates r;
+
+	(void)state;
+	assert_int_equal(rates_init(&r, &SMOOTH, RATE_HZ), 0);
+	rates_step(&r, vec3_scale(1 / DT_S, turn), quat_from_rotation_vector(turn), DT_S);
+	assert_true(vec3_norm(r.out[RATES_FROM_GYRO].omega_b_rad_s) > 0);
+	assert_vec_near(r.out[RATES_FROM_ANGLES].omega_b_rad_s, r.out[RATES_FROM_GYRO].omega_b_rad_s, 1e-9);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -250,6 +263,7 @@ int main(void)
 		cmocka_unit_test(test_a_filter_out_of_range_is_refused_and_the_old_one_stays),
 		cmocka_unit_test(test_rates_begin_at_zero_whatever_the_memory_had),
 		cmocka_unit_test(test_a_new_filter_gives_the_rates_that_it_gives_from_the_start),
+		cmocka_unit_test(test_before_the_first_sample_the_attitude_is_that_of_no_turn),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -198,6 +198,31 @@ static void test_a_configuration_out_of_range_is_refused(void **state)
 		assert_int_equal(rest_check(&bad[i]), -EINVAL);
 }
 
+/* The first sample is the mean, whatever was before. */
+static void test_a_restart_forgets_all_that_was_before(void **state)
+{
+	struct rest fresh = {.still_s = 0}, again = {.still_s = 0};
+	const struct vec3 turning = {0.4 * RAD_PER_DEG, -0.3 * RAD_PER_DEG, 0.2 * RAD_PER_DEG};
+
+	(void)state;
+	after(&again, 2, (struct vec3){1, 2, 3}, (struct vec3){4, 5, 6});
+	rest_restart(&again);
+	for (int k = 0; k < 20; k++) {
+		const struct vec3 rate = vec3_add(turning, any_vec(0.01)), force = vec3_add(UP, any_vec(0.01));
+
+		assert_int_equal(step(&fresh, rate, force), step(&again, rate, force));
+		if (k == 0)
+			assert_vec_near(fresh.gyro_mean, rate, 0);
+		assert_vec_near(again.gyro_mean, fresh.gyro_mean, 0);
+		assert_vec_near(again.accel_mean, fresh.accel_mean, 0);
+		assert_vec_near(again.gyro_slow, fresh.gyro_slow, 0);
+		assert_vec_near(again.accel_slow, fresh.accel_slow, 0);
+		assert_near(again.gyro_square, fresh.gyro_square, 0);
+		assert_near(again.accel_square, fresh.accel_square, 0);
+		assert_near(again.still_s, fresh.still_s, 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -213,6 +238,7 @@ int main(void)
 		cmocka_unit_test(test_one_outlier_does_not_end_a_standstill_but_ends_rest),
 		cmocka_unit_test(test_a_standstill_is_seen_within_a_second_of_a_violent_motion),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
+		cmocka_unit_test(test_a_restart_forgets_all_that_was_before),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

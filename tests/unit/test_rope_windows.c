@@ -237,6 +237,23 @@ static void test_a_change_beyond_3_sigma_says_nothing_of_the_length(void **state
 		}
 }
 
+/* Two windows before another load are none of it. */
+static void test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own(void **state)
+{
+	struct navigation_sums second = {.t_s = 1};
+	struct quat q = quat_from_rotation_vector((struct vec3){0.1, -0.2, 0.3});
+	struct rope rope = {.full = 0};
+
+	(void)state;
+	rope_hang(&rope, 5, QUAT_IDENTITY);
+	assert_false(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
+	assert_true(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
+	rope_hang(&rope, 5, q);
+	assert_vec_near(rope.window[ROPE_WINDOWS - 1].up_n, ((struct vec3){0, 0, 1}), 1e-12);
+	assert_false(rope_swing(&rope, q, &second, 1));
+	assert_true(rope_swing(&rope, q, &second, 1));
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -248,6 +265,7 @@ int main(void)
 		cmocka_unit_test(test_the_velocity_of_the_point_is_that_in_the_middle_of_the_last_second),
 		cmocka_unit_test(test_the_length_is_that_of_least_squares),
 		cmocka_unit_test(test_a_change_beyond_3_sigma_says_nothing_of_the_length),
+		cmocka_unit_test(test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own),
 	};
 
 	return cmocka_run_group_tests_name("rope_windows", tests, NULL, NULL);

@@ -31,7 +31,7 @@ static struct world {
 	bool no_line; /* libmodbus makes none */
 	int thread_error;
 	int connect_error, answer_error; /* errno; 0: the sensor answers */
-	int mag_type;			 /* < 0: an exception */
+	int mag_type, mag_error;	 /* of the register with the magnetometer's type; error: no value */
 	unsigned bad_read;		 /* the answer to this read of the measurements is bad, from 1; 0: none */
 	int16_t words[13];
 	bool live;
@@ -174,8 +174,10 @@ int modbus_read_registers(modbus_t *line, int at, int n, uint16_t *words)
 		return -1;
 	if (at == 0x72) {
 		assert_int_equal(n, 1);
+		if (w.mag_error)
+			return failed(w.mag_error);
 		*words = (uint16_t)w.mag_type;
-		return w.mag_type < 0 ? failed(EMBXILADD) : 1;
+		return 1;
 	}
 	assert_int_equal(at, 0x34);
 	assert_int_equal(n, 13);
@@ -523,6 +525,37 @@ static void test_thirty_equal_measurements_are_a_fault_until_they_change(void **
 	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
 }
 
+/* Any exception of Modbus is an answer of the sensor; a bad answer, or an error of the device, is not. */
+static void test_firmware_without_the_register_of_the_type_has_the_usual_magnetometer(void **state)
+{
+	static const struct {
+		int error;
+		bool answered;
+	} cases[] = {{EMBXILFUN, true}, {EMBXILADD, true}, {EMBXGTAR, true}, {MODBUS_ENOBASE, false},
+		{EMBBADCRC, false}, {ETIMEDOUT, false}, {EIO, false}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(cases) / sizeof(*cases); i++) {
+		char error[200] = "";
+
+		w.mag_type = 2;
+		w.mag_error = cases[i].error;
+		assert_int_equal(imu_open("wt901:/dev/ttyUSB7,baud=115200", NULL, &port, error, sizeof(error)),
+			cases[i].answered ? 0 : -cases[i].error);
+		if (cases[i].answered) {
+			struct imu_sample sample;
+
+			w.words[6] = 1000;
+			run(3);
+			assert_int_equal(imu_read(port, &sample), 1);
+			assert_near(vec3_norm(sample.mag_uT), 13, 1e-9);
+			close_sensor();
+		} else {
+			assert_null(port);
+		}
+	}
+}
+
 int main(void)
 {
 #define LINE_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -539,6 +572,7 @@ int main(void)
 		LINE_TEST(test_an_answer_that_is_not_valid_is_never_a_sample),
 		LINE_TEST(test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again),
 		LINE_TEST(test_thirty_equal_measurements_are_a_fault_until_they_change),
+		LINE_TEST(test_firmware_without_the_register_of_the_type_has_the_usual_magnetometer),
 	};
 
 	return cmocka_run_group_tests_name("wt901_port", tests, count_descriptors, no_descriptor_is_left);

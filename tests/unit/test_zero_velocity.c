@@ -334,12 +334,14 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 	const struct {
 		enum motion_preset preset;
 		double scales_m_s[4];
-	} presets[] = {{MOTION_ANY, {0.03, 0.15, 0.7, 3}}, {MOTION_ROBOT_BASE, {0.1, 0.15, 0.7, 3}},
-		{MOTION_LINEAR_AXIS, {0.3, 0.3, 0.7, 3}}, {MOTION_ARM, {0.03, 0.15, 0.7, 3}}};
+		bool stands_steady; /* only what is steady stands */
+	} presets[] = {{MOTION_ANY, {0.03, 0.15, 0.7, 3}, false}, {MOTION_ROBOT_BASE, {0.1, 0.15, 0.7, 3}, false},
+		{MOTION_LINEAR_AXIS, {0.3, 0.3, 0.7, 3}, true}, {MOTION_ARM, {0.03, 0.15, 0.7, 3}, false},
+		{MOTION_VERTICAL_LIFT, {0.3, 0.3, 0.7, 3}, true}, {MOTION_HANGING_LOAD, {0.1, 0.15, 0.7, 3}, false}};
 	const double sigma_m_s = 0.04, speeds_m_s[] = {0.06, 0.1, 0.14};
 
 	(void)state;
-	for (int i = 0; i < 4; i++)
+	for (size_t i = 0; i < sizeof presets / sizeof *presets; i++)
 		for (int j = 0; j < 3; j++) {
 			struct navigation_config config = {
 				.preset = presets[i].preset, .standstill = STANDSTILL_DEFAULTS, .rest_s = 1.5};
@@ -348,8 +350,8 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 			double v = speeds_m_s[j], moves = 0, stands;
 			struct navigation n = {.started = false};
 
-			if (presets[i].preset == MOTION_LINEAR_AXIS)
-				config.standstill.time_s = 0; /* only what is steady stands on it */
+			if (presets[i].stands_steady)
+				config.standstill.time_s = 0;
 			navigation_start(&n, &config, QUAT_IDENTITY);
 			n.velocity_n_m_s = (struct vec3){v, 0, 0};
 			for (int k = 0; k < NAVIGATION_STATES; k++)
@@ -360,10 +362,10 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 				moves += density(v, sigma_m_s * sigma_m_s +
 							    presets[i].scales_m_s[k] * presets[i].scales_m_s[k]) /
 					 4;
-			if (presets[i].preset == MOTION_LINEAR_AXIS)
+			if (presets[i].stands_steady)
 				moves *= 0.01; /* steady: as rare as a quiet motion */
 			stands = density(v, sigma_m_s * sigma_m_s);
-			assert_near(n.zero_velocity.weight, stands / (stands + moves), 0.02);
+			assert_near((1 - n.zero_velocity.weight) / n.zero_velocity.weight * stands / moves, 1, 0.15);
 		}
 }
 
@@ -800,6 +802,35 @@ static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 		assert_near(x[i], y[i], 1e-12);
 }
 
+/* The first steady interval counts in full, later ones alike: a step of all quantities is followed by the same share. */
+static void test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill(void **state)
+{
+	static const struct noise_config noise = {.accel_density_m_s2_sqrt_hz = 0.002};
+	struct zero_velocity_signals signals = {
+		.steady = true, .gyro2_rad2_s2 = 1e-6, .accel2_m2_s4 = 1e-4, .accel_walk_m2_s3 = 1e-5};
+	struct standing s = standing_with_fork(&noise, 0, 0.1);
+	double followed;
+
+	(void)state;
+	s.z.quiet_accel2_m2_s4 = s.z.quiet_gyro2_rad2_s2 = s.z.accel_walk_m2_s3 = 0;
+	for (int step = 0; step < 2; step++) {
+		zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+		assert_near(s.z.quiet_gyro2_rad2_s2, 1e-6, 1e-18);
+		assert_near(s.z.quiet_accel2_m2_s4, 1e-4, 1e-16);
+		assert_near(s.z.accel_walk_m2_s3, 1e-5, 1e-17);
+	}
+	signals = (struct zero_velocity_signals){
+		.steady = true, .gyro2_rad2_s2 = 2e-6, .accel2_m2_s4 = 2e-4, .accel_walk_m2_s3 = 2e-5};
+	zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+	followed = s.z.quiet_accel2_m2_s4 / 1e-4 - 1;
+	assert_near(followed, 0.1, 1e-9); /* 0.1 s of a second */
+	assert_near(s.z.quiet_gyro2_rad2_s2 / 1e-6 - 1, followed, 1e-9);
+	assert_near(s.z.accel_walk_m2_s3 / 1e-5 - 1, followed, 1e-9);
+	signals.steady = false;
+	zero_velocity_stands(&s.z, &s.n, &signals, (struct vec3){0}, (struct vec3){0}, false, 0.1);
+	assert_near(s.z.quiet_accel2_m2_s4 / 1e-4 - 1, followed, 1e-9);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -836,6 +867,7 @@ int main(void)
 		cmocka_unit_test(test_position_and_velocity_are_the_moments_of_the_mixture),
 		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
+		cmocka_unit_test(test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
