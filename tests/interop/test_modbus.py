@@ -71,31 +71,29 @@ class Line:
             os.write(sink, os.read(source, 256))
 
 
+def crc(data):
+    """Of Modbus over serial line V1.02, 6.2.2: polynomial A001h (reflected), begun with FFFFh."""
+    value = 0xFFFF
+    for byte in data:
+        value ^= byte
+        for _ in range(8):
+            value = value >> 1 ^ (0xA001 if value & 1 else 0)
+    return struct.pack("<H", value)
+
+
 class Raw:
-    """Requests of Modbus/TCP byte by byte."""
+    """Requests byte by byte. Its subclasses have request(pdu), which returns the PDU of the response."""
 
-    def __init__(self, port):
-        self.socket = socket.create_connection(("127.0.0.1", port), rig.PATIENCE)
-        self.transaction = self.turn = 0
-
-    def close(self):
-        self.socket.close()
+    turn = 0
 
     def receive(self, size):
         data = b""
         while len(data) < size:
-            part = self.socket.recv(size - len(data))
+            part = self.part(size - len(data))
             if not part:
                 raise ConnectionError("closed")
             data += part
         return data
-
-    def request(self, pdu):
-        self.transaction += 1
-        self.socket.sendall(struct.pack(">HHHB", self.transaction, 0, len(pdu) + 1, 1) + pdu)
-        transaction, protocol, length, _ = struct.unpack(">HHHB", self.receive(7))
-        assert (transaction, protocol) == (self.transaction, 0)
-        return self.receive(length - 1)
 
     def read_object(self, index, sub, form):
         answer = self.request(struct.pack(">BBBBHBHH", 0x2B, 0x0D, 0, NODE, index, sub, 0, 240))
@@ -109,6 +107,41 @@ class Raw:
         counter = self.read_object(0x210F, 1, "H")
         value = self.read_object(0x2100 + pdo, 1 + field, "h")
         return (counter, {(pdo, field): value}) if counter == self.read_object(0x210F, 1, "H") else None
+
+
+class RawTcp(Raw):
+    def __init__(self, port):
+        self.socket = socket.create_connection(("127.0.0.1", port), rig.PATIENCE)
+        self.part, self.close = self.socket.recv, self.socket.close
+        self.transaction = 0
+
+    def request(self, pdu):
+        self.transaction += 1
+        self.socket.sendall(struct.pack(">HHHB", self.transaction, 0, len(pdu) + 1, 1) + pdu)
+        transaction, protocol, length, _ = struct.unpack(">HHHB", self.receive(7))
+        assert (transaction, protocol) == (self.transaction, 0)
+        return self.receive(length - 1)
+
+
+class RawRtu(Raw):
+    """Reads of function 43/13 at address 1 of a serial line."""
+
+    def __init__(self, name):
+        self.file = os.open(name, os.O_RDWR | os.O_NOCTTY)
+
+    def close(self):
+        os.close(self.file)
+
+    def part(self, size):
+        return os.read(self.file, size) if select.select([self.file], [], [], rig.PATIENCE)[0] else b""
+
+    def request(self, pdu):
+        os.write(self.file, b"\1" + pdu + crc(b"\1" + pdu))
+        frame = self.receive(12)  # up to the number of bytes of the value
+        assert frame[:3] == b"\1\x2B\x0D", frame
+        frame += self.receive(frame[11])
+        assert self.receive(2) == crc(frame), frame
+        return frame[1:]
 
 
 class NodeRed:
@@ -193,11 +226,6 @@ class Window(unittest.TestCase):
         self.addCleanup(client.close)
         return client
 
-    def raw(self):
-        raw = Raw(self.port)
-        self.addCleanup(raw.close)
-        return raw
-
 
 class SameSample(Window):
     def setUp(self):
@@ -256,8 +284,15 @@ class SameSample(Window):
         read = lambda: of_registers(client.read_input_registers(INTEGERS, count=45, slave=1).registers)
         self.collect(read, 50)
 
-    def test_raw_frames_of_function_43_13_read_the_values_of_the_pdos(self):
-        self.collect(self.raw().sample, 50)
+    def raw(self, client):
+        self.addCleanup(client.close)
+        self.collect(client.sample, 50)
+
+    def test_raw_frames_of_function_43_13_over_tcp_read_the_values_of_the_pdos(self):
+        self.raw(RawTcp(self.port))
+
+    def test_raw_frames_of_function_43_13_over_a_serial_line_read_the_values_of_the_pdos(self):
+        self.raw(RawRtu(self.line.names[1]))
 
     def mbpoll(self, *target):
         if not shutil.which("mbpoll"):
@@ -364,7 +399,7 @@ class Abuse(Window):
             if k == FRAMES // 4:
                 before = self.memory()
             try:
-                raw = raw or Raw(self.port)
+                raw = raw or RawTcp(self.port)
                 pdu = bytes(dice.choices(range(256), k=dice.randrange(1, 253)))
                 if dice.random() < 0.5:
                     pdu = bytes([dice.choice((1, 2, 3, 4, 5, 6, 15, 16, 22, 23, 43))]) + pdu[1:]
