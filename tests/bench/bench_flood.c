@@ -307,8 +307,8 @@ static void measure_kind(const struct ends *ends, const struct kind *kind, int p
 	drain(&ends->sdo);
 	printf("%-28s %6.0f/s  SYNC to TPDO %.2f times the quiet (%.0f us against %.0f)  %zu SYNCs unanswered  "
 	       "%u samples lost  %u EMCYs  %ld lines of log\n",
-		kind->name, rate, median(&flooded) / median(&quiet), median(&flooded), median(&quiet), flooded.unanswered, samples_lost(&ends->sdo) - lost, drain(&ends->emcy),
-		lines_of_log(folder) - lines);
+		kind->name, rate, median(&flooded) / median(&quiet), median(&flooded), median(&quiet),
+		flooded.unanswered, samples_lost(&ends->sdo) - lost, drain(&ends->emcy), lines_of_log(folder) - lines);
 	fflush(stdout);
 }
 
