@@ -10,7 +10,16 @@
 #include "tools/lib/cli.h"
 #include "tools/web/server.h"
 
-enum { NICE = 10, EDS_FILES = 16, HOSTS = 16, EDS_FILE_MAX = 4 << 20, OPTION_LISTEN = 256, OPTION_TOKEN, OPTION_EDS, OPTION_HOST };
+enum {
+	NICE = 10,
+	EDS_FILES = 16,
+	HOSTS = 16,
+	EDS_FILE_MAX = 4 << 20,
+	OPTION_LISTEN = 256,
+	OPTION_TOKEN,
+	OPTION_EDS,
+	OPTION_HOST
+};
 
 static const char help[] =
 	"Usage: imu9-web [-i BUS] [--listen ADDRESS:PORT] [--eds FILE]... [--token-file FILE]\n"
