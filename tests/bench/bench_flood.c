@@ -10,9 +10,6 @@
 #include <arpa/inet.h>
 #include <dirent.h>
 #include <errno.h>
-#include <linux/filter.h>
-#include <net/if.h>
-#include <poll.h>
 #include <sched.h>
 #include <signal.h>
 #include <stdbool.h>
@@ -22,10 +19,10 @@
 #include <string.h>
 #include <sys/socket.h>
 #include <sys/wait.h>
-#include <time.h>
 #include <unistd.h>
 
 #include "drivers/can/udp_codec.h"
+#include "tests/bench/udp_end.h"
 
 #define GROUP "239.74.163.98"
 enum { PORT = 43198, MODBUS_PORT = 43199, NODE = 1, OTHER = 5 };
@@ -62,109 +59,6 @@ static const struct kind KINDS[] = {
 	{"Modbus, and 50 slow clients", MODBUS, 0, {0}, false},
 };
 
-static void fail(const char *what)
-{
-	fprintf(stderr, "bench_flood: %s: %s\n", what, strerror(errno));
-	exit(EXIT_FAILURE);
-}
-
-static double now_us(void)
-{
-	struct timespec t;
-
-	clock_gettime(CLOCK_MONOTONIC, &t);
-	return (double)t.tv_sec * 1e6 + (double)t.tv_nsec / 1e3;
-}
-
-/* ---- the master's end of the bus --------------------------------------------------------------------------------- */
-
-struct end {
-	int fd;
-	struct sockaddr_in group;
-};
-
-/* The kernel drops all other frames, so that neither the flood nor answers to it delay the master. The ID is an
- * UNSIGNED8 or UNSIGNED16 of msgpack, at this place of each datagram (8 bytes of UDP before it). */
-static void receive_only(int fd, uint32_t id)
-{
-	enum { ID_AT = 8 + 1 + 10 + 9 + 15, UNSIGNED8 = 0xCC, UNSIGNED16 = 0xCD };
-	bool small = id < 0x100;
-	struct sock_filter code[] = {
-		BPF_STMT(BPF_LD | BPF_B | BPF_ABS, ID_AT),
-		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, small ? UNSIGNED8 : UNSIGNED16, 0, 3),
-		BPF_STMT(BPF_LD | (small ? BPF_B : BPF_H) | BPF_ABS, ID_AT + 1),
-		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, id, 0, 1),
-		BPF_STMT(BPF_RET | BPF_K, 0xFFFF),
-		BPF_STMT(BPF_RET | BPF_K, 0),
-	};
-	struct sock_fprog program = {.len = sizeof(code) / sizeof(*code), .filter = code};
-
-	if (setsockopt(fd, SOL_SOCKET, SO_ATTACH_FILTER, &program, sizeof(program)) < 0)
-		fail("filter");
-}
-
-/* `id`: of the frames to receive; 0: none. */
-static struct end open_end(uint32_t id)
-{
-	struct end end = {.fd = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0),
-		.group = {.sin_family = AF_INET, .sin_port = htons(PORT), .sin_addr.s_addr = inet_addr(GROUP)}};
-	struct ip_mreqn member = {.imr_multiaddr = end.group.sin_addr, .imr_ifindex = (int)if_nametoindex("lo")};
-	int on = 1;
-
-	if (end.fd < 0 || setsockopt(end.fd, IPPROTO_IP, IP_MULTICAST_IF, &member, sizeof(member)) < 0)
-		fail("socket");
-	if (id == 0)
-		return end;
-	receive_only(end.fd, id);
-	setsockopt(end.fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
-	if (bind(end.fd, (struct sockaddr *)&end.group, sizeof(end.group)) < 0 ||
-		setsockopt(end.fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &member, sizeof(member)) < 0)
-		fail("udp bus");
-	return end;
-}
-
-static void put_bytes(const struct end *end, const void *bytes, size_t size)
-{
-	while (sendto(end->fd, bytes, size, 0, (const struct sockaddr *)&end->group, sizeof(end->group)) < 0)
-		if (errno != ENOBUFS && errno != EAGAIN)
-			fail("send");
-}
-
-static void put(const struct end *end, uint32_t id, const void *data, size_t len)
-{
-	struct can_msg msg = {.id = id, .len = (uint8_t)len};
-	char bytes[CAN_UDP_MAX];
-
-	memcpy(msg.data, data, len);
-	put_bytes(end, bytes, can_udp_encode(&msg, bytes));
-}
-
-/* False: nothing was received for ANSWER_MS. */
-static bool get(const struct end *end, struct can_msg *msg)
-{
-	struct pollfd p = {.fd = end->fd, .events = POLLIN};
-	char bytes[CAN_UDP_MAX];
-	ssize_t size;
-
-	if (poll(&p, 1, ANSWER_MS) != 1)
-		return false;
-	size = recv(end->fd, bytes, sizeof(bytes), 0);
-	if (size < 0 || can_udp_decode(bytes, (size_t)size, msg) < 0)
-		fail("receive");
-	return true;
-}
-
-/* Returns the number of frames that were waiting. */
-static unsigned drain(const struct end *end)
-{
-	char bytes[CAN_UDP_MAX];
-	unsigned n = 0;
-
-	while (recv(end->fd, bytes, sizeof(bytes), MSG_DONTWAIT) > 0)
-		n++;
-	return n;
-}
-
 /* ---- the gateway ------------------------------------------------------------------------------------------------- */
 
 static struct can_msg sdo(const struct end *end, const uint8_t request[8])
@@ -172,7 +66,7 @@ static struct can_msg sdo(const struct end *end, const uint8_t request[8])
 	struct can_msg response;
 
 	put(end, REQUEST, request, 8);
-	if (!get(end, &response) || response.data[0] == 0x80) {
+	if (!get(end, &response, ANSWER_MS) || response.data[0] == 0x80) {
 		errno = EPROTO;
 		fail("the gateway does not answer or refuses");
 	}
@@ -256,15 +150,6 @@ static long lines_of_log(const char *folder)
 
 /* ---- the flood --------------------------------------------------------------------------------------------------- */
 
-static void use_processor(unsigned number)
-{
-	cpu_set_t set;
-
-	CPU_ZERO(&set);
-	CPU_SET(number, &set);
-	sched_setaffinity(0, sizeof(set), &set);
-}
-
 static int connect_modbus(void)
 {
 	const struct sockaddr_in to = {
@@ -335,7 +220,7 @@ static pid_t start_flood(const struct kind *kind, int report)
 	use_processor(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0);
 	if (kind->id == MODBUS)
 		sent = flood_modbus(start + PART_US + SETTLE_US);
-	end = open_end(0);
+	end = open_end(GROUP, PORT, 0, 0);
 	memcpy(msg.data, kind->data, sizeof(msg.data));
 	memcpy(bytes, "\x8b\xa9timestamp\xcb", size);
 	if (!kind->malformed)
@@ -367,7 +252,7 @@ static void measure(const struct end *end, struct latencies *l)
 		struct can_msg pdo;
 
 		put(end, SYNC, "", 0);
-		if (!get(end, &pdo)) {
+		if (!get(end, &pdo, ANSWER_MS)) {
 			l->unanswered++;
 			continue;
 		}
@@ -377,17 +262,9 @@ static void measure(const struct end *end, struct latencies *l)
 	}
 }
 
-static int ascending(const void *a, const void *b)
+static double median(struct latencies *l)
 {
-	double x = *(const double *)a, y = *(const double *)b;
-
-	return (x > y) - (x < y);
-}
-
-static double quantile(struct latencies *l, double part)
-{
-	qsort(l->us, l->count, sizeof(*l->us), ascending);
-	return l->us[(size_t)(part * (double)(l->count - 1))];
+	return quantile(l->us, l->count, 0.5);
 }
 
 /* Samples skipped and gaps (2121h). */
@@ -430,9 +307,8 @@ static void measure_kind(const struct ends *ends, const struct kind *kind, int p
 	drain(&ends->sdo);
 	printf("%-28s %6.0f/s  SYNC to TPDO %.2f times the quiet (%.0f us against %.0f)  %zu SYNCs unanswered  "
 	       "%u samples lost  %u EMCYs  %ld lines of log\n",
-		kind->name, rate, quantile(&flooded, 0.5) / quantile(&quiet, 0.5), quantile(&flooded, 0.5),
-		quantile(&quiet, 0.5), flooded.unanswered, samples_lost(&ends->sdo) - lost, drain(&ends->emcy),
-		lines_of_log(folder) - lines);
+		kind->name, rate, median(&flooded) / median(&quiet), median(&flooded), median(&quiet),
+		flooded.unanswered, samples_lost(&ends->sdo) - lost, drain(&ends->emcy), lines_of_log(folder) - lines);
 	fflush(stdout);
 }
 
@@ -448,7 +324,8 @@ int main(int argc, char **argv)
 	(void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = PRIORITY});
 	if (!mkdtemp(folder))
 		fail(folder);
-	ends = (struct ends){open_end(TPDO1), open_end(RESPONSE), open_end(EMCY)};
+	ends = (struct ends){open_end(GROUP, PORT, TPDO1, 0x7FF), open_end(GROUP, PORT, RESPONSE, 0x7FF),
+		open_end(GROUP, PORT, EMCY, 0x7FF)};
 	gateway = start_gateway(folder);
 	if (sched_getscheduler(0) == SCHED_FIFO)
 		lift_threads(gateway);

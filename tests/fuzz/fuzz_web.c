@@ -8,7 +8,7 @@
 #include "tools/web/web.h"
 
 #define TOKEN "0123456789abcdef"
-enum { NODE = 5, TEXT_MAX = 400, CLIENTS = 3, SENT_MAX = 64 };
+enum { NODE = 5, TEXT_MAX = 400, CLIENTS = 3, SENT_MAX = 64, LONG = 20000 };
 
 static struct web web;
 static struct can_msg sent[SENT_MAX];
@@ -76,6 +76,24 @@ static void any_request(struct input *in, int client, uint64_t now_us)
 	unlocked |= web.clients[client].unlocked;
 }
 
+/* The list of all objects is a hundred times as long as any other answer, and mostly the one that was checked last. */
+static bool was_checked(const char *text, size_t size)
+{
+	static const char HEAD[] = "{\"id\":";
+	static char last[1 << 20];
+	static size_t last_size;
+	size_t head = sizeof(HEAD) - 1;
+
+	if (size < LONG || size > sizeof(last) || memcmp(text, HEAD, head) != 0)
+		return false;
+	head += strspn(text + head, "0123456789");
+	if (size - head == last_size && memcmp(text + head, last, last_size) == 0)
+		return true;
+	last_size = size - head;
+	memcpy(last, text + head, last_size);
+	return false;
+}
+
 static void pull(int client, uint64_t now_us)
 {
 	uint64_t due_us = UINT64_MAX;
@@ -83,9 +101,12 @@ static void pull(int client, uint64_t now_us)
 
 	for (int i = 0; i < 50 && web_has_output(&web, client, now_us, &due_us); i++) {
 		const char *text = web_output(&web, client, &size, now_us);
-		struct json_tokener *tokener = json_tokener_new();
+		struct json_tokener *tokener;
 
 		require(text);
+		if (was_checked(text, size))
+			continue;
+		tokener = json_tokener_new();
 		json_tokener_set_flags(tokener, JSON_TOKENER_VALIDATE_UTF8);
 		struct json_object *json = json_tokener_parse_ex(tokener, text, (int)size);
 		require(json_tokener_get_error(tokener) == json_tokener_success);

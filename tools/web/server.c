@@ -273,6 +273,18 @@ static int on_established(struct lws *wsi, struct connection *connection)
 	return 0;
 }
 
+/* The place is free for another browser, although the connection may end later. */
+static void leave(struct server *server, struct connection *connection)
+{
+	if (connection->client > 0) {
+		web_disconnect(server->web, connection->client - 1);
+		server->wsi[connection->client - 1] = NULL;
+		server->connections[connection->client - 1] = NULL;
+	}
+	free(connection->text);
+	*connection = (struct connection){0};
+}
+
 static int on_message(struct lws *wsi, struct connection *connection, const char *in, size_t size)
 {
 	struct server *server = server_of(wsi);
@@ -280,6 +292,7 @@ static int on_message(struct lws *wsi, struct connection *connection, const char
 	if (connection->client <= 0)
 		return -1; /* it was refused */
 	if (lws_frame_is_binary(wsi) || connection->size + size > WEB_REQUEST_MAX) {
+		leave(server, connection);
 		lws_close_reason(wsi,
 			lws_frame_is_binary(wsi) ? LWS_CLOSE_STATUS_UNACCEPTABLE_OPCODE
 						 : LWS_CLOSE_STATUS_MESSAGE_TOO_LARGE,
@@ -327,19 +340,6 @@ static int on_writable(struct lws *wsi, struct connection *connection)
 	return rc;
 }
 
-static void on_closed(struct lws *wsi, struct connection *connection)
-{
-	struct server *server = server_of(wsi);
-
-	if (connection->client > 0) {
-		web_disconnect(server->web, connection->client - 1);
-		server->wsi[connection->client - 1] = NULL;
-		server->connections[connection->client - 1] = NULL;
-	}
-	free(connection->text);
-	*connection = (struct connection){0};
-}
-
 static int callback(struct lws *wsi, enum lws_callback_reasons reason, void *user, void *in, size_t size)
 {
 	switch ((int)reason) {
@@ -357,8 +357,9 @@ static int callback(struct lws *wsi, enum lws_callback_reasons reason, void *use
 		return on_message(wsi, user, in, size);
 	case LWS_CALLBACK_SERVER_WRITEABLE:
 		return on_writable(wsi, user);
+	case LWS_CALLBACK_WS_PEER_INITIATED_CLOSE:
 	case LWS_CALLBACK_CLOSED:
-		on_closed(wsi, user);
+		leave(server_of(wsi), user);
 		return 0;
 	default:
 		return 0; /* no CGI, no proxy, no file of the disk */

@@ -44,7 +44,11 @@ uint64_t web_tick(struct web *web, uint64_t now_us)
 	uint64_t next_us = earlier(web_bus_tick(web, now_us), web_clients_tick(web, now_us));
 
 	next_us = earlier(next_us, web_lss_tick(web, now_us));
-	for (int i = 1; i < WEB_NODES; i++)
-		next_us = earlier(next_us, web_node_tick(web, &web->nodes[i], now_us));
+	for (int i = 1; i < WEB_NODES; i++) {
+		struct web_node *node = &web->nodes[i];
+
+		if (node->heard_us || node->jobs) /* most node-IDs have no node, and nothing is due for these */
+			next_us = earlier(next_us, web_node_tick(web, node, now_us));
+	}
 	return next_us;
 }
