@@ -26,6 +26,9 @@ enum { STAMP_TRUSTED_US = 20000 };
 /* A wake-up this late means that the process was not scheduled. */
 enum { AWAY_US = 20000 };
 
+/* A deadline so close is not worth setting the timer and going to sleep. */
+enum { AT_ONCE_US = 10 };
+
 enum source {
 	SOURCE_SENSOR,
 	SOURCE_BUS,
@@ -49,7 +52,8 @@ struct loop {
 	loop_reload *reload;
 	int epoll, timer, signals;
 	uint64_t now_us;   /* the last reading */
-	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
+	uint64_t due_us;   /* when the device, the bus or the service manager must be served next */
+	uint64_t armed_us; /* what the timer is set to, at most due_us; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
 	uint64_t clock_us; /* when the host's clock was last read */
@@ -199,7 +203,7 @@ static void on_event(struct loop *l, enum source source)
 		on_bus(l);
 		break;
 	case SOURCE_TIMER:
-		l->armed_us = UINT64_MAX; /* expired: re-arming it clears the descriptor */
+		l->armed_us = UINT64_MAX; /* expired: setting it again clears the descriptor */
 		break;
 	case SOURCE_SIGNAL:
 		on_signal(l);
@@ -220,17 +224,16 @@ static void on_event(struct loop *l, enum source source)
 
 /* ---- the deadline ------------------------------------------------------------------------------------------------ */
 
-static void arm(struct loop *l, uint64_t deadline_us)
+/* Each sample and each frame moves deadlines on. The timer is left as it is then: it expires too early once, and is set
+ * again. */
+static void arm(struct loop *l)
 {
-	struct itimerspec t = {0};
+	struct itimerspec t = {.it_value = {.tv_sec = (time_t)(l->due_us / 1000000),
+				       .tv_nsec = (long)(l->due_us % 1000000 * 1000) + 1}}; /* 0 would disarm */
 
-	if (deadline_us == l->armed_us)
+	if (l->due_us >= l->armed_us)
 		return;
-	l->armed_us = deadline_us;
-	if (deadline_us != UINT64_MAX) {
-		t.it_value.tv_sec = (time_t)(deadline_us / 1000000);
-		t.it_value.tv_nsec = (long)(deadline_us % 1000000 * 1000) + 1; /* 0 would disarm */
-	}
+	l->armed_us = l->due_us;
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
@@ -271,21 +274,25 @@ static uint64_t tick_device(struct loop *l)
 
 static void wake(struct loop *l)
 {
-	uint64_t slept_us = l->now_us, due_us = l->armed_us;
+	uint64_t slept_us = l->now_us;
+	bool at_once = l->due_us <= l->now_us + AT_ONCE_US;
 	struct epoll_event events[SOURCE_COUNT];
-	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left ? 0 : -1);
 
+	if (!at_once)
+		arm(l);
+	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left || at_once ? 0 : -1);
+	if (at_once)
+		read_clock(l);
 	if (l->frames_left)
 		on_bus(l);
 	for (int i = 0; i < n; i++)
 		on_event(l, (enum source)events[i].data.u32);
-	if (l->now_us > due_us && l->now_us - due_us > AWAY_US) {
+	if (l->now_us > l->due_us && l->now_us - l->due_us > AWAY_US) {
 		device_away(l->device, l->now_us - slept_us, l->now_us);
 		service_away(&l->service, l->now_us - slept_us);
 	}
 	read_host_clock(l, l->now_us);
-	uint64_t next_us = earlier(tick_device(l), watch_threads(l));
-	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
+	l->due_us = earlier(earlier(tick_device(l), watch_threads(l)), can_service(l->bus, l->now_us));
 	if (l->window)
 		window_publish(l->window);
 }
@@ -350,7 +357,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 	if (rc == 0) {
 		l.now_us = now();
 		device_start(device, stored_damaged, l.now_us);
-		arm(&l, l.now_us);
+		l.due_us = l.now_us;
 		while (!l.quit)
 			wake(&l);
 		service_stopping(&l.service);

@@ -9,7 +9,6 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <sys/epoll.h>
 #include <sys/ioctl.h>
 #include <unistd.h>
 
@@ -20,9 +19,9 @@
 enum { LOOK_AGAIN_US = 200000 }; /* for an interface that is down or gone */
 
 struct socketcan {
-	struct can_port port; /* port.fd is an epoll descriptor: it outlives the sockets */
-	struct rx_socket rx;
-	int interface; /* the index that rx is bound to; 0: the interface is gone */
+	struct can_port port;
+	struct rx_socket rx; /* rx.fd is port.fd */
+	int interface;	     /* the index that it is bound to; 0: the interface is gone */
 	uint64_t look_at_us;
 	struct can_filter filters[CAN_RAW_FILTER_MAX];
 	size_t filter_count; /* 0: all */
@@ -94,13 +93,13 @@ static int socketcan_receive(struct can_port *port, struct can_msg *msg, uint64_
 	return 0;
 }
 
-static int apply_filters(const struct socketcan *can, int fd)
+static int apply_filters(const struct socketcan *can)
 {
 	static const struct can_filter all = {0, 0};
 	const struct can_filter *filters = can->filter_count > 0 ? can->filters : &all;
 	size_t count = can->filter_count > 0 ? can->filter_count : 1;
 
-	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters, (socklen_t)(count * sizeof(*filters))) != 0)
+	if (setsockopt(can->rx.fd, SOL_CAN_RAW, CAN_RAW_FILTER, filters, (socklen_t)(count * sizeof(*filters))) != 0)
 		return -errno;
 	return 0;
 }
@@ -114,7 +113,7 @@ static int socketcan_filter(struct can_port *port, const uint32_t *ids, size_t n
 		can->filters[i].can_id = ids[i];
 		can->filters[i].can_mask = CAN_SFF_MASK | CAN_EFF_FLAG; /* data and remote frames */
 	}
-	return apply_filters(can, can->rx.fd);
+	return apply_filters(can);
 }
 
 /* The index of a CAN interface that is up, or -ENODEV, -ENETDOWN, -EMEDIUMTYPE. */
@@ -136,44 +135,47 @@ static int find_interface(const char *name, int fd)
 	return request.ifr_ifindex;
 }
 
-/* Sets the socket up, binds it and adds it to the port's epoll descriptor. */
-static int attach(const struct socketcan *can, int fd, int interface)
+/* An interface that went down leaves an error on the socket, which makes the next call fail. Reading clears it. */
+static void forget_error(const struct socketcan *can)
 {
-	const can_err_mask_t errors = CAN_ERR_MASK;
-	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = interface};
-	struct epoll_event event = {.events = EPOLLIN};
-	int result = rx_socket_prepare(fd);
+	int error;
+	socklen_t size = sizeof(error);
 
-	if (result == 0)
-		result = apply_filters(can, fd);
+	(void)getsockopt(can->rx.fd, SOL_SOCKET, SO_ERROR, &error, &size);
+}
+
+/* Binds the socket to the interface that has the name now, also after another one: the kernel has forgotten the filters
+ * of an interface that was removed. 0 or -errno. */
+static int attach(struct socketcan *can)
+{
+	int interface = find_interface(can->port.name, can->rx.fd);
+	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = interface};
+
+	if (interface < 0)
+		return interface;
+	int result = apply_filters(can);
 	if (result < 0)
 		return result;
-	if (setsockopt(fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof(errors)) != 0 ||
-		bind(fd, (struct sockaddr *)&address, sizeof(address)) != 0 ||
-		epoll_ctl(can->port.fd, EPOLL_CTL_ADD, fd, &event) != 0)
+	forget_error(can);
+	if (bind(can->rx.fd, (struct sockaddr *)&address, sizeof(address)) != 0)
 		return -errno;
+	can->interface = interface;
 	return 0;
 }
 
-/* Replaces the socket by one that is bound to the interface that has the name now. 0 or -errno. */
-static int reopen(struct socketcan *can)
+static int open_socket(struct socketcan *can)
 {
+	const can_err_mask_t errors = CAN_ERR_MASK;
 	int fd = socket(PF_CAN, SOCK_RAW | SOCK_NONBLOCK | SOCK_CLOEXEC, CAN_RAW);
-	int interface, result;
 
+	can->port.fd = fd;
+	can->rx = (struct rx_socket){.fd = fd};
 	if (fd < 0)
 		return -errno;
-	interface = find_interface(can->port.name, fd);
-	result = interface < 0 ? interface : attach(can, fd, interface);
-	if (result < 0) {
-		close(fd);
-		return result;
-	}
-	if (can->rx.fd >= 0)
-		close(can->rx.fd); /* also removes it from the epoll set */
-	can->rx = (struct rx_socket){.fd = fd};
-	can->interface = interface;
-	return 0;
+	int result = rx_socket_prepare(fd);
+	if (result == 0 && setsockopt(fd, SOL_CAN_RAW, CAN_RAW_ERR_FILTER, &errors, sizeof(errors)) != 0)
+		result = -errno;
+	return result < 0 ? result : attach(can);
 }
 
 /* Error frames report a change of state at once; this covers the state before the socket was opened, and drivers
@@ -205,7 +207,7 @@ static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 		return UINT64_MAX;
 	if (now_us >= can->look_at_us) {
 		can->look_at_us = now_us + LOOK_AGAIN_US;
-		if (find_interface(port->name, can->rx.fd) == can->interface || reopen(can) == 0) {
+		if (find_interface(port->name, can->rx.fd) == can->interface || attach(can) == 0) {
 			port->state = CAN_STATE_ACTIVE;
 			socketcan_refresh(port);
 			return UINT64_MAX;
@@ -216,25 +218,19 @@ static uint64_t socketcan_service(struct can_port *port, uint64_t now_us)
 
 static void socketcan_close(struct can_port *port)
 {
-	struct socketcan *can = of(port);
-
-	if (can->rx.fd >= 0)
-		close(can->rx.fd);
 	if (port->fd >= 0)
 		close(port->fd);
-	free(can);
+	free(of(port));
 }
 
-/* The interface is down meanwhile. That leaves an error on the socket, which would make the next send fail. */
+/* The interface is down meanwhile. */
 static int socketcan_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
 	int result = can_link_bit_rate(of(port)->interface, bit_s, dry_run);
-	int error;
-	socklen_t size = sizeof(error);
 
 	if (result < 0 || dry_run)
 		return result;
-	(void)getsockopt(of(port)->rx.fd, SOL_SOCKET, SO_ERROR, &error, &size); /* reading clears it */
+	forget_error(of(port));
 	port->bit_s = bit_s;
 	return 0;
 }
@@ -306,9 +302,7 @@ int can_socketcan_open(const char *interface, struct can_port **port, char *erro
 		return -ENOMEM;
 	can->port.ops = &socketcan_ops;
 	snprintf(can->port.name, sizeof(can->port.name), "%s", interface);
-	can->rx.fd = -1;
-	can->port.fd = epoll_create1(EPOLL_CLOEXEC);
-	result = can->port.fd < 0 ? -errno : reopen(can);
+	result = open_socket(can);
 	if (result < 0) {
 		explain(result, interface, error, error_size);
 		socketcan_close(&can->port);
