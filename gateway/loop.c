@@ -52,18 +52,31 @@ struct loop {
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
-	uint64_t clock_us; /* when the host's clock was last read */
-	bool frames_left;  /* by the last wake-up */
+	uint64_t second_us; /* of the last once_a_second(); what the process had used, and samples it had read: */
+	uint64_t cpu_ns;
+	uint32_t samples;
+	bool frames_left; /* by the last wake-up */
 	bool quit;
 };
+
+static uint64_t read_ns(clockid_t clock)
+{
+	struct timespec t;
+
+	clock_gettime(clock, &t);
+	return (uint64_t)t.tv_sec * 1000000000 + (uint64_t)t.tv_nsec;
+}
 
 /* CLOCK_MONOTONIC. */
 static uint64_t now(void)
 {
-	struct timespec t;
+	return read_ns(CLOCK_MONOTONIC) / 1000;
+}
 
-	clock_gettime(CLOCK_MONOTONIC, &t);
-	return (uint64_t)t.tv_sec * 1000000 + (uint64_t)t.tv_nsec / 1000;
+static uint64_t now_ns(void *ctx)
+{
+	(void)ctx;
+	return read_ns(CLOCK_MONOTONIC);
 }
 
 static int watch(struct loop *l, int fd, enum source source)
@@ -92,6 +105,7 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	struct imu_sample sample;
 
 	for (int i = 0; i < SAMPLES_PER_WAKE; i++) {
+		latency_begin(&l->device->latency);
 		int read = imu_read(l->imu, &sample);
 
 		if (read == 0)
@@ -100,6 +114,8 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 			log_line("%s has ended", l->imu->name);
 			epoll_ctl(l->epoll, EPOLL_CTL_DEL, l->imu->fd, NULL);
 		}
+		if (read > 0)
+			latency_stage(&l->device->latency, LATENCY_READ);
 		device_sample(l->device, read, &sample, now_us);
 		if (read < 0)
 			break;
@@ -234,18 +250,36 @@ static void arm(struct loop *l, uint64_t deadline_us)
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
-/* Once a second at most. The kernel knows whether an NTP or PTP daemon synchronises the host's clock. */
-static void read_host_clock(struct loop *l, uint64_t now_us)
+/* The kernel knows whether an NTP or PTP daemon synchronises the host's clock. */
+static void read_host_clock(struct loop *l)
 {
 	struct timex timex = {0};
 	struct timespec t;
 
-	if (l->clock_us && now_us - l->clock_us < 1000000)
-		return;
-	l->clock_us = now_us;
 	bool synchronised = adjtimex(&timex) >= 0 && (timex.status & STA_UNSYNC) == 0;
 	clock_gettime(CLOCK_REALTIME, &t);
 	device_host_clock(l->device, synchronised, (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)now());
+}
+
+/* Of all threads, since the last call. */
+static void measure_cpu(struct loop *l)
+{
+	uint64_t cpu_ns = read_ns(CLOCK_PROCESS_CPUTIME_ID);
+	uint32_t samples = l->imu->counters.samples - l->samples;
+
+	if (l->cpu_ns && samples)
+		l->device->values.loop_turn.cpu_per_sample = (float)(cpu_ns - l->cpu_ns) / 1e3f / (float)samples;
+	l->cpu_ns = cpu_ns;
+	l->samples += samples;
+}
+
+static void once_a_second(struct loop *l)
+{
+	if (l->second_us && l->now_us - l->second_us < 1000000)
+		return;
+	l->second_us = l->now_us;
+	read_host_clock(l);
+	measure_cpu(l);
 }
 
 static uint64_t watch_threads(struct loop *l)
@@ -274,6 +308,7 @@ static void wake(struct loop *l)
 	uint64_t slept_us = l->now_us, due_us = l->armed_us;
 	struct epoll_event events[SOURCE_COUNT];
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left ? 0 : -1);
+	uint64_t begun_ns = latency_begin(&l->device->latency);
 
 	if (l->frames_left)
 		on_bus(l);
@@ -283,11 +318,12 @@ static void wake(struct loop *l)
 		device_away(l->device, l->now_us - slept_us, l->now_us);
 		service_away(&l->service, l->now_us - slept_us);
 	}
-	read_host_clock(l, l->now_us);
+	once_a_second(l);
 	uint64_t next_us = earlier(tick_device(l), watch_threads(l));
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
 	if (l->window)
 		window_publish(l->window);
+	latency_loop(&l->device->latency, begun_ns);
 }
 
 static sigset_t signals_read(void)
@@ -349,6 +385,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 	service_open(&l.service, getenv("NOTIFY_SOCKET"), getenv("WATCHDOG_USEC"), getenv("WATCHDOG_PID"));
 	if (rc == 0) {
 		l.now_us = now();
+		device->latency.clock_ns = now_ns;
 		device_start(device, stored_damaged, l.now_us);
 		arm(&l, l.now_us);
 		while (!l.quit)
