@@ -1,14 +1,14 @@
 /* gateway/histogram.h
- * Durations in bins of fixed, logarithmic width: how they are distributed, in constant memory and with constant work for
- * each. A duration is a whole number of the unit of the histogram, us or ns. Pure; one thread for each. */
+ * Durations in bins of fixed, logarithmic width: how they are distributed, in constant memory and with constant work
+ * for each. A duration is a whole number of the unit of the histogram, us or ns. Pure; one thread for each. */
 #ifndef GATEWAY_HISTOGRAM_H
 #define GATEWAY_HISTOGRAM_H
 
 #include <stddef.h>
 #include <stdint.h>
 
-/** Below 8 each number has a bin of its own. From 8 on each power of two has four, so that a bin is at most a quarter as
- * wide as its lowest number. The last bin also has all that is longer. */
+/** Below 8 each number has a bin of its own. From 8 on each power of two has four, so that a bin is at most a quarter
+ * as wide as its lowest number. The last bin also has all that is longer. */
 enum { HISTOGRAM_BINS = 96 };
 
 /** Bytes of the wire form, all numbers little-endian: count, minimum, maximum (32 bits each), sum (64 bits), the bins

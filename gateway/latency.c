@@ -91,23 +91,25 @@ static void add(struct latency *l, enum latency_kind kind, uint64_t from, uint64
 	publish(o);
 }
 
-uint64_t latency_begin(struct latency *l)
+void latency_mark(struct latency *l, uint64_t t_ns)
 {
-	return l->mark_ns = now_ns(l);
+	l->mark_ns = t_ns;
 }
 
 void latency_stage(struct latency *l, enum latency_kind kind)
 {
 	uint64_t begun_ns = l->mark_ns;
 
-	if (l->clock_ns)
-		add(l, kind, begun_ns, latency_begin(l));
+	if (!l->clock_ns)
+		return;
+	l->mark_ns = now_ns(l);
+	add(l, kind, begun_ns, l->mark_ns);
 }
 
-void latency_loop(struct latency *l, uint64_t begun_ns)
+void latency_loop(struct latency *l, uint64_t begun_us)
 {
-	if (l->clock_ns)
-		add(l, LATENCY_LOOP, 0, (now_ns(l) - begun_ns) / 1000);
+	if (l->clock_ns && begun_us)
+		add(l, LATENCY_LOOP, begun_us, now_ns(l) / 1000);
 }
 
 void latency_sent(struct latency *l, const struct canopen_node *node, uint64_t taken_us)

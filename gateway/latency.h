@@ -5,7 +5,7 @@
  *          one for all TPDOs that are sent together, also of the same sample again
  *   214Ah  SYNC to TPDO: from the reception of a SYNC (time stamp of the kernel or adapter), or from sending one, until
  *          all its TPDOs were handed to the driver [us]
- *   214Bh  one turn of the loop, without waiting [us]
+ *   214Bh  one turn of the loop, from the event that woke it (a frame: its time stamp) until it waits again [us]
  *   2151h, 2152h, 2153h  of each sample: reading it from the driver, the pipeline, the rest [ns]
  *
  * It measures only when it is given a clock: with none, in a replay, all stay empty. No value of the device depends on
@@ -48,12 +48,12 @@ struct latency {
 /** Attaches the objects. */
 void latency_attach(struct latency *l, struct od *od);
 
-/** A stage of a sample, or a turn of the loop, begins; its result is for latency_since(). */
-uint64_t latency_begin(struct latency *l);
+/** The process has read the clock: a stage of a sample may begin. */
+void latency_mark(struct latency *l, uint64_t now_ns);
 /** READ, FILTER and PUBLISH: the stage has ended, and the next one begins. */
 void latency_stage(struct latency *l, enum latency_kind kind);
-/** LOOP: since latency_begin(). */
-void latency_loop(struct latency *l, uint64_t begun_ns);
+/** LOOP: a turn that began then has ended; 0: there was none. */
+void latency_loop(struct latency *l, uint64_t begun_us);
 /** SAMPLE_AGE and SYNC, when TPDOs were sent since the last call. `taken_us`: when the sample that they carry was
  * measured; 0: there was none yet. */
 void latency_sent(struct latency *l, const struct canopen_node *node, uint64_t taken_us);

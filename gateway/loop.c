@@ -49,6 +49,7 @@ struct loop {
 	loop_reload *reload;
 	int epoll, timer, signals;
 	uint64_t now_us;   /* the last reading */
+	uint64_t begun_us; /* the turn under way: time of its first event; 0: none yet */
 	uint64_t armed_us; /* what the timer is set to; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
@@ -105,7 +106,6 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	struct imu_sample sample;
 
 	for (int i = 0; i < SAMPLES_PER_WAKE; i++) {
-		latency_begin(&l->device->latency);
 		int read = imu_read(l->imu, &sample);
 
 		if (read == 0)
@@ -124,13 +124,22 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	log_skips(l, now_us);
 }
 
+/* The first event of a turn begins it. */
+static void begin_turn(struct loop *l)
+{
+	if (l->begun_us == 0)
+		l->begun_us = l->now_us;
+}
+
 /* Never back: the time stamp of a frame can be slightly ahead of the clock when the host's time is set. */
 static void read_clock(struct loop *l)
 {
-	uint64_t now_us = now();
+	uint64_t t_ns = now_ns(NULL);
 
-	if (now_us > l->now_us)
-		l->now_us = now_us;
+	latency_mark(&l->device->latency, t_ns);
+	if (t_ns / 1000 > l->now_us)
+		l->now_us = t_ns / 1000;
+	begin_turn(l);
 }
 
 /* The time stamp of the frame saves a reading of the clock, a tenth of the time from SYNC to PDO where the kernel has
@@ -139,10 +148,12 @@ static void update_time(struct loop *l, const struct can_msg *msg)
 {
 	bool trusted = msg->t_us > l->now_us && msg->t_us - l->now_us < STAMP_TRUSTED_US;
 
-	if (trusted && l->device->values.synchronous_window_length == 0)
-		l->now_us = msg->t_us;
-	else
+	if (!trusted || l->device->values.synchronous_window_length) {
 		read_clock(l);
+		return;
+	}
+	l->now_us = msg->t_us;
+	begin_turn(l);
 }
 
 static uint32_t frames_sent(const struct can_port *bus)
@@ -308,8 +319,8 @@ static void wake(struct loop *l)
 	uint64_t slept_us = l->now_us, due_us = l->armed_us;
 	struct epoll_event events[SOURCE_COUNT];
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left ? 0 : -1);
-	uint64_t begun_ns = latency_begin(&l->device->latency);
 
+	l->begun_us = 0;
 	if (l->frames_left)
 		on_bus(l);
 	for (int i = 0; i < n; i++)
@@ -323,7 +334,7 @@ static void wake(struct loop *l)
 	arm(l, earlier(next_us, can_service(l->bus, l->now_us)));
 	if (l->window)
 		window_publish(l->window);
-	latency_loop(&l->device->latency, begun_ns);
+	latency_loop(&l->device->latency, l->begun_us);
 }
 
 static sigset_t signals_read(void)
