@@ -290,6 +290,7 @@ static void attach_hooks(struct device *d)
 	set_eds(d);
 	event_log_attach(&d->log, &d->od);
 	last_movement_attach(&d->last_movement, &d->od, &d->values);
+	latency_attach(&d->latency, &d->od);
 	record_attach_object(d);
 	d->snapshot.od = &d->od;
 	d->snapshot.node_id = &d->canopen.id;
@@ -347,6 +348,11 @@ void device_start(struct device *d, bool stored_damaged, uint64_t now_us)
 	canopen_start(&d->canopen, now_us);
 	if (stored_damaged)
 		canopen_error_set(&d->canopen, EMCY_STORE_DAMAGED, ERROR_MANUFACTURER, NULL, now_us);
+}
+
+static void measure_sent(struct device *d)
+{
+	latency_sent(&d->latency, &d->canopen, (uint64_t)d->utc.taken_us);
 }
 
 /* ---- samples ----------------------------------------------------------------------------------------------------- */
@@ -468,6 +474,7 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	uint16_t counter = (uint16_t)d->samples++;
 	if (step_pipeline(d, sample, &out) < 0)
 		return;
+	latency_stage(&d->latency, LATENCY_FILTER);
 	d->last_sample_us = now_us;
 	sensor_back(d);
 	command_group_sample(&d->commands);
@@ -488,6 +495,8 @@ void device_sample(struct device *d, int read, const struct imu_sample *sample, 
 	watch_uncertainty(d, out.status);
 	watch_plausibility(d, now_us);
 	canopen_sample(&d->canopen, now_us);
+	latency_stage(&d->latency, LATENCY_PUBLISH);
+	measure_sent(d);
 }
 
 /* ---- the bus ----------------------------------------------------------------------------------------------------- */
@@ -497,6 +506,7 @@ void device_receive(struct device *d, const struct can_msg *msg, uint64_t now_us
 	record_input(d->record, &(struct record_entry){.kind = RECORD_FRAME, .now_us = now_us, .msg = *msg});
 	d->now_us = now_us;
 	canopen_receive(&d->canopen, msg, now_us);
+	measure_sent(d);
 }
 
 enum od_status device_write(
@@ -534,6 +544,7 @@ uint64_t device_tick(struct device *d, uint64_t now_us)
 	uint64_t next = bus_health_tick(&d->bus_health, now_us);
 	next = earlier(next, utc_tick(&d->utc, now_us));
 	next = earlier(next, canopen_tick(&d->canopen, now_us));
+	measure_sent(d);
 	next = earlier(next, leds_tick(&d->leds, now_us));
 	next = earlier(next, event_log_tick(&d->log, now_us));
 	if (!d->sensor_lost)

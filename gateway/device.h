@@ -23,6 +23,7 @@
 #include "gateway/lever_arm_command.h"
 #include "gateway/event_log.h"
 #include "gateway/last_movement.h"
+#include "gateway/latency.h"
 #include "gateway/lever_arm_um.h"
 #include "gateway/procedure_log.h"
 #include "gateway/pdo_preset.h"
@@ -38,6 +39,7 @@
 struct device {
 	struct od od;
 	struct od_values values;
+	struct latency latency; /* measures once it has a clock */
 
 	/* PRIVATE */
 	struct storing storing;

@@ -29,6 +29,7 @@ struct kept {
 /* A pointer that is added to a struct of the device and missing here fails tests/scenario/test_record.c. */
 static const struct kept KEPT[] = {
 	KEEP(od, od),
+	KEEP(latency, latency),
 	KEEP(storing.od, storing.port),
 	KEEP(pipeline.position.navigation.smoother, pipeline.position.navigation.smoother),
 	KEEP(lever_arm_command.od, lever_arm_command.reference_hook),

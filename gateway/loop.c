@@ -52,22 +52,36 @@ struct loop {
 	loop_reload *reload;
 	int epoll, timer, signals;
 	uint64_t now_us;   /* the last reading */
+	uint64_t begun_us; /* the turn under way: time of its first event; 0: none yet */
 	uint64_t due_us;   /* when the device, the bus or the service manager must be served next */
 	uint64_t armed_us; /* what the timer is set to, at most due_us; UINT64_MAX: off */
 	uint32_t last_skipped;
 	uint64_t skip_logged_us;
-	uint64_t clock_us; /* when the host's clock was last read */
-	bool frames_left;  /* by the last wake-up */
+	uint64_t second_us; /* of the last once_a_second(); what the process had used, and samples it had read: */
+	uint64_t cpu_ns;
+	uint32_t samples;
+	bool frames_left; /* by the last wake-up */
 	bool quit;
 };
+
+static uint64_t read_ns(clockid_t clock)
+{
+	struct timespec t;
+
+	clock_gettime(clock, &t);
+	return (uint64_t)t.tv_sec * 1000000000 + (uint64_t)t.tv_nsec;
+}
 
 /* CLOCK_MONOTONIC. */
 static uint64_t now(void)
 {
-	struct timespec t;
+	return read_ns(CLOCK_MONOTONIC) / 1000;
+}
 
-	clock_gettime(CLOCK_MONOTONIC, &t);
-	return (uint64_t)t.tv_sec * 1000000 + (uint64_t)t.tv_nsec / 1000;
+static uint64_t now_ns(void *ctx)
+{
+	(void)ctx;
+	return read_ns(CLOCK_MONOTONIC);
 }
 
 static int watch(struct loop *l, int fd, enum source source)
@@ -104,6 +118,8 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 			log_line("%s has ended", l->imu->name);
 			epoll_ctl(l->epoll, EPOLL_CTL_DEL, l->imu->fd, NULL);
 		}
+		if (read > 0)
+			latency_stage(&l->device->latency, LATENCY_READ);
 		device_sample(l->device, read, &sample, now_us);
 		if (read < 0)
 			break;
@@ -112,13 +128,22 @@ static void on_sensor(struct loop *l, uint64_t now_us)
 	log_skips(l, now_us);
 }
 
+/* The first event of a turn begins it. */
+static void begin_turn(struct loop *l)
+{
+	if (l->begun_us == 0)
+		l->begun_us = l->now_us;
+}
+
 /* Never back: the time stamp of a frame can be slightly ahead of the clock when the host's time is set. */
 static void read_clock(struct loop *l)
 {
-	uint64_t now_us = now();
+	uint64_t t_ns = now_ns(NULL);
 
-	if (now_us > l->now_us)
-		l->now_us = now_us;
+	latency_mark(&l->device->latency, t_ns);
+	if (t_ns / 1000 > l->now_us)
+		l->now_us = t_ns / 1000;
+	begin_turn(l);
 }
 
 /* The time stamp of the frame saves a reading of the clock, a tenth of the time from SYNC to PDO where the kernel has
@@ -127,10 +152,12 @@ static void update_time(struct loop *l, const struct can_msg *msg)
 {
 	bool trusted = msg->t_us > l->now_us && msg->t_us - l->now_us < STAMP_TRUSTED_US;
 
-	if (trusted && l->device->values.synchronous_window_length == 0)
-		l->now_us = msg->t_us;
-	else
+	if (!trusted || l->device->values.synchronous_window_length) {
 		read_clock(l);
+		return;
+	}
+	l->now_us = msg->t_us;
+	begin_turn(l);
 }
 
 static uint32_t frames_sent(const struct can_port *bus)
@@ -237,18 +264,36 @@ static void arm(struct loop *l)
 	timerfd_settime(l->timer, TFD_TIMER_ABSTIME, &t, NULL);
 }
 
-/* Once a second at most. The kernel knows whether an NTP or PTP daemon synchronises the host's clock. */
-static void read_host_clock(struct loop *l, uint64_t now_us)
+/* The kernel knows whether an NTP or PTP daemon synchronises the host's clock. */
+static void read_host_clock(struct loop *l)
 {
 	struct timex timex = {0};
 	struct timespec t;
 
-	if (l->clock_us && now_us - l->clock_us < 1000000)
-		return;
-	l->clock_us = now_us;
 	bool synchronised = adjtimex(&timex) >= 0 && (timex.status & STA_UNSYNC) == 0;
 	clock_gettime(CLOCK_REALTIME, &t);
 	device_host_clock(l->device, synchronised, (int64_t)t.tv_sec * 1000000 + t.tv_nsec / 1000 - (int64_t)now());
+}
+
+/* Of all threads, since the last call. */
+static void measure_cpu(struct loop *l)
+{
+	uint64_t cpu_ns = read_ns(CLOCK_PROCESS_CPUTIME_ID);
+	uint32_t samples = l->imu->counters.samples - l->samples;
+
+	if (l->cpu_ns && samples)
+		l->device->values.loop_turn.cpu_per_sample = (float)(cpu_ns - l->cpu_ns) / 1e3f / (float)samples;
+	l->cpu_ns = cpu_ns;
+	l->samples += samples;
+}
+
+static void once_a_second(struct loop *l)
+{
+	if (l->second_us && l->now_us - l->second_us < 1000000)
+		return;
+	l->second_us = l->now_us;
+	read_host_clock(l);
+	measure_cpu(l);
 }
 
 static uint64_t watch_threads(struct loop *l)
@@ -281,6 +326,7 @@ static void wake(struct loop *l)
 	if (!at_once)
 		arm(l);
 	int n = epoll_wait(l->epoll, events, SOURCE_COUNT, l->frames_left || at_once ? 0 : -1);
+	l->begun_us = 0;
 	if (at_once)
 		read_clock(l);
 	if (l->frames_left)
@@ -291,10 +337,11 @@ static void wake(struct loop *l)
 		device_away(l->device, l->now_us - slept_us, l->now_us);
 		service_away(&l->service, l->now_us - slept_us);
 	}
-	read_host_clock(l, l->now_us);
+	once_a_second(l);
 	l->due_us = earlier(earlier(tick_device(l), watch_threads(l)), can_service(l->bus, l->now_us));
 	if (l->window)
 		window_publish(l->window);
+	latency_loop(&l->device->latency, l->begun_us);
 }
 
 static sigset_t signals_read(void)
@@ -356,6 +403,7 @@ int loop_run(struct device *device, struct can_port *bus, struct imu_port *imu, 
 	service_open(&l.service, getenv("NOTIFY_SOCKET"), getenv("WATCHDOG_USEC"), getenv("WATCHDOG_PID"));
 	if (rc == 0) {
 		l.now_us = now();
+		device->latency.clock_ns = now_ns;
 		device_start(device, stored_damaged, l.now_us);
 		l.due_us = l.now_us;
 		while (!l.quit)

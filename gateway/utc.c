@@ -71,7 +71,9 @@ enum utc_source utc_sample(struct utc *utc, uint64_t t_us, uint64_t now_us)
 {
 	enum utc_source source = source_of(utc, now_us);
 	int64_t offset_us = source == UTC_TIME ? utc->time_offset_us : utc->host_offset_us;
-	int64_t utc_us = taken_us(utc, t_us, now_us) + offset_us;
+
+	utc->taken_us = taken_us(utc, t_us, now_us);
+	int64_t utc_us = utc->taken_us + offset_us;
 	bool known = source != UTC_NONE && utc_us >= DAYS_TO_1984 * US_PER_DAY;
 
 	utc->values->utc.day = known ? day_of(utc_us) : 0;

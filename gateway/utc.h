@@ -15,6 +15,7 @@
 enum utc_source { UTC_NONE, UTC_TIME, UTC_HOST };
 
 struct utc {
+	int64_t taken_us; /* when the last sample was measured, CLOCK_MONOTONIC; 0: none yet */
 	/* PRIVATE */
 	struct od_values *values;
 	struct canopen_node *node;

@@ -130,7 +130,9 @@ struct pdos {
 	struct rpdo rpdo[RPDO_MAX];
 	struct tpdo tpdo[TPDO_MAX];
 	size_t rpdo_count, tpdo_count;
-	uint32_t late; /* synchronous RPDOs received after the synchronous window */
+	uint32_t late;	   /* synchronous RPDOs received after the synchronous window */
+	uint32_t sent;	   /* TPDOs, but for answers to remote requests of type 252 */
+	uint32_t answered; /* SYNCs after which a TPDO was sent; the time of the last one is sync.last_us */
 };
 
 struct sync {

@@ -30,6 +30,7 @@ static void transmit(struct canopen_node *node, struct tpdo *tpdo)
 	uint8_t len = pack(node, &tpdo->pdo, tpdo->sent);
 
 	node_send(node, pdo_can_id(&tpdo->pdo), tpdo->sent, len);
+	node->pdos.sent++;
 	tpdo->sent_before = true;
 	tpdo->event = false;
 	tpdo->timer_start_us = node->now_us;
@@ -137,6 +138,8 @@ static bool due_on_sync(struct tpdo *tpdo, uint8_t counter)
 
 void tpdo_sync(struct canopen_node *node, uint8_t counter, bool late)
 {
+	uint32_t before = node->pdos.sent;
+
 	for (size_t i = 0; i < node->pdos.tpdo_count; i++) {
 		struct tpdo *tpdo = &node->pdos.tpdo[i];
 
@@ -145,6 +148,7 @@ void tpdo_sync(struct canopen_node *node, uint8_t counter, bool late)
 		else if (*tpdo->pdo.type == TYPE_RTR_SYNC)
 			tpdo->sampled_len = pack(node, &tpdo->pdo, tpdo->sampled);
 	}
+	node->pdos.answered += node->pdos.sent != before;
 }
 
 /* ---- RTR --------------------------------------------------------------------------------------------------------- */

@@ -81,7 +81,8 @@ def check_variable(eds, section):
            "a DOMAIN with a key of values, which strict parsers refuse")
     expect(data_type in BITS or data_type in OTHER, where, "DataType %#x" % data_type)
     expect(keys["AccessType"] in ("ro", "wo", "rw", "rwr", "rww", "const"), where, "AccessType " + keys["AccessType"])
-    expect(int(keys["ObjectType"], 0) == (2 if data_type == 15 else 7), where, "ObjectType " + keys["ObjectType"])
+    object_type = 2 if data_type == 15 and "sub" not in section else 7  # CANopenEditor loses a sub-index that is no VAR
+    expect(int(keys["ObjectType"], 0) == object_type, where, "ObjectType " + keys["ObjectType"])
     if "PDOMapping" in keys:
         bool(int(keys["PDOMapping"], 0))
     if "Factor" in keys:

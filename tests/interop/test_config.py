@@ -221,7 +221,8 @@ class BadInput(unittest.TestCase):
 
     def test_every_program_has_help_and_version(self):
         programs = [[name] for name in ("imu9-gateway", "imu9-replay", "imu9-sdo", "imu9-monitor", "imu9-calibrate",
-                                        "imu9-commission", "imu9-sim", "imu9-allan", "imu9-plot", "imu9-web")]
+                                        "imu9-commission", "imu9-sim", "imu9-allan", "imu9-plot", "imu9-web",
+                                        "imu9-bench")]
         for name, *word in programs + [["imu9-calibrate", "gyro"], ["imu9-calibrate", "lever-arm"]]:
             said = {option: rig.run(name, *word, option) for option in ("--help", "-h", "--version", "-V")}
             for option, result in said.items():

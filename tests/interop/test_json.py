@@ -7,6 +7,7 @@ import struct
 import subprocess
 import unittest
 
+import canopen_master as canopen
 import rig
 from rig import NODE
 
@@ -70,6 +71,27 @@ class Json(rig.OnTheBus):
                  for line in self.sdo("watch", "angles", "--count", "3", "--rate", "50").splitlines()]
         self.assertEqual(len(lines), 3)
         self.assertLess(lines[0]["utc"], lines[2]["utc"])
+
+    def test_the_bench_prints_what_the_histograms_of_the_node_hold(self):
+        self.start()
+        self.write(0x214A, 1, bytes(4))
+        for _ in range(25):
+            self.master.sync()
+            self.master.wait(lambda f: f.arbitration_id == canopen.TPDO[3] + NODE)
+        done = rig.run("imu9-bench", "-i", self.bus, "-n", NODE, "--json")
+        self.master.drain()
+        found = {h["name"]: h for h in valid("bench", done.stdout)["histograms"]}
+        self.assertEqual(set(found), {"sample_age", "sync_to_tpdo", "loop_turn", "stage_read", "stage_filter",
+                                      "stage_publish"})
+        count, low, high, total, *bins = struct.unpack("<3IQ96I", self.read(0x214A, 4))
+        sync = found["sync_to_tpdo"]
+        self.assertEqual((count, sum(bins)), (25, 25))
+        self.assertEqual((sync["count"], sync["minimum"], sync["maximum"]), (count, low, high))
+        self.assertAlmostEqual(sync["mean"], total / count, 3)
+        # the bins by the words of the EDS: 0 to 7 one by one, then 8, 10, 12, 14, 16, 20, ...
+        edges = [*range(8)] + [(4 + k % 4) << (k // 4 - 1) for k in range(8, 96)]
+        self.assertEqual(edges[8:14], [8, 10, 12, 14, 16, 20])
+        self.assertEqual([(b["from"], b["count"]) for b in sync["bins"]], [e for e in zip(edges, bins) if e[1]])
 
     def test_the_monitor_prints_what_pdos_carry(self):
         done = rig.run("imu9-monitor", "-i", self.bus, "-n", NODE, "--json", "--start", "--sync", "50", "-t", "1.5")

@@ -116,7 +116,7 @@ class RawTcp(Raw):
         self.transaction = 0
 
     def request(self, pdu):
-        self.transaction += 1
+        self.transaction = self.transaction + 1 & 0xFFFF
         self.socket.sendall(struct.pack(">HHHB", self.transaction, 0, len(pdu) + 1, 1) + pdu)
         transaction, protocol, length, _ = struct.unpack(">HHHB", self.receive(7))
         assert (transaction, protocol) == (self.transaction, 0)
@@ -230,6 +230,8 @@ class Window(unittest.TestCase):
 class SameSample(Window):
     def setUp(self):
         super().setUp()
+        # before the first sample the counter is 0, which the first one has, too
+        rig.wait_until(lambda: self.master.upload(NODE, 0x210F, 1) != bytes(2))
         self.master.nmt(canopen.START, NODE)
 
     def collect(self, read, wanted):

@@ -153,12 +153,13 @@ static void print_c_string(FILE *out, const char *text)
 
 /* ---- od_values.h ---- */
 
-static void print_member(FILE *out, const struct od_entry *entry)
+/* The data of a DOMAIN are elsewhere. */
+static void print_member(FILE *out, const char *indent, const struct od_entry *entry)
 {
 	if (is_string(entry))
-		fprintf(out, "%s %s[%u];\n", c_type(entry), member_name(entry), entry->size);
-	else
-		fprintf(out, "%s %s;\n", c_type(entry), member_name(entry));
+		fprintf(out, "%s%s %s[%u];\n", indent, c_type(entry), member_name(entry), entry->size);
+	else if (entry->type != OD_DOMAIN)
+		fprintf(out, "%s%s %s;\n", indent, c_type(entry), member_name(entry));
 }
 
 static void print_values_header(FILE *out, const struct eds *eds, size_t file_size)
@@ -175,17 +176,12 @@ static void print_values_header(FILE *out, const struct eds *eds, size_t file_si
 
 		fprintf(out, "\t/* %04Xh */\n", object->index);
 		if (object->kind == EDS_VAR) {
-			if (entries->type == OD_DOMAIN)
-				continue;
-			fputc('\t', out);
-			print_member(out, entries);
+			print_member(out, "\t", entries);
 			continue;
 		}
 		fputs("\tstruct {\n", out);
-		for (size_t k = 0; k < object->count; k++) {
-			fputs("\t\t", out);
-			print_member(out, &entries[k]);
-		}
+		for (size_t k = 0; k < object->count; k++)
+			print_member(out, "\t\t", &entries[k]);
 		fprintf(out, "\t} %s;\n", object->name);
 	}
 	fprintf(out,

@@ -32,7 +32,7 @@ static bool find_target(const struct session *s, const char *text, struct target
 	return cli_address(text, &target->index, &target->sub);
 }
 
-/* All sub-indices of a record except 0. */
+/* All sub-indices of a record except 0, and those that are no values. */
 static size_t find_record(const struct session *s, const char *name, struct target *targets, size_t capacity)
 {
 	size_t length = strlen(name), n = 0;
@@ -40,7 +40,8 @@ static size_t find_record(const struct session *s, const char *name, struct targ
 	for (size_t i = 0; i < s->table->count && n < capacity; i++) {
 		const struct od_entry *entry = &s->table->entries[i];
 
-		if (entry->sub > 0 && strncasecmp(entry->name, name, length) == 0 && entry->name[length] == '.')
+		if (entry->sub > 0 && entry->type != OD_DOMAIN && strncasecmp(entry->name, name, length) == 0 &&
+			entry->name[length] == '.')
 			targets[n++] = (struct target){entry->index, entry->sub, entry};
 	}
 	return n;

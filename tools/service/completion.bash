@@ -67,4 +67,4 @@ _imu9() {
 	esac
 }
 
-complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-commission imu9-web imu9-replay imu9-sim imu9-allan imu9-plot imu9-fleet
+complete -F _imu9 imu9-gateway imu9-sdo imu9-monitor imu9-calibrate imu9-commission imu9-web imu9-replay imu9-sim imu9-allan imu9-plot imu9-bench imu9-fleet
