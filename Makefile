@@ -201,8 +201,8 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check emulator distros asan ubsan tsan fuzz soak bench honesty score mutate lint cov format check-format \
-	check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
+.PHONY: tests check emulator distros asan ubsan tsan fuzz soak bench honesty score mutate lint analyze cov format \
+	check-format check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 emulator: ## print what runs the programs that CC builds here: nothing, or qemu
@@ -256,13 +256,18 @@ bench: all $(BENCHES) ## print the measured figures
 mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)
 
-lint: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h $(SPARKPLUG) ## clang-tidy and cppcheck
+lint: analyze ## clang-tidy, cppcheck and gcc -fanalyzer
 	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) \
 		$(TOOLS_SRC) $(FLEET_SRC) | \
 		xargs -P $(shell nproc) -I FILE clang-tidy --quiet FILE -- $(filter-out -MMD -MP,$(ALL_CFLAGS))
 	cppcheck --quiet --error-exitcode=1 --enable=warning,performance,portability --inline-suppr \
 		--suppress=missingIncludeSystem --suppress=ctunullpointer:od/text.c -I. -I$(BUILD)/gen \
 		model od drivers gateway tools
+
+analyze: $(BUILD)/gen/od_values.h $(BUILD)/gen/build_id.h $(SPARKPLUG) ## gcc -fanalyzer alone
+	@printf '%s\n' $(MODEL_SRC) $(OD_SRC) $(DRIVERS_SRC) $(CANOPEN_SRC) $(MODBUS_SRC) $(GATEWAY_SRC) \
+		$(TOOLS_SRC) $(FLEET_SRC) $(PROGRAM_SRC) gateway/main.c tools/eds/gen_od.c | \
+		tests/analyze $(filter-out -MMD -MP,$(ALL_CFLAGS))
 
 cov: ## line and branch coverage of the unit and scenario tests
 	@$(MAKE) --no-print-directory BUILD=$(BUILD)/cov CFLAGS="-O0 -g --coverage" check

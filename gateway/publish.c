@@ -124,12 +124,23 @@ void publish_preset(struct od *od, uint16_t index)
 
 /* ---- the sample -------------------------------------------------------------------------------------------------- */
 
-#define PUBLISH_REAL32(record, vector, a, b, c) \
-	((record).a = (float)(vector).x, (record).b = (float)(vector).y, (record).c = (float)(vector).z)
+#define PUBLISH_REAL32(record, vector, a, b, c)     \
+	do {                                        \
+		const struct vec3 value = (vector); \
+		(record).a = (float)value.x;        \
+		(record).b = (float)value.y;        \
+		(record).c = (float)value.z;        \
+	} while (0)
 
-#define PUBLISH_SCALED(record, vector, lsb, a, b, c)                                                             \
-	((record).a = scaled16((vector).x, lsb, &saturated), (record).b = scaled16((vector).y, lsb, &saturated), \
-		(record).c = scaled16((vector).z, lsb, &saturated))
+/* To find the step takes longer than all else. */
+#define PUBLISH_SCALED(record, vector, lsb, a, b, c)              \
+	do {                                                      \
+		const struct vec3 value = (vector);               \
+		const double step = (lsb);                        \
+		(record).a = scaled16(value.x, step, &saturated); \
+		(record).b = scaled16(value.y, step, &saturated); \
+		(record).c = scaled16(value.z, step, &saturated); \
+	} while (0)
 
 /* The INTEGER16 twins, 2140h to 2147h: quantities that fit a PDO as vectors. Returns whether one saturates. */
 static bool publish_twins(struct od *od, const struct pipeline_output *out)

@@ -9,7 +9,13 @@
 
 enum { NODE_ID = 0x10, MAX_TICKS = 64 };
 
-static struct canopen_node node;
+static struct world {
+	struct can_port port;
+	struct od_values values;
+	struct od_domain domain;
+	struct od od;
+	struct canopen_node node;
+} now, started[2]; /* with a node-ID and without; copied for each run: the start takes longer than most runs */
 static enum nmt_state state_before;
 
 static int port_send(struct can_port *port, const struct can_msg *msg)
@@ -108,7 +114,7 @@ static uint64_t pass_time(struct input *in, uint64_t now_us)
 	uint64_t end_us = now_us + ((uint64_t)read_byte(in) << (read_byte(in) & 15));
 
 	for (int i = 0; i < MAX_TICKS && now_us <= end_us; i++) {
-		uint64_t deadline_us = canopen_tick(&node, now_us);
+		uint64_t deadline_us = canopen_tick(&now.node, now_us);
 		require(deadline_us > now_us);
 		if (deadline_us > end_us)
 			break;
@@ -117,7 +123,7 @@ static uint64_t pass_time(struct input *in, uint64_t now_us)
 	return now_us;
 }
 
-int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+static void power_on(struct world *initial, uint8_t node_id, uint64_t now_us)
 {
 	static const struct can_ops ops = {.send = port_send, .receive = port_receive, .filter = port_filter};
 	static const struct canopen_device device = {.store = device_store,
@@ -127,49 +133,55 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 		.bit_rate_possible = device_bit_rate_possible,
 		.set_bit_rate = device_set_bit_rate};
 	static const uint8_t eds[1000] = {1, 2, 3};
-	static struct od_values values;
-	static struct can_port port;
-	static struct od_domain domain;
-	struct od od;
+
+	now.port = (struct can_port){.ops = &ops};
+	now.domain = (struct od_domain){.index = 0x1021, .data = eds, .size = sizeof(eds)};
+	state_before = NMT_INITIALISING;
+	od_init(&now.od, &imu9_od_table, &now.values, node_id);
+	od_set_domain(&now.od, &now.domain);
+	require(canopen_init(&now.node, &now.od, &now.port, &device, node_id) == 0);
+	canopen_start(&now.node, now_us);
+	*initial = now;
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
 	struct input in = {data, size};
 	uint64_t now_us = 1000;
-	uint8_t node_id = read_byte(&in) == 0xFF ? CANOPEN_UNCONFIGURED : NODE_ID;
+	bool unconfigured = read_byte(&in) == 0xFF;
 
-	port = (struct can_port){.ops = &ops};
-	domain = (struct od_domain){.index = 0x1021, .data = eds, .size = sizeof(eds)};
-	state_before = NMT_INITIALISING;
-	od_init(&od, &imu9_od_table, &values, node_id);
-	od_set_domain(&od, &domain);
-	require(canopen_init(&node, &od, &port, &device, node_id) == 0);
-	canopen_start(&node, now_us);
+	if (!started[unconfigured].port.ops)
+		power_on(&started[unconfigured], unconfigured ? CANOPEN_UNCONFIGURED : NODE_ID, now_us);
+	now = started[unconfigured];
+	answer = OD_OK;
 	while (in.size > 0) {
 		uint8_t operation = read_byte(&in);
 		struct can_msg msg;
 
-		state_before = canopen_nmt_state(&node);
+		state_before = canopen_nmt_state(&now.node);
 		switch (operation & 7) {
 		case 0:
 			now_us = pass_time(&in, now_us);
 			break;
 		case 1:
-			canopen_sample(&node, now_us);
+			canopen_sample(&now.node, now_us);
 			break;
 		case 2:
-			canopen_error_set(&node, (uint16_t)(0xFF00 | read_byte(&in)), read_byte(&in), NULL, now_us);
+			canopen_error_set(&now.node, (uint16_t)(0xFF00 | read_byte(&in)), read_byte(&in), NULL, now_us);
 			break;
 		case 3:
-			canopen_error_clear(&node, (uint16_t)(0xFF00 | read_byte(&in)), now_us);
+			canopen_error_clear(&now.node, (uint16_t)(0xFF00 | read_byte(&in)), now_us);
 			break;
 		case 4:
 			answer = operation & 8 ? OD_PENDING : OD_OK;
-			canopen_store_done(&node, operation & 16 ? OD_OK : OD_CANNOT_STORE, now_us);
+			canopen_store_done(&now.node, operation & 16 ? OD_OK : OD_CANNOT_STORE, now_us);
 			break;
 		default:
 			msg = read_frame(&in);
-			canopen_receive(&node, &msg, now_us);
+			canopen_receive(&now.node, &msg, now_us);
 			break;
 		}
-		require(canopen_tick(&node, now_us) > now_us);
+		require(canopen_tick(&now.node, now_us) > now_us);
 	}
 	return 0;
 }

@@ -232,12 +232,11 @@ int sdo_command_dbc(struct session *s, int argc, char **argv)
 	char *parts[4] = {NULL}, *text = NULL;
 	size_t sizes[4], size;
 	struct dbc dbc = {.session = s,
-		.messages = open_memstream(&parts[0], &sizes[0]),
-		.comments = open_memstream(&parts[1], &sizes[1]),
-		.values = open_memstream(&parts[2], &sizes[2]),
-		.types = open_memstream(&parts[3], &sizes[3])};
-	FILE *out = open_memstream(&text, &size), *const streams[] = {
-							  dbc.messages, dbc.comments, dbc.values, dbc.types};
+		.messages = sdo_open_text(&parts[0], &sizes[0]),
+		.comments = sdo_open_text(&parts[1], &sizes[1]),
+		.values = sdo_open_text(&parts[2], &sizes[2]),
+		.types = sdo_open_text(&parts[3], &sizes[3])};
+	FILE *out = sdo_open_text(&text, &size), *const streams[] = {dbc.messages, dbc.comments, dbc.values, dbc.types};
 
 	sdo_open(s);
 	print_dbc(&dbc);

@@ -64,13 +64,11 @@ static int save_dcf(struct session *s, const char *path)
 	uint8_t *eds = s->eds_path ? sdo_read_file(s->eds_path, &eds_size) : own_eds(&eds_size);
 	char *text = NULL;
 	struct save save = {.session = s};
-	FILE *out = open_memstream(&text, &size);
 	int saved = 0, failed = 0;
 
-	if (!out || !eds) {
-		free(eds);
+	if (!eds)
 		return CLI_FAILED;
-	}
+	FILE *out = sdo_open_text(&text, &size);
 	sdo_open(s);
 	if (!s->eds_path)
 		set_vendor(s, eds);

@@ -53,12 +53,8 @@ int sdo_command_save(struct session *s, int argc, char **argv)
 	char *text = NULL;
 	size_t size = 0;
 	int saved = 0, failed = 0;
-	FILE *out = open_memstream(&text, &size); /* the file is written only when all values were read */
+	FILE *out = sdo_open_text(&text, &size); /* the file is written only when all values were read */
 
-	if (!out) {
-		cli_error("out of memory");
-		return CLI_FAILED;
-	}
 	sdo_open(s);
 	fprintf(out,
 		"# Configuration of node %ld, read by imu9-sdo save.\n"

@@ -218,9 +218,9 @@ int sdo_finish_save(const struct session *s, const char *path, const char *text,
 uint8_t *sdo_read_file(const char *path, size_t *size)
 {
 	uint8_t *data = malloc(SDO_DOMAIN_MAX + 1);
-	FILE *file = strcmp(path, "-") == 0 ? stdin : fopen(path, "re");
+	FILE *file = !data ? NULL : strcmp(path, "-") == 0 ? stdin : fopen(path, "re");
 
-	if (!data || !file) {
+	if (!file) {
 		cli_error("%s: %s", path, strerror(errno));
 		free(data);
 		return NULL;
@@ -234,4 +234,15 @@ uint8_t *sdo_read_file(const char *path, size_t *size)
 	cli_error("%s: %s", path, failed ? strerror(EIO) : "longer than 4 MB");
 	free(data);
 	return NULL;
+}
+
+FILE *sdo_open_text(char **text, size_t *size)
+{
+	FILE *stream = open_memstream(text, size);
+
+	if (!stream) {
+		cli_error("out of memory");
+		exit(CLI_FAILED);
+	}
+	return stream;
 }

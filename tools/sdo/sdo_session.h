@@ -4,6 +4,8 @@
 #ifndef TOOLS_SDO_SDO_SESSION_H
 #define TOOLS_SDO_SDO_SESSION_H
 
+#include <stdio.h>
+
 #include "tools/lib/cli.h"
 #include "tools/lib/cli_node.h"
 #include "tools/eds/eds.h"
@@ -60,6 +62,8 @@ void sdo_put_u32(uint8_t *wire, uint32_t value);
 bool sdo_write_file(const char *path, const void *data, size_t size);
 /** Allocated content of a file, or NULL after a message; '-': standard input. */
 uint8_t *sdo_read_file(const char *path, size_t *size);
+/** A stream that writes to *text, allocated; the program ends when there is no memory. */
+FILE *sdo_open_text(char **text, size_t *size);
 
 /* sdo_object.c */
 int sdo_command_read(struct session *s, int argc, char **argv);

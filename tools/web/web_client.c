@@ -615,7 +615,7 @@ static struct json_object *emcy_json(const struct web *web, struct web_client *c
 /* What the loop of the nodes has for it; `text` is owned by the client. */
 static const char *next_of_nodes(const struct web *web, struct web_client *client, size_t *size, uint64_t now_us)
 {
-	uint64_t due_us;
+	uint64_t due_us = UINT64_MAX;
 
 	for (size_t i = 0; i < WEB_POLLS; i++) {
 		struct web_poll *poll = &client->polls[i];

@@ -48,7 +48,7 @@ void sdo_client_send(
 	struct can_msg msg = {.id = CAN_ID_SDO_REQUEST + client->node_id, .len = 8};
 
 	msg.data[0] = (uint8_t)command;
-	if (size)
+	if (payload)
 		memcpy(&msg.data[1], payload, size);
 	client->deadline_us = now_us + client->timeout_us;
 	int rc = can_send(client->bus, &msg, now_us);
