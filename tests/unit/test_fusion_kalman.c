@@ -1390,6 +1390,102 @@ static void test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_
 	}
 }
 
+/* A filter that has been through everything: each number is another one, each flag set. */
+static struct fusion_kalman used_filter(void)
+{
+	struct fusion_kalman k = {.lever_known = true, .has_moved = true, .bias_known = true};
+
+	for (int i = 0; i < KALMAN_STATES; i++)
+		for (int j = 0; j < KALMAN_STATES; j++)
+			k.covariance[i][j] = i == j ? 1e-3 * (i + 1) : 1e-5 * (i + j);
+	k.velocity_n_m_s[0] = 1;
+	k.velocity_n_m_s[1] = 2;
+	k.spread_m2_s2 = 99;
+	k.mean_force_n_m_s2 = k.lever_arm_b_m = k.heading_by_offset_rad_uT = k.field_by_offset_1_uT =
+		(struct vec3){3, 4, 5};
+	k.mean_force_s = k.since_start_s = 6;
+	k.accel_variance = 7;
+	k.sums.time_s = k.sums.force_n_m_s.x = k.sums.field_b_uT.y = 8;
+	k.sums.fields = 9;
+	k.hard_iron = (struct hard_iron){.prior_uT = 10, .known = true, .offset_b_uT = {1, 2, 3}, .turns = 5};
+	return k;
+}
+
+static void assert_no_sums(const struct fusion_kalman *k)
+{
+	const struct fusion_kalman_sums none = {.time_s = 0};
+
+	assert_memory_equal(&k->sums, &none, sizeof none);
+}
+
+/* Known with this variance, and nothing else depends on it. */
+static void assert_variance(const struct fusion_kalman *k, int i, double variance)
+{
+	for (int j = 0; j < KALMAN_STATES; j++) {
+		assert_near(k->covariance[i][j], i == j ? variance : 0, 1e-15);
+		assert_near(k->covariance[j][i], i == j ? variance : 0, 1e-15);
+	}
+}
+
+static void test_a_start_keeps_only_what_is_known_of_the_gyro(void **state)
+{
+	const struct fusion_kalman_config c = {.heading_sigma_rad = 0.1,
+		.accel_sigma_m_s2 = 0.2,
+		.bias_sigma_rad_s = 0.3,
+		.gyro_scale_sigma = 0.01,
+		.velocity_sigma_m_s = 2};
+	struct fusion_kalman k = used_filter();
+
+	(void)state;
+	fusion_kalman_start(&k, &c, 9.8);
+	assert_near(k.covariance[0][0], k.covariance[1][1], 0);
+	assert_variance(&k, KALMAN_HEADING, 0.01);
+	assert_variance(&k, KALMAN_VELOCITY, k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1]);
+	for (int i = 0; i < 3; i++) {
+		assert_near(k.covariance[KALMAN_BIAS + i][KALMAN_BIAS + i], 1e-3 * (KALMAN_BIAS + i + 1), 0);
+		assert_near(k.covariance[KALMAN_SCALE + i][KALMAN_SCALE + i], 1e-3 * (KALMAN_SCALE + i + 1), 0);
+		assert_variance(&k, KALMAN_ACCEL + i, 0.04);
+	}
+	assert_true(k.velocity_n_m_s[0] == 0 && k.velocity_n_m_s[1] == 0);
+	assert_near(k.accel_variance, 0.04, 1e-15);
+	assert_near(k.spread_m2_s2, 0.4 * 0.4, 1e-12); /* at least a fifth of the configured sigma */
+	assert_vec_near(k.mean_force_n_m_s2, ((struct vec3){0, 0, 9.8}), 0);
+	assert_true(k.mean_force_s == 0 && k.since_start_s == 0 && !k.has_moved && !k.lever_known);
+	assert_no_sums(&k);
+
+	for (int i = KALMAN_BIAS; i < KALMAN_ACCEL; i++)
+		k.covariance[i][i] = 0; /* the very first time */
+	fusion_kalman_start(&k, &c, 9.8);
+	for (int i = 0; i < 3; i++) {
+		assert_variance(&k, KALMAN_BIAS + i, 0.09);
+		assert_variance(&k, KALMAN_SCALE + i, 1e-4);
+	}
+	assert_false(k.bias_known);
+}
+
+/* A quarter turn about z: what was along x is along y. Of the bias only its greatest sigma is known then. */
+static void test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown(void **state)
+{
+	const struct fusion_kalman_config c = {.gyro_scale_sigma = 0.01};
+	struct fusion_kalman k = used_filter();
+	struct gyro_errors errors = {.bias_b_rad_s = {1, 2, 3}, .scale_b = {4, 5, 6}};
+
+	(void)state;
+	k.covariance[KALMAN_BIAS + 1][KALMAN_BIAS + 1] = 0.5;
+	fusion_kalman_turn_object(&k, &c, quat_from_rotation_vector((struct vec3){0, 0, PI / 2}), &errors);
+	for (int i = 0; i < 3; i++) {
+		assert_variance(&k, KALMAN_BIAS + i, 0.5);
+		assert_variance(&k, KALMAN_SCALE + i, 1e-4);
+	}
+	assert_vec_near(errors.bias_b_rad_s, ((struct vec3){-2, 1, 3}), 1e-12);
+	assert_vec_near(errors.scale_b, ((struct vec3){0, 0, 0}), 0);
+	assert_vec_near(k.lever_arm_b_m, ((struct vec3){-4, 3, 5}), 1e-12);
+	assert_vec_near(k.heading_by_offset_rad_uT, ((struct vec3){0, 0, 0}), 0);
+	assert_vec_near(k.field_by_offset_1_uT, ((struct vec3){0, 0, 0}), 0);
+	assert_true(k.hard_iron.prior_uT == 10 && !k.hard_iron.known && k.hard_iron.turns == 0);
+	assert_no_sums(&k);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1451,6 +1547,8 @@ int main(void)
 		cmocka_unit_test(test_under_a_heading_that_was_set_the_field_is_the_reference_again),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up),
 		cmocka_unit_test(test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it),
+		cmocka_unit_test(test_a_start_keeps_only_what_is_known_of_the_gyro),
+		cmocka_unit_test(test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
