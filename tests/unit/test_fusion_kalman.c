@@ -1486,6 +1486,69 @@ static void test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown
 	assert_no_sums(&k);
 }
 
+static void test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it(void **state)
+{
+	const struct fusion_kalman_config c = {.bias_sigma_rad_s = 0.3};
+	const double degree2 = pow(PI / 180, 2);
+
+	(void)state;
+	for (int heading = 0; heading < 2; heading++) {
+		struct fusion_kalman k = used_filter();
+
+		k.norm_uT = 50;
+		k.north_from_field = k.north_on_trial = true;
+		k.aided_heading_s = k.heading_rejections = 3;
+		if (heading)
+			fusion_kalman_set_heading(&k, 0.02);
+		else
+			fusion_kalman_set_attitude(&k, &c);
+		assert_variance(&k, KALMAN_HEADING, heading ? 0.02 : degree2);
+		for (int i = 0; i < 2 && !heading; i++)
+			assert_variance(&k, i, degree2);
+		assert_variance(&k, KALMAN_VELOCITY, k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1]);
+		assert_true(k.velocity_n_m_s[0] == 0 && k.velocity_n_m_s[1] == 0);
+		assert_near(k.covariance[KALMAN_BIAS][KALMAN_BIAS], 1e-3 * (KALMAN_BIAS + 1), 0);
+		assert_true(k.north_unknown && !k.north_from_field && !k.north_on_trial);
+		assert_near(k.norm_uT, heading ? 50 : 0, 0);
+		assert_near(k.aided_heading_s, heading ? 10 : 3, 0);
+		assert_int_equal(k.heading_rejections, heading ? 0 : 3);
+		assert_no_sums(&k);
+	}
+}
+
+/* The first one replaces the velocity, and so does one beyond 5 sigma; others are measurements of it. The filter has
+ * the velocity of the accelerometer: the lever arm's is added, and turned by the error of the heading. */
+static void test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts(void **state)
+{
+	const struct fusion_kalman_config c = {.gyro_scale_sigma = 0.01};
+	const struct vec3 v = {1, -2, 9}, lever = {0.3, 0.4, 1.2};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const double off = i == 2 ? 100 : 0.5, variance = 0.04 + 1.69 * 0.01;
+		struct fusion_kalman k = {.aided_velocity_s = i > 0 ? 1 : 0, .velocity_n_m_s = {1.3 - off, -1.6 + off}};
+		struct gyro_errors errors = {.bias_b_rad_s = {0, 0, 0}};
+		struct quat q = QUAT_IDENTITY;
+		double gain;
+
+		k.covariance[KALMAN_HEADING][KALMAN_HEADING] = 0.01;
+		k.covariance[KALMAN_VELOCITY][KALMAN_VELOCITY] = 0.2;
+		k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1] = 0.3;
+		k.covariance[0][KALMAN_VELOCITY + 1] = k.covariance[KALMAN_VELOCITY + 1][0] = 0.01;
+		k.covariance[0][0] = 0.01;
+		fusion_kalman_aid_velocity(&k, &c, v, lever, 0.04, &q, &errors);
+		gain = 0.3 / (0.3 + variance);
+		assert_near(k.velocity_n_m_s[0], i == 1 ? 1.3 - off + 0.2 / (0.2 + variance) * off : 1.3, 1e-9);
+		assert_near(k.velocity_n_m_s[1], i == 1 ? -1.6 + off - gain * off : -1.6, 1e-9);
+		assert_vec_near(quat_to_rotation_vector(q),
+			((struct vec3){i == 1 ? -0.01 / (0.3 + variance) * off : 0, 0, 0}), 1e-9);
+		if (i == 1)
+			assert_near(k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1], (1 - gain) * 0.3, 1e-9);
+		assert_true(k.aided_velocity_n_m_s[0] == 1 && k.aided_velocity_n_m_s[1] == -2);
+		assert_near(k.aided_velocity_s, 10, 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1549,6 +1612,8 @@ int main(void)
 		cmocka_unit_test(test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it),
 		cmocka_unit_test(test_a_start_keeps_only_what_is_known_of_the_gyro),
 		cmocka_unit_test(test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown),
+		cmocka_unit_test(test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it),
+		cmocka_unit_test(test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
