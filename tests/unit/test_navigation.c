@@ -1586,6 +1586,66 @@ static void test_what_was_integrated_before_missing_samples_is_void(void **state
 	assert_near(by_gap[1], 2 * by_gap[0], 1e-9);
 }
 
+/* The displacement begins at zero, and what was uncertain of the position before it is kept apart. */
+static void test_a_movement_that_begins_knows_nothing_of_the_one_before(void **state)
+{
+	const struct navigation_input in = {
+		.gyro_b_rad_s = {2, 0, 0}, .force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+	struct navigation n = used_navigation(true);
+
+	(void)state;
+	n.sums = (struct navigation_sums){.t_s = 0};
+	n.reset_in_motion = false;
+	n.stood_s = 2;
+	n.movements = 3;
+	n.high_pass_n_m_s = (struct vec3){1, 2, 3};
+	n.high_pass2_max = n.moving_s = 9;
+	navigation_step(&n, &in, 1e-3);
+	assert_false(n.still);
+	assert_int_equal(n.movements, 4);
+	assert_vec_near(n.begin_n_m, ((struct vec3){4, 5, 6}), 0.01);
+	assert_vec_near(n.way_from_n_m, ((struct vec3){4, 5, 6}), 0.01);
+	assert_vec_near(n.earlier_variance_m2,
+		((struct vec3){4 + NAVIGATION_P + 1, 5 + NAVIGATION_P + 2, 6 + NAVIGATION_P + 3}), 1e-3);
+	assert_variance(&n, NAVIGATION_P, 0);
+	assert_vec_near(n.high_pass_n_m_s, ZERO, 0);
+	assert_true(n.high_pass2_max == 0 && n.moving_s < 0.01 && !n.lever_known && n.stood_s == 0);
+	assert_true(n.p[NAVIGATION_BG][NAVIGATION_BG] > NAVIGATION_BG + 1); /* as it moves the bias is another */
+}
+
+/* Lying on its side in this filter, upright in the fusion: as at the start, but for the velocity, which is that of the
+ * lever arm. */
+static void test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it(void **state)
+{
+	const struct vec3 bias = {0.01, 0.02, 0.03};
+	const struct navigation_input in = {.gyro_b_rad_s = {0.01, 0.02, 1.03},
+		.force_b_m_s2 = {0, 0, G},
+		.q_nb = QUAT_IDENTITY,
+		.gyro_bias_b_rad_s = bias,
+		.gravity_m_s2 = G,
+		.lever_b_m = {2, 0, 0}};
+	struct navigation n = used_navigation(false), fresh = {.started = false};
+
+	(void)state;
+	navigation_start(&fresh, &BARE, QUAT_IDENTITY);
+	n.sums = (struct navigation_sums){.t_s = 0};
+	n.reset_in_motion = false;
+	n.q_nb = quat_from_rotation_vector((struct vec3){PI / 2, 0, 0});
+	n.accel_bias_b_m_s2 = n.high_pass_n_m_s = (struct vec3){1, 2, 3};
+	n.high_pass2_max = 9;
+	assert_true(navigation_step(&n, &in, 0.1));
+	assert_quat_near(n.q_nb, QUAT_IDENTITY, 1e-9);
+	assert_vec_near(n.gyro_bias_b_rad_s, bias, 0);
+	assert_vec_near(n.accel_bias_b_m_s2, ZERO, 0);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0, 2, 0}), 1e-9);
+	assert_variance(&n, NAVIGATION_THETA, fresh.p[NAVIGATION_THETA][NAVIGATION_THETA]);
+	assert_variance(&n, NAVIGATION_V, n.p[NAVIGATION_V][NAVIGATION_V]);
+	assert_variance(&n, NAVIGATION_BG, fresh.p[NAVIGATION_BG][NAVIGATION_BG]);
+	assert_variance(&n, NAVIGATION_BA, fresh.p[NAVIGATION_BA][NAVIGATION_BA]);
+	assert_vec_near(n.high_pass_n_m_s, ZERO, 0);
+	assert_false(n.high_pass2_max > 0 || n.lever_known || n.rope.full || n.rope.steady);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1644,6 +1704,8 @@ int main(void)
 		cmocka_unit_test(test_a_position_that_is_reset_is_known),
 		cmocka_unit_test(test_with_an_attitude_that_was_set_the_velocity_turns_and_what_was_integrated_is_void),
 		cmocka_unit_test(test_what_was_integrated_before_missing_samples_is_void),
+		cmocka_unit_test(test_a_movement_that_begins_knows_nothing_of_the_one_before),
+		cmocka_unit_test(test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
