@@ -1549,6 +1549,33 @@ static void test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first
 	}
 }
 
+/* With a heading from outside, where the field points to is estimated: with a time constant of 10 s. */
+static void test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s(void **state)
+{
+	const struct fusion_kalman_config c = FUSION_KALMAN_DEFAULTS;
+	const double bearing = 0.5; /* clockwise from y */
+	const struct vec3 field = {20 * sin(bearing), 20 * cos(bearing), -45};
+	const struct fusion_kalman_sample sample = {.force_b_m_s2 = {0, 0, G}, .field_b_uT = &field};
+	struct fusion_kalman k = {.aided_heading_s = 10};
+	struct gyro_errors errors = {.bias_b_rad_s = {0, 0, 0}};
+	struct quat q = QUAT_IDENTITY;
+	double between_s = 0, left = bearing;
+
+	(void)state;
+	fusion_kalman_start(&k, &c, G);
+	fusion_kalman_set_north(&k, &c, q, (struct vec3){0, 20, -45});
+	for (int i = 0; i < 1000; i++) {
+		fusion_kalman_step(&k, &c, &sample, 0.005, &q, &errors);
+		between_s += 0.005;
+		if (k.sums.time_s > 0)
+			continue;
+		left *= 10 / (10 + between_s);
+		between_s = 0;
+	}
+	assert_near(k.north_rad, bearing - left, 1e-6);
+	assert_near(left, bearing * exp(-0.5), 0.01);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1614,6 +1641,7 @@ int main(void)
 		cmocka_unit_test(test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown),
 		cmocka_unit_test(test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it),
 		cmocka_unit_test(test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts),
+		cmocka_unit_test(test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

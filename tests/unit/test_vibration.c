@@ -205,6 +205,9 @@ static void test_a_vibration_that_lasts_is_noise_and_an_error_of_the_force(void 
 	assert_true(v.force_noise_m2_s4 == 0);
 	shake(&v, 0, 0, 2);
 	assert_near(v.force_error_m_s2 / error, exp(-1), 1e-3);
+	v = (struct vibration){.known = 0};
+	shake(&v, 0.4, 0, 30); /* little more than a hand */
+	assert_near(v.force_noise_m2_s4, (0.16 * 256 / 70 - 0.25) / 3, 1e-3);
 }
 
 /* Half of the range may be beyond its end, in as many of the samples as were clipped in the last 2 s. */
