@@ -157,9 +157,10 @@ static void test_a_position_that_an_alias_has_moved_is_within_three_sigma_from_t
  * a dip in its middle, of one sample. */
 struct half_waves {
 	double time_s[2], peak_m_s2[2], power, turn_rad, dip_m_s2;
+	bool turns_at_once; /* with its first sample */
 };
 
-static const struct half_waves ALIKE_WAVES = {{0.5, 0.5}, {1, 1}, 1, 0, 0};
+static const struct half_waves ALIKE_WAVES = {{0.5, 0.5}, {1, 1}, 1, 0, 0, false};
 
 static bool found_in(const struct half_waves *w, int count)
 {
@@ -176,7 +177,8 @@ static bool found_in(const struct half_waves *w, int count)
 				k == samples / 2 && w->dip_m_s2 > 0 ? -w->dip_m_s2 : w->peak_m_s2[h % 2] * shape;
 
 			alias_step(&a, (struct vec3){0, h % 2 ? -accel : accel, 0},
-				(struct vec3){0, 0, w->turn_rad / samples}, dt_s);
+				(struct vec3){0, 0, w->turns_at_once ? w->turn_rad * (k == 0) : w->turn_rad / samples},
+				dt_s);
 			found |= a.velocity_m_s[1] > 0;
 		}
 	}
@@ -235,13 +237,15 @@ static void test_half_waves_are_as_full_as_a_sine(void **state)
 	}
 }
 
-/* What hangs turns by its acceleration / gravity. */
+/* What hangs turns by its acceleration / gravity. That of the half-wave before counts as well. */
 static void test_a_turn_of_a_fifth_of_what_hangs_explains_the_acceleration(void **state)
 {
 	(void)state;
-	for (int much = 0; much < 2; much++) {
+	for (int i = 0; i < 4; i++) {
+		const bool much = i % 2;
 		struct half_waves w = ALIKE_WAVES;
 
+		w.turns_at_once = i / 2;
 		w.peak_m_s2[0] = w.peak_m_s2[1] = 2;
 		w.turn_rad = (much ? 0.21 : 0.19) * 2 / 9.80665;
 		assert_int_equal(found_in(&w, 10), !much);
@@ -281,6 +285,29 @@ static void test_what_lasts_half_as_long_again_is_no_longer_an_alias(void **stat
 	for (k = 0; k < 1000 && a.velocity_m_s[0] > 0; k++)
 		alias_step(&a, (struct vec3){-1, 0, 0}, (struct vec3){0, 0, 0}, dt_s);
 	assert_near(k * dt_s, 1.5 * (0.5 - asin(0.2) / (2 * PI)), 0.003);
+	assert_near(a.ended_m_s[0], 0.5 / PI, 0.005); /* half the area of a half-wave of a sine of 0.5 s */
+	assert_near(a.ended_m[0], a.ended_m_s[0] * 0.5 / PI, 0.002);
+	alias_step(&a, (struct vec3){-1, 0, 0}, (struct vec3){0, 0, 0}, dt_s);
+	assert_true(a.ended_m_s[0] == 0 && a.ended_m[0] == 0);
+}
+
+/* When the fourth half-wave begins, in which the alias is found, it has lasted for three. */
+static void test_the_time_since_an_alias_began_is_told_once(void **state)
+{
+	const double dt_s = 1e-3;
+	struct alias a = {.velocity_m_s = {0}};
+	int told = 0;
+
+	(void)state;
+	for (int k = 0; k < 2500; k++) {
+		alias_step(&a, (struct vec3){0, 0, 0.5 * sin(2 * PI * (k + 0.5) * dt_s)}, (struct vec3){0, 0, 0}, dt_s);
+		if (a.found_s[2] > 0) {
+			assert_near(a.found_s[2], 1.5, 0.04);
+			told++;
+		}
+	}
+	assert_int_equal(told, 1);
+	assert_true(a.velocity_m_s[2] > 0 && a.found_s[0] == 0 && a.found_s[1] == 0);
 }
 
 int main(void)
@@ -298,6 +325,7 @@ int main(void)
 		cmocka_unit_test(test_a_turn_of_a_fifth_of_what_hangs_explains_the_acceleration),
 		cmocka_unit_test(test_a_small_dip_does_not_end_a_half_wave),
 		cmocka_unit_test(test_what_lasts_half_as_long_again_is_no_longer_an_alias),
+		cmocka_unit_test(test_the_time_since_an_alias_began_is_told_once),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
