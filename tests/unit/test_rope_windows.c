@@ -240,7 +240,7 @@ static void test_a_change_beyond_3_sigma_says_nothing_of_the_length(void **state
 /* Two windows before another load are none of it. */
 static void test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own(void **state)
 {
-	struct navigation_sums second = {.t_s = 1};
+	struct navigation_sums second = {.t_s = 1}, half = {.t_s = 0.5};
 	struct quat q = quat_from_rotation_vector((struct vec3){0.1, -0.2, 0.3});
 	struct rope rope = {.full = 0};
 
@@ -248,7 +248,10 @@ static void test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own(void *
 	rope_hang(&rope, 5, QUAT_IDENTITY);
 	assert_false(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
 	assert_true(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
+	assert_true(rope_swing(&rope, q, &second, 1));
+	assert_false(rope_swing(&rope, q, &half, 1));
 	rope_hang(&rope, 5, q);
+	assert_near(rope.window[ROPE_WINDOWS - 1].sums.t_s, 0, 0);
 	assert_vec_near(rope.window[ROPE_WINDOWS - 1].up_n, ((struct vec3){0, 0, 1}), 1e-12);
 	assert_false(rope_swing(&rope, q, &second, 1));
 	assert_true(rope_swing(&rope, q, &second, 1));
