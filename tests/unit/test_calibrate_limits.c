@@ -6,6 +6,7 @@
 #include "model/identify/calibrate_magnetometer.h"
 #include "model/identify/calibrate_temperature.h"
 #include "model/identify/ellipsoid.h"
+#include "model/identify/gyro_turns.h"
 
 #define G 9.81
 
@@ -954,6 +955,36 @@ static void test_a_robust_fit_is_hardly_moved_by_outliers(void **state)
 	assert_true(off[1] < 0.4 * off[0]);
 }
 
+/* ---- turns between rests ---- */
+
+/* Of so many whole samples as are 0.1 s or just more. */
+static void test_a_turn_is_kept_in_parts_of_a_tenth_of_a_second(void **state)
+{
+	const double rates_hz[] = {50, 100, 208, 400};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof rates_hz / sizeof *rates_hz; i++) {
+		static struct gyro_turns t;
+
+		gyro_turns_init(&t);
+		t.integrating = true;
+		for (int k = 1; k <= (int)rates_hz[i]; k++) {
+			const struct imu_sample raw = {
+				.t_us = (uint64_t)llround(1e6 * k / rates_hz[i]), .gyro_rad_s = {0.5, 0, -1}};
+
+			gyro_turns_sample(&t, &raw);
+		}
+		assert_int_equal(t.parts, rates_hz[i] == 208 ? 9 : 10); /* 21 samples of 208 Hz */
+		for (int k = 1; k < t.parts; k++) {
+			const double s = ceil(0.1 * rates_hz[i] - 1e-9) / rates_hz[i];
+
+			assert_true(fabs(t.part[k].s - s) < 1e-5);
+			assert_true(fabs(t.part[k].angle_rad.x - 0.5 * s) < 1e-5);
+			assert_true(fabs(t.part[k].angle_rad.z + s) < 1e-5);
+		}
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1007,6 +1038,7 @@ int main(void)
 		cmocka_unit_test(test_biases_that_do_not_change_with_the_temperature_have_no_slope_and_no_residual),
 		cmocka_unit_test(test_the_fit_of_an_ellipsoid_is_that_of_least_squares_whichever_point_is_off),
 		cmocka_unit_test(test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives),
+		cmocka_unit_test(test_a_turn_is_kept_in_parts_of_a_tenth_of_a_second),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

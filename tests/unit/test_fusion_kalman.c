@@ -1390,6 +1390,192 @@ static void test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_
 	}
 }
 
+/* A filter that has been through everything: each number is another one, each flag set. */
+static struct fusion_kalman used_filter(void)
+{
+	struct fusion_kalman k = {.lever_known = true, .has_moved = true, .bias_known = true};
+
+	for (int i = 0; i < KALMAN_STATES; i++)
+		for (int j = 0; j < KALMAN_STATES; j++)
+			k.covariance[i][j] = i == j ? 1e-3 * (i + 1) : 1e-5 * (i + j);
+	k.velocity_n_m_s[0] = 1;
+	k.velocity_n_m_s[1] = 2;
+	k.spread_m2_s2 = 99;
+	k.mean_force_n_m_s2 = k.lever_arm_b_m = k.heading_by_offset_rad_uT = k.field_by_offset_1_uT =
+		(struct vec3){3, 4, 5};
+	k.mean_force_s = k.since_start_s = 6;
+	k.accel_variance = 7;
+	k.sums.time_s = k.sums.force_n_m_s.x = k.sums.field_b_uT.y = 8;
+	k.sums.fields = 9;
+	k.hard_iron = (struct hard_iron){.prior_uT = 10, .known = true, .offset_b_uT = {1, 2, 3}, .turns = 5};
+	return k;
+}
+
+static void assert_no_sums(const struct fusion_kalman *k)
+{
+	const struct fusion_kalman_sums none = {.time_s = 0};
+
+	assert_memory_equal(&k->sums, &none, sizeof none);
+}
+
+/* Known with this variance, and nothing else depends on it. */
+static void assert_variance(const struct fusion_kalman *k, int i, double variance)
+{
+	for (int j = 0; j < KALMAN_STATES; j++) {
+		assert_near(k->covariance[i][j], i == j ? variance : 0, 1e-15);
+		assert_near(k->covariance[j][i], i == j ? variance : 0, 1e-15);
+	}
+}
+
+static void test_a_start_keeps_only_what_is_known_of_the_gyro(void **state)
+{
+	const struct fusion_kalman_config c = {.heading_sigma_rad = 0.1,
+		.accel_sigma_m_s2 = 0.2,
+		.bias_sigma_rad_s = 0.3,
+		.gyro_scale_sigma = 0.01,
+		.velocity_sigma_m_s = 2};
+	struct fusion_kalman k = used_filter();
+
+	(void)state;
+	fusion_kalman_start(&k, &c, 9.8);
+	assert_near(k.covariance[0][0], k.covariance[1][1], 0);
+	assert_variance(&k, KALMAN_HEADING, 0.01);
+	assert_variance(&k, KALMAN_VELOCITY, k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1]);
+	for (int i = 0; i < 3; i++) {
+		assert_near(k.covariance[KALMAN_BIAS + i][KALMAN_BIAS + i], 1e-3 * (KALMAN_BIAS + i + 1), 0);
+		assert_near(k.covariance[KALMAN_SCALE + i][KALMAN_SCALE + i], 1e-3 * (KALMAN_SCALE + i + 1), 0);
+		assert_variance(&k, KALMAN_ACCEL + i, 0.04);
+	}
+	assert_true(k.velocity_n_m_s[0] == 0 && k.velocity_n_m_s[1] == 0);
+	assert_near(k.accel_variance, 0.04, 1e-15);
+	assert_near(k.spread_m2_s2, 0.4 * 0.4, 1e-12); /* at least a fifth of the configured sigma */
+	assert_vec_near(k.mean_force_n_m_s2, ((struct vec3){0, 0, 9.8}), 0);
+	assert_true(k.mean_force_s == 0 && k.since_start_s == 0 && !k.has_moved && !k.lever_known);
+	assert_no_sums(&k);
+
+	for (int i = KALMAN_BIAS; i < KALMAN_ACCEL; i++)
+		k.covariance[i][i] = 0; /* the very first time */
+	fusion_kalman_start(&k, &c, 9.8);
+	for (int i = 0; i < 3; i++) {
+		assert_variance(&k, KALMAN_BIAS + i, 0.09);
+		assert_variance(&k, KALMAN_SCALE + i, 1e-4);
+	}
+	assert_false(k.bias_known);
+}
+
+/* A quarter turn about z: what was along x is along y. Of the bias only its greatest sigma is known then. */
+static void test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown(void **state)
+{
+	const struct fusion_kalman_config c = {.gyro_scale_sigma = 0.01};
+	struct fusion_kalman k = used_filter();
+	struct gyro_errors errors = {.bias_b_rad_s = {1, 2, 3}, .scale_b = {4, 5, 6}};
+
+	(void)state;
+	k.covariance[KALMAN_BIAS + 1][KALMAN_BIAS + 1] = 0.5;
+	fusion_kalman_turn_object(&k, &c, quat_from_rotation_vector((struct vec3){0, 0, PI / 2}), &errors);
+	for (int i = 0; i < 3; i++) {
+		assert_variance(&k, KALMAN_BIAS + i, 0.5);
+		assert_variance(&k, KALMAN_SCALE + i, 1e-4);
+	}
+	assert_vec_near(errors.bias_b_rad_s, ((struct vec3){-2, 1, 3}), 1e-12);
+	assert_vec_near(errors.scale_b, ((struct vec3){0, 0, 0}), 0);
+	assert_vec_near(k.lever_arm_b_m, ((struct vec3){-4, 3, 5}), 1e-12);
+	assert_vec_near(k.heading_by_offset_rad_uT, ((struct vec3){0, 0, 0}), 0);
+	assert_vec_near(k.field_by_offset_1_uT, ((struct vec3){0, 0, 0}), 0);
+	assert_true(k.hard_iron.prior_uT == 10 && !k.hard_iron.known && k.hard_iron.turns == 0);
+	assert_no_sums(&k);
+}
+
+static void test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it(void **state)
+{
+	const struct fusion_kalman_config c = {.bias_sigma_rad_s = 0.3};
+	const double degree2 = pow(PI / 180, 2);
+
+	(void)state;
+	for (int heading = 0; heading < 2; heading++) {
+		struct fusion_kalman k = used_filter();
+
+		k.norm_uT = 50;
+		k.north_from_field = k.north_on_trial = true;
+		k.aided_heading_s = k.heading_rejections = 3;
+		if (heading)
+			fusion_kalman_set_heading(&k, 0.02);
+		else
+			fusion_kalman_set_attitude(&k, &c);
+		assert_variance(&k, KALMAN_HEADING, heading ? 0.02 : degree2);
+		for (int i = 0; i < 2 && !heading; i++)
+			assert_variance(&k, i, degree2);
+		assert_variance(&k, KALMAN_VELOCITY, k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1]);
+		assert_true(k.velocity_n_m_s[0] == 0 && k.velocity_n_m_s[1] == 0);
+		assert_near(k.covariance[KALMAN_BIAS][KALMAN_BIAS], 1e-3 * (KALMAN_BIAS + 1), 0);
+		assert_true(k.north_unknown && !k.north_from_field && !k.north_on_trial);
+		assert_near(k.norm_uT, heading ? 50 : 0, 0);
+		assert_near(k.aided_heading_s, heading ? 10 : 3, 0);
+		assert_int_equal(k.heading_rejections, heading ? 0 : 3);
+		assert_no_sums(&k);
+	}
+}
+
+/* The first one replaces the velocity, and so does one beyond 5 sigma; others are measurements of it. The filter has
+ * the velocity of the accelerometer: the lever arm's is added, and turned by the error of the heading. */
+static void test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts(void **state)
+{
+	const struct fusion_kalman_config c = {.gyro_scale_sigma = 0.01};
+	const struct vec3 v = {1, -2, 9}, lever = {0.3, 0.4, 1.2};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const double off = i == 2 ? 100 : 0.5, variance = 0.04 + 1.69 * 0.01;
+		struct fusion_kalman k = {.aided_velocity_s = i > 0 ? 1 : 0, .velocity_n_m_s = {1.3 - off, -1.6 + off}};
+		struct gyro_errors errors = {.bias_b_rad_s = {0, 0, 0}};
+		struct quat q = QUAT_IDENTITY;
+		double gain;
+
+		k.covariance[KALMAN_HEADING][KALMAN_HEADING] = 0.01;
+		k.covariance[KALMAN_VELOCITY][KALMAN_VELOCITY] = 0.2;
+		k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1] = 0.3;
+		k.covariance[0][KALMAN_VELOCITY + 1] = k.covariance[KALMAN_VELOCITY + 1][0] = 0.01;
+		k.covariance[0][0] = 0.01;
+		fusion_kalman_aid_velocity(&k, &c, v, lever, 0.04, &q, &errors);
+		gain = 0.3 / (0.3 + variance);
+		assert_near(k.velocity_n_m_s[0], i == 1 ? 1.3 - off + 0.2 / (0.2 + variance) * off : 1.3, 1e-9);
+		assert_near(k.velocity_n_m_s[1], i == 1 ? -1.6 + off - gain * off : -1.6, 1e-9);
+		assert_vec_near(quat_to_rotation_vector(q),
+			((struct vec3){i == 1 ? -0.01 / (0.3 + variance) * off : 0, 0, 0}), 1e-9);
+		if (i == 1)
+			assert_near(k.covariance[KALMAN_VELOCITY + 1][KALMAN_VELOCITY + 1], (1 - gain) * 0.3, 1e-9);
+		assert_true(k.aided_velocity_n_m_s[0] == 1 && k.aided_velocity_n_m_s[1] == -2);
+		assert_near(k.aided_velocity_s, 10, 0);
+	}
+}
+
+/* With a heading from outside, where the field points to is estimated: with a time constant of 10 s. */
+static void test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s(void **state)
+{
+	const struct fusion_kalman_config c = FUSION_KALMAN_DEFAULTS;
+	const double bearing = 0.5; /* clockwise from y */
+	const struct vec3 field = {20 * sin(bearing), 20 * cos(bearing), -45};
+	const struct fusion_kalman_sample sample = {.force_b_m_s2 = {0, 0, G}, .field_b_uT = &field};
+	struct fusion_kalman k = {.aided_heading_s = 10};
+	struct gyro_errors errors = {.bias_b_rad_s = {0, 0, 0}};
+	struct quat q = QUAT_IDENTITY;
+	double between_s = 0, left = bearing;
+
+	(void)state;
+	fusion_kalman_start(&k, &c, G);
+	fusion_kalman_set_north(&k, &c, q, (struct vec3){0, 20, -45});
+	for (int i = 0; i < 1000; i++) {
+		fusion_kalman_step(&k, &c, &sample, 0.005, &q, &errors);
+		between_s += 0.005;
+		if (k.sums.time_s > 0)
+			continue;
+		left *= 10 / (10 + between_s);
+		between_s = 0;
+	}
+	assert_near(k.north_rad, bearing - left, 1e-6);
+	assert_near(left, bearing * exp(-0.5), 0.01);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1451,6 +1637,11 @@ int main(void)
 		cmocka_unit_test(test_under_a_heading_that_was_set_the_field_is_the_reference_again),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_at_any_heading_but_not_straight_up),
 		cmocka_unit_test(test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it),
+		cmocka_unit_test(test_a_start_keeps_only_what_is_known_of_the_gyro),
+		cmocka_unit_test(test_with_other_axes_the_gyros_errors_turn_and_the_offset_is_unknown),
+		cmocka_unit_test(test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it),
+		cmocka_unit_test(test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts),
+		cmocka_unit_test(test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -182,6 +182,39 @@ static void test_the_times_of_samples_increase_over_every_fault(void **state)
 	}
 }
 
+/* Time of the soft reset (B6h to CMD) and of the first write behind it that leaves power saving, and when the next
+ * access began. */
+static int64_t reset_ns, reset_next_ns, awake_ns, awake_next_ns;
+
+static int time_start(struct world *w, const struct sim_access *access)
+{
+	if (reset_ns && !reset_next_ns)
+		reset_next_ns = w->now_ns;
+	if (awake_ns && !awake_next_ns)
+		awake_next_ns = w->now_ns;
+	if (access->write && access->sub == 0x7E && access->bytes[0] == 0xB6)
+		reset_ns = w->now_ns;
+	if (access->write && access->sub == 0x7C && reset_ns && !awake_ns)
+		awake_ns = w->now_ns;
+	return 0;
+}
+
+/* Data sheet: 2 ms after a soft reset, 0.45 ms after power saving. */
+static void test_a_bmi270_is_left_alone_after_a_reset_and_until_it_is_awake(void **state)
+{
+	struct world *w = world_new("bmi270", "rest", false);
+
+	(void)state;
+	reset_ns = reset_next_ns = awake_ns = awake_next_ns = 0;
+	w->before = time_start;
+	world_run(w, 1000000);
+	assert_true(reset_ns > 0 && awake_ns > reset_ns);
+	assert_true(reset_next_ns - reset_ns >= 2000000);
+	assert_true(awake_next_ns - awake_ns >= 450000);
+	w->before = NULL;
+	world_free(w);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -189,6 +222,7 @@ int main(void)
 		cmocka_unit_test(test_every_register_has_the_value_that_was_written_last),
 		cmocka_unit_test(test_the_times_of_samples_increase_over_every_fault),
 		cmocka_unit_test(test_a_fifo_that_begins_inside_a_set_is_read_from_the_next_one_on),
+		cmocka_unit_test(test_a_bmi270_is_left_alone_after_a_reset_and_until_it_is_awake),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

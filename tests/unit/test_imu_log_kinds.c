@@ -790,6 +790,23 @@ static void test_an_exported_folder_of_phyphox_is_merged(void **state)
 	assert_folder_is_merged();
 }
 
+/* The clock begins again with the second log, and is settled after its first burst: 4 s later no millisecond is added,
+ * where the clock of the first log would still be following. */
+static void test_samples_of_a_second_log_are_even_from_its_second_burst_on(void **state)
+{
+	FILE *file = create("log.imu.csv");
+
+	(void)state;
+	fputs(HEADER, file);
+	for (int k = 0; k < ROWS; k++)
+		bursts_then_a_second_log(file, k, &truth[k]);
+	fclose(file);
+	assert_int_equal(read_log(path, "imu9"), ROWS);
+	for (int k = ROWS - SECOND + 60; k < ROWS; k++)
+		assert_true(llabs((int64_t)(found[k].t_us - found[ROWS - SECOND + 60].t_us) -
+				    10000 * (k - (ROWS - SECOND + 60))) < 1000);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -805,6 +822,7 @@ int main(void)
 		cmocka_unit_test_setup(test_logs_of_euroc_x_io_pandas_and_phyphox_are_read, simulate),
 		cmocka_unit_test(test_a_log_of_another_program_is_refused_with_the_name_of_its_format),
 		cmocka_unit_test_setup(test_an_exported_folder_of_phyphox_is_merged, simulate),
+		cmocka_unit_test(test_samples_of_a_second_log_are_even_from_its_second_burst_on),
 	};
 	int failed;
 

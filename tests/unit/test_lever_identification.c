@@ -22,6 +22,7 @@ struct scene {
 	double nominal_hz; /* configured sampling rate; 0: rate_hz */
 	int pause_each;	   /* no samples in the second half of each pause_each samples */
 	int every_lost;	   /* each n-th sample is lost */
+	int every_bad;	   /* each n-th sample is no number */
 	uint64_t seed;
 };
 
@@ -139,6 +140,8 @@ static struct lever_estimate identify(const struct scene *s)
 			continue;
 		if (s->pause_each && k % s->pause_each > s->pause_each / 2)
 			continue;
+		if (s->every_bad && k % s->every_bad == 0)
+			sample.gyro_rad_s.y = NAN;
 		lever_identification_step(&id, sample.t_us, vec3_add(sample.gyro_rad_s, s->gyro_bias_rad_s),
 			vec3_add(sample.accel_m_s2, s->accel_bias_m_s2), s->reference ? &ref : NULL);
 	}
@@ -777,6 +780,20 @@ static void test_each_verdict_has_a_text(void **state)
 	assert_string_equal(lever_verdict_text((enum lever_verdict)0), "unknown");
 }
 
+/* A window is 100 samples, and the filters settle for 30 before it. */
+static void test_a_window_with_a_sample_that_is_no_number_does_not_count(void **state)
+{
+	struct scene s = BY_HAND;
+	struct lever_estimate e;
+
+	(void)state;
+	s.every_bad = 90;
+	assert_int_equal(identify(&s).verdict, LEVER_TOO_SHORT);
+	s.every_bad = 1000; /* three, each with its window and the settling */
+	e = identify(&s);
+	assert_found(&e, ARM, 0.001);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -819,6 +836,7 @@ int main(void)
 		cmocka_unit_test(test_the_axis_is_named_if_the_other_one_has_less_than_a_third_of_its_excitation),
 		cmocka_unit_test(test_each_verdict_has_a_text),
 		cmocka_unit_test(test_up_to_three_lost_samples_in_a_row_are_interpolated),
+		cmocka_unit_test(test_a_window_with_a_sample_that_is_no_number_does_not_count),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -1480,6 +1480,172 @@ static void test_a_correction_of_the_attitude_turns_the_forces_of_a_rope(void **
 	assert_vec_near(n.rope.window[0].sums.f, quat_rotate(n.q_nb, force), vec3_dot(theta, theta) * vec3_norm(force));
 }
 
+/* ---- what is forgotten ---- */
+
+/* A navigation that has been through everything, and its variances depend on one another. */
+static struct navigation used_navigation(bool still)
+{
+	struct navigation n = {.started = false};
+
+	navigation_start(&n, &BARE, QUAT_IDENTITY);
+	for (int i = 0; i < N; i++)
+		for (int j = 0; j < N; j++)
+			n.p[i][j] = i == j ? i + 1 : 0.01;
+	n.velocity_n_m_s = (struct vec3){1, 2, 3};
+	n.position_n_m = n.earlier_variance_m2 = n.way_from_n_m = (struct vec3){4, 5, 6};
+	n.way2_max_m2 = 7;
+	n.still = still;
+	n.ended_by_reset = !still;
+	n.reset_in_motion = still;
+	n.last_gyro_known = n.lever_known = n.lever_from_known = n.guide.holds = n.rest.started = true;
+	n.sums.t_s = n.sums.f.x = n.sums.s.m[1][1] = 8;
+	n.rope.full = n.rope.steady = 2;
+	n.alias.velocity_m_s[1] = n.alias.position_m[2] = n.alias.axes[0].time_s = 9;
+	return n;
+}
+
+static void assert_no_sums(const struct navigation *n)
+{
+	const struct navigation_sums none = {.t_s = 0};
+
+	assert_memory_equal(&n->sums, &none, sizeof none);
+}
+
+/* Known with this variance, and nothing else depends on it. */
+static void assert_variance(const struct navigation *n, int at, double variance)
+{
+	for (int i = at; i < at + 3; i++)
+		for (int j = 0; j < N; j++) {
+			assert_near(n->p[i][j], i == j ? variance : 0, 1e-12);
+			assert_near(n->p[j][i], i == j ? variance : 0, 1e-12);
+		}
+}
+
+static void test_a_position_that_is_reset_is_known(void **state)
+{
+	(void)state;
+	for (int still = 0; still < 2; still++) {
+		struct navigation n = used_navigation(still);
+
+		navigation_reset_position(&n);
+		assert_vec_near(n.position_n_m, ZERO, 0);
+		assert_vec_near(n.earlier_variance_m2, ZERO, 0);
+		assert_vec_near(n.way_from_n_m, ZERO, 0);
+		assert_variance(&n, NAVIGATION_P, 0);
+		assert_near(n.p[NAVIGATION_V][NAVIGATION_V], NAVIGATION_V + 1, 0);
+		assert_vec_near(n.velocity_n_m_s, ((struct vec3){1, 2, 3}), 0);
+		assert_true(n.way2_max_m2 == 0 && !n.lever_from_known);
+		assert_int_equal(n.ended_by_reset, still);
+		assert_int_equal(n.reset_in_motion, !still);
+	}
+}
+
+/* A quarter turn about z. */
+static void test_with_an_attitude_that_was_set_the_velocity_turns_and_what_was_integrated_is_void(void **state)
+{
+	const struct quat quarter = quat_from_rotation_vector((struct vec3){0, 0, PI / 2});
+	struct navigation n = used_navigation(false);
+
+	(void)state;
+	navigation_set_attitude(&n, quarter);
+	assert_quat_near(n.q_nb, quarter, 1e-12);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){-2, 1, 3}), 1e-12);
+	assert_vec_near(n.position_n_m, ((struct vec3){4, 5, 6}), 0);
+	assert_variance(&n, NAVIGATION_THETA, n.p[0][0]);
+	assert_near(n.p[NAVIGATION_V][NAVIGATION_V], NAVIGATION_V + 1, 0);
+	assert_false(n.last_gyro_known || n.guide.holds || n.lever_from_known || n.rope.full || n.rope.steady);
+	assert_no_sums(&n);
+}
+
+/* The acceleration in the gap is unknown: the velocity is less certain by twice as much after twice the time, and the
+ * position by what it may be times that. */
+static void test_what_was_integrated_before_missing_samples_is_void(void **state)
+{
+	const struct quat quarter = quat_from_rotation_vector((struct vec3){0, 0, PI / 2});
+	double by_gap[2];
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		const double gap_s = i + 1;
+		struct navigation n = used_navigation(true);
+		double v;
+
+		navigation_skip(&n, quarter, gap_s);
+		assert_quat_near(n.q_nb, quarter, 0);
+		assert_variance(&n, NAVIGATION_THETA, n.p[0][0]);
+		assert_vec_near(n.velocity_n_m_s, ((struct vec3){1, 2, 3}), 0);
+		assert_vec_near(n.position_n_m, ((struct vec3){4, 5, 6}), 0);
+		v = n.p[NAVIGATION_V + 1][NAVIGATION_V + 1] - (NAVIGATION_V + 2);
+		by_gap[i] = sqrt(v);
+		assert_near(n.p[NAVIGATION_P][NAVIGATION_P] - (NAVIGATION_P + 1), gap_s * gap_s * (14 + v), 1e-9);
+		assert_false(n.still || n.ended_by_reset || n.last_gyro_known || n.lever_known || n.guide.holds);
+		assert_false(n.rest.started || n.rope.full || n.rope.steady);
+		assert_true(n.alias.velocity_m_s[1] == 0 && n.alias.position_m[2] == 0 && n.alias.axes[0].time_s == 0);
+		assert_no_sums(&n);
+	}
+	assert_near(by_gap[1], 2 * by_gap[0], 1e-9);
+}
+
+/* The displacement begins at zero, and what was uncertain of the position before it is kept apart. */
+static void test_a_movement_that_begins_knows_nothing_of_the_one_before(void **state)
+{
+	const struct navigation_input in = {
+		.gyro_b_rad_s = {2, 0, 0}, .force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+	struct navigation n = used_navigation(true);
+
+	(void)state;
+	n.sums = (struct navigation_sums){.t_s = 0};
+	n.reset_in_motion = false;
+	n.stood_s = 2;
+	n.movements = 3;
+	n.high_pass_n_m_s = (struct vec3){1, 2, 3};
+	n.high_pass2_max = n.moving_s = 9;
+	navigation_step(&n, &in, 1e-3);
+	assert_false(n.still);
+	assert_int_equal(n.movements, 4);
+	assert_vec_near(n.begin_n_m, ((struct vec3){4, 5, 6}), 0.01);
+	assert_vec_near(n.way_from_n_m, ((struct vec3){4, 5, 6}), 0.01);
+	assert_vec_near(n.earlier_variance_m2,
+		((struct vec3){4 + NAVIGATION_P + 1, 5 + NAVIGATION_P + 2, 6 + NAVIGATION_P + 3}), 1e-3);
+	assert_variance(&n, NAVIGATION_P, 0);
+	assert_vec_near(n.high_pass_n_m_s, ZERO, 0);
+	assert_true(n.high_pass2_max == 0 && n.moving_s < 0.01 && !n.lever_known && n.stood_s == 0);
+	assert_true(n.p[NAVIGATION_BG][NAVIGATION_BG] > NAVIGATION_BG + 1); /* as it moves the bias is another */
+}
+
+/* Lying on its side in this filter, upright in the fusion: as at the start, but for the velocity, which is that of the
+ * lever arm. */
+static void test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it(void **state)
+{
+	const struct vec3 bias = {0.01, 0.02, 0.03};
+	const struct navigation_input in = {.gyro_b_rad_s = {0.01, 0.02, 1.03},
+		.force_b_m_s2 = {0, 0, G},
+		.q_nb = QUAT_IDENTITY,
+		.gyro_bias_b_rad_s = bias,
+		.gravity_m_s2 = G,
+		.lever_b_m = {2, 0, 0}};
+	struct navigation n = used_navigation(false), fresh = {.started = false};
+
+	(void)state;
+	navigation_start(&fresh, &BARE, QUAT_IDENTITY);
+	n.sums = (struct navigation_sums){.t_s = 0};
+	n.reset_in_motion = false;
+	n.q_nb = quat_from_rotation_vector((struct vec3){PI / 2, 0, 0});
+	n.accel_bias_b_m_s2 = n.high_pass_n_m_s = (struct vec3){1, 2, 3};
+	n.high_pass2_max = 9;
+	assert_true(navigation_step(&n, &in, 0.1));
+	assert_quat_near(n.q_nb, QUAT_IDENTITY, 1e-9);
+	assert_vec_near(n.gyro_bias_b_rad_s, bias, 0);
+	assert_vec_near(n.accel_bias_b_m_s2, ZERO, 0);
+	assert_vec_near(n.velocity_n_m_s, ((struct vec3){0, 2, 0}), 1e-9);
+	assert_variance(&n, NAVIGATION_THETA, fresh.p[NAVIGATION_THETA][NAVIGATION_THETA]);
+	assert_variance(&n, NAVIGATION_V, n.p[NAVIGATION_V][NAVIGATION_V]);
+	assert_variance(&n, NAVIGATION_BG, fresh.p[NAVIGATION_BG][NAVIGATION_BG]);
+	assert_variance(&n, NAVIGATION_BA, fresh.p[NAVIGATION_BA][NAVIGATION_BA]);
+	assert_vec_near(n.high_pass_n_m_s, ZERO, 0);
+	assert_false(n.high_pass2_max > 0 || n.lever_known || n.rope.full || n.rope.steady);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1535,6 +1701,11 @@ int main(void)
 		cmocka_unit_test(test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias),
 		cmocka_unit_test(test_the_sigmas_of_position_and_velocity_are_the_roots_of_the_sums_of_their_parts),
 		cmocka_unit_test(test_a_correction_of_the_attitude_turns_the_forces_of_a_rope),
+		cmocka_unit_test(test_a_position_that_is_reset_is_known),
+		cmocka_unit_test(test_with_an_attitude_that_was_set_the_velocity_turns_and_what_was_integrated_is_void),
+		cmocka_unit_test(test_what_was_integrated_before_missing_samples_is_void),
+		cmocka_unit_test(test_a_movement_that_begins_knows_nothing_of_the_one_before),
+		cmocka_unit_test(test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -240,7 +240,7 @@ static void test_a_change_beyond_3_sigma_says_nothing_of_the_length(void **state
 /* Two windows before another load are none of it. */
 static void test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own(void **state)
 {
-	struct navigation_sums second = {.t_s = 1};
+	struct navigation_sums second = {.t_s = 1}, half = {.t_s = 0.5};
 	struct quat q = quat_from_rotation_vector((struct vec3){0.1, -0.2, 0.3});
 	struct rope rope = {.full = 0};
 
@@ -248,10 +248,45 @@ static void test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own(void *
 	rope_hang(&rope, 5, QUAT_IDENTITY);
 	assert_false(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
 	assert_true(rope_swing(&rope, QUAT_IDENTITY, &second, 1));
+	assert_true(rope_swing(&rope, q, &second, 1));
+	assert_false(rope_swing(&rope, q, &half, 1));
 	rope_hang(&rope, 5, q);
+	assert_near(rope.window[ROPE_WINDOWS - 1].sums.t_s, 0, 0);
 	assert_vec_near(rope.window[ROPE_WINDOWS - 1].up_n, ((struct vec3){0, 0, 1}), 1e-12);
 	assert_false(rope_swing(&rope, q, &second, 1));
 	assert_true(rope_swing(&rope, q, &second, 1));
+}
+
+/* A steadily accelerated point, a rope that turns evenly: the middles of the windows are (ta + tb) / 2 apart, which is
+ * the time for the difference of the velocities. */
+static void test_a_difference_holds_for_windows_of_unequal_length(void **state)
+{
+	const struct vec3 accel = {0.3, -0.2, 0.1}, force = vec3_add(accel, (struct vec3){0, 0, G}),
+			  turn = {0.01, 0.02, 0};
+	const double s[2] = {1, 1.3}, s2 = 1.3 * (1 + 1.3) / 2;
+	struct rope rope = {.length_m = ROPE_M};
+	struct rope_difference d;
+
+	(void)state;
+	rope.window[0].up_n = (struct vec3){0.1, -0.1, 1};
+	for (int w = 0; w < 2; w++) {
+		struct navigation_sums *sums = &rope.window[w].sums;
+
+		sums->t_s = s[w];
+		sums->f = vec3_scale(s[w], force);
+		sums->ff = vec3_scale(s[w] * s[w] / 2, force);
+		for (int i = 0; i < 3; i++) {
+			sums->s.m[i][i] = s[w];
+			sums->u.m[i][i] = s[w] * s[w] / 2;
+		}
+		rope.window[w + 1].up_n = vec3_add(rope.window[w].up_n, vec3_scale(s[w], turn));
+	}
+	d = rope_difference(&rope, 0, &QUIET, G);
+	assert_vec_near(d.up_n, ZERO, 1e-12);
+	assert_vec_near(d.point_n_m, vec3_scale(s2, accel), 1e-12);
+	assert_vec_near(d.force_n_m, vec3_scale(s2, force), 1e-12);
+	for (int i = 0; i < 9; i++)
+		assert_near(d.turned_s2.m[i / 3][i % 3], i % 4 ? 0 : s2, 1e-12);
 }
 
 int main(void)
@@ -266,6 +301,7 @@ int main(void)
 		cmocka_unit_test(test_the_length_is_that_of_least_squares),
 		cmocka_unit_test(test_a_change_beyond_3_sigma_says_nothing_of_the_length),
 		cmocka_unit_test(test_a_load_that_is_hung_up_anew_needs_two_windows_of_its_own),
+		cmocka_unit_test(test_a_difference_holds_for_windows_of_unequal_length),
 	};
 
 	return cmocka_run_group_tests_name("rope_windows", tests, NULL, NULL);

@@ -559,6 +559,23 @@ static void test_each_segment_of_an_upload_restarts_the_timeout(void **state)
 	assert_int_equal(bench->client.result, SDO_RUNNING);
 }
 
+/* The server has just answered: a bus that is full then has the whole timeout. */
+static void test_an_acknowledgement_restarts_the_timeout(void **state)
+{
+	struct bench *bench = download("123456789");
+	struct can_msg acknowledgement = {.id = 0x580 + NODE, .len = 8, .data = {0xA2, 1, 1}};
+
+	(void)state;
+	ANSWER(bench, 0xA4, 0x30, 0x21, 0, 1);
+	let_it_send(bench);
+	bench->bus.queue_count = 1;
+	sdo_client_receive(&bench->client, &acknowledgement, T0 + TIMEOUT_US - 1);
+	sdo_client_tick(&bench->client, T0 + 2 * TIMEOUT_US - 2);
+	assert_int_equal(bench->client.result, SDO_RUNNING);
+	sdo_client_tick(&bench->client, T0 + 2 * TIMEOUT_US - 1);
+	assert_int_equal(bench->client.result, SDO_TIMEOUT);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -592,6 +609,7 @@ int main(void)
 		cmocka_unit_test(test_an_unexpected_command_is_aborted),
 		cmocka_unit_test(test_frames_are_received_after_every_16_segments_sent),
 		cmocka_unit_test(test_each_segment_of_an_upload_restarts_the_timeout),
+		cmocka_unit_test(test_an_acknowledgement_restarts_the_timeout),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -455,6 +455,20 @@ static void test_the_bmi270_takes_no_settings_while_it_saves_power(void **state)
 	world_free(w);
 }
 
+/* Sensors that were switched on before begin with the configuration file. */
+static void test_the_bmi270_measures_as_soon_as_its_configuration_file_is_accepted(void **state)
+{
+	(void)state;
+	board("bmi270", "rest");
+	put(0x7D, 0x0E);
+	wait_ms(50);
+	assert_int_equal(get_one(0x03), 0x10);
+	world_load_bmi270(w);
+	wait_ms(20);
+	assert_int_equal(get_one(0x03), 0xD0);
+	world_free(w);
+}
+
 /* ---- all --------------------------------------------------------------------------------------------------------- */
 
 /* 30 degC: 16 digits/K from 25 degC, 132.48 from 25, 333.87 from 21, 512 from 23. */
@@ -647,6 +661,7 @@ int main(void)
 		cmocka_unit_test(test_the_fifo_of_the_bmi270_counts_lost_frames),
 		cmocka_unit_test(test_the_bmi270_checks_its_configuration_file),
 		cmocka_unit_test(test_the_bmi270_takes_no_settings_while_it_saves_power),
+		cmocka_unit_test(test_the_bmi270_measures_as_soon_as_its_configuration_file_is_accepted),
 		cmocka_unit_test(test_the_temperature_is_30_degrees),
 		cmocka_unit_test(test_what_cannot_be_written),
 		cmocka_unit_test(test_a_transfer_of_several_bytes_counts),

@@ -766,6 +766,62 @@ static void test_a_smoother_set_while_moving_begins_with_the_next_movement(void 
 	assert_movement_dropped();
 }
 
+/* A movement of so many seconds with a measurement of some sum of the errors each second. */
+static void record_movement(struct smoother *s, double seconds, double size)
+{
+	double p[NAVIGATION_STATES][NAVIGATION_STATES] = {{0}};
+
+	for (int i = 0; i < NAVIGATION_STATES; i++)
+		for (int j = 0; j < NAVIGATION_STATES; j++)
+			p[i][j] = (i == j) + 0.01 * (i + j);
+	for (int k = 0; k < (int)lround(seconds / 0.05); k++) {
+		const double t = 0.05 * k, row[NAVIGATION_STATES] = {0.1, [NAVIGATION_V] = 1, [NAVIGATION_BA] = 0.3};
+		struct smoother_point here = {.velocity_n_m_s = {size * cos(t), size, -size * t},
+			.position_n_m = {size * sin(t) + 3, size * t, -size * t * t / 2}};
+		double(*a)[NAVIGATION_STATES];
+
+		if (k == 0)
+			smoother_begin(s, here, p);
+		smoother_elapse(s, 0.05);
+		a = smoother_transition(s);
+		for (int j = 0; j < NAVIGATION_STATES; j++)
+			a[NAVIGATION_P][j] += 0.05 * a[NAVIGATION_V][j];
+		if (k % 20 == 19)
+			smoother_measure(s, row, p[NAVIGATION_V], 0.1 * size, 2);
+		smoother_mark(s, here, p);
+	}
+	smoother_end(s, 0.5, p);
+}
+
+/* Whatever came before: a longer one, one that was dropped, or one whose position was reset. */
+static void test_a_movement_is_recorded_as_if_it_were_the_first(void **state)
+{
+	static struct smoother first, later;
+	double p[NAVIGATION_STATES][NAVIGATION_STATES] = {{0}};
+
+	(void)state;
+	first = (struct smoother){.recording = false};
+	record_movement(&first, 20, 1);
+	assert_true(first.last.count > 10 && first.last.path_m > 1);
+	for (int before = 0; before < 3; before++) {
+		later = (struct smoother){.recording = false};
+		record_movement(&later, 300, 7);
+		if (before > 0) {
+			smoother_begin(&later, (struct smoother_point){.position_n_m = {9, 9, 9}}, p);
+			smoother_elapse(&later, 2);
+			smoother_measure(&later, p[0], p[1], 3, 1);
+			if (before == 1)
+				smoother_cancel(&later);
+			else
+				smoother_restart(&later, (struct smoother_point){.position_n_m = {8, 8, 8}}, p);
+		}
+		record_movement(&later, 20, 1);
+		later.last.number = first.last.number;
+		assert_memory_equal(&later.last, &first.last, offsetof(struct smoother_movement, point));
+		assert_memory_equal(later.last.point, first.last.point, first.last.count * sizeof first.last.point[0]);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -798,6 +854,7 @@ int main(void)
 			test_a_movement_shorter_than_its_standstill_has_a_first_and_a_last_point_only, fresh),
 		cmocka_unit_test_setup(test_without_a_smoother_or_a_movement_nothing_is_recorded, fresh),
 		cmocka_unit_test_setup(test_a_smoother_set_while_moving_begins_with_the_next_movement, fresh),
+		cmocka_unit_test(test_a_movement_is_recorded_as_if_it_were_the_first),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

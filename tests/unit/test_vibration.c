@@ -156,6 +156,116 @@ static void test_clipped_samples_are_counted_for_the_sensor_that_can_be_at_its_e
 	assert_false(v.lately);
 }
 
+/* ---- closed forms ---- */
+
+static const double DT_S = 0.01;
+
+/* Up and down with each sample: the fourth difference is 16 times that, and its mean square 256 / 70. */
+static void shake(struct vibration *v, double force_m_s2, double rate_rad_s, double s)
+{
+	for (int k = 0; k < (int)lround(s / DT_S); k++) {
+		const double sign = k % 2 ? -1 : 1;
+
+		vibration_step(v, (struct vec3){0, 0, 9.81 + sign * force_m_s2}, (struct vec3){0, sign * rate_rad_s, 0},
+			false, DT_S);
+	}
+}
+
+static void test_the_rms_of_a_vibration_has_a_memory_of_half_a_second(void **state)
+{
+	const double scale = sqrt(256. / 70);
+
+	(void)state;
+	for (double s = 0.2; s < 2; s *= 2) {
+		const double reached = 1 - exp(-(s - 0.04) / 0.5); /* four samples have no difference */
+		struct vibration v = {.known = 0};
+
+		shake(&v, 3, 0.2, s);
+		assert_near(v.rms_m_s2, 3 * scale * sqrt(reached), 0.02 * 3 * scale);
+		assert_near(v.rms_rad_s, 0.2 * scale * sqrt(reached), 0.02 * 0.2 * scale);
+	}
+}
+
+/* What lasts is the noise of the force, less the 0.5 m/s^2 of a hand, after seconds. Of the strongest that there was,
+ * the share of 0.3 Hz of the rate of samples falls into the band of the tilt; that is forgotten in 2 s. */
+static void test_a_vibration_that_lasts_is_noise_and_an_error_of_the_force(void **state)
+{
+	const double lasting = 4 * sqrt(256. / 70);
+	struct vibration v = {.known = 0};
+	double steady, error;
+
+	(void)state;
+	shake(&v, 4, 0, 3);
+	steady = lasting * (1 - (3 * exp(-1) - 0.05 * exp(-60)) / (3 - 0.05));
+	assert_near(v.force_noise_m2_s4, (steady * steady - 0.25) / 3, 0.04 * steady * steady / 3);
+	error = sqrt((steady * steady - 0.25) * 0.3 * DT_S);
+	assert_near(v.force_error_m_s2, error, 0.02 * error);
+	shake(&v, 0, 0, 1);
+	error = v.force_error_m_s2;
+	assert_true(v.force_noise_m2_s4 == 0);
+	shake(&v, 0, 0, 2);
+	assert_near(v.force_error_m_s2 / error, exp(-1), 1e-3);
+	v = (struct vibration){.known = 0};
+	shake(&v, 0.4, 0, 30); /* little more than a hand */
+	assert_near(v.force_noise_m2_s4, (0.16 * 256 / 70 - 0.25) / 3, 1e-3);
+}
+
+/* Half of the range may be beyond its end, in as many of the samples as were clipped in the last 2 s. */
+static void test_clipped_samples_are_an_error_of_half_of_the_range(void **state)
+{
+	struct vibration v = {.known = 0};
+	const struct vec3 hit = {0, -30, 9.81}, slow = {0, 0, 0};
+
+	(void)state;
+	for (int k = 0; k < 200; k++)
+		vibration_step(&v, hit, slow, true, DT_S);
+	assert_near(v.force_error_m_s2, (1 - exp(-1)) * 15, 0.05);
+	for (int k = 0; k < 99; k++)
+		vibration_step(&v, hit, slow, false, DT_S);
+	assert_true(v.lately);
+	assert_near(v.force_error_m_s2, (1 - exp(-1)) * exp(-0.5) * 15, 0.1);
+	for (int k = 0; k < 2; k++)
+		vibration_step(&v, hit, slow, false, DT_S);
+	assert_false(v.lately); /* for a second */
+}
+
+/* The smallest ranges are 2 g and 125 deg/s, and calibration takes a tenth at most. */
+static void test_no_sensor_is_at_its_end_below_nine_tenths_of_the_smallest_range(void **state)
+{
+	(void)state;
+	for (int above = 0; above < 2; above++) {
+		const double share = above ? 0.91 : 0.89;
+
+		for (int axis = 0; axis < 3; axis++) {
+			struct vibration v = {.known = 0};
+			double f[3] = {0}, w[3] = {0};
+
+			f[axis] = -share * 2 * 9.80665;
+			w[axis] = -share * 125 * PI / 180;
+			vibration_step(
+				&v, (struct vec3){f[0], f[1], f[2]}, (struct vec3){w[0], w[1], w[2]}, true, DT_S);
+			assert_int_equal(v.clipped_accel, above);
+			assert_int_equal(v.clipped_gyro, above);
+			assert_int_equal(v.gyro_clipped, above);
+		}
+	}
+}
+
+static void test_after_missing_samples_there_is_no_difference_for_four(void **state)
+{
+	struct vibration v = {.known = 0};
+	double rms;
+
+	(void)state;
+	shake(&v, 3, 0, 1);
+	rms = v.rms_m_s2;
+	vibration_skip(&v);
+	shake(&v, 100, 0, 4 * DT_S);
+	assert_near(v.rms_m_s2, rms, 0);
+	shake(&v, 100, 0, DT_S);
+	assert_true(v.rms_m_s2 > 2 * rms);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -163,6 +273,11 @@ int main(void)
 		cmocka_unit_test(test_rest_and_a_slow_motion_are_no_vibration),
 		cmocka_unit_test(test_the_rms_of_white_noise_is_its_sigma_of_all_axes_together),
 		cmocka_unit_test(test_clipped_samples_are_counted_for_the_sensor_that_can_be_at_its_end),
+		cmocka_unit_test(test_the_rms_of_a_vibration_has_a_memory_of_half_a_second),
+		cmocka_unit_test(test_a_vibration_that_lasts_is_noise_and_an_error_of_the_force),
+		cmocka_unit_test(test_clipped_samples_are_an_error_of_half_of_the_range),
+		cmocka_unit_test(test_no_sensor_is_at_its_end_below_nine_tenths_of_the_smallest_range),
+		cmocka_unit_test(test_after_missing_samples_there_is_no_difference_for_four),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

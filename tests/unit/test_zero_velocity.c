@@ -831,6 +831,48 @@ static void test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standsti
 	assert_near(s.z.quiet_accel2_m2_s4 / 1e-4 - 1, followed, 1e-9);
 }
 
+/* The odds and what they rest on are forgotten, what is known of the sensors and of the carrier's motions is not. A
+ * standstill takes back that the quiet time before it was a motion. */
+static void test_a_restart_forgets_the_odds_and_a_standstill_what_was_quiet_before_it(void **state)
+{
+	const struct vec3 one = {1, 2, 3}, zero = {0, 0, 0};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct zero_velocity z = {.weight = 0.5,
+			.standing_s = 1,
+			.quiet_s = 4,
+			.least_odds = 7,
+			.moved_s = 100,
+			.moved_quietly_s = 10,
+			.quiet_gyro2_rad2_s2 = 1e-6,
+			.quiet_accel2_m2_s4 = 1e-4,
+			.vibration_m2_s2 = 1e-2,
+			.position_shift_n_m = one,
+			.velocity_shift_n_m_s = one,
+			.position_variance_m2 = one,
+			.velocity_variance_m2_s2 = one};
+
+		for (int k = 0; k < ZERO_VELOCITY_FORKS; k++)
+			z.forks[k].set = true;
+		if (i < 2)
+			zero_velocity_restart(&z, i == 1);
+		else
+			zero_velocity_settle(&z);
+		for (int k = 0; k < ZERO_VELOCITY_FORKS; k++)
+			assert_false(z.forks[k].set);
+		assert_true(z.weight == 0 && z.standing_s == 0 && z.quiet_s == 0);
+		assert_near(z.least_odds, i == 1 ? 10 : 0, 0); /* what has begun to move does so, ten to one */
+		assert_vec_near(z.position_shift_n_m, zero, 0);
+		assert_vec_near(z.velocity_shift_n_m_s, zero, 0);
+		assert_vec_near(z.position_variance_m2, zero, 0);
+		assert_vec_near(z.velocity_variance_m2_s2, zero, 0);
+		assert_near(z.moved_s, i == 2 ? 96 : 100, 0);
+		assert_near(z.moved_quietly_s, i == 2 ? 6 : 10, 0);
+		assert_true(z.quiet_gyro2_rad2_s2 == 1e-6 && z.quiet_accel2_m2_s4 == 1e-4 && z.vibration_m2_s2 == 1e-2);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -868,6 +910,7 @@ int main(void)
 		cmocka_unit_test(test_it_stands_above_a_weight_of_0_95_and_moves_below_0_05),
 		cmocka_unit_test(test_sums_of_parts_append_to_the_sums_of_all),
 		cmocka_unit_test(test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill),
+		cmocka_unit_test(test_a_restart_forgets_the_odds_and_a_standstill_what_was_quiet_before_it),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
