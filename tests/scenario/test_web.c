@@ -21,7 +21,8 @@ struct bench {
 	size_t seen; /* frames of the device that imu9-web has received */
 	struct web_token token;
 	struct web web;
-	bool off; /* the device */
+	bool off;      /* the device */
+	size_t off_at; /* it goes off when it has sent so many frames; 0: never */
 	struct json_object *events;
 	struct json_object *answer;
 	int64_t id;
@@ -60,6 +61,7 @@ static void settle(struct bench *b)
 			struct can_msg msg = b->sent[0];
 
 			memmove(b->sent, b->sent + 1, --b->sent_count * sizeof(msg));
+			b->off |= b->off_at && w->frame_count >= b->off_at;
 			if (!b->off)
 				world_receive(w, msg.id, msg.len, msg.data);
 		}
@@ -369,6 +371,25 @@ static void test_the_eds_of_another_revision_is_read_from_the_node_once(void **s
 	before = b->world.frame_count;
 	assert_done(ask(b, client, "\"op\":\"read\"," NODE ",\"objects\":[\"lever_arm\"]"));
 	assert_int_equal(b->world.frame_count - before, 3);
+}
+
+static void test_an_eds_whose_reading_was_interrupted_is_read_again_after_a_boot_up(void **state)
+{
+	struct bench *b = *state;
+	uint32_t revision = b->world.device.values.identity.revision_number + 1;
+
+	b->world.device.values.identity.revision_number = revision;
+	int client = browser(b);
+	b->off_at = b->world.frame_count + 1000;
+	assert_done(ask(b, client, "\"op\":\"objects\"," NODE)); /* what else is known of it */
+	assert_true(b->off);
+	b->off_at = b->off = 0;
+	world_nmt(&b->world, 0x82);
+	b->world.device.values.identity.revision_number = revision;
+	run(b, client, BOOT_MS);
+	size_t before = b->world.frame_count;
+	assert_non_null(object_named(ask(b, client, "\"op\":\"objects\"," NODE), "lever_arm.l"));
+	assert_true(b->world.frame_count - before > imu9_eds_size / 7);
 }
 
 static void test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines(void **state)
@@ -925,6 +946,7 @@ int main(void)
 		TEST(test_the_load_is_that_of_the_bit_rate_and_null_without_one),
 		TEST(test_objects_have_units_limits_words_and_defaults),
 		TEST(test_the_eds_of_another_revision_is_read_from_the_node_once),
+		TEST(test_an_eds_whose_reading_was_interrupted_is_read_again_after_a_boot_up),
 		TEST(test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines),
 		TEST(test_values_are_those_of_the_node),
 		TEST(test_a_node_that_does_not_answer_is_told),
