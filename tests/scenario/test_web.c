@@ -661,6 +661,39 @@ static void test_a_mapping_is_changed_by_the_procedure_and_rows_follow(void **st
 	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"pdo\":9,\"entries\":[]"), "TPDO");
 }
 
+static void test_an_rpdo_is_mapped_with_what_it_can_receive_and_dummies(void **state)
+{
+	struct bench *b = *state;
+	int client = unlocked(b);
+	struct json_object *answer = ask(b, client, "\"op\":\"mapping\"," NODE);
+
+	assert_string_equal(text_of(answer, "result.pdos.7.direction"), "tpdo");
+	assert_string_equal(text_of(answer, "result.pdos.8.direction"), "rpdo");
+	assert_int_equal(number(answer, "result.pdos.8.pdo"), 1);
+	assert_string_equal(text_of(answer, "result.pdos.8.entries.0"), "velocity_aid.x16");
+	assert_int_equal(number(answer, "result.pdos.8.cob_id"), 0x200 + WORLD_NODE_ID);
+	assert_null(at(answer, "result.pdos.8.inhibit")); /* 14xxh:03 is of no use */
+	assert_done(ask(b, client,
+		"\"op\":\"set_mapping\"," NODE ",\"direction\":\"rpdo\",\"pdo\":2,\"type\":1,\"cob_id\":773,"
+		"\"entries\":[\"0005h:00\",\"velocity_aid.x\"]"));
+	assert_int_equal(b->world.device.values.rpdo2_communication.cob_id, 0x305);
+	assert_int_equal(b->world.device.values.rpdo2_communication.transmission_type, 1);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.number_of_mapped_objects, 2);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.object_1, 0x00050008);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.object_2, 0x20700120);
+	assert_int_equal(b->world.device.values.tpdo2_mapping.number_of_mapped_objects, 4);
+	answer = ask(b, client, "\"op\":\"mapping\"," NODE);
+	assert_string_equal(text_of(answer, "result.pdos.9.entries.0"), "0005h:00");
+	assert_refused(ask(b, client,
+			       "\"op\":\"set_mapping\"," NODE
+			       ",\"direction\":\"rpdo\",\"pdo\":2,\"entries\":[\"angles.roll\"]"),
+		"into an RPDO");
+	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"pdo\":2,\"entries\":[\"0005h:00\"]"),
+		"no such object");
+	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"direction\":\"out\",\"pdo\":2,\"entries\":[]"),
+		"tpdo or rpdo");
+}
+
 static void test_a_mapping_that_the_node_refuses_leaves_the_pdo_as_it_was(void **state)
 {
 	struct bench *b = *state;
@@ -958,6 +991,7 @@ int main(void)
 		TEST(test_every_sample_arrives_with_the_values_of_its_pdos),
 		TEST(test_a_slow_browser_loses_the_oldest_rows_and_a_fast_one_none),
 		TEST(test_a_mapping_is_changed_by_the_procedure_and_rows_follow),
+		TEST(test_an_rpdo_is_mapped_with_what_it_can_receive_and_dummies),
 		TEST(test_a_mapping_that_the_node_refuses_leaves_the_pdo_as_it_was),
 		TEST(test_polls_of_all_browsers_are_ten_a_second),
 		TEST(test_sync_ends_with_its_browser_and_there_is_only_one_producer),

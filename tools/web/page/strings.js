@@ -171,6 +171,7 @@ export const T = {
     type: "Transmission type",
     inhibit: "Inhibit time, 0.1 ms",
     timer: "Event timer, ms",
+    deadline: "Timeout, ms",
     can_id_wrong: "Give a CAN-ID from 001h to 7FFh, for example 181h.",
     types: {
       at_sync_after_event: "at the SYNC after an event",
@@ -180,12 +181,15 @@ export const T = {
       rtr: "on request",
       event_manufacturer: "by event",
       event_profile: "by event (device profile)",
+      applied_at_sync: "applied at the next SYNC",
+      applied_at_once: "applied on reception",
       reserved: "reserved",
     },
     apply: "Apply",
     revert: "Revert",
     applied: (name) => `${name} is mapped. Store the configuration to keep it.`,
     not_mappable: (name) => `${name || "This"} is no object that can be mapped.`,
+    not_receivable: (name) => `${name || "This"} is no object that an RPDO can receive.`,
     full: (bytes) => `No room: this needs ${plural(bytes, "byte", "bytes")}; a PDO has 8 bytes and at most 8 objects.`,
     palette: "Objects to map",
     palette_note:
