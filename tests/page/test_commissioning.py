@@ -97,6 +97,22 @@ class Live(rig.OnThePage):
                                              if row["acceleration.l [m/s^2]"]), 0.1)
 
 
+class HighNodeIds(rig.OnThePage):
+    nodes = {48: "sim:rest", 100: "sim:tumble", 127: "sim:rest"}
+
+    def can_ids(self, node):
+        return ["%03X" % (int(value(node, "tpdo%d_communication.cob_id" % pdo)) & 0x800007FF) for pdo in (5, 6)]
+
+    def test_force_and_rates_of_every_node_have_can_ids_of_their_own(self):
+        self.open()
+        self.produce_sync()
+        for node, expected in ((100, ["6DC", "6DD"]), (127, ["6DA", "6DB"]), (48, ["6DE", "6DF"])):
+            self.go("node/%d/live" % node)
+            self.until(lambda: self.text("#node-facts").startswith("Node %d " % node), "the view of node %d" % node)
+            self.button("Map force and rates").click()
+            self.until(lambda: self.can_ids(node) == expected, "its CAN-IDs are %s" % expected)
+
+
 class Identification(rig.OnThePage):
     nodes = {1: "sim:tumble"}
 

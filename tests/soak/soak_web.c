@@ -1,6 +1,6 @@
 /* imu9-web for an hour in simulated time, with browsers that come and go (tests/scenario/browsers.h).
  *
- * usage: soak_web [MINUTES] [SEED]. Prints what was done; exits 1 when the heap in use has changed after five minutes. */
+ * usage: soak_web [MINUTES] [SEED]. Prints what was done; exits 1 when after five minutes the heap in use changes. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <unistd.h>

@@ -31,8 +31,8 @@ static size_t count_pdos(const struct od_table *table, const struct direction *d
 	return n;
 }
 
-/* COMMUNICATION steps, then sub-index 0 and ENTRIES of the mapping. Objects that the EDS does not have are read, too: the
- * node aborts. */
+/* COMMUNICATION steps, then sub-index 0 and ENTRIES of the mapping. Objects that the EDS does not have are read, too:
+ * the node aborts. */
 enum { PDO_STEPS = COMMUNICATION + 1 + ENTRIES };
 
 static bool read_pdo(struct web_job *job, uint16_t index)

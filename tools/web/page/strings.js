@@ -106,6 +106,7 @@ export const T = {
     hint_map: "With specific force and rates in TPDO5 and TPDO6, the acceleration before its correction is shown, too.",
     produce_sync: "Produce SYNC at 100 Hz",
     map: "Map force and rates",
+    no_can_ids: "No two CAN-IDs from 680h to 6DFh are free. Choose others for TPDO5 and TPDO6 in the view PDOs.",
     mapped: "TPDO5 and TPDO6 carry specific force and rates. Store the configuration to keep that.",
     pdo_values: "Values in the PDOs",
     no_pdo_values: "No PDO has been received. Start the node; synchronous PDOs need a SYNC producer.",
