@@ -158,7 +158,7 @@ $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,
 
 $(BUILD)/tests/unit/test_i2c_drdy: $(BUILD)/obj/tests/unit/gpiod/gpiod$(GPIOD_API)_stub.o
 
-$(SOAKS): $(BUILD)/%: %.c $(addprefix $(BUILD)/obj/tests/scenario/,world.o hammer.o) $(LIBS)
+$(SOAKS): $(BUILD)/%: %.c $(addprefix $(BUILD)/obj/tests/scenario/,world.o hammer.o browsers.o) $(LIBS)
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a,$^) -lcmocka $(LDLIBS)
 
@@ -237,9 +237,10 @@ $(FUZZERS): $(BUILD)/tests/fuzz/%: tests/fuzz/%.c tests/fuzz/fuzz.h tests/fuzz/f
 	@mkdir -p $(@D)
 	$(Q)$(CC) $(ALL_CFLAGS) -fsanitize=fuzzer -o $@ $< $(LIBS) $(LDLIBS)
 
-soak: $(SOAKS) ## the device for SOAK_DAYS in simulated time (a week: ten minutes), its windows for a day
+soak: $(SOAKS) ## simulated: the device for SOAK_DAYS (a week: ten minutes), its windows a day, imu9-web an hour
 	@$(BUILD)/tests/soak/soak_device $(SOAK_DAYS)
 	@$(BUILD)/tests/soak/soak_windows
+	@$(BUILD)/tests/soak/soak_web
 
 PLANT_NODES ?= 10
 PLANT_BUSES ?= 2

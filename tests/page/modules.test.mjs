@@ -9,6 +9,7 @@ const {from_angles, from_quaternion, to_angles, apply, without_gravity} = await 
 const {Series} = await import(page + "series.js");
 const {Signals} = await import(page + "signals.js");
 const {fixed, label_of, unit_text} = await import(page + "text.js");
+const {live_can_ids} = await import(page + "live.js");
 const {missing_axes} = await import(page + "calibration.js");
 const {moved, bits_of, type_text} = await import(page + "pdo.js");
 const {parse_number, outside, is_default} = await import(page + "field.js");
@@ -214,4 +215,16 @@ test("the sides are those of 2061h: six faces, eight corners", () => {
   assert.deepEqual(SIDES[3], [0, -1, 0]);
   assert.deepEqual(SIDES[6], [1, 1, 1]);
   assert.deepEqual(SIDES[13], [-1, -1, -1]);
+});
+
+test("two free CAN-IDs are found for TPDO5 and 6 of every node, its own ones first", () => {
+  const none = new Set();
+  assert.deepEqual(live_can_ids(1, [1], none), [0x680, 0x681]);
+  assert.deepEqual(live_can_ids(48, [1, 48], none), [0x6de, 0x6df]);
+  assert.deepEqual(live_can_ids(49, [49], none), [0x6de, 0x6df]);
+  assert.deepEqual(live_can_ids(127, [48, 49, 127], none), [0x6dc, 0x6dd]);
+  assert.deepEqual(live_can_ids(127, [49, 127], new Set([0x6de, 0x6df])), [0x6dc, 0x6dd]);
+  assert.deepEqual(live_can_ids(48, [48, 49], new Set([0x6df])), [0x6dc, 0x6dd]);
+  const first = Array.from({length: 48}, (_, i) => i + 1);
+  assert.equal(live_can_ids(100, [...first, 100], none), null);
 });

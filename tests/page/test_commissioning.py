@@ -97,6 +97,22 @@ class Live(rig.OnThePage):
                                              if row["acceleration.l [m/s^2]"]), 0.1)
 
 
+class HighNodeIds(rig.OnThePage):
+    nodes = {48: "sim:rest", 100: "sim:tumble", 127: "sim:rest"}
+
+    def can_ids(self, node):
+        return ["%03X" % (int(value(node, "tpdo%d_communication.cob_id" % pdo)) & 0x800007FF) for pdo in (5, 6)]
+
+    def test_force_and_rates_of_every_node_have_can_ids_of_their_own(self):
+        self.open()
+        self.produce_sync()
+        for node, expected in ((100, ["6DC", "6DD"]), (127, ["6DA", "6DB"]), (48, ["6DE", "6DF"])):
+            self.go("node/%d/live" % node)
+            self.until(lambda: self.text("#node-facts").startswith("Node %d " % node), "the view of node %d" % node)
+            self.button("Map force and rates").click()
+            self.until(lambda: self.can_ids(node) == expected, "its CAN-IDs are %s" % expected)
+
+
 class Identification(rig.OnThePage):
     nodes = {1: "sim:tumble"}
 
@@ -164,6 +180,24 @@ class Mapping(rig.OnThePage):
         entries = [int(sdo(1, "-q", "read", "tpdo3_mapping.object_%d" % i).split()[0]) for i in (1, 2, 3)]
         self.assertEqual(["%08X" % entry for entry in entries], ["21400110", "21060120", "210F0110"])
         self.assertEqual(value(1, "tpdo3_mapping.number_of_mapped_objects"), 3)
+
+    def test_an_rpdo_is_mapped_with_what_it_can_receive(self):
+        self.open("node/1/pdos")
+        pdo = '[data-rpdo="2"] '
+        self.until(lambda: len(self.all(pdo + "li")) > 1, "the mapping is read")
+        while self.all(pdo + "li"):
+            self.find(pdo + "li").send_keys(Keys.DELETE)
+        entry = self.find(pdo + "input[list]")
+        entry.send_keys("angles.roll", Keys.ENTER)
+        self.assertIn("no object that an RPDO can receive", self.text(pdo))
+        entry.clear()
+        for name in ("0006h:00", "velocity_aid.x16", "velocity_aid.sigma16"):
+            entry.send_keys(name, Keys.ENTER)
+        self.assertIn("2 bytes left", self.text(pdo + "header"))
+        self.button("Apply", pdo).click()
+        self.until(lambda: "RPDO2 is mapped" in self.text("#toasts"), "it is mapped")
+        entries = [int(sdo(1, "-q", "read", "rpdo2_mapping.object_%d" % i).split()[0]) for i in (1, 2, 3)]
+        self.assertEqual(["%08X" % entry for entry in entries], ["00060010", "20700510", "20700810"])
 
     def drag(self, source, target):
         """Drags an element to the middle of another one, as a mouse does."""

@@ -21,7 +21,8 @@ struct bench {
 	size_t seen; /* frames of the device that imu9-web has received */
 	struct web_token token;
 	struct web web;
-	bool off; /* the device */
+	bool off;      /* the device */
+	size_t off_at; /* it goes off when it has sent so many frames; 0: never */
 	struct json_object *events;
 	struct json_object *answer;
 	int64_t id;
@@ -60,6 +61,7 @@ static void settle(struct bench *b)
 			struct can_msg msg = b->sent[0];
 
 			memmove(b->sent, b->sent + 1, --b->sent_count * sizeof(msg));
+			b->off |= b->off_at && w->frame_count >= b->off_at;
 			if (!b->off)
 				world_receive(w, msg.id, msg.len, msg.data);
 		}
@@ -371,6 +373,25 @@ static void test_the_eds_of_another_revision_is_read_from_the_node_once(void **s
 	assert_int_equal(b->world.frame_count - before, 3);
 }
 
+static void test_an_eds_whose_reading_was_interrupted_is_read_again_after_a_boot_up(void **state)
+{
+	struct bench *b = *state;
+	uint32_t revision = b->world.device.values.identity.revision_number + 1;
+
+	b->world.device.values.identity.revision_number = revision;
+	int client = browser(b);
+	b->off_at = b->world.frame_count + 1000;
+	assert_done(ask(b, client, "\"op\":\"objects\"," NODE)); /* what else is known of it */
+	assert_true(b->off);
+	b->off_at = b->off = 0;
+	world_nmt(&b->world, 0x82);
+	b->world.device.values.identity.revision_number = revision;
+	run(b, client, BOOT_MS);
+	size_t before = b->world.frame_count;
+	assert_non_null(object_named(ask(b, client, "\"op\":\"objects\"," NODE), "lever_arm.l"));
+	assert_true(b->world.frame_count - before > imu9_eds_size / 7);
+}
+
 static void test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines(void **state)
 {
 	static const char TEXT[] =
@@ -638,6 +659,39 @@ static void test_a_mapping_is_changed_by_the_procedure_and_rows_follow(void **st
 			       ",\"pdo\":1,\"entries\":[\"velocity.x\",\"velocity.y\",\"velocity.z\"]"),
 		"8 bytes");
 	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"pdo\":9,\"entries\":[]"), "TPDO");
+}
+
+static void test_an_rpdo_is_mapped_with_what_it_can_receive_and_dummies(void **state)
+{
+	struct bench *b = *state;
+	int client = unlocked(b);
+	struct json_object *answer = ask(b, client, "\"op\":\"mapping\"," NODE);
+
+	assert_string_equal(text_of(answer, "result.pdos.7.direction"), "tpdo");
+	assert_string_equal(text_of(answer, "result.pdos.8.direction"), "rpdo");
+	assert_int_equal(number(answer, "result.pdos.8.pdo"), 1);
+	assert_string_equal(text_of(answer, "result.pdos.8.entries.0"), "velocity_aid.x16");
+	assert_int_equal(number(answer, "result.pdos.8.cob_id"), 0x200 + WORLD_NODE_ID);
+	assert_null(at(answer, "result.pdos.8.inhibit")); /* 14xxh:03 is of no use */
+	assert_done(ask(b, client,
+		"\"op\":\"set_mapping\"," NODE ",\"direction\":\"rpdo\",\"pdo\":2,\"type\":1,\"cob_id\":773,"
+		"\"entries\":[\"0005h:00\",\"velocity_aid.x\"]"));
+	assert_int_equal(b->world.device.values.rpdo2_communication.cob_id, 0x305);
+	assert_int_equal(b->world.device.values.rpdo2_communication.transmission_type, 1);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.number_of_mapped_objects, 2);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.object_1, 0x00050008);
+	assert_int_equal(b->world.device.values.rpdo2_mapping.object_2, 0x20700120);
+	assert_int_equal(b->world.device.values.tpdo2_mapping.number_of_mapped_objects, 4);
+	answer = ask(b, client, "\"op\":\"mapping\"," NODE);
+	assert_string_equal(text_of(answer, "result.pdos.9.entries.0"), "0005h:00");
+	assert_refused(ask(b, client,
+			       "\"op\":\"set_mapping\"," NODE
+			       ",\"direction\":\"rpdo\",\"pdo\":2,\"entries\":[\"angles.roll\"]"),
+		"into an RPDO");
+	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"pdo\":2,\"entries\":[\"0005h:00\"]"),
+		"no such object");
+	assert_refused(ask(b, client, "\"op\":\"set_mapping\"," NODE ",\"direction\":\"out\",\"pdo\":2,\"entries\":[]"),
+		"tpdo or rpdo");
 }
 
 static void test_a_mapping_that_the_node_refuses_leaves_the_pdo_as_it_was(void **state)
@@ -934,6 +988,7 @@ int main(void)
 		TEST(test_the_load_is_that_of_the_bit_rate_and_null_without_one),
 		TEST(test_objects_have_units_limits_words_and_defaults),
 		TEST(test_the_eds_of_another_revision_is_read_from_the_node_once),
+		TEST(test_an_eds_whose_reading_was_interrupted_is_read_again_after_a_boot_up),
 		TEST(test_a_node_without_1021h_has_the_eds_of_its_vendor_and_product_or_what_cia301_defines),
 		TEST(test_values_are_those_of_the_node),
 		TEST(test_a_node_that_does_not_answer_is_told),
@@ -945,6 +1000,7 @@ int main(void)
 		TEST(test_every_sample_arrives_with_the_values_of_its_pdos),
 		TEST(test_a_slow_browser_loses_the_oldest_rows_and_a_fast_one_none),
 		TEST(test_a_mapping_is_changed_by_the_procedure_and_rows_follow),
+		TEST(test_an_rpdo_is_mapped_with_what_it_can_receive_and_dummies),
 		TEST(test_a_mapping_that_the_node_refuses_leaves_the_pdo_as_it_was),
 		TEST(test_polls_of_all_browsers_are_ten_a_second),
 		TEST(test_sync_ends_with_its_browser_and_there_is_only_one_producer),

@@ -129,8 +129,9 @@ struct web_node {
 	char name[65];
 	uint64_t identify_us; /* not before */
 	uint64_t identify_wait_us;
-	struct web_eds *eds; /* NULL: not needed yet */
-	char *objects;	     /* the result of "objects", made once; NULL: not asked for yet */
+	struct web_eds *eds;  /* NULL: not needed yet */
+	bool eds_interrupted; /* the node was silent while it was read: it is read again after the next boot-up */
+	char *objects;	      /* the result of "objects", made once; NULL: not asked for yet */
 
 	struct sdo_client sdo;
 	struct web_job *jobs, *last; /* the first one runs */

@@ -210,6 +210,7 @@ static struct json_object *object(const struct od *defaults, const struct od_ent
 	if (od_has_words(entry))
 		add_words(to, entry);
 	json_object_object_add(to, "mappable", json_object_new_boolean((entry->access & OD_TPDO) != 0));
+	json_object_object_add(to, "receivable", json_object_new_boolean((entry->access & OD_RPDO) != 0));
 	json_object_object_add(to, "stored", json_object_new_boolean((entry->access & OD_STORED) != 0));
 	json_object_object_add(to, "text", json_object_new_string(entry->description));
 	json_object_object_add(to, "bits_size", json_object_new_int(8 * entry->size));

@@ -11,31 +11,38 @@
 
 enum { ENTRIES = 8 /* a bit is the least that can be mapped, but a name has at least a byte */, COMMUNICATION = 4 };
 
-/* Sub-indices of 18xxh: COB-ID, transmission type, inhibit time, event timer. */
+/* Sub-indices of 14xxh and 18xxh: COB-ID, transmission type, inhibit time, event timer. */
 static const uint8_t SUBS[COMMUNICATION] = {1, 2, 3, 5};
 enum { COB_ID, TYPE, INHIBIT, EVENT_TIMER };
 
-static size_t tpdos(const struct od_table *table)
+static const struct direction {
+	const char *key, *name;
+	uint16_t first; /* object */
+	uint8_t access;
+} DIRECTIONS[] = {{"tpdo", "a TPDO", PDO_FIRST_TPDO, OD_TPDO}, {"rpdo", "an RPDO", PDO_FIRST_RPDO, OD_RPDO}};
+enum { DIRECTION_COUNT = 2 };
+
+static size_t count_pdos(const struct od_table *table, const struct direction *direction)
 {
 	size_t n = 0;
 
-	while (n < WATCH_PDOS && od_find(table, (uint16_t)(PDO_FIRST_TPDO + n), 1, NULL))
+	while (n < WATCH_PDOS && od_find(table, (uint16_t)(direction->first + n), 1, NULL))
 		n++;
 	return n;
 }
 
-/* COMMUNICATION steps, then sub-index 0 and ENTRIES of 1Axxh. Objects that the EDS does not have are read, too: the
- * node aborts. */
+/* COMMUNICATION steps, then sub-index 0 and ENTRIES of the mapping. Objects that the EDS does not have are read, too:
+ * the node aborts. */
 enum { PDO_STEPS = COMMUNICATION + 1 + ENTRIES };
 
-static bool read_pdo(struct web_job *job, size_t number)
+static bool read_pdo(struct web_job *job, uint16_t index)
 {
 	bool ok = true;
 
 	for (size_t i = 0; i < COMMUNICATION; i++)
-		ok = web_read(job, (uint16_t)(PDO_FIRST_TPDO + number), SUBS[i]) && ok;
+		ok = web_read(job, index, SUBS[i]) && ok;
 	for (uint8_t sub = 0; sub <= ENTRIES; sub++)
-		ok = web_read(job, (uint16_t)(PDO_FIRST_TPDO + PDO_MAPPING + number), sub) && ok;
+		ok = web_read(job, (uint16_t)(index + PDO_MAPPING), sub) && ok;
 	return ok;
 }
 
@@ -63,13 +70,14 @@ static struct json_object *entries_json(const struct web_job *job, const struct 
 	return entries;
 }
 
-static struct json_object *pdo_json(const struct web_job *job, size_t number)
+static struct json_object *pdo_json(
+	const struct web_job *job, const struct web_step *steps, const struct direction *direction, size_t number)
 {
 	struct json_object *pdo = json_object_new_object();
-	const struct web_step *steps = &job->steps[number * PDO_STEPS];
 	unsigned int bits = 0;
 	uint32_t cob_id = web_u32(&steps[COB_ID], COB_ID_INVALID);
 
+	json_object_object_add(pdo, "direction", json_object_new_string(direction->key));
 	json_object_object_add(pdo, "pdo", json_object_new_int((int)number + 1));
 	json_object_object_add(pdo, "cob_id", json_object_new_int((int)(cob_id & COB_ID_MASK)));
 	json_object_object_add(pdo, "enabled", json_object_new_boolean(!(cob_id & COB_ID_INVALID)));
@@ -83,15 +91,17 @@ static struct json_object *pdo_json(const struct web_job *job, size_t number)
 
 bool web_op_mapping(struct web *web, struct web_job *job, uint64_t now_us)
 {
-	size_t n = tpdos(job->node->eds->table);
+	const struct od_table *table = job->node->eds->table;
+	const struct direction *d;
 	struct json_object *result, *pdos;
 
 	(void)now_us;
 	if (job->stage == 0) {
 		bool ok = true;
 
-		for (size_t i = 0; i < n; i++)
-			ok = read_pdo(job, i) && ok;
+		for (d = DIRECTIONS; d < DIRECTIONS + DIRECTION_COUNT; d++)
+			for (size_t i = 0; i < count_pdos(table, d); i++)
+				ok = read_pdo(job, (uint16_t)(d->first + i)) && ok;
 		return web_read(job, OD_INDEX_COMMUNICATION_CYCLE_PERIOD, 0) && ok;
 	}
 	const struct web_step *period = &job->steps[job->count - 1];
@@ -101,8 +111,10 @@ bool web_op_mapping(struct web *web, struct web_job *job, uint64_t now_us)
 	}
 	result = json_object_new_object();
 	pdos = json_object_new_array();
-	for (size_t i = 0; i < n; i++)
-		json_object_array_add(pdos, pdo_json(job, i));
+	const struct web_step *steps = job->steps;
+	for (d = DIRECTIONS; d < DIRECTIONS + DIRECTION_COUNT; d++)
+		for (size_t i = 0; i < count_pdos(table, d); i++, steps += PDO_STEPS)
+			json_object_array_add(pdos, pdo_json(job, steps, d, i));
 	json_object_object_add(result, "pdos", pdos);
 	add_u32(result, "sync_us", period);
 	web_answer(web, job, result);
@@ -112,13 +124,31 @@ bool web_op_mapping(struct web *web, struct web_job *job, uint64_t now_us)
 /* ---- set_mapping ------------------------------------------------------------------------------------------------- */
 
 struct mapping {
-	uint16_t index; /* 18xxh */
+	const struct direction *direction;
+	uint16_t index; /* 14xxh or 18xxh */
 	uint32_t entries[ENTRIES];
 	size_t count;
 	uint32_t cob_id; /* when it is valid again */
 	struct web_step failed;
 	bool restoring;
 };
+
+/* 0: there is no such object, or it cannot be mapped. The data types 0002h to 0007h are dummies: bytes that an RPDO
+ * skips (CiA 301, 7.5.2.36). */
+static uint32_t parse_entry(const struct web_job *job, const struct direction *direction, const char *name)
+{
+	static const uint8_t DUMMY_BITS[] = {8, 16, 32, 8, 16, 32};
+	const struct od_entry *entry = od_find_name(job->node->eds->table, name);
+	unsigned int type;
+	int end = 0;
+
+	if (entry && (entry->access & direction->access) && entry->size > 0 && entry->size <= 8)
+		return (uint32_t)entry->index << 16 | (uint32_t)entry->sub << 8 | 8u * entry->size;
+	if (direction->access == OD_RPDO && sscanf(name, "000%1uh:00%n", &type, &end) == 1 && end > 0 && !name[end] &&
+		type >= 2 && type <= 7)
+		return type << 16 | DUMMY_BITS[type - 2];
+	return 0;
+}
 
 /* False after an answer. */
 static bool parse_entries(struct web *web, struct web_job *job, struct mapping *mapping)
@@ -134,15 +164,17 @@ static bool parse_entries(struct web *web, struct web_job *job, struct mapping *
 	for (size_t i = 0; i < n; i++) {
 		struct json_object *name = json_object_array_get_idx(entries, i);
 		const char *text = json_object_is_type(name, json_type_string) ? json_object_get_string(name) : "";
-		const struct od_entry *entry = od_find_name(job->node->eds->table, text);
 
-		if (!entry || !(entry->access & OD_TPDO) || entry->size == 0 || entry->size > 8) {
-			web_refuse(web, job, "%.100s: %s", text,
-				entry ? "cannot be mapped into a TPDO" : "the EDS has no such object");
+		mapping->entries[i] = parse_entry(job, mapping->direction, text);
+		if (!mapping->entries[i]) {
+			bool known = od_find_name(job->node->eds->table, text);
+
+			web_refuse(web, job, "%.100s: %s%s", text,
+				known ? "cannot be mapped into " : "the EDS has no such object",
+				known ? mapping->direction->name : "");
 			return false;
 		}
-		bits += 8u * entry->size;
-		mapping->entries[i] = (uint32_t)entry->index << 16 | (uint32_t)entry->sub << 8 | 8u * entry->size;
+		bits += mapping->entries[i] & 0xFF;
 	}
 	if (bits > 64) {
 		web_refuse(web, job, "a PDO has 8 bytes, these objects %u", bits / 8);
@@ -155,14 +187,20 @@ static bool parse_entries(struct web *web, struct web_job *job, struct mapping *
 static bool start_mapping(struct web *web, struct web_job *job)
 {
 	struct mapping *mapping = job->data = calloc(1, sizeof(*mapping));
-	int64_t number;
+	const char *key = web_string(job->request, "direction");
+	const struct direction *direction = &DIRECTIONS[key && strcmp(key, "rpdo") == 0];
+	int64_t number, most = (int64_t)count_pdos(job->node->eds->table, direction);
 
-	if (!mapping || !web_integer(job->request, "pdo", 1, (int64_t)tpdos(job->node->eds->table), &number)) {
-		web_refuse(web, job, "%s", mapping ? "\"pdo\" is the number of a TPDO" : "out of memory");
+	if (!mapping || (key && strcmp(key, direction->key) != 0) ||
+		!web_integer(job->request, "pdo", 1, most, &number)) {
+		web_refuse(web, job, "%s",
+			mapping ? "\"direction\" is tpdo or rpdo, and \"pdo\" the number of a TPDO or RPDO"
+				: "out of memory");
 		return false;
 	}
-	mapping->index = (uint16_t)(PDO_FIRST_TPDO + number - 1);
-	return parse_entries(web, job, mapping) && read_pdo(job, (size_t)number - 1);
+	mapping->direction = direction;
+	mapping->index = (uint16_t)(direction->first + number - 1);
+	return parse_entries(web, job, mapping) && read_pdo(job, mapping->index);
 }
 
 static bool write_uint(struct web_job *job, uint16_t index, uint8_t sub, uint64_t value, size_t size)

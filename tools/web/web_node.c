@@ -224,8 +224,9 @@ static void set_identity(struct web *web, struct web_node *node, const struct we
 	node->identified = node->listed = true;
 	node->identify_wait_us = 0;
 	web->nodes_version++;
-	if (!node->eds || memcmp(old, node->identity, sizeof(old)) == 0)
+	if (!node->eds || (memcmp(old, node->identity, sizeof(old)) == 0 && !node->eds_interrupted))
 		return;
+	node->eds_interrupted = false;
 	bool watched = node->watch;
 	stop_watching(node);
 	set_eds(node, NULL);
@@ -277,6 +278,7 @@ static bool work_eds(struct web *web, struct web_job *job, uint64_t now_us)
 		eds = web_eds_read(web, node, (char *)text->large, text->size);
 		text->large = NULL;
 	}
+	node->eds_interrupted = text->result != SDO_DONE && text->result != SDO_ABORTED;
 	set_eds(node, eds ? eds : web_eds_otherwise(web, node));
 	return false;
 }

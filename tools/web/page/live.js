@@ -6,7 +6,7 @@ import {colours, on_scheme, Plot} from "./plot.js";
 import {Recorder} from "./record.js";
 import {Signals} from "./signals.js";
 import {T} from "./strings.js";
-import {fixed, label_of, numeric, seconds, unit_text} from "./text.js";
+import {fixed, hex, label_of, numeric, seconds, unit_text} from "./text.js";
 import {norm} from "./rotation.js";
 
 const SPAN_S = 10;
@@ -19,11 +19,19 @@ const LIVE_PDOS = [
   {pdo: 5, entries: ["specific_force16.l", "specific_force16.s", "specific_force16.t", "sample.counter"]},
   {pdo: 6, entries: ["angular_rate16.l", "angular_rate16.s", "angular_rate16.t", "sample.counter"]},
 ];
-const UNRESTRICTED_ID = 0x680; /* 680h to 6DFh are free for use in CiA 301 */
+const FREE_ID = 0x680,
+  PAIRS = 48; /* 680h to 6DFh are free for use in CiA 301: two for each of 48 nodes */
+const TPDOS = 8; /* of each node are asked for */
+const INVALID = 0x80000000; /* bit 31 of a COB-ID: the PDO does not exist */
 
-/** The CAN-ID for TPDO5 or 6 of a node, or null if there is none left. */
-export const live_cob_id = (node, pdo) =>
-  node <= 48 ? UNRESTRICTED_ID + 2 * (node - 1) + (pdo - LIVE_PDOS[0].pdo) : null;
+/** The CAN-IDs for TPDO5 and 6 of a node: the pair of its node-ID, or else one whose node is not on the bus, from the
+ * end. `nodes` are the IDs of all that are, `used` the CAN-IDs that other TPDOs have. null if there is none left. */
+export function live_can_ids(node, nodes, used) {
+  const pair = (of) => LIVE_PDOS.map((_, i) => FREE_ID + 2 * (of - 1) + i);
+  const others = Array.from({length: PAIRS}, (_, i) => PAIRS - i).filter((of) => !nodes.includes(of));
+  const own = node <= PAIRS ? [node] : [];
+  return [...own, ...others].map(pair).find((ids) => !ids.some((can_id) => used.has(can_id))) ?? null;
+}
 
 /** A card with something beside its title. */
 function panel(title, body, extra, name) {
@@ -425,8 +433,23 @@ function imu_view(ctx, node) {
       );
     }
   }
+  /* What the TPDOs of all nodes have, but for the two that are mapped. A lost node does not answer. */
+  async function used_can_ids() {
+    const used = new Set(),
+      own = LIVE_PDOS.map(({pdo}) => pdo);
+    for (const {node} of ctx.nodes().filter((other) => !ctx.lost(other.node))) {
+      const pdos = Array.from({length: TPDOS}, (_, i) => i + 1).filter((pdo) => node !== id || !own.includes(pdo));
+      const objects = pdos.map((pdo) => `${hex(0x1800 + pdo - 1, 4)}:01`);
+      const {values} = await ctx.bus.request("read", {node, objects}).catch(() => ({values: []}));
+      for (const {value} of values) if (value < INVALID) used.add(value & 0x7ff);
+    }
+    return used;
+  }
   async function map_live() {
-    for (const {pdo, entries} of LIVE_PDOS)
+    const nodes = ctx.nodes().map(({node}) => node),
+      can_ids = live_can_ids(id, nodes, await used_can_ids());
+    if (!can_ids) return ctx.toast(T.live.no_can_ids);
+    for (const [i, {pdo, entries}] of LIVE_PDOS.entries())
       if (
         !(await ctx.act("set_mapping", {
           node: id,
@@ -435,11 +458,11 @@ function imu_view(ctx, node) {
           entries,
           inhibit: 0,
           event_timer: 0,
-          cob_id: live_cob_id(id, pdo),
+          cob_id: can_ids[i],
         }))
       )
-        return;
-    ctx.toast(T.live.mapped);
+        return undefined;
+    return ctx.toast(T.live.mapped);
   }
   function draw_hint() {
     const now = ctx.node(id),
@@ -455,7 +478,6 @@ function imu_view(ctx, node) {
       now?.state === "operational" &&
       signals.fresh() &&
       signals.fields.length &&
-      live_cob_id(id, 5) &&
       (!signals.columns.force || !signals.columns.rate)
     )
       ways.push([T.live.hint_map, [T.live.map, map_live]]);

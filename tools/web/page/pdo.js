@@ -20,8 +20,17 @@ export function type_text(type) {
   );
 }
 
-export const bits_of = (entries, by_name) =>
-  entries.reduce((sum, name) => sum + (by_name.get(name)?.bits_size ?? 0), 0);
+/* Data types as dummies: what an RPDO skips. */
+const DUMMY_BITS = {"0002h:00": 8, "0003h:00": 16, "0004h:00": 32, "0005h:00": 8, "0006h:00": 16, "0007h:00": 32};
+const bits_of_one = (name, by_name) => by_name.get(name)?.bits_size ?? DUMMY_BITS[name] ?? 0;
+
+/** What it means for an RPDO. */
+export function received_text(type) {
+  if (type <= 240) return T.pdo.types.applied_at_sync;
+  return type >= 254 ? T.pdo.types.applied_at_once : T.pdo.types.reserved;
+}
+
+export const bits_of = (entries, by_name) => entries.reduce((sum, name) => sum + bits_of_one(name, by_name), 0);
 
 /** The same entries with one moved from a place to another. */
 export function moved(entries, from, to) {
@@ -33,7 +42,8 @@ export function moved(entries, from, to) {
 
 function editor(ctx, node, pdo, objects, drag) {
   const by_name = objects.by_name,
-    name = `${pdo.direction === "rpdo" ? "R" : "T"}PDO${pdo.pdo}`;
+    receives = pdo.direction === "rpdo",
+    name = `${receives ? "R" : "T"}PDO${pdo.pdo}`;
   let entries = [...pdo.entries];
   const list = h("ol", {class: "entries", "aria-label": T.pdo.entries(name)});
   const bytes = h("div", {class: "bytes", role: "img"}),
@@ -43,13 +53,15 @@ function editor(ctx, node, pdo, objects, drag) {
   const enabled = h("input", {type: "checkbox", id: id("enabled"), checked: pdo.enabled});
   const can_id = h("input", {type: "text", value: hex(pdo.cob_id & 0x7ff, 3), spellcheck: "false"});
   const type = number(pdo.type, {max: 255}),
-    type_note = h("span", {class: "note"});
+    type_note = h("span", {class: "note"}),
+    has_inhibit = pdo.inhibit !== null,
+    has_timer = pdo.event_timer !== null;
   const inhibit = number(pdo.inhibit ?? 0, {max: 65535}),
     timer = number(pdo.event_timer ?? 0, {max: 65535});
-  const add = h("input", {list: "mappable-objects", placeholder: T.pdo.add_hint, autocomplete: "off"});
+  const add = h("input", {list: receives ? "receivable-objects" : "mappable-objects", placeholder: T.pdo.add_hint, autocomplete: "off"});
   const apply = button(T.pdo.apply, send, {class: "primary"}),
     revert = button(T.pdo.revert, reset);
-  const element = h("section", {class: "card pdo", "aria-label": name, "data-pdo": pdo.pdo});
+  const element = h("section", {class: "card pdo", "aria-label": name, [receives ? "data-rpdo" : "data-pdo"]: pdo.pdo});
 
   function changed() {
     const is = JSON.stringify([
@@ -71,7 +83,7 @@ function editor(ctx, node, pdo, objects, drag) {
     apply.disabled = is === was || bits_of(entries, by_name) > BITS;
     revert.disabled = is === was;
     element.classList.toggle("dirty", is !== was);
-    say(type_note, type_text(Number(type.value)));
+    say(type_note, (receives ? received_text : type_text)(Number(type.value)));
   }
   function move(from, to) {
     entries = moved(entries, from, to);
@@ -85,9 +97,10 @@ function editor(ctx, node, pdo, objects, drag) {
   }
   function insert(object_name, at = entries.length) {
     const object = by_name.get(object_name);
-    if (!object?.mappable) say(note, T.pdo.not_mappable(object_name));
-    else if (entries.length >= MOST || bits_of(entries, by_name) + object.bits_size > BITS)
-      say(note, T.pdo.full(object.bits_size / 8));
+    const fits = receives ? object?.receivable || object_name in DUMMY_BITS : object?.mappable,
+      bits = bits_of_one(object_name, by_name);
+    if (!fits) say(note, (receives ? T.pdo.not_receivable : T.pdo.not_mappable)(object_name));
+    else if (entries.length >= MOST || bits_of(entries, by_name) + bits > BITS) say(note, T.pdo.full(bits / 8));
     else {
       say(note, "");
       entries = [...entries.slice(0, at), object_name, ...entries.slice(at)];
@@ -105,7 +118,7 @@ function editor(ctx, node, pdo, objects, drag) {
           {tabindex: 0, draggable: "true", "data-entry": entry},
           h("span", {class: `swatch swatch-${i % 8}`}),
           h("span", {class: "grow"}, label_of(entry)),
-          h("span", {class: "note"}, T.pdo.short(by_name.get(entry)?.bits_size ?? 0)),
+          h("span", {class: "note"}, T.pdo.short(bits_of_one(entry, by_name))),
           button("↑", () => move(i, i - 1), {
             class: "icon",
             "aria-label": T.pdo.up(label_of(entry)),
@@ -140,7 +153,7 @@ function editor(ctx, node, pdo, objects, drag) {
       bytes,
       entries.map((entry, i) => {
         const part = h("span", {class: `part swatch-${i % 8}`, title: label_of(entry)});
-        part.style.width = `${(100 * (by_name.get(entry)?.bits_size ?? 0)) / BITS}%`;
+        part.style.width = `${(100 * (bits_of_one(entry, by_name))) / BITS}%`;
         return part;
       })
     );
@@ -166,19 +179,19 @@ function editor(ctx, node, pdo, objects, drag) {
       pdo: pdo.pdo,
       entries,
       type: Number(type.value),
-      inhibit: Number(inhibit.value),
-      event_timer: Number(timer.value),
       enabled: enabled.checked,
       cob_id,
+      direction: pdo.direction,
     };
-    if (pdo.direction) request.direction = pdo.direction;
+    if (has_inhibit) request.inhibit = Number(inhibit.value);
+    if (has_timer) request.event_timer = Number(timer.value);
     const done = await ctx.act("set_mapping", request, (error) => say(note, error.message));
     if (!done) return undefined;
     Object.assign(pdo, {
       entries,
       type: request.type,
-      inhibit: request.inhibit,
-      event_timer: request.event_timer,
+      inhibit: request.inhibit ?? null,
+      event_timer: request.event_timer ?? null,
       enabled: request.enabled,
       cob_id,
     });
@@ -233,8 +246,8 @@ function editor(ctx, node, pdo, objects, drag) {
         {class: "grid"},
         labelled(T.pdo.can_id, can_id),
         h("div", {class: "labelled"}, labelled(T.pdo.type, type), type_note),
-        labelled(T.pdo.inhibit, inhibit),
-        labelled(T.pdo.timer, timer)
+        has_inhibit && labelled(T.pdo.inhibit, inhibit),
+        has_timer && labelled(receives ? T.pdo.deadline : T.pdo.timer, timer)
       )
     ),
     note,
@@ -253,7 +266,15 @@ export function pdo_view(ctx, node) {
     try {
       const objects = await ctx.objects(node.node);
       const {pdos} = await ctx.bus.request("mapping", {node: node.node});
-      const mappable = objects.list.filter((object) => object.mappable && object.access !== "wo");
+      const sent = (object) => object.mappable && object.access !== "wo",
+        received = (object) => object.receivable;
+      const choice = (name, of) =>
+        h(
+          "datalist",
+          {id: name},
+          objects.list.filter(of).map((object) => option(object.name, label_of(object.name)))
+        );
+      const mappable = objects.list.filter((object) => sent(object) || received(object));
       const filter = h("input", {
         type: "search",
         autocomplete: "off",
@@ -285,11 +306,8 @@ export function pdo_view(ctx, node) {
       fill(
         element,
         objects.by_name.has(PRESETS_OBJECT) ? preset(objects.by_name.get(PRESETS_OBJECT)) : null,
-        h(
-          "datalist",
-          {id: "mappable-objects"},
-          mappable.map((object) => option(object.name, label_of(object.name)))
-        ),
+        choice("mappable-objects", sent),
+        choice("receivable-objects", received),
         h(
           "div",
           {class: "with-palette"},
