@@ -79,7 +79,7 @@ void latency_attach(struct latency *l, struct od *od)
 
 static uint64_t now_ns(const struct latency *l)
 {
-	return l->clock_ns ? l->clock_ns(l->clock_ctx) : 0;
+	return l->clock_ns(l->clock_ctx);
 }
 
 /* Never below 0: time stamps of frames and samples can be slightly ahead. */

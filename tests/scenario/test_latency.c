@@ -204,10 +204,12 @@ static void test_a_tpdo_of_an_event_has_an_age_and_no_sync(void **state)
 	struct lab *lab = *state;
 	const struct od_values *v = &lab->world.device.values;
 
-	assert_int_equal(world_sdo_write(&lab->world, 0x1800, 2, &(uint8_t){254}, 1), 0);
+	for (uint16_t index = 0x1800; index < 0x1804; index++)
+		assert_int_equal(world_sdo_write(&lab->world, index, 2, &(uint8_t){254}, 1), 0);
+	sync_after(lab, 0); /* which no TPDO answers */
 	deliver(lab, 2500);
 	assert_int_equal(v->sample_age.count, 1);
-	assert_int_equal(v->sample_age.maximum, 2500 + SEND_US);
+	assert_int_equal(v->sample_age.maximum, 2500 + 4 * SEND_US);
 	assert_int_equal(v->sync_to_tpdo.count, 0);
 }
 
