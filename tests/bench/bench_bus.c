@@ -24,6 +24,7 @@
 #include <unistd.h>
 
 enum { NODE = 1, SYNC = 0x80, NMT = 0x000, TPDO1 = 0x180 + NODE, REQUEST = 0x600 + NODE, RESPONSE = 0x580 + NODE };
+enum { BOOT_UP = 0x700 + NODE, PATIENCE_MS = 10000 };
 enum { BATCHES = 10, ROUNDS = 200, SEGMENT = 7, BLOCK_SEGMENTS = 127, FOREIGN = 2000, FOREIGN_ID = 0x2AA };
 enum { MODBUS_PORT = 1502, SLOW_CLIENTS = 50, MODBUS_FRAME = 40, SHORT_BATCH = 20 };
 enum { FLOOR_BLOCK_BYTES = 120000, PAUSE_US = 3000 };
@@ -71,7 +72,7 @@ static struct can_frame get(int fd, uint32_t id)
 	struct can_frame frame;
 
 	do {
-		if (poll(&p, 1, 2000) != 1) {
+		if (poll(&p, 1, PATIENCE_MS) != 1) {
 			errno = ETIMEDOUT;
 			fail("no answer");
 		}
@@ -173,10 +174,13 @@ static pid_t start_gateway(const char *folder, const char *imu, const char *modb
 {
 	const char *build = getenv("BUILD");
 	char program[256];
-	pid_t pid = fork();
+	int fd = open_bus();
 
+	only(fd, BOOT_UP, BOOT_UP);
+	pid_t pid = fork();
 	if (pid != 0) {
-		usleep(700000);
+		get(fd, BOOT_UP);
+		close(fd);
 		return pid;
 	}
 	snprintf(program, sizeof(program), "%s/imu9-gateway", build ? build : "build");
@@ -442,7 +446,7 @@ static void write_slow_log(const char *path)
 
 	if (!f)
 		fail(path);
-	fputs("t,gx,gy,gz,ax,ay,az,mx,my,mz\n", f);
+	fputs("t [s],gx,gy,gz,ax,ay,az,mx,my,mz\n", f);
 	for (int t = 0; t < 600; t++)
 		fprintf(f, "%d,0,0,0,0,0,9.81,0,20,-45\n", t);
 	fclose(f);

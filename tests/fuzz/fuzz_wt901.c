@@ -17,7 +17,7 @@
 #include "model/math/units.h"
 #include "tests/fuzz/fuzz.h"
 
-enum { BUFFER = 512, HISTORY = 4096, REQUEST = 8, WORDS = 13, US = 1000, IDLE_WAITS = 50, SAMPLES = 1000 };
+enum { BUFFER = 512, HISTORY = 4096, REQUEST = 8, WORDS = 13, US = 1000, IDLE_WAITS = 5 };
 
 static struct world {
 	struct input *in;
