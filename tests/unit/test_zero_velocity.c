@@ -802,7 +802,7 @@ static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 		assert_near(x[i], y[i], 1e-12);
 }
 
-/* The first steady interval counts in full, later ones alike: a step of all quantities is followed by the same share. */
+/* The first steady interval counts in full, of later ones all quantities take the same share. */
 static void test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill(void **state)
 {
 	static const struct noise_config noise = {.accel_density_m_s2_sqrt_hz = 0.002};
