@@ -353,6 +353,9 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 			if (presets[i].stands_steady)
 				config.standstill.time_s = 0;
 			navigation_start(&n, &config, QUAT_IDENTITY);
+			/* a rope counts with its own preset only, and that one with a rope only */
+			n.stood = true;
+			n.rope.given_m = presets[i].preset == MOTION_HANGING_LOAD ? 0 : 5;
 			n.velocity_n_m_s = (struct vec3){v, 0, 0};
 			for (int k = 0; k < NAVIGATION_STATES; k++)
 				n.p[k][k] = k / 3 == NAVIGATION_V / 3 ? sigma_m_s * sigma_m_s : 0;
