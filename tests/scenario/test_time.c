@@ -123,6 +123,25 @@ static void test_reset_communication_restores_the_stored_value(void **state)
 	assert_false(bus_listens_to(bus, 0x100));
 }
 
+/* Stored by another version, or put there by a file. */
+static void test_a_stored_identifier_that_is_not_allowed_raises_6300h(void **state)
+{
+	static const uint32_t stored[] = {CONSUMER, CONSUMER | 0x701, CONSUMER | 0x20000100};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct bus *bus = bus_new();
+
+		bus_put(bus, 0x1012, 0, 4, stored[i]);
+		bus_start(bus);
+		bus_expect(bus, "710 00");
+		bus_expect(bus, "090 00 63 01 12 10 00 00 00"); /* data set, 1012h */
+		bus_send(bus, "100 01 00 00 00 01 00");
+		assert_int_equal(bus->times, 0);
+		test_free(bus);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -137,6 +156,7 @@ int main(void)
 		PRE_OPERATIONAL(test_the_identifier_cannot_change_while_time_is_in_use),
 		PRE_OPERATIONAL(test_restricted_and_29_bit_identifiers_are_refused),
 		PRE_OPERATIONAL(test_reset_communication_restores_the_stored_value),
+		cmocka_unit_test(test_a_stored_identifier_that_is_not_allowed_raises_6300h),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

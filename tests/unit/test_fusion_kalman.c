@@ -1576,6 +1576,36 @@ static void test_under_a_heading_from_outside_the_direction_of_the_field_is_foll
 	assert_near(left, bearing * exp(-0.5), 0.01);
 }
 
+/* A new sigma is that of the state from then on; what did not change stays as it was learnt. */
+static void test_a_new_sigma_of_a_sensor_is_that_of_its_error(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct fusion f = fusion(NINE_AXES);
+		struct fusion_config config = f.config;
+		const struct fusion_kalman used = used_filter();
+
+		f.kalman = used;
+		f.gyro_errors.scale_b.x = 1e-3;
+		config.kalman.bias_sigma_rad_s = i == 1 ? 0.07 : config.kalman.bias_sigma_rad_s;
+		config.kalman.accel_sigma_m_s2 = i == 2 ? 0.6 : config.kalman.accel_sigma_m_s2;
+		config.kalman.gyro_scale_sigma = i == 3 ? 0.02 : config.kalman.gyro_scale_sigma;
+		assert_int_equal(fusion_configure(&f, &config), 0);
+		for (int k = 0; k < 3; k++) {
+			const int bias = KALMAN_BIAS + k, scale = KALMAN_SCALE + k, accel = KALMAN_ACCEL + k;
+
+			assert_near(f.kalman.covariance[bias][bias], i == 1 ? 0.07 * 0.07 : used.covariance[bias][bias],
+				1e-15);
+			assert_near(f.kalman.covariance[accel][accel], i == 2 ? 0.36 : used.covariance[accel][accel],
+				1e-15);
+			if (i != 1) /* with the bias, the scale is unknown again */
+				assert_near(f.kalman.covariance[scale][scale],
+					i == 3 ? 4e-4 : used.covariance[scale][scale], 1e-15);
+		}
+		assert_near(f.gyro_errors.scale_b.x, i == 3 ? 0 : 1e-3, 0);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1642,6 +1672,7 @@ int main(void)
 		cmocka_unit_test(test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it),
 		cmocka_unit_test(test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts),
 		cmocka_unit_test(test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s),
+		cmocka_unit_test(test_a_new_sigma_of_a_sensor_is_that_of_its_error),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

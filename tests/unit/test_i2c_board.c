@@ -52,6 +52,25 @@ static void test_the_accelerometer_of_an_lsm303dlh_is_found_at_19h_too(void **st
 	world_free(w);
 }
 
+static int no_answer_at_1e(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	return access->address == 0x1E ? -ENXIO : 0;
+}
+
+/* The board is none of those that are known. */
+static void test_an_accelerometer_without_its_magnetometer_is_named_beside_the_gyro(void **state)
+{
+	struct world *w = world_make("v2", "rest", false);
+
+	(void)state;
+	w->before = no_answer_at_1e;
+	world_detect(w);
+	assert_string_equal(w->board.name, "L3GD20+LSM303DLHC");
+	w->before = NULL;
+	world_free(w);
+}
+
 static void test_a_board_without_magnetometer_gives_samples_without_it_and_says_so(void **state)
 {
 	static const struct {
@@ -1408,6 +1427,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_each_board_is_recognised),
 		cmocka_unit_test(test_the_accelerometer_of_an_lsm303dlh_is_found_at_19h_too),
+		cmocka_unit_test(test_an_accelerometer_without_its_magnetometer_is_named_beside_the_gyro),
 		cmocka_unit_test(test_a_board_without_magnetometer_gives_samples_without_it_and_says_so),
 		cmocka_unit_test(test_an_empty_bus_is_refused_with_the_addresses_that_were_tried),
 		cmocka_unit_test(test_unknown_chips_are_refused),

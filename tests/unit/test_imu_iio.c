@@ -1612,6 +1612,20 @@ static void test_readings_of_the_gyro_before_the_first_acceleration_are_counted_
 	assert_int_equal(port->health.overruns, 3);
 }
 
+static void test_an_accelerometer_without_a_trigger_is_polled_and_the_gyro_is_not(void **state)
+{
+	(void)state;
+	w.no_configfs = true;
+	add_triad(add_device("l3gd20", "100", "100"), IIO_ANGL_VEL, "0.00122", 0);
+	add_triad(add_device("lsm303", "100", "100"), IIO_ACCEL, "0.0024", 0);
+	add_timestamp(&w.devices[2]);
+	add_timestamp(&w.devices[3]);
+	needs_trigger(3);
+	open_sensor("iio:l3gd20,lsm303");
+	assert_string_equal(port->name, "iio:l3gd20+lsm303");
+	assert_true(w.devices[2].buffered && !w.devices[3].buffered);
+}
+
 int main(void)
 {
 #define IIO_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -1656,6 +1670,7 @@ int main(void)
 		IIO_TEST(test_an_accelerometer_of_its_own_that_stops_is_named),
 		IIO_TEST(test_a_gyro_that_does_not_come_back_is_reported_each_time),
 		IIO_TEST(test_readings_of_the_gyro_before_the_first_acceleration_are_counted_as_lost),
+		IIO_TEST(test_an_accelerometer_without_a_trigger_is_polled_and_the_gyro_is_not),
 		IIO_TEST(test_readings_by_timer_belong_together_within_half_an_interval_of_the_slower_chip),
 	};
 

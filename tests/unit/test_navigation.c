@@ -1480,6 +1480,35 @@ static void test_a_correction_of_the_attitude_turns_the_forces_of_a_rope(void **
 	assert_vec_near(n.rope.window[0].sums.f, quat_rotate(n.q_nb, force), vec3_dot(theta, theta) * vec3_norm(force));
 }
 
+/* A share of 0.3 % of the angle, or what is told of an uncalibrated gyro: about the axis of the turn, and by alignment
+ * about the others until it has turned by 2 rad. To and fro averages out, as random turns of 0.1 % do. */
+static void test_a_turn_in_one_direction_leaves_a_share_of_its_angle_behind(void **state)
+{
+	const double rate = 20, shares[] = {0.003, 0.01};
+
+	(void)state;
+	for (int i = 0; i < 2; i++)
+		for (int far = 0; far < 2; far++) {
+			struct navigation n = started(MOTION_ANY);
+			const double from = far ? 3 : 0;
+			double t, random, variance;
+
+			n.config.noise = (struct noise_config){0};
+			n.config.gyro_scale_sigma = i ? shares[i] : 0;
+			memset(n.p, 0, sizeof(n.p));
+			n.net_turn_b_rad.x = from;
+			n.net_turn2_max_rad2 = from * from;
+			t = one_interval(&n, (struct vec3){rate, 0, 0}, ZERO);
+			random = pow(shares[i] / 3, 2) * rate * rate * t / 3;
+			variance = pow(shares[i], 2) * (pow(from + rate * t, 2) - from * from);
+			assert_near(n.p[0][0] / (random + variance), 1, 0.01);
+			assert_near(n.p[1][1] / (random + (far ? 0 : variance)), 1, 0.01);
+			variance = n.p[0][0];
+			t = one_interval(&n, (struct vec3){-rate, 0, 0}, ZERO); /* back */
+			assert_near(n.p[0][0] / (variance + random), 1, 0.01);
+		}
+}
+
 /* ---- what is forgotten ---- */
 
 /* A navigation that has been through everything, and its variances depend on one another. */
@@ -1706,6 +1735,7 @@ int main(void)
 		cmocka_unit_test(test_what_was_integrated_before_missing_samples_is_void),
 		cmocka_unit_test(test_a_movement_that_begins_knows_nothing_of_the_one_before),
 		cmocka_unit_test(test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it),
+		cmocka_unit_test(test_a_turn_in_one_direction_leaves_a_share_of_its_angle_behind),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -263,14 +263,16 @@ static void test_a_difference_holds_for_windows_of_unequal_length(void **state)
 {
 	const struct vec3 accel = {0.3, -0.2, 0.1}, force = vec3_add(accel, (struct vec3){0, 0, G}),
 			  turn = {0.01, 0.02, 0};
+	const struct noise_config noise = {.gyro_density_rad_s_sqrt_hz = 1e-3, .accel_density_m_s2_sqrt_hz = 2e-3};
 	const double s[2] = {1, 1.3}, s2 = 1.3 * (1 + 1.3) / 2;
 	struct rope rope = {.length_m = ROPE_M};
+	struct rope_window *window = &rope.window[ROPE_WINDOWS - 3]; /* the last two of a difference, and the next */
 	struct rope_difference d;
 
 	(void)state;
-	rope.window[0].up_n = (struct vec3){0.1, -0.1, 1};
+	window[0].up_n = (struct vec3){0.1, -0.1, 1};
 	for (int w = 0; w < 2; w++) {
-		struct navigation_sums *sums = &rope.window[w].sums;
+		struct navigation_sums *sums = &window[w].sums;
 
 		sums->t_s = s[w];
 		sums->f = vec3_scale(s[w], force);
@@ -279,14 +281,21 @@ static void test_a_difference_holds_for_windows_of_unequal_length(void **state)
 			sums->s.m[i][i] = s[w];
 			sums->u.m[i][i] = s[w] * s[w] / 2;
 		}
-		rope.window[w + 1].up_n = vec3_add(rope.window[w].up_n, vec3_scale(s[w], turn));
+		window[w + 1].up_n = vec3_add(window[w].up_n, vec3_scale(s[w], turn));
 	}
-	d = rope_difference(&rope, 0, &QUIET, G);
+	d = rope_difference(&rope, ROPE_WINDOWS - 3, &noise, G);
 	assert_vec_near(d.up_n, ZERO, 1e-12);
 	assert_vec_near(d.point_n_m, vec3_scale(s2, accel), 1e-12);
 	assert_vec_near(d.force_n_m, vec3_scale(s2, force), 1e-12);
 	for (int i = 0; i < 9; i++)
 		assert_near(d.turned_s2.m[i / 3][i % 3], i % 4 ? 0 : s2, 1e-12);
+	assert_near(d.variance_m2,
+		1e-6 * 1.3 * (ROPE_M * ROPE_M + G * G * pow(1.3, 4)) + 4e-6 / 2 * pow(1.3, 3) * 2 / 3 +
+			9e-6 * pow(1.3, 4),
+		1e-12);
+	/* half of a window ago it was slower, and the rope's end moves with its turn */
+	assert_vec_near(rope_point_velocity(&rope, (struct vec3){1, 2, 3}, G),
+		vec3_add(vec3_sub((struct vec3){1, 2, 3}, vec3_scale(1.3 / 2, accel)), vec3_scale(ROPE_M, turn)), 1e-9);
 }
 
 int main(void)

@@ -353,6 +353,9 @@ static void test_the_odds_of_standing_are_those_of_the_velocity_against_the_spee
 			if (presets[i].stands_steady)
 				config.standstill.time_s = 0;
 			navigation_start(&n, &config, QUAT_IDENTITY);
+			/* a rope counts with its own preset only, and that one with a rope only */
+			n.stood = true;
+			n.rope.given_m = presets[i].preset == MOTION_HANGING_LOAD ? 0 : 5;
 			n.velocity_n_m_s = (struct vec3){v, 0, 0};
 			for (int k = 0; k < NAVIGATION_STATES; k++)
 				n.p[k][k] = k / 3 == NAVIGATION_V / 3 ? sigma_m_s * sigma_m_s : 0;
@@ -802,7 +805,7 @@ static void test_sums_of_parts_append_to_the_sums_of_all(void **state)
 		assert_near(x[i], y[i], 1e-12);
 }
 
-/* The first steady interval counts in full, later ones alike: a step of all quantities is followed by the same share. */
+/* The first steady interval counts in full, of later ones all quantities take the same share. */
 static void test_what_is_quiet_is_the_mean_of_the_steady_intervals_at_a_standstill(void **state)
 {
 	static const struct noise_config noise = {.accel_density_m_s2_sqrt_hz = 0.002};
