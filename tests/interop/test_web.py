@@ -331,12 +331,6 @@ class WebStart(unittest.TestCase):
         self.assertEqual(done.returncode, 2)
         self.assertIn("--token-file", done.stderr)
 
-    def test_it_gives_way_to_a_gateway_on_this_computer(self):
-        server = Server(rig.BUS)
-        self.addCleanup(server.close)
-        niceness = os.getpriority(os.PRIO_PROCESS, server.process.pid)
-        self.assertEqual(niceness, min(os.getpriority(os.PRIO_PROCESS, 0) + 10, 19))
-
     def test_a_token_file_that_others_can_read_is_refused(self):
         path = rig.written("0123456789abcdef\n")
         path.chmod(0o644)

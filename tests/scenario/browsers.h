@@ -18,8 +18,8 @@ struct browsers_count {
 	double megabytes;				   /* of messages to browsers */
 	size_t heap; /* bytes in use when all browsers had gone, after the warm-up */
 	size_t peak; /* while they were there, at any time */
-	/* The largest difference of later minutes. 0 with GLIBC_TUNABLES=glibc.malloc.tcache_count=0; else what malloc()
-	 * keeps for quick use is among it. */
+	/* The largest difference of later minutes: 0 with GLIBC_TUNABLES=glibc.malloc.tcache_count=0, else what
+	 * malloc() keeps for quick use is among it. */
 	size_t grown;
 };
 

@@ -5,21 +5,11 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <unistd.h>
 
 #include "tools/lib/cli.h"
 #include "tools/web/server.h"
 
-enum {
-	NICE = 10,
-	EDS_FILES = 16,
-	HOSTS = 16,
-	EDS_FILE_MAX = 4 << 20,
-	OPTION_LISTEN = 256,
-	OPTION_TOKEN,
-	OPTION_EDS,
-	OPTION_HOST
-};
+enum { EDS_FILES = 16, HOSTS = 16, EDS_FILE_MAX = 4 << 20, OPTION_LISTEN = 256, OPTION_TOKEN, OPTION_EDS, OPTION_HOST };
 
 static const char help[] =
 	"Usage: imu9-web [-i BUS] [--listen ADDRESS:PORT] [--eds FILE]... [--token-file FILE]\n"
@@ -144,7 +134,6 @@ int main(int argc, char **argv)
 	size_t sizes[EDS_FILES];
 
 	parse_options(&o, argc, argv);
-	(void)nice(NICE); /* a gateway on this computer, and its master, come first */
 	if (!web_listen_address(o.listen, address, &server.port))
 		cli_usage_error("--listen %s: write an IP address and a port: 127.0.0.1:8410, [::1]:8410", o.listen);
 	if (!web_is_loopback(address) && !o.token_file)

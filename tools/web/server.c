@@ -20,7 +20,8 @@ enum {
 	GONE_S = 40,
 	CHUNK = 16384,
 	RECEIVE = 4096,
-	FRAMES = 256, /* of the bus in one wake */
+	FRAMES = 256,	  /* of the bus in one wake */
+	GATHER_US = 5000, /* frames are fetched together, so that not each one takes the processor from a gateway */
 };
 
 /* Of each connection: one that fetches a file, or a browser. */
@@ -39,6 +40,8 @@ struct server {
 	struct lws_context *context;
 	int events, timer;
 	uint64_t next_us;
+	uint64_t fetched_us; /* frames, the last time */
+	bool gathers;	     /* does not look at the bus for GATHER_US */
 	struct lws *wsi[WEB_CLIENTS];
 	struct connection *connections[WEB_CLIENTS];
 	bool ends;
@@ -65,16 +68,34 @@ static void set_timer(struct server *server, uint64_t next_us)
 	timerfd_settime(server->timer, TFD_TIMER_ABSTIME, &at, NULL);
 }
 
+/* Not while an answer is awaited: transfers would take longer. Returns when to look again. */
+static uint64_t gather(struct server *server, uint64_t now_us)
+{
+	uint64_t end_us = server->fetched_us + GATHER_US;
+	bool gathers = now_us < end_us && !web_awaits_answer(server->web);
+	int fd = server->web->config.bus->fd;
+
+	if (gathers != server->gathers) {
+		struct epoll_event event = {.events = gathers ? 0 : EPOLLIN, .data.fd = fd};
+
+		epoll_ctl(server->events, EPOLL_CTL_MOD, fd, &event);
+		server->gathers = gathers;
+	}
+	return gathers ? end_us : UINT64_MAX;
+}
+
 /* After anything has happened: what is due, and who wants to send or may receive again. */
 static void tick(struct server *server)
 {
 	struct web *web = server->web;
 	uint64_t now_us = cli_now_us();
 	uint64_t next_us = web_tick(web, now_us);
-	uint64_t bus_us = can_service(web->config.bus, now_us);
+	uint64_t bus_us = can_service(web->config.bus, now_us), gather_us = gather(server, now_us);
 
 	if (bus_us < next_us)
 		next_us = bus_us;
+	if (gather_us < next_us)
+		next_us = gather_us;
 	for (int i = 0; i < WEB_CLIENTS; i++) {
 		struct connection *connection = server->connections[i];
 
@@ -101,6 +122,8 @@ static void receive_frames(struct server *server)
 		if (can_receive(bus, &msg, now_us) <= 0)
 			return;
 		web_receive(server->web, &msg, now_us);
+		if (msg.t_us && msg.t_us != now_us) /* else the time of a frame is that at which it is fetched */
+			server->fetched_us = now_us;
 	}
 	set_timer(server, 0); /* the descriptor is not readable for what the port has fetched already */
 }

@@ -52,3 +52,14 @@ uint64_t web_tick(struct web *web, uint64_t now_us)
 	}
 	return next_us;
 }
+
+bool web_awaits_answer(const struct web *web)
+{
+	for (int i = 1; i < WEB_NODES; i++) {
+		const struct web_node *node = &web->nodes[i];
+
+		if (node->sdo.result == SDO_RUNNING || (node->watch && node->watch->sdo.result == SDO_RUNNING))
+			return true;
+	}
+	return web->lss.doing != WEB_LSS_NOTHING;
+}

@@ -255,6 +255,9 @@ void web_receive(struct web *web, const struct can_msg *msg, uint64_t now_us);
 /** Returns the time of the next call at the latest. */
 uint64_t web_tick(struct web *web, uint64_t now_us);
 
+/** A node has been asked for something: its answer should not wait. */
+bool web_awaits_answer(const struct web *web);
+
 /** A slot, or -1: there are WEB_CLIENTS. */
 int web_connect(struct web *web, uint64_t now_us);
 void web_disconnect(struct web *web, int client);
