@@ -40,9 +40,10 @@ static const double SET_ANGLE_RAD = 1 * RAD_PER_DEG;
 
 /* ---- process noise ---- */
 
-/* rad/s/sqrt(Hz), of the gyro in motion (0.12 deg/s/sqrt(Hz)). Tuned: four times the density in datasheets (0.03), for
- * vibration and what else goes wrong in motion. */
-static const double GYRO_NOISE = 0.12 * RAD_PER_DEG;
+/* rad/s/sqrt(Hz), of the gyro in motion about horizontal axes and about the vertical. Datasheets have 0.03. Measured:
+ * on the trials of BROAD the integrated rate departs from the optical attitude by 0.1 deg/sqrt(s) at most in the tilt,
+ * and by up to 0.22 in the heading, where no later turn takes it back. */
+static const double TILT_NOISE = 0.09 * RAD_PER_DEG, HEADING_NOISE = 0.12 * RAD_PER_DEG;
 /* s, for which the error that is proportional to the rate keeps its sign: its correlation time. By judgement: half a
  * period of a quick hand. */
 static const double GYRO_ERROR_TIME_S = 0.3;
@@ -58,13 +59,14 @@ static const double MOST_SCALE_SIGMAS = 5;
 
 /* ---- measured velocity ---- */
 
-/* s, correlation time of a velocity in motion: consecutive measurements of zero velocity are not independent. Tuned. */
-static const double VELOCITY_TIME_S = 0.5;
+/* s, correlation time of a velocity in motion: consecutive measurements of zero velocity are not independent. Measured:
+ * the optical velocity of the slower trials of BROAD has 0.2 to 0.55 s at 0.25 to 0.6 Hz, 0.04 to 0.2 s below that. */
+static const double VELOCITY_TIME_S = 0.25;
 /* s, memory of the velocity's variance. By judgement: several periods of a hand's motion. */
 static const double SPREAD_TIME_S = 3;
-/* Least 1 sigma of the velocity as a share of the configured one. Tuned: 0.2 m/s keep the errors of the gyro in a pure
- * rotation about the reference point from being estimated as bias. */
-static const double LEAST_SPREAD = 0.2;
+/* Least 1 sigma of the velocity as a share of the configured one. Tuned: 0.35 m/s keep the errors of the gyro in a pure
+ * rotation about the reference point, and those of a robot arm's accelerometer, from being estimated as bias. */
+static const double LEAST_SPREAD = 0.35;
 /* m/s, 1 sigma of the velocity at rest, per correction. By judgement: vibration of the support. */
 static const double REST_VELOCITY_M_S = 0.01;
 /* m/s, 1 sigma of the velocity when rest begins: a steady motion has any constant velocity, and feels like rest. By
@@ -310,13 +312,21 @@ static void follow_by_offset(struct fusion_kalman *k, struct quat q_nb, struct v
 	*add = vec3_add(*add, vec3_scale(share, vec3_sub(along, *add)));
 }
 
-double fusion_kalman_heading_variance(const struct fusion_kalman *k)
+/* Turns about the vertical leave errors of the heading behind that add up in one direction. A measured heading leaves
+ * this share of them. */
+static void keep_turns(struct fusion_kalman *k, double share)
 {
-	double variance =
-		k->covariance[HEADING][HEADING] + hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
+	k->net_turn_rad *= share;
+	k->net_turn_max_rad *= share;
+}
+
+double fusion_kalman_heading_variance(const struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	double turned = k->covariance[HEADING][HEADING] + squared(config->gyro_error * k->net_turn_max_rad),
+	       variance = turned + hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
 
 	if (!k->north_from_field)
-		return k->covariance[HEADING][HEADING];
+		return turned;
 	if (k->north_on_trial || (k->hard_iron.disagrees && !k->hard_iron.agreed))
 		return squared(UNKNOWN_HEADING_RAD);
 	return fmin(squared(UNKNOWN_HEADING_RAD), variance);
@@ -327,6 +337,7 @@ void fusion_kalman_set_north(
 {
 	set_variance(k, HEADING, field_heading_variance(k, config, field_n_uT.x, field_n_uT.y));
 	follow_by_offset(k, q_nb, field_n_uT, 1);
+	keep_turns(k, 0);
 	k->norm_uT = 0; /* the next field becomes the reference */
 	k->north_from_field = true;
 }
@@ -338,6 +349,7 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
+	keep_turns(k, 0);
 	k->norm_uT = 0;
 	k->north_unknown = true;
 	k->north_from_field = k->north_on_trial = false;
@@ -379,8 +391,7 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 {
 	struct vec3 force = vec3_sub(k->sums.force_n_m_s, vec3_sub(k->lever_n_m_s, k->sums.lever_from_n_m_s));
 	double t = k->sums.time_s;
-	double turn_noise = t * squared(GYRO_NOISE) +
-			    squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->sums.turned_rad2_s +
+	double turn_noise = squared(config->gyro_error) * GYRO_ERROR_TIME_S * k->sums.turned_rad2_s +
 			    squared(k->sums.unmeasured_turn_rad);
 
 	propagate_rows(k, force);
@@ -393,7 +404,7 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 	for (int i = VELOCITY; i < VELOCITY + 2; i++)
 		k->covariance[i][i] += k->sums.force_noise_m2_s2;
 	for (int i = 0; i < 3; i++) {
-		k->covariance[i][i] += turn_noise;
+		k->covariance[i][i] += turn_noise + t * squared(i == HEADING ? HEADING_NOISE : TILT_NOISE);
 		k->covariance[BIAS + i][BIAS + i] += t * squared(config->bias_walk_rad_s_sqrt_s);
 	}
 	for (int i = SCALE; i < SCALE + 3; i++)
@@ -742,7 +753,7 @@ static bool measure_heading(
 {
 	struct vec3 m = vec3_scale(1.0 / k->sums.fields, k->sums.field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
-	double factor, variance, pose_s, white, off;
+	double factor, variance, pose_s, white, off, share;
 	struct vec3 across;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT) || k->hard_iron.disagrees)
@@ -772,7 +783,9 @@ static bool measure_heading(
 	pose_s = fmin(POSE_MOST_S, fmax(POSE_LEAST_S, POSE_RAD / (f.rate_rad_s + 1e-9)));
 	white = squared(config->field_sigma_uT / f.horizontal_uT) / k->sums.fields;
 	variance = factor * (2 * pose_s / k->sums.time_s * variance + white);
-	follow_by_offset(k, q_nb, m, k->covariance[HEADING][HEADING] / (k->covariance[HEADING][HEADING] + variance));
+	share = k->covariance[HEADING][HEADING] / (k->covariance[HEADING][HEADING] + variance);
+	follow_by_offset(k, q_nb, m, share);
+	keep_turns(k, 1 - share);
 	measure(k, error, HEADING, off, variance);
 	return true;
 }
@@ -811,6 +824,7 @@ static void apply_correction(struct fusion_kalman *k, const struct fusion_kalman
 void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 {
 	set_variance(k, HEADING, variance_rad2);
+	keep_turns(k, 0);
 	reset_velocity(k);
 	clear_sums(k);
 	k->north_unknown = true;
@@ -831,6 +845,7 @@ bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalm
 		fusion_kalman_set_heading(k, variance_rad2);
 		return true;
 	}
+	keep_turns(k, variance_rad2 / innovation_variance);
 	measure(k, error, HEADING, innovation_rad, variance_rad2);
 	apply_correction(k, config, error, q_nb, gyro_errors);
 	k->aided_heading_s = AID_S;
@@ -1054,6 +1069,8 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->velocity_n_m_s[1] += dt_s * force_n.y;
 	k->sums.gyro_b_rad = vec3_add(k->sums.gyro_b_rad, vec3_scale(dt_s, s->gyro_b_rad_s));
 	k->sums.turned_rad2_s += dt_s * vec3_dot(s->rate_b_rad_s, s->rate_b_rad_s);
+	k->net_turn_rad += dt_s * quat_rotate(*q_nb, s->rate_b_rad_s).z;
+	k->net_turn_max_rad = fmax(k->net_turn_max_rad, fabs(k->net_turn_rad));
 	k->sums.rest_s += s->rest ? dt_s : 0;
 	k->sums.steady_s = s->steady_s;
 	k->sums.unmeasured_turn_rad += s->saturated ? SATURATED_SHARE * dt_s * vec3_norm(s->rate_b_rad_s) : 0;

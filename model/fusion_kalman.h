@@ -45,7 +45,7 @@
 /** Start from FUSION_KALMAN_DEFAULTS. All of it can be changed while the filter runs. */
 struct fusion_kalman_config {
 	/** m/s, 0.01..1000, default 1: upper limit of the 1 sigma of the reference point's horizontal velocity in
-	 * motion. The sigma in use follows the velocities seen, down to a fifth of this. A smaller one lets the tilt
+	 * motion. The sigma in use follows the velocities seen, down to 0.35 of it. A smaller one lets the tilt
 	 * follow the accelerometer faster: less drift, but a long acceleration is taken for tilt. A larger one suits
 	 * vehicles that keep a speed for long, and needs a better gyro. */
 	double velocity_sigma_m_s;
@@ -135,6 +135,8 @@ struct fusion_kalman {
 	struct fusion_kalman_sums sums;
 	struct vec3 lever_arm_b_m, lever_n_m_s; /* of the last sample: lever arm, and omega x r */
 	bool lever_known;
+	/* sum of the turns about the vertical since the heading was known, and its greatest absolute value */
+	double net_turn_rad, net_turn_max_rad;
 	/* rest */
 	bool resting;			/* what is steady, does not turn */
 	struct vec3 mean_rate_b_rad_s;	/* over 0.3 s, less the bias */
@@ -230,9 +232,9 @@ static inline bool fusion_kalman_force_doubted(const struct fusion_kalman *k)
 {
 	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + 0.01;
 }
-/** Variance of the heading, rad^2: of a full turn while the heading was set by a field that cannot be used, or that has
- * just replaced another one. */
-double fusion_kalman_heading_variance(const struct fusion_kalman *k);
+/** Variance of the heading, rad^2, with what the turns in one direction left behind: of a full turn while the heading
+ * was set by a field that cannot be used, or that has just replaced another one. */
+double fusion_kalman_heading_variance(const struct fusion_kalman *k, const struct fusion_kalman_config *config);
 
 /** One sample, after the attitude was turned by it. Every 0.03 s it corrects attitude and gyro errors. Returns true
  * when a measured field took part in that. */

@@ -506,7 +506,8 @@ static struct vec3 fusion_variance(const struct pipeline *p)
 
 	if (p->config.fusion.algorithm != FUSION_KALMAN)
 		return (struct vec3){0, 0, 0};
-	return (struct vec3){k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k)};
+	return (struct vec3){
+		k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k, &p->fusion.config.kalman)};
 }
 
 static struct vec3 fusion_bias_variance(const struct pipeline *p)

@@ -115,7 +115,7 @@ static void test_the_scale_estimate_stays_within_five_sigma(void **state)
 	struct fusion f = fusion(0, 0.001);
 
 	(void)state;
-	turn(&f, (struct vec3){0.05, 0.05, 0.05}, ZERO, 0, 60);
+	turn(&f, (struct vec3){0.05, 0.05, 0.05}, ZERO, 0, 120);
 	assert_near(vec3_norm(f.gyro_errors.scale_b), 0.005, 1e-6);
 }
 
