@@ -1567,7 +1567,8 @@ static void test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_fusi
 		run(&p, moving, 0, RATE_HZ);
 		n = &p.position.navigation;
 		k = &p.fusion.kalman;
-		expected = (struct vec3){k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k)};
+		expected = (struct vec3){k->covariance[0][0], k->covariance[1][1],
+			fusion_kalman_heading_variance(k, &config.fusion.kalman)};
 		assert_vec_near(n->fusion_variance_rad2, kalman ? expected : ZERO, 0);
 		for (int i = 0; i < 3; i++)
 			assert_int_equal(n->p[NAVIGATION_BG + i][NAVIGATION_BG + i] >
