@@ -24,7 +24,7 @@ export function type_text(type) {
 const DUMMY_BITS = {"0002h:00": 8, "0003h:00": 16, "0004h:00": 32, "0005h:00": 8, "0006h:00": 16, "0007h:00": 32};
 const bits_of_one = (name, by_name) => by_name.get(name)?.bits_size ?? DUMMY_BITS[name] ?? 0;
 
-/** What it means for an RPDO. */
+/** What a transmission type means for an RPDO. */
 export function received_text(type) {
   if (type <= 240) return T.pdo.types.applied_at_sync;
   return type >= 254 ? T.pdo.types.applied_at_once : T.pdo.types.reserved;
@@ -58,10 +58,18 @@ function editor(ctx, node, pdo, objects, drag) {
     has_timer = pdo.event_timer !== null;
   const inhibit = number(pdo.inhibit ?? 0, {max: 65535}),
     timer = number(pdo.event_timer ?? 0, {max: 65535});
-  const add = h("input", {list: receives ? "receivable-objects" : "mappable-objects", placeholder: T.pdo.add_hint, autocomplete: "off"});
+  const add = h("input", {
+    list: receives ? "receivable-objects" : "mappable-objects",
+    placeholder: T.pdo.add_hint,
+    autocomplete: "off",
+  });
   const apply = button(T.pdo.apply, send, {class: "primary"}),
     revert = button(T.pdo.revert, reset);
-  const element = h("section", {class: "card pdo", "aria-label": name, [receives ? "data-rpdo" : "data-pdo"]: pdo.pdo});
+  const element = h("section", {
+    class: "card pdo",
+    "aria-label": name,
+    [receives ? "data-rpdo" : "data-pdo"]: pdo.pdo,
+  });
 
   function changed() {
     const is = JSON.stringify([
@@ -153,7 +161,7 @@ function editor(ctx, node, pdo, objects, drag) {
       bytes,
       entries.map((entry, i) => {
         const part = h("span", {class: `part swatch-${i % 8}`, title: label_of(entry)});
-        part.style.width = `${(100 * (bits_of_one(entry, by_name))) / BITS}%`;
+        part.style.width = `${(100 * bits_of_one(entry, by_name)) / BITS}%`;
         return part;
       })
     );
