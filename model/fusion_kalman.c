@@ -269,6 +269,14 @@ void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalm
 	clear_sums(k);
 }
 
+/* Turns about the vertical leave errors of the heading behind that add up in one direction. A measured heading leaves
+ * this share of them. */
+static void keep_turns(struct fusion_kalman *k, double share)
+{
+	k->net_turn_rad *= share;
+	k->net_turn_max_rad *= share;
+}
+
 /* The more the length of the force differs from gravity, the worse is the tilt it shows. Gravity on Earth is 9.8 m/s^2
  * within half a percent, which is close enough here. */
 void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_config *config, double force_m_s2)
@@ -278,6 +286,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	for (int i = 0; i < HEADING; i++)
 		set_variance(k, i, squared(tilt));
 	set_variance(k, HEADING, squared(config->heading_sigma_rad));
+	keep_turns(k, 0);
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
@@ -310,14 +319,6 @@ static void follow_by_offset(struct fusion_kalman *k, struct quat q_nb, struct v
 
 	*turn = vec3_add(*turn, vec3_scale(share, vec3_sub(across, *turn)));
 	*add = vec3_add(*add, vec3_scale(share, vec3_sub(along, *add)));
-}
-
-/* Turns about the vertical leave errors of the heading behind that add up in one direction. A measured heading leaves
- * this share of them. */
-static void keep_turns(struct fusion_kalman *k, double share)
-{
-	k->net_turn_rad *= share;
-	k->net_turn_max_rad *= share;
 }
 
 double fusion_kalman_heading_variance(const struct fusion_kalman *k, const struct fusion_kalman_config *config)
