@@ -409,10 +409,11 @@ static void count_sample(struct watch_pdo *pdo, uint16_t counter)
 static double field_value(const struct watch_field *field, uint64_t payload)
 {
 	uint8_t wire[OD_VALUE_MAX] = {0};
-	uint64_t raw = payload >> field->bit;
+	uint64_t raw;
 
-	if (field->bits == 0)
+	if (field->bits == 0) /* it may be behind the last bit */
 		return 0;
+	raw = payload >> field->bit;
 	if (field->bits < 64)
 		raw &= (UINT64_C(1) << field->bits) - 1;
 	if (!field->entry)
