@@ -69,7 +69,7 @@ class Broker:
         before = None
         while before != len(subscriber.lines):
             before = len(subscriber.lines) + 1
-            subprocess.run(["mosquitto_pub", "-p", str(self.port), "-q", "1", "-m", str(before), "-t",
+            subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.port), "-q", "1", "-m", str(before), "-t",
                             subscriber.topic.replace("#", "mark")], check=True, timeout=rig.PATIENCE)
             rig.wait_until(lambda: len(subscriber.lines) >= before)
         self.kill()

@@ -256,7 +256,8 @@ class FleetWrites(Published):
 
     def ask(self, document, retain=False, node=NODE):
         payload = document if isinstance(document, str) else json.dumps(document)
-        subprocess.run(["mosquitto_pub", "-p", str(self.broker.port), "-q", "1", "-t", "imu9/bus/%d/write" % node,
+        subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.broker.port), "-q", "1", "-t",
+                        "imu9/bus/%d/write" % node,
                         "-m", payload, *(["-r"] if retain else [])], check=True, timeout=rig.PATIENCE)
 
     def answers(self, count):
@@ -396,7 +397,8 @@ class FleetSpeaksSparkplug(Published):
         metric.boolean_value = True
         path = rig.scratch()
         path.write_bytes(command.SerializeToString())
-        subprocess.run(["mosquitto_pub", "-p", str(self.broker.port), "-t", "spBv1.0/plant/NCMD/bus", "-f", path],
+        subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.broker.port), "-t",
+                        "spBv1.0/plant/NCMD/bus", "-f", path],
                        check=True, timeout=rig.PATIENCE)
         rig.wait_until(lambda: len(self.of("NBIRTH")) == 2 and len(self.of("DBIRTH")) == 2)
         first, second = self.of("NBIRTH")
@@ -454,7 +456,8 @@ class FleetSpeaksSparkplug(Published):
         metric.float_value = 0.25
         path = rig.scratch()
         path.write_bytes(command.SerializeToString())
-        subprocess.run(["mosquitto_pub", "-p", str(self.broker.port), "-t", "spBv1.0/plant/DCMD/bus/%d" % NODE, "-f",
+        subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.broker.port), "-t",
+                        "spBv1.0/plant/DCMD/bus/%d" % NODE, "-f",
                         path], check=True, timeout=rig.PATIENCE)
         rig.wait_until(lambda: any(m.string_value and json.loads(m.string_value)["done"]
                                    for p in self.of("DDATA") for m in p.metrics if m.alias == NODE << 24 | 6))
