@@ -69,8 +69,8 @@ class Broker:
         before = None
         while before != len(subscriber.lines):
             before = len(subscriber.lines) + 1
-            subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.port), "-q", "1", "-m", str(before), "-t",
-                            subscriber.topic.replace("#", "mark")], check=True, timeout=rig.PATIENCE)
+            subprocess.run(["mosquitto_pub", "-h", "127.0.0.1", "-p", str(self.port), "-q", "1", "-m", str(before),
+                            "-t", subscriber.topic.replace("#", "mark")], check=True, timeout=rig.PATIENCE)
             rig.wait_until(lambda: len(subscriber.lines) >= before)
         self.kill()
         gateway.process.send_signal(signal.SIGCONT)
