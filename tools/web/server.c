@@ -84,10 +84,29 @@ static uint64_t gather(struct server *server, uint64_t now_us)
 	return gathers ? end_us : UINT64_MAX;
 }
 
+/* Returns whether there may be more. */
+static bool receive_frames(struct server *server)
+{
+	struct can_port *bus = server->web->config.bus;
+	struct can_msg msg;
+
+	for (int i = 0; i < FRAMES; i++) {
+		uint64_t now_us = cli_now_us();
+
+		if (can_receive(bus, &msg, now_us) <= 0)
+			return false;
+		web_receive(server->web, &msg, now_us);
+		if (msg.t_us && msg.t_us != now_us) /* else the time of a frame is that at which it is fetched */
+			server->fetched_us = now_us;
+	}
+	return true;
+}
+
 /* After anything has happened: what is due, and who wants to send or may receive again. */
 static void tick(struct server *server)
 {
 	struct web *web = server->web;
+	bool more = receive_frames(server); /* first: what others were answered is no answer to what is sent now */
 	uint64_t now_us = cli_now_us();
 	uint64_t next_us = web_tick(web, now_us);
 	uint64_t bus_us = can_service(web->config.bus, now_us), gather_us = gather(server, now_us);
@@ -108,24 +127,7 @@ static void tick(struct server *server)
 			lws_rx_flow_control(server->wsi[i], !connection->paused);
 		}
 	}
-	set_timer(server, next_us);
-}
-
-static void receive_frames(struct server *server)
-{
-	struct can_port *bus = server->web->config.bus;
-	struct can_msg msg;
-
-	for (int i = 0; i < FRAMES; i++) {
-		uint64_t now_us = cli_now_us();
-
-		if (can_receive(bus, &msg, now_us) <= 0)
-			return;
-		web_receive(server->web, &msg, now_us);
-		if (msg.t_us && msg.t_us != now_us) /* else the time of a frame is that at which it is fetched */
-			server->fetched_us = now_us;
-	}
-	set_timer(server, 0); /* the descriptor is not readable for what the port has fetched already */
+	set_timer(server, more ? 0 : next_us); /* the descriptor is not readable for what the port has fetched */
 }
 
 static int on_events(struct server *server)
@@ -140,7 +142,6 @@ static int on_events(struct server *server)
 												     : server->next_us;
 		else if (events[i].data.fd == server->config->signal_fd)
 			server->ends = true;
-	receive_frames(server);
 	tick(server);
 	if (server->ends)
 		lws_cancel_service(server->context);
@@ -331,6 +332,7 @@ static int on_message(struct lws *wsi, struct connection *connection, const char
 	if (!lws_is_final_fragment(wsi) || lws_remaining_packet_payload(wsi) > 0)
 		return 0;
 	text[connection->size] = '\0';
+	receive_frames(server);
 	web_request(server->web, connection->client - 1, text, connection->size, cli_now_us());
 	free(connection->text);
 	connection->text = NULL;
