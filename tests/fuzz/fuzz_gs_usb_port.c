@@ -9,21 +9,9 @@
 #include "drivers/can/gs_usb_find.h"
 #include "drivers/ports/can.h"
 #include "tests/fuzz/fuzz.h"
+#include "tests/unit/libusb_stubs.h"
 
 enum { TRANSFERS = 64, FRAMES = 5000, FRAME_BYTES = 20, PAST_HOST = 1000000000 };
-
-struct libusb_context {
-	int unused;
-};
-struct libusb_device {
-	int unused;
-};
-struct libusb_device_handle {
-	int unused;
-};
-static struct libusb_context the_context;
-static struct libusb_device the_device;
-static struct libusb_device_handle the_handle;
 
 static struct adapter {
 	struct input *in;
@@ -47,42 +35,6 @@ static int may_fail(void)
 }
 
 /* ---- libusb ------------------------------------------------------------------------------------------------------ */
-
-int LIBUSB_CALL libusb_init(libusb_context **context)
-{
-	*context = &the_context;
-	return 0;
-}
-
-void LIBUSB_CALL libusb_exit(libusb_context *context)
-{
-	(void)context;
-}
-
-int LIBUSB_CALL libusb_set_option(libusb_context *context, enum libusb_option option, ...)
-{
-	(void)context, (void)option;
-	return 0;
-}
-
-void LIBUSB_CALL libusb_set_pollfd_notifiers(
-	libusb_context *context, libusb_pollfd_added_cb added, libusb_pollfd_removed_cb removed, void *user_data)
-{
-	(void)context, (void)added, (void)removed, (void)user_data;
-}
-
-const struct libusb_pollfd **LIBUSB_CALL libusb_get_pollfds(libusb_context *context)
-{
-	static const struct libusb_pollfd *none[] = {NULL};
-
-	(void)context;
-	return none;
-}
-
-void LIBUSB_CALL libusb_free_pollfds(const struct libusb_pollfd **list)
-{
-	(void)list;
-}
 
 static size_t find(const struct libusb_transfer *transfer)
 {
@@ -126,12 +78,6 @@ int LIBUSB_CALL libusb_cancel_transfer(struct libusb_transfer *transfer)
 		return LIBUSB_ERROR_NOT_FOUND;
 	adapter.waiting[i].cancelled = true;
 	return 0;
-}
-
-libusb_device *LIBUSB_CALL libusb_get_device(libusb_device_handle *handle)
-{
-	(void)handle;
-	return &the_device;
 }
 
 /* Two interfaces: one for firmware updates and the one of CAN, whose three endpoints are anything at times. */

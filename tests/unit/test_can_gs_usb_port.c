@@ -21,6 +21,7 @@
 #include "drivers/can/gs_usb_find.h"
 #include "drivers/ports/can.h"
 #include "tests/unit/descriptors.h"
+#include "tests/unit/libusb_stubs.h"
 
 enum { REQUESTS = 64, TRANSFERS = 64, SENT = 64, HOST_FORMAT = 0, BIT_TIMING = 1, MODE = 2, LIMITS = 4, CONFIG = 5 };
 
@@ -54,55 +55,6 @@ static struct adapter {
 } adapter;
 
 /* ---- libusb ------------------------------------------------------------------------------------------------------ */
-
-struct libusb_context {
-	int unused;
-};
-struct libusb_device {
-	int unused;
-};
-struct libusb_device_handle {
-	int unused;
-};
-static struct libusb_context the_context;
-static struct libusb_device the_device;
-static struct libusb_device_handle the_handle;
-
-int LIBUSB_CALL libusb_init(libusb_context **context)
-{
-	*context = &the_context;
-	return 0;
-}
-
-void LIBUSB_CALL libusb_exit(libusb_context *context)
-{
-	(void)context;
-}
-
-int LIBUSB_CALL libusb_set_option(libusb_context *context, enum libusb_option option, ...)
-{
-	(void)context, (void)option;
-	return 0;
-}
-
-void LIBUSB_CALL libusb_set_pollfd_notifiers(
-	libusb_context *context, libusb_pollfd_added_cb added, libusb_pollfd_removed_cb removed, void *user_data)
-{
-	(void)context, (void)added, (void)removed, (void)user_data;
-}
-
-const struct libusb_pollfd **LIBUSB_CALL libusb_get_pollfds(libusb_context *context)
-{
-	static const struct libusb_pollfd *none[] = {NULL};
-
-	(void)context;
-	return none;
-}
-
-void LIBUSB_CALL libusb_free_pollfds(const struct libusb_pollfd **list)
-{
-	(void)list;
-}
 
 struct libusb_transfer *LIBUSB_CALL libusb_alloc_transfer(int packets)
 {
@@ -147,12 +99,6 @@ int LIBUSB_CALL libusb_cancel_transfer(struct libusb_transfer *transfer)
 			return 0;
 		}
 	return LIBUSB_ERROR_NOT_FOUND;
-}
-
-libusb_device *LIBUSB_CALL libusb_get_device(libusb_device_handle *handle)
-{
-	(void)handle;
-	return &the_device;
 }
 
 int LIBUSB_CALL libusb_get_active_config_descriptor(libusb_device *device, struct libusb_config_descriptor **config)
