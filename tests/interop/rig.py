@@ -23,6 +23,7 @@ WORK = pathlib.Path(tempfile.mkdtemp(prefix="imu9-interop."))  # removed by `run
 BUS, ROUGH_BUS = "vcan0", "vcan1"  # vcan0 is captured, so its frames must be valid; invalid frames go to vcan1
 NODE = 16
 PATIENCE = 120  # for what must come, s: only a fault lets it pass
+SIMULATED_TIME = "time-travel" in pathlib.Path("/proc/cmdline").read_text()  # vcan-run -V
 
 
 def u8(value):

@@ -3,6 +3,7 @@
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "model/identify/lever_identification.h"
 #include "od_values.h"
@@ -156,5 +157,6 @@ int calibrate_lever_live(const struct lever_request *r)
 	cli_node_open(&p.node, r->bus, r->node, r->timeout_ms);
 	int result = run(&p, r->reference);
 	cli_node_close(&p.node);
+	close(p.signal_fd);
 	return result;
 }

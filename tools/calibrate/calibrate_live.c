@@ -1,5 +1,6 @@
 #include <stdio.h>
 #include <string.h>
+#include <unistd.h>
 
 #include "model/identify/calibrate.h"
 #include "od_values.h"
@@ -124,5 +125,6 @@ int calibrate_live(const struct calibrate_request *r)
 	cli_node_open(&p.node, r->bus, r->node, r->timeout_ms);
 	int result = run(&p, r, kind);
 	cli_node_close(&p.node);
+	close(p.signal_fd);
 	return result;
 }
