@@ -154,6 +154,13 @@ class Commission(unittest.TestCase):
         self.assertEqual(self.read("position.motion_preset"), [0])
         self.assertFalse(self.report.exists())
 
+    def test_a_step_can_be_repeated_any_number_of_times(self):
+        self.start()
+        answers = rig.written(SKIP + 40 * ("r\n" + SKIP) + "q\n" + "n\n", ".txt")
+        result = subprocess.run(["prlimit", "--nofile=24", *self.command("--answers", str(answers))],
+                                capture_output=True, text=True, timeout=rig.PATIENCE)
+        self.assertIn("all values are as they were before", result.stdout, result.stderr)
+
     def test_what_was_done_can_be_kept(self):
         self.start()
         result = self.answered("\n", "y\n", 4 * SKIP, "foot\n", "q\n", "y\n")
