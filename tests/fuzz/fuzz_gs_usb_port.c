@@ -133,12 +133,6 @@ int LIBUSB_CALL libusb_wrap_sys_device(libusb_context *context, intptr_t fd, lib
 	return 0;
 }
 
-int LIBUSB_CALL libusb_set_auto_detach_kernel_driver(libusb_device_handle *handle, int on)
-{
-	(void)handle, (void)on;
-	return 0;
-}
-
 int LIBUSB_CALL libusb_claim_interface(libusb_device_handle *handle, int interface)
 {
 	(void)handle, (void)interface;
