@@ -84,7 +84,7 @@ static uint64_t gather(struct server *server, uint64_t now_us)
 	return gathers ? end_us : UINT64_MAX;
 }
 
-/* Returns whether there may be more. */
+/* Before anything is sent: what others were answered is no answer to that. Returns whether there may be more. */
 static bool receive_frames(struct server *server)
 {
 	struct can_port *bus = server->web->config.bus;
@@ -106,7 +106,7 @@ static bool receive_frames(struct server *server)
 static void tick(struct server *server)
 {
 	struct web *web = server->web;
-	bool more = receive_frames(server); /* first: what others were answered is no answer to what is sent now */
+	bool more = receive_frames(server);
 	uint64_t now_us = cli_now_us();
 	uint64_t next_us = web_tick(web, now_us);
 	uint64_t bus_us = can_service(web->config.bus, now_us), gather_us = gather(server, now_us);
