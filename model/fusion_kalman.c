@@ -323,13 +323,13 @@ static void follow_by_offset(struct fusion_kalman *k, struct quat q_nb, struct v
 
 double fusion_kalman_heading_variance(const struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
-	double turned = k->covariance[HEADING][HEADING] + squared(config->gyro_error * k->net_turn_max_rad),
-	       variance = turned + hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
+	double variance = k->covariance[HEADING][HEADING] + squared(config->gyro_error * k->net_turn_max_rad);
 
-	if (!k->north_from_field)
-		return turned;
-	if (k->north_on_trial || (k->hard_iron.disagrees && !k->hard_iron.agreed))
-		return squared(UNKNOWN_HEADING_RAD);
+	if (k->north_from_field) {
+		if (k->north_on_trial || (k->hard_iron.disagrees && !k->hard_iron.agreed))
+			return squared(UNKNOWN_HEADING_RAD);
+		variance += hard_iron_variance(&k->hard_iron, k->heading_by_offset_rad_uT);
+	}
 	return fmin(squared(UNKNOWN_HEADING_RAD), variance);
 }
 

@@ -1351,6 +1351,15 @@ static void test_turns_in_one_direction_leave_an_error_of_the_heading_that_grows
 	assert_near(turned_sigma_rad(1000, &after, aided), 0.18 * aided / (before + aided), 0.002);
 }
 
+static void test_no_number_of_turns_makes_the_heading_less_certain_than_unknown(void **state)
+{
+	struct filter f = started(G);
+
+	(void)state;
+	f.k.net_turn_max_rad = 1e6;
+	assert_near(fusion_kalman_heading_variance(&f.k, &KALMAN), PI * PI / 3, 1e-6); /* uniform over a full turn */
+}
+
 static void test_a_set_attitude_is_known_to_a_degree(void **state)
 {
 	struct filter f = started(G);
@@ -1695,6 +1704,7 @@ int main(void)
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
 		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_turns_in_one_direction_leave_an_error_of_the_heading_that_grows_with_them),
+		cmocka_unit_test(test_no_number_of_turns_makes_the_heading_less_certain_than_unknown),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
 		cmocka_unit_test(test_the_first_north_is_as_uncertain_as_the_tilt_makes_it),
 		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap),
