@@ -289,16 +289,20 @@ static bool handle_line(struct slcan *can, enum slcan_kind kind)
 	return false;
 }
 
-/* False: nothing was read. */
+/* False: nothing is left. What did not fill the buffer was the last: the port's descriptor tells when there is more. */
 static bool read_more(struct slcan *can)
 {
-	ssize_t n = can->fd < 0 ? 0 : read(can->fd, can->in, sizeof(can->in));
+	bool drained = can->in_length % sizeof(can->in) != 0;
+	ssize_t n;
 
-	if (can->fd >= 0 && (n == 0 || (n < 0 && errno != EAGAIN)))
+	can->in_at = can->in_length = 0;
+	if (can->fd < 0 || drained)
+		return false;
+	n = read(can->fd, can->in, sizeof(can->in));
+	if (n == 0 || (n < 0 && errno != EAGAIN))
 		unplugged(can);
-	can->in_at = 0;
 	can->in_length = n > 0 ? (size_t)n : 0;
-	return can->in_length > 0;
+	return n > 0;
 }
 
 /* ---- the port ---------------------------------------------------------------------------------------------------- */

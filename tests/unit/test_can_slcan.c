@@ -501,6 +501,7 @@ static void test_garbage_is_counted_and_the_next_frame_is_received(void **state)
 		snprintf(line, sizeof(line), "%s\rt1000\r", garbage[i]);
 		say(r, line);
 		assert_receives(r, &(struct can_msg){.id = 0x100});
+		assert_receives_nothing(r);
 		assert_int_equal(r->port->counters.rx_dropped, i + 1);
 	}
 }
@@ -538,7 +539,23 @@ static void test_a_call_reads_64_lines_at_most(void **state)
 			assert_receives_nothing(r);
 		assert_int_equal(can_receive(r->port, &msg, r->now_us), 1);
 		assert_int_equal(msg.id, 0x181);
+		assert_receives_nothing(r);
 	}
+}
+
+/* So that the work of a wake is bounded by what had arrived, and a client that waits for its answers, with as little
+ * delay as here, is not taken for one that does not. */
+static void test_what_arrives_while_frames_are_taken_is_left_for_the_next_wake(void **state)
+{
+	struct rig *r = *state;
+
+	go_on_bus(r);
+	say(r, "t1000\r");
+	assert_receives(r, &(struct can_msg){.id = 0x100});
+	say(r, "t1010\r");
+	assert_receives_nothing(r);
+	assert_true(is_readable(r->port));
+	assert_receives(r, &(struct can_msg){.id = 0x101});
 }
 
 static void test_the_descriptor_stays_readable_while_frames_wait_in_the_driver(void **state)
@@ -825,6 +842,8 @@ int main(void)
 		cmocka_unit_test_setup_teardown(
 			test_garbage_is_counted_and_the_next_frame_is_received, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_line_without_an_end_is_bounded, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_what_arrives_while_frames_are_taken_is_left_for_the_next_wake, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_the_descriptor_stays_readable_while_frames_wait_in_the_driver, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_a_filter_passes_the_wanted_identifiers_only, set_up, tear_down),
