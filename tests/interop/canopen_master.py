@@ -99,6 +99,10 @@ class Master:
             if time.monotonic() > end:
                 raise Timeout("no such frame within %.1f s" % (self.patience if timeout is None else timeout))
 
+    def collect(self, can_id, count):
+        """The next `count` frames of that CAN-ID, however long a busy machine takes for them."""
+        return [self.wait(can_id) for _ in range(count)]
+
     # ---- network management and SYNC
 
     def nmt(self, command, node):

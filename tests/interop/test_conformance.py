@@ -216,7 +216,9 @@ class Producers(rig.OnTheBus):
         self.write(0x1006, 0, u32(20000))
         self.write(0x1005, 0, u32(0x40000080))
         self.start()
-        frames = self.master.listen(0.5)
+        before = len(self.master.frames)
+        self.master.collect(canopen.SYNC, 20)
+        frames = self.master.frames[before:]
         self.write(0x1005, 0, u32(0x80))
         first = next(i for i, f in enumerate(frames) if f.arbitration_id == canopen.TPDO[0] + NODE)
         frames = frames[first - 1:]  # from the first SYNC in state operational
