@@ -547,7 +547,7 @@ static void test_a_temperature_is_delivered_once(void **state)
 
 	(void)state;
 	put_reading(b->accel, 995, 1, 0, false);
-	put_reading(b->accel, 1025, 1, 0, false);
+	put_reading(b->accel, 1015, 1, 0, false);
 	put_reading(b->gyro, 1000, 0, 2, false);
 	put_reading(b->gyro, 1010, 0, 2, false);
 	b->temperature_new = true;

@@ -9,6 +9,10 @@ enum {
 	BATCH_US = 2500, /* shortest time between reads of a FIFO */
 };
 
+/* Periods of the gyro between two accelerations, between which one is interpolated. By judgement: without a FIFO, a
+ * late read loses readings of a fast accelerometer all the time. */
+#define CHORD_PERIODS 2.5
+
 int64_t board_read_clock(struct board *b)
 {
 	return b->now_ns = b->clock.now_ns(b->clock.ctx);
@@ -202,7 +206,8 @@ static void drop(struct stream *s)
 	s->count--;
 }
 
-/* The acceleration at the time of a gyro sample. 1; 0: not known yet; -1: will not be known. */
+/* The acceleration at the time of a gyro sample. 1; 0: not known yet; -1: will not be known. Where readings were lost
+ * (a fast accelerometer fills its FIFO before the gyro does) it is not: a chord across that gap is no measurement. */
 static int accel_at(struct board *b, const struct reading *gyro, struct vec3 *value, bool *saturated)
 {
 	struct stream *a = b->accel;
@@ -221,6 +226,8 @@ static int accel_at(struct board *b, const struct reading *gyro, struct vec3 *va
 		return 0;
 	before = peek(a, 0);
 	after = peek(a, 1);
+	if (after->t_ns - before->t_ns > CHORD_PERIODS * sample_clock_period(&b->gyro->clock))
+		return -1;
 	w = (gyro->t_ns - before->t_ns) / (after->t_ns - before->t_ns);
 	*value = vec3_add(vec3_scale(1 - w, before->value[0]), vec3_scale(w, after->value[0]));
 	*saturated |= before->saturated || after->saturated;
