@@ -2,6 +2,10 @@
 
 #include <stdlib.h>
 
+/* Between two readings of the accelerometer a chord is its reading, if it is not longer than 0.1 s or that many usual
+ * intervals. By judgement: a hand changes its acceleration within that time. */
+enum { CHORD_NS = 100000000, CHORD_INTERVALS = 3, USUAL = 16 };
+
 static struct merge_reading *peek(struct merge_ring *ring, unsigned i)
 {
 	return i < ring->count ? &ring->at[(ring->first + i) % MERGE_READINGS] : NULL;
@@ -17,6 +21,14 @@ static void push(struct merge_ring *ring, const struct merge_reading *reading)
 {
 	if (reading->t_ns <= ring->last_ns)
 		return;
+	if (ring->last_ns > INT64_MIN) {
+		const int64_t interval_ns = reading->t_ns - ring->last_ns, usual_ns = ring->usual_ns;
+
+		if (usual_ns == 0)
+			ring->usual_ns = interval_ns;
+		else
+			ring->usual_ns += ((interval_ns < 2 * usual_ns ? interval_ns : 2 * usual_ns) - usual_ns) / USUAL;
+	}
 	ring->last_ns = reading->t_ns;
 	ring->at[(ring->first + ring->count++) % MERGE_READINGS] = *reading;
 }
@@ -47,6 +59,14 @@ static int64_t apart_ns(const struct merge_reading *a, const struct merge_readin
 	return llabs(a->t_ns - b->t_ns);
 }
 
+/* Readings are missing between these. */
+static bool is_hole(const struct merge_ring *ring, const struct merge_reading *before, const struct merge_reading *after)
+{
+	const int64_t apart = apart_ns(after, before);
+
+	return apart > CHORD_NS && apart > CHORD_INTERVALS * ring->usual_ns;
+}
+
 /* The acceleration at the time of the gyro reading. 1; 0: not known yet; -1: will not be known. */
 static int accel_at(struct merge *m, const struct merge_reading *gyro, struct merge_reading *out)
 {
@@ -69,6 +89,8 @@ static int accel_at(struct merge *m, const struct merge_reading *gyro, struct me
 		*out = *after;
 		return 1;
 	}
+	if (is_hole(&m->accel, before, after))
+		return -1;
 	double share = (double)(gyro->t_ns - before->t_ns) / (double)(after->t_ns - before->t_ns);
 	out->value = vec3_add(before->value, vec3_scale(share, vec3_sub(after->value, before->value)));
 	out->saturated = before->saturated || after->saturated;

@@ -108,6 +108,35 @@ static void add(struct merge *m, enum imu_chip chip, int64_t t_ns, double x)
 	merge_add(m, chip, &(struct merge_reading){.t_ns = t_ns, .value = {x, 0, 0}});
 }
 
+/* A chord over a hole in the accelerometer's readings is no measurement. At 10 a second 0.2 s are only a reading that is
+ * missing; at 100 a second they are 20. */
+static void test_over_a_hole_in_the_accelerations_there_is_no_sample(void **state)
+{
+	static const struct {
+		int64_t every_ms, hole_ms;
+		uint32_t lost;
+	} holes[] = {{10, 100, 0}, {10, 110, 10}, {10, 500, 49}, {100, 300, 0}, {100, 330, 32}};
+
+	(void)state;
+	for (int i = 0; i < 5; i++) {
+		const int64_t every = holes[i].every_ms * MS, hole = 50 * every, end = hole + holes[i].hole_ms * MS;
+		struct imu_sample sample;
+		int64_t accel = 0;
+		struct merge m;
+
+		merge_init(&m, 0);
+		for (int64_t t = 0; t < end + 20 * every; t += 10 * MS) {
+			for (; accel <= t; accel = accel == hole ? end : accel + every)
+				add(&m, IMU_CHIP_ACCEL, accel, 1e-9 * (double)accel);
+			add(&m, IMU_CHIP_GYRO, t, 0);
+			while (merge_next(&m, &sample))
+				assert_near(sample.accel_m_s2.x, 1e-6 * (double)sample.t_us);
+		}
+		if (m.lost != holes[i].lost)
+			fail_msg("%d: %u lost", i, m.lost);
+	}
+}
+
 static void test_the_acceleration_is_interpolated_to_the_time_of_the_gyro(void **state)
 {
 	struct imu_sample sample;
@@ -322,6 +351,7 @@ int main(void)
 		cmocka_unit_test(test_a_reading_older_than_a_delivered_sample_is_dropped),
 		cmocka_unit_test(test_each_field_is_delivered_once_rotated_to_the_time_of_the_gyro),
 		cmocka_unit_test(test_saturation_of_either_flags_the_sample),
+		cmocka_unit_test(test_over_a_hole_in_the_accelerations_there_is_no_sample),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
