@@ -384,6 +384,7 @@ static void test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus(v
 		r->now_us += 700000;
 		say(r, signs[i % 3]);
 		assert_int_equal(can_receive(r->port, &(struct can_msg){0}, r->now_us), i % 3 > 0);
+		assert_receives_nothing(r);
 		assert_int_equal(r->port->state, CAN_STATE_ACTIVE);
 	}
 	assert_int_equal(r->port->counters.tx_dropped, 12);
