@@ -254,10 +254,12 @@ bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done
 	@echo "== bench_bus"; BUILD=$(BUILD) tests/rig/vcan-run $(BUILD)/tests/bench/bench_bus
 
-# `git diff` then shows what the change does to the results. After a merge with conflicts in them: either side, and this.
+# `git diff` then shows what the change does to the results. Conflicts of a merge there: take either side, then this.
 TRACES := $(foreach t,$(TESTS),$(if $(findstring /test_trace_,$(t)),$(t)))
 traces: $(TRACES) ## write tests/unit/traces/ again, after a change of results that is intended
-	@for t in $(TRACES); do IMU9_TRACES=write $$t >$(BUILD)/traces.log 2>&1 || { cat $(BUILD)/traces.log; exit 1; }; done
+	@for t in $(TRACES); do \
+		IMU9_TRACES=write $$t >$(BUILD)/traces.log 2>&1 || { cat $(BUILD)/traces.log; exit 1; }; \
+	done
 	@git --no-pager diff --stat tests/unit/traces
 
 mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
