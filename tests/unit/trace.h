@@ -1,7 +1,7 @@
 /* tests/unit/trace.h
  * Traces: what a program computes, compared with what it computed when the trace was last written to a file of
- * tests/unit/traces/. A trace does not know what is correct: the tests beside it, `make honesty` and `make score` do. It
- * shows that something changed, and where, so that no result changes unnoticed.
+ * tests/unit/traces/. A trace does not know what is correct: the tests beside it, `make honesty` and `make score` do.
+ * It shows that something changed, and where, so that no result changes unnoticed.
  *
  * A change that is intended: `make traces` writes the files again, and their difference belongs to the commit.
  *
