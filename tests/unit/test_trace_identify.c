@@ -76,7 +76,7 @@ static void block(const char *procedure, const struct scene *scene, double t_s)
 	trace_block(header);
 }
 
-static void trace_matrix(const double m[3][3])
+static void trace_matrix(double m[3][3])
 {
 	const char *const names[] = {"matrix_x", "matrix_y", "matrix_z"};
 
