@@ -1,5 +1,5 @@
 /* What the calibrations and the identification of the lever arm find on simulated chips, also of motions that do not
- * suit them, compared with what they found when the trace was written (trace.h): progress, verdict, result and sigma. */
+ * suit them, compared with what they found when the trace was written (trace.h): progress, verdict, result, sigma. */
 #include "tests/unit/model_test.h"
 
 #include <stdio.h>
@@ -284,6 +284,7 @@ static const struct lever_scene {
 	double late_s; /* the reference is by so much */
 	int lost;      /* each n-th sample is */
 	struct vec3 arm_m;
+	double nominal_hz; /* default rate_hz */
 } LEVER_ARMS[] = {
 	{"by hand", 100, 30, {0.9, 0.7, 1.1}, {0.61, 0.83, 0.47}, .arm_m = {0.06, -0.05, 0.0624}},
 	{"by hand, 400 Hz, samples lost", 400, 25, {0.5, 0.6, 0.8}, {0.9, 1.1, 0.7}, .lost = 37,
@@ -299,6 +300,10 @@ static const struct lever_scene {
 	{"about yaw alone", 100, 30, {0, 0.01, 0.9}, {0.9, 0.5, 1}, .arm_m = {0.06, -0.05, 0.0624}},
 	{"too slow", 100, 30, {0.1, 0.1, 0.1}, {0.3, 0.2, 0.25}, .arm_m = {0.06, -0.05, 0.0624}},
 	{"too short", 100, 8, {0.9, 0.7, 1.1}, {0.61, 0.83, 0.47}, .arm_m = {0.06, -0.05, 0.0624}},
+	{"twice as many samples as said", 220, 30, {0.9, 0.7, 1.1}, {0.61, 0.83, 0.47}, .arm_m = {0.06, -0.05, 0.0624},
+		.nominal_hz = 100},
+	{"half as many samples as said", 50, 30, {0.9, 0.7, 1.1}, {0.61, 0.83, 0.47}, .arm_m = {0.06, -0.05, 0.0624},
+		.nominal_hz = 90},
 	{"for minutes", 100, 150, {0.5, 0.4, 0.6}, {0.61, 0.83, 0.47}, .arm_m = {1, -0.5, 0.6}},
 };
 
@@ -351,7 +356,8 @@ static void trace_estimate(const struct lever_scene *m, const struct lever_ident
 static void test_lever_arm(void **state)
 {
 	const struct lever_scene *m = *state;
-	const struct lever_identification_config config = {m->rate_hz, 30, m->reference, m->estimate_delay};
+	const struct lever_identification_config config = {
+		m->nominal_hz > 0 ? m->nominal_hz : m->rate_hz, 30, m->reference, m->estimate_delay};
 	struct sensor_config chip = *sensor_preset(FINE);
 	static struct lever_identification id;
 	struct sensor sensor;

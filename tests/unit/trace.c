@@ -97,13 +97,14 @@ static void write_values(const char *name, const double *values, int count)
 		return;
 	fprintf(trace.written, "  %s", name);
 	for (int i = 0; i < count; i++)
-		fprintf(trace.written, " %.6g", values[i]);
+		fprintf(trace.written, values[i] == floor(values[i]) ? " %.0f" : " %.6g", values[i]);
 	fprintf(trace.written, "\n");
 }
 
+/* resolution 0: a count */
 static bool near(double a, double b, double resolution)
 {
-	return a == b || fabs(a - b) <= resolution + TRACE_SHARE * fabs(b);
+	return a == b || (resolution > 0 && fabs(a - b) <= resolution + TRACE_SHARE * fabs(b));
 }
 
 static void compare(const char *name, const double *values, int count, double resolution)
@@ -143,6 +144,25 @@ void trace_vec(const char *name, struct vec3 v, double resolution)
 void trace_value(const char *name, double value, double resolution)
 {
 	values_are(name, &value, 1, resolution);
+}
+
+void trace_text(const char *name, const char *text)
+{
+	const char *line = trace.next < trace.count ? trace.lines[trace.next] : "", *expected = "";
+	size_t length = strlen(name);
+
+	if (trace.written) {
+		if (text[0])
+			fprintf(trace.written, "  %s %s\n", name, text);
+		return;
+	}
+	if (line[0] == ' ' && strncmp(line + 2, name, length) == 0 && line[2 + length] == ' ') {
+		expected = line + 3 + length;
+		trace.next++;
+	}
+	if (strcmp(text, expected) != 0)
+		differ("%s: %s is '%s', not '%s' (%s:%d)\n", trace.header, name, text, expected, trace.path,
+			trace.next);
 }
 
 void trace_check(void)
