@@ -1,6 +1,6 @@
 /* The I2C and SPI driver on each simulated board, with several settings and faults, compared with what it did when the
- * trace was written (trace.h): registers written, reads, samples and their times, health. That the registers are those of
- * the data sheets is for test_i2c_board.c and test_i2c_chips.c to say. */
+ * trace was written (trace.h): registers written, reads, samples and their times, health. That the registers are those
+ * of the data sheets is for test_i2c_board.c and test_i2c_chips.c to say. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
