@@ -10,7 +10,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { LINES_MAX = 20000, LINE_BYTES = 120, SHOWN = 8 };
+enum { LINES_MAX = 20000, LINE_BYTES = 256, SHOWN = 8 };
 
 static struct {
 	const char *path;

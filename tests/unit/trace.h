@@ -22,7 +22,7 @@ void trace_block(const char *header);
 /** resolution: absolute difference that is none, in the unit of the values. 0: they are whole numbers and equal. */
 void trace_vec(const char *name, struct vec3 values, double resolution);
 void trace_value(const char *name, double value, double resolution);
-/** A text of up to 100 characters, which has to be the same; "": left out in the file. */
+/** A text of up to 200 characters, which has to be the same; "": left out in the file. */
 void trace_text(const char *name, const char *text);
 /** Fails the test when values differed since the last call. */
 void trace_check(void);
