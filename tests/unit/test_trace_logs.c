@@ -1,5 +1,6 @@
 /* Logs with the times and units that programs and people write, read and compared with what was read when the trace was
- * written (trace.h): times, values, messages, errors. What a log means is for test_imu_log*.c and test_log_*.c to say. */
+ * written (trace.h): times, values, messages, errors. What a log means is for test_imu_log*.c and test_log_*.c to
+ * say. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
