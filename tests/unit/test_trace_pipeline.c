@@ -565,6 +565,29 @@ static void all_band(struct pipeline_config *c, struct sensor_config *chip)
 	chip->accel.bandwidth_hz = 0;
 }
 
+/* What is a floor or a limit elsewhere decides here. */
+static void ideal(struct pipeline_config *c, struct sensor_config *chip)
+{
+	double rate_hz = chip->rate_hz;
+
+	*chip = *sensor_preset("ideal");
+	chip->rate_hz = rate_hz;
+	chip->lever_arm_b_m = c->estimator.lever_arm_b_m = (struct vec3){0.05, 0, -0.02};
+	c->noise = (struct noise_config){0};
+}
+
+static void noisy(struct pipeline_config *c, struct sensor_config *chip)
+{
+	chip->gyro.density *= 10;
+	chip->accel.density *= 10;
+	chip->mag.density *= 10;
+	c->noise.gyro_density_rad_s_sqrt_hz *= 10;
+	c->noise.accel_density_m_s2_sqrt_hz *= 10;
+	c->noise.gyro_bias_instability_rad_s *= 10;
+	c->noise.accel_bias_instability_m_s2 *= 10;
+	c->noise.mag_sigma_uT = 3;
+}
+
 /* A magnet in the load that the robot takes and puts down. */
 static void magnet_comes_and_goes(struct world *w, double t_s)
 {
@@ -772,6 +795,13 @@ static const struct motion MOTIONS[] = {
 	{"a vibration near the sampling rate", 80, .setup = all_band, .sines = {{Z, 10, 60, 3.0 / 396000, 100.15, 0}}},
 	{"shaken from the start", 50, .setup = all_band, .sines = {{Z, -2, 30, 9.0 / 3950, 10, 0}}},
 	{"falls at the start", 40, .sines = {{Z, -1, 3, 9.0 / 88.8, 1.5, 0}}, .steps = {{Z, -0.6, 1.6, -5}}},
+	{"ideal sensors on a robot", 80, .setup = ideal,
+		.steps = {{X, 8, 5, 2}, {YAW, 18, 4, 1.5}, {Y, 30, 20, 1.2}, {YAW, 60, 15, 0.004}}},
+	{"ideal sensors, turning slowly", 80, .setup = ideal,
+		.cruises = {{YAW, 10, 40, 1, 1e-4}, {YAW, 50, 70, 1, 2e-5}}},
+	{"noisy sensors on a robot", 100, .setup = noisy,
+		.steps = {{X, 8, 5, 2}, {YAW, 18, 4, 1.5}, {Y, 30, 20, 1.2}, {YAW, 60, 15, 0.3}},
+		.cruises = {{X, 80, 95, 1, 0.5}}},
 	{"a long rest", 300, .rate_hz = 25, .steps = {{X, 250, 8, 1}}},
 };
 
