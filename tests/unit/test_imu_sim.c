@@ -136,7 +136,7 @@ static void test_another_sensor_is_silent_after_ten_intervals_and_at_least_a_ten
 	assert_int_equal(port.silence_us, 100000);
 }
 
-/* As shipped it has the bias of the preset, calibrated it has none. */
+/* As shipped it has the bias of the preset, and says that it is uncalibrated; calibrated it has none. */
 static void test_an_uncalibrated_sensor_has_its_bias(void **state)
 {
 	(void)state;
@@ -145,6 +145,7 @@ static void test_an_uncalibrated_sensor_has_its_bias(void **state)
 		struct vec3 accel = {0, 0, 0};
 		struct imu_sample sample;
 
+		assert_int_equal(port->uncalibrated, uncalibrated ? IMU_UNCALIBRATED : 0);
 		for (int i = 0; i < 100; i++) {
 			wait_and_read(port, &sample);
 			accel = vec3_add(accel, vec3_scale(0.01, sample.accel_m_s2));
