@@ -30,7 +30,8 @@ struct scene {
 	uint64_t seed;
 	bool variant; /* of the procedure, see there */
 	double bias_instability, field_uT;
-	double share; /* of the signal's angle, default 1 */
+	double share;	/* of the signal's angle, default 1 */
+	double stretch; /* of its times, likewise */
 };
 
 static struct sensor sensor_of(const struct scene *scene)
@@ -54,6 +55,8 @@ static struct imu_sample next(struct sensor *sensor, const struct scene *scene)
 	struct imu_sample s;
 
 	signal.angle_rad *= scene->share > 0 ? scene->share : 1;
+	signal.period_s *= scene->stretch > 0 ? scene->stretch : 1;
+	signal.change_s *= scene->stretch > 0 ? scene->stretch : 1;
 	signal_at(&signal, fmax(0, t_s - scene->begin_s), &truth);
 	sensor_measure(sensor, &truth, &s);
 	return s;
@@ -140,6 +143,8 @@ static const struct scene ACCELEROMETER[] = {
 	{"six faces", FINE, "multiposition", .end_s = 130, .seconds = 130, .seed = 4, .variant = true},
 	{"six faces, with turns", COARSE, "multiposition", .end_s = 130, .seconds = 130, .seed = 5, .variant = true},
 	{"free, a log", COARSE, "multiposition", 5, 68, 75, 3, .seed = 6},
+	{"free, turns of 13.5 s", COARSE, "multiposition", .end_s = 570, .seconds = 570, .seed = 2, .stretch = 9},
+	{"free, turns of 17 s", COARSE, "multiposition", .end_s = 720, .seconds = 720, .seed = 2, .stretch = 11.3},
 	{"too few positions", COARSE, "multiposition", .end_s = 35, .seconds = 45, .seed = 7},
 	{"moved", FINE, "tumble", .end_s = 140, .seconds = 130, .seed = 8},
 };
@@ -160,7 +165,7 @@ static void test_accelerometer(void **state)
 		struct imu_sample s = next(&sensor, scene);
 
 		calibrate_accelerometer_step(&c, &s);
-		if (is_full(20, k, 100) || c.verdict != CALIBRATE_COLLECTING) {
+		if (is_full(scene->stretch > 0 ? 200 : 20, k, 100) || c.verdict != CALIBRATE_COLLECTING) {
 			block("accelerometer", scene, (k + 1) / 100.0);
 			trace_value("positions", c.positions, 0);
 			trace_value("coverage", c.coverage, 1e-6);
