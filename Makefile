@@ -201,8 +201,8 @@ experiments: ## the seed paper's figures and tables, and what beats them: build/
 	@$(BUILD)/imu9-sim experiments -o $(BUILD)/experiments
 
 # ---- for developers ------------------------------------------------------------------------------------------------
-.PHONY: tests check emulator distros asan ubsan tsan fuzz soak bench honesty score mutate lint analyze cov format \
-	check-format check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
+.PHONY: tests check emulator distros asan ubsan tsan fuzz soak bench honesty score traces mutate lint analyze cov \
+	format check-format check-reproducible check-layers check-objects readme check-readme eds-revision check-eds
 tests: $(TESTS) ## build the tests only
 
 emulator: ## print what runs the programs that CC builds here: nothing, or qemu
@@ -253,6 +253,14 @@ plant: $(BUILD)/imu9-fleet $(BUILD)/imu9-gateway $(PLANT) ## PLANT_NODES on PLAN
 bench: all $(BENCHES) ## print the measured figures
 	@for b in $(filter-out %/bench_bus,$(BENCHES)); do echo "== $$(basename $$b)"; $$b || exit 1; done
 	@echo "== bench_bus"; BUILD=$(BUILD) tests/rig/vcan-run $(BUILD)/tests/bench/bench_bus
+
+# `git diff` then shows what the change does to the results. Conflicts of a merge there: take either side, then this.
+TRACES := $(foreach t,$(TESTS),$(if $(findstring /test_trace_,$(t)),$(t)))
+traces: $(TRACES) ## write tests/unit/traces/ again, after a change of results that is intended
+	@for t in $(TRACES); do \
+		IMU9_TRACES=write $$t >$(BUILD)/traces.log 2>&1 || { cat $(BUILD)/traces.log; exit 1; }; \
+	done
+	@git --no-pager diff --stat tests/unit/traces
 
 mutate: ## put COUNT small faults into random lines of the code (SEED, LAYERS) and count those that a test catches
 	@nice tests/mutate --count $(COUNT) --seed $(SEED) --layers $(LAYERS) --jobs $(JOBS)

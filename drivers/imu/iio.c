@@ -373,12 +373,11 @@ static void step(struct iio_imu *imu)
 static void run(struct imu_thread *t)
 {
 	struct iio_imu *imu = (struct iio_imu *)t;
-	char error[200];
 
 	while (!imu_thread_stopping(t)) {
 		if (atomic_exchange(&imu->restart, false))
 			end(imu);
-		if (imu->running || begin(imu, error, sizeof error) == 0)
+		if (imu->running || begin(imu, NULL, 0) == 0) /* the health says which sensor failed */
 			step(imu);
 		else
 			fail(imu, IMU_FAULT_SILENT, imu->triads[GYRO].device ? IMU_CHIP_ACCEL : IMU_CHIP_GYRO);

@@ -100,7 +100,6 @@ void sync_reset(struct canopen_node *node)
 	node->sync.running = false;
 	node->sync.counter = 0;
 	sync_start(node);
-	sync_pause(node);
 	update_id(node);
 	if (!cob_id_usable(*node->sync.cob_id) && od_find(node->od->table, OD_INDEX_COB_ID_SYNC, 0, NULL))
 		node_bad_data(node, OD_INDEX_COB_ID_SYNC);

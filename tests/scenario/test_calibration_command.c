@@ -53,6 +53,7 @@ static void test_a_gyro_bias_is_estimated_accepted_and_used(void **state)
 	const struct od_values *v = &w->device.values;
 
 	assert_int_equal(command(w, 1), 0);
+	assert_int_equal(v->calibration.command, 0); /* it is no value that stays */
 	seconds(w, "rest", 12);
 	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_near(v->gyro_calibration.bias_x, 0, 0);

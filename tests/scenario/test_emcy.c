@@ -162,6 +162,50 @@ static void test_the_ninth_error_removes_the_first_from_the_history(void **state
 	assert_int_equal(bus_read(bus, 0x1003, 8), 0xFF01);
 }
 
+/* A device whose 1003h has sub-indices up to `last` only; none at all below 0. */
+static struct bus *bus_with_history_up_to(int last)
+{
+	static struct od_entry entries[2000];
+	static struct od_table table;
+	struct bus *bus = bus_new();
+
+	table = imu9_od_table;
+	assert_true(table.count <= sizeof(entries) / sizeof(entries[0]));
+	table.entries = entries;
+	table.count = 0;
+	for (size_t i = 0; i < imu9_od_table.count; i++)
+		if (imu9_od_table.entries[i].index != 0x1003 || imu9_od_table.entries[i].sub <= last)
+			entries[table.count++] = imu9_od_table.entries[i];
+	bus->od.table = &table;
+	bus_start(bus);
+	bus_expect(bus, "710 00");
+	return bus;
+}
+
+static void test_a_history_of_one_entry_has_the_newest_error(void **state)
+{
+	struct bus *bus = bus_with_history_up_to(1);
+
+	set_error(bus, 0x5000, 0);
+	set_error(bus, 0x8120, 0x10);
+	bus_forget(bus);
+	assert_int_equal(bus_read(bus, 0x1003, 0), 1);
+	assert_int_equal(bus_read(bus, 0x1003, 1), 0x8120);
+	test_free(bus);
+	(void)state;
+}
+
+static void test_a_device_without_a_history_sends_its_errors(void **state)
+{
+	struct bus *bus = bus_with_history_up_to(-1);
+
+	set_error(bus, 0x5000, 0);
+	bus_expect(bus, "090 00 50 01 00 00 00 00 00");
+	bus_exchange(bus, "610 40 03 10 00 00 00 00 00", "590 80 03 10 00 00 00 02 06");
+	test_free(bus);
+	(void)state;
+}
+
 static void test_writing_0_clears_the_history_and_nothing_else_may_be_written(void **state)
 {
 	struct bus *bus = *state;
@@ -623,6 +667,8 @@ int main(void)
 		PRE_OPERATIONAL(test_the_history_has_the_newest_error_first),
 		PRE_OPERATIONAL(test_an_unused_entry_of_the_history_has_no_data),
 		PRE_OPERATIONAL(test_the_ninth_error_removes_the_first_from_the_history),
+		cmocka_unit_test(test_a_history_of_one_entry_has_the_newest_error),
+		cmocka_unit_test(test_a_device_without_a_history_sends_its_errors),
 		PRE_OPERATIONAL(test_writing_0_clears_the_history_and_nothing_else_may_be_written),
 		PRE_OPERATIONAL(test_an_error_that_recurs_moves_to_the_front_of_the_history),
 		cmocka_unit_test(test_wrong_and_correct_frames_in_turn_are_one_error),

@@ -968,9 +968,29 @@ static void test_a_pdo_is_not_made_valid_without_an_identifier(void **state)
 	assert_int_equal(bus_write(*state, 0x1804, 1, 4, 0), 0x06090030);
 }
 
+/* The node's memory was replaced by that of another process, where the dictionary is elsewhere. */
+static void test_what_pdos_map_is_looked_up_again_after_the_state_was_restored(void **state)
+{
+	struct bus *bus = *state;
+	struct pdos *pdos = &bus->node.pdos;
+
+	set_acceleration(bus, 1, 2, 3);
+	for (size_t i = 0; i < pdos->rpdo_count; i++)
+		memset(pdos->rpdo[i].pdo.mapped, 0, sizeof(pdos->rpdo[i].pdo.mapped));
+	for (size_t i = 0; i < pdos->tpdo_count; i++)
+		memset(pdos->tpdo[i].pdo.mapped, 0, sizeof(pdos->tpdo[i].pdo.mapped));
+	canopen_restored(&bus->node);
+	bus_send(bus, "080");
+	bus_expect(bus, "190 01 00 02 00 03 00 00 00");
+	bus_expect(bus, "290 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "390 00 00 00 00 00 00 00 00");
+	bus_expect(bus, "490 00 00 00 00 00 00 00 00");
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		OPERATIONAL(test_what_pdos_map_is_looked_up_again_after_the_state_was_restored),
 		OPERATIONAL(test_one_sync_sends_all_four_pdos_with_one_sample),
 		OPERATIONAL(test_a_pdo_carries_the_values_at_the_time_of_transmission),
 		OPERATIONAL(test_a_mapping_changed_without_its_hooks_is_used_from_the_next_reset_on),

@@ -65,6 +65,7 @@ static struct kernel {
 	size_t link_size;
 	bool asked;
 	size_t odd_answer_size; /* an order is answered by so much of `link` */
+	bool empty_answer;	/* .. or by nothing */
 
 	/* options of the raw socket */
 	int forced_bytes, bytes; /* SO_RCVBUFFORCE, SO_RCVBUF */
@@ -284,6 +285,8 @@ ssize_t recv(int fd, void *bytes, size_t size, int flags)
 	assert_int_equal(flags, MSG_DONTWAIT);
 	if (k.answer_error && (!k.asked || k.order_count == 0))
 		return failed(k.answer_error);
+	if (!k.asked && k.empty_answer)
+		return 0;
 	if (!k.asked && k.odd_answer_size) {
 		memcpy(bytes, k.link, k.odd_answer_size);
 		return (ssize_t)k.odd_answer_size;
@@ -833,6 +836,9 @@ static void test_an_order_that_is_not_acknowledged_has_failed(void **state)
 	k.odd_answer_size = 15;
 	assert_int_equal(can_link_restart(INDEX), -EIO);
 	k.odd_answer_size = 0;
+	k.empty_answer = true;
+	assert_int_equal(can_link_restart(INDEX), -EIO);
+	k.empty_answer = false;
 	assert_int_equal(can_link_restart(INDEX), 0);
 }
 

@@ -551,6 +551,19 @@ static void test_addresses_that_are_not_multicast_groups_are_refused(void **stat
 	}
 }
 
+static void test_an_address_of_more_than_255_characters_is_refused(void **state)
+{
+	char bus[300] = "udp:239.1.1.1,hosts=", error[200] = "";
+	struct can_port *port = NULL;
+
+	(void)state;
+	memset(bus + strlen(bus), '1', sizeof(bus) - 1 - strlen(bus));
+	bus[sizeof(bus) - 1] = 0;
+	assert_int_equal(can_open(bus, &port, error, sizeof(error)), -EINVAL);
+	assert_null(port);
+	assert_true(error[0] != 0);
+}
+
 static void assert_bound_to(const struct can_port *port, const char *group, uint16_t port_number)
 {
 	struct sockaddr_in address;
@@ -752,6 +765,7 @@ int main(void)
 		cmocka_unit_test(test_a_call_reads_a_bounded_number_of_unwanted_datagrams),
 		cmocka_unit_test(test_frames_the_kernel_dropped_for_a_slow_reader_are_counted),
 		cmocka_unit_test(test_addresses_that_are_not_multicast_groups_are_refused),
+		cmocka_unit_test(test_an_address_of_more_than_255_characters_is_refused),
 		cmocka_unit_test(test_a_source_port_of_one_bus_can_be_the_port_of_another),
 		cmocka_unit_test(test_a_port_that_a_program_has_for_itself_is_told),
 		cmocka_unit_test(test_an_ipv6_group_with_a_port_is_opened),

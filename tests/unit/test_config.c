@@ -281,9 +281,19 @@ static void test_the_addresses_of_cia309_add_up(void **state)
 	assert_true(strlen(config.cia309) < CONFIG_LIST_MAX);
 }
 
+static void test_too_many_objects_are_refused_with_their_number(void **state)
+{
+	(void)state;
+	for (int i = 0; i < CONFIG_OBJECTS_MAX; i++)
+		assert_int_equal(config_set(&config, "lever_arm.l=0.1", why), 0);
+	assert_int_equal(config_set(&config, "lever_arm.l=0.1", why), -E2BIG);
+	assert_non_null(strstr(why, "more than 512 objects"));
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		cmocka_unit_test_setup(test_too_many_objects_are_refused_with_their_number, set_up),
 		TEST(test_objects_are_set_by_name_with_or_without_a_section),
 		TEST(test_the_gateway_section_holds_the_process_keys),
 		TEST(test_a_later_setting_replaces_an_earlier_one),

@@ -70,7 +70,7 @@ static struct world {
 	unsigned device_count;
 	bool no_iio, no_configfs, no_raw;
 	const char *denied; /* attribute that must not be written */
-	enum { NOTHING, KERNEL_BUFFERS, BUFFER, NOT_BLOCKING } refused;
+	enum { NOTHING, KERNEL_BUFFERS, BUFFER, NOT_BLOCKING, TIMER } refused;
 	unsigned contexts;
 	char made[TIMERS][80], removed[TIMERS][80];
 	unsigned made_count, removed_count;
@@ -144,6 +144,8 @@ int mkdir(const char *path, mode_t mode)
 	if (errno)
 		return -1;
 	snprintf(w.made[w.made_count++ % TIMERS], sizeof(w.made[0]), "%s", path);
+	if (w.refused == TIMER) /* a folder, but no trigger */
+		return 0;
 	*timer = (struct iio_device){.is_trigger = true};
 	snprintf(timer->id, sizeof(timer->id), "trigger%u", w.device_count);
 	snprintf(timer->name, sizeof(timer->name), "%s", strrchr(path, '/') + 1);
@@ -1241,6 +1243,16 @@ static void test_a_buffer_that_cannot_be_had_is_named(void **state)
 	assert_refused("iio", -ENOSYS, "the buffer of lsm6dso");
 }
 
+static void test_a_timer_that_the_kernel_does_not_make_is_named_with_its_module(void **state)
+{
+	(void)state;
+	needs_trigger(MOTION);
+	w.refused = TIMER;
+	assert_refused("iio", -ENODEV, "did not create the timer trigger imu9-device0");
+	w.made_count = 0;
+	assert_refused("iio", -ENODEV, "modprobe iio-trig-hrtimer");
+}
+
 static void test_a_timer_that_could_not_be_made_is_not_removed(void **state)
 {
 	(void)state;
@@ -1659,6 +1671,7 @@ int main(void)
 		IIO_TEST(test_an_attribute_that_must_not_be_written_is_named_with_what_to_do),
 		IIO_TEST(test_a_timer_is_removed_once),
 		IIO_TEST(test_a_buffer_that_cannot_be_had_is_named),
+		IIO_TEST(test_a_timer_that_the_kernel_does_not_make_is_named_with_its_module),
 		IIO_TEST(test_a_timer_that_could_not_be_made_is_not_removed),
 		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),

@@ -9,6 +9,7 @@
 #include <string.h>
 #include <time.h>
 
+#include "drivers/imu/source.h"
 #include "drivers/ports/imu.h"
 #include "tests/unit/descriptors.h"
 
@@ -123,7 +124,19 @@ static void test_a_simulated_sensor_is_silent_after_10_s_at_any_rate(void **stat
 	}
 }
 
-/* As shipped it has the bias of the preset, calibrated it has none. */
+static void test_another_sensor_is_silent_after_ten_intervals_and_at_least_a_tenth_of_a_second(void **state)
+{
+	struct imu_port port = {0};
+
+	(void)state;
+	source_use_rate(&port, 12.5);
+	assert_true(port.rate_hz == 12.5);
+	assert_int_equal(port.silence_us, 800000);
+	source_use_rate(&port, 800);
+	assert_int_equal(port.silence_us, 100000);
+}
+
+/* As shipped it has the bias of the preset, and says that it is uncalibrated; calibrated it has none. */
 static void test_an_uncalibrated_sensor_has_its_bias(void **state)
 {
 	(void)state;
@@ -132,6 +145,7 @@ static void test_an_uncalibrated_sensor_has_its_bias(void **state)
 		struct vec3 accel = {0, 0, 0};
 		struct imu_sample sample;
 
+		assert_int_equal(port->uncalibrated, uncalibrated ? IMU_UNCALIBRATED : 0);
 		for (int i = 0; i < 100; i++) {
 			wait_and_read(port, &sample);
 			accel = vec3_add(accel, vec3_scale(0.01, sample.accel_m_s2));
@@ -222,6 +236,7 @@ int main(void)
 		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
 		cmocka_unit_test(test_the_sensor_is_5_cm_ahead_of_the_reference_point),
 		cmocka_unit_test(test_a_simulated_sensor_is_silent_after_10_s_at_any_rate),
+		cmocka_unit_test(test_another_sensor_is_silent_after_ten_intervals_and_at_least_a_tenth_of_a_second),
 		cmocka_unit_test(test_an_uncalibrated_sensor_has_its_bias),
 		cmocka_unit_test(test_an_unknown_scenario_or_option_is_refused_with_what_to_use),
 	};

@@ -104,28 +104,26 @@ static const struct chip *const *mags_beside(const struct chip *accel)
 }
 
 /* The AK09916 is behind the ICM-20948, which must be awake and connect it to the bus. */
-static int connect_mag(struct board *b)
+static void connect_mag(struct board *b)
 {
 	static const struct chip_register awake[] = {
 		{0x7F, 0x00, 0}, {0x06, 0x01, 0}, {0x03, 0x00, 0}, {0x0F, 0x02, 0}};
-	int result = 0;
 
 	if (b->gyro->chip != &CHIP_ICM20948)
-		return 0;
-	for (size_t i = 0; i < sizeof awake / sizeof *awake && result == 0; i++) {
-		result = i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value);
-		if (result < 0) /* again, as in is_there() */
-			result = i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value);
-	}
-	return result;
+		return;
+	for (size_t i = 0; i < sizeof awake / sizeof *awake; i++)
+		if (i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value) <
+			0) /* again, as in is_there() */
+			i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value);
 }
 
 static void find_mag(struct board *b)
 {
 	const struct chip *const *candidates = mags_beside(b->accel->chip);
-	int cause = connect_mag(b);
+	int cause = 0; /* of which the note says nothing */
 
-	b->mag = cause == 0 ? find(b, candidates, &cause) : NULL;
+	connect_mag(b);
+	b->mag = find(b, candidates, &cause);
 	if (b->mag)
 		return;
 	if (b->bus->spi && b->gyro->chip == &CHIP_ICM20948)
