@@ -22,7 +22,7 @@
 #include <unistd.h>
 
 #include "drivers/can/udp_codec.h"
-#include "tests/bench/udp_end.h"
+#include "tests/bench/bus_end.h"
 
 #define GROUP "239.74.163.98"
 enum { PORT = 43198, MODBUS_PORT = 43199, NODE = 1, OTHER = 5 };
@@ -220,7 +220,7 @@ static pid_t start_flood(const struct kind *kind, int report)
 	use_processor(sysconf(_SC_NPROCESSORS_ONLN) > 1 ? 1 : 0);
 	if (kind->id == MODBUS)
 		sent = flood_modbus(start + PART_US + SETTLE_US);
-	end = open_end(GROUP, PORT, 0, 0);
+	end = open_end(GROUP, PORT, 0, END_SENDS);
 	memcpy(msg.data, kind->data, sizeof(msg.data));
 	memcpy(bytes, "\x8b\xa9timestamp\xcb", size);
 	if (!kind->malformed)

@@ -1,11 +1,16 @@
 /* tests/bench/bench_web.c
- * What 20 browsers cost five gateways: the SDO round trip and the time from SYNC to TPDO1 of each node on the udp bus,
- * without imu9-web, and with it and browsers that show live values, in turn; medians, and their ratio.
+ * What 20 browsers cost five gateways: the SDO round trip and the time from SYNC to TPDO1 of each node, without imu9-web
+ * (quiet), with one more program that listens to the bus, and with imu9-web and browsers that show live values.
  *
- *     build/tests/bench/bench_web [SECONDS]
+ *     build/tests/bench/bench_web [-s] [SECONDS [BUS]]
  *
- * SECONDS of each, default 10. Gateways and master share processor 0 and have real-time priority where permitted, so
- * that other work on the machine disturbs less; imu9-web and the browsers have none, and any processor.
+ * Each part takes a second and is between two quiet ones, whose mean it is compared with; SECONDS parts of each kind,
+ * default 10. The figures are medians of these ratios, with their quartiles. BUS is udp, or a CAN interface: vcan0.
+ *
+ * Gateways and master share processor 0 and have real-time priority where permitted, so that other work on the machine
+ * disturbs less; imu9-web and the browsers have none, and any processor. On each processor a process of the policy
+ * SCHED_IDLE runs while nothing else does, so that it does not sleep: to wake a processor takes as long as the answer,
+ * and how long differs from second to second. With -s they sleep.
  *
  * A browser is a WebSocket that does what the page does for its view Live of one node: it reads the lever arm and the
  * list of objects, subscribes to the PDOs at 20 Hz and polls by SDO. All 20 are in one process: what a real one draws
@@ -23,14 +28,18 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
-#include "tests/bench/udp_end.h"
+#include "tests/bench/bus_end.h"
 
 #define GROUP "239.74.163.97"
-#define BUS   "udp:" GROUP ":43197,interface=lo"
+#define UDP   "udp:" GROUP ":43197,interface=lo"
 enum { PORT = 43197, WEB_PORT = 43197, NODES = 5, BROWSERS = 20, SLOW = 4 };
 enum { SYNC = 0x080, TPDO1 = 0x180, REQUEST = 0x600, RESPONSE = 0x580, FUNCTION = 0x780 };
-enum { SYNC_US = 10000, PART_US = 1000000, ANSWER_MS = 300, PRIORITY = 10, ROUNDS_MAX = 1 << 20 };
+/* The samples of a gateway are 10 ms apart: each part has SYNCs at all times between two of them. */
+enum { SYNC_US = 9700, PART_US = 1000000, ANSWER_MS = 300, PRIORITY = 10, ROUNDS_MAX = 1 << 20, PARTS_MAX = 1000 };
+enum { SETTLE_US = 100000, LISTEN_US = 20000 };
 enum { MESSAGE_MAX = 1 << 19, SLOW_BYTES = 4096, READY_ROWS = 50 };
+
+static const char *bus; /* of CAN; NULL: UDP */
 
 /* ---- browsers ---------------------------------------------------------------------------------------------------- */
 
@@ -224,8 +233,9 @@ static pid_t start_gateway(int node, const char *folder)
 	snprintf(log, sizeof(log), "%s/log%d", folder, node);
 	snprintf(store, sizeof(store), "%s/%d", folder, node);
 	run("imu9-gateway",
-		(const char *[]){"--can", BUS, "--node-id", id, "--imu", "sim:rest", "--store", store, NULL}, log,
-		STDERR_FILENO);
+		(const char *[]){
+			"--can", bus ? bus : UDP, "--node-id", id, "--imu", "sim:rest", "--store", store, NULL},
+		log, STDERR_FILENO);
 	return -1;
 }
 
@@ -253,7 +263,8 @@ static pid_t start_web(void)
 	if (pid == 0) {
 		be_ordinary();
 		snprintf(listen, sizeof(listen), "127.0.0.1:%d", WEB_PORT);
-		run("imu9-web", (const char *[]){"-i", BUS, "--listen", listen, NULL}, "/dev/null", ends[1]);
+		run("imu9-web", (const char *[]){"-i", bus ? bus : UDP, "--listen", listen, NULL}, "/dev/null",
+			ends[1]);
 	}
 	close(ends[1]);
 	if (read(ends[0], &byte, 1) != 1)
@@ -281,6 +292,44 @@ static pid_t start_browsers(int *control)
 	return pid;
 }
 
+static struct end open_bus(uint32_t id, uint32_t mask)
+{
+	return bus ? open_can_end(bus, id, mask) : open_end(GROUP, PORT, id, mask);
+}
+
+/* A program that listens to the bus and does no more. */
+static pid_t start_listener(void)
+{
+	pid_t pid = fork();
+
+	if (pid < 0)
+		fail("listener");
+	if (pid > 0) {
+		usleep(SETTLE_US);
+		return pid;
+	}
+	prctl(PR_SET_PDEATHSIG, SIGTERM);
+	be_ordinary();
+	for (const struct end end = open_bus(0, END_RECEIVES_ALL);; usleep(LISTEN_US))
+		drain(&end);
+}
+
+/* Keeps a processor from sleeping while there is nothing to do. */
+static void keep_awake(unsigned int processor)
+{
+	pid_t pid = fork();
+
+	if (pid < 0)
+		fail("processor");
+	if (pid > 0)
+		return;
+	prctl(PR_SET_PDEATHSIG, SIGTERM);
+	use_processor(processor);
+	sched_setscheduler(0, SCHED_IDLE, &(struct sched_param){0});
+	for (;;)
+		;
+}
+
 static void stop(pid_t pid)
 {
 	kill(pid, SIGTERM);
@@ -289,7 +338,10 @@ static void stop(pid_t pid)
 
 /* ---- measurements ------------------------------------------------------------------------------------------------ */
 
+/* Of one kind of parts: all values, and the medians of each part. */
 struct latencies {
+	size_t parts, of_part;
+	double median_us[2 * PARTS_MAX + 1];
 	double us[ROUNDS_MAX];
 	size_t count, unanswered;
 };
@@ -363,6 +415,31 @@ static void measure(const struct ends *ends, struct figures *f, int control)
 	}
 }
 
+static void end_part(struct latencies *l)
+{
+	static double us[ROUNDS_MAX];
+	size_t count = l->count - l->of_part;
+
+	memcpy(us, l->us + l->of_part, count * sizeof(*us));
+	l->median_us[l->parts++] = quantile(us, count, 0.5);
+	l->of_part = l->count;
+}
+
+static void measure_part(const struct ends *ends, struct figures *f)
+{
+	measure(ends, f, -1);
+	end_part(&f->sdo);
+	end_part(&f->pdo);
+}
+
+static void measure_listener(const struct ends *ends, struct figures *f)
+{
+	pid_t listener = start_listener();
+
+	measure_part(ends, f);
+	stop(listener);
+}
+
 static void measure_loaded(const struct ends *ends, struct figures *f, double rows[2])
 {
 	static struct figures meanwhile;
@@ -376,7 +453,7 @@ static void measure_loaded(const struct ends *ends, struct figures *f, double ro
 	measure(ends, &meanwhile, control); /* until all of them are shown values */
 	if (read(control, &byte, 1) != 1)
 		fail("the browsers have ended");
-	measure(ends, f, -1);
+	measure_part(ends, f);
 	send_all(control, "", 1);
 	if (read(control, received, sizeof(received)) != sizeof(received))
 		fail("the browsers have ended");
@@ -387,41 +464,81 @@ static void measure_loaded(const struct ends *ends, struct figures *f, double ro
 	stop(web);
 }
 
-static void print(const char *what, struct latencies *quiet, struct latencies *loaded)
+/* `place` of a part in its round: 0 is after the first quiet one, 1 after the second. */
+static void print_ratio(const char *with, const struct latencies *l, const struct latencies *quiet, size_t place)
 {
-	double q = quantile(quiet->us, quiet->count, 0.5), l = quantile(loaded->us, loaded->count, 0.5);
+	double ratio[PARTS_MAX];
 
-	printf("%-14s %.2f times the quiet (%.0f us against %.0f; 99 %%: %.0f against %.0f)  %zu and %zu measured, %zu "
-	       "and %zu unanswered\n",
-		what, l / q, l, q, quantile(loaded->us, loaded->count, 0.99), quantile(quiet->us, quiet->count, 0.99),
-		loaded->count, quiet->count, loaded->unanswered, quiet->unanswered);
+	for (size_t i = 0; i < l->parts; i++)
+		ratio[i] =
+			2 * l->median_us[i] / (quiet->median_us[2 * i + place] + quiet->median_us[2 * i + place + 1]);
+	printf("  %-14s %.2f times the quiet (%.2f to %.2f)", with, quantile(ratio, l->parts, 0.5),
+		quantile(ratio, l->parts, 0.25), quantile(ratio, l->parts, 0.75));
+}
+
+static void print_all(struct latencies *l)
+{
+	printf("  %.0f us, 99 %%: %.0f; %zu measured, %zu unanswered\n", quantile(l->us, l->count, 0.5),
+		quantile(l->us, l->count, 0.99), l->count, l->unanswered);
+}
+
+static void print(const char *what, struct latencies *quiet, struct latencies *listener, struct latencies *loaded)
+{
+	printf("%s\n  quiet%35s", what, "");
+	print_all(quiet);
+	print_ratio("a listener", listener, quiet, 0);
+	print_all(listener);
+	print_ratio("20 browsers", loaded, quiet, 1);
+	print_all(loaded);
+}
+
+static void parse(int argc, char **argv, int *rounds, bool *sleeps)
+{
+	int option;
+
+	while ((option = getopt(argc, argv, "s")) == 's')
+		*sleeps = true;
+	*rounds = optind < argc ? atoi(argv[optind]) : 10;
+	if (option != -1 || *rounds < 1 || *rounds > PARTS_MAX || argc - optind > 2) {
+		fprintf(stderr, "usage: bench_web [-s] [SECONDS [udp|INTERFACE]]\n");
+		exit(2);
+	}
+	if (argc - optind == 2 && strcmp(argv[optind + 1], "udp") != 0)
+		bus = argv[optind + 1];
 }
 
 int main(int argc, char **argv)
 {
-	static struct figures quiet, loaded;
+	static struct figures quiet, listener, loaded;
 	char folder[] = "/tmp/bench_web.XXXXXX", clean[64];
-	int parts = (argc > 1 ? atoi(argv[1]) : 10) * 1000000 / PART_US;
+	int rounds;
+	bool sleeps = false;
 	double rows[2] = {0};
 	pid_t gateways[NODES];
 
+	parse(argc, argv, &rounds, &sleeps);
 	signal(SIGPIPE, SIG_IGN);
+	for (long i = 0; !sleeps && i < sysconf(_SC_NPROCESSORS_ONLN); i++)
+		keep_awake((unsigned int)i);
 	use_processor(0);
 	(void)sched_setscheduler(0, SCHED_FIFO, &(struct sched_param){.sched_priority = PRIORITY});
 	if (!mkdtemp(folder))
 		fail(folder);
-	const struct ends ends = {open_end(GROUP, PORT, TPDO1, FUNCTION), open_end(GROUP, PORT, RESPONSE, FUNCTION)};
+	const struct ends ends = {open_bus(TPDO1, FUNCTION), open_bus(RESPONSE, FUNCTION)};
 	for (int i = 0; i < NODES; i++)
 		gateways[i] = start_gateway(i + 1, folder);
 	usleep(1500000);
 	put(&ends.pdo, 0x000, (const uint8_t[]){1, 0}, 2); /* NMT: start all */
 	usleep(100000);
-	for (int part = 0; part < parts; part++) {
-		measure(&ends, &quiet, -1);
+	measure_part(&ends, &quiet);
+	for (int round = 0; round < rounds; round++) {
+		measure_listener(&ends, &listener);
+		measure_part(&ends, &quiet);
 		measure_loaded(&ends, &loaded, rows);
+		measure_part(&ends, &quiet);
 	}
-	print("SDO", &quiet.sdo, &loaded.sdo);
-	print("SYNC to TPDO1", &quiet.pdo, &loaded.pdo);
+	print("SDO", &quiet.sdo, &listener.sdo, &loaded.sdo);
+	print("SYNC to TPDO1", &quiet.pdo, &listener.pdo, &loaded.pdo);
 	printf("rows received: %.0f by %d browsers, %.0f by %d slow ones\n", rows[0], BROWSERS - SLOW, rows[1], SLOW);
 	for (int i = 0; i < NODES; i++)
 		stop(gateways[i]);

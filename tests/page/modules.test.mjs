@@ -14,6 +14,7 @@ const {missing_axes} = await import(page + "calibration.js");
 const {moved, bits_of, type_text} = await import(page + "pdo.js");
 const {parse_number, outside, is_default} = await import(page + "field.js");
 const {search} = await import(page + "objects.js");
+const {Poses, READINGS} = await import(page + "mounting.js");
 const {SIDES} = await import(page + "drawings.js");
 
 const near = (a, b, most = 1e-9) => assert.ok(Math.abs(a - b) <= most, `${a} is not ${b}`);
@@ -65,6 +66,16 @@ test("a quaternion and its angles are one matrix, and angles come back", () => {
   all_near(apply(r, [1, 0, 0]), [0, 1, 0]);
   all_near(apply(r, [0, 1, 0]), [0, 0, 1]);
   all_near(to_angles(from_angles(12, -34, 156)), [12, -34, 156]);
+});
+
+test("with l upright or down, the angles are those of the same rotation, with roll 0", () => {
+  for (const pitch of [90, -90]) {
+    const r = from_angles(30, pitch, 50),
+      [roll, found, yaw] = to_angles(r);
+    near(roll, 0);
+    near(found, pitch, 1e-5);
+    from_angles(roll, found, yaw).forEach((row, i) => all_near(row, r[i], 1e-6));
+  }
 });
 
 test("at rest nothing is left of the force without gravity, in any attitude", () => {
@@ -227,4 +238,71 @@ test("two free CAN-IDs are found for TPDO5 and 6 of every node, its own ones fir
   assert.deepEqual(live_can_ids(48, [48, 49], new Set([0x6df])), [0x6dc, 0x6dd]);
   const first = Array.from({length: 48}, (_, i) => i + 1);
   assert.equal(live_can_ids(100, [...first, 100], none), null);
+});
+
+/* Specific force in the object frame: level, or with the front raised by an angle about s. */
+const raised = (deg) => [9.81 * Math.sin((deg * Math.PI) / 180), 0, 9.81 * Math.cos((deg * Math.PI) / 180)];
+
+/* Force along the axes of a sensor that is turned by these angles in the object. */
+const in_sensor = (angles, force) => {
+  const r = from_angles(...angles);
+  return [0, 1, 2].map((k) => r[0][k] * force[0] + r[1][k] * force[1] + r[2][k] * force[2]);
+};
+
+test("two poses give the mounting, whatever mounting was in use", () => {
+  for (const true_angles of [
+    [0, 0, 0],
+    [20, -35, 110],
+    [179, 0, 0],
+    [-90, 0, 90],
+    [5, 89, -170],
+    [120, 60, -60],
+  ])
+    for (const used of [
+      [0, 0, 0],
+      [-40, 25, 75],
+    ]) {
+      const poses = new Poses();
+      for (const deg of [0, 50])
+        for (let i = 0; i < READINGS; i++)
+          assert.equal(
+            poses.take(apply(from_angles(...used), in_sensor(true_angles, raised(deg))), used, true),
+            "still"
+          );
+      const found = poses.result();
+      all_near(apply(from_angles(...found.angles), in_sensor(true_angles, [1, 2, 3])), [1, 2, 3], 1e-9);
+      near(found.apart, 50);
+    }
+});
+
+test("a pose begins anew when the sensor moves, and the second one counts when it is raised by 20 degrees", () => {
+  const poses = new Poses(),
+    take = (deg, rest) => poses.take(raised(deg), [0, 0, 0], rest);
+  for (let i = 1; i < READINGS; i++) take(0, true);
+  assert.equal(take(0, false), "moving");
+  assert.equal(poses.count, 0);
+  for (let i = 0; i < READINGS; i++) take(0, true);
+  assert.equal(poses.done.length, 1);
+  assert.equal(take(19, true), "low");
+  assert.equal(poses.count, 0);
+  assert.equal(take(21, true), "still");
+  near(poses.raised_deg, 21);
+});
+
+test("the sigma of the mounting is that of the mean of the readings", () => {
+  const poses = new Poses(),
+    error = 0.01; /* m/s^2 on each axis, in turn up and down, and none for the last reading */
+  for (const deg of [0, 90])
+    for (let i = 0; i < READINGS; i++) {
+      const e = i === READINGS - 1 ? 0 : i % 2 ? error : -error;
+      poses.take(
+        raised(deg).map((f) => f + e),
+        [0, 0, 0],
+        true
+      );
+    }
+  /* the variance of a reading is error^2, by 24 deviations and 24 degrees of freedom */
+  const expected = ((error / 5 / 9.81) * 180) / Math.PI;
+  near(poses.result().tilt, expected, 1e-6);
+  near(poses.result().heading, expected, 1e-6);
 });

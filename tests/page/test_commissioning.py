@@ -1,6 +1,7 @@
 """What one sees and does on the page, with simulated chips, compared with imu9-sdo."""
 import csv
 import math
+import random
 import re
 import signal
 import statistics
@@ -158,6 +159,58 @@ class Uncalibrated(rig.OnThePage):
         self.assertGreater(max(map(abs, biases)), 1e-4)
         for axis, bias in zip("xyz", biases):
             self.assertAlmostEqual(value(2, "calibration.bias_" + axis), bias, 7)
+
+
+MOUNTING_DEG = 20, -35, 110
+
+
+class Mounting(rig.OnThePage):
+    """A sensor that is mounted askew in an object. Its gateway starts anew with the log of another pose when the page
+    asks for that, as if somebody had raised the object meanwhile."""
+
+    @classmethod
+    def pose(cls, raised_deg):
+        """Ten minutes of rest, as that sensor measures it in the object with its front raised about s."""
+        angle = math.radians(raised_deg)
+        force = GRAVITY * math.sin(angle), 0, GRAVITY * math.cos(angle)
+        cr, sr, cp, sp, cy, sy = (f(math.radians(a)) for a in MOUNTING_DEG for f in (math.cos, math.sin))
+        turn = ((cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),  # sensor -> object: z-y'-x''
+                (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+                (-sp, cp * sr, cp * cr))
+        sensed = [sum(turn[i][k] * force[i] for i in range(3)) for k in range(3)]
+        noise = random.Random(raised_deg).gauss
+        path = rig.WORK / ("raised-%d.imu.csv" % raised_deg)
+        with open(path, "w") as file:
+            file.write("t,gx,gy,gz,ax,ay,az,mx,my,mz\n")
+            for i in range(30000):
+                row = [noise(0, 0.001) for _ in range(3)] + [f + noise(0, 0.02) for f in sensed]
+                file.write("%.2f,%s,,,\n" % (0.02 * i, ",".join("%.5f" % v for v in row)))
+        return "replay:%s,loop" % path
+
+    @classmethod
+    def setUpClass(cls):
+        cls.nodes = {1: cls.pose(0)}
+        super().setUpClass()
+
+    def test_the_mounting_is_found_from_two_poses(self):
+        sdo(1, "write", "mounting.yaw", 33)  # of before: it does not matter
+        sdo(1, "store")
+        self.open("node/1/calibration")
+        self.find('[data-start="mounting"]').click()
+        self.until(lambda: "Raise the front" in self.text(".now"), "the first pose is taken")
+        self.assertEqual(len(self.all(".dots .done")), 1)
+        self.assertEqual(value(1, "mounting.roll"), 0, "nothing is written yet")
+        self.gateways[1].end()
+        self.gateways[1].command = tuple(
+            self.pose(45) if part.startswith("replay:") else part for part in self.gateways[1].command)
+        self.gateways[1].start()
+        self.until(lambda: self.all(".result"), "the second pose is taken")
+        self.assertRegex(self.text(".result"), r"Yaw1\d\d\.\d\d° \(was 33\.00\).*Poses apart4[45]\.\d")
+        self.button("Accept").click()
+        self.button("Store over a power cut").click()
+        self.until(lambda: "Stored" in self.text("#toasts"), "it is stored")
+        for axis, true in zip(("roll", "pitch", "yaw"), MOUNTING_DEG):
+            self.assertAlmostEqual(value(1, "mounting." + axis), true, delta=0.1, msg=axis)
 
 
 class Mapping(rig.OnThePage):

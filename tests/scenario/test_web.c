@@ -267,6 +267,20 @@ static void test_a_node_that_is_silent_for_three_heartbeats_is_lost_and_comes_ba
 	assert_string_equal(text_of(event(b, "nodes"), "nodes.0.state"), "pre-operational");
 }
 
+static void test_a_node_that_boots_is_shown_as_what_it_was_until_it_is_identified_again(void **state)
+{
+	struct bench *b = *state;
+	int client = browser(b);
+
+	world_nmt(&b->world, 0x81);
+	run(b, client, 50);
+	b->off = true; /* before the request */
+	run(b, client, 1000);
+	struct json_object *answer = ask(b, client, "\"op\":\"nodes\"");
+	assert_string_equal(text_of(answer, "result.nodes.0.name"), "IMU9 CANopen gateway");
+	assert_true(json_object_get_boolean(at(answer, "result.nodes.0.ours")));
+}
+
 static void test_a_node_without_heartbeat_is_lost_when_it_answers_no_longer(void **state)
 {
 	struct bench *b = *state;
@@ -982,6 +996,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_node_is_found_by_its_heartbeat_and_identified),
 		TEST(test_a_node_that_is_silent_for_three_heartbeats_is_lost_and_comes_back),
+		TEST(test_a_node_that_boots_is_shown_as_what_it_was_until_it_is_identified_again),
 		TEST(test_a_node_without_heartbeat_is_lost_when_it_answers_no_longer),
 		TEST(test_a_scan_finds_a_node_that_sends_nothing),
 		TEST(test_an_emcy_is_told_in_words),

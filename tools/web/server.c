@@ -20,8 +20,11 @@ enum {
 	GONE_S = 40,
 	CHUNK = 16384,
 	RECEIVE = 4096,
-	FRAMES = 256,	  /* of the bus in one wake */
-	GATHER_US = 5000, /* frames are fetched together, so that not each one takes the processor from a gateway */
+	FRAMES = 256, /* of the bus in one wake */
+	/* Frames are fetched together, so that not each one takes the processor from a gateway: */
+	GATHER_US = 20000,
+	GATHER_ANSWER_US = 1000, /* while an answer is awaited */
+	QUIET_US = 1000000,	 /* after this time without a frame the next one wakes this program */
 };
 
 /* Of each connection: one that fetches a file, or a browser. */
@@ -40,8 +43,9 @@ struct server {
 	struct lws_context *context;
 	int events, timer;
 	uint64_t next_us;
-	uint64_t fetched_us; /* frames, the last time */
-	bool gathers;	     /* does not look at the bus for GATHER_US */
+	uint64_t fetched_us; /* frames, the last time that it was tried */
+	uint64_t stamped_us; /* the last time that there was one with a time stamp of the bus */
+	bool gathers;	     /* is not woken by frames */
 	struct lws *wsi[WEB_CLIENTS];
 	struct connection *connections[WEB_CLIENTS];
 	bool ends;
@@ -68,11 +72,11 @@ static void set_timer(struct server *server, uint64_t next_us)
 	timerfd_settime(server->timer, TFD_TIMER_ABSTIME, &at, NULL);
 }
 
-/* Not while an answer is awaited: transfers would take longer. Returns when to look again. */
+/* Only where the bus stamps its frames: else the time of a frame is that at which it is fetched. Returns when to fetch
+ * the next ones. */
 static uint64_t gather(struct server *server, uint64_t now_us)
 {
-	uint64_t end_us = server->fetched_us + GATHER_US;
-	bool gathers = now_us < end_us && !web_awaits_answer(server->web);
+	bool gathers = server->stamped_us && now_us < server->stamped_us + QUIET_US;
 	int fd = server->web->config.bus->fd;
 
 	if (gathers != server->gathers) {
@@ -81,7 +85,9 @@ static uint64_t gather(struct server *server, uint64_t now_us)
 		epoll_ctl(server->events, EPOLL_CTL_MOD, fd, &event);
 		server->gathers = gathers;
 	}
-	return gathers ? end_us : UINT64_MAX;
+	if (!gathers)
+		return UINT64_MAX;
+	return server->fetched_us + (web_awaits_answer(server->web) ? GATHER_ANSWER_US : GATHER_US);
 }
 
 /* Before anything is sent: what others were answered is no answer to that. Returns whether there may be more. */
@@ -91,13 +97,13 @@ static bool receive_frames(struct server *server)
 	struct can_msg msg;
 
 	for (int i = 0; i < FRAMES; i++) {
-		uint64_t now_us = cli_now_us();
+		uint64_t now_us = server->fetched_us = cli_now_us();
 
 		if (can_receive(bus, &msg, now_us) <= 0)
 			return false;
 		web_receive(server->web, &msg, now_us);
-		if (msg.t_us && msg.t_us != now_us) /* else the time of a frame is that at which it is fetched */
-			server->fetched_us = now_us;
+		if (msg.t_us && msg.t_us != now_us)
+			server->stamped_us = now_us;
 	}
 	return true;
 }

@@ -125,6 +125,7 @@ struct web_node {
 	uint64_t heard_us; /* its last frame; 0: none */
 	uint64_t heartbeat_us, heartbeat_interval_us;
 	bool identified;
+	bool known; /* identified before the last boot-up: so it is shown until it is identified again */
 	uint32_t type, identity[4]; /* 1000h; vendor, product, revision, serial */
 	char name[65];
 	uint64_t identify_us; /* not before */

@@ -69,10 +69,10 @@ static struct json_object *node_json(const struct web_node *node, uint64_t now_u
 
 	json_object_object_add(json, "node", json_object_new_int(node->id));
 	json_object_object_add(json, "state", json_object_new_string(web_state_text(node->state)));
-	json_object_object_add(json, "name", node->identified ? json_object_new_string(node->name) : NULL);
+	json_object_object_add(json, "name", node->known ? json_object_new_string(node->name) : NULL);
 	for (int i = 0; i < 4; i++)
 		json_object_object_add(
-			json, IDENTITY[i], node->identified ? json_object_new_int64(node->identity[i]) : NULL);
+			json, IDENTITY[i], node->known ? json_object_new_int64(node->identity[i]) : NULL);
 	json_object_object_add(json, "ours", json_object_new_boolean(web_is_ours(node)));
 	snprintf(text, sizeof(text), "%.1f", heard_s);
 	json_object_object_add(json, "heard_s", heard_s < 0 ? NULL : json_object_new_double_s(heard_s, text));

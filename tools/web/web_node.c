@@ -181,7 +181,7 @@ bool web_is_ours(const struct web_node *node)
 {
 	const struct od_values *defaults = imu9_od_table.defaults;
 
-	return node->identified && node->identity[1] == defaults->identity.product_code &&
+	return node->known && node->identity[1] == defaults->identity.product_code &&
 	       strcmp(node->name, defaults->manufacturer_device_name) == 0;
 }
 
@@ -221,7 +221,7 @@ static void set_identity(struct web *web, struct web_node *node, const struct we
 	for (int i = 0; i < 4; i++)
 		node->identity[i] = web_u32(&steps[1 + i], 0);
 	set_name(node, &steps[5]);
-	node->identified = node->listed = true;
+	node->identified = node->known = node->listed = true;
 	node->identify_wait_us = 0;
 	web->nodes_version++;
 	if (!node->eds || (memcmp(old, node->identity, sizeof(old)) == 0 && !node->eds_interrupted))

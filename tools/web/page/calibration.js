@@ -1,7 +1,9 @@
-/* Guided calibrations (2061h) and the identification of the lever arm (2060h). The node measures and judges; the page
- * says what to do, shows how far it is, and asks whether to accept. */
+/* Guided calibrations (2061h), the mounting (2053h) and the identification of the lever arm (2060h). The page says what
+ * to do, shows how far it is, and asks whether to accept. The node measures and judges; only the mounting is computed
+ * here, of what the node measures at rest. */
 import {button, card, fill, h, say} from "./dom.js";
-import {about_a_point, in_field, rest, side_up} from "./drawings.js";
+import {about_a_point, in_field, mounted, rest, side_up} from "./drawings.js";
+import {Poses, READINGS} from "./mounting.js";
 import {T} from "./strings.js";
 import {fixed, numeric} from "./text.js";
 
@@ -21,15 +23,24 @@ const CALIBRATION = {
   record: "calibration",
   accept: "accept",
   discard: "discard",
-  members: ["state", "kind", "verdict", "progress", "positions", "positions_wanted", "next_side", "coverage"],
+  polled: ["state", "kind", "verdict", "progress", "positions", "positions_wanted", "next_side", "coverage"].map(
+    (member) => `calibration.${member}`
+  ),
 };
 const LEVER = {
   record: "lever_arm_identification",
   accept: "accept",
   discard: "discard",
-  members: ["state", "verdict", "progress", "l", "s", "t", "sigma_l", "sigma_s", "sigma_t"],
+  polled: [
+    ...["state", "verdict", "progress", "l", "s", "t", "sigma_l", "sigma_s", "sigma_t"].map(
+      (member) => `lever_arm_identification.${member}`
+    ),
+    ...AXES.map((axis) => `angular_rate.${axis}`),
+  ],
 };
-const RATES = AXES.map((axis) => `angular_rate.${axis}`);
+const FORCE = AXES.map((axis) => `specific_force.${axis}`);
+const ANGLES = ["roll", "pitch", "yaw"];
+const MOUNTING = ANGLES.map((angle) => `mounting.${angle}`);
 
 const PROCEDURES = [
   {key: "gyro", start: "gyro", ...CALIBRATION, draw: () => rest(T.calibration.gyro.drawing)},
@@ -40,6 +51,11 @@ const PROCEDURES = [
     start: "magnetometer",
     ...CALIBRATION,
     draw: () => in_field(T.calibration.magnetometer.drawing),
+  },
+  {
+    key: "mounting",
+    polled: ["sample.status", ...FORCE, ...MOUNTING],
+    draw: () => mounted(false, T.calibration.mounting.drawing),
   },
   {key: "lever_arm", start: "start_held", ...LEVER, draw: () => about_a_point(T.calibration.lever_arm.drawing)},
 ];
@@ -88,7 +104,47 @@ function bar(name, properties) {
   };
 }
 
-/** What is shown while a procedure runs: {element, show(values)}, values by member. */
+/* One for each position or pose that is wanted, with those that are done. */
+function show_dots(dots, done, wanted) {
+  if (dots.children.length === wanted && dots.dataset.done === String(done)) return;
+  dots.dataset.done = done;
+  fill(
+    dots,
+    Array.from({length: wanted}, (_, i) => h("li", {class: i < done ? "done" : ""}))
+  );
+}
+
+const guide_layout = (drawing, ...text) =>
+  h("div", {class: "guide"}, drawing, h("div", {class: "guide-text"}, ...text));
+
+/** What is shown while the two poses of the mounting are taken: {element, show(state, poses)}, state as of
+ * Poses.take(). */
+function pose_guide() {
+  const what = h("p", {class: "now", role: "status"}),
+    drawing = h("div", {class: "big-drawing"}),
+    dots = h("ol", {class: "dots", "aria-hidden": "true"});
+  const progress = bar(T.calibration.progress),
+    raised = bar(T.calibration.raised);
+  let pose = null;
+  return {
+    element: guide_layout(drawing, what, dots, progress.element, raised.element),
+    show(state, poses) {
+      if (pose !== poses.done.length) {
+        pose = poses.done.length;
+        const {drawing: level, raised_drawing} = T.calibration.mounting;
+        fill(drawing, mounted(pose > 0, pose ? raised_drawing : level));
+        raised.element.hidden = pose === 0;
+      }
+      show_dots(dots, pose, 2);
+      progress.show(poses.count / READINGS);
+      raised.show(poses.raised_deg / 90, `${fixed(poses.raised_deg, 0)}°`);
+      const hint = {moving: T.calibration.moving, still: T.calibration.still}[state] ?? "";
+      say(what, `${pose ? T.calibration.raise : T.calibration.level} ${hint}`);
+    },
+  };
+}
+
+/** What is shown while a procedure of the node runs: {element, show(values)}, values by member. */
 function guide(procedure) {
   const what = h("p", {class: "now", role: "status"}),
     drawing = h("div", {class: "big-drawing"});
@@ -104,17 +160,11 @@ function guide(procedure) {
   if (procedure.key === "magnetometer") bars.push((coverage = bar(T.calibration.coverage)));
   if (procedure.key === "lever_arm") bars.push(...(sigma = AXES.map((axis) => bar(T.calibration.certainty(axis)))));
   return {
-    element: h(
-      "div",
-      {class: "guide"},
+    element: guide_layout(
       drawing,
-      h(
-        "div",
-        {class: "guide-text"},
-        what,
-        dots,
-        bars.map((b) => b.element)
-      )
+      what,
+      dots,
+      bars.map((b) => b.element)
     ),
     show(v) {
       progress.show((v.progress ?? 0) / 100);
@@ -123,13 +173,7 @@ function guide(procedure) {
           side = v.next_side;
           fill(drawing, side_up(side, T.calibration.side_drawing(T.calibration.sides[side] ?? "")));
         }
-        if (dots.children.length !== v.positions_wanted || dots.dataset.done !== String(v.positions)) {
-          dots.dataset.done = v.positions;
-          fill(
-            dots,
-            Array.from({length: v.positions_wanted}, (_, i) => h("li", {class: i < v.positions ? "done" : ""}))
-          );
-        }
+        show_dots(dots, v.positions, v.positions_wanted);
         say(
           what,
           T.calibration.hold(v.positions, v.positions_wanted, T.calibration.sides[side] ?? T.calibration.sides[0])
@@ -159,28 +203,36 @@ function guide(procedure) {
   };
 }
 
-/** The result as a table; values by member. */
+const line = (name, cells, unit) =>
+  h(
+    "tr",
+    {},
+    h("th", {scope: "row"}, name),
+    cells.map((cell) => h("td", {class: "number"}, cell)),
+    h("td", {class: "unit"}, unit)
+  );
+const table = (...lines) => h("table", {class: "result"}, h("tbody", {}, ...lines));
+
+/** What Poses.result() has, and the mounting before, as a table. */
+function mounting_table(found, before) {
+  return table(
+    ANGLES.map((angle, i) =>
+      line(T.calibration.angles[angle], [fixed(found.angles[i], 2)], `° (${T.calibration.was(fixed(before[i], 2))})`)
+    ),
+    line(T.calibration.tilt_sigma, [fixed(found.tilt, 3)], "°"),
+    line(T.calibration.heading_sigma, [fixed(found.heading, 3)], "°"),
+    line(T.calibration.apart, [fixed(found.apart, 1)], "°")
+  );
+}
+
+/** The result of a procedure of the node as a table; values by member. */
 function result_table(procedure, v) {
-  const line = (name, cells, unit) =>
-    h(
-      "tr",
-      {},
-      h("th", {scope: "row"}, name),
-      cells.map((cell) => h("td", {class: "number"}, cell)),
-      h("td", {class: "unit"}, unit)
-    );
   if (procedure.key === "lever_arm")
-    return h(
-      "table",
-      {class: "result"},
-      h(
-        "tbody",
-        {},
-        AXES.map((axis) =>
-          line(axis, [`${fixed(1e3 * v[axis], 2)} ± ${fixed(1e3 * v[`sigma_${axis}`], 2)}`], "mm (1 sigma)")
-        ),
-        line(T.calibration.residual, [fixed(v.residual, 3)], "m/s² RMS")
-      )
+    return table(
+      AXES.map((axis) =>
+        line(axis, [`${fixed(1e3 * v[axis], 2)} ± ${fixed(1e3 * v[`sigma_${axis}`], 2)}`], "mm (1 sigma)")
+      ),
+      line(T.calibration.residual, [fixed(v.residual, 3)], "m/s² RMS")
     );
   const unit = {gyro: "rad/s", magnetometer: "µT"}[procedure.key] ?? "m/s²",
     rows = [];
@@ -198,7 +250,7 @@ function result_table(procedure, v) {
     )
   );
   if (v.temperature > -300) rows.push(line(T.calibration.temperature, [fixed(v.temperature, 1)], "°C"));
-  return h("table", {class: "result"}, h("tbody", {}, rows));
+  return table(rows);
 }
 
 export function calibration_view(ctx, node) {
@@ -207,7 +259,8 @@ export function calibration_view(ctx, node) {
     stage = h("div", {class: "stage", hidden: true});
   let active = null,
     view = null,
-    last = null;
+    last = null,
+    poses = null; /* of the mounting */
 
   const named = (values) => {
     const v = {};
@@ -234,7 +287,8 @@ export function calibration_view(ctx, node) {
   }
   function run(procedure) {
     active = procedure;
-    view = guide(procedure);
+    view = procedure.record ? guide(procedure) : pose_guide();
+    if (!procedure.record) view.show("", poses);
     last = RUNNING;
     show_stage(
       procedure,
@@ -244,32 +298,25 @@ export function calibration_view(ctx, node) {
         "div",
         {class: "actions"},
         button(T.calibration.abort, async () => {
-          await command(procedure, "abort");
+          if (procedure.record) await command(procedure, "abort");
           show_cards();
         })
       )
     );
     ctx.bus
-      .request("poll", {
-        node: id,
-        hz: POLL_HZ,
-        objects: [
-          ...procedure.members.map((member) => `${procedure.record}.${member}`),
-          ...(procedure.key === "lever_arm" ? RATES : []),
-        ],
-      })
+      .request("poll", {node: id, hz: POLL_HZ, objects: procedure.polled})
       .catch((error) => ctx.toast(error.message, "bad"));
   }
   async function start(procedure) {
-    if (await command(procedure, procedure.start)) run(procedure);
+    poses = new Poses();
+    if (!procedure.record || (await command(procedure, procedure.start))) run(procedure);
   }
-  async function done(procedure) {
-    const {values} = await ctx.bus.request("read", {node: id, objects: [procedure.record]});
-    const v = named(values);
-    const accept = button(
+  /* accept(), discard() promise whether it was done. */
+  function offer(procedure, result, accept, discard) {
+    const agree = button(
       T.calibration.accept,
       async () => {
-        if (!(await command(procedure, procedure.accept))) return;
+        if (!(await accept())) return;
         show_stage(
           procedure,
           h("p", {class: "good", role: "status"}, T.calibration.accepted),
@@ -292,17 +339,50 @@ export function calibration_view(ctx, node) {
     show_stage(
       procedure,
       h("p", {class: "good", role: "status"}, T.calibration.result),
-      result_table(procedure, v),
+      result,
       h(
         "div",
         {class: "actions"},
-        accept,
+        agree,
         button(T.calibration.discard, async () => {
-          if (await command(procedure, procedure.discard)) show_cards();
+          if (await discard()) show_cards();
         })
       )
     );
-    accept.focus();
+    agree.focus();
+  }
+  async function done(procedure) {
+    const {values} = await ctx.bus.request("read", {node: id, objects: [procedure.record]});
+    offer(
+      procedure,
+      result_table(procedure, named(values)),
+      () => command(procedure, procedure.accept),
+      () => command(procedure, procedure.discard)
+    );
+  }
+  async function write_mounting(angles) {
+    for (const [i, object] of MOUNTING.entries())
+      if (!(await ctx.act("write", {node: id, object, value: angles[i]}))) return false;
+    return true;
+  }
+  function take_pose(procedure, values) {
+    const found = new Map(values.map((v) => [v.name, v])),
+      numbers = (names) => names.map((name) => found.get(name)?.value);
+    const force = numbers(FORCE),
+      before = numbers(MOUNTING),
+      status = found.get("sample.status")?.words;
+    if (!status || ![...force, ...before].every(Number.isFinite)) return;
+    view.show(poses.take(force, before, status.includes("rest")), poses);
+    if (poses.done.length < 2) return;
+    last = DONE;
+    end_poll();
+    const result = poses.result();
+    offer(
+      procedure,
+      mounting_table(result, before),
+      () => write_mounting(result.angles),
+      () => true
+    );
   }
   function refused(procedure, v) {
     const word = v.verdict_word ?? String(v.verdict);
@@ -323,6 +403,10 @@ export function calibration_view(ctx, node) {
   };
   const stop_polling = ctx.bus.on("poll", (event) => {
     if (event.node !== id || !active) return;
+    if (!active.record) {
+      if (last === RUNNING) take_pose(active, event.values);
+      return;
+    }
     const v = named(event.values),
       state = v.state_word;
     if (state === RUNNING) view.show(v);

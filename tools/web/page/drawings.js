@@ -1,6 +1,6 @@
 /* Drawings for the calibrations, as SVG: what to do with the sensor. Colours come from the style sheet. */
 import {svg} from "./dom.js";
-import {apply, dot, norm, times} from "./rotation.js";
+import {apply, dot, from_angles, norm, product, times} from "./rotation.js";
 
 const picture = (title, ...children) =>
   svg("svg", {viewBox: "0 0 200 150", class: "drawing", role: "img", "aria-label": title}, ...children);
@@ -69,51 +69,53 @@ function towards_eye(r) {
 }
 
 const SIZE = [1, 0.72, 0.14];
+const SIGNS = [
+  [-1, -1],
+  [1, -1],
+  [1, 1],
+  [-1, 1],
+];
 
-function board(r, centre, scale) {
+function shape(corners, centre, scale, name) {
+  const points = corners.map((p) =>
+    flat(p, centre, scale)
+      .map((v) => v.toFixed(1))
+      .join()
+  );
+  return svg("polygon", {points: points.join(" "), class: name});
+}
+
+/* The faces of a box that are seen; names of those above, below and at the sides. */
+function box(r, centre, scale, size, [above, below, side]) {
   const faces = [];
   for (const axis of [0, 1, 2])
     for (const sign of [1, -1]) {
       const [u, v] = [0, 1, 2].filter((i) => i !== axis);
-      const corners = [
-        [-1, -1],
-        [1, -1],
-        [1, 1],
-        [-1, 1],
-      ].map(([a, b]) => {
-        const p = [0, 0, 0];
-        p[axis] = sign * SIZE[axis];
-        p[u] = a * SIZE[u];
-        p[v] = b * SIZE[v];
-        return apply(r, p);
-      });
       const normal = apply(
         r,
         [0, 1, 2].map((i) => (i === axis ? sign : 0))
       );
-      if (dot(normal, OUT) > 0) faces.push({corners, name: axis === 2 ? (sign > 0 ? "board" : "under") : "edge"});
+      if (dot(normal, OUT) <= 0) continue;
+      const corners = SIGNS.map(([a, b]) => {
+        const p = [0, 0, 0];
+        p[axis] = sign * size[axis];
+        p[u] = a * size[u];
+        p[v] = b * size[v];
+        return apply(r, p);
+      });
+      faces.push(shape(corners, centre, scale, axis !== 2 ? side : sign > 0 ? above : below));
     }
-  const shape = (corners, name) =>
-    svg("polygon", {
-      points: corners
-        .map((p) =>
-          flat(p, centre, scale)
-            .map((v) => v.toFixed(1))
-            .join()
-        )
-        .join(" "),
-      class: name,
-    });
-  const out = faces.map(({corners, name}) => shape(corners, name));
+  return faces;
+}
+
+function board(r, centre, scale) {
+  const out = box(r, centre, scale, SIZE, ["board", "under", "edge"]);
   if (dot(apply(r, [0, 0, 1]), OUT) > 0) {
     const patch = (x, y, a, b, name) =>
       shape(
-        [
-          [x - a, y - b],
-          [x + a, y - b],
-          [x + a, y + b],
-          [x - a, y + b],
-        ].map(([p, q]) => apply(r, [p, q, SIZE[2]])),
+        SIGNS.map(([p, q]) => apply(r, [x + p * a, y + q * b, SIZE[2]])),
+        centre,
+        scale,
         name
       );
     out.push(patch(0, 0, 0.22, 0.22, "chip"));
@@ -207,5 +209,24 @@ export function about_a_point(title) {
     path("M32 92a60 60 0 0 1 44 -62", "turn"),
     arrow_head(71, 33, -0.5),
     text(84, 82, "r", "word arm-word")
+  );
+}
+
+const OBJECT = [1.1, 0.7, 0.28];
+
+/** An object with a sensor mounted askew on it: level, or with its front raised about s, on its rear edge. */
+export function mounted(raised, title) {
+  const r = from_angles(0, raised ? -40 : 0, -32),
+    scale = 42,
+    ground = 126;
+  const stands_on = flat(apply(r, [raised ? -OBJECT[0] : 0, OBJECT[1], -OBJECT[2]]), [0, 0], scale);
+  const centre = [raised ? 112 : 106, ground - stands_on[1]],
+    top = flat(apply(r, [-0.45, 0, OBJECT[2] + 0.06]), centre, scale);
+  return picture(
+    title,
+    path(`M14 ${ground}h172`, "ground"),
+    ...box(r, centre, scale, OBJECT, ["object-top", "object-under", "object-side"]),
+    ...board(product(r, from_angles(0, 0, 35)), top, 0.38 * scale),
+    ...axes(r, centre, scale * (raised ? 0.85 : 0.95), ["l", "s", "t"])
   );
 }

@@ -299,6 +299,27 @@ export const T = {
       result: "Gives hard and soft iron.",
       drawing: "The board is turned in the magnetic field",
     },
+    mounting: {
+      title: "Mounting",
+      what:
+        "Put the object level, as it stands in use, and let it rest. Then raise its front (the axis l) by 30 to 90 " +
+        "degrees about its side axis s, and let it rest again. 7 seconds each.",
+      result:
+        "Gives roll, pitch and yaw of the sensor in the object. Calibrate the accelerometer first, identify the lever " +
+        "arm afterwards.",
+      drawing: "An object with a sensor mounted askew stands level",
+      raised_drawing: "The front of the object is raised about its side axis s",
+    },
+    level: "Put the object level, as it stands in use, and let it rest.",
+    raise: "Raise the front of the object (l) by 30 to 90 degrees, turned about s only, and let it rest.",
+    raised: "Raised",
+    still: "Good: let it rest.",
+    moving: "It moves: hold it still.",
+    angles: {roll: "Roll", pitch: "Pitch", yaw: "Yaw"},
+    was: (angle) => `was ${angle}`,
+    tilt_sigma: "1 sigma of tilt",
+    heading_sigma: "1 sigma of heading",
+    apart: "Poses apart",
     lever_arm: {
       title: "Lever arm",
       what:

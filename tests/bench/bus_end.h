@@ -1,8 +1,8 @@
-/* tests/bench/udp_end.h
+/* tests/bench/bus_end.h
  * What the benchmarks on the udp bus share: a master's end of the bus that receives one kind of frame, medians, and the
- * processor to run on. Times are us of CLOCK_MONOTONIC. */
-#ifndef TESTS_BENCH_UDP_END_H
-#define TESTS_BENCH_UDP_END_H
+ * processor to run on. The same end of a CAN interface. Times are us of CLOCK_MONOTONIC. */
+#ifndef TESTS_BENCH_BUS_END_H
+#define TESTS_BENCH_BUS_END_H
 
 #include <netinet/in.h>
 #include <stdbool.h>
@@ -13,7 +13,8 @@
 
 struct end {
 	int fd;
-	struct sockaddr_in group;
+	bool can;
+	struct sockaddr_in group; /* of udp */
 };
 
 /** Ends the program with the text of errno. */
@@ -21,10 +22,13 @@ _Noreturn void fail(const char *what);
 double now_us(void);
 void use_processor(unsigned number);
 
+enum { END_SENDS = 0 /* and receives nothing */, END_RECEIVES_ALL = 0x800 }; /* in place of a mask */
+
 /** On the interface lo. The kernel drops all frames but those whose identifier is `id` under this mask, so that others
- * do not delay the master; mask 0: the end only sends. The bits of the mask include 700h, or the identifier is below
- * 100h. */
+ * do not delay the master. The bits of the mask include 700h, or the identifier is below 100h. */
 struct end open_end(const char *group, uint16_t port, uint32_t id, uint32_t mask);
+/** The same on a CAN interface, for any identifier. */
+struct end open_can_end(const char *interface, uint32_t id, uint32_t mask);
 void put_bytes(const struct end *end, const void *bytes, size_t size);
 void put(const struct end *end, uint32_t id, const void *data, size_t len);
 /** False: nothing was received for so long. */

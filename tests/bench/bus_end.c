@@ -1,7 +1,9 @@
-#include "tests/bench/udp_end.h"
+#include "tests/bench/bus_end.h"
 
 #include <arpa/inet.h>
 #include <errno.h>
+#include <linux/can.h>
+#include <linux/can/raw.h>
 #include <linux/filter.h>
 #include <net/if.h>
 #include <poll.h>
@@ -11,6 +13,7 @@
 #include <string.h>
 #include <sys/socket.h>
 #include <time.h>
+#include <unistd.h>
 
 #include "drivers/can/udp_codec.h"
 
@@ -59,22 +62,42 @@ static void receive_only(int fd, uint32_t id, uint32_t mask)
 		fail("filter");
 }
 
+static void join(const struct end *end, const struct ip_mreqn *member)
+{
+	int on = 1;
+
+	setsockopt(end->fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
+	if (bind(end->fd, (const struct sockaddr *)&end->group, sizeof(end->group)) < 0 ||
+		setsockopt(end->fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, member, sizeof(*member)) < 0)
+		fail("udp bus");
+}
+
 struct end open_end(const char *group, uint16_t port, uint32_t id, uint32_t mask)
 {
 	struct end end = {.fd = socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0),
 		.group = {.sin_family = AF_INET, .sin_port = htons(port), .sin_addr.s_addr = inet_addr(group)}};
 	struct ip_mreqn member = {.imr_multiaddr = end.group.sin_addr, .imr_ifindex = (int)if_nametoindex("lo")};
-	int on = 1;
 
 	if (end.fd < 0 || setsockopt(end.fd, IPPROTO_IP, IP_MULTICAST_IF, &member, sizeof(member)) < 0)
 		fail("socket");
-	if (mask == 0)
+	if (mask == END_SENDS)
 		return end;
-	receive_only(end.fd, id, mask);
-	setsockopt(end.fd, SOL_SOCKET, SO_REUSEADDR, &on, sizeof(on));
-	if (bind(end.fd, (struct sockaddr *)&end.group, sizeof(end.group)) < 0 ||
-		setsockopt(end.fd, IPPROTO_IP, IP_ADD_MEMBERSHIP, &member, sizeof(member)) < 0)
-		fail("udp bus");
+	if (mask != END_RECEIVES_ALL)
+		receive_only(end.fd, id, mask);
+	join(&end, &member);
+	return end;
+}
+
+struct end open_can_end(const char *interface, uint32_t id, uint32_t mask)
+{
+	struct end end = {.fd = socket(PF_CAN, SOCK_RAW | SOCK_CLOEXEC, CAN_RAW), .can = true};
+	struct sockaddr_can address = {.can_family = AF_CAN, .can_ifindex = (int)if_nametoindex(interface)};
+	struct can_filter filter = {.can_id = id, .can_mask = mask == END_RECEIVES_ALL ? 0 : mask | CAN_EFF_FLAG};
+
+	if (end.fd < 0 || address.can_ifindex == 0 ||
+		bind(end.fd, (const struct sockaddr *)&address, sizeof(address)) < 0 ||
+		setsockopt(end.fd, SOL_CAN_RAW, CAN_RAW_FILTER, &filter, mask == END_SENDS ? 0 : sizeof(filter)) < 0)
+		fail(interface);
 	return end;
 }
 
@@ -85,13 +108,40 @@ void put_bytes(const struct end *end, const void *bytes, size_t size)
 			fail("send");
 }
 
+static void put_can(const struct end *end, uint32_t id, const void *data, size_t len)
+{
+	struct can_frame frame = {.can_id = id, .len = (uint8_t)len};
+
+	memcpy(frame.data, data, len);
+	while (write(end->fd, &frame, sizeof(frame)) < 0)
+		if (errno != ENOBUFS && errno != EAGAIN)
+			fail("send");
+}
+
 void put(const struct end *end, uint32_t id, const void *data, size_t len)
 {
+	if (end->can) {
+		put_can(end, id, data, len);
+		return;
+	}
+
 	struct can_msg msg = {.id = id, .len = (uint8_t)len};
 	char bytes[CAN_UDP_MAX];
 
 	memcpy(msg.data, data, len);
 	put_bytes(end, bytes, can_udp_encode(&msg, bytes));
+}
+
+static int decode_can(const char *bytes, size_t size, struct can_msg *msg)
+{
+	struct can_frame frame;
+
+	if (size != sizeof(frame))
+		return -1;
+	memcpy(&frame, bytes, sizeof(frame));
+	*msg = (struct can_msg){.id = frame.can_id, .len = frame.len};
+	memcpy(msg->data, frame.data, frame.len);
+	return 0;
 }
 
 bool get(const struct end *end, struct can_msg *msg, int timeout_ms)
@@ -103,7 +153,8 @@ bool get(const struct end *end, struct can_msg *msg, int timeout_ms)
 	if (poll(&p, 1, timeout_ms) != 1)
 		return false;
 	size = recv(end->fd, bytes, sizeof(bytes), 0);
-	if (size < 0 || can_udp_decode(bytes, (size_t)size, msg) < 0)
+	if (size < 0 ||
+		(end->can ? decode_can(bytes, (size_t)size, msg) : can_udp_decode(bytes, (size_t)size, msg)) < 0)
 		fail("receive");
 	return true;
 }
