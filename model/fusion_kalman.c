@@ -339,7 +339,7 @@ void fusion_kalman_set_north(
 	set_variance(k, HEADING, field_heading_variance(k, config, field_n_uT.x, field_n_uT.y));
 	follow_by_offset(k, q_nb, field_n_uT, 1);
 	keep_turns(k, 0);
-	k->norm_uT = 0; /* the next field becomes the reference */
+	k->norm_uT = k->rest_field_s = 0; /* the next field becomes the reference */
 	k->north_from_field = true;
 }
 
@@ -351,7 +351,7 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
 	keep_turns(k, 0);
-	k->norm_uT = 0;
+	k->norm_uT = k->rest_field_s = 0;
 	k->north_unknown = true;
 	k->north_from_field = k->north_on_trial = false;
 	clear_sums(k);
@@ -359,10 +359,11 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 
 /* P = F P with the state transition F: attitude += rotation_rate scale - rotation bias, velocity += attitude x force -
  * rotation accelerometer bias. An error of the attitude turns the accelerometer's velocity and the lever arm's share of
- * it alike, so `force` is the integrated force at the reference point. */
+ * it alike, so `force` is the integrated force at the reference point. An error of the heading turns the velocity, too,
+ * which only a velocity from outside shows: one of zero is zero in any direction. */
 static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 {
-	const double cross[6] = {0, f.z, -f.y, -f.z, 0, f.x};
+	const double shown = k->aided_velocity_s > 0, cross[6] = {0, f.z, -shown * f.y, -f.z, 0, shown * f.x};
 	double *p = k->covariance[0];
 
 	kalman_add_rows(STATES, p, 0, 3, -1, k->sums.rotation_s[0], BIAS);
@@ -836,6 +837,7 @@ void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 
 bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	double innovation_rad, double variance_rad2, struct quat *q_nb, struct gyro_errors *gyro_errors)
+	k->rest_field_s = 0;
 {
 	double error[STATES] = {0}, innovation_variance = k->covariance[HEADING][HEADING] + variance_rad2;
 
