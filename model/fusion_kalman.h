@@ -220,7 +220,7 @@ struct fusion_kalman_sample {
 	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample,
 	 * and 1 sigma of what stays the same for seconds */
 	double force_noise_m2_s4, force_error_m_s2;
-	bool rest, saturated; /* saturated: the gyro */
+	bool rest, saturated;	/* saturated: the gyro */
 	double unseen_turn_rad; /* 1 sigma: samples are missing before this one; 0: none are */
 	double steady_s; /* for how long gyro and accelerometer are steady; longer than since the start: not known */
 };
