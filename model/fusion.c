@@ -23,8 +23,8 @@ static const double GAP_INTERVALS = 2.5, GAP_MOST_S = 0.5;
 /* rad/s and rad/s^2, 1 sigma of a turn in a gap beside what the rates before and after it tell. By judgement: a hand or
  * a robot. */
 static const double UNSEEN_RAD_S = 1, UNSEEN_RAD_S2 = 8;
-/* s. Derived: the mean of the rates at both ends of a gap T is off by (2 pi f T)^2 / 12 of the rate in a motion with the
- * frequency f; by all of it at 1 Hz and that time. */
+/* s. Derived: the mean of the rates at both ends of a gap T is off by (2 pi f T)^2 / 12 of the rate in a motion with
+ * the frequency f; by all of it at 1 Hz and that time. */
 static const double UNSEEN_S = 0.55;
 
 static bool within(double value, double high)
