@@ -20,6 +20,12 @@ static const double GAP_S = 0.1;
 /* Usual intervals, and s, below which there is none. By judgement: two samples are missing; a sensor of less than 5
  * samples a second tells nothing about what was between two of them. */
 static const double GAP_INTERVALS = 2.5, GAP_MOST_S = 0.5;
+/* rad/s and rad/s^2, 1 sigma of a turn in a gap beside what the rates before and after it tell. By judgement: a hand or
+ * a robot. */
+static const double UNSEEN_RAD_S = 1, UNSEEN_RAD_S2 = 8;
+/* s. Derived: the mean of the rates at both ends of a gap T is off by (2 pi f T)^2 / 12 of the rate in a motion with
+ * the frequency f; by all of it at 1 Hz and that time. */
+static const double UNSEEN_S = 0.55;
 
 static bool within(double value, double high)
 {
@@ -62,8 +68,9 @@ int fusion_configure(struct fusion *f, const struct fusion_config *config)
 	return 0;
 }
 
-void fusion_restart(struct fusion *f)
+void fusion_restart(struct fusion *f, double gap_s)
 {
+	fusion_kalman_doubt_attitude(&f->kalman, UNSEEN_RAD_S * gap_s);
 	f->started = false;
 	f->north_known = false;
 }
@@ -207,12 +214,19 @@ static void correct_by_error(struct fusion *f, const struct imu_sample *sample, 
 	f->q_nb = quat_normalize(quat_multiply(f->q_nb, (struct quat){1, half.x, half.y, half.z}));
 }
 
-static bool is_gap(const struct fusion *f, double dt_s)
+/* 1 sigma of the turn between two samples beside that by the mean of their rates; 0: it is not a gap. What turns and
+ * stands again at its end has half the time to accelerate. */
+static double unseen_turn_rad(const struct fusion *f, struct vec3 before_b_rad_s, struct vec3 now_b_rad_s, double dt_s)
 {
-	return dt_s > fmax(GAP_S, fmin(GAP_MOST_S, GAP_INTERVALS * f->config.interval_s));
+	double rate_rad_s = fmax(vec3_norm(before_b_rad_s), vec3_norm(now_b_rad_s)), share = dt_s / UNSEEN_S;
+
+	if (dt_s <= fmax(GAP_S, fmin(GAP_MOST_S, GAP_INTERVALS * f->config.interval_s)))
+		return 0;
+	return dt_s * hypot(rate_rad_s * fmin(1, share * share), fmin(UNSEEN_RAD_S, UNSEEN_RAD_S2 / 4 * dt_s));
 }
 
-static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample, struct vec3 rate_b_rad_s, double dt_s)
+static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample, struct vec3 before_b_rad_s,
+	struct vec3 rate_b_rad_s, double dt_s)
 {
 	bool field = f->config.use_magnetometer && (sample->flags & SAMPLE_MAG) && vec3_finite(sample->mag_uT);
 	struct fusion_kalman_sample s = {
@@ -226,7 +240,7 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 		.saturated = sample->flags & SAMPLE_SATURATED,
 		.force_noise_m2_s4 = f->force_noise_m2_s4,
 		.force_error_m_s2 = f->force_error_m_s2,
-		.gap = is_gap(f, dt_s),
+		.unseen_turn_rad = unseen_turn_rad(f, before_b_rad_s, rate_b_rad_s, dt_s),
 	};
 
 	if (!f->north_known && !fusion_kalman_field_disagrees(&f->kalman))
@@ -236,18 +250,10 @@ static void correct_by_kalman(struct fusion *f, const struct imu_sample *sample,
 	f->kalman.north_lost = false;
 }
 
-static struct vec3 rotation_since_last(const struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s)
-{
-	struct vec3 now = fusion_rate_b(f, gyro_b_rad_s);
-
-	return is_gap(f, dt_s) ? vec3_scale(dt_s, now)
-			       : rotation_between(fusion_rate_b(f, f->last_gyro_b_rad_s), now, dt_s);
-}
-
 /* The gyro comes first, so that prediction and measurement are of the same moment. */
 void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 {
-	struct vec3 up, rate = fusion_rate_b(f, sample->gyro_rad_s);
+	struct vec3 up, before = fusion_rate_b(f, f->last_gyro_b_rad_s), rate = fusion_rate_b(f, sample->gyro_rad_s);
 
 	if (!f->started) {
 		f->last_gyro_b_rad_s = sample->gyro_rad_s;
@@ -257,10 +263,10 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 		field_error(f, sample, dt_s);
 		return;
 	}
-	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(rotation_since_last(f, sample->gyro_rad_s, dt_s)));
+	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(rotation_between(before, rate, dt_s)));
 	f->last_gyro_b_rad_s = sample->gyro_rad_s;
 	if (f->config.algorithm == FUSION_KALMAN)
-		correct_by_kalman(f, sample, rate, dt_s);
+		correct_by_kalman(f, sample, before, rate, dt_s);
 	else
 		correct_by_error(f, sample, dt_s);
 	f->resting = false;

@@ -69,8 +69,8 @@ int fusion_init(struct fusion *f, const struct fusion_config *config);
 int fusion_configure(struct fusion *f, const struct fusion_config *config);
 
 /** The next sample initialises the attitude: the tilt by the accelerometer, the heading by the magnetometer or, without
- * one, as it was before. The gyro errors stay. */
-void fusion_restart(struct fusion *f);
+ * one, as it was before, but for what it may have turned in the gap_s without samples. The gyro errors stay. */
+void fusion_restart(struct fusion *f, double gap_s);
 /** The object frame itself was turned (a new mounting): v_new = R(turn) v_old. */
 void fusion_turn_object(struct fusion *f, struct quat turn);
 

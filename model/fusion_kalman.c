@@ -49,6 +49,8 @@ static const double TILT_NOISE = 0.09 * RAD_PER_DEG, HEADING_NOISE = 0.12 * RAD_
 static const double GYRO_ERROR_TIME_S = 0.3;
 /* 1 sigma of the rate beyond the end of the gyro's range, as a share of the range. By judgement. */
 static const double SATURATED_SHARE = 0.5;
+/* m/s^2, 1 sigma of the acceleration during missing samples. By judgement, as in navigation.c: a quick robot. */
+static const double GAP_ACCEL_M_S2 = 2;
 /* s, in which the scale's variance returns to its start (10 hours). By judgement: temperature and ageing. */
 static const double SCALE_TIME_S = 36000;
 /* rad/s, limit of the bias estimate, all axes together. Datasheet: zero-rate level of the L3GD20 at 2000 deg/s, up to
@@ -285,7 +287,9 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 
 	for (int i = 0; i < HEADING; i++)
 		set_variance(k, i, squared(tilt));
-	set_variance(k, HEADING, squared(config->heading_sigma_rad));
+	set_variance(k, HEADING,
+		fmax(squared(config->heading_sigma_rad),
+			fmin(squared(UNKNOWN_HEADING_RAD), k->covariance[HEADING][HEADING])));
 	keep_turns(k, 0);
 	reset_velocity(k);
 	if (k->covariance[BIAS][BIAS] == 0)
@@ -339,7 +343,7 @@ void fusion_kalman_set_north(
 	set_variance(k, HEADING, field_heading_variance(k, config, field_n_uT.x, field_n_uT.y));
 	follow_by_offset(k, q_nb, field_n_uT, 1);
 	keep_turns(k, 0);
-	k->norm_uT = 0; /* the next field becomes the reference */
+	k->norm_uT = k->rest_field_s = 0; /* the next field becomes the reference */
 	k->north_from_field = true;
 }
 
@@ -351,7 +355,7 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
 	keep_turns(k, 0);
-	k->norm_uT = 0;
+	k->norm_uT = k->rest_field_s = 0;
 	k->north_unknown = true;
 	k->north_from_field = k->north_on_trial = false;
 	clear_sums(k);
@@ -359,10 +363,11 @@ void fusion_kalman_set_attitude(struct fusion_kalman *k, const struct fusion_kal
 
 /* P = F P with the state transition F: attitude += rotation_rate scale - rotation bias, velocity += attitude x force -
  * rotation accelerometer bias. An error of the attitude turns the accelerometer's velocity and the lever arm's share of
- * it alike, so `force` is the integrated force at the reference point. */
+ * it alike, so `force` is the integrated force at the reference point. An error of the heading turns the velocity, too,
+ * which only a velocity from outside shows: one of zero is zero in any direction. */
 static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 {
-	const double cross[6] = {0, f.z, -f.y, -f.z, 0, f.x};
+	const double shown = k->aided_velocity_s > 0, cross[6] = {0, f.z, -shown * f.y, -f.z, 0, shown * f.x};
 	double *p = k->covariance[0];
 
 	kalman_add_rows(STATES, p, 0, 3, -1, k->sums.rotation_s[0], BIAS);
@@ -832,6 +837,7 @@ void fusion_kalman_set_heading(struct fusion_kalman *k, double variance_rad2)
 	k->north_from_field = k->north_on_trial = false;
 	k->aided_heading_s = AID_S;
 	k->heading_rejections = 0;
+	k->rest_field_s = 0;
 }
 
 bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalman_config *config,
@@ -969,15 +975,35 @@ static void add_rotation(struct fusion_kalman *k, struct quat q, struct vec3 rat
 		}
 }
 
-/* Over missing samples the turn is uncertain by the rate times the gap, and the velocity is unknown. Only this sample
- * is used. */
-static void skip_gap(struct fusion_kalman *k, struct vec3 rate_b_rad_s, double dt_s)
+void fusion_kalman_doubt_attitude(struct fusion_kalman *k, double turn_rad)
 {
-	double variance = fmin(1, squared(dt_s) * vec3_dot(rate_b_rad_s, rate_b_rad_s));
+	for (int i = 0; i < HEADING; i++)
+		k->covariance[i][i] += squared(fmin(turn_rad, 1));
+	k->covariance[HEADING][HEADING] += squared(fmin(turn_rad, UNKNOWN_HEADING_RAD));
+}
 
-	for (int i = 0; i <= HEADING; i++)
-		k->covariance[i][i] += variance;
-	reset_velocity(k);
+/* Over missing samples the velocity has changed, up to what is usual for this motion. Only this sample is used. A tilt
+ * that is as uncertain as at the start is found by the same force as there. */
+static void skip_gap(struct fusion_kalman *k, const struct fusion_kalman_config *config,
+	const struct fusion_kalman_sample *s, struct vec3 force_n_m_s2, double dt_s)
+{
+	double change = fmax(GAP_ACCEL_M_S2, hypot(force_n_m_s2.x, force_n_m_s2.y)) * dt_s;
+	double most = squared(config->velocity_sigma_m_s);
+
+	fusion_kalman_doubt_attitude(k, s->unseen_turn_rad);
+	if (s->unseen_turn_rad > LINEAR_HEADING_RAD)
+		lose_north(k);
+	if (s->unseen_turn_rad > START_TILT_RAD)
+		k->mean_force_s = k->since_start_s = 0;
+	for (int i = 0; i < 2; i++) {
+		double *variance = &k->covariance[VELOCITY + i][VELOCITY + i];
+
+		*variance += squared(change);
+		if (*variance < most)
+			continue;
+		k->velocity_n_m_s[i] = 0;
+		set_variance(k, VELOCITY + i, most);
+	}
 	clear_sums(k);
 	k->lever_known = false;
 	hard_iron_skip(&k->hard_iron);
@@ -1056,8 +1082,8 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	struct vec3 lever_n = quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m));
 
 	change_lever_arm(k, s, *q_nb);
-	if (s->gap) {
-		skip_gap(k, s->rate_b_rad_s, dt_s);
+	if (s->unseen_turn_rad > 0) {
+		skip_gap(k, config, s, force_n, dt_s);
 		dt_s = CORRECTION_S;
 	}
 	if (k->sums.time_s == 0)

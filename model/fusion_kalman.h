@@ -205,6 +205,9 @@ void fusion_kalman_aid_velocity(struct fusion_kalman *k, const struct fusion_kal
 	struct vec3 velocity_n_m_s, struct vec3 lever_n_m_s, double variance_m2_s2, struct quat *q_nb,
 	struct gyro_errors *gyro_errors);
 
+/** It may have turned by that much more or less while nothing was measured, 1 sigma about each axis. */
+void fusion_kalman_doubt_attitude(struct fusion_kalman *k, double turn_rad);
+
 /** The object frame was turned, v_new = R(turn) v_old. The bias turns with it, the scale is reset. */
 void fusion_kalman_turn_object(struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat turn,
 	struct gyro_errors *gyro_errors);
@@ -217,8 +220,8 @@ struct fusion_kalman_sample {
 	/* of the force's error by vibration and clipping, each axis: variance of what is white from sample to sample,
 	 * and 1 sigma of what stays the same for seconds */
 	double force_noise_m2_s4, force_error_m_s2;
-	bool rest, saturated; /* saturated: the gyro */
-	bool gap;	      /* samples are missing before this one: the velocity is unknown */
+	bool rest, saturated;	/* saturated: the gyro */
+	double unseen_turn_rad; /* 1 sigma: samples are missing before this one; 0: none are */
 	double steady_s; /* for how long gyro and accelerometer are steady; longer than since the start: not known */
 };
 

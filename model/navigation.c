@@ -862,14 +862,18 @@ void navigation_start(struct navigation *n, const struct navigation_config *conf
 	*n = fresh;
 }
 
-void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s)
+void navigation_skip(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
-	n->q_nb = q_nb;
+	struct vec3 force_n = quat_rotate(in->q_nb, in->force_b_m_s2), turned = in->attitude_variance_rad2;
+	double a_m_s2 = fmax(GAP_ACCEL_M_S2, hypot(hypot(force_n.x, force_n.y), force_n.z - in->gravity_m_s2));
+
+	n->q_nb = in->q_nb;
+	n->fusion_variance_rad2 = turned;
 	smoother_elapse(n->smoother, dt_s);
 	reset_errors(n, THETA, squared(START_ANGLE_RAD));
-	add_variance(n, V, squared(GAP_ACCEL_M_S2 * dt_s));
-	add_variance(
-		n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(GAP_ACCEL_M_S2 * dt_s)));
+	add_variances(n, THETA, turned);
+	add_variance(n, V, squared(a_m_s2 * dt_s));
+	add_variance(n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(a_m_s2 * dt_s)));
 	memset(&n->sums, 0, sizeof(n->sums));
 	rest_restart(&n->rest);
 	rope_restart(&n->rope, n->q_nb);

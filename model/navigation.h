@@ -162,8 +162,9 @@ int navigation_check(const struct navigation_config *config);
 /** Starts with the fusion's attitude; nothing else is known. The position stays. */
 void navigation_start(struct navigation *n, const struct navigation_config *config, struct quat q_nb);
 
-/** Samples are missing: the velocity stays, the attitude is the fusion's, and all is less certain. */
-void navigation_skip(struct navigation *n, struct quat q_nb, double dt_s);
+/** Samples are missing before this one: the velocity stays, attitude and its variance are the fusion's, and velocity
+ * and position are as uncertain as this acceleration makes them, for dt_s. */
+void navigation_skip(struct navigation *n, const struct navigation_input *in, double dt_s);
 
 /** One sample, dt_s > 0 after the one before. Returns true with the last one of an interval, when the covariance
  * changes. */

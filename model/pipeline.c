@@ -376,7 +376,6 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	struct imu_sample used = *s; /* its flag says that the gyro is saturated */
 
 	if (!p->primed) {
-		rest_restart(&p->rest);
 		vibration_skip(&p->vibration);
 	}
 	vibration_step(&p->vibration, s->accel_m_s2, s->gyro_rad_s, s->flags & SAMPLE_SATURATED, dt_s);
@@ -394,7 +393,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
 	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
-		fusion_restart(&p->fusion);
+		fusion_restart(&p->fusion, dt_s);
 	if (!fusion_started(&p->fusion) && ready_to_start(p, &used, dt_s)) {
 		fusion_step(&p->fusion, &used, dt_s);
 		p->primed = false; /* until now there was no global frame */
@@ -520,8 +519,9 @@ static struct vec3 fusion_bias_variance(const struct pipeline *p)
 	return (struct vec3){k->covariance[i][i], k->covariance[i + 1][i + 1], k->covariance[i + 2][i + 2]};
 }
 
-/* Velocity and position of the reference point, when there is no gap. */
-static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, double dt_s)
+/* Velocity and position of the reference point. */
+static void locate(
+	struct pipeline *p, const struct imu_sample *s, struct vec3 accel_n_m_s2, bool rest, bool gap, double dt_s)
 {
 	const struct navigation_input in = {
 		.gyro_b_rad_s = s->gyro_rad_s,
@@ -535,7 +535,9 @@ static void locate(struct pipeline *p, const struct imu_sample *s, struct vec3 a
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
 	};
 
-	if (p->config.position.mode != POSITION_NAVIGATION)
+	if (gap)
+		position_skip(&p->position, &in, accel_n_m_s2, p->rate_hz, dt_s);
+	else if (p->config.position.mode != POSITION_NAVIGATION)
 		position_step(&p->position, accel_n_m_s2, rest, dt_s);
 	else if (fusion_started(&p->fusion))
 		position_navigate(&p->position, &in, p->config.estimator.lever_arm_b_m, p->rate_hz, dt_s);
@@ -666,10 +668,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	else
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
 	accel = estimate(p, s.accel_m_s2, dt_s);
-	if (gap)
-		position_skip(&p->position, accel, p->fusion.q_nb, dt_s);
-	else
-		locate(p, &s, accel, rest, dt_s);
+	locate(p, &s, accel, rest, gap, dt_s);
 	remember_most(p, &s, force, dt_s);
 	p->last_t_us = s.t_us;
 	p->last_gyro_b_rad_s = s.gyro_rad_s;

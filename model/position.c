@@ -160,10 +160,13 @@ void position_navigate(
 	p->accel_n_m_s2 = (struct vec3){0, 0, 0};
 }
 
-void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_nb, double dt_s)
+void position_skip(
+	struct position *p, const struct navigation_input *in, struct vec3 accel_n_m_s2, double rate_hz, double dt_s)
 {
-	if (p->navigation.started)
-		navigation_skip(&p->navigation, q_nb, dt_s);
+	if (p->navigation.started) {
+		navigation_skip(&p->navigation, in, dt_s);
+		p->sigma = navigation_sigma(&p->navigation, rate_hz);
+	}
 	p->accel_n_m_s2 = accel_n_m_s2;
 	p->moving_s += dt_s;
 }

@@ -51,7 +51,8 @@ void position_step(struct position *p, struct vec3 accel_n_m_s2, bool rest, doub
 void position_navigate(
 	struct position *p, const struct navigation_input *in, struct vec3 lever_b_m, double rate_hz, double dt_s);
 /** The same after missing samples, for both modes: the gap is not integrated, but its time counts. */
-void position_skip(struct position *p, struct vec3 accel_n_m_s2, struct quat q_nb, double dt_s);
+void position_skip(
+	struct position *p, const struct navigation_input *in, struct vec3 accel_n_m_s2, double rate_hz, double dt_s);
 /** The velocity of the reference point from outside: a measurement of the navigation, or the new velocity in mode 1.
  * The integration time starts again. */
 void position_aid_velocity(struct position *p, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 lever_b_m);

@@ -27,7 +27,8 @@ static void push(struct merge_ring *ring, const struct merge_reading *reading)
 		if (usual_ns == 0)
 			ring->usual_ns = interval_ns;
 		else
-			ring->usual_ns += ((interval_ns < 2 * usual_ns ? interval_ns : 2 * usual_ns) - usual_ns) / USUAL;
+			ring->usual_ns +=
+				((interval_ns < 2 * usual_ns ? interval_ns : 2 * usual_ns) - usual_ns) / USUAL;
 	}
 	ring->last_ns = reading->t_ns;
 	ring->at[(ring->first + ring->count++) % MERGE_READINGS] = *reading;
@@ -60,7 +61,8 @@ static int64_t apart_ns(const struct merge_reading *a, const struct merge_readin
 }
 
 /* Readings are missing between these. */
-static bool is_hole(const struct merge_ring *ring, const struct merge_reading *before, const struct merge_reading *after)
+static bool is_hole(
+	const struct merge_ring *ring, const struct merge_reading *before, const struct merge_reading *after)
 {
 	const int64_t apart = apart_ns(after, before);
 

@@ -16,12 +16,12 @@ struct merge_reading {
 
 struct merge {
 	int64_t tolerance_ns; /* readings closer than this count as simultaneous: the uncertainty of their times */
-	uint32_t lost;	      /* gyro readings without an acceleration before and after, or with too long between these */
+	uint32_t lost; /* gyro readings without an acceleration before and after, or with too long between these */
 	/* PRIVATE */
 	struct merge_ring {
 		struct merge_reading at[MERGE_READINGS];
 		unsigned first, count;
-		int64_t last_ns; /* time of the newest reading ever added */
+		int64_t last_ns;  /* time of the newest reading ever added */
 		int64_t usual_ns; /* between two readings; 0: not known yet */
 	} gyro, accel;
 	struct merge_reading mag;

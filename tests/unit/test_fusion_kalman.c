@@ -1242,7 +1242,7 @@ static void test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_las
 }
 
 /* Turned the one way or the other, fast or slowly. */
-static void test_after_missing_samples_the_velocity_before_them_does_not_count(void **state)
+static void test_after_half_a_second_without_samples_the_velocity_before_does_not_count(void **state)
 {
 	struct filter after[2];
 
@@ -1258,7 +1258,7 @@ static void test_after_missing_samples_the_velocity_before_them_does_not_count(v
 			after[i].k.velocity_n_m_s[i] += 0.01;
 		}
 		s.rate_b_rad_s = (struct vec3){0, 0, 1};
-		s.gap = true;
+		s.unseen_turn_rad = 0.5;
 		fusion_kalman_step(&after[i].k, &KALMAN, &s, 0.5, &after[i].q_nb, &after[i].errors);
 		assert_true(sigma_of(&after[i], KALMAN_VELOCITY) > 0.15); /* unknown, but for one measurement of zero */
 	}
@@ -1391,23 +1391,42 @@ static void test_the_first_north_is_as_uncertain_as_the_tilt_makes_it(void **sta
 	assert_near(sigma_of(&f, KALMAN_HEADING), hypot(KALMAN.heading_sigma_rad, 3 * 0.2), 1e-9);
 }
 
-/* Meanwhile the rate may have been anything up to what it is now, at most a radian; the velocity is unknown. */
-static void test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap(void **state)
+/* By what it may have turned without a measurement; at most a radian of tilt, and the heading until it may be any. */
+static void test_over_missing_samples_the_attitude_is_uncertain_by_the_unseen_turn(void **state)
 {
-	const double gaps_s[] = {0.099, 0.101, 0.2, 2};
+	const double turns_rad[] = {0, 0.05, 0.25, 3};
 
 	(void)state;
 	for (int i = 0; i < 4; i++) {
-		const struct fusion_kalman_sample s = {
-			.rate_b_rad_s = {0, 0.6, 0.8}, .force_b_m_s2 = {0, 0, G}, .gap = i > 0};
+		const struct fusion_kalman_sample s = {.unseen_turn_rad = turns_rad[i]};
 		struct filter f = started(G);
-		const double least = 0.03 * pow(0.12 * RAD_PER_DEG, 2);
 
 		memset(f.k.covariance, 0, sizeof(f.k.covariance));
-		fusion_kalman_step(&f.k, &KALMAN, &s, gaps_s[i], &f.q_nb, &f.errors);
-		/* the heading; of the tilt the accelerometer shows some at once */
-		assert_true(
-			i == 0 ? f.k.covariance[2][2] < 10 * least : fabs(sigma_of(&f, 2) - fmin(1, gaps_s[i])) < 0.01);
+		fusion_kalman_step(&f.k, &KALMAN, &s, 0.3, &f.q_nb, &f.errors);
+		assert_near(sigma_of(&f, 0), fmin(1, turns_rad[i]), 0.01);
+		assert_near(sigma_of(&f, 2), fmin(PI / sqrt(3), turns_rad[i]), 0.01);
+	}
+}
+
+/* It changes by 2 m/s^2, or as fast as it changes now, until it may be as usual. */
+static void test_over_missing_samples_the_velocity_stays_and_is_less_certain(void **state)
+{
+	static const struct {
+		double accel_m_s2, gap_s, sigma_m_s;
+	} gaps[] = {{1, 0.2, 0.4}, {4, 0.2, 0.8}, {4, 0.3, 1}};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const struct fusion_kalman_sample s = {
+			.unseen_turn_rad = 0.01, .force_b_m_s2 = {0, gaps[i].accel_m_s2, G}};
+		struct filter f = started(G);
+
+		memset(f.k.covariance, 0, sizeof(f.k.covariance));
+		f.k.velocity_n_m_s[0] = 0.7;
+		fusion_kalman_step(&f.k, &KALMAN, &s, gaps[i].gap_s, &f.q_nb, &f.errors);
+		/* and one measurement of zero */
+		assert_near(sigma_of(&f, KALMAN_VELOCITY), gaps[i].sigma_m_s, 0.2 * gaps[i].sigma_m_s);
+		assert_near(f.k.velocity_n_m_s[0], i < 2 ? 0.7 : 0, 0.2);
 	}
 }
 
@@ -1700,14 +1719,15 @@ int main(void)
 		cmocka_unit_test(test_the_velocity_is_measured_as_zero_with_its_spread_or_as_that_of_rest),
 		cmocka_unit_test(test_a_yaw_and_a_velocity_from_outside_hold_for_10_s),
 		cmocka_unit_test(test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_last_correction_on),
-		cmocka_unit_test(test_after_missing_samples_the_velocity_before_them_does_not_count),
+		cmocka_unit_test(test_after_half_a_second_without_samples_the_velocity_before_does_not_count),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
 		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_turns_in_one_direction_leave_an_error_of_the_heading_that_grows_with_them),
 		cmocka_unit_test(test_no_number_of_turns_makes_the_heading_less_certain_than_unknown),
 		cmocka_unit_test(test_a_set_attitude_is_known_to_a_degree),
 		cmocka_unit_test(test_the_first_north_is_as_uncertain_as_the_tilt_makes_it),
-		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_rate_times_the_gap),
+		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_unseen_turn),
+		cmocka_unit_test(test_over_missing_samples_the_velocity_stays_and_is_less_certain),
 		cmocka_unit_test(test_the_ranges_of_the_configuration_include_their_limits),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),

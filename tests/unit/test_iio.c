@@ -108,8 +108,8 @@ static void add(struct merge *m, enum imu_chip chip, int64_t t_ns, double x)
 	merge_add(m, chip, &(struct merge_reading){.t_ns = t_ns, .value = {x, 0, 0}});
 }
 
-/* A chord over a hole in the accelerometer's readings is no measurement. At 10 a second 0.2 s are only a reading that is
- * missing; at 100 a second they are 20. */
+/* A chord over a hole in the accelerometer's readings is no measurement. At 10 a second 0.2 s are only a reading that
+ * is missing; at 100 a second they are 20. */
 static void test_over_a_hole_in_the_accelerations_there_is_no_sample(void **state)
 {
 	static const struct {

@@ -839,7 +839,9 @@ static void test_a_gap_makes_position_and_velocity_less_certain(void **state)
 	struct vec3 position_n_m = p.position_n_m, sigma = navigation_sigma(&p.navigation, 1 / DT_S).position_m;
 
 	(void)state;
-	position_skip(&p, ZERO, QUAT_IDENTITY, 2);
+	position_skip(&p,
+		&(struct navigation_input){.q_nb = QUAT_IDENTITY, .gravity_m_s2 = G, .force_b_m_s2 = {0, 0, G}}, ZERO,
+		1 / DT_S, 2);
 	assert_vec_near(p.position_n_m, position_n_m, 0);
 	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).position_m.x > sigma.x + 2);
 	assert_true(navigation_sigma(&p.navigation, 1 / DT_S).velocity_m_s.x > 2);
@@ -1206,19 +1208,36 @@ static void test_at_the_end_of_a_movement_the_accelerometers_bias_is_less_certai
 	}
 }
 
-/* A hand or a robot may have accelerated at 2 m/s^2 meanwhile, and went on with its velocity. */
+/* A hand or a robot may have accelerated at 2 m/s^2 meanwhile, or as it does now, and went on with its velocity. */
 static void test_after_a_gap_sigma_has_grown_by_what_may_have_happened(void **state)
 {
-	struct navigation n = started(MOTION_ANY);
-	const double gap_s = 1.5, v2 = 9 + 4;
+	const double gap_s = 1.5, v2 = 9 + 4, var[3] = {0.01, 0.02, 0.09};
 
 	(void)state;
-	memset(n.p, 0, sizeof(n.p));
-	n.velocity_n_m_s = (struct vec3){3, -2, 0};
-	navigation_skip(&n, QUAT_IDENTITY, gap_s);
-	assert_sigma(&n, NAVIGATION_THETA, 2.005 * RAD_PER_DEG);
-	assert_sigma(&n, NAVIGATION_V, 2 * gap_s);
-	assert_sigma(&n, NAVIGATION_P, gap_s * sqrt(v2 + 4 * gap_s * gap_s));
+	for (int i = 0; i < 4; i++) {
+		const struct navigation_input in = {
+			.q_nb = quat_from_rotation_vector((struct vec3){0, i == 3 ? PI / 2 : 0, 0}),
+			.attitude_variance_rad2 = {var[0], var[1], var[2]},
+			.gravity_m_s2 = G,
+			.force_b_m_s2 = {i == 1	  ? 8
+					 : i == 3 ? -G
+						  : 0,
+				0,
+				i == 2	 ? G - 6
+				: i == 3 ? 1
+					 : G}};
+		const double accel = i == 1 ? 8 : i == 2 ? 6 : 2;
+		struct navigation n = started(MOTION_ANY);
+
+		memset(n.p, 0, sizeof(n.p));
+		n.velocity_n_m_s = (struct vec3){3, -2, 0};
+		navigation_skip(&n, &in, gap_s);
+		for (int axis = 0; axis < 3; axis++)
+			assert_near(n.p[axis][axis], 0.035 * 0.035 + var[axis], 1e-4);
+		assert_sigma(&n, NAVIGATION_V, accel * gap_s);
+		assert_sigma(&n, NAVIGATION_P, gap_s * hypot(sqrt(v2), accel * gap_s));
+		assert_near(navigation_sigma(&n, 100).attitude_rad.x, 0.1, 1e-9);
+	}
 }
 
 /* An alias that is found is a constant velocity since it began: both errors are one, which grows with the time. Where
@@ -1599,7 +1618,9 @@ static void test_what_was_integrated_before_missing_samples_is_void(void **state
 		struct navigation n = used_navigation(true);
 		double v;
 
-		navigation_skip(&n, quarter, gap_s);
+		navigation_skip(&n,
+			&(struct navigation_input){.q_nb = quarter, .gravity_m_s2 = G, .force_b_m_s2 = {0, 0, G}},
+			gap_s);
 		assert_quat_near(n.q_nb, quarter, 0);
 		assert_variance(&n, NAVIGATION_THETA, n.p[0][0]);
 		assert_vec_near(n.velocity_n_m_s, ((struct vec3){1, 2, 3}), 0);

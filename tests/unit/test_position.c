@@ -59,6 +59,8 @@ static void test_the_trapezoidal_rule_is_used_with_the_actual_time(void **state)
 	assert_near(p.position_n_m.x, 0.085, 1e-15);
 }
 
+static const struct navigation_input NOWHERE = {.q_nb = {1, 0, 0, 0}, .gravity_m_s2 = 9.81};
+
 /* Over missing samples nothing is integrated; the mean of the next interval is with the acceleration at their end. */
 static void test_after_missing_samples_integration_continues_from_the_acceleration_then(void **state)
 {
@@ -66,7 +68,7 @@ static void test_after_missing_samples_integration_continues_from_the_accelerati
 
 	(void)state;
 	position_step(&p, (struct vec3){2, 0, 0}, false, 0.1);
-	position_skip(&p, (struct vec3){6, 0, 0}, QUAT_IDENTITY, 0.5);
+	position_skip(&p, &NOWHERE, (struct vec3){6, 0, 0}, 100, 0.5);
 	assert_near(p.velocity_n_m_s.x, 0.1, 1e-15);
 	assert_near(p.moving_s, 0.6, 1e-15);
 	position_step(&p, (struct vec3){4, 0, 0}, false, 0.2); /* mean 5 */
@@ -137,7 +139,7 @@ static void test_a_gap_is_not_integrated_but_its_time_counts(void **state)
 	go(&p, 1, (struct vec3){1, 0, 0}, false);
 	velocity = p.velocity_n_m_s;
 	there = p.position_n_m;
-	position_skip(&p, (struct vec3){50, 0, 0}, QUAT_IDENTITY, 1.5);
+	position_skip(&p, &NOWHERE, (struct vec3){50, 0, 0}, 100, 1.5);
 	assert_vec_near(p.velocity_n_m_s, velocity, 0);
 	assert_vec_near(p.position_n_m, there, 0);
 	assert_true(position_limited(&p));
