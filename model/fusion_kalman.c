@@ -295,7 +295,7 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	if (k->covariance[BIAS][BIAS] == 0)
 		fusion_kalman_reset_gyro_errors(k, config);
 	fusion_kalman_reset_accelerometer(k, config);
-	k->mean_force_s = k->since_start_s = 0;
+	k->mean_force_s = k->since_start_s = k->since_tilt_s = 0;
 	k->has_moved = false;
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
 	k->mean_force_n_m_s2 = (struct vec3){0, 0, force_m_s2};
@@ -448,7 +448,7 @@ static void doubt_force(struct fusion_kalman *k, double variance)
 	for (int i = ACCEL; i < ACCEL + 3; i++)
 		k->covariance[i][i] = fmax(k->covariance[i][i], variance);
 	k->doubted |= variance > k->accel_variance;
-	if (k->since_start_s < YOUNG_S)
+	if (k->since_tilt_s < YOUNG_S)
 		widen_attitude(k, variance);
 }
 
@@ -530,6 +530,7 @@ static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 	if (k->since_start_s == 0)
 		k->last_rate_b_rad_s = rate;
 	k->since_start_s += k->sums.time_s;
+	k->since_tilt_s += k->sums.time_s;
 	k->last_rate_b_rad_s = vec3_add(k->last_rate_b_rad_s,
 		vec3_scale(k->sums.time_s / fmin(k->since_start_s, MEAN_RATE_S), vec3_sub(rate, k->last_rate_b_rad_s)));
 	if (k->since_start_s < MEAN_RATE_S)
@@ -916,7 +917,7 @@ static bool reinitialise_lost_tilt(struct fusion_kalman *k, const struct fusion_
 		k->lost_s += k->sums.time_s;
 	if (k->lost_s == 0)
 		return false;
-	if (k->since_start_s > YOUNG_S &&
+	if (k->since_tilt_s > YOUNG_S &&
 		(k->lost_s < LOST_S || fabs(k->mean_force_m_s2 - GRAVITY_M_S2) > LOST_LENGTH_M_S2 ||
 			fabs(length - GRAVITY_M_S2) > LOST_LENGTH_M_S2 || k->sums.force_error_m_s2 > VIBRATES_M_S2))
 		return false;
@@ -994,7 +995,7 @@ static void skip_gap(struct fusion_kalman *k, const struct fusion_kalman_config 
 	if (s->unseen_turn_rad > LINEAR_HEADING_RAD)
 		lose_north(k);
 	if (s->unseen_turn_rad > START_TILT_RAD)
-		k->mean_force_s = k->since_start_s = 0;
+		k->mean_force_s = k->since_tilt_s = 0;
 	for (int i = 0; i < 2; i++) {
 		double *variance = &k->covariance[VELOCITY + i][VELOCITY + i];
 

@@ -150,7 +150,7 @@ struct fusion_kalman {
 	bool has_moved;					   /* since the start; until then the whole rate may be bias */
 	struct vec3 first_rate_b_rad_s, last_rate_b_rad_s; /* means over 0.3 s */
 	bool turning;					   /* that one differs from the bias by more than its sigma */
-	double since_start_s;
+	double since_start_s, since_tilt_s;   /* since the filter started, and since the force has set the tilt */
 	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */
 	double accel_variance;		      /* of the accelerometer's error, m^2/s^4, without that of vibration */
 	bool doubted;			      /* it is larger now */

@@ -11,7 +11,7 @@ with the seed, as are the errors of the sensor.
 
 Frames: b = sensor, machine = z up, n = global (ENU). Units: m, s, rad, uT."""
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Callable, Dict
 import numpy as np
@@ -174,6 +174,7 @@ class Motion:
     turns: bool = False  # about the vertical: worth a replay without magnetometer
     preset: int = 0  # position.motion_preset
     rope_m: float = 0  # position.rope_length
+    gaps: bool = False  # without samples for 0.08 to 0.32 s, every 0.5 to 3 s of the motion
 
 
 def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None, preset=0):
@@ -240,6 +241,9 @@ def all_motions():
     for amplitude, hz in ((2, 17), (5, 10)):
         m[f'shaken {amplitude} m/s², {hz} Hz, after a rest'] = still(
             REST_S, partial(shake, amplitude_m_s2=amplitude, hz=hz))
+    for name in ('road 1 m/s², 1 m/s, 60 s', 'turn 5 deg/s from 3 s on', 'circle 2 m, 0.5 rad/s',
+                 'arm 1 m, ±60 deg, 0.5 Hz', 'crane, rope 5 m'):
+        m[name + ', gaps'] = replace(m[name], gaps=True)
     for deg in (2, 5, 10, 20):
         m[f'lying, gyro bias {deg} deg/s'] = still(uncalibrated_rad_s=np.radians(deg))
     return m
@@ -262,6 +266,16 @@ class Recording:
 def direction(rng):
     v = rng.normal(size=3)
     return v / np.linalg.norm(v)
+
+
+def without_gaps(t, rng, begin_s):
+    """The indices of the samples that are left."""
+    there, gap_s = np.ones(len(t), bool), begin_s
+    while gap_s < t[-1] - 1:
+        end_s = gap_s + rng.uniform(0.08, 0.32)
+        there &= (t < gap_s) | (t >= end_s)
+        gap_s = end_s + rng.uniform(0.5, 3)
+    return there
 
 
 def record(name, motion, seed):
@@ -299,5 +313,7 @@ def record(name, motion, seed):
     gyro += chip.uncalibrated_rad_s * direction(rng) + white(chip.gyro_density_rad_s)
     gyro += np.cumsum(rng.normal(0, chip.gyro_walk_rad_s / np.sqrt(RATE_HZ), gyro.shape), axis=0)
     mag = attitude.inv().apply(FIELD_N_UT) + rng.normal(0, chip.mag_uT, force.shape)
-    return Recording(t, quantised(gyro, chip.gyro_step_rad_s), quantised(accel, chip.accel_step_m_s2), mag, position,
-                     velocity, attitude, (t >= motion.begin_s) & (t <= motion.end_s), chip.delay_s())
+    there = without_gaps(t, rng, motion.begin_s) if motion.gaps else slice(None)
+    moving = (t >= motion.begin_s) & (t <= motion.end_s)
+    gyro, accel = quantised(gyro, chip.gyro_step_rad_s), quantised(accel, chip.accel_step_m_s2)
+    return Recording(*(x[there] for x in (t, gyro, accel, mag, position, velocity, attitude, moving)), chip.delay_s())

@@ -1467,7 +1467,7 @@ static struct fusion_kalman used_filter(void)
 	k.spread_m2_s2 = 99;
 	k.mean_force_n_m_s2 = k.lever_arm_b_m = k.heading_by_offset_rad_uT = k.field_by_offset_1_uT =
 		(struct vec3){3, 4, 5};
-	k.mean_force_s = k.since_start_s = 6;
+	k.mean_force_s = k.since_start_s = k.since_tilt_s = 6;
 	k.net_turn_rad = k.net_turn_max_rad = 11;
 	k.accel_variance = 7;
 	k.sums.time_s = k.sums.force_n_m_s.x = k.sums.field_b_uT.y = 8;
@@ -1515,7 +1515,8 @@ static void test_a_start_keeps_only_what_is_known_of_the_gyro(void **state)
 	assert_near(k.accel_variance, 0.04, 1e-15);
 	assert_near(k.spread_m2_s2, 0.7 * 0.7, 1e-12); /* at least 0.35 of the configured sigma */
 	assert_vec_near(k.mean_force_n_m_s2, ((struct vec3){0, 0, 9.8}), 0);
-	assert_true(k.mean_force_s == 0 && k.since_start_s == 0 && !k.has_moved && !k.lever_known);
+	assert_true(
+		k.mean_force_s == 0 && k.since_start_s == 0 && k.since_tilt_s == 0 && !k.has_moved && !k.lever_known);
 	assert_true(k.net_turn_rad == 0 && k.net_turn_max_rad == 0);
 	assert_no_sums(&k);
 
