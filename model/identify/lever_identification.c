@@ -517,7 +517,7 @@ struct lever_estimate lever_identification_estimate(const struct lever_identific
 	struct vec3 by_delay = {0, 0, 0};
 	struct solution s, other;
 
-	if (id->samples > 0 && 2 * id->without_reference > id->samples)
+	if (2 * id->without_reference > id->samples)
 		e.verdict = LEVER_NO_REFERENCE;
 	if (!solve(id, with_delay, &s))
 		return e;

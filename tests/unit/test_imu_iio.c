@@ -49,6 +49,8 @@ struct iio_buffer {
 	struct scan current;
 };
 
+enum { END = -1 };
+
 struct iio_device {
 	char id[24], name[24];
 	bool hidden, is_trigger;
@@ -61,7 +63,7 @@ struct iio_device {
 	bool buffered;
 	struct scan scans[SCANS];
 	size_t scan_count, scan_next;
-	int refill_error;
+	int refill_error; /* END: it returns 0 */
 	unsigned kernel_samples;
 };
 
@@ -398,7 +400,7 @@ ssize_t iio_buffer_refill(struct iio_buffer *buffer)
 		return sizeof(buffer->current);
 	}
 	d->scan_count = d->scan_next = 0;
-	return d->refill_error ? -d->refill_error : -EAGAIN;
+	return d->refill_error == END ? 0 : d->refill_error ? -d->refill_error : -EAGAIN;
 }
 
 void *iio_buffer_first(const struct iio_buffer *buffer, const struct iio_channel *channel)
@@ -1410,6 +1412,21 @@ static void test_a_device_that_is_gone_is_silent_and_opened_again(void **state)
 	assert_int_equal(port->health.bus_errors, 1);
 }
 
+static void ended(void)
+{
+	w.devices[MOTION].refill_error = END;
+}
+
+static void test_a_buffer_at_its_end_is_that_of_a_sensor_that_has_gone(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(1, ended);
+	assert_int_equal(next_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_SILENT);
+}
+
 static int scans_left;
 
 static void scans(void)
@@ -1675,6 +1692,7 @@ int main(void)
 		IIO_TEST(test_a_timer_that_could_not_be_made_is_not_removed),
 		IIO_TEST(test_a_device_is_read_by_its_buffer_if_its_values_have_one_to_eight_bytes),
 		IIO_TEST(test_a_device_that_is_gone_is_silent_and_opened_again),
+		IIO_TEST(test_a_buffer_at_its_end_is_that_of_a_sensor_that_has_gone),
 		IIO_TEST(test_a_device_without_samples_for_100_ms_has_stopped),
 		IIO_TEST(test_a_device_that_starts_up_has_a_second_for_it),
 		IIO_TEST(test_samples_go_on_without_a_magnetometer_that_has_stopped),

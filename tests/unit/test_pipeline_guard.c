@@ -79,6 +79,20 @@ static void test_what_is_not_finite_is_replaced_by_the_last_good_output_and_all_
 		}
 }
 
+static void test_in_place_of_the_first_output_there_is_an_attitude_and_nothing_else(void **state)
+{
+	struct pipeline_output out;
+	struct pipeline p;
+
+	(void)state;
+	assert_int_equal(pipeline_init(&p, &PIPELINE_DEFAULTS, RATE_HZ), 0);
+	p.fusion.gyro_errors.bias_b_rad_s.z = NAN;
+	out = run(&p, 0, 1);
+	assert_int_equal(p.implausible, 1);
+	assert_true(out.q_nb.w == 1 && out.q_nb.x == 0 && out.q_nb.y == 0 && out.q_nb.z == 0);
+	assert_vec_near(out.accel_n_m_s2, ((struct vec3){0, 0, 0}), 0);
+}
+
 /* Three times the greatest rate and 0.5 rad/s. By the angles a jump of the attitude is a rate. */
 static void test_a_rate_beyond_three_times_the_greatest_measured_is_not_published(void **state)
 {
@@ -138,6 +152,7 @@ static void test_an_acceleration_beyond_what_was_measured_is_not_published(void 
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_in_place_of_the_first_output_there_is_an_attitude_and_nothing_else),
 		cmocka_unit_test(test_what_is_not_finite_is_replaced_by_the_last_good_output_and_all_begins_again),
 		cmocka_unit_test(test_a_rate_beyond_three_times_the_greatest_measured_is_not_published),
 		cmocka_unit_test(test_an_acceleration_beyond_what_was_measured_is_not_published),
