@@ -1,6 +1,7 @@
 /* tests/bench/bench_web.c
- * What 20 browsers cost five gateways: the SDO round trip and the time from SYNC to TPDO1 of each node, without imu9-web
- * (quiet), with one more program that listens to the bus, and with imu9-web and browsers that show live values.
+ * What 20 browsers cost five gateways: the SDO round trip and the time from SYNC to TPDO1 of each node, without
+ * imu9-web (quiet), with one more program that listens to the bus, and with imu9-web and browsers that show live
+ * values.
  *
  *     build/tests/bench/bench_web [-s] [SECONDS [BUS]]
  *

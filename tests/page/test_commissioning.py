@@ -41,6 +41,17 @@ class Live(rig.OnThePage):
         seen = set()
         self.until(lambda: seen.add(self.reading("angles", 1)) or len(seen) > 10, "the roll of the other node moves")
 
+    def test_the_age_of_samples_is_that_of_sdo(self):
+        self.open()
+        self.produce_sync()
+        self.go("node/1/live")
+
+        def is_shown():
+            shown = re.findall(r"\d+\.\d", self.text('[data-fact="sample_age"]'))
+            read = [value(1, "sample_age." + member) / 1000 for member in ("minimum", "maximum")]
+            return len(shown) == 2 and all(abs(float(a) - b) < 0.051 for a, b in zip(shown, read)) and read[1] > read[0]
+        self.until(is_shown, "the shortest and the longest age")
+
     def test_without_pdos_the_values_are_read_by_sdo(self):
         sdo(1, "nmt", "preop")
         self.open("node/1/live")

@@ -188,6 +188,7 @@ function imu_view(ctx, node) {
             {class: "facts"},
             tile("pdo_rate", T.live.pdo_rate),
             tile("age", T.live.age),
+            tile("sample_age", T.live.sample_age),
             tile("sensor_rate", T.live.sensor_rate),
             tile("skipped", T.live.skipped),
             tile("vibration", T.live.vibration),
@@ -408,6 +409,8 @@ function imu_view(ctx, node) {
     say(facts.age, Number.isFinite(signals.last_row_s) ? seconds(now - signals.last_row_s) : "–");
     const known = (name, unit, digits) =>
       typeof state[name] === "number" && state[name] > -300 ? `${fixed(state[name], digits)} ${unit}` : "–";
+    const ages_ms = ["minimum", "maximum"].map((member) => state[`sample_age.${member}`] / 1000);
+    say(facts.sample_age, ages_ms[1] > 0 ? T.live.ages(...ages_ms.map((ms) => fixed(ms, 1))) : "–");
     say(facts.sensor_rate, known("sensor_state.rate", "Hz", 1));
     say(facts.temperature, known("sensor_state.temperature", "°C", 1));
     say(facts.vibration, known("sensor_state.vibration", "m/s²", 3));

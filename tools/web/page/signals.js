@@ -40,7 +40,10 @@ const SOURCES = {
 };
 
 const objects = ([record, members]) => members.split(" ").map((member) => `${record}.${member}`);
-export const STATE = ["sensor_state.rate", "sensor_state.temperature", "sensor_state.vibration"];
+export const STATE = [
+  ...["rate", "temperature", "vibration"].map((member) => `sensor_state.${member}`),
+  ...["minimum", "maximum"].map((member) => `sample_age.${member}`),
+];
 const STALE_S = 1.5; /* without a PDO for so long, values are read by SDO */
 const MOST_SKIPPED = 8; /* samples between two PDOs that are interpolated for the spectrum */
 

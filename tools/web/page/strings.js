@@ -87,6 +87,8 @@ export const T = {
     arm: (m) => `r = ${(1000 * m).toFixed(m < 0.01 ? 1 : 0)} mm`,
     pdo_rate: "PDO rate",
     age: "Age of the last PDO",
+    sample_age: "Age of sent samples",
+    ages: (least, most) => `${least} to ${most} ms`,
     sensor_rate: "Sampling rate",
     skipped: "Samples skipped",
     vibration: "Vibration, RMS",
