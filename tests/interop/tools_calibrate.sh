@@ -29,7 +29,10 @@ check "and the result is discarded" says "discarded"
 # ---- the lever arm, led
 stop_gateway
 start_gateway --imu sim:tumble --set lever_arm_identification.duration=12
-run imu9-calibrate lever-arm --yes
+for _ in {1..9}; do # a machine that stalls for 0.1 s loses samples, and the device says so
+	run imu9-calibrate lever-arm --yes
+	[[ $err == *"without gaps"* ]] || break
+done
 check "it says what to do and how long first" says "12 s, at most 36 s"
 check "and what the sigma is on the way" says "; r = "
 check "and is accepted" says "accepted and in use"
