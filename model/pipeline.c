@@ -376,6 +376,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	struct imu_sample used = *s; /* its flag says that the gyro is saturated */
 
 	if (!p->primed) {
+		rest_restart(&p->rest);
 		vibration_skip(&p->vibration);
 	}
 	vibration_step(&p->vibration, s->accel_m_s2, s->gyro_rad_s, s->flags & SAMPLE_SATURATED, dt_s);

@@ -474,6 +474,19 @@ static void test_ten_intervals_are_not_a_gap(void **state)
 	assert_true(run(&p, moving, 320, 321).status & PIPELINE_GAP);
 }
 
+static void test_after_a_gap_rest_is_observed_for_its_time_again(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p = pipeline(&config);
+	const int time = (int)(config.rest.time_s * p.rate_hz); /* samples */
+
+	(void)state;
+	assert_true(run(&p, standing, 0, 1000).status & PIPELINE_REST);
+	for (int k = 1050; k < 1050 + time - 5; k++)
+		assert_int_equal(run(&p, standing, k, k + 1).status & PIPELINE_REST, 0);
+	assert_true(run(&p, standing, 1050 + time - 5, 2050 + time).status & PIPELINE_REST);
+}
+
 static void test_after_a_long_gap_the_attitude_is_initialised_again(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -1637,6 +1650,7 @@ int main(void)
 		cmocka_unit_test(test_time_that_does_not_increase_is_refused_and_counted),
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
+		cmocka_unit_test(test_after_a_gap_rest_is_observed_for_its_time_again),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
 		cmocka_unit_test(test_after_a_gap_sigma_covers_a_turn_that_nobody_saw),
 		cmocka_unit_test(test_a_turn_that_begins_soon_after_the_start_is_no_bias),
