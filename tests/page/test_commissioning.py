@@ -103,7 +103,7 @@ class Live(rig.OnThePage):
         self.assertEqual(times, sorted(times))
         counter = next(name for name in rows[0] if name.startswith("sample.counter"))
         shown = [row for row in rows if row[counter]]
-        # SYNC and sensor have different clocks, and a busy machine holds SYNC up: 100 samples a second of the rows' time
+        # SYNC and sensor have different clocks, and a busy machine holds SYNC up: 100 samples a second of that time
         off = [(int(b[counter]) - int(a[counter])) % 65536 - 100 * (float(b["t [s]"]) - float(a["t [s]"]))
                for a, b in zip(shown, shown[1:])]
         self.assertLess(max(map(abs, off)), 20)
