@@ -221,9 +221,30 @@ static void test_an_unexpected_command_is_aborted(void **state)
 	char value[8];
 
 	sdo_client_upload(&b->client, 0x1008, 0, value, sizeof(value), 0);
-	ANSWER(b, 0x60, 0x08, 0x10, 0);
+	ANSWER(b, 0xE0, 0x08, 0x10, 0);
 	assert_int_equal(b->client.abort_code, SDO_ABORT_COMMAND);
 	assert_sent(b, 0x80, 0x08, 0x10, 0, 0x01, 0x00, 0x04, 0x05);
+}
+
+/* An abort would end the transfer of that client, too. */
+static void test_what_another_client_does_with_the_same_object_is_ignored(void **state)
+{
+	(void)state;
+	struct bench *b = bench_reset();
+	uint32_t value = 0;
+
+	sdo_client_upload(&b->client, 0x1805, 1, &value, sizeof(value), 0);
+	ANSWER(b, 0x60, 0x05, 0x18, 1);
+	assert_int_equal(b->client.result, SDO_RUNNING);
+	ANSWER(b, 0x43, 0x05, 0x18, 1, 0xDD, 0x06, 0, 0);
+	assert_int_equal(b->client.result, SDO_DONE);
+	assert_int_equal(value, 0x6DD);
+
+	sdo_client_download(&b->client, 0x1805, 1, &value, sizeof(value), 0);
+	ANSWER(b, 0x43, 0x05, 0x18, 1, 0xDD, 0x06, 0, 0);
+	assert_int_equal(b->client.result, SDO_RUNNING);
+	ANSWER(b, 0x60, 0x05, 0x18, 1);
+	assert_int_equal(b->client.result, SDO_DONE);
 }
 
 static void test_a_value_larger_than_the_buffer_is_aborted_before_it_is_sent(void **state)
@@ -414,6 +435,7 @@ int main(void)
 		cmocka_unit_test(test_no_response_within_the_timeout_sends_an_abort),
 		cmocka_unit_test(test_the_timeout_restarts_with_each_request),
 		cmocka_unit_test(test_a_late_response_to_an_earlier_request_is_ignored),
+		cmocka_unit_test(test_what_another_client_does_with_the_same_object_is_ignored),
 		cmocka_unit_test(test_frames_of_other_nodes_and_malformed_ones_are_ignored),
 		cmocka_unit_test(test_a_response_after_the_end_is_ignored),
 		cmocka_unit_test(test_a_bus_that_accepts_no_frame_ends_the_transfer),

@@ -259,6 +259,8 @@ void sdo_client_receive(struct sdo_client *client, const struct can_msg *msg, ui
 	}
 	if (sdo_client_block_receive(client, data, now_us))
 		return;
+	if (starting && (data[0] & CS_MASK) == (client->phase == SDO_UPLOAD_START ? SCS_DOWNLOAD : SCS_UPLOAD))
+		return; /* a response to another client, which writes what this one reads, or reads what it writes */
 	if ((data[0] & CS_MASK) != expected[client->phase]) {
 		sdo_client_abort(client, SDO_ABORTED, SDO_ABORT_COMMAND, now_us);
 		return;
