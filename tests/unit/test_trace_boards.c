@@ -316,19 +316,6 @@ static void test_the_self_test(void **state)
 	trace_check();
 }
 
-static int open_trace(void **state)
-{
-	(void)state;
-	trace_open("tests/unit/traces/boards.txt");
-	return 0;
-}
-
-static void test_the_trace_has_nothing_else(void **state)
-{
-	(void)state;
-	trace_close();
-}
-
 int main(void)
 {
 	enum { BOARD_COUNT = sizeof BOARDS / sizeof *BOARDS };
@@ -341,6 +328,5 @@ int main(void)
 		tests[count++] = (struct CMUnitTest){BOARDS[i], test_each_fault, NULL, NULL, (void *)BOARDS[i]};
 	for (int i = 0; i < BOARD_COUNT; i++)
 		tests[count++] = (struct CMUnitTest){BOARDS[i], test_the_self_test, NULL, NULL, (void *)BOARDS[i]};
-	tests[count++] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_nothing_else);
-	return _cmocka_run_group_tests("boards", tests, count, open_trace, NULL);
+	return trace_run("boards", tests, count);
 }

@@ -428,21 +428,6 @@ static void test_ellipsoid(void **state)
 	trace_check();
 }
 
-/* ------------------------------------------------------------------------------------------------------------------ */
-
-static int open_trace(void **state)
-{
-	(void)state;
-	trace_open("tests/unit/traces/identify.txt");
-	return 0;
-}
-
-static void test_the_trace_has_nothing_else(void **state)
-{
-	(void)state;
-	trace_close();
-}
-
 int main(void)
 {
 #define CASES(table, test)                                           \
@@ -457,6 +442,5 @@ int main(void)
 	CASES(TEMPERATURE, test_temperature)
 	CASES(LEVER_ARMS, test_lever_arm)
 	tests[count++] = (struct CMUnitTest)cmocka_unit_test(test_ellipsoid);
-	tests[count++] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_nothing_else);
-	return _cmocka_run_group_tests("identify", tests, count, open_trace, NULL);
+	return trace_run("identify", tests, count);
 }

@@ -260,19 +260,6 @@ static void test_kind(void **state)
 	trace_check();
 }
 
-static int open_trace(void **state)
-{
-	(void)state;
-	trace_open("tests/unit/traces/logs.txt");
-	return 0;
-}
-
-static void test_the_trace_has_nothing_else(void **state)
-{
-	(void)state;
-	trace_close();
-}
-
 int main(void)
 {
 	enum { COUNT = sizeof KINDS / sizeof *KINDS };
@@ -280,6 +267,5 @@ int main(void)
 
 	for (int i = 0; i < COUNT; i++)
 		tests[i] = (struct CMUnitTest){KINDS[i].name, test_kind, NULL, NULL, (void *)&KINDS[i]};
-	tests[COUNT] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_nothing_else);
-	return cmocka_run_group_tests(tests, open_trace, NULL);
+	return trace_run("logs", tests, COUNT);
 }

@@ -807,25 +807,11 @@ static const struct motion MOTIONS[] = {
 
 enum { MOTIONS_COUNT = sizeof MOTIONS / sizeof *MOTIONS };
 
-static int open_trace(void **state)
-{
-	(void)state;
-	trace_open("tests/unit/traces/pipeline.txt");
-	return 0;
-}
-
-static void test_the_trace_has_no_other_motions(void **state)
-{
-	(void)state;
-	trace_close();
-}
-
 int main(void)
 {
 	struct CMUnitTest tests[MOTIONS_COUNT + 1];
 
 	for (int i = 0; i < MOTIONS_COUNT; i++)
 		tests[i] = (struct CMUnitTest){MOTIONS[i].name, test_motion, NULL, NULL, (void *)&MOTIONS[i]};
-	tests[MOTIONS_COUNT] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_no_other_motions);
-	return cmocka_run_group_tests(tests, open_trace, NULL);
+	return trace_run("pipeline", tests, MOTIONS_COUNT);
 }

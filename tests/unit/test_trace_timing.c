@@ -41,19 +41,6 @@ static void test_each_rate(void **state)
 	trace_check();
 }
 
-static int open_trace(void **state)
-{
-	(void)state;
-	trace_open("tests/unit/traces/timing.txt");
-	return 0;
-}
-
-static void test_the_trace_has_nothing_else(void **state)
-{
-	(void)state;
-	trace_close();
-}
-
 int main(void)
 {
 	enum { COUNT = sizeof CONTROLLERS / sizeof *CONTROLLERS };
@@ -61,6 +48,5 @@ int main(void)
 
 	for (int i = 0; i < COUNT; i++)
 		tests[i] = (struct CMUnitTest){"each rate", test_each_rate, NULL, NULL, (void *)&CONTROLLERS[i]};
-	tests[COUNT] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_nothing_else);
-	return cmocka_run_group_tests(tests, open_trace, NULL);
+	return trace_run("timing", tests, COUNT);
 }

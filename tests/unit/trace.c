@@ -13,7 +13,7 @@
 enum { LINES_MAX = 20000, LINE_BYTES = 256, SHOWN = 8 };
 
 static struct {
-	const char *path;
+	char path[100];
 	FILE *written;		   /* or NULL: it is compared */
 	char (*lines)[LINE_BYTES]; /* of the file */
 	int count, next;	   /* next: line of the block that has not been compared */
@@ -26,19 +26,17 @@ static bool is_header(const char *line)
 	return line[0] != ' ' && line[0] != '#';
 }
 
-void trace_open(const char *path)
+static int open_trace(void **state)
 {
-	const char *mode = getenv("IMU9_TRACES");
+	const char *mode = getenv("IMU9_TRACES"), *path = trace.path;
 	FILE *file;
 
-	free(trace.lines);
-	memset(&trace, 0, sizeof trace);
-	trace.path = path;
+	(void)state;
 	if (mode && strcmp(mode, "write") == 0) {
 		trace.written = fopen(path, "w");
 		assert_non_null(trace.written);
 		fprintf(trace.written, "# Written by `make traces`, compared by make check: tests/unit/trace.h\n");
-		return;
+		return 0;
 	}
 	file = fopen(path, "r");
 	if (!file)
@@ -50,6 +48,7 @@ void trace_open(const char *path)
 		trace.count++;
 	}
 	fclose(file);
+	return 0;
 }
 
 static void differ(const char *format, ...)
@@ -180,10 +179,11 @@ void trace_check(void)
 			differences, trace.path);
 }
 
-void trace_close(void)
+static void test_the_trace_has_nothing_else(void **state)
 {
 	int blocks = 0;
 
+	(void)state;
 	if (trace.written) {
 		assert_int_equal(fclose(trace.written), 0);
 		print_message("%s: %d blocks written\n", trace.path, trace.blocks);
@@ -196,4 +196,11 @@ void trace_close(void)
 	if (blocks != trace.blocks)
 		fail_msg("%s has %d blocks, the test %d. If this change is intended: `make traces`", trace.path, blocks,
 			trace.blocks);
+}
+
+int trace_run(const char *name, struct CMUnitTest *tests, size_t count)
+{
+	snprintf(trace.path, sizeof trace.path, "tests/unit/traces/%s.txt", name);
+	tests[count++] = (struct CMUnitTest)cmocka_unit_test(test_the_trace_has_nothing_else);
+	return _cmocka_run_group_tests(name, tests, count, open_trace, NULL);
 }

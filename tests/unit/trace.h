@@ -11,12 +11,14 @@
 #ifndef TESTS_UNIT_TRACE_H
 #define TESTS_UNIT_TRACE_H
 
+#include <stddef.h>
+
 #include "model/math/vec3.h"
+
+struct CMUnitTest;
 
 #define TRACE_SHARE 3e-5
 
-/** Reads a file, or with IMU9_TRACES=write in the environment, begins to write it. Fails the test when it cannot. */
-void trace_open(const char *path);
 /** The values from here on belong to this block, e.g. "drive, 20 s". */
 void trace_block(const char *header);
 /** resolution: absolute difference that is none, in the unit of the values. 0: they are whole numbers and equal. */
@@ -26,7 +28,9 @@ void trace_value(const char *name, double value, double resolution);
 void trace_text(const char *name, const char *text);
 /** Fails the test when values differed since the last call. */
 void trace_check(void);
-/** Fails the test when the file has blocks that nothing computed. */
-void trace_close(void);
+/** Runs the tests with tests/unit/traces/NAME.txt, which it reads, or writes with IMU9_TRACES=write in the environment;
+ * then one more, which fails when the file has blocks that nothing computed. `tests` has room for it behind `count`.
+ * Returns the exit status. */
+int trace_run(const char *name, struct CMUnitTest *tests, size_t count);
 
 #endif
