@@ -218,10 +218,11 @@ static void correct_by_error(struct fusion *f, const struct imu_sample *sample, 
  * stands again at its end has half the time to accelerate. */
 static double unseen_turn_rad(const struct fusion *f, struct vec3 before_b_rad_s, struct vec3 now_b_rad_s, double dt_s)
 {
-	double rate_rad_s = fmax(vec3_norm(before_b_rad_s), vec3_norm(now_b_rad_s)), share = dt_s / UNSEEN_S;
+	double rate_rad_s, share = dt_s / UNSEEN_S;
 
 	if (dt_s <= fmax(GAP_S, fmin(GAP_MOST_S, GAP_INTERVALS * f->config.interval_s)))
 		return 0;
+	rate_rad_s = fmax(vec3_norm(before_b_rad_s), vec3_norm(now_b_rad_s));
 	return dt_s * hypot(rate_rad_s * fmin(1, share * share), fmin(UNSEEN_RAD_S, UNSEEN_RAD_S2 / 4 * dt_s));
 }
 

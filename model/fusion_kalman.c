@@ -6,6 +6,7 @@
 #include "model/math/kalman.h"
 #include "model/math/rotation.h"
 #include "model/math/units.h"
+#include "model/noise.h"
 
 enum {
 	BIAS = KALMAN_BIAS,
@@ -49,8 +50,6 @@ static const double TILT_NOISE = 0.09 * RAD_PER_DEG, HEADING_NOISE = 0.12 * RAD_
 static const double GYRO_ERROR_TIME_S = 0.3;
 /* 1 sigma of the rate beyond the end of the gyro's range, as a share of the range. By judgement. */
 static const double SATURATED_SHARE = 0.5;
-/* m/s^2, 1 sigma of the acceleration during missing samples. By judgement, as in navigation.c: a quick robot. */
-static const double GAP_ACCEL_M_S2 = 2;
 /* s, in which the scale's variance returns to its start (10 hours). By judgement: temperature and ageing. */
 static const double SCALE_TIME_S = 36000;
 /* rad/s, limit of the bias estimate, all axes together. Datasheet: zero-rate level of the L3GD20 at 2000 deg/s, up to

@@ -97,8 +97,6 @@ static const double BIAS_TIME_S = 100;
 /* s, correlation time of what vibration and clipping do to the force. By judgement: as long as an engine keeps its
  * speed. */
 static const double FORCE_ERROR_S = 10;
-/* m/s^2, 1 sigma of the acceleration during missing samples. By judgement: a quick robot. */
-static const double GAP_ACCEL_M_S2 = 2;
 
 /* ---- standstill ---- */
 

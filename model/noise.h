@@ -1,9 +1,13 @@
 /* model/noise.h
  * Noise of the sensors (2020h), by which the filters weigh one measurement against another. The defaults
  * (PIPELINE_DEFAULTS) are the noise densities in the datasheets of the L3GD20 and the LSM303DLHC, and instabilities as
- * MEMS sensors of that kind have them; the angles' sigma is by judgement. */
+ * MEMS sensors of that kind have them; the angles' sigma is by judgement. And what both filters presume where there is
+ * no measurement. */
 #ifndef MODEL_NOISE_H
 #define MODEL_NOISE_H
+
+/* m/s^2, 1 sigma of the acceleration during missing samples. By judgement: a quick robot. */
+#define GAP_ACCEL_M_S2 2.0
 
 struct noise_config {
 	/** rad, >= 0, default 0.05 degrees: 1 sigma of angles, given or fused, white from sample to sample. Used where
