@@ -112,9 +112,9 @@ static void connect_mag(struct board *b)
 	if (b->gyro->chip != &CHIP_ICM20948)
 		return;
 	for (size_t i = 0; i < sizeof awake / sizeof *awake; i++)
-		if (i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value) <
-			0) /* again, as in is_there() */
-			i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value);
+		for (int tries = 0; tries < 2; tries++) /* again, as in is_there() */
+			if (i2c_write(b->bus, b->gyro->address, awake[i].address, awake[i].value) == 0)
+				break;
 }
 
 static void find_mag(struct board *b)
