@@ -103,10 +103,10 @@ class Live(rig.OnThePage):
         self.assertEqual(times, sorted(times))
         counter = next(name for name in rows[0] if name.startswith("sample.counter"))
         shown = [row for row in rows if row[counter]]
-        # SYNC and sensor have different clocks, and a busy machine holds SYNC up: 100 samples a second of that time
+        # SYNC and sensor have different clocks, and a busy machine holds a row up: most have 100 samples a second
         off = [(int(b[counter]) - int(a[counter])) % 65536 - 100 * (float(b["t [s]"]) - float(a["t [s]"]))
                for a, b in zip(shown, shown[1:])]
-        self.assertLess(max(map(abs, off)), 20)
+        self.assertLess(statistics.median(map(abs, off)), 5)
         self.assertGreater(statistics.pstdev(float(row["acceleration.l [m/s^2]"]) for row in rows
                                              if row["acceleration.l [m/s^2]"]), 0.1)
 
@@ -183,7 +183,8 @@ class Mounting(rig.OnThePage):
 
     @classmethod
     def pose(cls, raised_deg):
-        """Ten minutes of rest, as that sensor measures it in the object with its front raised about s."""
+        """Ten minutes of rest, as that sensor measures it in the object with its front raised about s. Its noise makes
+        1 sigma of about 0.01 deg in the yaw that is found."""
         angle = math.radians(raised_deg)
         force = GRAVITY * math.sin(angle), 0, GRAVITY * math.cos(angle)
         cr, sr, cp, sp, cy, sy = (f(math.radians(a)) for a in MOUNTING_DEG for f in (math.cos, math.sin))
@@ -196,7 +197,7 @@ class Mounting(rig.OnThePage):
         with open(path, "w") as file:
             file.write("t,gx,gy,gz,ax,ay,az,mx,my,mz\n")
             for i in range(30000):
-                row = [noise(0, 0.001) for _ in range(3)] + [f + noise(0, 0.02) for f in sensed]
+                row = [noise(0, 0.001) for _ in range(3)] + [f + noise(0, 0.005) for f in sensed]
                 file.write("%.2f,%s,,,\n" % (0.02 * i, ",".join("%.5f" % v for v in row)))
         return "replay:%s,loop" % path
 
