@@ -1161,7 +1161,7 @@ static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 		n.high_pass2_max = cases[i].high_pass2_max;
 		t = one_interval(&n, ZERO, (struct vec3){0.5, 0, 0});
 		assert_true(!n.still && n.high_pass2_max < cases[i].high_pass2_max + 0.01);
-		noise = (n.high_pass2_max / 3 / 3.3 + 0.05 * 0.05) * 0.1 / t;
+		noise = (n.high_pass2_max / 3 / 3.3 + 0.05 * 0.05) * 0.06 / t;
 		assert_near(n.p[NAVIGATION_V][NAVIGATION_V], cases[i].moving_s < 5 ? 1 : noise / (1 + noise), 1e-3);
 	}
 }
