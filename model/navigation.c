@@ -138,9 +138,9 @@ static const double HUNG_STILL_S = 3;
 
 /* ---- levelling ---- */
 
-/* s, correlation time of the velocity as a measurement of zero. Tuned: at most NAVIGATION_HIGH_PASS_S / (2 pi) = 0.16 s,
- * that of the high-passed velocity; less, since a motion to and fro averages out sooner than noise does. Smaller: the
- * position drifts less over a minute, is off by more within the first seconds, and sigma is smaller. */
+/* s, correlation time of the velocity as a measurement of zero. Tuned: at most NAVIGATION_HIGH_PASS_S / (2 pi) = 0.16
+ * s, that of the high-passed velocity; less, since a motion to and fro averages out sooner than noise does. Smaller:
+ * the position drifts less over a minute, is off by more within the first seconds, and sigma is smaller. */
 static const double VELOCITY_CORRELATION_S = 0.06;
 /* Square of the greatest velocity of a movement to its mean square. By judgement: 2 for a sine, 3.3 for hand
  * movements. */
