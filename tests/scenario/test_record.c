@@ -896,6 +896,8 @@ static void test_a_thread_writes_what_the_loop_records(void **state)
 	power_on(s, NULL, &options);
 	nmt(s, 1);
 	run(s, 60);
+	while (record_next(&s->record)) /* it takes them without being asked: a test that hangs has failed */
+		usleep(1000);
 	power_off(s);
 	assert_true(replay_all(s) > 59 * RATE_HZ);
 	assert_same_frames(&s->sent, 0);
