@@ -232,7 +232,7 @@ enum { HAS_NOW = 1, HAS_VALUE = 2, HAS_OFFSET = 4 };
 static const struct {
 	const char *word;
 	enum record_kind kind;
-	int has;
+	int has; /* behind the word, of kinds without a function of their own */
 } WORDS[] = {
 	{"start", RECORD_START, HAS_NOW | HAS_VALUE},
 	{"failed", RECORD_FAILED, HAS_NOW | HAS_VALUE},
@@ -242,12 +242,12 @@ static const struct {
 	{"tick", RECORD_TICK, HAS_NOW},
 	{"answer", RECORD_ANSWER, HAS_VALUE},
 	{"lost", RECORD_LOST, HAS_VALUE},
-	{"others", RECORD_OTHERS, 0},
-	{"rx", RECORD_FRAME, 0},
-	{"write", RECORD_WRITE, 0},
-	{"bus", RECORD_BUS, 0},
-	{"imu", RECORD_IMU, 0},
-	{"recording", RECORD_SELF, 0},
+	{"others", .kind = RECORD_OTHERS},
+	{"rx", .kind = RECORD_FRAME},
+	{"write", .kind = RECORD_WRITE},
+	{"bus", .kind = RECORD_BUS},
+	{"imu", .kind = RECORD_IMU},
+	{"recording", .kind = RECORD_SELF},
 };
 enum { WORD_COUNT = sizeof(WORDS) / sizeof(WORDS[0]) };
 
