@@ -14,6 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "gateway/device_state.h"
@@ -23,15 +24,31 @@
 #include "gateway/reload.h"
 #include "model/sim/sensor.h"
 #include "od/little_endian.h"
+#include "tests/unit/descriptors.h"
 #include "tools/replay/recording.h"
 
 enum { NODE = 16, RATE_HZ = 50, SLOW_HZ = 25 };
 
-/* Whether a disk keeps it is not the matter here. */
+static unsigned syncs;	 /* of files; that takes too long here */
+static bool takes_parts; /* of what is written */
+
 int fdatasync(int fd)
 {
 	(void)fd;
+	syncs++;
 	return 0;
+}
+
+ssize_t write(int fd, const void *bytes, size_t size)
+{
+	static unsigned calls;
+
+	if (!takes_parts || size < 100)
+		return syscall(SYS_write, fd, bytes, size);
+	if (++calls % 4)
+		return syscall(SYS_write, fd, bytes, size / 3);
+	errno = EINTR; /* a signal */
+	return -1;
 }
 
 /* ---- frames that were sent --------------------------------------------------------------------------------------- */
@@ -886,6 +903,21 @@ static void test_a_full_disk_ends_the_recording_and_nothing_else(void **state)
 	assert_same_frames(&s->sent, from);
 }
 
+static void test_a_disk_that_takes_a_part_of_each_write_gets_all(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	takes_parts = true;
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 60);
+	power_off(s);
+	takes_parts = false;
+	assert_true(replay_all(s) > 59 * RATE_HZ);
+	assert_same_frames(&s->sent, 0);
+}
+
 /* As in the process; an hour of it in seconds would fill the ring. */
 static void test_a_thread_writes_what_the_loop_records(void **state)
 {
@@ -970,6 +1002,7 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	struct record_options options = options_of(s, 1, 3);
 	static char names[20][64];
 
+	syncs = 0;
 	power_on(s, NULL, &options);
 	run(s, 700);
 	power_off(s);
@@ -978,6 +1011,7 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(sscanf(names[0], "imu9-%u.imu.csv", &first), 1);
 	assert_int_equal(sscanf(names[2], "imu9-%u.imu.csv", &second), 1);
 	assert_true(first > 3 && second == first + 2);
+	assert_int_equal(syncs, second); /* each file when it has ended */
 
 	power_on(s, NULL, &options); /* a restart continues the numbers */
 	run(s, 1);
@@ -1085,6 +1119,7 @@ int main(void)
 		TEST(test_a_damaged_line_is_told),
 		TEST(test_a_missing_input_is_noticed),
 		TEST(test_a_full_disk_ends_the_recording_and_nothing_else),
+		TEST(test_a_disk_that_takes_a_part_of_each_write_gets_all),
 		TEST(test_a_thread_writes_what_the_loop_records),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
 		TEST(test_a_recording_is_an_imu_log),
@@ -1097,5 +1132,5 @@ int main(void)
 	};
 
 	log_set_level(LOG_ERR);
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -216,6 +216,20 @@ static void test_what_vendors_write_instead_of_a_number_is_none(void **state)
 	}
 }
 
+static void test_what_is_no_number_has_no_influence_on_the_next(void **state)
+{
+	uint32_t serial;
+
+	(void)state;
+	run("rm -r %s/proc", pi, "", "");
+	put(pi, "sys/class/dmi/id/board_serial", "PF3ABCDE");
+	serial = serial_of(pi, store, "can0");
+	put(pi, "sys/class/dmi/id/product_uuid", "03000200-0400-0500-0006-000700080009");
+	put(pi, "sys/class/dmi/id/product_serial", "Default string\n");
+	put(pi, "sys/class/dmi/id/board_serial", "PF3ABCDE \nXYZ12345");
+	assert_int_equal(serial_of(pi, other_store, "can0"), serial);
+}
+
 static void test_a_usb_can_adapter_has_a_number_where_the_machine_has_none(void **state)
 {
 	(void)state;
@@ -257,6 +271,7 @@ int main(void)
 		TEST(test_a_serial_number_that_another_gateway_of_the_host_has_is_told),
 		TEST(test_a_usb_network_adapter_changes_nothing),
 		TEST(test_what_vendors_write_instead_of_a_number_is_none),
+		TEST(test_what_is_no_number_has_no_influence_on_the_next),
 		TEST(test_a_usb_can_adapter_has_a_number_where_the_machine_has_none),
 		TEST(test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_of_the_board),
 		TEST(test_a_damaged_file_is_no_number),

@@ -1,7 +1,7 @@
 /* What the parts of the gateway that need no device make of tables of inputs, compared with what they made of them when
  * the trace was written (trace.h): keys of the configuration with their limits and messages, option texts, blink codes,
- * histograms, the log's selection of lines, signs of life, names of files, thresholds, rows of a recording, the bytes of
- * the store. What is right is for the other tests to say. */
+ * histograms, the log's selection of lines, signs of life, names of files, thresholds, rows of a recording, the bytes
+ * of the store. What is right is for the other tests to say. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <setjmp.h>
