@@ -1050,6 +1050,15 @@ static void test_procedures(void **state)
 	pass(s, 65000);
 	look_at_outputs(s, "gyro, moved");
 	put(s, "calibration.command", "11");
+	w->signal = signal_find("rest");
+	put(s, "calibration.command", "4");
+	pass(s, 190000);
+	look_at_outputs(s, "field, not turned");
+	put(s, "calibration.command", "2");
+	pass(s, 950000);
+	look_at_outputs(s, "six faces, not turned");
+	w->signal = signal_find("tumble");
+	put(s, "calibration.command", "11");
 	put(s, "lever_arm_identification.command", "2");
 	pass(s, 31000);
 	look_at_outputs(s, "lever arm without a reference");
