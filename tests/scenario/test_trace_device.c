@@ -1147,8 +1147,9 @@ static void test_snapshots(void **state)
 		"consumer_heartbeat_time.consumer_1=0x00050064",
 		"second_sdo_server_parameter.cob_id_client_to_server=0x641",
 		"second_sdo_server_parameter.cob_id_server_to_client=0x5C1",
-		"verify_configuration.configuration_date=9000", "tpdo2_communication.cob_id=0x80000290",
-		"tpdo3_mapping.number_of_mapped_objects=2", NULL};
+		"verify_configuration.configuration_date=9000",
+		"third_sdo_server_parameter.cob_id_client_to_server=0x80000010",
+		"tpdo2_communication.cob_id=0x80000290", "tpdo3_mapping.number_of_mapped_objects=2", NULL};
 	struct scene *s = begin(state, "snapshots", "ideal", "rest");
 	uint8_t wire[4] = {0};
 	const struct od_domain *snapshot;

@@ -13,6 +13,7 @@
 
 #include "gateway/config.h"
 #include "od_values.h"
+#include "tests/unit/descriptors.h"
 
 static struct config config;
 static struct od od;
@@ -365,5 +366,5 @@ int main(void)
 		TEST(test_the_addresses_of_cia309_add_up),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -13,6 +13,7 @@
 
 #include "gateway/canopen/node.h"
 #include "gateway/led.h"
+#include "tests/unit/descriptors.h"
 
 struct fixture {
 	struct can_port bus;
@@ -269,5 +270,5 @@ int main(void)
 		TEST(test_the_error_led_works_without_the_run_led),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

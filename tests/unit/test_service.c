@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "gateway/service.h"
+#include "tests/unit/descriptors.h"
 
 #define S 1000000
 
@@ -206,5 +207,5 @@ int main(void)
 		TEST(test_time_in_which_the_process_was_stopped_is_no_hang),
 	};
 
-	return cmocka_run_group_tests_name("service", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("service", tests, count_descriptors, no_descriptor_is_left);
 }

@@ -350,6 +350,17 @@ static void test_codecs(void **state)
 		show_bytes("udp, the rest", text + 90, n - 90);
 		assert_int_equal(can_udp_decode(text, n, &again), 0);
 		show_msg("from udp", &again);
+		for (int bit = 0; bit < 8; bit++) { /* of each byte, another one */
+			char results[CAN_UDP_MAX + 1] = "";
+
+			for (size_t k = 0; k < n; k++) {
+				text[k] = (char)(text[k] ^ 1 << bit);
+				int rc = can_udp_decode(text, n, &again);
+				results[k] = rc == -EBADMSG ? '-' : rc == -ENOTSUP ? '=' : rc == 0 ? '+' : '?';
+				text[k] = (char)(text[k] ^ 1 << bit);
+			}
+			trace_text("changed", results);
+		}
 	}
 	trace_block("lines of slcan");
 	for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++) {

@@ -562,6 +562,11 @@ static void test_store_names(void **state)
 	trace_check();
 }
 
+static char mark(int result)
+{
+	return result == 1 ? '+' : result == 0 ? '=' : result == -EBADMSG ? '-' : '?';
+}
+
 static void test_rows_of_a_recording(void **state)
 {
 	struct record_entry entries[] = {
@@ -618,6 +623,23 @@ static void test_rows_of_a_recording(void **state)
 			show("read", record_parse(text, &again));
 			show("kind", again.kind);
 		}
+	trace_block("damaged rows of a recording");
+	for (size_t i = 0; i < sizeof(entries) / sizeof(entries[0]); i++) {
+		char cut[TEXT_MAX + 1] = "", changed[TEXT_MAX + 1] = "", line[RECORD_ROW_MAX];
+		size_t size = record_text(&entries[i], text) - 1;
+
+		for (size_t k = 0; k < size && k < TEXT_MAX; k++) { /* the first k characters; another one at k */
+			struct record_entry again;
+
+			snprintf(line, sizeof(line), "%.*s", (int)k, text);
+			cut[k] = mark(record_parse(line, &again));
+			snprintf(line, sizeof(line), "%.*s", (int)size, text);
+			line[k] = k % 2 ? '~' : ' ';
+			changed[k] = mark(record_parse(line, &again));
+		}
+		trace_text("cut    ", cut);
+		trace_text("changed", changed);
+	}
 	trace_block("lines of a recording");
 	for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++) {
 		struct record_entry e = {0};
