@@ -903,6 +903,42 @@ static void test_a_full_disk_ends_the_recording_and_nothing_else(void **state)
 	assert_same_frames(&s->sent, from);
 }
 
+static void test_a_file_begins_with_what_it_is_of(void **state)
+{
+	static const char *const lines[] = {"# device 16 0 5 0\n", "# sensor chips\n", "# can can0\n",
+		"# uncalibrated: gyro magnetometer\n", "# config lever_arm.l = 0.25\n",
+		"# config lever_arm_model = 1\n"};
+	static const char *const settings[] = {"lever_arm.l=0.25", "lever_arm_model=1", NULL};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	char path[160], line[2000];
+	unsigned found = 0, configured = 0, year, columns = 0;
+
+	power_on(s, settings, &options);
+	s->imu.uncalibrated = 5;
+	run(s, 2);
+	power_off(s);
+	snprintf(path, sizeof(path), "%s/imu9-000001.imu.csv", s->folder);
+	FILE *f = fopen(path, "r");
+	assert_non_null(f);
+	assert_non_null(fgets(line, sizeof(line), f));
+	assert_int_equal(strncmp(line, "# imu9-recording 1 ", 19), 0);
+	assert_non_null(fgets(line, sizeof(line), f));
+	assert_int_equal(strncmp(line, "# of imu9-gateway ", 18), 0);
+	assert_int_equal(sscanf(strstr(line, ", at ") + 5, "%u-%*u-%*uT%*u:%*u:%*uZ", &year), 1);
+	assert_in_range(year, 1970, 9999);
+	while (columns == 0 && fgets(line, sizeof(line), f)) {
+		for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++)
+			found += strcmp(line, lines[i]) == 0;
+		configured += strncmp(line, "# config ", 9) == 0;
+		columns += strncmp(line, "t,gx,gy,gz,", 11) == 0;
+	}
+	fclose(f);
+	assert_int_equal(found, sizeof(lines) / sizeof(lines[0]));
+	assert_int_equal(configured, 2); /* the others have their defaults */
+	assert_int_equal(columns, 1);
+}
+
 static void test_a_disk_that_takes_a_part_of_each_write_gets_all(void **state)
 {
 	struct site *s = *state;
@@ -1119,6 +1155,7 @@ int main(void)
 		TEST(test_a_damaged_line_is_told),
 		TEST(test_a_missing_input_is_noticed),
 		TEST(test_a_full_disk_ends_the_recording_and_nothing_else),
+		TEST(test_a_file_begins_with_what_it_is_of),
 		TEST(test_a_disk_that_takes_a_part_of_each_write_gets_all),
 		TEST(test_a_thread_writes_what_the_loop_records),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
