@@ -17,11 +17,10 @@ static struct timespec now = {1000, 999999999};
 static struct itimerspec timer; /* as set last */
 static bool no_timer;
 
-/* Replace those of the system. */
+/* Replace those of the system. cmocka looks at other clocks, too. */
 int clock_gettime(clockid_t clock, struct timespec *time)
 {
-	assert_int_equal(clock, CLOCK_MONOTONIC);
-	*time = now;
+	*time = clock == CLOCK_MONOTONIC ? now : (struct timespec){0};
 	return 0;
 }
 
