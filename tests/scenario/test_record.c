@@ -1057,6 +1057,60 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(first, second + 1);
 }
 
+/* Numbers need not be in the order of the folder, and go beyond six digits. */
+static void test_files_of_earlier_runs_count_and_others_are_left_alone(void **state)
+{
+	static const char *const before[] = {"imu9-000007.imu.csv", "imu9-000009.imu.csv", "imu9-000008.imu.csv",
+		"imu9-000011.kept.imu.csv", "imu9-000003.kept.imu.csv", "imu9-000010.kept.imu.csv",
+		"imu9-000005.kept.imu.csv", "imu9-12.imu.csv", "imu9-000013.csv", "imu9-000014.imu.csv.bak",
+		"other.csv", "imu9-x.imu.csv", "imu9-1000000.imu.csv"};
+	static const char *const after[] = {"imu9-000010.kept.imu.csv", "imu9-000011.kept.imu.csv", "imu9-000013.csv",
+		"imu9-000014.imu.csv.bak", "imu9-1000000.imu.csv", "imu9-1000001.imu.csv", "imu9-12.imu.csv",
+		"imu9-x.imu.csv", "other.csv"};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 1, 2);
+	static char names[20][64];
+	char path[160];
+
+	for (size_t i = 0; i < sizeof(before) / sizeof(before[0]); i++) {
+		snprintf(path, sizeof(path), "%s/%s", s->folder, before[i]);
+		fclose(fopen(path, "w"));
+	}
+	power_on(s, NULL, &options);
+	run(s, 1);
+	power_off(s);
+	assert_int_equal(files_of(s, names, 20), sizeof(after) / sizeof(after[0]));
+	for (size_t i = 0; i < sizeof(after) / sizeof(after[0]); i++)
+		assert_string_equal(names[i], after[i]);
+}
+
+static void test_a_folder_that_cannot_be_used_is_told(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 1, 2);
+	static struct record_file file;
+	char path[160];
+
+	snprintf(options.folder, sizeof(options.folder), "%s/no/such", s->folder);
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOENT);
+	snprintf(options.folder, sizeof(options.folder), "%s/new", s->folder);
+	assert_int_equal(record_file_init(&file, &s->record, &options), 0);
+	record_file_close(&file);
+	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
+		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
+		fclose(fopen(path, "w"));
+	}
+	assert_int_equal(record_file_init(&file, &s->record, &options), -E2BIG);
+	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
+		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
+		unlink(path);
+	}
+	assert_int_equal(rmdir(options.folder), 0);
+	snprintf(options.folder, sizeof(options.folder), "%s/file", s->folder);
+	fclose(fopen(options.folder, "w"));
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOTDIR);
+}
+
 static void test_the_minute_before_an_emcy_is_kept(void **state)
 {
 	struct site *s = *state;
@@ -1161,6 +1215,8 @@ int main(void)
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
+		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
+		TEST(test_a_folder_that_cannot_be_used_is_told),
 		TEST(test_the_minute_before_an_emcy_is_kept),
 		TEST(test_kept_files_are_bounded),
 		TEST(test_only_one_process_records_in_a_folder),

@@ -16,6 +16,8 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include "drivers/ports/imu.h"
+#include "drivers/ports/sources.h"
 #include "gateway/angle_filter.h"
 #include "gateway/canopen/emcy_codes.h"
 #include "gateway/config.h"
@@ -253,7 +255,24 @@ static void test_options(void **state)
 		"tcp:127.0.0.1:1502,write=10.0.0.1", "rtu:/dev/ttyUSB0", "rtu:/dev/ttyUSB0,baud=1,parity=x", "udp:1",
 		"tcp:127.0.0.1\nrtu:/dev/ttyUSB0\n", "\n", "tcp:127.0.0.1\nxyz", "tcp:a\ntcp:b\ntcp:c\ntcp:d\n",
 		"tcp:a\ntcp:b\ntcp:c\ntcp:d\ntcp:e\ntcp:f\ntcp:g\ntcp:h\ntcp:i\n"};
-	char why[300], *syntax = NULL;
+	static const char *const sensors[] = {"", "x", "sim", "sim:", "sim:square", "sim:nowhere",
+		"sim:square,board=v5", "sim:square,board=v9", "sim:square,rate=50", "sim:square,rate=0",
+		"sim:square,rate=x", "sim:square,uncalibrated", "sim:,board=lsm9ds1", "sim:square,other", "replay",
+		"replay:", "replay:a", "replay:a,loop", "replay:a,speed=2", "replay:a,speed=0", "replay:a,speed=-1",
+		"replay:a,speed=nan", "replay:a,speed=2,loop", "replay:a,fast", "i2c", "i2c:", "i2c:/dev/i2c-1",
+		"i2c:/dev/i2c-1,drdy=/dev/gpiochip0:4", "i2c:/dev/i2c-1,drdy=/dev/gpiochip0",
+		"i2c:/dev/i2c-1,drdy=/dev/gpiochip0:x", "i2c:/dev/i2c-1,drdy=:4", "i2c:/dev/i2c-1,config=/a",
+		"i2c:/dev/i2c-1,mode=3", "spi:/dev/spidev0.0", "spi:/dev/spidev0.0,/dev/spidev0.1",
+		"spi:/dev/spidev0.0,mode=0", "spi:/dev/spidev0.0,mode=3", "spi:/dev/spidev0.0,mode=4",
+		"spi:/dev/spidev0.0,speed=1000000", "spi:/dev/spidev0.0,speed=0", "spi:/dev/spidev0.0,speed=x",
+		"spi:", "spi:a,b,c", "iio", "iio:", "iio:a,b", "iio:a,mount=ignore", "iio:a,mount=x", "wt901",
+		"wt901:", "wt901:/dev/x", "wt901:/dev/x,baud=4800", "wt901:/dev/x,baud=9600", "wt901:/dev/x,baud=19200",
+		"wt901:/dev/x,baud=38400", "wt901:/dev/x,baud=57600", "wt901:/dev/x,baud=115200",
+		"wt901:/dev/x,baud=230400", "wt901:/dev/x,baud=12480", "wt901:/dev/x,baud=460800",
+		"wt901:/dev/x,address=0x50", "wt901:/dev/x,address=0", "wt901:/dev/x,address=1",
+		"wt901:/dev/x,address=127", "wt901:/dev/x,address=128", "wt901:/dev/x,address=247",
+		"wt901:/dev/x,address=248", "wt901:/dev/x,address=x", "wt901:/dev/x,other"};
+	char why[600], *syntax = NULL;
 	size_t size;
 	FILE *f = open_memstream(&syntax, &size);
 	struct record_options o;
@@ -279,6 +298,17 @@ static void test_options(void **state)
 		show("result", window_check(windows[i], why, sizeof(why)));
 		show_text("error", why);
 	}
+	trace_block("sensors");
+	for (size_t i = 0; i < sizeof(sensors) / sizeof(sensors[0]); i++) {
+		int rc = imu_open(sensors[i], NULL, NULL, why, sizeof(why));
+
+		show_text("text", sensors[i]);
+		show("result", rc);
+		if (rc < 0)
+			show_text("error", why);
+	}
+	trace_block("syntax");
+	imu_print_sources(f);
 	window_print_syntax(f);
 	fclose(f);
 	for (char *line = strtok(syntax, "\n"); line; line = strtok(NULL, "\n"))
