@@ -204,12 +204,15 @@ static void test_two_gateways_of_a_host_have_different_serial_numbers_in_any_ord
 
 static void test_a_serial_number_that_another_gateway_of_the_host_has_is_told(void **state)
 {
-	struct gateway a = start(pi, store, "can0", 1234), b = start(pi, store, "can1", 1234);
+	struct gateway a = start(pi, store, "can0", 1234), b = start(pi, store, "can1", 1234),
+		       c = start(pi, store, "can2", 1235);
 
 	(void)state;
 	assert_string_equal(a.note, "");
 	assert_non_null(strstr(b.note, "000004D2h is that of another gateway of this host"));
 	assert_int_equal(b.serial, 1234);
+	assert_string_equal(c.note, "");
+	end_gateway(c);
 	end_gateway(a);
 	end_gateway(b);
 }

@@ -488,8 +488,11 @@ static void test_options(void **state)
 	static const char *const buses[] = {"slcan:", "slcan:/dev/x@", "slcan:/dev/x@9600", "slcan:/dev/x@9601",
 		"slcan:/dev/x@3000000", "slcan:/dev/x@4000000", "slcan:/dev/x,bitrate=83333", "slcan:/dev/x", "gs_usb",
 		"gs_usb:A:1", "gs_usb:A:x", "udp", "udp:", "udp:1.2.3.4", "udp:239.0.0.1", "udp:239.0.0.1:99999",
-		"udp:[ff15::1]:5", "udp,hosts=any", "udp,hosts=none", "can0", "can0,bitrate=5", "x:y", "",
-		"a-name-that-is-too-long"};
+		"udp:[ff15::1]:5", "udp,hosts=any", "udp,hosts=none", "udp,hosts=10.1.2.0/24", "udp,hosts=10.1.2.0/33",
+		"udp,hosts=10.1.2.0", "udp,hosts=fe80::/10", "udp,hosts=10.1.2.0/24x", "udp,interface=no-such-one",
+		"udp,interface=", "udp,hosts=any,hosts=any", "udp,x=1", "udp:[ff15::1]", "udp:[ff15::1", "udp:ff15::1",
+		"udp:239.0.0.1:", "udp:239.0.0.1:0", "udp:239.0.0.1:65535", "udp:239.0.0.1:+5", "can0",
+		"can0,bitrate=5", "x:y", "", "a-name-that-is-too-long"};
 	struct bus_options o;
 	char text[400], why[300];
 
