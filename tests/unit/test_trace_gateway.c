@@ -307,6 +307,15 @@ static void test_options(void **state)
 		if (rc < 0)
 			show_text("error", why);
 	}
+	trace_block("sensors that are not there");
+	static const char *const absent[] = {"i2c:/no/such", "spi:/no/such", "wt901:/no/such", "replay:/no/such"};
+	for (size_t i = 0; i < sizeof(absent) / sizeof(absent[0]); i++) {
+		struct imu_port *port = NULL;
+
+		show("result", imu_open(absent[i], NULL, &port, why, sizeof(why)));
+		show_text("error", why);
+		assert_null(port);
+	}
 	trace_block("syntax");
 	imu_print_sources(f);
 	window_print_syntax(f);
