@@ -29,6 +29,7 @@
 #include "gateway/record_text.h"
 #include "gateway/sensor_watch.h"
 #include "gateway/service.h"
+#include "gateway/settings.h"
 #include "gateway/store.h"
 #include "gateway/store_name.h"
 #include "gateway/threshold.h"
@@ -408,9 +409,128 @@ static void test_thresholds(void **state)
 		const struct od_entry *e = &imu9_od_table.entries[i];
 		double threshold = threshold_of(&od, e);
 
-		if (e->access & OD_TPDO)
+		if (e->access & OD_TPDO && (e->index < 0x2120 || e->index >= 0x6000))
 			trace_value(e->name, isinf(threshold) ? 1e9 : threshold, 1e-6);
 	}
+	trace_check();
+}
+
+/* Each object of the pipeline's configuration within its limits, and different from its default. */
+static void put_other_values(struct od *od)
+{
+	for (size_t i = 0; i < od->table->count; i++) {
+		const struct od_entry *e = &od->table->entries[i];
+		uint8_t wire[8];
+		char text[40];
+		size_t size;
+
+		if (e->index < 0x2000 || e->index > 0x2055 || !(e->access & OD_STORED))
+			continue;
+		double low = e->access & OD_LIMIT_LOW ? od_number_value((enum od_type)e->type, e->low) : 0,
+		       high = e->access & OD_LIMIT_HIGH ? od_number_value((enum od_type)e->type, e->high) : 100;
+		snprintf(text, sizeof(text), e->type == OD_REAL32 ? "%.6g" : "%.0f",
+			low + (high - low) * (0.11 + 0.0137 * ((e->index * 7 + e->sub * 13) % 61)));
+		assert_int_equal(od_parse(e, text, wire, sizeof(wire), &size), OD_OK);
+		assert_int_equal(od_put(od, e, wire, size), OD_OK);
+	}
+}
+
+static void test_settings(void **state)
+{
+	static struct od_values values;
+	struct od od;
+
+	(void)state;
+	od_init(&od, &imu9_od_table, &values, 1);
+	put_other_values(&od);
+	const struct pipeline_config c = settings_pipeline(&values);
+	const struct calibration_config *k = &c.calibration;
+	const struct triad_calibration *const triads[] = {&k->gyro, &k->accel, &k->mag};
+
+	trace_block("settings of the pipeline");
+	for (int i = 0; i < 3; i++) {
+		trace_vec("bias", triads[i]->bias, 1e-9);
+		for (int row = 0; row < 3; row++)
+			trace_vec("row",
+				(struct vec3){triads[i]->matrix[row][0], triads[i]->matrix[row][1],
+					triads[i]->matrix[row][2]},
+				1e-9);
+	}
+	trace_vec("gyro_slope", k->temperature.gyro_slope, 1e-9);
+	trace_vec("gyro_quadratic", k->temperature.gyro_quadratic, 1e-9);
+	trace_vec("accel_slope", k->temperature.accel_slope, 1e-9);
+	trace_vec("accel_quadratic", k->temperature.accel_quadratic, 1e-9);
+	trace_value("reference_degC", k->temperature.reference_degC, 1e-9);
+	trace_vec("mounting_rad", k->mounting_rad, 1e-9);
+	trace_vec("lever_arm_b_m", c.estimator.lever_arm_b_m, 1e-9);
+#define NUMBER(field) trace_value(#field, (double)c.field, 1e-12)
+	NUMBER(uncalibrated);
+	NUMBER(accel_filter.type);
+	NUMBER(accel_filter.order);
+	NUMBER(accel_filter.cutoff_hz);
+	NUMBER(rate_filter.type);
+	NUMBER(rate_filter.order);
+	NUMBER(rate_filter.cutoff_hz);
+	NUMBER(latency.sensor_s);
+	NUMBER(latency.accelerometer_s);
+	NUMBER(fusion.algorithm);
+	NUMBER(fusion.use_magnetometer);
+	NUMBER(fusion.madgwick_beta);
+	NUMBER(fusion.mahony_kp_rad_s);
+	NUMBER(fusion.mahony_ki_rad_s2);
+	NUMBER(fusion.kalman.velocity_sigma_m_s);
+	NUMBER(fusion.kalman.heading_sigma_rad);
+	NUMBER(fusion.kalman.field_limit);
+	NUMBER(fusion.kalman.rejection_time_s);
+	NUMBER(fusion.kalman.gyro_error);
+	NUMBER(fusion.kalman.bias_walk_rad_s_sqrt_s);
+	NUMBER(fusion.kalman.gyro_scale_sigma);
+	NUMBER(noise.angle_sigma_rad);
+	NUMBER(noise.gyro_density_rad_s_sqrt_hz);
+	NUMBER(noise.gyro_bias_instability_rad_s);
+	NUMBER(noise.accel_density_m_s2_sqrt_hz);
+	NUMBER(noise.accel_bias_instability_m_s2);
+	NUMBER(noise.mag_sigma_uT);
+	NUMBER(estimator.model);
+	NUMBER(estimator.rates_from);
+	NUMBER(estimator.gravity_m_s2);
+	NUMBER(rest.gyro_threshold_rad_s);
+	NUMBER(rest.accel_threshold_m_s2);
+	NUMBER(rest.time_s);
+	NUMBER(stance_s);
+	NUMBER(position.mode);
+	NUMBER(position.longest_integration_s);
+	NUMBER(position.sigma_limit_m);
+	NUMBER(position.navigation.preset);
+	NUMBER(position.navigation.levelling);
+	NUMBER(position.navigation.velocity_prior_m_s);
+	NUMBER(position.navigation.rope_m);
+#undef NUMBER
+	trace_check();
+}
+
+/* 2055h for each sensor, and what its source says. */
+static void test_uncalibrated(void **state)
+{
+	static struct od_values values;
+	struct od od;
+	char name[40];
+
+	(void)state;
+	trace_block("sensors that nobody calibrated");
+	for (int said = 0; said < 27; said++)
+		for (unsigned source = 0; source < 8; source++) {
+			od_init(&od, &imu9_od_table, &values, 1);
+			values.sensor_calibration.gyro = (uint8_t)(said % 3);
+			values.sensor_calibration.accelerometer = (uint8_t)(said / 3 % 3);
+			values.sensor_calibration.magnetometer = (uint8_t)(said / 9);
+			snprintf(name, sizeof(name), "said %d, source %u", said, source);
+			show(name, settings_uncalibrated(&values, source));
+			values.gyro_calibration.bias_z = 0.01f;
+			values.accelerometer_calibration.zx = 0.01f;
+			values.magnetometer_calibration.yy = 1.01f;
+			show("calibrated", settings_uncalibrated(&values, source));
+		}
 	trace_check();
 }
 
@@ -738,8 +858,9 @@ int main(void)
 	struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_keys), cmocka_unit_test(test_assignments), cmocka_unit_test(test_files),
 		cmocka_unit_test(test_options), cmocka_unit_test(test_leds), cmocka_unit_test(test_histograms),
-		cmocka_unit_test(test_thresholds), cmocka_unit_test(test_angle_filter), cmocka_unit_test(test_words),
-		cmocka_unit_test(test_event_log), cmocka_unit_test(test_store), cmocka_unit_test(test_store_names),
+		cmocka_unit_test(test_thresholds), cmocka_unit_test(test_settings), cmocka_unit_test(test_uncalibrated),
+		cmocka_unit_test(test_angle_filter), cmocka_unit_test(test_words), cmocka_unit_test(test_event_log),
+		cmocka_unit_test(test_store), cmocka_unit_test(test_store_names),
 		cmocka_unit_test(test_rows_of_a_recording), cmocka_unit_test(test_signs_of_life),
 		{0}, /* of trace_run() */
 	};
