@@ -43,10 +43,19 @@ struct scene {
 	struct record record;
 };
 
-/* Replaces gateway/log.c. The log of the device has the same lines. */
+/* Replaces gateway/log.c. Lines of the event log, of which this is the format, are shown as those. */
 void log_at(int severity, const char *format, ...)
 {
-	(void)severity, (void)format;
+	char text[180], name[20];
+	va_list args;
+
+	if (strcmp(format, "%s%s") == 0)
+		return;
+	va_start(args, format);
+	vsnprintf(text, sizeof(text), format, args);
+	va_end(args);
+	snprintf(name, sizeof(name), "severity %d", severity);
+	trace_text(name, text);
 }
 
 /* ---- ports ------------------------------------------------------------------------------------------------------- */
@@ -1251,6 +1260,14 @@ static void test_reload(void **state)
 	assert_int_equal(config_set(&after, "lever_arm_model=1", error), 0);
 	assert_int_equal(config_set(&after, "angle_resolution=100", error), 0);
 	assert_int_equal(config_set(&after, "producer_heartbeat_time=400", error), 0);
+	static const char *const keys[] = {"imu", "can", "store", "record", "run_led", "error_led", "cia309", "modbus"};
+	for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++)
+		assert_int_equal(config_option(&after, keys[i], "another", error), 0);
+	static const char *const numbers[] = {"node_id", "realtime", "serial", "vendor_id"};
+	for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++)
+		assert_int_equal(config_option(&after, numbers[i], "7", error), 0);
+	assert_int_equal(config_option(&after, "bitrate", "125000", error), 0);
+	assert_int_equal(config_option(&after, "log_level", "debug", error), 0);
 	trace_value("result", reload(&s->world.device, &before, &after, s->world.now_us), 0);
 	tick(s);
 	pass(s, 100);

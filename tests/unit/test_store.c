@@ -13,6 +13,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -249,6 +250,24 @@ static void test_without_a_thread_the_store_is_not_open_and_its_lock_is_free(voi
 	assert_int_equal(store_writer_open(&writer, path), -EAGAIN);
 	store_writer_close(&writer);
 	no_thread = false;
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	store_writer_close(&writer);
+}
+
+static void test_without_a_descriptor_the_store_is_not_open_and_its_lock_is_free(void **state)
+{
+	static struct store_writer writer;
+	struct rlimit before, limit;
+	int next = dup(STDIN_FILENO); /* of the lock; none is left for the event */
+
+	(void)state;
+	close(next);
+	assert_int_equal(getrlimit(RLIMIT_NOFILE, &before), 0);
+	limit = (struct rlimit){(rlim_t)next + 1, before.rlim_max};
+	assert_int_equal(setrlimit(RLIMIT_NOFILE, &limit), 0);
+	int result = store_writer_open(&writer, path);
+	setrlimit(RLIMIT_NOFILE, &before);
+	assert_int_equal(result, -EMFILE);
 	assert_int_equal(store_writer_open(&writer, path), 0);
 	store_writer_close(&writer);
 }
@@ -525,6 +544,7 @@ int main(void)
 		cmocka_unit_test(test_every_flipped_bit_is_detected),
 		TEST(test_a_file_that_cannot_be_read_is_told_and_stays),
 		TEST(test_the_longest_path_can_be_stored),
+		TEST(test_without_a_descriptor_the_store_is_not_open_and_its_lock_is_free),
 		TEST(test_without_a_thread_the_store_is_not_open_and_its_lock_is_free),
 		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
 		TEST(test_a_bad_file_is_never_overwritten),
