@@ -337,20 +337,39 @@ static void test_each_fault(void **state)
 	trace_check();
 }
 
+static void largest_little(struct world *w, const struct sim_access *a)
+{
+	(void)w;
+	for (size_t i = 0; i < a->n && a->n >= 6 && !a->write; i++)
+		a->bytes[i] = i % 2 ? 0x7F : 0xFF;
+}
+
+static void largest_big(struct world *w, const struct sim_access *a)
+{
+	(void)w;
+	for (size_t i = 0; i < a->n && a->n >= 6 && !a->write; i++)
+		a->bytes[i] = i % 2 ? 0xFF : 0x7F;
+}
+
 static void test_the_self_test(void **state)
 {
-	(void)state;
-	for (int shaken = 0; shaken < 2; shaken++) {
-		struct world *w = world_new(*state, shaken ? "tumble" : "rest", false);
+	static const char *const names[] = {"self-test", "self-test while it moves",
+		"self-test at the end of the range", "self-test at the end, the other order"};
 
-		block(w, shaken ? "self-test while it moves" : "self-test");
+	(void)state;
+	for (int kind = 0; kind < 4; kind++) {
+		struct world *w = world_new(*state, kind == 1 ? "tumble" : "rest", false);
+
+		block(w, names[kind]);
 		world_run(w, 600000);
 		memset(&bus_log, 0, sizeof bus_log);
 		w->before = log_access;
+		w->after = kind == 2 ? largest_little : kind == 3 ? largest_big : NULL;
 		board_self_test(&w->board);
 		trace_samples(w, 2500000);
 		flush_line();
 		w->before = NULL;
+		w->after = NULL;
 		world_free(w);
 	}
 	trace_check();
