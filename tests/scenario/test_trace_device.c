@@ -33,6 +33,7 @@ struct scene {
 	unsigned flags;	    /* of the samples, added */
 	double warmer_degC; /* 20 degC is told with SAMPLE_TEMPERATURE, and so much more */
 	int configured;	    /* answer of the driver */
+	bool plain;	    /* it has neither settings nor a self-test */
 	/* the bus */
 	int restarted, bit_rate_set; /* answers of the driver */
 	uint32_t filter[FILTERS];
@@ -397,7 +398,7 @@ static void power_on(struct scene *s, const char *const *settings)
 	struct world *w = &s->world;
 
 	w->bus.ops = &ops;
-	w->imu.ops = &imu_ops;
+	w->imu.ops = s->plain ? NULL : &imu_ops;
 	strcpy(w->bus.name, "can7");
 	world_power_on(w, settings);
 	w->device.latency.clock_ns = s->measured ? clock_ns : NULL;
@@ -869,6 +870,23 @@ static void test_sensor_settings(void **state)
 	put(s, "lever_arm_in_um.l", "10000001");
 	pass(s, 50);
 	look(s, "others");
+	trace_check();
+}
+
+static void test_a_sensor_without_settings(void **state)
+{
+	struct scene *s = begin(state, "no settings", "ideal", "rest");
+
+	s->plain = true;
+	power_on(s, NULL);
+	nmt(s, 1);
+	put(s, "sensor.rate", "200");
+	put(s, "sensor.self_test", "1");
+	pass(s, 100);
+	look(s, "written");
+	nmt(s, 129);
+	pass(s, 100);
+	look(s, "reset node");
 	trace_check();
 }
 
@@ -1375,8 +1393,9 @@ int main(void)
 	struct CMUnitTest tests[] = {
 		TEST(test_outputs_in_motion), TEST(test_aids_and_resets), TEST(test_thresholds), TEST(test_bus_faults),
 		TEST(test_bus_limits_and_commands), TEST(test_sensor_faults), TEST(test_sensor_settings),
-		TEST(test_storing), TEST(test_lss), TEST(test_time), TEST(test_procedures), TEST(test_last_movement),
-		TEST(test_snapshots), TEST(test_reload), TEST(test_recording), {0}, /* of trace_run() */
+		TEST(test_a_sensor_without_settings), TEST(test_storing), TEST(test_lss), TEST(test_time),
+		TEST(test_procedures), TEST(test_last_movement), TEST(test_snapshots), TEST(test_reload),
+		TEST(test_recording), {0}, /* of trace_run() */
 	};
 
 	return trace_run("device", tests, sizeof(tests) / sizeof(tests[0]) - 1);

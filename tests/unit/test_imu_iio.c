@@ -1192,6 +1192,12 @@ static void test_without_configfs_the_devices_are_polled(void **state)
 	assert_int_equal(imu_read(port, &sample), 1);
 	assert_near(sample.gyro_rad_s.x, 1000 * 0.001221731, 0.0013);
 	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
+	uint64_t first_us = sample.t_us;
+	int more = 0;
+	for (; imu_read(port, &sample) == 1; more++)
+		;
+	assert_true(more > 10);
+	assert_near((double)(sample.t_us - first_us) / more, 10000, 500); /* the first round was late */
 }
 
 /* 100 readings a second are possible, see above. */

@@ -107,7 +107,7 @@ static struct i2c_bus *opened(size_t count)
 	char error[200] = "";
 
 	k = (struct kernel){.answer = 0xA0};
-	if (spi_dev_open(PATHS, count, &options, &bus, error, sizeof error) < 0)
+	if (spi_dev_open(PATHS, count, &options, &bus, error, sizeof error) != 0)
 		fail_msg("%s", error);
 	return bus;
 }
