@@ -8,12 +8,10 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "gateway/bus_health.h"
 #include "gateway/config.h"
 #include "gateway/log.h"
 #include "gateway/record_text.h"
 #include "gateway/reload.h"
-#include "od/little_endian.h"
 #include "tests/scenario/world.h"
 #include "tests/unit/trace.h"
 
