@@ -40,6 +40,7 @@ struct scene {
 	bool measured;
 	uint64_t looked;
 	struct record record;
+	unsigned restarts, bit_rates, settings, self_tests; /* what the device has asked the ports for */
 };
 
 /* Replaces gateway/log.c. Lines of the event log, of which this is the format, are shown as those. */
@@ -83,6 +84,7 @@ static int restart(struct can_port *port)
 {
 	struct scene *s = (struct scene *)port;
 
+	s->restarts++;
 	if (s->restarted == 0)
 		port->state = CAN_STATE_ACTIVE;
 	return s->restarted;
@@ -92,6 +94,7 @@ static int set_bit_rate(struct can_port *port, uint32_t bit_s, bool dry_run)
 {
 	struct scene *s = (struct scene *)port;
 
+	s->bit_rates++;
 	if (s->bit_rate_set == 0 && !dry_run)
 		port->bit_s = bit_s;
 	return s->bit_rate_set;
@@ -107,6 +110,7 @@ static int configure(struct imu_port *imu, const struct imu_settings *settings, 
 {
 	struct scene *s = (struct scene *)((char *)imu - offsetof(struct world, imu));
 
+	s->settings++;
 	snprintf(error, size, "rate %g Hz, ranges %g, %g, %g, bandwidth %g Hz%s", settings->rate_hz,
 		settings->gyro_range_deg_s, settings->accel_range_g, settings->mag_range_uT, settings->bandwidth_hz,
 		dry ? ", tried" : "");
@@ -115,6 +119,7 @@ static int configure(struct imu_port *imu, const struct imu_settings *settings, 
 
 static void self_test(struct imu_port *imu)
 {
+	((struct scene *)((char *)imu - offsetof(struct world, imu)))->self_tests++;
 	imu->health.self_test = IMU_SELF_TEST_RUNS;
 }
 
@@ -282,6 +287,10 @@ static void look(struct scene *s, const char *what)
 	trace_value("deadline us", s->due_us == UINT64_MAX ? -1 : (double)(s->due_us - s->world.now_us), 0);
 	trace_value("ticks", s->ticks, 0);
 	s->ticks = 0;
+	trace_value("restarts", s->restarts, 0);
+	trace_value("bit rates", s->bit_rates, 0);
+	trace_value("settings", s->settings, 0);
+	trace_value("self-tests", s->self_tests, 0);
 	show_frames(s);
 	show_filter(s);
 	s->filters = 0;
