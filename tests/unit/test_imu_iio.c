@@ -1463,7 +1463,8 @@ static void noisy_scan(void)
 {
 	const int16_t words[6] = {noise, (int16_t)(noise * 3 % 17), (int16_t)(noise * 5 % 23), 4096, 1, noise};
 
-	noise = repeats ? noise : (int16_t)((noise * 7 + 5) % 101);
+	if (!repeats)
+		noise = (int16_t)((noise * 7 + 5) % 101);
 	put_scan(MOTION, w.now_ns - MS, words);
 }
 
