@@ -913,7 +913,7 @@ static void test_a_file_begins_with_what_it_is_of(void **state)
 	struct record_options options = options_of(s, 16, 8);
 	char path[160], line[2000];
 	unsigned found = 0, configured = 0, year, columns = 0;
-	char end;
+	char last;
 
 	power_on(s, settings, &options);
 	s->imu.uncalibrated = 5;
@@ -926,8 +926,8 @@ static void test_a_file_begins_with_what_it_is_of(void **state)
 	assert_int_equal(strncmp(line, "# imu9-recording 1 ", 19), 0);
 	assert_non_null(fgets(line, sizeof(line), f));
 	assert_int_equal(strncmp(line, "# of imu9-gateway ", 18), 0);
-	assert_int_equal(sscanf(strstr(line, ", at ") + 5, "%u-%*2u-%*2uT%*2u:%*2u:%*2uZ%c", &year, &end), 2);
-	assert_int_equal(end, '\n');
+	assert_int_equal(sscanf(strstr(line, ", at ") + 5, "%u-%*2u-%*2uT%*2u:%*2u:%*2uZ%c", &year, &last), 2);
+	assert_int_equal(last, '\n');
 	assert_in_range(year, 1970, 9999);
 	while (columns == 0 && fgets(line, sizeof(line), f)) {
 		for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++)
