@@ -174,7 +174,22 @@ static void show_frames(struct scene *s)
 	}
 }
 
-/* Results of procedures are outputs, too. */
+/* The numbers in the result of a procedure, which are printed with 0.1 mm or four digits. */
+static void show_numbers(const char *text)
+{
+	while (*text) {
+		char *end;
+		double value = strtod(text, &end);
+
+		if (end == text) {
+			text++;
+			continue;
+		}
+		trace_value("number", value, fmax(fabs(value) * 2e-3, strstr(text, " mm") ? 0.11 : 0));
+		text = end;
+	}
+}
+
 static void show_log(struct scene *s)
 {
 	const struct event_log *log = &s->world.device.log;
@@ -188,10 +203,12 @@ static void show_log(struct scene *s)
 		char *result = strstr(line, " done: ");
 		result = result ? result : strstr(line, " accepted: ");
 		if (result)
-			*strchr(result, ':') = '\0';
+			*(result = strchr(result, ':')) = '\0';
 		if (strstr(line, "snapshot of"))
 			strcpy(strstr(line, "of"), "applied"); /* how many entries there are is for the EDS to say */
 		trace_text("log", line + strspn(line, " "));
+		if (result)
+			show_numbers(result + 1);
 	}
 }
 
@@ -1092,15 +1109,7 @@ static void test_procedures(void **state)
 	put(s, "calibration.command", "10");
 	look_at_outputs(s, "gyro, accepted");
 	show_triad(s, "gyro", 0x2050);
-	put(s, "calibration.command", "2");
 	w->signal = signal_find("multiposition");
-	w->sensor.count = 0;
-	pass(s, 20000);
-	look_at_outputs(s, "six faces");
-	pass(s, 50000);
-	look_at_outputs(s, "six faces, done");
-	put(s, "calibration.command", "11");
-	look_at_outputs(s, "six faces, discarded");
 	put(s, "calibration.command", "3");
 	pass(s, 110000);
 	look_at_outputs(s, "free positions");
@@ -1146,6 +1155,60 @@ static void test_procedures(void **state)
 	s->silent = true;
 	pass(s, 200);
 	look(s, "sensor lost");
+	trace_check();
+}
+
+static void test_six_faces(void **state)
+{
+	struct scene *s = begin(state, "six faces", "lsm303dlhc_l3gd20_fine", "multiposition");
+
+	power_on(s, NULL);
+	nmt(s, 1);
+	pass(s, 50);
+	put(s, "calibration.command", "2");
+	pass(s, 25000);
+	look_at_outputs(s, "half of them");
+	pass(s, 40000);
+	look_at_outputs(s, "done");
+	put(s, "calibration.command", "11");
+	look_at_outputs(s, "discarded");
+	trace_check();
+}
+
+/* The reference point is at rest. */
+static void test_lever_arm(void **state)
+{
+	struct scene *s = begin(state, "lever arm", "ideal", "tumble");
+	struct sensor_config sensor = *sensor_preset("lsm303dlhc_l3gd20_fine");
+
+	sensor.rate_hz = 200;
+	sensor.lever_arm_b_m = (struct vec3){0.06, -0.05, 0.0624};
+	sensor.gyro.range = sensor.accel.range = 1e3;
+	sensor_calibrate(&sensor);
+	world_init(&s->world, &sensor, 1, "tumble");
+	power_on(s, NULL);
+	nmt(s, 1);
+	pass(s, 500);
+	put(s, "reference_acceleration.l", "1000");
+	put(s, "reference_acceleration.s16", "-200");
+	put(s, "reference_acceleration.t", "0.5");
+	put(s, "lever_arm_identification.command", "1");
+	pass(s, 15000);
+	look_at_outputs(s, "on the way");
+	pass(s, 30000);
+	look_at_outputs(s, "done");
+	put(s, "lever_arm_identification.command", "3");
+	pass(s, 100);
+	look_at_outputs(s, "accepted");
+	put(s, "lever_arm_identification.command", "2");
+	for (int i = 0; i < 300; i++) {
+		const uint8_t l16[2] = {i % 2 ? 20 : 40, 0}, t16[2] = {0};
+
+		device_write(&s->world.device, 0x2075, 4, l16, 2, s->world.now_us);
+		device_write(&s->world.device, 0x2075, 6, t16, 2, s->world.now_us);
+		pass(s, i < 200 ? 10 : 60); /* it holds for 50 ms */
+	}
+	look_at_outputs(s, "with a reference");
 	trace_check();
 }
 
@@ -1401,8 +1464,8 @@ int main(void)
 		TEST(test_outputs_in_motion), TEST(test_aids_and_resets), TEST(test_thresholds), TEST(test_bus_faults),
 		TEST(test_bus_limits_and_commands), TEST(test_sensor_faults), TEST(test_sensor_settings),
 		TEST(test_a_sensor_without_settings), TEST(test_storing), TEST(test_lss), TEST(test_time),
-		TEST(test_procedures), TEST(test_last_movement), TEST(test_snapshots), TEST(test_reload),
-		TEST(test_recording), {0}, /* of trace_run() */
+		TEST(test_procedures), TEST(test_six_faces), TEST(test_lever_arm), TEST(test_last_movement),
+		TEST(test_snapshots), TEST(test_reload), TEST(test_recording), {0}, /* of trace_run() */
 	};
 
 	return trace_run("device", tests, sizeof(tests) / sizeof(tests[0]) - 1);
