@@ -161,6 +161,22 @@ static void test_sixteen_gateways_of_a_host_keep_their_serial_numbers(void **sta
 	assert_int_equal(serial_of(pi, store, "can17"), g[17].serial); /* the last line is the one that is replaced */
 }
 
+static void test_a_bus_with_a_long_name_keeps_its_serial_number(void **state)
+{
+	char bus[256] = "slcan:/dev/serial/by-id/";
+	struct gateway a = start(pi, store, "can0", 0), b;
+
+	(void)state;
+	memset(bus + strlen(bus), 'x', sizeof(bus) - 1 - strlen(bus));
+	b = start(pi, store, bus, 0);
+	end_gateway(a);
+	end_gateway(b);
+	assert_string_equal(b.note, "");
+	assert_int_not_equal(a.serial, b.serial);
+	assert_int_equal(serial_of(pi, store, bus), b.serial);
+	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
+}
+
 static void test_a_new_installation_on_the_same_board_has_the_same_serial_number(void **state)
 {
 	uint32_t serial = serial_of(pi, store, "can0");
@@ -310,6 +326,7 @@ int main(void)
 		TEST(test_the_serial_number_stays_with_another_bus_name_and_its_options),
 		TEST(test_the_number_is_the_crc_of_a_number_of_the_hardware),
 		TEST(test_sixteen_gateways_of_a_host_keep_their_serial_numbers),
+		TEST(test_a_bus_with_a_long_name_keeps_its_serial_number),
 		TEST(test_a_new_installation_on_the_same_board_has_the_same_serial_number),
 		TEST(test_a_copied_card_has_another_serial_number_on_another_board_and_says_so),
 		TEST(test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order),
