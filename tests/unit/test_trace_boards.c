@@ -210,8 +210,8 @@ static void test_each_setting(void **state)
 	trace_check();
 }
 
-/* Without samples: what is chosen and written. The numbers of each kind are prime to one another, so that a range of the
- * gyro comes with different ones of the accelerometer. */
+/* Without samples: what is chosen and written. The numbers of each kind are prime to one another, so that a range of
+ * the gyro comes with different ones of the accelerometer. */
 static void test_many_settings(void **state)
 {
 	static const double rates[] = {1, 13, 27, 60, 110, 210, 430, 900, 1700, 4000, 9000},
