@@ -921,8 +921,9 @@ static void test_storing(void **state)
 	static const struct {
 		const char *what;
 		int answer, result; /* of the disk, at once, and later */
-	} DISKS[] = {{"at once", 0, 0}, {"later", -EINPROGRESS, 0}, {"no room", -ENOSPC, 0},
-		{"no room later", -EINPROGRESS, -ENOSPC}, {"not durable", -EINPROGRESS, EIO}};
+	} DISKS[] = {{"at once", 0, 0}, {"later", -EINPROGRESS, 0}, {"no room", -ENOSPC, 0}, {"room again", 0, 0},
+		{"room later", -EINPROGRESS, 0}, {"no room later", -EINPROGRESS, -ENOSPC},
+		{"not durable", -EINPROGRESS, EIO}};
 	struct scene *s = begin(state, "storing", "ideal", "rest");
 	struct world *w = &s->world;
 	char what[60];
@@ -935,7 +936,7 @@ static void test_storing(void **state)
 		w->disk_answer = DISKS[i].answer;
 		snprintf(heartbeat, sizeof(heartbeat), "%d", 800 + (int)i);
 		put(s, "producer_heartbeat_time", heartbeat);
-		put(s, "lever_arm_model", i % 2 ? "1" : "2");
+		put(s, "lever_arm_model", (const char *const[]){"2", "1", "3"}[i % 3]);
 		put(s, "angle_resolution", i % 2 ? "100" : "10");
 		put(s, i % 2 ? "store_parameters.communication" : "store_parameters.all", "0x65766173");
 		put(s, "store_parameters.application", "0x65766173");
