@@ -1000,14 +1000,14 @@ static void test_lss(void **state)
 {
 	static const char *const requests[] = {"\x04\x01", "\x5E", "\x11\x2A", "\x13\x00\x04", "\x13\x00\x02",
 		"\x13\x00\x09", "\x17", "\x5A", "\x5B", "\x5D", "\x15\x32\x00", "\x13\x00\x03", "\x15\x20\x00",
-		"\x04\x00"};
+		"\x13\x00\x06", "\x04\x00"};
 	struct scene *s = begin(state, "LSS", "ideal", "rest");
 	char data[8], what[30];
 
 	power_on(s, NULL);
 	pass(s, 100);
 	for (size_t i = 0; i < sizeof(requests) / sizeof(requests[0]); i++) {
-		s->bit_rate_set = i == 4 ? -EOPNOTSUPP : i == 12 ? -EPERM : 0;
+		s->bit_rate_set = i == 4 ? -EOPNOTSUPP : i == 12 ? -EIO : i == 13 ? -EPERM : 0;
 		memset(data, 0, sizeof(data));
 		data[0] = requests[i][0];
 		data[1] = requests[i][1];
