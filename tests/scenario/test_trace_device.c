@@ -1167,6 +1167,7 @@ static void test_six_faces(void **state)
 	nmt(s, 1);
 	pass(s, 50);
 	put(s, "calibration.command", "2");
+	look(s, "begun");
 	pass(s, 25000);
 	look_at_outputs(s, "half of them");
 	pass(s, 40000);
