@@ -157,6 +157,7 @@ $(TESTS) $(BENCHES): $(BUILD)/tests/%: tests/%.c $$(call helpers,$$(patsubst %/,
 	$(Q)$(CC) $(ALL_CFLAGS) -o $@ $(filter %.c %.o %.a %.so,$^) -lcmocka $(LDLIBS)
 
 $(BUILD)/tests/unit/test_i2c_drdy: $(BUILD)/obj/tests/unit/gpiod/gpiod$(GPIOD_API)_stub.o
+$(BUILD)/tests/scenario/test_trace_device: $(BUILD)/obj/tests/unit/trace.o
 
 $(SOAKS): $(BUILD)/%: %.c $(addprefix $(BUILD)/obj/tests/scenario/,world.o hammer.o browsers.o) $(LIBS)
 	@mkdir -p $(@D)

@@ -24,20 +24,20 @@ static const struct key {
 	enum kind kind;
 	unsigned low, high; /* of a NUMBER */
 } KEYS[] = {
-	{"imu", offsetof(struct config, imu), TEXT, 0, 0},
-	{"can", offsetof(struct config, can), TEXT, 0, 0},
-	{"node_id", offsetof(struct config, node_id), NODE_ID, 0, 0},
+	{"imu", offsetof(struct config, imu), .kind = TEXT},
+	{"can", offsetof(struct config, can), .kind = TEXT},
+	{"node_id", offsetof(struct config, node_id), .kind = NODE_ID},
 	{"bitrate", offsetof(struct config, bitrate), NUMBER, 10000, 1000000},
-	{"store", offsetof(struct config, store), TEXT, 0, 0},
-	{"record", offsetof(struct config, record), TEXT, 0, 0},
+	{"store", offsetof(struct config, store), .kind = TEXT},
+	{"record", offsetof(struct config, record), .kind = TEXT},
 	{"realtime", offsetof(struct config, realtime), NUMBER, 0, 99},
 	{"serial", offsetof(struct config, serial), NUMBER, 0, UINT32_MAX},
 	{"vendor_id", offsetof(struct config, vendor_id), NUMBER, 0, UINT32_MAX},
-	{"run_led", offsetof(struct config, run_led), TEXT, 0, 0},
-	{"error_led", offsetof(struct config, error_led), TEXT, 0, 0},
-	{"log_level", offsetof(struct config, log_level), LOG_LEVEL, 0, 0},
-	{"cia309", offsetof(struct config, cia309), LIST, 0, 0},
-	{"modbus", offsetof(struct config, modbus), LIST, 0, 0},
+	{"run_led", offsetof(struct config, run_led), .kind = TEXT},
+	{"error_led", offsetof(struct config, error_led), .kind = TEXT},
+	{"log_level", offsetof(struct config, log_level), .kind = LOG_LEVEL},
+	{"cia309", offsetof(struct config, cia309), .kind = LIST},
+	{"modbus", offsetof(struct config, modbus), .kind = LIST},
 };
 enum { KEY_COUNT = sizeof(KEYS) / sizeof(KEYS[0]) };
 

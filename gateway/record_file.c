@@ -353,8 +353,7 @@ int record_file_init(struct record_file *f, struct record *record, const struct 
 		close(f->folder_fd);
 		return rc;
 	}
-	limit(f, false, options->files);
-	limit(f, true, options->files);
+	limit(f, true, options->files); /* the others with each file that begins */
 	return 0;
 }
 

@@ -189,11 +189,12 @@ static size_t bus_row(const struct record_bus *b, char *out)
 static int parse_bus(const char *text, struct record_bus *b)
 {
 	struct can_counters *c = &b->counters;
-	int n = sscanf(text, "%u %u %u %u %u %u %u %u %hhu %u %hhu %hhu %" SCNu64 " %" SCNu64, &c->tx, &c->rx,
+	int end = 0;
+	int n = sscanf(text, "%u %u %u %u %u %u %u %u %hhu %u %hhu %hhu %" SCNu64 " %" SCNu64 "%n", &c->tx, &c->rx,
 		&c->tx_retries, &c->tx_dropped, &c->rx_dropped, &c->errors, &c->bus_off, &b->queued, &b->state,
-		&b->bit_s, &b->tx_errors, &b->rx_errors, &b->frames, &b->bytes);
+		&b->bit_s, &b->tx_errors, &b->rx_errors, &b->frames, &b->bytes, &end);
 
-	return n == 14 && b->state <= CAN_STATE_DOWN ? 1 : -EBADMSG;
+	return n == 14 && !text[end] && b->state <= CAN_STATE_DOWN ? 1 : -EBADMSG;
 }
 
 static size_t imu_row(const struct record_imu *i, char *out)
@@ -208,11 +209,13 @@ static size_t imu_row(const struct record_imu *i, char *out)
 static int parse_imu(const char *text, struct record_imu *i)
 {
 	struct imu_health *h = &i->health;
-	int n = sscanf(text, "%u %u %u %hhu %hhu %hhu %hhu %hhu %u %u %u %f %lf %" SCNu64, &i->counters.samples,
+	int end = 0;
+	int n = sscanf(text, "%u %u %u %hhu %hhu %hhu %hhu %hhu %u %u %u %f %lf %" SCNu64 "%n", &i->counters.samples,
 		&i->counters.skipped, &i->counters.late, &h->fault, &h->fault_chip, &h->degraded, &h->degraded_chip,
-		&h->self_test, &h->bus_errors, &h->restarts, &h->overruns, &h->rate_hz, &i->rate_hz, &i->silence_us);
+		&h->self_test, &h->bus_errors, &h->restarts, &h->overruns, &h->rate_hz, &i->rate_hz, &i->silence_us,
+		&end);
 
-	return n == 14 && i->rate_hz > 0 ? 1 : -EBADMSG;
+	return n == 14 && !text[end] && i->rate_hz > 0 ? 1 : -EBADMSG;
 }
 
 static size_t self_row(const struct record_self *s, char *out)
@@ -222,7 +225,9 @@ static size_t self_row(const struct record_self *s, char *out)
 
 static int parse_self(const char *text, struct record_self *s)
 {
-	return sscanf(text, "%hhu %u %hu %" SCNd32, &s->state, &s->lost, &s->kept, &s->error) == 4 ? 1 : -EBADMSG;
+	int end = 0, n = sscanf(text, "%hhu %u %hu %" SCNd32 "%n", &s->state, &s->lost, &s->kept, &s->error, &end);
+
+	return n == 4 && !text[end] ? 1 : -EBADMSG;
 }
 
 /* ---- all --------------------------------------------------------------------------------------------------------- */
@@ -232,7 +237,7 @@ enum { HAS_NOW = 1, HAS_VALUE = 2, HAS_OFFSET = 4 };
 static const struct {
 	const char *word;
 	enum record_kind kind;
-	int has;
+	int has; /* behind the word, of kinds without a function of their own */
 } WORDS[] = {
 	{"start", RECORD_START, HAS_NOW | HAS_VALUE},
 	{"failed", RECORD_FAILED, HAS_NOW | HAS_VALUE},
@@ -242,12 +247,12 @@ static const struct {
 	{"tick", RECORD_TICK, HAS_NOW},
 	{"answer", RECORD_ANSWER, HAS_VALUE},
 	{"lost", RECORD_LOST, HAS_VALUE},
-	{"others", RECORD_OTHERS, 0},
-	{"rx", RECORD_FRAME, 0},
-	{"write", RECORD_WRITE, 0},
-	{"bus", RECORD_BUS, 0},
-	{"imu", RECORD_IMU, 0},
-	{"recording", RECORD_SELF, 0},
+	{"others", .kind = RECORD_OTHERS},
+	{"rx", .kind = RECORD_FRAME},
+	{"write", .kind = RECORD_WRITE},
+	{"bus", .kind = RECORD_BUS},
+	{"imu", .kind = RECORD_IMU},
+	{"recording", .kind = RECORD_SELF},
 };
 enum { WORD_COUNT = sizeof(WORDS) / sizeof(WORDS[0]) };
 

@@ -14,6 +14,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/resource.h>
+#include <sys/syscall.h>
 #include <unistd.h>
 
 #include "gateway/device_state.h"
@@ -23,15 +24,31 @@
 #include "gateway/reload.h"
 #include "model/sim/sensor.h"
 #include "od/little_endian.h"
+#include "tests/unit/descriptors.h"
 #include "tools/replay/recording.h"
 
 enum { NODE = 16, RATE_HZ = 50, SLOW_HZ = 25 };
 
-/* Whether a disk keeps it is not the matter here. */
+static unsigned syncs;	 /* of files; that takes too long here */
+static bool takes_parts; /* of what is written */
+
 int fdatasync(int fd)
 {
 	(void)fd;
+	syncs++;
 	return 0;
+}
+
+ssize_t write(int fd, const void *bytes, size_t size)
+{
+	static unsigned calls;
+
+	if (!takes_parts || size < 100)
+		return syscall(SYS_write, fd, bytes, size);
+	if (++calls % 4)
+		return syscall(SYS_write, fd, bytes, size / 3);
+	errno = EINTR; /* a signal */
+	return -1;
 }
 
 /* ---- frames that were sent --------------------------------------------------------------------------------------- */
@@ -886,6 +903,59 @@ static void test_a_full_disk_ends_the_recording_and_nothing_else(void **state)
 	assert_same_frames(&s->sent, from);
 }
 
+static void test_a_file_begins_with_what_it_is_of(void **state)
+{
+	static const char *const lines[] = {"# device 16 0 5 0\n", "# sensor chips\n", "# can can0\n",
+		"# uncalibrated: gyro magnetometer\n", "# config lever_arm.l = 0.25\n",
+		"# config lever_arm_model = 1\n"};
+	static const char *const settings[] = {"lever_arm.l=0.25", "lever_arm_model=1", NULL};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	char path[160], line[2000];
+	unsigned found = 0, configured = 0, year, columns = 0;
+	char last;
+
+	power_on(s, settings, &options);
+	s->imu.uncalibrated = 5;
+	run(s, 2);
+	power_off(s);
+	snprintf(path, sizeof(path), "%s/imu9-000001.imu.csv", s->folder);
+	FILE *f = fopen(path, "r");
+	assert_non_null(f);
+	assert_non_null(fgets(line, sizeof(line), f));
+	assert_int_equal(strncmp(line, "# imu9-recording 1 ", 19), 0);
+	assert_non_null(fgets(line, sizeof(line), f));
+	assert_int_equal(strncmp(line, "# of imu9-gateway ", 18), 0);
+	assert_int_equal(sscanf(strstr(line, ", at ") + 5, "%u-%*2u-%*2uT%*2u:%*2u:%*2uZ%c", &year, &last), 2);
+	assert_int_equal(last, '\n');
+	assert_in_range(year, 1970, 9999);
+	while (columns == 0 && fgets(line, sizeof(line), f)) {
+		for (size_t i = 0; i < sizeof(lines) / sizeof(lines[0]); i++)
+			found += strcmp(line, lines[i]) == 0;
+		configured += strncmp(line, "# config ", 9) == 0;
+		columns += strncmp(line, "t,gx,gy,gz,", 11) == 0;
+	}
+	fclose(f);
+	assert_int_equal(found, sizeof(lines) / sizeof(lines[0]));
+	assert_int_equal(configured, 2); /* the others have their defaults */
+	assert_int_equal(columns, 1);
+}
+
+static void test_a_disk_that_takes_a_part_of_each_write_gets_all(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	takes_parts = true;
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 60);
+	power_off(s);
+	takes_parts = false;
+	assert_true(replay_all(s) > 59 * RATE_HZ);
+	assert_same_frames(&s->sent, 0);
+}
+
 /* As in the process; an hour of it in seconds would fill the ring. */
 static void test_a_thread_writes_what_the_loop_records(void **state)
 {
@@ -896,6 +966,8 @@ static void test_a_thread_writes_what_the_loop_records(void **state)
 	power_on(s, NULL, &options);
 	nmt(s, 1);
 	run(s, 60);
+	while (record_next(&s->record)) /* it takes them without being asked: a test that hangs has failed */
+		usleep(1000);
 	power_off(s);
 	assert_true(replay_all(s) > 59 * RATE_HZ);
 	assert_same_frames(&s->sent, 0);
@@ -968,6 +1040,7 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	struct record_options options = options_of(s, 1, 3);
 	static char names[20][64];
 
+	syncs = 0;
 	power_on(s, NULL, &options);
 	run(s, 700);
 	power_off(s);
@@ -976,6 +1049,7 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(sscanf(names[0], "imu9-%u.imu.csv", &first), 1);
 	assert_int_equal(sscanf(names[2], "imu9-%u.imu.csv", &second), 1);
 	assert_true(first > 3 && second == first + 2);
+	assert_int_equal(syncs, second); /* each file when it has ended */
 
 	power_on(s, NULL, &options); /* a restart continues the numbers */
 	run(s, 1);
@@ -983,6 +1057,60 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(files_of(s, names, 20), 3);
 	assert_int_equal(sscanf(names[2], "imu9-%u.imu.csv", &first), 1);
 	assert_int_equal(first, second + 1);
+}
+
+/* Numbers need not be in the order of the folder, and go beyond six digits. */
+static void test_files_of_earlier_runs_count_and_others_are_left_alone(void **state)
+{
+	static const char *const before[] = {"imu9-000007.imu.csv", "imu9-000009.imu.csv", "imu9-000008.imu.csv",
+		"imu9-000011.kept.imu.csv", "imu9-000003.kept.imu.csv", "imu9-000010.kept.imu.csv",
+		"imu9-000005.kept.imu.csv", "imu9-12.imu.csv", "imu9-000013.csv", "imu9-000014.imu.csv.bak",
+		"other.csv", "imu9-x.imu.csv", "imu9-1000000.imu.csv"};
+	static const char *const after[] = {"imu9-000010.kept.imu.csv", "imu9-000011.kept.imu.csv", "imu9-000013.csv",
+		"imu9-000014.imu.csv.bak", "imu9-1000000.imu.csv", "imu9-1000001.imu.csv", "imu9-12.imu.csv",
+		"imu9-x.imu.csv", "other.csv"};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 1, 2);
+	static char names[20][64];
+	char path[160];
+
+	for (size_t i = 0; i < sizeof(before) / sizeof(before[0]); i++) {
+		snprintf(path, sizeof(path), "%s/%s", s->folder, before[i]);
+		fclose(fopen(path, "w"));
+	}
+	power_on(s, NULL, &options);
+	run(s, 1);
+	power_off(s);
+	assert_int_equal(files_of(s, names, 20), sizeof(after) / sizeof(after[0]));
+	for (size_t i = 0; i < sizeof(after) / sizeof(after[0]); i++)
+		assert_string_equal(names[i], after[i]);
+}
+
+static void test_a_folder_that_cannot_be_used_is_told(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 1, 2);
+	static struct record_file file;
+	char path[160];
+
+	snprintf(options.folder, sizeof(options.folder), "%s/no/such", s->folder);
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOENT);
+	snprintf(options.folder, sizeof(options.folder), "%s/new", s->folder);
+	assert_int_equal(record_file_init(&file, &s->record, &options), 0);
+	record_file_close(&file);
+	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
+		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
+		fclose(fopen(path, "w"));
+	}
+	assert_int_equal(record_file_init(&file, &s->record, &options), -E2BIG);
+	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
+		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
+		unlink(path);
+	}
+	assert_int_equal(rmdir(options.folder), 0);
+	snprintf(options.folder, sizeof(options.folder), "%s/file", s->folder);
+	fclose(fopen(options.folder, "w"));
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOTDIR);
 }
 
 static void test_the_minute_before_an_emcy_is_kept(void **state)
@@ -1083,10 +1211,14 @@ int main(void)
 		TEST(test_a_damaged_line_is_told),
 		TEST(test_a_missing_input_is_noticed),
 		TEST(test_a_full_disk_ends_the_recording_and_nothing_else),
+		TEST(test_a_file_begins_with_what_it_is_of),
+		TEST(test_a_disk_that_takes_a_part_of_each_write_gets_all),
 		TEST(test_a_thread_writes_what_the_loop_records),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
+		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
+		TEST(test_a_folder_that_cannot_be_used_is_told),
 		TEST(test_the_minute_before_an_emcy_is_kept),
 		TEST(test_kept_files_are_bounded),
 		TEST(test_only_one_process_records_in_a_folder),
@@ -1095,5 +1227,5 @@ int main(void)
 	};
 
 	log_set_level(LOG_ERR);
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -206,6 +206,8 @@ static void test_with_a_network_frames_of_its_hosts_are_taken(void **state)
 	for (size_t i = 0; i < sizeof(cases) / sizeof(cases[0]); i++) {
 		struct can_port *port = open_bus(cases[i].bus);
 
+		assert_non_null(strstr(port->notice, "the hosts of the option"));
+		port->notice = NULL;
 		host_sends("wire0", cases[i].host);
 		assert_int_equal(frames_of(port), 1);
 		if (cases[i].stranger)

@@ -13,6 +13,7 @@
 
 #include "gateway/config.h"
 #include "od_values.h"
+#include "tests/unit/descriptors.h"
 
 static struct config config;
 static struct od od;
@@ -196,6 +197,53 @@ static void test_process_keys_are_checked(void **state)
 	assert_int_equal(config.node_id, 1);
 }
 
+/* README.md and the configuration file say so. */
+static void test_each_number_has_its_limits(void **state)
+{
+	static const struct {
+		const char *key;
+		unsigned long long low, high;
+		const unsigned *value;
+	} numbers[] = {
+		{"node_id", 1, 127, &config.node_id},
+		{"bitrate", 10000, 1000000, &config.bitrate},
+		{"realtime", 0, 99, &config.realtime},
+		{"serial", 0, 4294967295, &config.serial},
+		{"vendor_id", 0, 4294967295, &config.vendor_id},
+	};
+	char text[40];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++) {
+		for (int k = 0; k < 4; k++) {
+			unsigned long long limit = k < 2 ? numbers[i].low : numbers[i].high;
+
+			snprintf(text, sizeof(text), "%lld", (long long)limit + (k == 0 ? -1 : k == 3));
+			assert_int_equal(
+				config_option(&config, numbers[i].key, text, why), k == 0 || k == 3 ? -EINVAL : 0);
+			if (k == 1 || k == 2)
+				assert_int_equal(*numbers[i].value, limit);
+		}
+		snprintf(text, sizeof(text), "%llu to %llu", numbers[i].low, numbers[i].high);
+		assert_non_null(strstr(why, text));
+	}
+}
+
+static void test_a_text_has_up_to_255_characters(void **state)
+{
+	static const char *const keys[] = {"imu", "can", "store", "record", "run_led", "error_led", "cia309", "modbus"};
+	char text[CONFIG_TEXT_MAX + 1];
+
+	(void)state;
+	memset(text, 'x', CONFIG_TEXT_MAX);
+	text[CONFIG_TEXT_MAX] = '\0';
+	for (size_t i = 0; i < sizeof(keys) / sizeof(keys[0]); i++) {
+		assert_int_equal(config_option(&config, keys[i], text, why), -EINVAL);
+		assert_non_null(strstr(why, "1 to 255 characters"));
+		assert_int_equal(config_option(&config, keys[i], text + 1, why), 0);
+	}
+}
+
 static void test_the_keys_that_differ_are_found(void **state)
 {
 	static struct config other;
@@ -309,6 +357,8 @@ int main(void)
 		TEST(test_a_missing_file_is_an_error),
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),
+		TEST(test_each_number_has_its_limits),
+		TEST(test_a_text_has_up_to_255_characters),
 		TEST(test_the_keys_that_differ_are_found),
 		TEST(test_a_modbus_window_is_added_each_time),
 		TEST(test_a_set_without_a_value_shows_the_syntax),
@@ -316,5 +366,5 @@ int main(void)
 		TEST(test_the_addresses_of_cia309_add_up),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -129,7 +129,7 @@ static void open_with(unsigned long functions)
 	k = (struct kernel){.functions = functions, .retries = 99};
 	for (uint8_t i = 0; i < sizeof(k.answer); i++)
 		k.answer[i] = (uint8_t)(0xA0 + i);
-	if (i2c_dev_open("/dev/i2c-7", &bus, error, sizeof(error)) < 0)
+	if (i2c_dev_open("/dev/i2c-7", &bus, error, sizeof(error)) != 0)
 		fail_msg("%s", error);
 }
 

@@ -1192,6 +1192,12 @@ static void test_without_configfs_the_devices_are_polled(void **state)
 	assert_int_equal(imu_read(port, &sample), 1);
 	assert_near(sample.gyro_rad_s.x, 1000 * 0.001221731, 0.0013);
 	assert_near(sample.mag_uT.x, 2000 * 0.0146156, 0.016);
+	uint64_t first_us = sample.t_us;
+	int more = 0;
+	for (; imu_read(port, &sample) == 1; more++)
+		;
+	assert_true(more > 10);
+	assert_near((double)(sample.t_us - first_us) / more, 10000, 500); /* the first round was late */
 }
 
 /* 100 readings a second are possible, see above. */
@@ -1449,6 +1455,38 @@ static void test_a_device_without_samples_for_100_ms_has_stopped(void **state)
 	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
 }
 
+/* A gyro with noise; then it repeats itself. */
+static int16_t noise;
+static bool repeats;
+
+static void noisy_scan(void)
+{
+	const int16_t words[6] = {noise, (int16_t)(noise * 3 % 17), (int16_t)(noise * 5 % 23), 4096, 1, noise};
+
+	if (!repeats)
+		noise = (int16_t)((noise * 7 + 5) % 101);
+	put_scan(MOTION, w.now_ns - MS, words);
+}
+
+static void test_a_gyro_that_repeats_its_values_is_frozen(void **state)
+{
+	(void)state;
+	open_sensor("iio");
+	noise = 1;
+	repeats = false;
+	w.now_ns += 100 * MS;
+	run(100, noisy_scan);
+	assert_int_equal(last_result(), 1);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	repeats = true;
+	run(28, noisy_scan);
+	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+	run(10, noisy_scan);
+	assert_int_equal(last_result(), -EIO);
+	assert_int_equal(port->health.fault, IMU_FAULT_FROZEN);
+	assert_int_equal(port->health.fault_chip, IMU_CHIP_GYRO);
+}
+
 static void test_a_timer_is_removed_once(void **state)
 {
 	(void)state;
@@ -1686,6 +1724,7 @@ int main(void)
 		IIO_TEST(test_without_configfs_the_devices_are_polled),
 		IIO_TEST(test_a_polled_device_has_the_rate_that_is_possible_at_most),
 		IIO_TEST(test_an_attribute_that_must_not_be_written_is_named_with_what_to_do),
+		IIO_TEST(test_a_gyro_that_repeats_its_values_is_frozen),
 		IIO_TEST(test_a_timer_is_removed_once),
 		IIO_TEST(test_a_buffer_that_cannot_be_had_is_named),
 		IIO_TEST(test_a_timer_that_the_kernel_does_not_make_is_named_with_its_module),

@@ -13,6 +13,7 @@
 
 #include "gateway/canopen/node.h"
 #include "gateway/led.h"
+#include "tests/unit/descriptors.h"
 
 struct fixture {
 	struct can_port bus;
@@ -184,16 +185,17 @@ static void make_file(const char *folder, const char *led, const char *file)
 	fclose(f);
 }
 
-static char first_of(const char *folder, const char *led, const char *file)
+/* In sysfs each write stands alone; here it replaces as many characters. */
+static void assert_holds(const char *folder, const char *led, const char *file, const char *expected)
 {
-	char path[200];
+	char path[200], text[20];
 
 	snprintf(path, sizeof(path), "%s/%s/%s", folder, led, file);
 	FILE *f = fopen(path, "r");
 	assert_non_null(f);
-	int c = fgetc(f);
+	assert_int_equal(fread(text, 1, sizeof(text), f), strlen(expected));
 	fclose(f);
-	return (char)c;
+	assert_memory_equal(text, expected, strlen(expected));
 }
 
 static void test_linux_leds_lose_their_trigger_and_blink(void **state)
@@ -208,17 +210,17 @@ static void test_linux_leds_lose_their_trigger_and_blink(void **state)
 	make_file(f->folder, "green", "brightness");
 	make_file(f->folder, "red", "brightness"); /* without a trigger */
 	assert_int_equal(leds_open(&f->leds, f->folder, "green", "red", &which), 0);
-	assert_int_equal(first_of(f->folder, "green", "trigger"), 'n'); /* none */
-	assert_int_equal(first_of(f->folder, "red", "brightness"), '0');
+	assert_holds(f->folder, "green", "trigger", "none");
+	assert_holds(f->folder, "red", "brightness", "0");
 	assert_int_equal(leds_tick(&f->leds, 0), 200000);
-	assert_int_equal(first_of(f->folder, "green", "brightness"), '2'); /* 255 */
+	assert_holds(f->folder, "green", "brightness", "255");
 	assert_int_equal(leds_tick(&f->leds, 200000), 400000);
-	assert_int_equal(first_of(f->folder, "green", "brightness"), '0');
+	assert_holds(f->folder, "green", "brightness", "055");
 	f->bus.state = CAN_STATE_BUS_OFF;
 	leds_tick(&f->leds, 200000);
-	assert_int_equal(first_of(f->folder, "red", "brightness"), '2');
+	assert_holds(f->folder, "red", "brightness", "255");
 	leds_close(&f->leds);
-	assert_int_equal(first_of(f->folder, "red", "brightness"), '0');
+	assert_holds(f->folder, "red", "brightness", "055");
 	snprintf(command, sizeof(command), "rm -r %s", f->folder);
 	assert_int_equal(system(command), 0);
 }
@@ -246,7 +248,7 @@ static void test_the_error_led_works_without_the_run_led(void **state)
 	assert_string_equal(which, "green");
 	f->bus.state = CAN_STATE_BUS_OFF;
 	leds_tick(&f->leds, 0);
-	assert_int_equal(first_of(f->folder, "red", "brightness"), '2');
+	assert_holds(f->folder, "red", "brightness", "255");
 	leds_close(&f->leds);
 	snprintf(command, sizeof(command), "rm -r %s", f->folder);
 	assert_int_equal(system(command), 0);
@@ -269,5 +271,5 @@ int main(void)
 		TEST(test_the_error_led_works_without_the_run_led),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

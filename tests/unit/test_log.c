@@ -10,6 +10,7 @@
 #include <fcntl.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -86,6 +87,27 @@ static void test_the_journal_gets_priorities_and_a_redirected_stderr_does_not(vo
 	close(ends[1]);
 }
 
+static void test_a_line_has_up_to_511_characters(void **state)
+{
+	char text[600] = "", long_text[600];
+	int ends[2], kept;
+
+	(void)state;
+	memset(long_text, 'x', sizeof(long_text) - 1);
+	long_text[sizeof(long_text) - 1] = '\0';
+	assert_int_equal(pipe(ends), 0);
+	kept = stderr_to(ends[1]);
+	log_line("%s", long_text);
+	log_line("%.497s", long_text);
+	stderr_back(kept);
+	assert_int_equal(read(ends[0], text, 511), 511);
+	assert_memory_equal(text, "imu9-gateway: xxx", 17);
+	assert_string_equal(text + 509, "x\n");
+	assert_int_equal(read(ends[0], text, sizeof(text)), 511);
+	close(ends[0]);
+	close(ends[1]);
+}
+
 static void test_the_level_leaves_out_what_is_less_severe(void **state)
 {
 	char text[100] = "";
@@ -132,6 +154,7 @@ int main(void)
 		cmocka_unit_test(test_a_line_is_written_in_one_piece_and_ends_with_a_newline),
 		cmocka_unit_test(test_control_codes_are_replaced),
 		cmocka_unit_test(test_the_journal_gets_priorities_and_a_redirected_stderr_does_not),
+		cmocka_unit_test(test_a_line_has_up_to_511_characters),
 		cmocka_unit_test(test_the_level_leaves_out_what_is_less_severe),
 		cmocka_unit_test(test_a_reader_that_does_not_read_does_not_block_the_gateway),
 	};

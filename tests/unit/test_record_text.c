@@ -168,7 +168,9 @@ static void test_a_damaged_line_is_refused(void **state)
 	static const char *const lines[] = {"# tick", "# tick x", "# tick 5 6", "# rx 5", "# rx 5 181", "# rx 5 181#1",
 		"# rx 5 181#0102030405060708FF", "# rx 5 181#00 z", "# bus 1 2 3", "# imu 1 2", "# recording 1",
 		"# failed 5 0", "# answer", "1.5,1,2", "1.000000,1,2,3,4,5,6,,,,,,,,,5",
-		"1.000000,1,2,3,4,5,6,,,,,,,,,5,x", "1.000000,a,2,3,4,5,6,,,,,,,,,5,0"};
+		"# bus 1 2 3 4 5 6 7 8 4 9 10 11 12 13x", "# bus 1 2 3 4 5 6 7 8 4 9 10 11 12 13 14",
+		"# imu 1 2 3 4 5 6 7 8 9 10 11 1 2 5x", "# recording 1 2 3 4x", "1.000000,1,2,3,4,5,6,,,,,,,,,5,x",
+		"1.000000,a,2,3,4,5,6,,,,,,,,,5,0"};
 	struct record_entry e;
 
 	(void)state;

@@ -5,6 +5,7 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -121,6 +122,61 @@ static void test_the_serial_number_stays_with_another_bus_name_and_its_options(v
 	assert_int_equal(serial_of(pi, store, "can0"), serial);
 }
 
+/* CRC-32 by python's zlib. Of the machine's numbers the first that is one counts. */
+static void test_the_number_is_the_crc_of_a_number_of_the_hardware(void **state)
+{
+	(void)state;
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	run("rm -r %s/proc %s/*", pi, store, "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0x7759B50E); /* /etc/machine-id */
+	put_mac(pi, "wlan0", "b8:27:eb:ff:34:56", "0");
+	put_mac(pi, "eth0", "b8:27:eb:12:34:56", "0");
+	run("rm %s/*", store, "", "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0xC87278F5); /* the smaller address */
+	put(pi, "sys/class/dmi/id/board_serial", "001E00345246");
+	run("rm %s/*", store, "", "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0x3BC9D650);
+}
+
+static void test_sixteen_gateways_of_a_host_keep_their_serial_numbers(void **state)
+{
+	enum { GATEWAYS = 18, KEPT = 16 };
+	struct gateway g[GATEWAYS];
+	char bus[8];
+
+	(void)state;
+	for (int i = 0; i < GATEWAYS; i++) {
+		snprintf(bus, sizeof(bus), "can%d", i);
+		g[i] = start(pi, store, bus, 0);
+		assert_string_equal(g[i].note, "");
+		for (int k = 0; k < i; k++)
+			assert_int_not_equal(g[k].serial, g[i].serial);
+	}
+	for (int i = 0; i < GATEWAYS; i++)
+		end_gateway(g[i]);
+	for (int i = 0; i < KEPT - 1; i++) {
+		snprintf(bus, sizeof(bus), "can%d", i);
+		assert_int_equal(serial_of(pi, store, bus), g[i].serial);
+	}
+	assert_int_equal(serial_of(pi, store, "can17"), g[17].serial); /* the last line is the one that is replaced */
+}
+
+static void test_a_bus_with_a_long_name_keeps_its_serial_number(void **state)
+{
+	char bus[256] = "slcan:/dev/serial/by-id/";
+	struct gateway a = start(pi, store, "can0", 0), b;
+
+	(void)state;
+	memset(bus + strlen(bus), 'x', sizeof(bus) - 1 - strlen(bus));
+	b = start(pi, store, bus, 0);
+	end_gateway(a);
+	end_gateway(b);
+	assert_string_equal(b.note, "");
+	assert_int_not_equal(a.serial, b.serial);
+	assert_int_equal(serial_of(pi, store, bus), b.serial);
+	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
+}
+
 static void test_a_new_installation_on_the_same_board_has_the_same_serial_number(void **state)
 {
 	uint32_t serial = serial_of(pi, store, "can0");
@@ -164,12 +220,15 @@ static void test_two_gateways_of_a_host_have_different_serial_numbers_in_any_ord
 
 static void test_a_serial_number_that_another_gateway_of_the_host_has_is_told(void **state)
 {
-	struct gateway a = start(pi, store, "can0", 1234), b = start(pi, store, "can1", 1234);
+	struct gateway a = start(pi, store, "can0", 1234), b = start(pi, store, "can1", 1234),
+		       c = start(pi, store, "can2", 1235);
 
 	(void)state;
 	assert_string_equal(a.note, "");
 	assert_non_null(strstr(b.note, "000004D2h is that of another gateway of this host"));
 	assert_int_equal(b.serial, 1234);
+	assert_string_equal(c.note, "");
+	end_gateway(c);
 	end_gateway(a);
 	end_gateway(b);
 }
@@ -196,7 +255,9 @@ static void test_a_usb_network_adapter_changes_nothing(void **state)
 static void test_what_vendors_write_instead_of_a_number_is_none(void **state)
 {
 	static const char *const texts[] = {"Default string", "To be filled by O.E.M.", "00000000", "0123456789",
-		"123456789", "None", "03000200-0400-0500-0006-000700080009", ""};
+		"123456789", "None", "03000200-0400-0500-0006-000700080009", "", "1234", "11223", "ABCDEF",
+		"PF3 ABCDE"};
+	static const char *const numbers[] = {"PF3ABCDE", "12345", "11234"};
 	uint32_t without;
 
 	(void)state;
@@ -207,9 +268,25 @@ static void test_what_vendors_write_instead_of_a_number_is_none(void **state)
 		run("rm -f %s/serial", store, "", "");
 		assert_int_equal(serial_of(pi, store, "can0"), without);
 	}
+	for (size_t i = 0; i < sizeof(numbers) / sizeof(numbers[0]); i++) {
+		put(pi, "sys/class/dmi/id/board_serial", numbers[i]);
+		run("rm %s/serial", store, "", "");
+		assert_int_not_equal(serial_of(pi, store, "can0"), without);
+	}
+}
+
+static void test_what_is_no_number_has_no_influence_on_the_next(void **state)
+{
+	uint32_t serial;
+
+	(void)state;
+	run("rm -r %s/proc", pi, "", "");
 	put(pi, "sys/class/dmi/id/board_serial", "PF3ABCDE");
-	run("rm %s/serial", store, "", "");
-	assert_int_not_equal(serial_of(pi, store, "can0"), without);
+	serial = serial_of(pi, store, "can0");
+	put(pi, "sys/class/dmi/id/product_uuid", "03000200-0400-0500-0006-000700080009");
+	put(pi, "sys/class/dmi/id/product_serial", "Default string\n");
+	put(pi, "sys/class/dmi/id/board_serial", "PF3ABCDE \nXYZ12345");
+	assert_int_equal(serial_of(pi, other_store, "can0"), serial);
 }
 
 static void test_a_usb_can_adapter_has_a_number_where_the_machine_has_none(void **state)
@@ -247,16 +324,21 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		TEST(test_the_serial_number_stays_with_another_bus_name_and_its_options),
+		TEST(test_the_number_is_the_crc_of_a_number_of_the_hardware),
+		TEST(test_sixteen_gateways_of_a_host_keep_their_serial_numbers),
+		TEST(test_a_bus_with_a_long_name_keeps_its_serial_number),
 		TEST(test_a_new_installation_on_the_same_board_has_the_same_serial_number),
 		TEST(test_a_copied_card_has_another_serial_number_on_another_board_and_says_so),
 		TEST(test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order),
 		TEST(test_a_serial_number_that_another_gateway_of_the_host_has_is_told),
 		TEST(test_a_usb_network_adapter_changes_nothing),
 		TEST(test_what_vendors_write_instead_of_a_number_is_none),
+		TEST(test_what_is_no_number_has_no_influence_on_the_next),
 		TEST(test_a_usb_can_adapter_has_a_number_where_the_machine_has_none),
 		TEST(test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_of_the_board),
 		TEST(test_a_damaged_file_is_no_number),
 	};
 
+	(void)unshare(CLONE_NEWNET); /* where permitted: the names of sockets are of this program alone */
 	return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -15,6 +15,7 @@
 #include <unistd.h>
 
 #include "gateway/service.h"
+#include "tests/unit/descriptors.h"
 
 #define S 1000000
 
@@ -137,6 +138,22 @@ static void test_without_a_watchdog_or_for_another_process_there_are_none(void *
 	assert_string_equal(message(), "");
 }
 
+static void test_a_socket_that_cannot_be_used_is_none(void **state)
+{
+	struct sockaddr_un address;
+	char long_path[sizeof(address.sun_path) + 1];
+
+	(void)state;
+	memset(long_path, 'x', sizeof(long_path) - 1);
+	long_path[sizeof(long_path) - 1] = '\0';
+	const char *const paths[] = {"", long_path, "/no/such/socket"};
+	for (size_t i = 0; i < sizeof(paths) / sizeof(paths[0]); i++) {
+		service_close(&service);
+		service_open(&service, paths[i], "10000000", NULL);
+		assert_true(service_tick(&service, 1, false, now_us) == UINT64_MAX);
+	}
+}
+
 static void test_a_sensor_s_thread_that_hangs_ends_the_signs_of_life(void **state)
 {
 	(void)state;
@@ -183,11 +200,12 @@ int main(void)
 		TEST(test_an_abstract_socket_is_reached),
 		TEST(test_a_sign_of_life_is_given_each_half_of_the_watchdog_s_time),
 		TEST(test_without_a_watchdog_or_for_another_process_there_are_none),
+		TEST(test_a_socket_that_cannot_be_used_is_none),
 		TEST(test_a_sensor_s_thread_that_hangs_ends_the_signs_of_life),
 		TEST(test_a_sensor_without_a_thread_cannot_hang),
 		TEST(test_a_write_to_the_store_that_hangs_ends_the_signs_of_life),
 		TEST(test_time_in_which_the_process_was_stopped_is_no_hang),
 	};
 
-	return cmocka_run_group_tests_name("service", tests, NULL, NULL);
+	return cmocka_run_group_tests_name("service", tests, count_descriptors, no_descriptor_is_left);
 }

@@ -107,7 +107,7 @@ static struct i2c_bus *opened(size_t count)
 	char error[200] = "";
 
 	k = (struct kernel){.answer = 0xA0};
-	if (spi_dev_open(PATHS, count, &options, &bus, error, sizeof error) < 0)
+	if (spi_dev_open(PATHS, count, &options, &bus, error, sizeof error) != 0)
 		fail_msg("%s", error);
 	return bus;
 }
@@ -223,6 +223,20 @@ static void test_a_bmi270_without_its_configuration_file_is_refused_with_what_to
 	remove(small);
 }
 
+/* As the gateway does it at each start, and with --check. */
+static void test_how_a_source_is_written_is_checked_without_the_device(void **state)
+{
+	char error[300];
+
+	(void)state;
+	k = (struct kernel){.open_error = EACCES};
+	assert_int_equal(imu_open("spi:/dev/spidev0.0,/dev/spidev0.1,mode=0", NULL, NULL, error, sizeof error), 0);
+	assert_int_equal(imu_open("spi:/dev/spidev0.0,mode=1", NULL, NULL, error, sizeof error), -EINVAL);
+	k = (struct kernel){.answer = 0xD4};
+	assert_int_equal(imu_open("spi:/dev/spidev0.0", NULL, NULL, error, sizeof error), 0);
+	assert_int_equal(k.transfers, 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -232,6 +246,7 @@ int main(void)
 		cmocka_unit_test(test_what_cannot_be_opened_is_refused_with_what_to_do),
 		cmocka_unit_test(test_mode_and_speed_are_those_of_the_options),
 		cmocka_unit_test(test_a_bmi270_without_its_configuration_file_is_refused_with_what_to_do),
+		cmocka_unit_test(test_how_a_source_is_written_is_checked_without_the_device),
 	};
 
 	return cmocka_run_group_tests_name("spi_dev", tests, count_descriptors, no_descriptor_is_left);

@@ -5,12 +5,15 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
+#include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/resource.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <unistd.h>
@@ -22,6 +25,9 @@ static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
 
 /* What the disk answers for a folder; files are synced. */
 static int folder_sync_errno;
+/* What it answers once, or twice, when a file is read. */
+static int read_errno[2];
+static bool no_thread;
 
 int fsync(int fd)
 {
@@ -32,6 +38,26 @@ int fsync(int fd)
 		return -1;
 	}
 	return (int)syscall(SYS_fsync, fd);
+}
+
+ssize_t read(int fd, void *bytes, size_t size)
+{
+	int error = read_errno[0];
+
+	read_errno[0] = read_errno[1];
+	read_errno[1] = 0;
+	if (!error)
+		return syscall(SYS_read, fd, bytes, size);
+	errno = error;
+	return -1;
+}
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*body)(void *), void *arg)
+{
+	int (*create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+
+	*(void **)&create = dlsym(RTLD_NEXT, "pthread_create");
+	return no_thread ? EAGAIN : create(thread, attributes, body, arg);
 }
 
 static int make_folder(void **state)
@@ -156,6 +182,94 @@ static void test_every_flipped_bit_is_detected(void **state)
 		bytes[bit / 8] ^= (uint8_t)(1 << bit % 8);
 	}
 	assert_int_equal(store_decode(&back, bytes, size), 0);
+}
+
+static void test_a_file_that_cannot_be_read_is_told_and_stays(void **state)
+{
+	const struct store_image image = example(3, 30);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
+	read_errno[0] = EINTR; /* a signal */
+	read_errno[1] = EIO;
+	assert_int_equal(store_read(&back, path), -EIO);
+	assert_int_equal(back.groups[0].size, 0);
+	read_errno[0] = EINTR;
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+}
+
+/* The names beside it are longer: .new, .lock and .bad.99. */
+static void test_the_longest_path_can_be_stored(void **state)
+{
+	static struct store_writer writer;
+	static uint8_t bytes[STORE_FILE_MAX];
+	const struct store_image image = example(6, 60);
+	char longest[STORE_PATH_MAX + 1], name[STORE_PATH_MAX + 8];
+	struct store_image back;
+	size_t size = store_encode(&image, bytes);
+
+	(void)state;
+	memset(longest, 'x', sizeof(longest) - 1);
+	memcpy(longest, folder, strlen(folder));
+	for (size_t at = strlen(folder); at < STORE_PATH_MAX - 1; at += 200)
+		longest[at] = '/';
+	longest[STORE_PATH_MAX] = '\0';
+	assert_int_equal(store_writer_open(&writer, longest), -ENAMETOOLONG);
+	longest[STORE_PATH_MAX - 1] = '\0';
+	assert_int_equal(store_writer_open(&writer, longest), 0);
+	store_writer_close(&writer);
+	assert_int_equal(store_write(longest, bytes, size), 0);
+	assert_int_equal(store_read(&back, longest), 0);
+	assert_same(&image, &back);
+	for (int n = 0; n < 2; n++) {
+		bytes[0] = (uint8_t)n;
+		assert_int_equal(store_write(longest, bytes, size), 0);
+		assert_int_equal(store_read(&back, longest), -EBADMSG);
+	}
+	static const char *const endings[] = {"", ".lock", ".bad", ".bad.1"};
+	for (size_t i = 0; i < sizeof(endings) / sizeof(endings[0]); i++) {
+		snprintf(name, sizeof(name), "%s%s", longest, endings[i]);
+		assert_int_equal(unlink(name), i == 0 ? -1 : 0);
+	}
+	for (char *slash = strrchr(longest, '/'); (size_t)(slash - longest) > strlen(folder);
+		slash = strrchr(longest, '/')) {
+		*slash = '\0';
+		assert_int_equal(rmdir(longest), 0);
+	}
+}
+
+static void test_without_a_thread_the_store_is_not_open_and_its_lock_is_free(void **state)
+{
+	static struct store_writer writer;
+
+	(void)state;
+	no_thread = true;
+	assert_int_equal(store_writer_open(&writer, path), -EAGAIN);
+	store_writer_close(&writer);
+	no_thread = false;
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	store_writer_close(&writer);
+}
+
+static void test_without_a_descriptor_the_store_is_not_open_and_its_lock_is_free(void **state)
+{
+	static struct store_writer writer;
+	struct rlimit before, limit;
+	int next = dup(STDIN_FILENO); /* of the lock; none is left for the event */
+
+	(void)state;
+	close(next);
+	assert_int_equal(getrlimit(RLIMIT_NOFILE, &before), 0);
+	limit = (struct rlimit){(rlim_t)next + 1, before.rlim_max};
+	assert_int_equal(setrlimit(RLIMIT_NOFILE, &limit), 0);
+	int result = store_writer_open(&writer, path);
+	setrlimit(RLIMIT_NOFILE, &before);
+	assert_int_equal(result, -EMFILE);
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	store_writer_close(&writer);
 }
 
 /* A power cut leaves the temporary file in any state and does not change the other one. */
@@ -428,6 +542,10 @@ int main(void)
 		TEST(test_no_file_yet_means_nothing_stored),
 		TEST(test_every_truncation_is_detected_and_the_file_is_kept_as_bad),
 		cmocka_unit_test(test_every_flipped_bit_is_detected),
+		TEST(test_a_file_that_cannot_be_read_is_told_and_stays),
+		TEST(test_the_longest_path_can_be_stored),
+		TEST(test_without_a_descriptor_the_store_is_not_open_and_its_lock_is_free),
+		TEST(test_without_a_thread_the_store_is_not_open_and_its_lock_is_free),
 		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
 		TEST(test_a_bad_file_is_never_overwritten),
 		TEST(test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one),

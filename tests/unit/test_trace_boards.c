@@ -210,6 +210,46 @@ static void test_each_setting(void **state)
 	trace_check();
 }
 
+/* Without samples: what is chosen and written. The numbers of each kind are prime to one another, so that a range of
+ * the gyro comes with different ones of the accelerometer. */
+static void test_many_settings(void **state)
+{
+	static const double rates[] = {1, 13, 27, 60, 110, 210, 430, 900, 1700, 4000, 9000},
+			    gyro[] = {100, 250, 500, 1000, 2000, 4000, 4001}, accel[] = {1, 2, 4, 8, 16, 17},
+			    mag[] = {100, 200, 400, 800, 1600}, bandwidths[] = {0, 3, 30, 200};
+	enum { SETTINGS = 33 };
+
+	(void)state;
+	for (int i = 0; i < SETTINGS; i++) {
+		const struct imu_settings settings = {.rate_hz = rates[i % 11],
+			.gyro_range_deg_s = gyro[i % 7],
+			.accel_range_g = accel[i % 6],
+			.mag_range_uT = mag[i % 5],
+			.bandwidth_hz = bandwidths[i / 2 % 4]};
+		struct world *w = world_make(*state, "rest", false);
+		struct board_plan plan;
+		char name[64], why[200] = "";
+
+		snprintf(name, sizeof name, "settings %d", i);
+		block(w, name);
+		world_detect(w);
+		int result = board_plan(&w->board, &settings, i % 3 == 0, false, &plan, why, sizeof why);
+		trace_value("result", result, 0);
+		trace_text("why", why);
+		if (result == 0) {
+			trace_value("planned_rate_hz", plan.rate_hz, 1e-4);
+			memset(&bus_log, 0, sizeof bus_log);
+			w->before = log_access;
+			board_apply(&w->board, &plan);
+			world_run(w, 150000);
+			flush_line();
+			w->before = NULL;
+		}
+		world_free(w);
+	}
+	trace_check();
+}
+
 /* ---- faults ------------------------------------------------------------------------------------------------------ */
 
 /* Of the chip whose address the hooks have. */
@@ -297,20 +337,39 @@ static void test_each_fault(void **state)
 	trace_check();
 }
 
+static void largest_little(struct world *w, const struct sim_access *a)
+{
+	(void)w;
+	for (size_t i = 0; i < a->n && a->n >= 6 && !a->write; i++)
+		a->bytes[i] = i % 2 ? 0x7F : 0xFF;
+}
+
+static void largest_big(struct world *w, const struct sim_access *a)
+{
+	(void)w;
+	for (size_t i = 0; i < a->n && a->n >= 6 && !a->write; i++)
+		a->bytes[i] = i % 2 ? 0xFF : 0x7F;
+}
+
 static void test_the_self_test(void **state)
 {
-	(void)state;
-	for (int shaken = 0; shaken < 2; shaken++) {
-		struct world *w = world_new(*state, shaken ? "tumble" : "rest", false);
+	static const char *const names[] = {"self-test", "self-test while it moves",
+		"self-test at the end of the range", "self-test at the end, the other order"};
 
-		block(w, shaken ? "self-test while it moves" : "self-test");
+	(void)state;
+	for (int kind = 0; kind < 4; kind++) {
+		struct world *w = world_new(*state, kind == 1 ? "tumble" : "rest", false);
+
+		block(w, names[kind]);
 		world_run(w, 600000);
 		memset(&bus_log, 0, sizeof bus_log);
 		w->before = log_access;
+		w->after = kind == 2 ? largest_little : kind == 3 ? largest_big : NULL;
 		board_self_test(&w->board);
 		trace_samples(w, 2500000);
 		flush_line();
 		w->before = NULL;
+		w->after = NULL;
 		world_free(w);
 	}
 	trace_check();
@@ -319,11 +378,13 @@ static void test_the_self_test(void **state)
 int main(void)
 {
 	enum { BOARD_COUNT = sizeof BOARDS / sizeof *BOARDS };
-	struct CMUnitTest tests[3 * BOARD_COUNT + 1];
+	struct CMUnitTest tests[4 * BOARD_COUNT + 1];
 	size_t count = 0;
 
 	for (int i = 0; i < BOARD_COUNT; i++)
 		tests[count++] = (struct CMUnitTest){BOARDS[i], test_each_setting, NULL, NULL, (void *)BOARDS[i]};
+	for (int i = 0; i < BOARD_COUNT; i++)
+		tests[count++] = (struct CMUnitTest){BOARDS[i], test_many_settings, NULL, NULL, (void *)BOARDS[i]};
 	for (int i = 0; i < BOARD_COUNT; i += i >= ON_I2C ? 3 : 1) /* on SPI the same but for the bus: a part of them */
 		tests[count++] = (struct CMUnitTest){BOARDS[i], test_each_fault, NULL, NULL, (void *)BOARDS[i]};
 	for (int i = 0; i < BOARD_COUNT; i++)

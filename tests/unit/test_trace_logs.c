@@ -34,7 +34,8 @@ struct kind {
 	double wrap_s;	       /* the time is the remainder of this */
 	double unit_s;	       /* 1 */
 	double gyro, accel, mag;
-	int resolution; /* digits behind the point, 6 */
+	double gyro_end, accel_end; /* no number is larger */
+	int resolution;		    /* digits behind the point, 6 */
 	bool every_mag, without_mag;
 	const char *header;   /* HEADER */
 	const char *preamble; /* lines before it */
@@ -102,6 +103,18 @@ static const struct kind KINDS[] = {
 	{"accelerometer half as strong", .accel = 1.8},
 	{"accelerometer twice as strong", .accel = 0.6},
 	{"small rates", .gyro = 40},
+	{"rates end at 125 deg/s", .gyro_end = 125 * RAD_PER_DEG},
+	{"rates end at 250 deg/s", .gyro = 0.4, .gyro_end = 249.98 * RAD_PER_DEG},
+	{"rates end at 245 deg/s", .gyro = 0.4, .gyro_end = 245 * RAD_PER_DEG},
+	{"rates end at 260 deg/s", .gyro = 0.4, .gyro_end = 260 * RAD_PER_DEG},
+	{"deg/s end at 125", .gyro = RAD_PER_DEG, .gyro_end = 125, .header = "t,gx[deg/s],gy,gz,ax,ay,az,mx,my,mz"},
+	{"forces end at 2 g", .accel = 0.4, .accel_end = 2 * STANDARD_GRAVITY_M_S2},
+	{"forces end at 4 g, nearly", .accel = 0.2, .accel_end = 3.998 * STANDARD_GRAVITY_M_S2},
+	{"forces end at 3 g", .accel = 0.25, .accel_end = 3 * STANDARD_GRAVITY_M_S2},
+	{"both end", .gyro_end = 125 * RAD_PER_DEG, .accel = 0.4, .accel_end = 2 * STANDARD_GRAVITY_M_S2,
+		.lose_each = 3},
+	{"tabs", .header = "t\tgx\tgy\tgz\tax\tay\taz\tmx\tmy\tmz"},
+	{"tabs and a comma", .header = "t\tgx\tgy\tgz\tax\tay\taz\tmx\tmy\tmz\ta,b"},
 	{"units named", .gyro = RAD_PER_DEG, .accel = STANDARD_GRAVITY_M_S2, .mag = 100, .unit_s = 1e-3,
 		.header = "t[ms],gx[deg/s],gy,gz,ax[g],ay[g],az[g],mx (gauss),my,mz"},
 	{"units named otherwise", .gyro = 1e-3 * RAD_PER_DEG, .accel = 1e-3 * STANDARD_GRAVITY_M_S2, .mag = 1e-3,
@@ -144,16 +157,19 @@ static double time_of(const struct kind *k, int row, struct rng *rng)
 	return k->wrap_s > 0 ? fmod(t_s, k->wrap_s) : t_s;
 }
 
-static void put_vec(FILE *file, char separator, struct vec3 v, double unit)
+static void put_vec(FILE *file, char separator, struct vec3 v, double unit, double end)
 {
-	fprintf(file, "%c%.7g%c%.7g%c%.7g", separator, v.x / unit, separator, v.y / unit, separator, v.z / unit);
+	const double values[] = {v.x / unit, v.y / unit, v.z / unit};
+
+	for (int i = 0; i < 3; i++)
+		fprintf(file, "%c%.7g", separator, end > 0 ? fmax(-end, fmin(end, values[i])) : values[i]);
 }
 
 static void put_log(FILE *file, const struct kind *k)
 {
 	struct sensor_config config = *sensor_preset("lsm303dlhc_l3gd20_fine");
 	const char *header = k->header ? k->header : HEADER;
-	char separator = strchr(header, ';') ? ';' : ',';
+	char separator = strchr(header, ';') ? ';' : strchr(header, '\t') ? '\t' : ',';
 	int rows = k->rows > 0 ? k->rows : 1200;
 	struct sensor sensor;
 	struct rng rng;
@@ -172,10 +188,10 @@ static void put_log(FILE *file, const struct kind *k)
 		if (k->lose_each > 0 && row % k->lose_each == k->lose_each - 1)
 			continue;
 		fprintf(file, "%.*f", k->resolution > 0 ? k->resolution : 6, t_s / or_default(k->unit_s, 1));
-		put_vec(file, separator, s.gyro_rad_s, or_default(k->gyro, 1));
-		put_vec(file, separator, s.accel_m_s2, or_default(k->accel, 1));
+		put_vec(file, separator, s.gyro_rad_s, or_default(k->gyro, 1), k->gyro_end);
+		put_vec(file, separator, s.accel_m_s2, or_default(k->accel, 1), k->accel_end);
 		if (s.flags & SAMPLE_MAG && !k->without_mag)
-			put_vec(file, separator, s.mag_uT, or_default(k->mag, 1));
+			put_vec(file, separator, s.mag_uT, or_default(k->mag, 1), 0);
 		else if (!k->without_mag)
 			fprintf(file, "%c%c%c", separator, separator, separator);
 		fputc('\n', file);
@@ -188,7 +204,7 @@ static void trace_samples(struct imu_log *log)
 {
 	struct vec3 gyro = {0, 0, 0}, accel = gyro, mag = gyro;
 	double least_us = INFINITY, most_us = 0, square = 0, first_us = 0, last_us = 0;
-	int n = 0, mags = 0, jumps = 0;
+	int n = 0, mags = 0, jumps = 0, saturated = 0;
 	struct imu_sample s;
 
 	for (; imu_log_next(log, &s) == 1; n++) {
@@ -206,6 +222,7 @@ static void trace_samples(struct imu_log *log)
 		mag = vec3_add(mag, s.mag_uT);
 		mags += (s.flags & SAMPLE_MAG) != 0;
 		jumps += (s.flags & SAMPLE_DISCONTINUITY) != 0;
+		saturated += (s.flags & SAMPLE_SATURATED) != 0;
 	}
 	trace_value("samples", n, 0);
 	trace_value("first_us", first_us, 0);
@@ -218,6 +235,7 @@ static void trace_samples(struct imu_log *log)
 	trace_vec("mag_uT", vec3_scale(1.0 / n, mag), 1e-7);
 	trace_value("mags", mags, 0);
 	trace_value("jumps", jumps, 0);
+	trace_value("saturated", saturated, 0);
 }
 
 static void trace_messages(const struct imu_log *log)

@@ -316,6 +316,17 @@ static int parse_option(char *option, struct i2c_imu_config *config)
 	return strncmp(option, "drdy=", 5) == 0 ? parse_drdy(option + 5, config) : -EINVAL;
 }
 
+/* Of chips as they were delivered. */
+static int start_delivered(struct i2c_bus *bus, const struct i2c_imu_config *config,
+	const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
+{
+	int result = i2c_imu_start(bus, config, settings, port, error, error_size);
+
+	if (result == 0)
+		(*port)->uncalibrated = IMU_UNCALIBRATED;
+	return result;
+}
+
 int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **port, char *error, size_t error_size)
 {
 	char *rest = args, *path = strsep(&rest, ","), *option, name[48];
@@ -338,10 +349,7 @@ int i2c_open(char *args, const struct imu_settings *settings, struct imu_port **
 	result = i2c_dev_open(path, &bus, error, error_size);
 	if (result < 0)
 		return result;
-	result = i2c_imu_start(bus, &config, settings, port, error, error_size);
-	if (result == 0)
-		(*port)->uncalibrated = IMU_UNCALIBRATED;
-	return result;
+	return start_delivered(bus, &config, settings, port, error, error_size);
 }
 
 struct spi_args {
@@ -390,9 +398,11 @@ int spi_open(char *args, const struct imu_settings *settings, struct imu_port **
 		snprintf(error, error_size, "spi: no device: use " SPI_SYNTAX);
 		return -EINVAL;
 	}
+	if (!port)
+		return 0;
 	snprintf(name, sizeof name, "spi:%.40s", spi.paths[0]);
 	result = spi_dev_open(spi.paths, spi.count, &spi.options, &bus, error, error_size);
 	if (result < 0)
 		return result;
-	return i2c_imu_start(bus, &config, settings, port, error, error_size);
+	return start_delivered(bus, &config, settings, port, error, error_size);
 }
