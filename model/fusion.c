@@ -5,6 +5,7 @@
 
 #include "model/math/rotation.h"
 #include "model/math/units.h"
+#include "model/noise.h"
 
 /* Least horizontal part of the field, as a share of its length, that has a direction. Numerical limit. */
 static const double LEAST_HORIZONTAL = 1e-3;
@@ -14,9 +15,6 @@ static const double LEAST_LEVEL = 0.1;
 /* s, for which a yaw from outside holds for the filters without a covariance, and memory of where the field points to
  * meanwhile. The same as those of the Kalman filter. */
 static const double AID_S = 10, NORTH_TIME_S = 10;
-/* s. Over a longer interval the rate was not just between those of its samples, and the velocity is unknown: a gap. By
- * judgement: a hand changes its velocity by 1 m/s within that time. */
-static const double GAP_S = 0.1;
 /* Usual intervals, and s, below which there is none. By judgement: two samples are missing; a sensor of less than 5
  * samples a second tells nothing about what was between two of them. */
 static const double GAP_INTERVALS = 2.5, GAP_MOST_S = 0.5;

@@ -136,6 +136,9 @@ static const double BEGIN_S = 1, ACCELERATED_S = 0.3;
  * 50 m. */
 static const double HUNG_STILL_S = 3;
 
+/* s. After a longer gap nothing is known of how it moved before, as at the start. By judgement. */
+static const double FORGOTTEN_S = 10;
+
 /* ---- levelling ---- */
 
 /* s, correlation time of the velocity as a measurement of zero. Tuned: at most NAVIGATION_HIGH_PASS_S / (2 pi) = 0.16
@@ -869,7 +872,7 @@ void navigation_skip(struct navigation *n, const struct navigation_input *in, do
 	n->q_nb = in->q_nb;
 	n->fusion_variance_rad2 = turned;
 	smoother_elapse(n->smoother, dt_s);
-	reset_errors(n, THETA, squared(START_ANGLE_RAD));
+	reset_errors(n, THETA, 0);
 	add_variances(n, THETA, turned);
 	add_variance(n, V, squared(a_m_s2 * dt_s));
 	add_variance(n, P, dt_s * dt_s * (vec3_dot(n->velocity_n_m_s, n->velocity_n_m_s) + squared(a_m_s2 * dt_s)));
@@ -877,8 +880,12 @@ void navigation_skip(struct navigation *n, const struct navigation_input *in, do
 	rest_restart(&n->rest);
 	rope_restart(&n->rope, n->q_nb);
 	n->alias = (struct alias){.velocity_m_s = {0}};
-	zero_velocity_restart(&n->zero_velocity, false);
-	n->still = n->ended_by_reset = n->last_gyro_known = n->lever_known = n->guide.holds = false;
+	n->stood &= dt_s < FORGOTTEN_S;
+	if (n->stood)
+		zero_velocity_skip(&n->zero_velocity, n->still);
+	else
+		zero_velocity_restart(&n->zero_velocity, false);
+	n->still = n->ended_by_reset = n->last_known = n->lever_known = n->guide.holds = false;
 }
 
 static double alias_variance(const struct alias *a)
@@ -945,15 +952,30 @@ static void follow_alias(struct navigation *n, const struct navigation_sums *s)
 	add_sine(n, a->ended_m_s, a->ended_m);
 }
 
+/* The force for the rectangular rule. That errs by half of the force's change times the interval, and the next interval
+ * makes up for it, if it is as long. Where this one is longer, the force is taken to have changed evenly, with an error
+ * of as much. */
+static struct vec3 over_longer_interval(struct navigation *n, struct vec3 force_n_m_s2, double dt_s)
+{
+	double longer_s = n->last_known ? fmax(0, dt_s - n->last_interval_s) : 0;
+	struct vec3 change = vec3_sub(force_n_m_s2, n->last_force_n_m_s2), v = vec3_scale(longer_s / 2, change);
+
+	n->last_force_n_m_s2 = force_n_m_s2;
+	n->last_interval_s = dt_s;
+	add_variances(n, V, (struct vec3){v.x * v.x, v.y * v.y, v.z * v.z});
+	return vec3_sub(force_n_m_s2, vec3_scale(1 / dt_s, v));
+}
+
 static void integrate(struct navigation *n, const struct navigation_input *in, double dt)
 {
 	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), before = n->velocity_n_m_s, force, accel;
-	struct vec3 last = n->last_gyro_known ? vec3_sub(n->last_gyro_b_rad_s, n->gyro_bias_b_rad_s) : omega;
+	struct vec3 last = n->last_known ? vec3_sub(n->last_gyro_b_rad_s, n->gyro_bias_b_rad_s) : omega;
 	struct mat3 r_nb;
 
 	turn_to(n, quat_multiply(n->q_nb, quat_from_rotation_vector(rotation_between(last, omega, dt))));
 	r_nb = mat3_from_quat(n->q_nb);
 	force = mat3_apply(r_nb, vec3_sub(in->force_b_m_s2, n->accel_bias_b_m_s2));
+	force = over_longer_interval(n, force, dt);
 	accel = vec3_sub(force, (struct vec3){0, 0, in->gravity_m_s2});
 	if (vertical(n))
 		accel.z *= 1 - share_of_scale(n) * mat3_apply(r_nb, n->accel_bias_b_m_s2).z / in->gravity_m_s2;
@@ -963,7 +985,7 @@ static void integrate(struct navigation *n, const struct navigation_input *in, d
 	n->velocity_n_m_s = vec3_add(before, vec3_scale(dt, accel));
 	if (!n->still)
 		n->position_n_m = vec3_add(n->position_n_m, vec3_scale(dt / 2, vec3_add(before, n->velocity_n_m_s)));
-	n->last_gyro_known = true;
+	n->last_known = true;
 	n->last_gyro_b_rad_s = in->gyro_b_rad_s;
 }
 
@@ -1320,7 +1342,7 @@ void navigation_set_attitude(struct navigation *n, struct quat q_nb)
 {
 	n->velocity_n_m_s = quat_rotate(q_nb, quat_rotate_inverse(n->q_nb, n->velocity_n_m_s));
 	n->q_nb = q_nb;
-	n->last_gyro_known = n->guide.holds = n->lever_from_known = false;
+	n->last_known = n->guide.holds = n->lever_from_known = false;
 	rope_restart(&n->rope, q_nb);
 	reset_errors(n, THETA, squared(SET_ANGLE_RAD));
 	memset(&n->sums, 0, sizeof(n->sums));

@@ -146,8 +146,9 @@ struct navigation {
 	double aided_s;	      /* for how long the last velocity from outside holds */
 	bool aided_in_motion; /* it was not that of a standstill */
 	bool reset_in_motion; /* the position was reset since the last sample */
-	bool last_gyro_known;
-	struct vec3 last_gyro_b_rad_s;
+	bool last_known;      /* of the last sample: */
+	struct vec3 last_gyro_b_rad_s, last_force_n_m_s2;
+	double last_interval_s; /* .. and the time before it */
 };
 
 /** 1 sigma: of the fusion's attitude (rotation about each axis of n), of an acceleration turned by it, of velocity, of

@@ -8,6 +8,9 @@
 
 /* m/s^2, 1 sigma of the acceleration during missing samples. By judgement: a quick robot. */
 #define GAP_ACCEL_M_S2 2.0
+/** s. Over a longer interval the rate was not just between those of its samples, and the velocity is unknown: a gap. By
+ * judgement: a hand changes its velocity by 1 m/s within that time. */
+#define GAP_S 0.1
 
 struct noise_config {
 	/** rad, >= 0, default 0.05 degrees: 1 sigma of angles, given or fused, white from sample to sample. Used where

@@ -544,7 +544,7 @@ static void locate(
 		position_navigate(&p->position, &in, p->config.estimator.lever_arm_b_m, p->rate_hz, dt_s);
 }
 
-static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
+static unsigned status_of(const struct pipeline *p, bool rest, bool missing)
 {
 	struct vec3 variance = fusion_variance(p);
 	bool known = fusion_started(&p->fusion) && fmax(variance.x, variance.y) < TILT_UNKNOWN_RAD * TILT_UNKNOWN_RAD;
@@ -553,7 +553,7 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool gap)
 
 	return (known ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
 	       (p->since_mag_s < MAG_LATELY_S ? PIPELINE_MAG_USED : 0u) |
-	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (gap ? PIPELINE_GAP : 0u) |
+	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (missing ? PIPELINE_GAP : 0u) |
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u) |
 	       (navigation_assumes_standstill(&p->position.navigation) ? PIPELINE_ASSUMED : 0u) |
 	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u) | (vibrates ? PIPELINE_VIBRATION : 0u);
@@ -641,7 +641,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
 	struct vec3 gyro, accel, force;
 	struct quat q_nb;
-	bool gap, rest;
+	bool missing, gap, rest;
 	double dt_s;
 
 	if (sample->flags & SAMPLE_TEMPERATURE)
@@ -654,11 +654,11 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	if (s.flags & SAMPLE_DISCONTINUITY)
 		start_over(p);
 	dt_s = p->started ? (double)(s.t_us - p->last_t_us) * 1e-6 : 1 / p->rate_hz;
-	gap = dt_s * p->rate_hz > PIPELINE_GAP_INTERVALS;
-	if (gap) {
-		p->gaps++;
+	missing = dt_s * p->rate_hz > PIPELINE_GAP_INTERVALS; /* over a short gap the filters go on, at whatever rate */
+	gap = missing && dt_s > GAP_S;
+	p->gaps += missing;
+	if (gap)
 		p->primed = false;
-	}
 
 	force = s.accel_m_s2;
 	s.accel_m_s2 = at_the_gyros_instant(p, &s);
@@ -696,7 +696,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.clipped_accel = p->vibration.clipped_accel,
 		.clipped_gyro = p->vibration.clipped_gyro,
 		.accel_delay_s = p->accel_delay_s,
-		.status = status_of(p, rest, gap),
+		.status = status_of(p, rest, missing),
 	};
 	guard(p, out);
 	return 0;

@@ -143,7 +143,8 @@ struct pipeline {
 	bool north_found; /* with the last sample */
 	struct vec3 mag_b_uT;
 	double since_mag_s;
-	uint32_t gaps;	      /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals */
+	uint32_t gaps; /* intervals longer than PIPELINE_GAP_INTERVALS sampling intervals; the filters go on over those
+			* up to GAP_S */
 	uint32_t refused;     /* samples not used: see pipeline_step() */
 	uint32_t implausible; /* outputs not published: see pipeline_step() */
 	struct {

@@ -9,6 +9,10 @@ static const double SMOOTH_TIME_S = 0.004;
  * end of a motion, however violent that was. Chosen by judgement. */
 static const double SQUARE_MOST = 4;
 
+/* A sample after missing ones tells no more than another: its weight is that of so many usual intervals, which follow
+ * the intervals by that share. By judgement: twice is what uneven time stamps make of an even interval. */
+static const double USUAL_INTERVALS = 2, INTERVAL_SHARE = 0.1;
+
 static bool positive(double a)
 {
 	return a > 0 && isfinite(a);
@@ -31,7 +35,7 @@ int rest_check(const struct rest_config *c)
 
 void rest_restart(struct rest *r)
 {
-	*r = (struct rest){.started = false};
+	*r = (struct rest){.interval_s = r->interval_s};
 }
 
 /* Moves the mean towards the value; returns how far the value was from it. */
@@ -62,11 +66,13 @@ static bool drifts_less(struct vec3 *slow, struct vec3 mean, double share, doubl
 bool rest_step(
 	struct rest *r, const struct rest_config *c, struct vec3 gyro_b_rad_s, struct vec3 force_b_m_s2, double dt_s)
 {
-	double smooth = fmin(1, dt_s / SMOOTH_TIME_S), share = dt_s / (c->mean_time_s + dt_s);
-	double square_share = dt_s / (c->deviation_time_s + dt_s), slow_share;
+	double usual_s = r->interval_s > 0 ? r->interval_s : dt_s, weight_s = fmin(dt_s, USUAL_INTERVALS * usual_s);
+	double smooth = fmin(1, weight_s / SMOOTH_TIME_S), share = weight_s / (c->mean_time_s + weight_s);
+	double square_share = weight_s / (c->deviation_time_s + weight_s), slow_share;
 	double gyro_limit = c->gyro_threshold_rad_s, accel_limit = c->accel_threshold_m_s2;
 	bool still;
 
+	r->interval_s = usual_s + INTERVAL_SHARE * (weight_s - usual_s);
 	if (!r->started) {
 		r->gyro = r->gyro_mean = r->gyro_slow = gyro_b_rad_s;
 		r->accel = r->accel_mean = r->accel_slow = force_b_m_s2;
@@ -83,7 +89,7 @@ bool rest_step(
 	still &= vec3_norm(r->gyro_mean) < c->rate_share * gyro_limit;
 	/* in motion the slow mean is the short one; then it is the mean since the standstill began, of bounded
 	 * memory */
-	slow_share = still ? fmax(dt_s / (r->still_s + dt_s), dt_s / c->drift_time_s) : 1;
+	slow_share = still ? fmax(weight_s / (r->still_s + weight_s), weight_s / c->drift_time_s) : 1;
 	still &= drifts_less(&r->gyro_slow, r->gyro_mean, slow_share, c->drift_share * gyro_limit);
 	still &= drifts_less(&r->accel_slow, r->accel_mean, slow_share, c->drift_share * accel_limit);
 	r->still_s = still ? r->still_s + dt_s : 0;

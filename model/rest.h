@@ -83,6 +83,7 @@ struct rest {
 	struct vec3 gyro, accel; /* low-passed */
 	struct vec3 gyro_slow, accel_slow;
 	double gyro_square, accel_square; /* mean square of the deviation from the short mean */
+	double interval_s;		  /* the usual one between two samples */
 	bool started;
 };
 

@@ -53,9 +53,16 @@ enum { SPEEDS = sizeof(SPEED_M_S) / sizeof(SPEED_M_S[0]) };
  * is overruled within a second by a carrier that is known to cruise quietly. The least share that observation can lead
  * to. */
 static const double PRIOR_QUIET = 0.01, PRIOR_S = 1, LEAST_QUIET = 0.0025;
+/* Least share of quiet motion where samples are missing: an acceleration may have been there, and what was seen of the
+ * others is evidence as weak as the velocity has become unknown. By judgement. */
+static const double UNSEEN_QUIET = 0.3;
+/* s, without steadiness after a gap: what stood before it moves. By judgement: the detector's own time, and a little. */
+static const double UNSTEADY_S = 0.4;
 /* Odds of moving when a motion has begun, and the time in which an observation that the odds rest on loses its weight.
  * By judgement: a false alarm, or a stop too gentle to be seen, is made up for within minutes. */
 static const double BEGIN_ODDS = 10, ODDS_MEMORY_S = 20;
+/* Odds at most that what moved before a gap still does. By judgement: one gap in fifty hides a stop. */
+static const double SKIP_ODDS = 50;
 /* Sigmas and m/s beyond which a change of the velocity is an acceleration since the odds were taken. By judgement. */
 static const double CHANGE_SIGMAS = 3, CHANGE_M_S = 0.01;
 /* Weight of standing above which it stands, once that has held for STANDING_S; and below which a motion is known as
@@ -121,13 +128,41 @@ void zero_velocity_vibration(struct zero_velocity *z, struct vec3 accel_n_m_s2, 
 	z->vibration_m2_s2 = z->fast_vibration_m2_s2 + beside_m2_s2;
 }
 
-void zero_velocity_restart(struct zero_velocity *z, bool moving)
+/* Prior share of quiet motion. */
+static double quiet_share(const struct zero_velocity *z)
+{
+	double learnt = (z->moved_quietly_s + PRIOR_QUIET * PRIOR_S) / (z->moved_s + PRIOR_S);
+
+	if (!z->unseen)
+		return fmax(LEAST_QUIET, learnt);
+	return z->unsteady_s < UNSTEADY_S ? PRIOR_QUIET : fmax(UNSEEN_QUIET, learnt);
+}
+
+static void forget(struct zero_velocity *z)
 {
 	for (int i = 0; i < ZERO_VELOCITY_FORKS; i++)
 		z->forks[i].set = false;
-	z->least_odds = moving ? BEGIN_ODDS : 0;
-	z->weight = z->standing_s = z->quiet_s = 0;
+	z->weight = z->standing_s = 0;
 	z->position_shift_n_m = z->velocity_shift_n_m_s = z->position_variance_m2 = z->velocity_variance_m2_s2 = ZERO;
+}
+
+void zero_velocity_skip(struct zero_velocity *z, bool standing)
+{
+	double odds = fmin(SKIP_ODDS, (1 - z->weight) / fmax(z->weight, LEAST_WEIGHT));
+
+	z->unseen = true;
+	z->unsteady_s = standing ? 0 : UNSTEADY_S;
+	if (!standing)
+		z->least_odds = fmax(z->least_odds, odds / quiet_share(z));
+	forget(z);
+}
+
+void zero_velocity_restart(struct zero_velocity *z, bool moving)
+{
+	forget(z);
+	z->least_odds = moving ? BEGIN_ODDS : 0;
+	z->quiet_s = z->unsteady_s = 0;
+	z->unseen = false;
 }
 
 bool zero_velocity_quiet_for_long(const struct zero_velocity *z)
@@ -381,8 +416,8 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	double t_s)
 {
 	bool quiet = is_quiet(z, signals) && !known;
-	double quiet_share = fmax(LEAST_QUIET, (z->moved_quietly_s + PRIOR_QUIET * PRIOR_S) / (z->moved_s + PRIOR_S));
 
+	z->unsteady_s += z->unseen && !signals->steady ? t_s : 0;
 	z->weight = 0;
 	z->quiet_s = quiet ? z->quiet_s + t_s : 0;
 	/* nothing accelerates evenly for so long: its tilt or bias is another */
@@ -392,7 +427,7 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 		return;
 	}
 	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s, signals->level), t_s);
-	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share * exp(-z->quiet_s / CRUISE_S) : 1));
+	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share(z) * exp(-z->quiet_s / CRUISE_S) : 1));
 	z->standing_s = z->weight > STANDS_WEIGHT ? z->standing_s + t_s : 0;
 	if (z->weight < MOVES_WEIGHT && z->quiet_accel2_m2_s4 > 0) {
 		z->moved_s += t_s;

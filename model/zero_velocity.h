@@ -63,6 +63,8 @@ struct zero_velocity {
 	double quiet_gyro2_rad2_s2, quiet_accel2_m2_s4; /* mean square deviations while it stood; 0: not known */
 	double accel_walk_m2_s3;			/* .. and the velocity's variance in a second by it */
 	double moved_s, moved_quietly_s; /* in motions that were known as such; without more deviation than that */
+	bool unseen;			 /* samples are missing since the last standstill, */
+	double unsteady_s;		 /* .. and for so long it has not been steady since */
 	double quiet_s;			 /* for how long it has been that quiet while it moves */
 	double least_odds;		 /* of moving, since the last acceleration, */
 	struct vec3 odds_velocity_n_m_s; /* .. and the velocity that they rest on, */
@@ -102,7 +104,10 @@ bool zero_velocity_quiet_for_long(const struct zero_velocity *z);
 /** It stands: what was quiet until now was no motion to learn from. */
 void zero_velocity_settle(struct zero_velocity *z);
 
-/** A motion has begun, or samples were missing: no forks, and no odds of standing until an acceleration. */
+/** A motion has begun: no forks, and no odds of standing until an acceleration; or it stands. */
 void zero_velocity_restart(struct zero_velocity *z, bool moving);
+/** Samples were missing: no forks, but what moved still does until an acceleration is seen. standing: it stood
+ * before. */
+void zero_velocity_skip(struct zero_velocity *z, bool standing);
 
 #endif

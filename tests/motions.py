@@ -242,7 +242,8 @@ def all_motions():
         m[f'shaken {amplitude} m/s², {hz} Hz, after a rest'] = still(
             REST_S, partial(shake, amplitude_m_s2=amplitude, hz=hz))
     for name in ('road 1 m/s², 1 m/s, 60 s', 'turn 5 deg/s from 3 s on', 'circle 2 m, 0.5 rad/s',
-                 'arm 1 m, ±60 deg, 0.5 Hz', 'crane, rope 5 m'):
+                 'arm 1 m, ±60 deg, 0.5 Hz', 'crane, rope 5 m', 'straight 1 m/s, 10 s', 'straight 1 m/s, 60 s',
+                 'lift 12 m, 2 m/s', 'conveyor 0.3 m/s, 30 s'):
         m[name + ', gaps'] = replace(m[name], gaps=True)
     for deg in (2, 5, 10, 20):
         m[f'lying, gyro bias {deg} deg/s'] = still(uncalibrated_rad_s=np.radians(deg))

@@ -474,6 +474,30 @@ static void test_ten_intervals_are_not_a_gap(void **state)
 	assert_true(run(&p, moving, 320, 321).status & PIPELINE_GAP);
 }
 
+/* At 1000 samples a second 60 of them are missing: that is seen and counted, but what is at rest stays so. */
+static void test_a_gap_of_less_than_a_tenth_of_a_second_interrupts_nothing(void **state)
+{
+	struct pipeline_config config = with_lever();
+	struct pipeline p;
+	struct pipeline_output out = {.t_us = 0};
+
+	(void)state;
+	assert_int_equal(pipeline_init(&p, &config, 1000), 0);
+	for (int k = 0; k < 5000; k++) {
+		struct imu_sample sample = standing(0).sample;
+
+		if (k >= 4000 && k < 4060)
+			continue;
+		sample.t_us = 1000 * (uint64_t)k;
+		out = step(&p, &sample);
+		assert_int_equal(!!(out.status & PIPELINE_GAP), k == 4060);
+		if (k > 3000)
+			assert_true(out.status & PIPELINE_REST);
+	}
+	assert_int_equal(p.gaps, 1);
+	assert_true(vec3_norm(out.sigma.position_m) < 0.02);
+}
+
 static void test_after_a_gap_rest_is_observed_for_its_time_again(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -1650,6 +1674,7 @@ int main(void)
 		cmocka_unit_test(test_time_that_does_not_increase_is_refused_and_counted),
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
+		cmocka_unit_test(test_a_gap_of_less_than_a_tenth_of_a_second_interrupts_nothing),
 		cmocka_unit_test(test_after_a_gap_rest_is_observed_for_its_time_again),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
 		cmocka_unit_test(test_after_a_gap_sigma_covers_a_turn_that_nobody_saw),

@@ -223,6 +223,25 @@ static void test_a_restart_forgets_all_that_was_before(void **state)
 	}
 }
 
+/* A sample before which others are missing is one sample: it moves the means by no more than one of twice the usual
+ * interval. */
+static void test_a_sample_after_missing_ones_has_the_weight_of_two(void **state)
+{
+	struct rest missing = {.still_s = 0}, twice;
+	const struct vec3 pushed = {0.3, 0, 9.81};
+
+	(void)state;
+	after(&missing, 3, STILL, UP);
+	twice = missing;
+	rest_step(&missing, &CONFIG, STILL, pushed, 30 * DT_S);
+	rest_step(&twice, &CONFIG, STILL, pushed, 2 * DT_S);
+	assert_vec_near(missing.accel_mean, twice.accel_mean, 1e-12);
+	assert_near(missing.accel_square, twice.accel_square, 1e-12);
+	assert_vec_near(missing.accel_slow, twice.accel_slow, 1e-12);
+	assert_true(vec3_norm(vec3_sub(missing.accel_mean, UP)) > 0.001);
+	assert_near(missing.still_s - twice.still_s, 28 * DT_S, 1e-9);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -239,6 +258,7 @@ int main(void)
 		cmocka_unit_test(test_a_standstill_is_seen_within_a_second_of_a_violent_motion),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_a_restart_forgets_all_that_was_before),
+		cmocka_unit_test(test_a_sample_after_missing_ones_has_the_weight_of_two),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -624,6 +624,40 @@ static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state
 	}
 }
 
+/* After missing samples the odds of moving are as they were, or at least 50, however unknown the velocity has become and
+ * however quiet it is. */
+static void test_what_moved_before_missing_samples_still_does(void **state)
+{
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		struct standing s = moving_with(0.04), unknown = moving_with(2);
+		const double v = i ? 0.1 : 0.4;
+		double odds = 1 / weight_of(&s, &NOISY, v) - 1, after;
+
+		assert_true(i ? odds < 40 : odds > 1000);
+		s.n = unknown.n;
+		zero_velocity_skip(&s.z, false);
+		after = (1 / weight_of(&s, &QUIET, v) - 1) / (1 - 0.1 / 20) / exp(-0.1 / 60);
+		assert_true(i ? fabs(after / odds - 1) < 1e-6 : after > 50);
+	}
+}
+
+/* What stood before missing samples, and is steady after them, stands; what is unsteady for 0.4 s may as well move. */
+static void test_what_stood_before_missing_samples_stands_while_it_is_steady(void **state)
+{
+	const struct zero_velocity_signals unsteady = {.steady = false};
+	struct standing s = moving_with(0.4), moves;
+
+	(void)state;
+	s.z.moved_quietly_s = s.z.moved_s = 100; /* it is known to cruise quietly */
+	zero_velocity_skip(&s.z, true);
+	moves = s;
+	assert_true(weight_of(&s, &QUIET, 0.1) > 0.98);
+	for (int k = 0; k < 5; k++)
+		weight_of(&moves, &unsteady, 0.1);
+	assert_true(weight_of(&moves, &QUIET, 0.1) < 0.8);
+}
+
 /* To 1 / e within a minute: what is as quiet as it stood moves by 100000 to 1 at most. A moment that is not quiet
  * begins anew. */
 static void test_the_odds_of_a_quiet_motion_fall_with_its_time(void **state)
@@ -711,7 +745,7 @@ static void assert_nothing_is_mixed(const struct zero_velocity *z)
 static void test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begins_again(void **state)
 {
 	(void)state;
-	for (int i = 0; i < 4; i++) {
+	for (int i = 0; i < 5; i++) {
 		struct standing s = moving_with(0.01);
 
 		for (int k = 0; k < 10; k++)
@@ -723,6 +757,8 @@ static void test_there_is_no_second_hypothesis_of_what_is_known_to_stand_or_begi
 				&s.z, &s.n, &QUIET, (struct vec3){0}, (struct vec3){0}, false, 0.1));
 		else if (i < 3)
 			zero_velocity_restart(&s.z, i == 1);
+		else if (i == 3)
+			zero_velocity_skip(&s.z, false);
 		else
 			zero_velocity_moves(&s.z, &s.n, &NOISY, (struct vec3){0.2, 0, 0}, 0.03, true, 0.1); /* known */
 		assert_nothing_is_mixed(&s.z);
@@ -905,6 +941,8 @@ int main(void)
 		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
 		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
+		cmocka_unit_test(test_what_moved_before_missing_samples_still_does),
+		cmocka_unit_test(test_what_stood_before_missing_samples_stands_while_it_is_steady),
 		cmocka_unit_test(test_the_odds_of_a_quiet_motion_fall_with_its_time),
 		cmocka_unit_test(test_a_quiet_time_that_ends_in_a_standstill_was_no_motion_to_learn_from),
 		cmocka_unit_test(test_a_motion_that_has_just_begun_is_ten_times_as_likely_as_a_standstill),
