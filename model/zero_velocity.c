@@ -56,7 +56,7 @@ static const double PRIOR_QUIET = 0.01, PRIOR_S = 1, LEAST_QUIET = 0.0025;
 /* Least share of quiet motion where samples are missing: an acceleration may have been there, and what was seen of the
  * others is evidence as weak as the velocity has become unknown. By judgement. */
 static const double UNSEEN_QUIET = 0.3;
-/* s, without steadiness after a gap: what stood before it moves. By judgement: the detector's own time, and a little. */
+/* s, without steadiness after a gap: what stood before it moves. By judgement: the time of the detector, and more. */
 static const double UNSTEADY_S = 0.4;
 /* Odds of moving when a motion has begun, and the time in which an observation that the odds rest on loses its weight.
  * By judgement: a false alarm, or a stop too gentle to be seen, is made up for within minutes. */

@@ -624,8 +624,8 @@ static void test_the_odds_of_moving_hold_until_the_velocity_changes(void **state
 	}
 }
 
-/* After missing samples the odds of moving are as they were, or at least 50, however unknown the velocity has become and
- * however quiet it is. */
+/* After missing samples the odds of moving are as they were, or at least 50, however unknown the velocity has become
+ * and however quiet it is. */
 static void test_what_moved_before_missing_samples_still_does(void **state)
 {
 	(void)state;
