@@ -56,6 +56,10 @@ struct fusion {
 	struct fusion_kalman kalman;
 	double bias_time_s; /* of rest in the mean that is the bias; limited */
 	struct vec3 last_gyro_b_rad_s;
+	struct vec3 alpha_from_b_rad_s; /* rate from which the angular acceleration is measured, */
+	double alpha_s;			/* .. so long ago; */
+	double alpha2_rad2_s4;		/* its mean square, each axis */
+	double unseen_turn_rad; /* each axis, 1 sigma of the turn by missing samples before the last one; 0: none are */
 	bool started, north_known, mag_used, resting;
 	double steady_s;
 	double force_noise_m2_s4, force_error_m_s2; /* of the next sample, see fusion_kalman_sample */

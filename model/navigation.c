@@ -1308,6 +1308,7 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 	n->gravity_m_s2 = in->gravity_m_s2;
 	follow_lever(n, in->lever_b_m);
 	n->fusion_variance_rad2 = in->attitude_variance_rad2;
+	add_variance(n, THETA, squared(in->unseen_turn_rad));
 	n->north_found |= in->north_found;
 	n->force_variance_m2_s3 += dt_s * in->force_variance_m2_s4;
 	integrate(n, in, dt_s);

@@ -531,6 +531,7 @@ static void locate(
 		.gyro_bias_b_rad_s = p->fusion.gyro_errors.bias_b_rad_s,
 		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
+		.unseen_turn_rad = p->fusion.unseen_turn_rad,
 		.north_found = p->north_found,
 		.force_variance_m2_s4 = p->vibration.force_error_m_s2 * p->vibration.force_error_m_s2,
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,

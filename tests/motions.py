@@ -269,11 +269,11 @@ def direction(rng):
     return v / np.linalg.norm(v)
 
 
-def without_gaps(t, rng, begin_s):
-    """The indices of the samples that are left."""
+def without_gaps(t, rng, begin_s, gaps_s=(0.08, 0.32)):
+    """True for the samples that are left."""
     there, gap_s = np.ones(len(t), bool), begin_s
     while gap_s < t[-1] - 1:
-        end_s = gap_s + rng.uniform(0.08, 0.32)
+        end_s = gap_s + rng.uniform(*gaps_s)
         there &= (t < gap_s) | (t >= end_s)
         gap_s = end_s + rng.uniform(0.5, 3)
     return there

@@ -360,6 +360,51 @@ static void test_a_step_of_any_length_keeps_the_attitude_finite(void **state)
 	}
 }
 
+static void turn_about_z(struct fusion *f, double rate_rad_s, double dt_s)
+{
+	const struct imu_sample sample = {.gyro_rad_s = {0, 0, rate_rad_s}, .accel_m_s2 = {0, 0, G}};
+
+	fusion_step(f, &sample, dt_s);
+}
+
+/* To and fro about z at 1 to 3 Hz, and at some phase of it 60 ms without a sample: the turn is not the mean of the
+ * rates at both ends. Its sigma covers the difference, which the integral of the rate tells, and is not ten times as
+ * large. */
+static void test_sigma_covers_a_turn_to_and_fro_while_samples_are_missing(void **state)
+{
+	const double interval_s = 0.005, missing_s = 0.06, most_rad_s = 5;
+	double square[3] = {0}, sigma2[3] = {0};
+
+	(void)state;
+	for (int i = 0; i < 60; i++) {
+		const double omega = 2 * PI * (1 + i % 3);
+		struct fusion_config config = MADGWICK;
+		struct fusion f;
+		double t = 0, end, before, off, sigma;
+
+		config.algorithm = FUSION_KALMAN;
+		config.interval_s = interval_s;
+		f = fusion(six_axes(config));
+		for (int k = 0; k < 800 + 7 * i; k++, t += interval_s) {
+			turn_about_z(&f, most_rad_s * cos(omega * t), interval_s);
+			assert_near(f.unseen_turn_rad, 0, 0);
+		}
+		t -= interval_s;
+		end = t + missing_s;
+		before = f.kalman.covariance[2][2];
+		turn_about_z(&f, most_rad_s * cos(omega * end), missing_s);
+		sigma = f.unseen_turn_rad;
+		off = most_rad_s * ((sin(omega * end) - sin(omega * t)) / omega -
+					   missing_s / 2 * (cos(omega * end) + cos(omega * t)));
+		assert_true(fabs(off) < 3 * sigma);
+		assert_true(f.kalman.covariance[2][2] - before > 0.99 * sigma * sigma);
+		square[i % 3] += off * off;
+		sigma2[i % 3] += sigma * sigma;
+	}
+	for (int i = 0; i < 3; i++)
+		assert_true(square[i] < sigma2[i] && square[i] > sigma2[i] / 100);
+}
+
 static void test_a_configuration_out_of_range_is_refused_and_the_old_one_stays(void **state)
 {
 	struct fusion_config bad[6];
@@ -403,6 +448,7 @@ int main(void)
 		cmocka_unit_test(test_a_turned_object_frame_turns_the_attitude_and_not_the_world),
 		cmocka_unit_test(test_a_turned_object_frame_turns_the_gyros_bias),
 		cmocka_unit_test(test_a_step_of_any_length_keeps_the_attitude_finite),
+		cmocka_unit_test(test_sigma_covers_a_turn_to_and_fro_while_samples_are_missing),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused_and_the_old_one_stays),
 	};
 
