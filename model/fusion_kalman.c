@@ -994,7 +994,7 @@ static void skip_gap(struct fusion_kalman *k, const struct fusion_kalman_config 
 	if (s->unseen_turn_rad > LINEAR_HEADING_RAD)
 		lose_north(k);
 	if (s->unseen_turn_rad > START_TILT_RAD)
-		k->mean_force_s = k->since_tilt_s = 0;
+		k->since_tilt_s = 0;
 	for (int i = 0; i < 2; i++) {
 		double *variance = &k->covariance[VELOCITY + i][VELOCITY + i];
 

@@ -498,6 +498,32 @@ static void test_a_gap_of_less_than_a_tenth_of_a_second_interrupts_nothing(void 
 	assert_true(vec3_norm(out.sigma.position_m) < 0.02);
 }
 
+/* Shaken up and down at 0.6 g once a second, and 0.3 s are missing: for a while the force is shorter than gravity, but
+ * no accelerometer lacks as much. What it lacks is told by the mean of ten seconds. */
+static void test_a_gap_while_it_is_shaken_says_nothing_of_the_accelerometer(void **state)
+{
+	const int begin = 17 * RATE_HZ;
+
+	(void)state;
+	for (int i = 0; i < 10; i++) {
+		struct pipeline_config config = with_lever();
+		struct pipeline p = pipeline(&config);
+
+		for (int k = 0; k < 20 * RATE_HZ; k++) {
+			struct imu_sample sample = standing(k).sample;
+
+			if (k > 5 * RATE_HZ)
+				sample.accel_m_s2 = vec3_scale(
+					1 + 0.6 * sin(2 * PI * ((double)k / RATE_HZ + 0.1 * i)), sample.accel_m_s2);
+			if (k > begin && k < begin + 0.3 * RATE_HZ)
+				continue;
+			step(&p, &sample);
+		}
+		assert_int_equal(p.gaps, 1);
+		assert_true(sqrt(p.fusion.kalman.accel_variance) < 0.8); /* 5 by the mean of half a second */
+	}
+}
+
 static void test_after_a_gap_rest_is_observed_for_its_time_again(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -1675,6 +1701,7 @@ int main(void)
 		cmocka_unit_test(test_a_short_gap_is_reported_once_and_not_integrated),
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
 		cmocka_unit_test(test_a_gap_of_less_than_a_tenth_of_a_second_interrupts_nothing),
+		cmocka_unit_test(test_a_gap_while_it_is_shaken_says_nothing_of_the_accelerometer),
 		cmocka_unit_test(test_after_a_gap_rest_is_observed_for_its_time_again),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
 		cmocka_unit_test(test_after_a_gap_sigma_covers_a_turn_that_nobody_saw),
