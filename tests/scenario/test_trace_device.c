@@ -953,12 +953,15 @@ static void test_storing(void **state)
 		pass(s, 200);
 		snprintf(what, sizeof(what), "%s: saved", DISKS[i].what);
 		look(s, what);
-		for (int g = 0; g < STORE_GROUPS; g++)
+		for (int g = 0; g < STORE_GROUPS; g++) {
+			const struct store_group *group = &w->disk.groups[g];
+
 			trace_value(g == 0   ? "communication"
 				    : g == 1 ? "application"
 					     : "manufacturer",
-				(double)w->disk.groups[g].size, 0);
-		trace_value("crc", od_crc32(0, w->disk.groups, sizeof(w->disk.groups)), 0);
+				(double)group->size, 0);
+			trace_value("crc", od_crc32(0, group->dcf, group->size), 0);
+		}
 		nmt(s, i % 2 ? 129 : 130);
 		pass(s, 200);
 		snprintf(what, sizeof(what), "%s: reset", DISKS[i].what);
