@@ -241,13 +241,24 @@ static void observe_alpha(struct fusion *f, struct vec3 rate_b_rad_s, double dt_
 	struct vec3 alpha;
 
 	f->alpha_s += dt_s;
-	if (!samples_missing(f, dt_s) && f->alpha_s < ALPHA_BASE_S)
+	if (f->alpha_s < ALPHA_BASE_S)
 		return;
+	alpha = vec3_scale(1 / f->alpha_s, vec3_sub(rate_b_rad_s, f->alpha_from_b_rad_s));
+	f->alpha2_rad2_s4 +=
+		f->alpha_s / (ALPHA_MEMORY_S + f->alpha_s) * (vec3_dot(alpha, alpha) / 3 - f->alpha2_rad2_s4);
+	f->alpha_from_b_rad_s = rate_b_rad_s;
+	f->alpha_s = 0;
+}
+
+/* 1 sigma of the turn that missing samples hide; a radian is an unknown tilt, and more says no more. */
+static void follow_alpha(struct fusion *f, struct vec3 rate_b_rad_s, double dt_s)
+{
 	if (!samples_missing(f, dt_s)) {
-		alpha = vec3_scale(1 / f->alpha_s, vec3_sub(rate_b_rad_s, f->alpha_from_b_rad_s));
-		f->alpha2_rad2_s4 +=
-			f->alpha_s / (ALPHA_MEMORY_S + f->alpha_s) * (vec3_dot(alpha, alpha) / 3 - f->alpha2_rad2_s4);
+		f->unseen_turn_rad = 0;
+		observe_alpha(f, rate_b_rad_s, dt_s);
+		return;
 	}
+	f->unseen_turn_rad = fmin(1, UNSEEN_SHARE * sqrt(f->alpha2_rad2_s4) * dt_s * dt_s);
 	f->alpha_from_b_rad_s = rate_b_rad_s;
 	f->alpha_s = 0;
 }
@@ -293,8 +304,7 @@ void fusion_step(struct fusion *f, const struct imu_sample *sample, double dt_s)
 		return;
 	}
 	f->q_nb = quat_multiply(f->q_nb, quat_from_rotation_vector(rotation_between(before, rate, dt_s)));
-	observe_alpha(f, rate, dt_s);
-	f->unseen_turn_rad = samples_missing(f, dt_s) ? UNSEEN_SHARE * sqrt(f->alpha2_rad2_s4) * dt_s * dt_s : 0;
+	follow_alpha(f, rate, dt_s);
 	f->last_gyro_b_rad_s = sample->gyro_rad_s;
 	if (f->config.algorithm == FUSION_KALMAN)
 		correct_by_kalman(f, sample, before, rate, dt_s);
