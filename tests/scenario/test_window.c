@@ -185,10 +185,9 @@ static void test_the_counters_of_the_server_are_objects(void **state)
 	assert_int_equal(v->modbus.malformed, 0);
 }
 
-/* Read-only coil 1 stores as 1010h:1 does. */
-static void test_a_store_is_answered_when_it_has_ended(void **state)
+/* Read-only coil 1 stores as 1010h:1 does. The answer comes when the disk has given its result. */
+static void store_by_coil(struct fixture *f, int result)
 {
-	struct fixture *f = *state;
 	struct world *w = &f->world;
 	const uint8_t store[] = {5, 0, COIL_STORE, 0xFF, 0};
 
@@ -199,26 +198,24 @@ static void test_a_store_is_answered_when_it_has_ended(void **state)
 		w->disk_waits = false;
 		window_serve(&f->window, w->now_us);
 		assert_true(w->disk_waits);
-		device_saved(&w->device, 0, w->now_us);
-		window_saved(&f->window, 0);
+		device_saved(&w->device, result, w->now_us);
+		window_saved(&f->window, result);
 	} while (receive_answer(f) == 0x85 && f->answer[1] == BUSY);
+}
+
+static void test_a_store_is_answered_when_it_has_ended(void **state)
+{
+	struct fixture *f = *state;
+
+	store_by_coil(f, 0);
 	assert_int_equal(f->answer[0], 5);
 }
 
 static void test_a_store_that_fails_is_exception_4(void **state)
 {
 	struct fixture *f = *state;
-	struct world *w = &f->world;
-	const uint8_t store[] = {5, 0, COIL_STORE, 0xFF, 0};
 
-	w->disk_answer = -EINPROGRESS;
-	do {
-		send_request(f, store, sizeof(store));
-		wait_for(window_fd(&f->window));
-		window_serve(&f->window, w->now_us);
-		device_saved(&w->device, -EIO, w->now_us);
-		window_saved(&f->window, -EIO);
-	} while (receive_answer(f) == 0x85 && f->answer[1] == BUSY);
+	store_by_coil(f, -EIO);
 	assert_int_equal(f->answer[0], 0x85);
 	assert_int_equal(f->answer[1], 4);
 }
