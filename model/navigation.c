@@ -143,16 +143,17 @@ static const double FORGOTTEN_S = 10;
 
 /* s, correlation time of the velocity as a measurement of zero. Tuned: at most NAVIGATION_HIGH_PASS_S / (2 pi) = 0.16
  * s, that of the high-passed velocity; less, since a motion to and fro averages out sooner than noise does. Smaller:
- * the position drifts less over a minute, is off by more within the first seconds, and sigma is smaller. */
-static const double VELOCITY_CORRELATION_S = 0.06;
+ * the position drifts less over a minute, and sigma is smaller. */
+static const double VELOCITY_CORRELATION_S = 0.05;
 /* Square of the greatest velocity of a movement to its mean square. By judgement: 2 for a sine, 3.3 for hand
  * movements. */
 static const double CREST2 = 3.3;
 /* m/s, least spread. By judgement: slower movements are within the drift of the accelerometer. */
 static const double SPREAD_MIN_M_S = 0.05;
-/* s into a movement, before which there is no levelling. By judgement: up to then the accelerometer alone is better,
- * and a drive of 5 s came 0.4 m short with levelling. */
-static const double LEVELLING_AFTER_S = 5;
+/* s into a movement, before which there is no levelling, and in which its weight rises to the whole. By judgement: up
+ * to then the accelerometer alone is better, and a drive of 5 s came 0.4 m short with levelling. At its start half a wave
+ * of the motion would pass for its mean. */
+static const double LEVELLING_AFTER_S = 4, LEVELLING_RISES_S = 2;
 
 /* ---- heading of the fusion ---- */
 
@@ -651,15 +652,18 @@ static void measure_velocity(struct navigation *n, double x[N], const struct nav
 {
 	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
 	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega, in->lever_b_m));
-	double spread2 = velocity_spread2(n, u, in->gravity_m_s2);
+	double spread2 = velocity_spread2(n, u, in->gravity_m_s2), weight = 1;
 
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
-	if (n->config.velocity_prior_m_s > 0)
+	if (n->config.velocity_prior_m_s > 0) {
 		spread2 = squared(n->config.velocity_prior_m_s);
-	else if (!levels(n) || n->moving_s < LEVELLING_AFTER_S)
+	} else if (levels(n) && n->moving_s > LEVELLING_AFTER_S) {
+		weight = fmin(1, (n->moving_s - LEVELLING_AFTER_S) / LEVELLING_RISES_S);
+	} else {
 		return;
-	measure_reference_velocity(
-		n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / n->sums.t_s);
+	}
+	measure_reference_velocity(n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m,
+		spread2 * VELOCITY_CORRELATION_S / weight / n->sums.t_s);
 }
 
 /* In vertical rails the sensor's horizontal velocity is zero. */
