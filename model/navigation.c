@@ -529,6 +529,7 @@ static void begin_movement(struct navigation *n, struct smoother_point here)
 	n->high_pass2_max = 0;
 	n->lever_known = false;
 	n->moving_s = 0;
+	memset(n->bounded_s, 0, sizeof(n->bounded_s));
 	n->movements++;
 	n->begin_n_m = here.position_n_m;
 	add_variance(n, BG, squared(MOVING_GYRO_BIAS_RAD_S));
@@ -626,44 +627,72 @@ static void measure_row(struct navigation *n, double x[N], const double row[N], 
 }
 
 /* The sensor's velocity relative to the reference point is u = R (omega x r). With the errors of attitude and gyro bias
- * it is u + theta x u - R (bg x r). off: measured velocity of the sensor less the estimated one. */
-static void measure_reference_velocity(
-	struct navigation *n, double x[N], struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double noise)
+ * it is u + theta x u - R (bg x r). off: measured velocity of the sensor less the estimated one, along this axis. */
+static void measure_reference_axis(struct navigation *n, double x[N], int axis, double off, struct vec3 u_n_m_s,
+	struct vec3 lever_b_m, double noise)
 {
 	struct vec3 u = u_n_m_s, r = quat_rotate(n->q_nb, lever_b_m);
 	const double u_cross[3][3] = {{0, -u.z, u.y}, {u.z, 0, -u.x}, {-u.y, u.x, 0}};
-	const double r_cross[3][3] = {{0, -r.z, r.y}, {r.z, 0, -r.x}, {-r.y, r.x, 0}}, offs[3] = {off.x, off.y, off.z};
+	const double r_cross[3][3] = {{0, -r.z, r.y}, {r.z, 0, -r.x}, {-r.y, r.x, 0}};
 	struct mat3 r_nb = mat3_from_quat(n->q_nb);
+	double row[N] = {0};
 
+	row[V + axis] = 1;
+	for (int j = 0; j < 3; j++) {
+		row[THETA + j] = u_cross[axis][j];
+		for (int k = 0; k < 3; k++)
+			row[BG + j] -= r_cross[axis][k] * r_nb.m[k][j];
+	}
+	measure_row(n, x, row, off, noise);
+}
+
+static void measure_reference_velocity(
+	struct navigation *n, double x[N], struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m, double noise)
+{
+	measure_reference_axis(n, x, 0, off.x, u_n_m_s, lever_b_m, noise);
+	measure_reference_axis(n, x, 1, off.y, u_n_m_s, lever_b_m, noise);
+	measure_reference_axis(n, x, 2, off.z, u_n_m_s, lever_b_m, noise);
+}
+
+/* Where the velocity is less certain than the user's prior, the prior brings its variance down to its own, and never
+ * further: what keeps its velocity says the same all the time, and the position is off by the velocity times the time
+ * since the prior was needed. */
+static void bound_velocity(
+	struct navigation *n, double x[N], struct vec3 off, struct vec3 u_n_m_s, struct vec3 lever_b_m)
+{
+	const double offs[3] = {off.x, off.y, off.z}, prior = squared(n->config.velocity_prior_m_s);
+
+	if (prior == 0)
+		return;
 	for (int i = 0; i < 3; i++) {
-		double row[N] = {0};
+		double known = n->p[V + i][V + i];
 
-		row[V + i] = 1;
-		for (int j = 0; j < 3; j++) {
-			row[THETA + j] = u_cross[i][j];
-			for (int k = 0; k < 3; k++)
-				row[BG + j] -= r_cross[i][k] * r_nb.m[k][j];
-		}
-		measure_row(n, x, row, offs[i], noise);
+		if (known <= prior)
+			continue;
+		measure_reference_axis(n, x, i, offs[i], u_n_m_s, lever_b_m, known * prior / (known - prior));
+		n->bounded_s[i] += n->sums.t_s;
+		n->p[P + i][P + i] += 2 * prior * n->bounded_s[i] * n->sums.t_s;
 	}
 }
 
 static void measure_velocity(struct navigation *n, double x[N], const struct navigation_input *in)
 {
 	struct vec3 omega = vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s);
-	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega, in->lever_b_m));
+	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(omega, in->lever_b_m)), off = vec3_sub(u, n->velocity_n_m_s);
 	double spread2 = velocity_spread2(n, u, in->gravity_m_s2), weight = 1;
 
 	n->moving_s = n->aided_s > 0 ? 0 : n->moving_s + n->sums.t_s;
-	if (n->config.velocity_prior_m_s > 0) {
-		spread2 = squared(n->config.velocity_prior_m_s);
-	} else if (levels(n) && n->moving_s > LEVELLING_AFTER_S) {
-		weight = fmin(1, (n->moving_s - LEVELLING_AFTER_S) / LEVELLING_RISES_S);
-	} else {
+	if (!levels(n)) {
+		bound_velocity(n, x, off, u, in->lever_b_m);
 		return;
 	}
-	measure_reference_velocity(n, x, vec3_sub(u, n->velocity_n_m_s), u, in->lever_b_m,
-		spread2 * VELOCITY_CORRELATION_S / weight / n->sums.t_s);
+	if (n->config.velocity_prior_m_s > 0)
+		spread2 = squared(n->config.velocity_prior_m_s);
+	else
+		weight = fmin((n->moving_s - LEVELLING_AFTER_S) / LEVELLING_RISES_S, 1);
+	if (weight > 0)
+		measure_reference_velocity(
+			n, x, off, u, in->lever_b_m, spread2 * VELOCITY_CORRELATION_S / weight / n->sums.t_s);
 }
 
 /* In vertical rails the sensor's horizontal velocity is zero. */

@@ -57,13 +57,13 @@ struct navigation_config {
 	/** Default MOTION_ANY: honest for most motions, see "Honesty of sigma" in model/README.md. The others are
 	 * more accurate where they are true, and wrong by more than their sigma where they are not. */
 	enum motion_preset preset;
-	/** 0 (default) or 1: levelling, as above, with any preset; without effect while there is a prior. 0 for
-	 * vehicles that keep a speed for more than some 10 s, whose position then drifts with the square of time; 1 for
-	 * movements to and fro. */
+	/** 0 (default) or 1: levelling, as above, with any preset. 0 for vehicles that keep a speed for more than some
+	 * 10 s, whose position then drifts with the square of time; 1 for movements to and fro. */
 	int levelling;
-	/** m/s, >= 0, default 0 (none): 1 sigma of each component of the reference point's velocity during a movement,
-	 * used in place of levelling and from its first second on. A smaller one holds the velocity nearer to zero, a
-	 * larger one trusts the accelerometer for longer. */
+	/** m/s, >= 0, default 0 (none): 1 sigma of each component of the reference point's velocity during a movement.
+	 * With levelling it is the spread, from the first second on: a smaller one holds the velocity nearer to zero, a
+	 * larger one trusts the accelerometer for longer. Without levelling the velocity may be the same all the time,
+	 * and the prior is used where the accelerometer knows it worse. */
 	double velocity_prior_m_s;
 	/** >= 0, default 0: 1 sigma of the errors of sensors that nobody calibrated, where it exceeds that of a
 	 * calibration. Larger ones make velocity and position less certain: until standstills have shown the biases,
@@ -132,6 +132,7 @@ struct navigation {
 	double walked_s;	       /* on foot, without the standstills */
 	double moved_s, moved_accel2_m2_s3,
 		moved_turned2_rad2_s; /* since the last standstill: time, integrals of the squares */
+	double bounded_s[3];	      /* in this movement, for which the prior bounded the velocity of each axis */
 	struct vec3 net_turn_b_rad;   /* integral of the rate since the last standstill, */
 	double net_turn2_max_rad2;    /* .. and its greatest square */
 	struct vec3 way_from_n_m;     /* where the sensor was when the displacement began, */

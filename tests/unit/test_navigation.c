@@ -727,6 +727,40 @@ static void test_a_prior_limits_the_velocity(void **state)
 	assert_true(end[1] < 0.3);
 }
 
+/* A vehicle begins to cruise at 1 m/s within a second; its accelerometer is off by 0.03 m/s^2, half a sigma. */
+static void test_a_prior_bounds_the_velocity_of_a_cruise_and_no_time_averages_it_out(void **state)
+{
+	static const double PRIORS_M_S[] = {0, 0.5, 1, 2};
+	double position_sigma_m[4];
+
+	(void)state;
+	for (int i = 0; i < 4; i++) {
+		struct navigation_config config = BARE;
+		struct navigation n = {.started = false};
+		struct navigation_sigma sigma;
+
+		config.velocity_prior_m_s = PRIORS_M_S[i];
+		navigation_start(&n, &config, QUAT_IDENTITY);
+		for (int k = 0; k < (int)(61 / DT_S); k++) {
+			struct navigation_input in = {.force_b_m_s2 = {k * DT_S < 1 ? 1.03 : 0.03, 0, G + (k % 2 ? 3 : -3)},
+				.gravity_m_s2 = G};
+
+			in.q_nb = n.q_nb;
+			navigation_step(&n, &in, DT_S);
+		}
+		sigma = navigation_sigma(&n, 1 / DT_S);
+		position_sigma_m[i] = sigma.position_m.x;
+		assert_true(fabs(n.velocity_n_m_s.x - 1) < 3 * sigma.velocity_m_s.x);
+		assert_true(fabs(n.position_n_m.x - 60.5) < 3 * sigma.position_m.x);
+		if (i > 0) {
+			assert_near(sigma.velocity_m_s.x, PRIORS_M_S[i], 0.1 * PRIORS_M_S[i]);
+			assert_true(sigma.position_m.x > 0.5 * 60 * PRIORS_M_S[i]);
+			assert_true(sigma.position_m.x < position_sigma_m[0]);
+		}
+	}
+	assert_true(position_sigma_m[1] < position_sigma_m[2] && position_sigma_m[2] < position_sigma_m[3]);
+}
+
 static void test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour(void **state)
 {
 	const struct path stay = {1, {0, 0, 0}, {0, 0, 0}};
@@ -1146,16 +1180,17 @@ static void test_a_standstill_by_dwell_is_measured_with_what_may_still_move(void
 static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 {
 	static const struct {
-		double moving_s, high_pass2_max;
-	} cases[] = {{3.5, 1}, {4.5, 1}, {5.5, 1}, {6.5, 0}, {6.5, 1}, {60, 4}};
+		double moving_s, high_pass2_max, prior_m_s;
+	} cases[] = {{3.5, 1, 0}, {4.5, 1, 0}, {5.5, 1, 0}, {6.5, 0, 0}, {6.5, 1, 0}, {60, 4, 0}, {0.5, 1, 0.3}};
 
 	(void)state;
-	for (int i = 0; i < 6; i++) {
+	for (int i = 0; i < 7; i++) {
 		struct navigation n = started(MOTION_HAND_HELD);
 		double t, weight, noise;
 
 		memset(n.p, 0, sizeof(n.p));
 		n.config.noise = (struct noise_config){0};
+		n.config.velocity_prior_m_s = cases[i].prior_m_s;
 		n.p[NAVIGATION_V][NAVIGATION_V] = 1;
 		n.moving_s = cases[i].moving_s;
 		n.high_pass2_max = cases[i].high_pass2_max;
@@ -1163,6 +1198,10 @@ static void test_levelling_measures_the_velocity_by_its_spread(void **state)
 		assert_true(!n.still && n.high_pass2_max < cases[i].high_pass2_max + 0.01);
 		weight = fmax(0, fmin((cases[i].moving_s + t - 4) / 2, 1)); /* it rises from 4 to 6 s */
 		noise = (n.high_pass2_max / 3 / 3.3 + 0.05 * 0.05) * 0.05 / t;
+		if (cases[i].prior_m_s > 0) {
+			weight = 1;
+			noise = cases[i].prior_m_s * cases[i].prior_m_s * 0.05 / t;
+		}
 		assert_near(n.p[NAVIGATION_V][NAVIGATION_V], noise / (weight + noise), 1e-3);
 	}
 }
@@ -1746,6 +1785,7 @@ int main(void)
 		cmocka_unit_test(
 			test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest),
 		cmocka_unit_test(test_a_prior_limits_the_velocity),
+		cmocka_unit_test(test_a_prior_bounds_the_velocity_of_a_cruise_and_no_time_averages_it_out),
 		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour),
 		cmocka_unit_test(test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest),
 		cmocka_unit_test(test_what_turns_may_stand_except_on_a_linear_axis),

@@ -453,7 +453,7 @@ static void levelled(struct pipeline_config *c, struct sensor_config *chip)
 
 static void prior(struct pipeline_config *c, struct sensor_config *chip)
 {
-	(void)chip;
+	levelled(c, chip);
 	c->position.navigation.velocity_prior_m_s = 0.3;
 }
 
