@@ -742,7 +742,8 @@ static void test_a_prior_bounds_the_velocity_of_a_cruise_and_no_time_averages_it
 		config.velocity_prior_m_s = PRIORS_M_S[i];
 		navigation_start(&n, &config, QUAT_IDENTITY);
 		for (int k = 0; k < (int)(61 / DT_S); k++) {
-			struct navigation_input in = {.force_b_m_s2 = {k * DT_S < 1 ? 1.03 : 0.03, 0, G + (k % 2 ? 3 : -3)},
+			struct navigation_input in = {
+				.force_b_m_s2 = {k * DT_S < 1 ? 1.03 : 0.03, 0, G + (k % 2 ? 3 : -3)},
 				.gravity_m_s2 = G};
 
 			in.q_nb = n.q_nb;
