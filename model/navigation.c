@@ -151,8 +151,8 @@ static const double CREST2 = 3.3;
 /* m/s, least spread. By judgement: slower movements are within the drift of the accelerometer. */
 static const double SPREAD_MIN_M_S = 0.05;
 /* s into a movement, before which there is no levelling, and in which its weight rises to the whole. By judgement: up
- * to then the accelerometer alone is better, and a drive of 5 s came 0.4 m short with levelling. At its start half a wave
- * of the motion would pass for its mean. */
+ * to then the accelerometer alone is better, a drive of 5 s came 0.4 m short with levelling, and half a wave of the
+ * motion would pass for its mean. */
 static const double LEVELLING_AFTER_S = 4, LEVELLING_RISES_S = 2;
 
 /* ---- heading of the fusion ---- */

@@ -16,9 +16,9 @@
  *
  * Levelling: over more than a few seconds no accelerometer can tell tilt from acceleration, so every attitude filter
  * assumes that the acceleration averages out. Here the same is assumed of the reference point's velocity, from 4 s into
- * a movement on, fully from 6 s. How firmly depends on the movement: the spread is that of the high-passed velocity (above 1 / (2 pi
- * NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. It is not for a vehicle that keeps a speed for
- * longer.
+ * a movement on, fully from 6 s. How firmly depends on the movement: the spread is that of the high-passed velocity
+ * (above 1 / (2 pi NAVIGATION_HIGH_PASS_S) Hz), which a tilt error hardly changes. It is not for a vehicle that keeps a
+ * speed for longer.
  *
  * Sources: J. Sola, "Quaternion kinematics for the error-state Kalman filter", 2017; E. Foxlin, "Pedestrian tracking
  * with shoe-mounted inertial sensors", IEEE CG&A 25(6), 2005 (zero-velocity updates of the whole state). */
