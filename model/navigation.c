@@ -131,6 +131,10 @@ static const double STANDING_S = 0.4;
 static const double MEAN_RATE_S = 0.5, TURNING_SIGMAS = 3;
 /* s, for which a motion that has just begun, and an acceleration, count as one. By judgement. */
 static const double BEGIN_S = 1, ACCELERATED_S = 0.3;
+/* s, memories of the slow and of the usual mean force; m/s^2 and sigmas of noise beyond which the mean force changes;
+ * s, for which it may then stay where it is, off zero by a sigma. Tuned in simulation: loads that swing on 8 to 30 m by
+ * half a degree do not rest at their turning points, and a cruise that ends gently does not tilt. */
+static const double SLOW_FORCE_S = 1, USUAL_FORCE_S = 10, SAME_FORCE_M_S2 = 0.02, CHANGE_SIGMAS = 3, CHANGED_S = 4;
 
 /* s for which a load on a rope must be steady to stand. By judgement: longer than at the turning point of a swing on
  * 50 m. */
@@ -406,10 +410,15 @@ static bool velocity_may_be_zero(const struct navigation *n)
 	       may_be_zero(v.z, var.z, sigma, STILL_GATE_SIGMAS);
 }
 
+static struct vec3 mean_force(const struct navigation *n)
+{
+	return quat_rotate(n->q_nb, vec3_sub(n->rest.accel_mean, n->accel_bias_b_m_s2));
+}
+
 static bool accel_may_be_zero(const struct navigation *n, double gravity_m_s2, double sigmas)
 {
 	struct mat3 r = mat3_from_quat(n->q_nb);
-	struct vec3 f = mat3_apply(r, vec3_sub(n->rest.accel_mean, n->accel_bias_b_m_s2));
+	struct vec3 f = mean_force(n);
 	const struct mat3 minus_f = mat3_minus_cross(f);
 	const double accel[3] = {f.x, f.y, f.z - gravity_m_s2};
 
@@ -1077,13 +1086,22 @@ static void creep(struct navigation *n, double sigma_m_s, double *since_s, doubl
 	add_variance(n, P, squared(sigma_m_s) * (squared(*since_s) - squared(before)));
 }
 
-/* What turns may travel, too, and slower than any fork shows. */
+/* m/s, 1 sigma of what stands: what turns may travel, too, and slower than any fork shows; and so may all, where the
+ * sensors are so noisy that the slowest motions do not show. */
+static double creep_m_s(const struct navigation *n)
+{
+	double turning_m_s = n->turning ? assumptions(n)->creep_m_s : 0;
+	double seen_m_s = zero_velocity_slowest_seen_m_s(&n->config.noise, n->gravity_m_s2);
+
+	return seen_m_s > assumptions(n)->slowest_m_s ? fmax(turning_m_s, seen_m_s) : turning_m_s;
+}
+
 static void add_creep(struct navigation *n, double t_s)
 {
-	if (n->turning)
-		creep(n, assumptions(n)->creep_m_s, &n->turning_s, t_s);
+	if (creep_m_s(n) > 0)
+		creep(n, creep_m_s(n), &n->crept_s, t_s);
 	else
-		n->turning_s = 0;
+		n->crept_s = 0;
 }
 
 /* Once a window: the hypotheses are those of the point from which the load hangs. */
@@ -1102,6 +1120,43 @@ static void weigh_hanging(struct navigation *n, struct zero_velocity_signals sig
 	n->hangs_still = z->standing_s > 0;
 }
 
+/* Square of the least change of the mean force that is significant. Before the first standstill an unknown gyro bias
+ * turns it. */
+static double force_change2_m2_s4(const struct navigation *n, double walk_m2_s3)
+{
+	double noise2 = squared(CHANGE_SIGMAS) * 3 * walk_m2_s3 / n->config.standstill.mean_time_s;
+
+	return n->stood ? squared(SAME_FORCE_M_S2) + noise2 : INFINITY;
+}
+
+/* The mean force leaves the usual one: a steady motion begins to brake, or a load swings. Smaller changes are seen than
+ * differ from zero, since tilt and bias stay the same. */
+static bool force_changes(struct navigation *n, const struct zero_velocity_signals *s, double t_s)
+{
+	struct vec3 change, off, slow_off;
+
+	if (vec3_dot(n->usual_force_n_m_s2, n->usual_force_n_m_s2) == 0)
+		n->slow_force_n_m_s2 = n->usual_force_n_m_s2 = s->force_n_m_s2;
+	change = vec3_sub(s->force_n_m_s2, n->slow_force_n_m_s2);
+	off = vec3_sub(s->force_n_m_s2, n->usual_force_n_m_s2);
+	slow_off = vec3_sub(n->slow_force_n_m_s2, n->usual_force_n_m_s2);
+	n->slow_force_n_m_s2 = vec3_add(n->slow_force_n_m_s2, vec3_scale(t_s / (SLOW_FORCE_S + t_s), change));
+	n->usual_force_n_m_s2 = vec3_add(n->usual_force_n_m_s2, vec3_scale(t_s / (USUAL_FORCE_S + t_s), off));
+	return vec3_dot(off, off) > vec3_dot(slow_off, slow_off) && vec3_dot(change, change) > s->force_change2_m2_s4;
+}
+
+/* What accelerates does not rest. */
+static void follow_acceleration(
+	struct navigation *n, const struct zero_velocity_signals *s, double gravity_m_s2, double t_s)
+{
+	bool changes = force_changes(n, s, t_s), accelerates;
+
+	n->changed_s = changes ? CHANGED_S : fmax(0, n->changed_s - t_s);
+	accelerates = s->accelerates ||
+		      (!n->still && (changes || (n->changed_s > 0 && !accel_may_be_zero(n, gravity_m_s2, 1))));
+	n->accelerated_s = fmax(accelerates ? ACCELERATED_S : 0, n->accelerated_s - t_s);
+}
+
 /* At the end of an interval, after its measurements; turned_rad: how they turned the attitude, rate_b_rad_s: mean of
  * the interval, whose noise is less than that of a sample. */
 static void weigh_hypotheses(struct navigation *n, const struct navigation_input *in, struct vec3 turned_rad,
@@ -1109,6 +1164,7 @@ static void weigh_hypotheses(struct navigation *n, const struct navigation_input
 {
 	struct vec3 lever = quat_rotate(n->q_nb, vec3_cross(rate_b_rad_s, in->lever_b_m));
 	bool steady = n->rest.still_s > n->config.standstill.time_s;
+	double walk = rest_accel_walk_m2_s3(&n->rest, dt_s);
 
 	n->stood |= n->still;
 	if (!n->stood)
@@ -1117,13 +1173,15 @@ static void weigh_hypotheses(struct navigation *n, const struct navigation_input
 		.steady = steady,
 		.gyro2_rad2_s2 = n->rest.gyro_square,
 		.accel2_m2_s4 = n->rest.accel_square,
-		.accel_walk_m2_s3 = rest_accel_walk_m2_s3(&n->rest, dt_s),
+		.accel_walk_m2_s3 = walk,
+		.force_n_m_s2 = mean_force(n),
+		.force_change2_m2_s4 = force_change2_m2_s4(n, walk),
 		.accelerates = !n->still && (!accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS) ||
 						    (assumptions(n)->stands_steady && !steady)),
 	};
 	struct zero_velocity_fork *begun = NULL;
 
-	n->accelerated_s = fmax(signals.accelerates ? ACCELERATED_S : 0, n->accelerated_s - t_s);
+	follow_acceleration(n, &signals, in->gravity_m_s2, t_s);
 	if (n->still)
 		add_creep(n, t_s);
 	if (n->still)
@@ -1413,10 +1471,10 @@ static struct vec3 attitude_variance(const struct navigation *n)
 	return vec3_add(var, (struct vec3){0, 0, squared(NORTH_SIGMA_RAD)});
 }
 
-/* m^2/s^2, of each axis at a standstill, where zero is published: what vibrates, or turns, may move beside that. */
+/* m^2/s^2, of each axis at a standstill, where zero is published: what vibrates, or creeps, may move beside that. */
 static double standstill_velocity_variance(const struct navigation *n)
 {
-	return n->zero_velocity.vibration_m2_s2 + (n->turning ? squared(assumptions(n)->creep_m_s) : 0);
+	return n->zero_velocity.vibration_m2_s2 + (assumptions(n)->dwell ? 0 : squared(creep_m_s(n)));
 }
 
 static struct vec3 squares(const double a[3])

@@ -128,7 +128,7 @@ struct navigation {
 	struct vec3 mean_rate_b_rad_s; /* over half a second of a standstill, less the bias */
 	bool stood;		       /* since the start */
 	bool turning;		       /* it differs from zero: the object turns in place */
-	double turning_s;	       /* for so long, in this standstill */
+	double crept_s;		       /* for how long it may have crept, in this standstill */
 	double walked_s;	       /* on foot, without the standstills */
 	double moved_s, moved_accel2_m2_s3,
 		moved_turned2_rad2_s; /* since the last standstill: time, integrals of the squares */
@@ -138,9 +138,11 @@ struct navigation {
 	struct vec3 way_from_n_m;     /* where the sensor was when the displacement began, */
 	double way2_max_m2;	      /* .. and its greatest squared distance from there */
 	double accelerated_s;	      /* for how long it still counts as accelerating */
-	struct vec3 high_pass_n_m_s;  /* of the reference point's velocity, */
-	double high_pass2_max;	      /* and its greatest square since the last standstill */
-	struct vec3 lever_n_m_s;      /* the lever arm's velocity when that was last moved on */
+	struct vec3 slow_force_n_m_s2, usual_force_n_m_s2; /* means over a second, and over ten */
+	double changed_s;	     /* for how long the force may stay where it is since it changed */
+	struct vec3 high_pass_n_m_s; /* of the reference point's velocity, */
+	double high_pass2_max;	     /* and its greatest square since the last standstill */
+	struct vec3 lever_n_m_s;     /* the lever arm's velocity when that was last moved on */
 	bool lever_known;
 	struct vec3 lever_from_n_m; /* the lever arm when the position was zero */
 	bool lever_from_known;
@@ -194,7 +196,8 @@ static inline bool navigation_assumes_standstill(const struct navigation *n)
 	return n->started && n->assumed && n->still;
 }
 
-/** The velocity changes, or has changed within the last second: no steady motion, and no standstill. */
+/** The velocity changes, or has changed within the last second, or the force has within four and is not that of a
+ * standstill, as at the turning points of a swing: no steady motion, and no standstill. */
 static inline bool navigation_accelerates(const struct navigation *n)
 {
 	return n->started && n->accelerated_s > 0;

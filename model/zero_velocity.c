@@ -18,6 +18,8 @@ static const double FORK_M_S = 0.001;
 /* s between two forks, and for how long a motion may have lasted before it is seen. Tuned in simulation: 0.05 m/s
  * reached within a second are seen by a fork of 1 s; from 2 s on the tilt's random walk hides them. */
 static const double FORK_S = 0.75;
+/* s, within which a motion begins that a fork should see. By judgement: vehicles and axes. */
+static const double BEGUN_S = 1;
 /* Sigmas of a fork's velocity beyond which a motion has begun; and while the object turns, which it rarely does in
  * place. Tuned in simulation: of days at rest (make soak), in which 5 raise a false alarm once in a day or so. Most are
  * made up for within seconds, since the odds of standing are high after them; some cost the position. */
@@ -264,6 +266,16 @@ static double distance2(const struct zero_velocity_fork *f, const struct zero_ve
 	return sum;
 }
 
+double zero_velocity_slowest_seen_m_s(const struct noise_config *noise, double gravity_m_s2)
+{
+	const double t = BEGUN_S, gyro = noise->gyro_density_rad_s_sqrt_hz, accel = noise->accel_density_m_s2_sqrt_hz;
+	double by_tilt = squared(gravity_m_s2 * gyro) / 2 * t * t * t / 3;
+	double by_bias = squared(INSTABILITIES * noise->accel_bias_instability_m_s2 * t);
+
+	return BEGIN_SIGMAS *
+	       sqrt(squared(FORK_M_S) + squared(STANDS_M_S) + squared(accel) / 2 * t + by_bias + by_tilt);
+}
+
 static void observe_quiet(struct zero_velocity *z, const struct zero_velocity_signals *s, double t_s)
 {
 	double share = z->quiet_accel2_m2_s4 > 0 ? fmin(1, t_s / QUIET_MEMORY_S) : 1;
@@ -411,11 +423,37 @@ static void update_odds(
 	z->odds_age_s = 0;
 }
 
+/* What stands feels the same force all the time; what swings passes a moment at which it stands. */
+static void stand(struct zero_velocity *z, const struct zero_velocity_signals *s, double t_s)
+{
+	struct vec3 change = vec3_sub(s->force_n_m_s2, z->standing_force_n_m_s2);
+
+	if (z->weight <= STANDS_WEIGHT) {
+		z->standing_s = 0;
+		return;
+	}
+	if (z->standing_s == 0 || vec3_dot(change, change) > s->force_change2_m2_s4) {
+		z->standing_s = 0;
+		z->standing_force_n_m_s2 = s->force_n_m_s2;
+	}
+	z->standing_s += t_s;
+}
+
+/* A motion that is known as such. */
+static void learn(struct zero_velocity *z, bool quiet, double t_s)
+{
+	if (z->quiet_accel2_m2_s4 == 0)
+		return;
+	z->moved_s += t_s;
+	z->moved_quietly_s += quiet ? t_s : 0;
+}
+
 void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 velocity_n_m_s, double slowest_m_s, bool known,
 	double t_s)
 {
 	bool quiet = is_quiet(z, signals) && !known;
+	double odds = likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s, signals->level);
 
 	z->unsteady_s += z->unseen && !signals->steady ? t_s : 0;
 	z->weight = 0;
@@ -423,15 +461,15 @@ void zero_velocity_moves(struct zero_velocity *z, const struct navigation *n,
 	/* nothing accelerates evenly for so long: its tilt or bias is another */
 	if (known || (signals->accelerates && z->quiet_s < CRUISE_S)) {
 		z->least_odds = z->standing_s = 0;
+		if (odds > 1 / MOVES_WEIGHT)
+			learn(z, quiet, t_s);
 		mix(z, n, velocity_n_m_s);
 		return;
 	}
-	update_odds(z, n, velocity_n_m_s, likelihood_ratio(z, n, velocity_n_m_s, slowest_m_s, signals->level), t_s);
+	update_odds(z, n, velocity_n_m_s, odds, t_s);
 	z->weight = 1 / (1 + z->least_odds * (quiet ? quiet_share(z) * exp(-z->quiet_s / CRUISE_S) : 1));
-	z->standing_s = z->weight > STANDS_WEIGHT ? z->standing_s + t_s : 0;
-	if (z->weight < MOVES_WEIGHT && z->quiet_accel2_m2_s4 > 0) {
-		z->moved_s += t_s;
-		z->moved_quietly_s += quiet ? t_s : 0;
-	}
+	stand(z, signals, t_s);
+	if (z->weight < MOVES_WEIGHT)
+		learn(z, quiet, t_s);
 	mix(z, n, velocity_n_m_s);
 }

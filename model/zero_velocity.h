@@ -14,8 +14,9 @@
  * odds. The prior odds grow as far as known motions of this carrier have differed from standing: one that vibrated
  * whenever it moved stands when the vibration ends; one that cruised without vibration (a lift) may cruise again. A
  * motion cannot end without an acceleration, so without one the odds do not rise while P grows; but the longer it is
- * as quiet as it stood, the less likely is it that it ever moved. Above a limit it stands; below, position and velocity
- * are those of both, weighted, and their variance has the spread of both.
+ * as quiet as it stood, the less likely is it that it ever moved. Above a limit it stands, if the force stays the same:
+ * a load that swings passes zero velocity quietly, with an acceleration that changes. Below, position and velocity are
+ * those of both, weighted, and their variance has the spread of both.
  *
  * Sources: I. Skog, P. Handel, J.-O. Nilsson, J. Rantakokko, "Zero-velocity detection - an algorithm evaluation", IEEE
  * TBME 57(11), 2010 (likelihood ratio); J. Wahlstrom, I. Skog, F. Gustafsson, A. Markham, N. Trigoni, "Zero-velocity
@@ -57,6 +58,7 @@ struct zero_velocity {
 	/** For how long the odds have been those of standing. */
 	double standing_s;
 	/* PRIVATE */
+	struct vec3 standing_force_n_m_s2;		      /* mean force when that began */
 	struct zero_velocity_fork forks[ZERO_VELOCITY_FORKS]; /* from the oldest to the youngest */
 	struct vec3 accel_low_n_m_s2, vibration_n_m_s;
 	double fast_vibration_m2_s2;			/* of vibration alone */
@@ -78,6 +80,8 @@ struct zero_velocity_signals {
 	bool accelerates;		    /* the mean acceleration differs from zero, significantly */
 	double accel_walk_m2_s3;	    /* variance of the velocity in a second by that deviation, if it is noise */
 	bool level;			    /* what moves does so horizontally */
+	struct vec3 force_n_m_s2;	    /* mean specific force; tilt and bias make it wrong by a constant */
+	double force_change2_m2_s4;	    /* square of the least change of it that is significant */
 };
 
 /** Each sample: acceleration in the global frame; variance of the velocity by what may be an alias (alias.h) and by the
@@ -92,6 +96,9 @@ void zero_velocity_integrate(struct zero_velocity *z, const struct navigation *n
 struct zero_velocity_fork *zero_velocity_stands(struct zero_velocity *z, const struct navigation *n,
 	const struct zero_velocity_signals *signals, struct vec3 turned_rad, struct vec3 lever_n_m_s, bool turning,
 	double t_s);
+
+/** m/s, of what begins to move within a second: slower ones may not be seen, by the noise of the sensors (2020h). */
+double zero_velocity_slowest_seen_m_s(const struct noise_config *noise, double gravity_m_s2);
 
 /** The end of an interval while it moves. velocity_n_m_s: of the reference point; slowest_m_s: of the steady motions
  * that are possible; known: something else says that it moves. */

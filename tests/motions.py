@@ -232,7 +232,9 @@ def all_motions():
         m[f'arm {length:g} m, ±{amplitude} deg, {hz:g} Hz'] = arm(length, amplitude, hz)
     m['on foot, 40 strides of 1.3 m, preset 5'] = on_foot(40, 1.3, 0.6, 0.5)
     m['on foot, 60 strides of 0.8 m, preset 5'] = on_foot(60, 0.8, 0.5, 0.25)
-    m['crane, rope 5 m'] = crane(5, 0.5, 20, 30)
+    for rope_m, speed in ((5, 0.5), (12, 0.3), (30, 1.0)):
+        m[f'crane, rope {rope_m} m'] = crane(rope_m, speed, 20, 30)
+    m['straight 1 m/s, 30 s, braked in 3 s'] = drive(1.0, 30, 3.0)
     for rope_m, told_m in ((5, 5), (5, 4), (12, 12)):
         m[f'crane, rope {rope_m} m, preset 7 with {told_m} m'] = crane(rope_m, 0.5, 20, 30, told_m)
     for amplitude, hz in ((2, 17), (5, 33), (10, 47), (10, 80), (5, 10)):

@@ -762,6 +762,55 @@ static void test_a_prior_bounds_the_velocity_of_a_cruise_and_no_time_averages_it
 	assert_true(position_sigma_m[1] < position_sigma_m[2] && position_sigma_m[2] < position_sigma_m[3]);
 }
 
+/* A sixth of the tilt's sigma, as an acceleration: what has just been the same for 20 s differs. */
+static void test_a_cruise_that_begins_to_brake_gently_accelerates(void **state)
+{
+	struct navigation_config config = levelling();
+	struct navigation n = {.started = false};
+	double seen_s = 0;
+
+	(void)state;
+	config.preset = MOTION_ANY;
+	config.levelling = 0;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(27 / DT_S) && seen_s == 0; k++) {
+		double t = k * DT_S, accel = t > 2 && t < 4 ? 0.5 : t > 25 ? -0.1 * (t - 25) : 0;
+		struct navigation_input in = {
+			.force_b_m_s2 = {accel + 0.005 * any(), 0.005 * any(), G + 0.005 * any()}, .gravity_m_s2 = G};
+
+		in.q_nb = n.q_nb;
+		navigation_step(&n, &in, DT_S);
+		assert_true(t < 8 || t > 25 || !navigation_accelerates(&n));
+		if (t > 25 && navigation_accelerates(&n))
+			seen_s = t - 25;
+	}
+	assert_true(seen_s > 0 && seen_s < 0.8);
+	assert_false(n.still);
+}
+
+/* The force of a load that swings on 20 m is always along the rope, and at its turning points nothing changes. */
+static void test_a_load_accelerates_at_the_turning_points_of_its_swing(void **state)
+{
+	struct navigation_config config = levelling();
+	const double w = 2 * PI / 9, swing_rad = 0.9 * RAD_PER_DEG;
+	struct navigation n = {.started = false};
+
+	(void)state;
+	config.preset = MOTION_ANY;
+	config.levelling = 0;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < (int)(40 / DT_S); k++) {
+		double t = k * DT_S - 2;
+		struct navigation_input in = {.gyro_b_rad_s = {0, t > 0 ? swing_rad * w * cos(w * t) : 0, 0},
+			.force_b_m_s2 = {0.005 * any(), 0.005 * any(), G + 0.005 * any()},
+			.gravity_m_s2 = G};
+
+		in.q_nb = n.q_nb;
+		navigation_step(&n, &in, DT_S);
+		assert_true(t < 2 || navigation_accelerates(&n));
+	}
+}
+
 static void test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour(void **state)
 {
 	const struct path stay = {1, {0, 0, 0}, {0, 0, 0}};
@@ -1494,12 +1543,52 @@ static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a
 
 	(void)state;
 	memset(n.p, 0, sizeof(n.p));
+	n.config.noise = (struct noise_config){0};
 	n.zero_velocity.vibration_m2_s2 = 4e-4;
 	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ZERO, 1e-12); /* in motion it is part of the velocity */
 	n.still = true;
 	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ((struct vec3){0.02, 0.02, 0.02}), 1e-12);
 	n.turning = true;
 	assert_near(navigation_sigma(&n, 100).velocity_m_s.y, hypot(0.02, 0.03), 1e-12);
+}
+
+/* Six sigmas of the velocity that the sensors' noise leaves unknown after a second, 1 and 2 mm/s beside that: what
+ * begins to move more slowly may not be seen. It matters where the preset knows slower motions. */
+static void test_what_stands_may_creep_as_fast_as_noisy_sensors_do_not_show(void **state)
+{
+	const struct {
+		struct noise_config noise;
+		enum motion_preset preset;
+		double creep_m_s;
+	} cases[] = {{{.accel_bias_instability_m_s2 = 0.002}, MOTION_ANY, 0},
+		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_ANY, 6 * sqrt(5e-6 + 0.005 * 0.005)},
+		{{.accel_density_m_s2_sqrt_hz = 0.01}, MOTION_ANY, 6 * sqrt(5e-6 + 0.01 * 0.01 / 2)},
+		{{.gyro_density_rad_s_sqrt_hz = 0.002}, MOTION_ANY, 6 * sqrt(5e-6 + G * G * 4e-6 / 6)},
+		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_ROBOT_BASE, 0},
+		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_HAND_HELD, 0}};
+
+	(void)state;
+	for (int i = 0; i < 6; i++) {
+		const struct navigation_config config = {.preset = cases[i].preset,
+			.rest_s = 1.5,
+			.noise = cases[i].noise,
+			.standstill = STANDSTILL_DEFAULTS};
+		struct navigation n = {.started = false};
+		struct vec3 after_10_s = ZERO;
+
+		navigation_start(&n, &config, QUAT_IDENTITY);
+		for (int k = 0; k < (int)(20 / DT_S); k++) {
+			struct navigation_input in = {
+				.force_b_m_s2 = {0, 0, G}, .gravity_m_s2 = G, .q_nb = QUAT_IDENTITY};
+
+			navigation_step(&n, &in, DT_S);
+			if (k == (int)(10 / DT_S))
+				after_10_s = navigation_sigma(&n, 1 / DT_S).position_m;
+		}
+		assert_true(n.still);
+		assert_near(navigation_sigma(&n, 1 / DT_S).velocity_m_s.x, cases[i].creep_m_s, 0.003);
+		assert_near(navigation_sigma(&n, 1 / DT_S).position_m.y - after_10_s.y, 10 * cases[i].creep_m_s, 0.01);
+	}
 }
 
 /* Axis by axis, with parts of which no two have the same sum. */
@@ -1769,6 +1858,7 @@ int main(void)
 		cmocka_unit_test(test_the_covariance_is_that_of_dense_matrices),
 		cmocka_unit_test(test_the_covariance_stays_symmetric_and_positive),
 		cmocka_unit_test(test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a_creeping_turn),
+		cmocka_unit_test(test_what_stands_may_creep_as_fast_as_noisy_sensors_do_not_show),
 		cmocka_unit_test(test_after_a_long_way_sigma_counts_the_accelerometers_scale),
 		cmocka_unit_test(test_sigma_knows_that_nobody_calibrated_the_sensors),
 		cmocka_unit_test(test_a_guided_way_is_held_level),
@@ -1787,6 +1877,8 @@ int main(void)
 			test_after_the_longest_integration_time_the_position_is_held_until_it_is_corrected_at_rest),
 		cmocka_unit_test(test_a_prior_limits_the_velocity),
 		cmocka_unit_test(test_a_prior_bounds_the_velocity_of_a_cruise_and_no_time_averages_it_out),
+		cmocka_unit_test(test_a_cruise_that_begins_to_brake_gently_accelerates),
+		cmocka_unit_test(test_a_load_accelerates_at_the_turning_points_of_its_swing),
 		cmocka_unit_test(test_at_rest_velocity_is_zero_and_the_position_stays_for_an_hour),
 		cmocka_unit_test(test_a_chip_noisier_than_its_datasheet_does_not_begin_to_move_at_rest),
 		cmocka_unit_test(test_what_turns_may_stand_except_on_a_linear_axis),

@@ -591,19 +591,61 @@ static void test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrie
 static void test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill(void **state)
 {
 	const struct {
-		struct zero_velocity_signals signals;
+		bool steady;
+		double gyro2_rad2_s2, accel2_m2_s4;
 		bool quiet;
-	} cases[] = {{{true, 2.9e-6, 2.9e-4, false, 0, false}, true}, {{true, 0, 3.1e-4, false, 0, false}, false},
-		{{true, 3.05e-6, 0, false, 0, false}, true}, {{true, 3.15e-6, 0, false, 0, false}, false},
-		{{false, 0, 0, false, 0, false}, false}};
+	} cases[] = {{true, 2.9e-6, 2.9e-4, true}, {true, 0, 3.1e-4, false}, {true, 3.05e-6, 0, true},
+		{true, 3.15e-6, 0, false}, {false, 0, 0, false}};
 
 	(void)state;
 	for (int i = 0; i < 5; i++) {
 		struct standing s = moving_with(0.04), noisy = s;
 		double odds = 1 / weight_of(&noisy, &NOISY, 0.2) - 1;
+		const struct zero_velocity_signals signals = {.steady = cases[i].steady,
+			.gyro2_rad2_s2 = cases[i].gyro2_rad2_s2,
+			.accel2_m2_s4 = cases[i].accel2_m2_s4};
 
-		assert_near(1 / weight_of(&s, &cases[i].signals, 0.2) - 1,
-			odds * (cases[i].quiet ? 0.01 * exp(-0.1 / 60) : 1), 1e-6 * odds);
+		assert_near(1 / weight_of(&s, &signals, 0.2) - 1, odds * (cases[i].quiet ? 0.01 * exp(-0.1 / 60) : 1),
+			1e-6 * odds);
+	}
+}
+
+/* A load that swings is quiet, and so are the moments in which its velocity passes zero. */
+static void test_a_motion_that_accelerates_quietly_may_move_on_quietly(void **state)
+{
+	const struct zero_velocity_signals smooth = {.steady = true, .accelerates = true},
+					   rough = {.steady = false, .accelerates = true};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct standing s = moving_with(0.04);
+
+		for (int k = 0; k < 20; k++) /* slower than 0.04 m/s it may stand, for all that is known */
+			assert_near(weight_of(&s, k % 2 ? &smooth : &rough, i ? 0.2 * i : 0.01), 0, 0);
+		assert_near(s.z.moved_s, i ? 2 : 0, 1e-9);
+		assert_near(s.z.moved_quietly_s, i ? 1 : 0, 1e-9);
+	}
+}
+
+/* What swings passes the moment at which it stands, with an acceleration that changes all the time. */
+static void test_what_stands_feels_the_same_force_all_the_time(void **state)
+{
+	const double change_m_s2[] = {0, 0.09, 0.11};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct standing s = moving_with(0.001);
+		struct zero_velocity_signals signals = {
+			.steady = true, .force_n_m_s2 = {0.3, 0, G}, .force_change2_m2_s4 = 0.1 * 0.1};
+
+		for (int k = 0; k < 3; k++)
+			assert_true(weight_of(&s, &signals, 0) > 0.95);
+		assert_near(s.z.standing_s, 0.3, 1e-9);
+		signals.force_n_m_s2.y = change_m_s2[i];
+		weight_of(&s, &signals, 0);
+		assert_near(s.z.standing_s, i < 2 ? 0.4 : 0.1, 1e-9);
+		weight_of(&s, &signals, 0); /* from here on it stands, with that force */
+		assert_near(s.z.standing_s, i < 2 ? 0.5 : 0.2, 1e-9);
 	}
 }
 
@@ -940,6 +982,8 @@ int main(void)
 		cmocka_unit_test(test_vibration_is_the_velocity_above_5_hz),
 		cmocka_unit_test(test_a_quiet_moment_is_a_standstill_as_far_as_motions_of_this_carrier_were_not_quiet),
 		cmocka_unit_test(test_a_moment_is_quiet_up_to_three_times_the_mean_squares_of_a_standstill),
+		cmocka_unit_test(test_a_motion_that_accelerates_quietly_may_move_on_quietly),
+		cmocka_unit_test(test_what_stands_feels_the_same_force_all_the_time),
 		cmocka_unit_test(test_the_odds_of_moving_hold_until_the_velocity_changes),
 		cmocka_unit_test(test_what_moved_before_missing_samples_still_does),
 		cmocka_unit_test(test_what_stood_before_missing_samples_stands_while_it_is_steady),
