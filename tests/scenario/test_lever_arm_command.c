@@ -329,6 +329,29 @@ static void test_nmt_reset_ends_an_identification(void **state)
 	}
 }
 
+/* Both within the 50 ms for which it is used: before, and after the first sample that used it. */
+static void test_reset_node_forgets_the_reference(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	for (int samples = 0; samples < 2; samples++) {
+		tell_reference(w, (struct vec3){1, 2, 3});
+		for (int i = 0; i < samples; i++)
+			sample(robot);
+		world_nmt(w, 0x81);
+		sample(robot);
+		assert_int_equal(command(w, START_REFERENCE), 0);
+		sample(robot);
+		assert_false(w->device.lever_arm_command.lever.config.estimate_delay);
+		assert_int_equal(command(w, ABORT_HELD), 0);
+	}
+	tell_reference(w, (struct vec3){1, 2, 3});
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	sample(robot);
+	assert_true(w->device.lever_arm_command.lever.config.estimate_delay);
+}
+
 static void test_a_lost_sensor_ends_in_a_refusal_with_its_verdict(void **state)
 {
 	struct robot *robot = *state;
@@ -388,6 +411,7 @@ int main(void)
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
 		TEST(test_bit_12_of_the_status_is_set_until_abort),
 		TEST(test_nmt_reset_ends_an_identification),
+		TEST(test_reset_node_forgets_the_reference),
 		TEST(test_a_lost_sensor_ends_in_a_refusal_with_its_verdict),
 		TEST(test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample),
 		TEST(test_progress_is_relative_to_the_requested_duration),

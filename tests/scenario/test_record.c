@@ -818,6 +818,26 @@ static void test_another_build_starts_with_the_recorded_configuration(void **sta
 	assert_true(count_of(&replayed, 0x180 + NODE) > 90);
 }
 
+static void test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 10);
+	record_file_turn(&s->file);
+	s->turns = 0; /* the turn in which the stop is written has inputs before it, too */
+	assert_int_equal(write_u8(s, 0x215C, 1, 0), 0);
+	size_t stopped = s->sent.count;
+	assert_int_equal(s->sent.frame[stopped - 1].id, 0x580 + NODE);
+	run(s, 1);
+	power_off(s);
+	assert_true(replay_all(s) > 9 * RATE_HZ);
+	assert_int_equal(replayed.count, stopped);
+	assert_memory_equal(replayed.frame, s->sent.frame, stopped * sizeof(struct sent));
+}
+
 /* ---- disks ------------------------------------------------------------------------------------------------------- */
 
 static void test_a_power_cut_costs_the_torn_line(void **state)
@@ -1207,6 +1227,7 @@ int main(void)
 		TEST(test_a_transfer_under_way_continues_in_the_next_file),
 		TEST(test_a_configuration_that_is_read_again_begins_a_file),
 		TEST(test_another_build_starts_with_the_recorded_configuration),
+		TEST(test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it),
 		TEST(test_a_power_cut_costs_the_torn_line),
 		TEST(test_a_damaged_line_is_told),
 		TEST(test_a_missing_input_is_noticed),
