@@ -70,6 +70,19 @@ static void test_a_gyro_bias_is_estimated_accepted_and_used(void **state)
 	assert_non_null(strstr(w->device.log.text, "calibration gyro accepted: bias "));
 }
 
+/* As far as a bias can have drifted when it is used: 1.5 times 2020h:4. */
+static void test_the_sigma_of_a_gyro_bias_has_its_instability(void **state)
+{
+	static const float instability_deg_s = 0.5f;
+	struct world *w = *state;
+
+	assert_int_equal(world_sdo_write(w, 0x2020, 4, &instability_deg_s, 4), 0);
+	assert_int_equal(command(w, 1), 0);
+	seconds(w, "rest", 12);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+	assert_near(w->device.values.calibration.quality, 1.5 * 0.5 * M_PI / 180, 1e-4);
+}
+
 static void test_free_positions_calibrate_the_accelerometer(void **state)
 {
 	struct world *w = *state;
@@ -306,6 +319,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
+		TEST(test_the_sigma_of_a_gyro_bias_has_its_instability),
 		TEST(test_free_positions_calibrate_the_accelerometer),
 		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),
 		TEST(test_six_faces_calibrate_the_accelerometer),

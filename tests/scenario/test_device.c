@@ -696,6 +696,25 @@ static void test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log
 	}
 }
 
+static void test_stored_values_that_are_unknown_or_out_of_range_are_counted_and_the_others_applied(void **state)
+{
+	static const uint8_t quarter[] = {0, 0, 0x80, 0x3E}, large[] = {0, 0, 0x80, 0x7E};
+	const struct od_dcf_item communication[] = {{0x1017, 0, quarter, 2}, {0x1FFF, 0, quarter, 4}},
+				 manufacturer[] = {{0x2000, 1, quarter, 4}, {0x2000, 2, large, 4}};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < 2; i++) {
+		od_dcf_add(w->disk.groups[0].dcf, STORE_GROUP_MAX, &w->disk.groups[0].size, &communication[i]);
+		od_dcf_add(w->disk.groups[2].dcf, STORE_GROUP_MAX, &w->disk.groups[2].size, &manufacturer[i]);
+	}
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 0);
+	assert_near(w->device.values.lever_arm.l, 0.25, 0);
+	assert_near(w->device.values.lever_arm.s, 0, 0);
+	assert_true(event_log_has(w, " 2 stored values not applied: unknown or out of range in this version; "
+				     "store again (1010h)\n"));
+}
+
 static void test_storing_another_group_does_not_restore_the_value_of_the_old_meaning(void **state)
 {
 	struct world *w = *state;
@@ -871,6 +890,7 @@ int main(void)
 		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
 		TEST(test_a_second_store_during_a_store_is_refused),
 		TEST(test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it),
+		TEST(test_stored_values_that_are_unknown_or_out_of_range_are_counted_and_the_others_applied),
 		TEST(test_storing_another_group_does_not_restore_the_value_of_the_old_meaning),
 		TEST(test_a_value_stored_with_the_present_meaning_is_applied),
 		TEST(test_reset_communication_does_not_change_the_application),

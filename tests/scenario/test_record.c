@@ -7,14 +7,22 @@
 #include <cmocka.h>
 
 #include <dirent.h>
+#include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
+#include <pthread.h>
+#include <sched.h>
 #include <signal.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "gateway/device_state.h"
@@ -29,8 +37,12 @@
 
 enum { NODE = 16, RATE_HZ = 50, SLOW_HZ = 25 };
 
-static unsigned syncs;	 /* of files; that takes too long here */
-static bool takes_parts; /* of what is written */
+static unsigned syncs;	   /* of files; that takes too long here */
+static bool takes_parts;   /* of what is written */
+static bool takes_nothing; /* as some full disks */
+static int lock_errno;	   /* of a file system without locks */
+static bool no_thread;
+static atomic_uint turns, turns_until; /* of the thread, which waits for no time; 0: as long as it takes */
 
 int fdatasync(int fd)
 {
@@ -43,12 +55,40 @@ ssize_t write(int fd, const void *bytes, size_t size)
 {
 	static unsigned calls;
 
+	if (takes_nothing && size > 100)
+		return 0;
 	if (!takes_parts || size < 100)
 		return syscall(SYS_write, fd, bytes, size);
 	if (++calls % 4)
 		return syscall(SYS_write, fd, bytes, size / 3);
 	errno = EINTR; /* a signal */
 	return -1;
+}
+
+int flock(int fd, int operation)
+{
+	errno = lock_errno;
+	return lock_errno ? -1 : (int)syscall(SYS_flock, fd, operation);
+}
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*body)(void *), void *arg)
+{
+	int (*create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+
+	*(void **)&create = dlsym(RTLD_NEXT, "pthread_create");
+	return no_thread ? EAGAIN : create(thread, attributes, body, arg);
+}
+
+int nanosleep(const struct timespec *duration, struct timespec *left)
+{
+	if (turns_until == 0)
+		return (int)syscall(SYS_nanosleep, duration, left);
+	if (duration->tv_sec != 0 || duration->tv_nsec != 100000000)
+		abort();
+	turns++;
+	while (turns >= turns_until)
+		sched_yield();
+	return 0;
 }
 
 /* ---- frames that were sent --------------------------------------------------------------------------------------- */
@@ -993,6 +1033,86 @@ static void test_a_thread_writes_what_the_loop_records(void **state)
 	assert_same_frames(&s->sent, 0);
 }
 
+static void let_it_turn(unsigned until)
+{
+	turns_until = until;
+	while (turns < until)
+		sched_yield();
+}
+
+static void test_the_thread_syncs_the_file_each_fifty_turns_of_a_tenth_of_a_second(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	s->threaded = true;
+	turns = 0;
+	turns_until = 1; /* the first turn finds nothing */
+	power_on(s, NULL, &options);
+	let_it_turn(1);
+	syncs = 0;
+	run(s, 1);
+	let_it_turn(50);
+	assert_int_equal(syncs, 0);
+	let_it_turn(51);
+	assert_int_equal(syncs, 1);
+	let_it_turn(100);
+	assert_int_equal(syncs, 1);
+	let_it_turn(151);
+	assert_int_equal(syncs, 3);
+	turns_until = UINT_MAX;
+	power_off(s);
+	turns_until = 0;
+}
+
+static void test_without_a_thread_there_is_no_recording_and_the_folder_is_free(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static struct record_file file;
+
+	no_thread = true;
+	assert_int_equal(record_file_open(&file, &s->record, &options), -EAGAIN);
+	no_thread = false;
+	power_on(s, NULL, &options);
+}
+
+static void test_a_disk_that_takes_nothing_is_full(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	run(s, 10);
+	takes_nothing = true;
+	run(s, 10);
+	takes_nothing = false;
+	assert_int_equal(s->device.values.recording.state, RECORD_ENDED);
+	assert_non_null(strstr(s->device.log.text, "recording ended: No space left on device; "
+						   "correct that, then write 1 to 215Ch:1 to start it again\n"));
+}
+
+static void test_a_file_that_cannot_begin_ends_the_recording_each_time(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	run(s, 1);
+	remove_files(s);
+	assert_int_equal(rmdir(s->folder), 0);
+	record_begin_again(&s->record);
+	for (int i = 0; i < 3; i++) {
+		run(s, 10);
+		assert_int_equal(s->device.values.recording.state, RECORD_ENDED);
+		assert_non_null(strstr(s->device.log.text, "recording ended: No such file or directory"));
+		s->device.log.used = 0;
+		memset(s->device.log.text, 0, sizeof(s->device.log.text));
+		assert_int_equal(write_u8(s, 0x215C, 1, 1), 0);
+	}
+	assert_int_equal(mkdir(s->folder, 0700), 0);
+}
+
 /* Nothing is taken out of the ring for minutes. */
 static void test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample(void **state)
 {
@@ -1054,6 +1174,17 @@ static void test_a_recording_is_an_imu_log(void **state)
 	imu_log_close(&log);
 }
 
+static long size_of(const struct site *s, const char *name)
+{
+	struct stat status;
+	char path[160];
+
+	snprintf(path, sizeof(path), "%s/%s", s->folder, name);
+	assert_int_equal(stat(path, &status), 0);
+	assert_int_equal(status.st_mode & 0777, 0644);
+	return status.st_size;
+}
+
 static void test_rotation_leaves_the_newest_files(void **state)
 {
 	struct site *s = *state;
@@ -1070,6 +1201,8 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(sscanf(names[2], "imu9-%u.imu.csv", &second), 1);
 	assert_true(first > 3 && second == first + 2);
 	assert_int_equal(syncs, second); /* each file when it has ended */
+	assert_in_range(size_of(s, names[0]), 1000000, 1100000);
+	assert_in_range(size_of(s, names[1]), 1000000, 1100000);
 
 	power_on(s, NULL, &options); /* a restart continues the numbers */
 	run(s, 1);
@@ -1111,13 +1244,19 @@ static void test_a_folder_that_cannot_be_used_is_told(void **state)
 	struct site *s = *state;
 	struct record_options options = options_of(s, 1, 2);
 	static struct record_file file;
+	struct stat status;
 	char path[160];
 
 	snprintf(options.folder, sizeof(options.folder), "%s/no/such", s->folder);
 	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOENT);
 	snprintf(options.folder, sizeof(options.folder), "%s/new", s->folder);
 	assert_int_equal(record_file_init(&file, &s->record, &options), 0);
+	assert_int_equal(stat(options.folder, &status), 0);
+	assert_int_equal(status.st_mode & 0777, 0755);
 	record_file_close(&file);
+	lock_errno = ENOLCK;
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOLCK);
+	lock_errno = 0;
 	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
 		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
 		fclose(fopen(path, "w"));
@@ -1235,6 +1374,10 @@ int main(void)
 		TEST(test_a_file_begins_with_what_it_is_of),
 		TEST(test_a_disk_that_takes_a_part_of_each_write_gets_all),
 		TEST(test_a_thread_writes_what_the_loop_records),
+		TEST(test_the_thread_syncs_the_file_each_fifty_turns_of_a_tenth_of_a_second),
+		TEST(test_without_a_thread_there_is_no_recording_and_the_folder_is_free),
+		TEST(test_a_disk_that_takes_nothing_is_full),
+		TEST(test_a_file_that_cannot_begin_ends_the_recording_each_time),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
@@ -1248,5 +1391,6 @@ int main(void)
 	};
 
 	log_set_level(LOG_ERR);
+	umask(022);
 	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -185,9 +185,17 @@ static void test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object(v
 	assert_int_equal(world_sdo_write(w, OD_INDEX_MAGNETOMETER_CALIBRATION, 2, &bias, 4), 0);
 	world_samples(w, 10);
 	assert_int_equal(w->device.values.sensor_state.uncalibrated, 0);
+	assert_int_equal(lines(w, "all sensors are calibrated"), 1);
+	world_seconds(w, 5); /* the log has each line again */
+	world_nmt(w, 0x81);  /* nothing was stored */
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 7);
+	assert_int_equal(lines(w, "never calibrated: gyro accelerometer magnetometer;"), 2);
+	assert_int_equal(world_sdo_write(w, 0x2055, 3, &calibrated, 1), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 3);
 	assert_int_equal(world_sdo_write(w, 0x2055, 3, &not_calibrated, 1), 0);
 	world_samples(w, 10);
-	assert_int_equal(w->device.values.sensor_state.uncalibrated, 4);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 7);
 }
 
 static void test_a_saturated_sample_sets_its_status_bit(void **state)

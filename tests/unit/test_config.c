@@ -98,6 +98,15 @@ static void test_an_unknown_object_names_its_line(void **state)
 	assert_non_null(strstr(why, "lever_arm.q"));
 }
 
+static void test_the_name_of_an_unknown_object_has_its_section(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[x]\nl = 1\n"), -ENOENT);
+	assert_non_null(strstr(why, ":2: no object has the name 'x.l'; `imu9-sdo dump` and objects.md list the names"));
+	assert_int_equal(read_file("l = 1\n"), -ENOENT);
+	assert_non_null(strstr(why, ":1: no object has the name 'l'; "));
+}
+
 static void test_an_unknown_gateway_key_names_its_line_and_the_known_ones(void **state)
 {
 	(void)state;
@@ -347,6 +356,7 @@ int main(void)
 		TEST(test_a_later_setting_replaces_an_earlier_one),
 		TEST(test_an_index_can_be_used_as_a_name),
 		TEST(test_an_unknown_object_names_its_line),
+		TEST(test_the_name_of_an_unknown_object_has_its_section),
 		TEST(test_an_unknown_gateway_key_names_its_line_and_the_known_ones),
 		TEST(test_a_value_out_of_limits_names_line_and_limits),
 		TEST(test_a_long_value_out_of_limits_does_not_overflow_the_error_text),
