@@ -222,6 +222,19 @@ static void test_accept_and_discard_need_a_result(void **state)
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 }
 
+static void test_a_result_that_its_object_refuses_is_kept_and_nothing_of_it_accepted(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(command(w, 2), 0);
+	seconds(w, "multiposition", 63);
+	w->device.values.calibration.zz = 11; /* the last one; 2051h:12 takes up to 10 */
+	assert_int_equal(command(w, 10), 0x06090031);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+	assert_near(w->device.values.accelerometer_calibration.bias_x, 0, 0);
+	assert_int_equal(command(w, 11), 0);
+}
+
 static void test_a_discarded_result_changes_nothing(void **state)
 {
 	struct world *w = *state;
@@ -328,6 +341,7 @@ int main(void)
 		WARM(test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature),
 		TEST(test_motion_ends_in_a_refusal_without_a_result),
 		TEST(test_accept_and_discard_need_a_result),
+		TEST(test_a_result_that_its_object_refuses_is_kept_and_nothing_of_it_accepted),
 		TEST(test_a_discarded_result_changes_nothing),
 		TEST(test_only_one_runs_at_a_time),
 		TEST(test_the_lever_arm_and_a_calibration_exclude_each_other),

@@ -581,6 +581,18 @@ static void test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_
 	assert_near(w->device.values.lever_arm.l, 3, 0);
 }
 
+static void test_a_node_id_that_is_none_is_refused_at_the_start(void **state)
+{
+	static const uint8_t none[] = {0, 128, 254};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < sizeof(none); i++) {
+		w->device = (struct device){0};
+		od_init(&w->device.od, &imu9_od_table, &w->device.values, none[i]);
+		assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, none[i]), -EINVAL);
+	}
+}
+
 static void test_a_slow_disk_delays_the_answer_and_not_the_samples(void **state)
 {
 	struct world *w = *state;
@@ -887,6 +899,7 @@ int main(void)
 		TEST(test_the_status_shows_that_2117h_is_utc),
 		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored),
+		TEST(test_a_node_id_that_is_none_is_refused_at_the_start),
 		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
 		TEST(test_a_second_store_during_a_store_is_refused),
 		TEST(test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it),

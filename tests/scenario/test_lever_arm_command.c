@@ -352,6 +352,25 @@ static void test_reset_node_forgets_the_reference(void **state)
 	assert_true(w->device.lever_arm_command.lever.config.estimate_delay);
 }
 
+static void test_nothing_is_interpolated_over_a_sample_that_is_clipped_or_behind_a_gap(void **state)
+{
+	static const unsigned flags[] = {SAMPLE_SATURATED, SAMPLE_DISCONTINUITY};
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+	struct imu_sample s;
+
+	assert_int_equal(command(w, START_HELD), 0);
+	for (int i = 0; i < 2; i++) {
+		seconds(robot, 1);
+		assert_true(w->device.lever_arm_command.lever.raw_count > 1);
+		sensor_next(&w->sensor, w->signal, &s, NULL);
+		s.flags |= flags[i];
+		world_deliver(w, &s);
+		sample(robot);
+		assert_int_equal(w->device.lever_arm_command.lever.raw_count, 1);
+	}
+}
+
 static void test_a_lost_sensor_ends_in_a_refusal_with_its_verdict(void **state)
 {
 	struct robot *robot = *state;
@@ -412,6 +431,7 @@ int main(void)
 		TEST(test_bit_12_of_the_status_is_set_until_abort),
 		TEST(test_nmt_reset_ends_an_identification),
 		TEST(test_reset_node_forgets_the_reference),
+		TEST(test_nothing_is_interpolated_over_a_sample_that_is_clipped_or_behind_a_gap),
 		TEST(test_a_lost_sensor_ends_in_a_refusal_with_its_verdict),
 		TEST(test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample),
 		TEST(test_progress_is_relative_to_the_requested_duration),

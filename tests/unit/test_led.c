@@ -235,6 +235,15 @@ static void test_a_missing_led_is_an_error(void **state)
 	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
 }
 
+static void test_a_missing_error_led_is_told_by_its_name(void **state)
+{
+	struct fixture *f = *state;
+	const char *which;
+
+	assert_int_equal(leds_open(&f->leds, "/nowhere", "", "red", &which), -2);
+	assert_string_equal(which, "red");
+}
+
 static void test_the_error_led_works_without_the_run_led(void **state)
 {
 	struct fixture *f = *state;
@@ -268,6 +277,7 @@ int main(void)
 		cmocka_unit_test(test_each_state_has_the_rhythm_of_the_standard),
 		TEST(test_linux_leds_lose_their_trigger_and_blink),
 		TEST(test_a_missing_led_is_an_error),
+		TEST(test_a_missing_error_led_is_told_by_its_name),
 		TEST(test_the_error_led_works_without_the_run_led),
 	};
 
