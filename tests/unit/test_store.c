@@ -595,8 +595,12 @@ static void test_while_the_thread_writes_it_takes_nothing_else(void **state)
 	assert_int_equal(store_writer_result(&writer), -EAGAIN); /* told once */
 	assert_int_equal(store_read(&back, path), 0);
 	assert_same(&first, &back);
-	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&second, bytes)), 0);
+	assert_int_equal(
+		store_writer_submit(&writer, bytes, store_encode(&second, bytes)), 0); /* it waits, and wakes */
+	assert_int_equal(poll(&p, 1, 120000), 1);
 	store_writer_close(&writer);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&second, &back);
 }
 
 static void test_closing_waits_for_a_write_in_progress(void **state)
