@@ -186,9 +186,13 @@ static void test_an_accepted_and_stored_result_is_used_after_power_on(void **sta
 static void test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature(void **state)
 {
 	struct world *w = *state;
-	const float slope = (float)w->sensor.gyro.slope.x;
+	const float slope[] = {
+		(float)w->sensor.gyro.slope.x, (float)w->sensor.gyro.slope.y, (float)w->sensor.gyro.slope.z};
 
-	assert_int_equal(world_sdo_write(w, 0x2054, 1, &slope, 4), 0);
+	for (uint8_t i = 0; i < 3; i++) {
+		assert_true(fabs((double)slope[i]) * 15 > 4e-3); /* so that a wrong sign is seen */
+		assert_int_equal(world_sdo_write(w, 0x2054, (uint8_t)(i + 1), &slope[i], 4), 0);
+	}
 	seconds(w, "rest", 120);
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
@@ -196,6 +200,8 @@ static void test_with_temperature_compensation_the_bias_is_converted_to_the_refe
 	assert_true((double)w->device.values.calibration.temperature > 35);
 	assert_int_equal(command(w, 10), 0);
 	assert_near(w->device.values.gyro_calibration.bias_x, w->sensor.gyro.bias.x, 2e-3);
+	assert_near(w->device.values.gyro_calibration.bias_y, w->sensor.gyro.bias.y, 2e-3);
+	assert_near(w->device.values.gyro_calibration.bias_z, w->sensor.gyro.bias.z, 2e-3);
 }
 
 /* ---- refusals ---------------------------------------------------------------------------------------------------- */

@@ -836,6 +836,27 @@ static void test_a_configuration_that_is_read_again_begins_a_file(void **state)
 	assert_same_frames(&s->sent, from);
 }
 
+/* By Modbus, function 43/13; refused or not. */
+static void test_a_write_of_more_than_64_bytes_begins_a_file(void **state)
+{
+	static const uint8_t bytes[65];
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static char names[20][64];
+
+	power_on(s, NULL, &options);
+	for (size_t size = 64; size <= 65; size++) {
+		run(s, 1);
+		assert_int_not_equal(device_write(&s->device, 0x2000, 1, bytes, size, s->now_us), OD_OK);
+		tick(s);
+		run(s, 1);
+		record_file_turn(&s->file);
+		assert_int_equal(files_of(s, names, 20), size - 63);
+	}
+	replay_all(s);
+	assert_same_frames(&s->sent, 0);
+}
+
 static void test_another_build_starts_with_the_recorded_configuration(void **state)
 {
 	struct site *s = *state;
@@ -1365,6 +1386,7 @@ int main(void)
 		TEST(test_a_recording_can_begin_in_the_run),
 		TEST(test_a_transfer_under_way_continues_in_the_next_file),
 		TEST(test_a_configuration_that_is_read_again_begins_a_file),
+		TEST(test_a_write_of_more_than_64_bytes_begins_a_file),
 		TEST(test_another_build_starts_with_the_recorded_configuration),
 		TEST(test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it),
 		TEST(test_a_power_cut_costs_the_torn_line),

@@ -155,8 +155,9 @@ static void test_while_anything_is_stored_nothing_else_is(void **state)
 	assert_int_equal(write_u32(w, 0x1010, 1, 0x65766173), DEVICE_STATE);
 	assert_int_equal(write_u32(w, 0x1011, 1, 0x64616F6C), DEVICE_STATE);
 	assert_int_equal(lock_state(w), 0);
-	device_saved(&w->device, 0, w->now_us);
+	device_saved(&w->device, 0, w->now_us + 2500000);
 	assert_int_equal(lock_state(w), 1);
+	assert_non_null(strstr(w->device.log.text, " 2.500000 configuration locked (214Ch)\n"));
 }
 
 int main(void)

@@ -30,6 +30,8 @@ static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
 /* What the disk answers for a folder, and for a file. */
 static int folder_sync_errno, file_sync_errno;
 static atomic_bool waits; /* for a slow disk */
+static bool takes_bytes;  /* one by one, with signals in between */
+static bool takes_nothing;
 /* What it answers once, or twice, when a file is read. */
 static int read_errno[2];
 static bool no_thread;
@@ -46,6 +48,18 @@ int fsync(int fd)
 		sched_yield();
 	errno = file_sync_errno;
 	return file_sync_errno ? -1 : (int)syscall(SYS_fsync, fd);
+}
+
+ssize_t write(int fd, const void *bytes, size_t size)
+{
+	static unsigned calls;
+
+	errno = EINTR;
+	if (takes_nothing)
+		return 0;
+	if (takes_bytes && ++calls % 3 == 0)
+		return -1;
+	return syscall(SYS_write, fd, bytes, takes_bytes ? 1 : size);
 }
 
 ssize_t read(int fd, void *bytes, size_t size)
@@ -392,6 +406,24 @@ static void test_a_file_that_is_not_synced_is_an_error_and_the_old_one_stays(voi
 	assert_same(&old, &back);
 }
 
+static void test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_none_is_full(void **state)
+{
+	const struct store_image image = example(5, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	takes_bytes = true;
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
+	takes_bytes = false;
+	takes_nothing = true;
+	assert_int_equal(store_write(path, bytes, 10), -ENOSPC);
+	takes_nothing = false;
+	assert_false(exists(new_path));
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+}
+
 static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
 {
 	uint8_t bytes[4] = {0};
@@ -638,6 +670,7 @@ int main(void)
 		TEST(test_a_lock_that_is_a_link_is_not_followed),
 		TEST(test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so),
 		TEST(test_a_file_that_is_not_synced_is_an_error_and_the_old_one_stays),
+		TEST(test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_none_is_full),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
 		TEST(test_the_thread_creates_the_folder_writes_and_signals_the_end),
 		TEST(test_one_file_has_one_writer),
