@@ -253,6 +253,20 @@ static void test_a_discarded_result_changes_nothing(void **state)
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 }
 
+static void test_of_a_discarded_result_nothing_is_left(void **state)
+{
+	struct world *w = *state;
+	const struct od_values before = w->device.values;
+
+	for (uint8_t kind = 2; kind <= 4; kind += 2) {
+		assert_int_equal(command(w, kind), 0);
+		seconds(w, kind == 4 ? "figure" : "multiposition", 63);
+		assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+		assert_int_equal(command(w, 11), 0);
+		assert_memory_equal(&w->device.values.calibration, &before.calibration, sizeof(before.calibration));
+	}
+}
+
 static void test_only_one_runs_at_a_time(void **state)
 {
 	struct world *w = *state;
@@ -349,6 +363,7 @@ int main(void)
 		TEST(test_accept_and_discard_need_a_result),
 		TEST(test_a_result_that_its_object_refuses_is_kept_and_nothing_of_it_accepted),
 		TEST(test_a_discarded_result_changes_nothing),
+		TEST(test_of_a_discarded_result_nothing_is_left),
 		TEST(test_only_one_runs_at_a_time),
 		TEST(test_the_lever_arm_and_a_calibration_exclude_each_other),
 		TEST(test_a_command_that_does_not_exist_is_refused),

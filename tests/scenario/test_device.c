@@ -581,6 +581,48 @@ static void test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_
 	assert_near(w->device.values.lever_arm.l, 3, 0);
 }
 
+static void test_a_device_without_storage_stores_nothing_and_says_so(void **state)
+{
+	struct world *w = *state;
+
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), 0);
+	device_start(&w->device, false, w->now_us);
+	world_samples(w, 2);
+	assert_int_equal(store_all(w), 0x08000020);
+	assert_int_equal(world_sdo_write(w, 0x1011, 1, "load", 4), 0x08000020);
+	assert_int_equal(world_emcy_code(w), 0);
+}
+
+/* The process has kept the file as .bad. */
+static void test_damaged_stored_values_raise_5530h_at_the_start(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(world_emcy_code(w), 0);
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), 0);
+	device_start(&w->device, true, w->now_us);
+	world_samples(w, 2);
+	assert_int_equal(world_emcy_code(w), 0x5530);
+	assert_int_equal(w->device.values.error_register, 0x81);
+}
+
+/* Without stored values there are none to go back to. */
+static void test_an_inconsistent_configuration_file_keeps_the_device_from_starting(void **state)
+{
+	struct world *w = *state;
+
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	w->device.values.gyro_calibration.xx = 0; /* a matrix without an inverse */
+	w->device.values.gyro_calibration.xy = 0;
+	w->device.values.gyro_calibration.xz = 0;
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), -EINVAL);
+}
+
 static void test_a_node_id_that_is_none_is_refused_at_the_start(void **state)
 {
 	static const uint8_t none[] = {0, 128, 254};
@@ -899,6 +941,9 @@ int main(void)
 		TEST(test_the_status_shows_that_2117h_is_utc),
 		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored),
+		TEST(test_a_device_without_storage_stores_nothing_and_says_so),
+		TEST(test_damaged_stored_values_raise_5530h_at_the_start),
+		TEST(test_an_inconsistent_configuration_file_keeps_the_device_from_starting),
 		TEST(test_a_node_id_that_is_none_is_refused_at_the_start),
 		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
 		TEST(test_a_second_store_during_a_store_is_refused),

@@ -329,6 +329,20 @@ static void test_nmt_reset_ends_an_identification(void **state)
 	}
 }
 
+static void test_a_sensor_with_fewer_than_25_samples_a_second_cannot_identify_it(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	w->imu.rate_hz = 24;
+	world_power_on(w, NULL);
+	assert_int_equal(command(w, START_HELD), DEVICE_STATE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
+	w->imu.rate_hz = 25;
+	world_power_on(w, NULL);
+	assert_int_equal(command(w, START_HELD), 0);
+}
+
 /* Both within the 50 ms for which it is used: before, and after the first sample that used it. */
 static void test_reset_node_forgets_the_reference(void **state)
 {
@@ -347,6 +361,9 @@ static void test_reset_node_forgets_the_reference(void **state)
 		assert_int_equal(command(w, ABORT_HELD), 0);
 	}
 	tell_reference(w, (struct vec3){1, 2, 3});
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.x, 1, 0);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.y, 2, 0);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.z, 3, 0);
 	assert_int_equal(command(w, START_REFERENCE), 0);
 	sample(robot);
 	assert_true(w->device.lever_arm_command.lever.config.estimate_delay);
@@ -430,6 +447,7 @@ int main(void)
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
 		TEST(test_bit_12_of_the_status_is_set_until_abort),
 		TEST(test_nmt_reset_ends_an_identification),
+		TEST(test_a_sensor_with_fewer_than_25_samples_a_second_cannot_identify_it),
 		TEST(test_reset_node_forgets_the_reference),
 		TEST(test_nothing_is_interpolated_over_a_sample_that_is_clipped_or_behind_a_gap),
 		TEST(test_a_lost_sensor_ends_in_a_refusal_with_its_verdict),

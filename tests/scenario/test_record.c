@@ -1320,6 +1320,29 @@ static void test_the_minute_before_an_emcy_is_kept(void **state)
 	assert_true(n <= 4);
 }
 
+static void test_the_file_that_began_a_minute_before_is_the_oldest_that_is_kept(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static char names[20][64];
+
+	for (int kept = 2; kept <= 3; kept++) { /* the second file began 61 s before, then 59 s */
+		power_on(s, NULL, &options);
+		run(s, 30);
+		record_begin_again(&s->record);
+		run(s, 30);
+		record_begin_again(&s->record);
+		run(s, kept == 2 ? 31 : 29);
+		assert_int_equal(write_u8(s, 0x215C, 1, 2), 0);
+		run(s, 1);
+		assert_int_equal(s->device.values.recording.kept, kept);
+		power_off(s);
+		assert_int_equal(files_of(s, names, 20), 3);
+		assert_int_equal(strstr(names[0], ".kept.") != NULL, kept == 3);
+		remove_files(s);
+	}
+}
+
 static void test_kept_files_are_bounded(void **state)
 {
 	struct site *s = *state;
@@ -1406,6 +1429,7 @@ int main(void)
 		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
 		TEST(test_a_folder_that_cannot_be_used_is_told),
 		TEST(test_the_minute_before_an_emcy_is_kept),
+		TEST(test_the_file_that_began_a_minute_before_is_the_oldest_that_is_kept),
 		TEST(test_kept_files_are_bounded),
 		TEST(test_only_one_process_records_in_a_folder),
 		TEST(test_without_a_folder_the_object_refuses_commands),

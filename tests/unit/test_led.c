@@ -235,6 +235,16 @@ static void test_a_missing_led_is_an_error(void **state)
 	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
 }
 
+static void test_a_led_without_a_name_is_none(void **state)
+{
+	struct fixture *f = *state;
+	const char *which;
+
+	assert_int_equal(leds_open(&f->leds, "/nowhere", "", "", &which), 0);
+	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
+	leds_close(&f->leds);
+}
+
 static void test_a_missing_error_led_is_told_by_its_name(void **state)
 {
 	struct fixture *f = *state;
@@ -277,6 +287,7 @@ int main(void)
 		cmocka_unit_test(test_each_state_has_the_rhythm_of_the_standard),
 		TEST(test_linux_leds_lose_their_trigger_and_blink),
 		TEST(test_a_missing_led_is_an_error),
+		TEST(test_a_led_without_a_name_is_none),
 		TEST(test_a_missing_error_led_is_told_by_its_name),
 		TEST(test_the_error_led_works_without_the_run_led),
 	};

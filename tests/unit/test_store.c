@@ -426,10 +426,12 @@ static void test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_
 
 static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
 {
+	static struct store_writer writer;
 	uint8_t bytes[4] = {0};
 
 	(void)state;
 	assert_int_equal(store_write("/proc/no/such.store", bytes, 4), -ENOENT);
+	assert_int_equal(store_writer_open(&writer, "/proc/no/such.store"), -ENOENT);
 }
 
 static mode_t mode_of(const char *name)
@@ -523,6 +525,9 @@ static void test_groups_that_do_not_fill_the_file_are_damage(void **state)
 		put_u32(bytes + size - 4, od_crc32(0, bytes, size - 4));
 		assert_int_equal(store_decode(&back, bytes, size), -EBADMSG);
 	}
+	put_u32(bytes + 12, 11); /* less than LSS and revision need */
+	put_u32(bytes + 16 + 11, od_crc32(0, bytes, 16 + 11));
+	assert_int_equal(store_decode(&back, bytes, 16 + 11 + 4), -EBADMSG);
 }
 
 /* Version 1 has no LSS. One group of 3 bytes, two empty ones; the CRC by python's zlib. */

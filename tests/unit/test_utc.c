@@ -148,6 +148,19 @@ static void test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_s
 	assert_in_range(error_us, 0, 10);
 }
 
+/* Of another epoch, for an hour; each second sample arrives 2 ms late. */
+static void test_a_clock_of_the_samples_that_is_40_ppm_slow_is_followed(void **state)
+{
+	struct fixture *f = *state;
+
+	utc_host_clock(&f->utc, true, (int64_t)(NOON_US - START_US));
+	for (uint64_t i = 0; i <= 36000; i++) {
+		utc_sample(&f->utc, i * 99996, START_US + i * 100000 + (i % 2 ? 2000 : 0));
+		int64_t error_us = (int64_t)(f->values.utc.time - (NOON_US + i * 100000));
+		assert_true(error_us >= -5 && error_us <= 10);
+	}
+}
+
 static void test_time_stamps_of_the_monotonic_clock_are_used_as_they_are(void **state)
 {
 	struct fixture *f = *state;
@@ -199,6 +212,7 @@ int main(void)
 		TEST(test_a_step_of_time_is_followed_at_once),
 		TEST(test_time_is_used_for_five_minutes),
 		TEST(test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_smallest_delay),
+		TEST(test_a_clock_of_the_samples_that_is_40_ppm_slow_is_followed),
 		TEST(test_time_stamps_of_the_monotonic_clock_are_used_as_they_are),
 		TEST(test_time_is_produced_periodically_by_a_synchronised_host),
 		TEST(test_received_time_is_not_produced_again),
