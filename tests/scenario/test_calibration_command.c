@@ -258,6 +258,17 @@ static void test_of_a_discarded_result_nothing_is_left(void **state)
 	struct world *w = *state;
 	const struct od_values before = w->device.values;
 
+	assert_int_equal(before.calibration.kind, 0);
+	assert_int_equal(before.calibration.progress, 0);
+	assert_int_equal(before.calibration.positions, 0);
+	assert_int_equal(before.calibration.positions_wanted, 0);
+	assert_int_equal(before.calibration.next_side, 0);
+	assert_int_equal(before.calibration.coverage, 0);
+	assert_near(before.calibration.quality, 0, 0);
+	assert_near(before.calibration.field, 0, 0);
+	assert_near(before.calibration.gyro_sigma, 0, 0);
+	assert_near(before.calibration.bias_x, 0, 0);
+	assert_near(before.calibration.zz, 0, 0);
 	for (uint8_t kind = 2; kind <= 4; kind += 2) {
 		assert_int_equal(command(w, kind), 0);
 		seconds(w, kind == 4 ? "figure" : "multiposition", 63);

@@ -478,6 +478,18 @@ static void test_a_failed_disk_is_answered_to_lss(void **state)
 	assert_non_null(world_last(w, 0x700 + WORLD_NODE_ID));
 }
 
+static void test_lss_stores_the_bit_rate_that_it_has_set_or_the_one_from_before(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(storing_store_lss(&w->device.storing, 5, 250000), OD_OK);
+	assert_int_equal(w->disk.lss.node_id, 5);
+	assert_int_equal(w->disk.lss.bit_s, 250000);
+	assert_int_equal(storing_store_lss(&w->device.storing, 6, 0), OD_OK);
+	assert_int_equal(w->disk.lss.node_id, 6);
+	assert_int_equal(w->disk.lss.bit_s, 250000);
+}
+
 static void test_lss_does_not_store_while_1010h_does(void **state)
 {
 	struct world *w = *state;
@@ -934,6 +946,7 @@ int main(void)
 		TEST(test_storing_by_lss_keeps_what_1010h_stored_and_vice_versa),
 		TEST(test_lss_answers_a_store_only_when_a_slow_disk_has_finished),
 		TEST(test_a_failed_disk_is_answered_to_lss),
+		TEST(test_lss_stores_the_bit_rate_that_it_has_set_or_the_one_from_before),
 		TEST(test_lss_does_not_store_while_1010h_does),
 		TEST(test_the_lever_arm_in_micrometres_is_the_one_in_metres),
 		TEST(test_every_micrometre_is_read_back_as_written),
