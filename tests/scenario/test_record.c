@@ -892,7 +892,9 @@ static void test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it(v
 	assert_int_equal(write_u8(s, 0x215C, 1, 0), 0);
 	size_t stopped = s->sent.count;
 	assert_int_equal(s->sent.frame[stopped - 1].id, 0x580 + NODE);
+	syncs = 0;
 	run(s, 1);
+	assert_int_equal(syncs, 1); /* it is closed */
 	power_off(s);
 	assert_true(replay_all(s) > 9 * RATE_HZ);
 	assert_int_equal(replayed.count, stopped);
