@@ -269,6 +269,13 @@ static void test_of_a_discarded_result_nothing_is_left(void **state)
 	assert_near(before.calibration.gyro_sigma, 0, 0);
 	assert_near(before.calibration.bias_x, 0, 0);
 	assert_near(before.calibration.zz, 0, 0);
+	assert_int_equal(command(w, 3), 0);
+	seconds(w, "multiposition", 19);
+	assert_true(w->device.values.calibration.next_side > 0 && w->device.values.calibration.positions > 0);
+	assert_int_equal(command(w, 0), 0);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_ABORTED);
+	w->device.values.calibration.verdict = before.calibration.verdict; /* only that is left */
+	assert_memory_equal(&w->device.values.calibration, &before.calibration, sizeof(before.calibration));
 	for (uint8_t kind = 2; kind <= 4; kind += 2) {
 		assert_int_equal(command(w, kind), 0);
 		seconds(w, kind == 4 ? "figure" : "multiposition", 63);

@@ -759,6 +759,31 @@ static void test_the_state_has_no_address(void **state)
 	free(bytes);
 }
 
+static void test_a_device_with_the_defaults_goes_on_from_a_state_with_other_pdos(void **state)
+{
+	struct site *s = *state, *other = new_site(RATE_HZ);
+	uint8_t *bytes = malloc(sizeof(struct device));
+
+	assert_non_null(bytes);
+	power_on(s, NULL, NULL);
+	power_on(other, NULL, NULL);
+	assert_int_equal(write_u8(s, 0x2148, 0, 3), 0);
+	nmt(s, 1);
+	run(s, 1);
+	device_state_save(&s->device, bytes);
+	device_state_load(&other->device, bytes);
+	free(bytes);
+	other->now_us = s->now_us;
+	s->sent.count = other->sent.count = 0;
+	receive(s, 0x080, 0, NULL);
+	receive(other, 0x080, 0, NULL);
+	assert_int_equal(s->sent.count, 4);
+	assert_int_equal(other->sent.count, 4);
+	assert_memory_equal(s->sent.frame, other->sent.frame, 4 * sizeof(struct sent));
+	void *gone = other;
+	tear_down(&gone);
+}
+
 static void test_a_recording_can_begin_in_the_run(void **state)
 {
 	struct site *s = *state;
@@ -1408,6 +1433,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(test_an_hour_is_replayed_frame_by_frame, set_up_slow, tear_down),
 		TEST(test_the_state_has_no_address),
+		TEST(test_a_device_with_the_defaults_goes_on_from_a_state_with_other_pdos),
 		TEST(test_a_recording_can_begin_in_the_run),
 		TEST(test_a_transfer_under_way_continues_in_the_next_file),
 		TEST(test_a_configuration_that_is_read_again_begins_a_file),

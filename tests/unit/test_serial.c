@@ -304,12 +304,15 @@ static void test_a_number_is_held_by_a_socket_with_its_name_and_nothing_else_sta
 	struct gateway taken = start(pi, store, "can0", 1234), free_one = start(pi, store, "can0", 0);
 	end_gateway(taken);
 	end_gateway(free_one);
+	struct gateway again = start(pi, store, "can0", 0); /* with a file */
+	end_gateway(again);
 	close(fd);
 	assert_string_equal(taken.note,
 		"serial number 000004D2h is that of another gateway of this host, too: set another --serial");
 	assert_int_equal(taken.descriptors, 0);
 	assert_string_equal(free_one.note, "");
 	assert_int_equal(free_one.descriptors, 1);
+	assert_int_equal(again.descriptors, 1);
 }
 
 static void test_without_sockets_a_gateway_has_the_number_of_its_hardware(void **state)
