@@ -1193,6 +1193,35 @@ static void test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample
 
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
+/* A tick is one entry; the others of an input are what the ports have answered. */
+static void test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it_for_a_new_file(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	struct record *r = &s->record;
+
+	power_on(s, NULL, &options);
+	run(s, 1);
+	record_file_turn(&s->file);
+	s->recording = false; /* nothing is taken out */
+	while (r->lost == 0)
+		tick(s);
+	assert_int_equal(r->head - r->tail, RECORD_RING - 16);
+	for (int i = 0; i < 8; i++)
+		tick(s);
+	assert_int_equal(r->head - r->tail, RECORD_RING - 16);
+	assert_int_equal(r->lost, 9);
+	while (r->head - r->tail > RECORD_RING / 2)
+		record_taken(r);
+	tick(s);
+	assert_int_equal(r->lost, 10);
+	record_taken(r);
+	tick(s);
+	assert_int_equal(r->lost, 10);
+	assert_int_equal(r->lost_now, 0);
+	s->recording = true;
+}
+
 static void test_a_recording_is_an_imu_log(void **state)
 {
 	struct site *s = *state;
@@ -1452,6 +1481,7 @@ int main(void)
 		TEST(test_a_disk_that_takes_nothing_is_full),
 		TEST(test_a_file_that_cannot_begin_ends_the_recording_each_time),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
+		TEST(test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it_for_a_new_file),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
 		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
