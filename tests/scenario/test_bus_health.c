@@ -260,6 +260,22 @@ static void test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute(void **s
 	}
 }
 
+static void test_a_delay_of_a_millisecond_grows_to_a_minute_too(void **state)
+{
+	struct world *w = *state;
+
+	w->values.bus_health.restart_delay = 1;
+	for (unsigned i = 0; i < 19; i++) {
+		uint64_t off_us = w->now_us;
+
+		set_state(w, CAN_STATE_BUS_OFF);
+		run(w, 60 * SECOND);
+		assert_int_equal(w->restarted_us[i] - off_us, i < 16 ? 1000u << i : 60000000);
+		w->now_us = w->restarted_us[i] + 1; /* bus-off again at once */
+		w->deadline_us = w->now_us + 1;
+	}
+}
+
 static void test_a_minute_without_bus_off_resets_the_delay(void **state)
 {
 	struct world *w = *state;
@@ -399,6 +415,7 @@ int main(void)
 		TEST(test_error_passive_that_ended_in_bus_off_is_over_when_the_controller_is_error_active),
 		TEST(test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent),
 		TEST(test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute),
+		TEST(test_a_delay_of_a_millisecond_grows_to_a_minute_too),
 		TEST(test_a_minute_without_bus_off_resets_the_delay),
 		TEST(test_beyond_the_limit_the_controller_stays_bus_off_until_the_command),
 		TEST(test_a_delay_of_0_leaves_bus_off_to_the_kernel),

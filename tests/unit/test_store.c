@@ -341,6 +341,24 @@ static void test_a_bad_file_is_never_overwritten(void **state)
 	}
 }
 
+static void test_of_more_than_a_hundred_bad_files_the_last_one_stays(void **state)
+{
+	struct store_image image;
+	const uint8_t byte = 1;
+	char name[200];
+
+	(void)state;
+	for (int n = 0; n <= 100; n++) {
+		write_bytes(&byte, 1);
+		assert_int_equal(store_read(&image, path), -EBADMSG);
+		assert_int_equal(exists(path), n == 100);
+	}
+	for (int n = 0; n < 100; n++) {
+		snprintf(name, sizeof(name), n ? "%s.%d" : "%s", bad_path, n);
+		assert_int_equal(unlink(name), 0);
+	}
+}
+
 /* None of them is opened in a way that waits, and none is written through. */
 static void test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one(void **state)
 {
@@ -500,12 +518,17 @@ static void test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none(vo
 
 static void test_an_invalid_node_id_is_damage(void **state)
 {
-	struct store_image image = {.lss.node_id = 200}, back;
+	static const uint8_t wrong[] = {128, 254};
+	struct store_image image = {.lss.node_id = 127}, back;
 	uint8_t bytes[STORE_FILE_MAX];
 
 	(void)state;
-	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), -EBADMSG);
-	assert_int_equal(back.lss.node_id, 0);
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), 0);
+	for (size_t i = 0; i < 2; i++) {
+		image.lss.node_id = wrong[i];
+		assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), -EBADMSG);
+		assert_int_equal(back.lss.node_id, 0);
+	}
 }
 
 /* Sizes of the three groups, which have one byte together. */
@@ -671,6 +694,7 @@ int main(void)
 		TEST(test_without_a_thread_the_store_is_not_open_and_its_lock_is_free),
 		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
 		TEST(test_a_bad_file_is_never_overwritten),
+		TEST(test_of_more_than_a_hundred_bad_files_the_last_one_stays),
 		TEST(test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one),
 		TEST(test_a_lock_that_is_a_link_is_not_followed),
 		TEST(test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so),
