@@ -482,12 +482,17 @@ static void test_lss_stores_the_bit_rate_that_it_has_set_or_the_one_from_before(
 {
 	struct world *w = *state;
 
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(store_all(w), 0);
+	world_power_on(w, NULL);
 	assert_int_equal(storing_store_lss(&w->device.storing, 5, 250000), OD_OK);
 	assert_int_equal(w->disk.lss.node_id, 5);
 	assert_int_equal(w->disk.lss.bit_s, 250000);
 	assert_int_equal(storing_store_lss(&w->device.storing, 6, 0), OD_OK);
 	assert_int_equal(w->disk.lss.node_id, 6);
 	assert_int_equal(w->disk.lss.bit_s, 250000);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 3, 0);
 }
 
 static void test_lss_does_not_store_while_1010h_does(void **state)

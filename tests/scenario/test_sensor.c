@@ -276,6 +276,9 @@ static void test_unsupported_settings_raise_6321h_at_once_and_the_sensor_is_unch
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(world_emcy_code(w), 0x6321);
 	assert_true(w->imu.rate_hz == 100);
+	assert_non_null(
+		strstr(w->device.log.text, "unchanged: it goes to 800 Hz, and the reason for that has more than 80 "
+					   "characters, which is no rea\n")); /* 150 in all */
 	rate = 400;
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(world_emcy_code(w), 0);

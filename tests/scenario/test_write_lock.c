@@ -132,6 +132,24 @@ static void test_the_lock_is_stored_at_once_and_nothing_else_with_it(void **stat
 	assert_int_equal(write_heartbeat(w), 0);
 }
 
+static void test_what_was_stored_before_stays(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_heartbeat(w), 0);
+	assert_int_equal(write_u32(w, 0x1010, 1, 0x65766173), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(write_key(w, KEY), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+	assert_int_equal(write_key(w, KEY), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+	assert_int_equal(write_u32(w, 0x1011, 3, 0x64616F6C), 0); /* of another group */
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+}
+
 static void test_a_lock_that_cannot_be_stored_is_refused(void **state)
 {
 	struct world *w = *state;
@@ -170,6 +188,7 @@ int main(void)
 		TEST(test_only_the_same_key_opens_it),
 		TEST(test_the_key_cannot_be_read),
 		TEST(test_the_lock_is_stored_at_once_and_nothing_else_with_it),
+		TEST(test_what_was_stored_before_stays),
 		TEST(test_a_lock_that_cannot_be_stored_is_refused),
 		TEST(test_while_anything_is_stored_nothing_else_is),
 	};
