@@ -214,6 +214,12 @@ static void test_the_cut_off_of_2012h_filters_angles_and_slopes_and_nothing_else
 		largest = fmax(largest, fabs(remainder(raw - filtered, 360)));
 	}
 	assert_true(largest > 5); /* the signal moves, and the filter delays */
+	world_nmt(w, 0x81);
+	world_nmt(plain, 0x81);
+	assert_int_equal(world_sdo_write(w, 0x2012, 1, &cutoff, 4), 0);
+	world_sample(w);
+	world_sample(plain);
+	assert_near(w->device.values.angles_deg.roll, plain->device.values.angles_deg.roll, 1e-6); /* it starts anew */
 	void *other = plain;
 	world_tear_down(&other);
 }

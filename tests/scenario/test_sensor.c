@@ -165,6 +165,48 @@ static unsigned lines(const struct world *w, const char *line)
 	return n;
 }
 
+static void test_reset_node_reports_a_fault_that_stays_again_and_forgets_the_others(void **state)
+{
+	struct world *w = *state;
+	const float rate = 1000;
+
+	w->imu.health.degraded = IMU_FAULT_FROZEN;
+	w->imu.health.degraded_chip = IMU_CHIP_MAG;
+	world_samples(w, 2);
+	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
+	assert_int_equal(world_emcy_code(w), 0x6321);
+	w->device.pipeline.implausible = 1; /* counted from the reset on */
+	world_samples(w, 2);
+	assert_int_equal(world_emcy_code(w), 0x5032);
+	unsigned before = world_count(w, 0x080 + WORLD_NODE_ID);
+	world_nmt(w, 0x81);
+	world_samples(w, 300);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), before + 1);
+	assert_int_equal(world_emcy_code(w), 0x5031);
+}
+
+/* The last one again and again; then the clock has gone back. */
+static void test_samples_whose_time_stands_still_are_none(void **state)
+{
+	struct world *w = *state;
+	struct imu_sample s;
+
+	world_seconds(w, 1);
+	sensor_next(&w->sensor, w->signal, &s, NULL);
+	for (int i = 0; i < 100; i++)
+		world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0x5030);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), 1);
+	assert_false(w->device.values.sample.status & PIPELINE_VALID);
+	s.t_us = 1000;
+	world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0x5030);
+	s.t_us += w->interval_us;
+	world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0);
+	assert_true(w->device.values.sample.status & PIPELINE_VALID);
+}
+
 static void test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object(void **state)
 {
 	struct world *w = *state;
@@ -336,6 +378,8 @@ int main(void)
 		WORLD(test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs),
 		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
 		WORLD(test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without),
+		WORLD(test_reset_node_reports_a_fault_that_stays_again_and_forgets_the_others),
+		WORLD(test_samples_whose_time_stands_still_are_none),
 		WORLD(test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object),
 		WORLD(test_a_saturated_sample_sets_its_status_bit),
 		WORLD(test_without_a_temperature_it_is_not_known),
