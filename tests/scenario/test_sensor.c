@@ -179,10 +179,16 @@ static void test_reset_node_reports_a_fault_that_stays_again_and_forgets_the_oth
 	world_samples(w, 2);
 	assert_int_equal(world_emcy_code(w), 0x5032);
 	unsigned before = world_count(w, 0x080 + WORLD_NODE_ID);
-	world_nmt(w, 0x81);
+	world_nmt(w, 0x81); /* back to a rate that the sensor has */
 	world_samples(w, 300);
 	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), before + 1);
 	assert_int_equal(world_emcy_code(w), 0x5031);
+	w->device.storing.base.sensor.rate = rate; /* as if stored */
+	for (int i = 2; i <= 4; i += 2) {
+		world_nmt(w, 0x81);
+		world_samples(w, 300);
+		assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), before + 1 + (unsigned)i);
+	}
 }
 
 /* The last one again and again; then the clock has gone back. */
