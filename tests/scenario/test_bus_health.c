@@ -25,7 +25,7 @@ struct world {
 	uint64_t now_us, deadline_us;
 	struct can_traffic traffic; /* the counters of the interface */
 	int restart_answer, bit_rate_answer;
-	unsigned restarts;
+	unsigned looks, restarts;
 	uint64_t restarted_us[32];
 	uint32_t set_bit_s;
 	uint16_t emcy[32]; /* codes, in order */
@@ -55,6 +55,7 @@ static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
 static void look(struct can_port *port)
 {
 	port->traffic = of(port)->traffic;
+	of(port)->looks++;
 }
 
 /* Error active at once when a restart is permitted. */
@@ -157,6 +158,25 @@ static void test_the_load_is_that_of_the_last_second_in_permille(void **state)
 	run(w, SECOND);
 	assert_int_equal(w->values.bus_health.load, 0);
 	assert_int_equal(w->values.bus_health.highest_load, 493);
+	bus_health_reset(&w->health);
+	assert_int_equal(w->values.bus_health.highest_load, 0);
+}
+
+static void test_the_bus_is_looked_at_with_the_first_tick_and_each_second(void **state)
+{
+	struct world *w = *state;
+
+	bus_health_init(&w->health, &w->bus, &w->node, &w->od, &w->log);
+	w->looks = 0;
+	w->now_us = 1; /* the host has just started */
+	tick(w);
+	assert_int_equal(w->looks, 1);
+	w->now_us = SECOND;
+	tick(w);
+	assert_int_equal(w->looks, 1);
+	w->now_us = SECOND + 1;
+	tick(w);
+	assert_int_equal(w->looks, 2);
 }
 
 static void test_without_a_bit_rate_there_is_no_load(void **state)
@@ -408,6 +428,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_frame_of_8_bytes_is_counted_with_half_its_stuff_bits),
 		TEST(test_the_load_is_that_of_the_last_second_in_permille),
+		TEST(test_the_bus_is_looked_at_with_the_first_tick_and_each_second),
 		TEST(test_without_a_bit_rate_there_is_no_load),
 		TEST(test_counters_that_restart_at_zero_are_no_load),
 		TEST(test_state_error_counters_and_bit_rate_are_objects),
