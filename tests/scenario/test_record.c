@@ -1136,8 +1136,10 @@ static void test_a_disk_that_takes_nothing_is_full(void **state)
 	run(s, 10);
 	takes_nothing = false;
 	assert_int_equal(s->device.values.recording.state, RECORD_ENDED);
-	assert_non_null(strstr(s->device.log.text, "recording ended: No space left on device; "
-						   "correct that, then write 1 to 215Ch:1 to start it again\n"));
+	const char *said = strstr(s->device.log.text, "recording ended: No space left on device; "
+						      "correct that, then write 1 to 215Ch:1 to start it again\n");
+	assert_non_null(said);
+	assert_null(strstr(said + 1, "recording ended")); /* once */
 }
 
 static void test_a_file_that_cannot_begin_ends_the_recording_each_time(void **state)
@@ -1220,6 +1222,30 @@ static void test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it
 	assert_int_equal(r->lost, 10);
 	assert_int_equal(r->lost_now, 0);
 	s->recording = true;
+}
+
+static void test_what_the_ports_and_the_recording_show_is_a_row_when_it_changes(void **state)
+{
+	static const char *const rows[] = {"# imu ", "# bus ", "# recording "};
+	unsigned counts[3] = {0};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	char path[160], line[2000];
+
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 10.5);
+	power_off(s);
+	snprintf(path, sizeof(path), "%s/imu9-000001.imu.csv", s->folder);
+	FILE *f = fopen(path, "r");
+	assert_non_null(f);
+	while (fgets(line, sizeof(line), f))
+		for (int i = 0; i < 3; i++)
+			counts[i] += strncmp(line, rows[i], strlen(rows[i])) == 0;
+	fclose(f);
+	assert_int_equal(counts[0], 1);
+	assert_int_equal(counts[1], 1 + 11); /* the counters of the interface are read each second */
+	assert_int_equal(counts[2], 2);	     /* off, then on */
 }
 
 static void test_a_recording_is_an_imu_log(void **state)
@@ -1482,6 +1508,7 @@ int main(void)
 		TEST(test_a_file_that_cannot_begin_ends_the_recording_each_time),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
 		TEST(test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it_for_a_new_file),
+		TEST(test_what_the_ports_and_the_recording_show_is_a_row_when_it_changes),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
 		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
