@@ -10,12 +10,14 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <modbus/modbus.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <termios.h>
 #include <unistd.h>
 
@@ -24,6 +26,25 @@
 #include "gateway/modbus/server.h"
 
 enum { AT_REALS = 100, REALS = 102, AT_MODEL = 0x1040, COIL_STORE = 1, PATIENCE_MS = 60000 };
+
+/* What happens, and what poll() returns, when the server waits for the loop; NULL: it waits. */
+static int (*instead_of_waiting)(void);
+static atomic_uint without_delay; /* connections whose answers do not wait for each other */
+
+int poll(struct pollfd *fds, nfds_t count, int timeout)
+{
+	const struct timespec limit = {timeout / 1000, timeout % 1000 * 1000000};
+
+	if (instead_of_waiting && timeout == MODBUS_LINK_PATIENCE_MS)
+		return instead_of_waiting();
+	return (int)syscall(SYS_ppoll, fds, count, timeout < 0 ? NULL : &limit, NULL, 0);
+}
+
+int setsockopt(int fd, int level, int name, const void *value, socklen_t size)
+{
+	without_delay += level == IPPROTO_TCP && name == TCP_NODELAY && *(const int *)value == 1;
+	return (int)syscall(SYS_setsockopt, fd, level, name, value, size);
+}
 
 /* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
@@ -273,6 +294,21 @@ static void test_a_client_reads_what_it_wrote_while_samples_go_on(void **state)
 	close_client(client);
 }
 
+static void test_an_answer_is_sent_at_once(void **state)
+{
+	static const uint8_t read_model[] = {0, 9, 0, 0, 0, 6, 1, 3, AT_MODEL >> 8, AT_MODEL & 0xFF, 0, 1};
+	uint8_t response[11];
+
+	(void)state;
+	start("");
+	without_delay = 0;
+	int fd = connect_raw();
+	assert_int_equal(write(fd, read_model, sizeof(read_model)), sizeof(read_model));
+	receive(fd, response, sizeof(response));
+	close(fd);
+	assert_int_equal(without_delay, 1);
+}
+
 static void test_a_client_outside_the_second_list_may_only_read(void **state)
 {
 	(void)state;
@@ -492,6 +528,40 @@ static void test_the_end_of_a_job_is_that_of_its_ticket(void **state)
 	assert_int_equal(status, OD_OK);
 }
 
+static struct modbus_link waited;
+
+static int nothing_happens(void)
+{
+	return 0;
+}
+
+/* The loop has begun before the patience ends, and ends later. */
+static int take_then_end(void)
+{
+	static struct modbus_job *job;
+
+	if (!job) {
+		job = modbus_link_take(&waited);
+		return 0;
+	}
+	job->status = OD_TOO_HIGH;
+	modbus_link_done(&waited);
+	return 1;
+}
+
+static void test_a_job_that_the_loop_does_not_begin_is_withdrawn_and_one_that_it_has_begun_is_waited_for(void **state)
+{
+	(void)state;
+	assert_int_equal(modbus_link_open(&waited), 0);
+	instead_of_waiting = nothing_happens;
+	assert_int_equal(modbus_link_submit(&waited), OD_DEVICE_STATE);
+	assert_null(modbus_link_take(&waited));
+	instead_of_waiting = take_then_end;
+	assert_int_equal(modbus_link_submit(&waited), OD_TOO_HIGH);
+	instead_of_waiting = NULL;
+	modbus_link_close(&waited);
+}
+
 /* ---- start and end ----------------------------------------------------------------------------------------------- */
 
 static void test_a_window_that_cannot_be_opened_is_told(void **state)
@@ -539,6 +609,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_each_response_has_the_values_of_one_sample),
 		TEST(test_a_client_reads_what_it_wrote_while_samples_go_on),
+		TEST(test_an_answer_is_sent_at_once),
 		TEST(test_a_client_outside_the_second_list_may_only_read),
 		TEST(test_a_client_outside_the_first_list_is_not_served),
 		TEST(test_there_are_no_more_clients_than_permitted),
@@ -551,6 +622,8 @@ int main(void)
 		TEST(test_requests_to_other_slaves_and_noise_are_not_answered),
 		TEST(test_a_window_that_cannot_be_opened_is_told),
 		cmocka_unit_test(test_the_end_of_a_job_is_that_of_its_ticket),
+		cmocka_unit_test(
+			test_a_job_that_the_loop_does_not_begin_is_withdrawn_and_one_that_it_has_begun_is_waited_for),
 		cmocka_unit_test(test_the_server_ends_while_a_job_waits_for_the_loop),
 	};
 
