@@ -25,7 +25,7 @@ struct world {
 	uint64_t now_us, deadline_us;
 	struct can_traffic traffic; /* the counters of the interface */
 	int restart_answer, bit_rate_answer;
-	unsigned restarts;
+	unsigned looks, restarts;
 	uint64_t restarted_us[32];
 	uint32_t set_bit_s;
 	uint16_t emcy[32]; /* codes, in order */
@@ -55,6 +55,7 @@ static int take_filter(struct can_port *port, const uint32_t *ids, size_t n)
 static void look(struct can_port *port)
 {
 	port->traffic = of(port)->traffic;
+	of(port)->looks++;
 }
 
 /* Error active at once when a restart is permitted. */
@@ -157,6 +158,25 @@ static void test_the_load_is_that_of_the_last_second_in_permille(void **state)
 	run(w, SECOND);
 	assert_int_equal(w->values.bus_health.load, 0);
 	assert_int_equal(w->values.bus_health.highest_load, 493);
+	bus_health_reset(&w->health);
+	assert_int_equal(w->values.bus_health.highest_load, 0);
+}
+
+static void test_the_bus_is_looked_at_with_the_first_tick_and_each_second(void **state)
+{
+	struct world *w = *state;
+
+	bus_health_init(&w->health, &w->bus, &w->node, &w->od, &w->log);
+	w->looks = 0;
+	w->now_us = 1; /* the host has just started */
+	tick(w);
+	assert_int_equal(w->looks, 1);
+	w->now_us = SECOND;
+	tick(w);
+	assert_int_equal(w->looks, 1);
+	w->now_us = SECOND + 1;
+	tick(w);
+	assert_int_equal(w->looks, 2);
 }
 
 static void test_without_a_bit_rate_there_is_no_load(void **state)
@@ -255,6 +275,22 @@ static void test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute(void **s
 		run(w, 60 * SECOND);
 		assert_int_equal(w->restarts, i + 1);
 		assert_int_equal(w->restarted_us[i] - off_us, (expected_ms < 60000 ? expected_ms : 60000) * 1000);
+		w->now_us = w->restarted_us[i] + 1; /* bus-off again at once */
+		w->deadline_us = w->now_us + 1;
+	}
+}
+
+static void test_a_delay_of_a_millisecond_grows_to_a_minute_too(void **state)
+{
+	struct world *w = *state;
+
+	w->values.bus_health.restart_delay = 1;
+	for (unsigned i = 0; i < 19; i++) {
+		uint64_t off_us = w->now_us;
+
+		set_state(w, CAN_STATE_BUS_OFF);
+		run(w, 60 * SECOND);
+		assert_int_equal(w->restarted_us[i] - off_us, i < 16 ? 1000u << i : 60000000);
 		w->now_us = w->restarted_us[i] + 1; /* bus-off again at once */
 		w->deadline_us = w->now_us + 1;
 	}
@@ -392,6 +428,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_frame_of_8_bytes_is_counted_with_half_its_stuff_bits),
 		TEST(test_the_load_is_that_of_the_last_second_in_permille),
+		TEST(test_the_bus_is_looked_at_with_the_first_tick_and_each_second),
 		TEST(test_without_a_bit_rate_there_is_no_load),
 		TEST(test_counters_that_restart_at_zero_are_no_load),
 		TEST(test_state_error_counters_and_bit_rate_are_objects),
@@ -399,6 +436,7 @@ int main(void)
 		TEST(test_error_passive_that_ended_in_bus_off_is_over_when_the_controller_is_error_active),
 		TEST(test_after_bus_off_the_controller_is_restarted_after_the_delay_and_8140h_is_sent),
 		TEST(test_each_restart_in_a_row_doubles_the_delay_up_to_a_minute),
+		TEST(test_a_delay_of_a_millisecond_grows_to_a_minute_too),
 		TEST(test_a_minute_without_bus_off_resets_the_delay),
 		TEST(test_beyond_the_limit_the_controller_stays_bus_off_until_the_command),
 		TEST(test_a_delay_of_0_leaves_bus_off_to_the_kernel),

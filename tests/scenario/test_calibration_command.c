@@ -70,6 +70,19 @@ static void test_a_gyro_bias_is_estimated_accepted_and_used(void **state)
 	assert_non_null(strstr(w->device.log.text, "calibration gyro accepted: bias "));
 }
 
+/* As far as a bias can have drifted when it is used: 1.5 times 2020h:4. */
+static void test_the_sigma_of_a_gyro_bias_has_its_instability(void **state)
+{
+	static const float instability_deg_s = 0.5f;
+	struct world *w = *state;
+
+	assert_int_equal(world_sdo_write(w, 0x2020, 4, &instability_deg_s, 4), 0);
+	assert_int_equal(command(w, 1), 0);
+	seconds(w, "rest", 12);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+	assert_near(w->device.values.calibration.quality, 1.5 * 0.5 * M_PI / 180, 1e-4);
+}
+
 static void test_free_positions_calibrate_the_accelerometer(void **state)
 {
 	struct world *w = *state;
@@ -173,9 +186,13 @@ static void test_an_accepted_and_stored_result_is_used_after_power_on(void **sta
 static void test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature(void **state)
 {
 	struct world *w = *state;
-	const float slope = (float)w->sensor.gyro.slope.x;
+	const float slope[] = {
+		(float)w->sensor.gyro.slope.x, (float)w->sensor.gyro.slope.y, (float)w->sensor.gyro.slope.z};
 
-	assert_int_equal(world_sdo_write(w, 0x2054, 1, &slope, 4), 0);
+	for (uint8_t i = 0; i < 3; i++) {
+		assert_true(fabs((double)slope[i]) * 15 > 4e-3); /* so that a wrong sign is seen */
+		assert_int_equal(world_sdo_write(w, 0x2054, (uint8_t)(i + 1), &slope[i], 4), 0);
+	}
 	seconds(w, "rest", 120);
 	assert_int_equal(command(w, 1), 0);
 	seconds(w, "rest", 12);
@@ -183,6 +200,8 @@ static void test_with_temperature_compensation_the_bias_is_converted_to_the_refe
 	assert_true((double)w->device.values.calibration.temperature > 35);
 	assert_int_equal(command(w, 10), 0);
 	assert_near(w->device.values.gyro_calibration.bias_x, w->sensor.gyro.bias.x, 2e-3);
+	assert_near(w->device.values.gyro_calibration.bias_y, w->sensor.gyro.bias.y, 2e-3);
+	assert_near(w->device.values.gyro_calibration.bias_z, w->sensor.gyro.bias.z, 2e-3);
 }
 
 /* ---- refusals ---------------------------------------------------------------------------------------------------- */
@@ -209,6 +228,19 @@ static void test_accept_and_discard_need_a_result(void **state)
 	assert_int_equal(command(w, 10), DEVICE_STATE);
 }
 
+static void test_a_result_that_its_object_refuses_is_kept_and_nothing_of_it_accepted(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(command(w, 2), 0);
+	seconds(w, "multiposition", 63);
+	w->device.values.calibration.zz = 11; /* the last one; 2051h:12 takes up to 10 */
+	assert_int_equal(command(w, 10), 0x06090031);
+	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+	assert_near(w->device.values.accelerometer_calibration.bias_x, 0, 0);
+	assert_int_equal(command(w, 11), 0);
+}
+
 static void test_a_discarded_result_changes_nothing(void **state)
 {
 	struct world *w = *state;
@@ -219,6 +251,38 @@ static void test_a_discarded_result_changes_nothing(void **state)
 	assert_state(w, COMMAND_IDLE, CALIBRATE_COLLECTING);
 	assert_near(w->device.values.gyro_calibration.bias_x, 0, 0);
 	assert_int_equal(command(w, 10), DEVICE_STATE);
+}
+
+static void test_of_a_discarded_result_nothing_is_left(void **state)
+{
+	struct world *w = *state;
+	const struct od_values before = w->device.values;
+
+	assert_int_equal(before.calibration.kind, 0);
+	assert_int_equal(before.calibration.progress, 0);
+	assert_int_equal(before.calibration.positions, 0);
+	assert_int_equal(before.calibration.positions_wanted, 0);
+	assert_int_equal(before.calibration.next_side, 0);
+	assert_int_equal(before.calibration.coverage, 0);
+	assert_near(before.calibration.quality, 0, 0);
+	assert_near(before.calibration.field, 0, 0);
+	assert_near(before.calibration.gyro_sigma, 0, 0);
+	assert_near(before.calibration.bias_x, 0, 0);
+	assert_near(before.calibration.zz, 0, 0);
+	assert_int_equal(command(w, 3), 0);
+	seconds(w, "multiposition", 19);
+	assert_true(w->device.values.calibration.next_side > 0 && w->device.values.calibration.positions > 0);
+	assert_int_equal(command(w, 0), 0);
+	assert_state(w, COMMAND_IDLE, CALIBRATE_ABORTED);
+	w->device.values.calibration.verdict = before.calibration.verdict; /* only that is left */
+	assert_memory_equal(&w->device.values.calibration, &before.calibration, sizeof(before.calibration));
+	for (uint8_t kind = 2; kind <= 4; kind += 2) {
+		assert_int_equal(command(w, kind), 0);
+		seconds(w, kind == 4 ? "figure" : "multiposition", 63);
+		assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+		assert_int_equal(command(w, 11), 0);
+		assert_memory_equal(&w->device.values.calibration, &before.calibration, sizeof(before.calibration));
+	}
 }
 
 static void test_only_one_runs_at_a_time(void **state)
@@ -306,6 +370,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
+		TEST(test_the_sigma_of_a_gyro_bias_has_its_instability),
 		TEST(test_free_positions_calibrate_the_accelerometer),
 		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),
 		TEST(test_six_faces_calibrate_the_accelerometer),
@@ -314,7 +379,9 @@ int main(void)
 		WARM(test_with_temperature_compensation_the_bias_is_converted_to_the_reference_temperature),
 		TEST(test_motion_ends_in_a_refusal_without_a_result),
 		TEST(test_accept_and_discard_need_a_result),
+		TEST(test_a_result_that_its_object_refuses_is_kept_and_nothing_of_it_accepted),
 		TEST(test_a_discarded_result_changes_nothing),
+		TEST(test_of_a_discarded_result_nothing_is_left),
 		TEST(test_only_one_runs_at_a_time),
 		TEST(test_the_lever_arm_and_a_calibration_exclude_each_other),
 		TEST(test_a_command_that_does_not_exist_is_refused),

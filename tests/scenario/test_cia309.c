@@ -166,6 +166,7 @@ static void test_this_node_is_answered_without_a_frame(void **state)
 	assert_answer(t, "[4] 5 r 0x1008 0 vs", "[4] \"IMU9 CANopen gateway\"");
 	assert_answer(t, "[5] 5 w 0x2000 1 r32 0.05", "[5] OK");
 	assert_answer(t, "[6] 5 r 0x2000 1 r32", "[6] 0.05");
+	assert_answer(t, "[4294967295] 5 r 0x1017 0 u16", "[4294967295] 1000");
 	assert_true(t->node[A].device.values.lever_arm.l == 0.05f);
 	assert_int_equal(t->node[A].frame_count, frames);
 }
@@ -379,12 +380,17 @@ static void test_a_node_is_selected_and_configured_by_its_lss_address(void **sta
 static void test_this_node_takes_part_in_lss(void **state)
 {
 	struct net *t = *state;
+	char identity[96];
 
 	t->off = true;
 	assert_answer(t, "[1] lss_switch_glob 1", "[1] OK");
 	assert_answer(t, "[2] lss_inquire_addr 3", "[2] 0x000003E9");
 	assert_answer(t, "[3] lss_get_node", "[3] 0x05");
-	assert_answer(t, "[4] lss_switch_glob 0", "[4] OK");
+	snprintf(identity, sizeof(identity), "[4] 0x00494D55 0x%08X 0x%08X 0x%08X",
+		t->node[A].device.values.identity.product_code, t->node[A].device.values.identity.revision_number,
+		SERIAL_A);
+	assert_answer(t, "[4] lss_inquire_addr", identity);
+	assert_answer(t, "[5] lss_switch_glob 0", "[5] OK");
 }
 
 static void test_a_storage_that_fails_is_the_error_of_lss_store(void **state)

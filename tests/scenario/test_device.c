@@ -478,6 +478,23 @@ static void test_a_failed_disk_is_answered_to_lss(void **state)
 	assert_non_null(world_last(w, 0x700 + WORLD_NODE_ID));
 }
 
+static void test_lss_stores_the_bit_rate_that_it_has_set_or_the_one_from_before(void **state)
+{
+	struct world *w = *state;
+
+	write_lever_arm(w, 3, 0, 0);
+	assert_int_equal(store_all(w), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(storing_store_lss(&w->device.storing, 5, 250000), OD_OK);
+	assert_int_equal(w->disk.lss.node_id, 5);
+	assert_int_equal(w->disk.lss.bit_s, 250000);
+	assert_int_equal(storing_store_lss(&w->device.storing, 6, 0), OD_OK);
+	assert_int_equal(w->disk.lss.node_id, 6);
+	assert_int_equal(w->disk.lss.bit_s, 250000);
+	world_power_on(w, NULL);
+	assert_near(w->device.values.lever_arm.l, 3, 0);
+}
+
 static void test_lss_does_not_store_while_1010h_does(void **state)
 {
 	struct world *w = *state;
@@ -579,6 +596,60 @@ static void test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_
 	lss_store_node_id(w, 5); /* keeps what the file has */
 	world_power_on(w, NULL);
 	assert_near(w->device.values.lever_arm.l, 3, 0);
+}
+
+static void test_a_device_without_storage_stores_nothing_and_says_so(void **state)
+{
+	struct world *w = *state;
+
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), 0);
+	device_start(&w->device, false, w->now_us);
+	world_samples(w, 2);
+	assert_int_equal(store_all(w), 0x08000020);
+	assert_int_equal(world_sdo_write(w, 0x1011, 1, "load", 4), 0x08000020);
+	assert_int_equal(world_emcy_code(w), 0);
+}
+
+/* The process has kept the file as .bad. */
+static void test_damaged_stored_values_raise_5530h_at_the_start(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(world_emcy_code(w), 0);
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), 0);
+	device_start(&w->device, true, w->now_us);
+	world_samples(w, 2);
+	assert_int_equal(world_emcy_code(w), 0x5530);
+	assert_int_equal(w->device.values.error_register, 0x81);
+}
+
+/* Without stored values there are none to go back to. */
+static void test_an_inconsistent_configuration_file_keeps_the_device_from_starting(void **state)
+{
+	struct world *w = *state;
+
+	w->device = (struct device){0};
+	od_init(&w->device.od, &imu9_od_table, &w->device.values, WORLD_NODE_ID);
+	w->device.values.gyro_calibration.xx = 0; /* a matrix without an inverse */
+	w->device.values.gyro_calibration.xy = 0;
+	w->device.values.gyro_calibration.xz = 0;
+	assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, WORLD_NODE_ID), -EINVAL);
+}
+
+static void test_a_node_id_that_is_none_is_refused_at_the_start(void **state)
+{
+	static const uint8_t none[] = {0, 128, 254};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < sizeof(none); i++) {
+		w->device = (struct device){0};
+		od_init(&w->device.od, &imu9_od_table, &w->device.values, none[i]);
+		assert_int_equal(device_init(&w->device, &w->bus, &w->imu, NULL, NULL, none[i]), -EINVAL);
+	}
 }
 
 static void test_a_slow_disk_delays_the_answer_and_not_the_samples(void **state)
@@ -694,6 +765,25 @@ static void test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log
 		assert_near(w->device.values.fusion.gyro_scale_sigma, 0.002, 1e-7); /* the default */
 		assert_true(event_log_has(w, gyro_scale_left_out));
 	}
+}
+
+static void test_stored_values_that_are_unknown_or_out_of_range_are_counted_and_the_others_applied(void **state)
+{
+	static const uint8_t quarter[] = {0, 0, 0x80, 0x3E}, large[] = {0, 0, 0x80, 0x7E};
+	const struct od_dcf_item communication[] = {{0x1017, 0, quarter, 2}, {0x1FFF, 0, quarter, 4}},
+				 manufacturer[] = {{0x2000, 1, quarter, 4}, {0x2000, 2, large, 4}};
+	struct world *w = *state;
+
+	for (size_t i = 0; i < 2; i++) {
+		od_dcf_add(w->disk.groups[0].dcf, STORE_GROUP_MAX, &w->disk.groups[0].size, &communication[i]);
+		od_dcf_add(w->disk.groups[2].dcf, STORE_GROUP_MAX, &w->disk.groups[2].size, &manufacturer[i]);
+	}
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 0);
+	assert_near(w->device.values.lever_arm.l, 0.25, 0);
+	assert_near(w->device.values.lever_arm.s, 0, 0);
+	assert_true(event_log_has(w, " 2 stored values not applied: unknown or out of range in this version; "
+				     "store again (1010h)\n"));
 }
 
 static void test_storing_another_group_does_not_restore_the_value_of_the_old_meaning(void **state)
@@ -861,6 +951,7 @@ int main(void)
 		TEST(test_storing_by_lss_keeps_what_1010h_stored_and_vice_versa),
 		TEST(test_lss_answers_a_store_only_when_a_slow_disk_has_finished),
 		TEST(test_a_failed_disk_is_answered_to_lss),
+		TEST(test_lss_stores_the_bit_rate_that_it_has_set_or_the_one_from_before),
 		TEST(test_lss_does_not_store_while_1010h_does),
 		TEST(test_the_lever_arm_in_micrometres_is_the_one_in_metres),
 		TEST(test_every_micrometre_is_read_back_as_written),
@@ -868,9 +959,14 @@ int main(void)
 		TEST(test_the_status_shows_that_2117h_is_utc),
 		TEST(test_a_failed_disk_is_answered_by_an_abort_and_the_old_values_stay_stored),
 		TEST(test_values_that_may_not_survive_a_power_cut_are_an_error_but_count_as_stored),
+		TEST(test_a_device_without_storage_stores_nothing_and_says_so),
+		TEST(test_damaged_stored_values_raise_5530h_at_the_start),
+		TEST(test_an_inconsistent_configuration_file_keeps_the_device_from_starting),
+		TEST(test_a_node_id_that_is_none_is_refused_at_the_start),
 		TEST(test_a_slow_disk_delays_the_answer_and_not_the_samples),
 		TEST(test_a_second_store_during_a_store_is_refused),
 		TEST(test_a_stored_value_whose_meaning_changed_is_not_applied_and_the_log_names_it),
+		TEST(test_stored_values_that_are_unknown_or_out_of_range_are_counted_and_the_others_applied),
 		TEST(test_storing_another_group_does_not_restore_the_value_of_the_old_meaning),
 		TEST(test_a_value_stored_with_the_present_meaning_is_applied),
 		TEST(test_reset_communication_does_not_change_the_application),

@@ -454,6 +454,17 @@ static void test_a_snapshot_with_a_value_of_the_wrong_size_or_beyond_its_limits_
 	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U32(0x2000, 1, 0x7FC00000)); /* NaN */
 }
 
+/* As a configuration file of an earlier version could have set it. */
+static void test_a_value_that_no_client_could_write_is_there_again_when_a_snapshot_is_rolled_back(void **state)
+{
+	static const uint8_t dcf[] = {3, 0, 0, 0, GOOD_ENTRY, ENTRY_U16(0x6000, 0, 100), ENTRY_U32(0x2050, 4, 0)};
+	struct pair *p = *state;
+
+	p->world.device.values.angle_resolution = 7; /* it can be 1, 10, 100 or 1000 */
+	assert_refused(p, dcf, sizeof(dcf), 0x06040043);
+	assert_int_equal(p->world.device.values.angle_resolution, 7);
+}
+
 static void test_a_snapshot_is_rolled_back_when_an_object_refuses_its_value(void **state)
 {
 	ASSERT_REFUSED(*state, 0x06090030, ENTRY_U16(0x6000, 0, 7));
@@ -740,6 +751,7 @@ int main(void)
 		WITH_DEVICE(test_a_snapshot_with_an_unknown_object_is_refused),
 		WITH_DEVICE(test_a_snapshot_with_an_object_that_is_not_configuration_is_refused),
 		WITH_DEVICE(test_a_snapshot_with_a_value_of_the_wrong_size_or_beyond_its_limits_is_refused),
+		WITH_DEVICE(test_a_value_that_no_client_could_write_is_there_again_when_a_snapshot_is_rolled_back),
 		WITH_DEVICE(test_a_snapshot_is_rolled_back_when_an_object_refuses_its_value),
 		WITH_DEVICE(test_a_snapshot_with_contradictory_values_is_refused),
 		WITH_DEVICE(test_bytes_that_are_not_a_concise_dcf_are_refused),

@@ -329,6 +329,65 @@ static void test_nmt_reset_ends_an_identification(void **state)
 	}
 }
 
+static void test_a_sensor_with_fewer_than_25_samples_a_second_cannot_identify_it(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	w->imu.rate_hz = 24;
+	world_power_on(w, NULL);
+	assert_int_equal(command(w, START_HELD), DEVICE_STATE);
+	assert_int_equal(w->device.values.lever_arm_identification.state, COMMAND_IDLE);
+	w->imu.rate_hz = 25;
+	world_power_on(w, NULL);
+	assert_int_equal(command(w, START_HELD), 0);
+}
+
+/* Both within the 50 ms for which it is used: before, and after the first sample that used it. */
+static void test_reset_node_forgets_the_reference(void **state)
+{
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+
+	for (int samples = 0; samples < 2; samples++) {
+		tell_reference(w, (struct vec3){1, 2, 3});
+		for (int i = 0; i < samples; i++)
+			sample(robot);
+		world_nmt(w, 0x81);
+		sample(robot);
+		assert_int_equal(command(w, START_REFERENCE), 0);
+		sample(robot);
+		assert_false(w->device.lever_arm_command.lever.config.estimate_delay);
+		assert_int_equal(command(w, ABORT_HELD), 0);
+	}
+	tell_reference(w, (struct vec3){1, 2, 3});
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.x, 1, 0);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.y, 2, 0);
+	assert_near(w->device.lever_arm_command.ref_b_m_s2.z, 3, 0);
+	assert_int_equal(command(w, START_REFERENCE), 0);
+	sample(robot);
+	assert_true(w->device.lever_arm_command.lever.config.estimate_delay);
+}
+
+static void test_nothing_is_interpolated_over_a_sample_that_is_clipped_or_behind_a_gap(void **state)
+{
+	static const unsigned flags[] = {SAMPLE_SATURATED, SAMPLE_DISCONTINUITY};
+	struct robot *robot = *state;
+	struct world *w = &robot->world;
+	struct imu_sample s;
+
+	assert_int_equal(command(w, START_HELD), 0);
+	for (int i = 0; i < 2; i++) {
+		seconds(robot, 1);
+		assert_true(w->device.lever_arm_command.lever.raw_count > 1);
+		sensor_next(&w->sensor, w->signal, &s, NULL);
+		s.flags |= flags[i];
+		world_deliver(w, &s);
+		sample(robot);
+		assert_int_equal(w->device.lever_arm_command.lever.raw_count, 1);
+	}
+}
+
 static void test_a_lost_sensor_ends_in_a_refusal_with_its_verdict(void **state)
 {
 	struct robot *robot = *state;
@@ -388,6 +447,9 @@ int main(void)
 		TEST(test_commands_in_a_wrong_state_are_refused_with_08000022h),
 		TEST(test_bit_12_of_the_status_is_set_until_abort),
 		TEST(test_nmt_reset_ends_an_identification),
+		TEST(test_a_sensor_with_fewer_than_25_samples_a_second_cannot_identify_it),
+		TEST(test_reset_node_forgets_the_reference),
+		TEST(test_nothing_is_interpolated_over_a_sample_that_is_clipped_or_behind_a_gap),
 		TEST(test_a_lost_sensor_ends_in_a_refusal_with_its_verdict),
 		TEST(test_a_start_is_refused_without_samples_and_accepted_after_the_next_sample),
 		TEST(test_progress_is_relative_to_the_requested_duration),

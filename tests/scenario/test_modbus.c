@@ -378,13 +378,14 @@ static void test_a_mask_write_is_one_write_of_the_register(void **state)
 {
 	struct fixture *f = *state;
 	const uint8_t set_2_of_0_and_1[] = {22, 0x10, 0x40, 0xFF, 0xFC, 0x00, 0x02};
-	const uint8_t set_all[] = {22, 0x10, 0x40, 0x00, 0x00, 0xFF, 0xFF};
+	const uint8_t set_all[] = {22, 0x10, 0x40, 0x00, 0x00, 0xFF, 0xFF}, nowhere[] = {22, 0xFF, 0xFF, 0, 0, 0, 0};
 
 	assert_int_equal(write_words(f, AT_MODEL, 1, (uint16_t[]){1}), 0);
 	assert_int_equal(request(f, set_2_of_0_and_1, 7), 7);
 	assert_int_equal(f->world.device.values.lever_arm_model, 2);
 	assert_int_equal(exception(request(f, set_all, 7)), 3);
 	assert_int_equal(f->world.device.values.lever_arm_model, 2);
+	assert_int_equal(exception(request(f, nowhere, 7)), 2);
 }
 
 static void test_a_client_reads_at_once_what_it_wrote(void **state)
@@ -528,6 +529,26 @@ static void test_an_object_that_changes_is_read_as_of_its_first_part(void **stat
 		event_log_add_about(&f->world.device.log, f->world.now_us, (unsigned)i, "line %d of the log", i);
 	assert_int_equal(read_object(f, 0x2131, 0, 20, 20), 11 + 20);
 	assert_memory_equal(response + 11, first + 20, 20);
+}
+
+/* The server gives up after a second: 08000022h. */
+static void be_busy(void *ctx)
+{
+	struct fixture *f = ctx;
+
+	modbus_link_take(&f->link)->status = OD_DEVICE_STATE;
+	modbus_link_done(&f->link);
+}
+
+static void test_a_long_object_is_not_read_while_the_loop_is_busy(void **state)
+{
+	struct fixture *f = *state;
+
+	f->link.serve = be_busy;
+	assert_int_equal(read_object(f, 0x2131, 0, 0, 40), 10);
+	assert_memory_equal(response, "\xAB\xFF\x00\x06\x0D\xEC\x08\x00\x00\x22", 10);
+	f->link.serve = serve;
+	assert_int_equal(read_object(f, 0x2131, 0, 20, 20), 11 + 20); /* from its beginning */
 }
 
 static void test_objects_are_written_by_function_43_13_with_the_aborts_of_sdo(void **state)
@@ -740,6 +761,7 @@ int main(void)
 		TEST(test_every_object_is_read_by_function_43_13_as_by_sdo),
 		TEST(test_the_eds_is_read_in_parts),
 		TEST(test_an_object_that_changes_is_read_as_of_its_first_part),
+		TEST(test_a_long_object_is_not_read_while_the_loop_is_busy),
 		TEST(test_objects_are_written_by_function_43_13_with_the_aborts_of_sdo),
 		TEST(test_the_event_log_tells_who_wrote_what),
 		TEST(test_identification_is_that_of_the_device),

@@ -130,6 +130,26 @@ static void test_the_object_reads_which_preset_is_mapped(void **state)
 	assert_int_equal(w->device.values.pdo_preset, 1);
 }
 
+static void test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none(void **state)
+{
+	struct world *w = *state;
+	const uint8_t invalid[] = {0x80 + WORLD_NODE_ID, 1, 0, 0x80}, valid[] = {0x80 + WORLD_NODE_ID, 1, 0, 0};
+	const uint8_t none = 0, three = 3, four = 4;
+
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, invalid, 4), 0);
+	assert_int_equal(w->device.values.pdo_preset, 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &none, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &three, 1), 0); /* acceleration, without the counter */
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, valid, 4), 0);
+	assert_int_equal(w->device.values.pdo_preset, 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, invalid, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &none, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &four, 1), 0);
+	assert_int_equal(w->device.values.pdo_preset, 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, valid, 4), 0);
+	assert_int_equal(w->device.values.pdo_preset, 1);
+}
+
 static void test_a_preset_is_stored_as_its_mapping(void **state)
 {
 	struct world *w = *state;
@@ -194,6 +214,12 @@ static void test_the_cut_off_of_2012h_filters_angles_and_slopes_and_nothing_else
 		largest = fmax(largest, fabs(remainder(raw - filtered, 360)));
 	}
 	assert_true(largest > 5); /* the signal moves, and the filter delays */
+	world_nmt(w, 0x81);
+	world_nmt(plain, 0x81);
+	assert_int_equal(world_sdo_write(w, 0x2012, 1, &cutoff, 4), 0);
+	world_sample(w);
+	world_sample(plain);
+	assert_near(w->device.values.angles_deg.roll, plain->device.values.angles_deg.roll, 1e-6); /* it starts anew */
 	void *other = plain;
 	world_tear_down(&other);
 }
@@ -209,6 +235,7 @@ int main(void)
 		PRESET_TEST(test_preset_4_has_force_rate_and_field),
 		PRESET_TEST(test_a_step_can_be_chosen_and_a_value_beyond_it_sets_the_status_bit),
 		PRESET_TEST(test_the_object_reads_which_preset_is_mapped),
+		PRESET_TEST(test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none),
 		PRESET_TEST(test_a_preset_is_stored_as_its_mapping),
 		PRESET_TEST(test_a_preset_that_cannot_be_mapped_changes_nothing),
 		PRESET_TEST(test_other_numbers_are_refused_and_change_nothing),

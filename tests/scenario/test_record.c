@@ -7,14 +7,22 @@
 #include <cmocka.h>
 
 #include <dirent.h>
+#include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <limits.h>
+#include <pthread.h>
+#include <sched.h>
 #include <signal.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
 #include <sys/resource.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "gateway/device_state.h"
@@ -29,8 +37,12 @@
 
 enum { NODE = 16, RATE_HZ = 50, SLOW_HZ = 25 };
 
-static unsigned syncs;	 /* of files; that takes too long here */
-static bool takes_parts; /* of what is written */
+static unsigned syncs;	   /* of files; that takes too long here */
+static bool takes_parts;   /* of what is written */
+static bool takes_nothing; /* as some full disks */
+static int lock_errno;	   /* of a file system without locks */
+static bool no_thread;
+static atomic_uint turns, turns_until; /* of the thread, which waits for no time; 0: as long as it takes */
 
 int fdatasync(int fd)
 {
@@ -43,12 +55,40 @@ ssize_t write(int fd, const void *bytes, size_t size)
 {
 	static unsigned calls;
 
+	if (takes_nothing && size > 100)
+		return 0;
 	if (!takes_parts || size < 100)
 		return syscall(SYS_write, fd, bytes, size);
 	if (++calls % 4)
 		return syscall(SYS_write, fd, bytes, size / 3);
 	errno = EINTR; /* a signal */
 	return -1;
+}
+
+int flock(int fd, int operation)
+{
+	errno = lock_errno;
+	return lock_errno ? -1 : (int)syscall(SYS_flock, fd, operation);
+}
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*body)(void *), void *arg)
+{
+	int (*create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+
+	*(void **)&create = dlsym(RTLD_NEXT, "pthread_create");
+	return no_thread ? EAGAIN : create(thread, attributes, body, arg);
+}
+
+int nanosleep(const struct timespec *duration, struct timespec *left)
+{
+	if (turns_until == 0)
+		return (int)syscall(SYS_nanosleep, duration, left);
+	if (duration->tv_sec != 0 || duration->tv_nsec != 100000000)
+		abort();
+	turns++;
+	while (turns >= turns_until)
+		sched_yield();
+	return 0;
 }
 
 /* ---- frames that were sent --------------------------------------------------------------------------------------- */
@@ -719,6 +759,31 @@ static void test_the_state_has_no_address(void **state)
 	free(bytes);
 }
 
+static void test_a_device_with_the_defaults_goes_on_from_a_state_with_other_pdos(void **state)
+{
+	struct site *s = *state, *other = new_site(RATE_HZ);
+	uint8_t *bytes = malloc(sizeof(struct device));
+
+	assert_non_null(bytes);
+	power_on(s, NULL, NULL);
+	power_on(other, NULL, NULL);
+	assert_int_equal(write_u8(s, 0x2148, 0, 3), 0);
+	nmt(s, 1);
+	run(s, 1);
+	device_state_save(&s->device, bytes);
+	device_state_load(&other->device, bytes);
+	free(bytes);
+	other->now_us = s->now_us;
+	s->sent.count = other->sent.count = 0;
+	receive(s, 0x080, 0, NULL);
+	receive(other, 0x080, 0, NULL);
+	assert_int_equal(s->sent.count, 4);
+	assert_int_equal(other->sent.count, 4);
+	assert_memory_equal(s->sent.frame, other->sent.frame, 4 * sizeof(struct sent));
+	void *gone = other;
+	tear_down(&gone);
+}
+
 static void test_a_recording_can_begin_in_the_run(void **state)
 {
 	struct site *s = *state;
@@ -796,6 +861,27 @@ static void test_a_configuration_that_is_read_again_begins_a_file(void **state)
 	assert_same_frames(&s->sent, from);
 }
 
+/* By Modbus, function 43/13; refused or not. */
+static void test_a_write_of_more_than_64_bytes_begins_a_file(void **state)
+{
+	static const uint8_t bytes[65];
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static char names[20][64];
+
+	power_on(s, NULL, &options);
+	for (size_t size = 64; size <= 65; size++) {
+		run(s, 1);
+		assert_int_not_equal(device_write(&s->device, 0x2000, 1, bytes, size, s->now_us), OD_OK);
+		tick(s);
+		run(s, 1);
+		record_file_turn(&s->file);
+		assert_int_equal(files_of(s, names, 20), size - 63);
+	}
+	replay_all(s);
+	assert_same_frames(&s->sent, 0);
+}
+
 static void test_another_build_starts_with_the_recorded_configuration(void **state)
 {
 	struct site *s = *state;
@@ -816,6 +902,28 @@ static void test_another_build_starts_with_the_recorded_configuration(void **sta
 	forget_replayed();
 	assert_true(replay_file(s, "imu9-000002.imu.csv", true) > 9 * RATE_HZ);
 	assert_true(count_of(&replayed, 0x180 + NODE) > 90);
+}
+
+static void test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 10);
+	record_file_turn(&s->file);
+	s->turns = 0; /* the turn in which the stop is written has inputs before it, too */
+	assert_int_equal(write_u8(s, 0x215C, 1, 0), 0);
+	size_t stopped = s->sent.count;
+	assert_int_equal(s->sent.frame[stopped - 1].id, 0x580 + NODE);
+	syncs = 0;
+	run(s, 1);
+	assert_int_equal(syncs, 1); /* it is closed */
+	power_off(s);
+	assert_true(replay_all(s) > 9 * RATE_HZ);
+	assert_int_equal(replayed.count, stopped);
+	assert_memory_equal(replayed.frame, s->sent.frame, stopped * sizeof(struct sent));
 }
 
 /* ---- disks ------------------------------------------------------------------------------------------------------- */
@@ -973,6 +1081,88 @@ static void test_a_thread_writes_what_the_loop_records(void **state)
 	assert_same_frames(&s->sent, 0);
 }
 
+static void let_it_turn(unsigned until)
+{
+	turns_until = until;
+	while (turns < until)
+		sched_yield();
+}
+
+static void test_the_thread_syncs_the_file_each_fifty_turns_of_a_tenth_of_a_second(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	s->threaded = true;
+	turns = 0;
+	turns_until = 1; /* the first turn finds nothing */
+	power_on(s, NULL, &options);
+	let_it_turn(1);
+	syncs = 0;
+	run(s, 1);
+	let_it_turn(50);
+	assert_int_equal(syncs, 0);
+	let_it_turn(51);
+	assert_int_equal(syncs, 1);
+	let_it_turn(100);
+	assert_int_equal(syncs, 1);
+	let_it_turn(151);
+	assert_int_equal(syncs, 3);
+	turns_until = UINT_MAX;
+	power_off(s);
+	turns_until = 0;
+}
+
+static void test_without_a_thread_there_is_no_recording_and_the_folder_is_free(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static struct record_file file;
+
+	no_thread = true;
+	assert_int_equal(record_file_open(&file, &s->record, &options), -EAGAIN);
+	no_thread = false;
+	power_on(s, NULL, &options);
+}
+
+static void test_a_disk_that_takes_nothing_is_full(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	run(s, 10);
+	takes_nothing = true;
+	run(s, 10);
+	takes_nothing = false;
+	assert_int_equal(s->device.values.recording.state, RECORD_ENDED);
+	const char *said = strstr(s->device.log.text, "recording ended: No space left on device; "
+						      "correct that, then write 1 to 215Ch:1 to start it again\n");
+	assert_non_null(said);
+	assert_null(strstr(said + 1, "recording ended")); /* once */
+}
+
+static void test_a_file_that_cannot_begin_ends_the_recording_each_time(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+
+	power_on(s, NULL, &options);
+	run(s, 1);
+	remove_files(s);
+	assert_int_equal(rmdir(s->folder), 0);
+	record_begin_again(&s->record);
+	for (int i = 0; i < 3; i++) {
+		run(s, 10);
+		assert_int_equal(s->device.values.recording.state, RECORD_ENDED);
+		assert_non_null(strstr(s->device.log.text, "recording ended: No such file or directory"));
+		s->device.log.used = 0;
+		memset(s->device.log.text, 0, sizeof(s->device.log.text));
+		assert_int_equal(write_u8(s, 0x215C, 1, 1), 0);
+	}
+	assert_int_equal(mkdir(s->folder, 0700), 0);
+}
+
 /* Nothing is taken out of the ring for minutes. */
 static void test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample(void **state)
 {
@@ -1005,6 +1195,59 @@ static void test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample
 
 /* ---- files ------------------------------------------------------------------------------------------------------- */
 
+/* A tick is one entry; the others of an input are what the ports have answered. */
+static void test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it_for_a_new_file(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	struct record *r = &s->record;
+
+	power_on(s, NULL, &options);
+	run(s, 1);
+	record_file_turn(&s->file);
+	s->recording = false; /* nothing is taken out */
+	while (r->lost == 0)
+		tick(s);
+	assert_int_equal(r->head - r->tail, RECORD_RING - 16);
+	for (int i = 0; i < 8; i++)
+		tick(s);
+	assert_int_equal(r->head - r->tail, RECORD_RING - 16);
+	assert_int_equal(r->lost, 9);
+	while (r->head - r->tail > RECORD_RING / 2)
+		record_taken(r);
+	tick(s);
+	assert_int_equal(r->lost, 10);
+	record_taken(r);
+	tick(s);
+	assert_int_equal(r->lost, 10);
+	assert_int_equal(r->lost_now, 0);
+	s->recording = true;
+}
+
+static void test_what_the_ports_and_the_recording_show_is_a_row_when_it_changes(void **state)
+{
+	static const char *const rows[] = {"# imu ", "# bus ", "# recording "};
+	unsigned counts[3] = {0};
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	char path[160], line[2000];
+
+	power_on(s, NULL, &options);
+	nmt(s, 1);
+	run(s, 10.5);
+	power_off(s);
+	snprintf(path, sizeof(path), "%s/imu9-000001.imu.csv", s->folder);
+	FILE *f = fopen(path, "r");
+	assert_non_null(f);
+	while (fgets(line, sizeof(line), f))
+		for (int i = 0; i < 3; i++)
+			counts[i] += strncmp(line, rows[i], strlen(rows[i])) == 0;
+	fclose(f);
+	assert_int_equal(counts[0], 1);
+	assert_int_equal(counts[1], 1 + 11); /* the counters of the interface are read each second */
+	assert_int_equal(counts[2], 2);	     /* off, then on */
+}
+
 static void test_a_recording_is_an_imu_log(void **state)
 {
 	struct site *s = *state;
@@ -1034,6 +1277,17 @@ static void test_a_recording_is_an_imu_log(void **state)
 	imu_log_close(&log);
 }
 
+static long size_of(const struct site *s, const char *name)
+{
+	struct stat status;
+	char path[160];
+
+	snprintf(path, sizeof(path), "%s/%s", s->folder, name);
+	assert_int_equal(stat(path, &status), 0);
+	assert_int_equal(status.st_mode & 0777, 0644);
+	return status.st_size;
+}
+
 static void test_rotation_leaves_the_newest_files(void **state)
 {
 	struct site *s = *state;
@@ -1050,6 +1304,8 @@ static void test_rotation_leaves_the_newest_files(void **state)
 	assert_int_equal(sscanf(names[2], "imu9-%u.imu.csv", &second), 1);
 	assert_true(first > 3 && second == first + 2);
 	assert_int_equal(syncs, second); /* each file when it has ended */
+	assert_in_range(size_of(s, names[0]), 1000000, 1100000);
+	assert_in_range(size_of(s, names[1]), 1000000, 1100000);
 
 	power_on(s, NULL, &options); /* a restart continues the numbers */
 	run(s, 1);
@@ -1091,13 +1347,19 @@ static void test_a_folder_that_cannot_be_used_is_told(void **state)
 	struct site *s = *state;
 	struct record_options options = options_of(s, 1, 2);
 	static struct record_file file;
+	struct stat status;
 	char path[160];
 
 	snprintf(options.folder, sizeof(options.folder), "%s/no/such", s->folder);
 	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOENT);
 	snprintf(options.folder, sizeof(options.folder), "%s/new", s->folder);
 	assert_int_equal(record_file_init(&file, &s->record, &options), 0);
+	assert_int_equal(stat(options.folder, &status), 0);
+	assert_int_equal(status.st_mode & 0777, 0755);
 	record_file_close(&file);
+	lock_errno = ENOLCK;
+	assert_int_equal(record_file_init(&file, &s->record, &options), -ENOLCK);
+	lock_errno = 0;
 	for (unsigned i = 1; i <= 2 * RECORD_FILES_MAX + 1; i++) {
 		snprintf(path, sizeof(path), "%s/new/imu9-%06u.imu.csv", s->folder, i);
 		fclose(fopen(path, "w"));
@@ -1138,6 +1400,29 @@ static void test_the_minute_before_an_emcy_is_kept(void **state)
 	assert_true(replayed.frame[replayed.count - 1].now_us >= s->sent.frame[event - 1].now_us);
 	assert_int_equal(emcys(&replayed, 0x5030), 1);
 	assert_true(n <= 4);
+}
+
+static void test_the_file_that_began_a_minute_before_is_the_oldest_that_is_kept(void **state)
+{
+	struct site *s = *state;
+	struct record_options options = options_of(s, 16, 8);
+	static char names[20][64];
+
+	for (int kept = 2; kept <= 3; kept++) { /* the second file began 61 s before, then 59 s */
+		power_on(s, NULL, &options);
+		run(s, 30);
+		record_begin_again(&s->record);
+		run(s, 30);
+		record_begin_again(&s->record);
+		run(s, kept == 2 ? 31 : 29);
+		assert_int_equal(write_u8(s, 0x215C, 1, 2), 0);
+		run(s, 1);
+		assert_int_equal(s->device.values.recording.kept, kept);
+		power_off(s);
+		assert_int_equal(files_of(s, names, 20), 3);
+		assert_int_equal(strstr(names[0], ".kept.") != NULL, kept == 3);
+		remove_files(s);
+	}
 }
 
 static void test_kept_files_are_bounded(void **state)
@@ -1203,10 +1488,13 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test_setup_teardown(test_an_hour_is_replayed_frame_by_frame, set_up_slow, tear_down),
 		TEST(test_the_state_has_no_address),
+		TEST(test_a_device_with_the_defaults_goes_on_from_a_state_with_other_pdos),
 		TEST(test_a_recording_can_begin_in_the_run),
 		TEST(test_a_transfer_under_way_continues_in_the_next_file),
 		TEST(test_a_configuration_that_is_read_again_begins_a_file),
+		TEST(test_a_write_of_more_than_64_bytes_begins_a_file),
 		TEST(test_another_build_starts_with_the_recorded_configuration),
+		TEST(test_what_comes_before_a_stop_is_in_the_file_and_nothing_behind_it),
 		TEST(test_a_power_cut_costs_the_torn_line),
 		TEST(test_a_damaged_line_is_told),
 		TEST(test_a_missing_input_is_noticed),
@@ -1214,12 +1502,19 @@ int main(void)
 		TEST(test_a_file_begins_with_what_it_is_of),
 		TEST(test_a_disk_that_takes_a_part_of_each_write_gets_all),
 		TEST(test_a_thread_writes_what_the_loop_records),
+		TEST(test_the_thread_syncs_the_file_each_fifty_turns_of_a_tenth_of_a_second),
+		TEST(test_without_a_thread_there_is_no_recording_and_the_folder_is_free),
+		TEST(test_a_disk_that_takes_nothing_is_full),
+		TEST(test_a_file_that_cannot_begin_ends_the_recording_each_time),
 		TEST(test_a_slow_disk_loses_inputs_which_are_counted_and_delays_no_sample),
+		TEST(test_the_last_16_places_of_the_ring_are_for_one_input_and_half_of_it_for_a_new_file),
+		TEST(test_what_the_ports_and_the_recording_show_is_a_row_when_it_changes),
 		TEST(test_a_recording_is_an_imu_log),
 		TEST(test_rotation_leaves_the_newest_files),
 		TEST(test_files_of_earlier_runs_count_and_others_are_left_alone),
 		TEST(test_a_folder_that_cannot_be_used_is_told),
 		TEST(test_the_minute_before_an_emcy_is_kept),
+		TEST(test_the_file_that_began_a_minute_before_is_the_oldest_that_is_kept),
 		TEST(test_kept_files_are_bounded),
 		TEST(test_only_one_process_records_in_a_folder),
 		TEST(test_without_a_folder_the_object_refuses_commands),
@@ -1227,5 +1522,6 @@ int main(void)
 	};
 
 	log_set_level(LOG_ERR);
+	umask(022);
 	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

@@ -1,6 +1,8 @@
 /* The configuration read again while the device runs (SIGHUP). */
 #include <errno.h>
 #include <math.h>
+#include <string.h>
+#include <unistd.h>
 
 #include "gateway/config.h"
 #include "gateway/reload.h"
@@ -99,6 +101,30 @@ static void test_a_stored_value_keeps_its_precedence(void **state)
 	assert_near(w->device.values.lever_arm.s, 0.25, 1e-6);
 }
 
+static void test_what_is_no_configuration_stays_as_the_start_has_set_it(void **state)
+{
+	struct world *w = *state;
+	int ends[2], kept = dup(STDERR_FILENO);
+	char said[1000] = "";
+
+	w->serial = 1234;
+	w->vendor = 0x319;
+	world_power_on(w, NULL);
+	assert_int_equal(pipe(ends), 0);
+	dup2(ends[1], STDERR_FILENO);
+	assert_int_equal(reload_as(w, (const char *[]){"lever_arm.l=0.25", "producer_heartbeat_time=500", NULL}), 0);
+	dup2(kept, STDERR_FILENO);
+	assert_true(read(ends[0], said, sizeof(said) - 1) > 0);
+	close(ends[0]);
+	close(ends[1]);
+	close(kept);
+	assert_non_null(strstr(said, "producer_heartbeat_time: from the next NMT reset communication on\n"));
+	assert_null(strstr(said, "identity"));
+	world_nmt(w, RESET_NODE);
+	assert_int_equal(w->device.values.identity.serial_number, 1234);
+	assert_int_equal(w->device.values.identity.vendor_id, 0x319);
+}
+
 static void test_a_contradiction_changes_nothing(void **state)
 {
 	struct world *w = *state;
@@ -122,6 +148,7 @@ int main(void)
 		TEST(test_a_reset_starts_from_the_new_values),
 		TEST(test_communication_objects_hold_from_the_next_reset_communication_on),
 		TEST(test_a_stored_value_keeps_its_precedence),
+		TEST(test_what_is_no_configuration_stays_as_the_start_has_set_it),
 		TEST(test_a_contradiction_changes_nothing),
 	};
 

@@ -22,7 +22,9 @@ static int configure(struct imu_port *port, const struct imu_settings *settings,
 	struct chip *chip = of(port);
 
 	if (settings->rate_hz > 800) {
-		snprintf(error, size, "it goes to 800 Hz");
+		snprintf(error, size, "it goes to 800 Hz, %s",
+			"and the reason for that has more than 80 characters, "
+			"which is no reason to cut it");
 		return -EINVAL;
 	}
 	if (dry)
@@ -140,10 +142,14 @@ static void test_an_output_beyond_what_was_measured_is_not_published_and_raises_
 	assert_false(w->device.values.sample.status & PIPELINE_VALID);
 	assert_int_equal(w->device.values.sensor_counters.implausible, 1);
 	assert_true(fabs((double)w->device.values.angular_rate.s) < 0.5);
-	world_samples(w, 90);
-	assert_int_equal(world_emcy_code(w), 0x5032);
-	world_samples(w, 120);
-	assert_int_equal(world_emcy_code(w), 0);
+	uint64_t last_us = w->now_us;
+	for (uint32_t seen = 1; world_emcy_code(w) != 0; world_sample(w)) {
+		if (w->device.values.sensor_counters.implausible != seen)
+			last_us = w->now_us;
+		seen = w->device.values.sensor_counters.implausible;
+		assert_true(w->now_us <= last_us + 1000000);
+	}
+	assert_int_equal(w->now_us - last_us, 1000000 + w->interval_us);
 	assert_true(w->device.values.sample.status & PIPELINE_VALID);
 }
 
@@ -157,6 +163,54 @@ static unsigned lines(const struct world *w, const char *line)
 		n++;
 	}
 	return n;
+}
+
+static void test_reset_node_reports_a_fault_that_stays_again_and_forgets_the_others(void **state)
+{
+	struct world *w = *state;
+	const float rate = 1000;
+
+	w->imu.health.degraded = IMU_FAULT_FROZEN;
+	w->imu.health.degraded_chip = IMU_CHIP_MAG;
+	world_samples(w, 2);
+	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
+	assert_int_equal(world_emcy_code(w), 0x6321);
+	w->device.pipeline.implausible = 1; /* counted from the reset on */
+	world_samples(w, 2);
+	assert_int_equal(world_emcy_code(w), 0x5032);
+	unsigned before = world_count(w, 0x080 + WORLD_NODE_ID);
+	world_nmt(w, 0x81); /* back to a rate that the sensor has */
+	world_samples(w, 300);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), before + 1);
+	assert_int_equal(world_emcy_code(w), 0x5031);
+	w->device.storing.base.sensor.rate = rate; /* as if stored */
+	for (int i = 2; i <= 4; i += 2) {
+		world_nmt(w, 0x81);
+		world_samples(w, 300);
+		assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), before + 1 + (unsigned)i);
+	}
+}
+
+/* The last one again and again; then the clock has gone back. */
+static void test_samples_whose_time_stands_still_are_none(void **state)
+{
+	struct world *w = *state;
+	struct imu_sample s;
+
+	world_seconds(w, 1);
+	sensor_next(&w->sensor, w->signal, &s, NULL);
+	for (int i = 0; i < 100; i++)
+		world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0x5030);
+	assert_int_equal(world_count(w, 0x080 + WORLD_NODE_ID), 1);
+	assert_false(w->device.values.sample.status & PIPELINE_VALID);
+	s.t_us = 1000;
+	world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0x5030);
+	s.t_us += w->interval_us;
+	world_deliver(w, &s);
+	assert_int_equal(world_emcy_code(w), 0);
+	assert_true(w->device.values.sample.status & PIPELINE_VALID);
 }
 
 static void test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object(void **state)
@@ -185,9 +239,17 @@ static void test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object(v
 	assert_int_equal(world_sdo_write(w, OD_INDEX_MAGNETOMETER_CALIBRATION, 2, &bias, 4), 0);
 	world_samples(w, 10);
 	assert_int_equal(w->device.values.sensor_state.uncalibrated, 0);
+	assert_int_equal(lines(w, "all sensors are calibrated"), 1);
+	world_seconds(w, 5); /* the log has each line again */
+	world_nmt(w, 0x81);  /* nothing was stored */
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 7);
+	assert_int_equal(lines(w, "never calibrated: gyro accelerometer magnetometer;"), 2);
+	assert_int_equal(world_sdo_write(w, 0x2055, 3, &calibrated, 1), 0);
+	world_samples(w, 10);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 3);
 	assert_int_equal(world_sdo_write(w, 0x2055, 3, &not_calibrated, 1), 0);
 	world_samples(w, 10);
-	assert_int_equal(w->device.values.sensor_state.uncalibrated, 4);
+	assert_int_equal(w->device.values.sensor_state.uncalibrated, 7);
 }
 
 static void test_a_saturated_sample_sets_its_status_bit(void **state)
@@ -262,6 +324,9 @@ static void test_unsupported_settings_raise_6321h_at_once_and_the_sensor_is_unch
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(world_emcy_code(w), 0x6321);
 	assert_true(w->imu.rate_hz == 100);
+	assert_non_null(
+		strstr(w->device.log.text, "unchanged: it goes to 800 Hz, and the reason for that has more than 80 "
+					   "characters, which is no rea\n")); /* 150 in all */
 	rate = 400;
 	assert_int_equal(write_sensor(w, 1, &rate, 4), 0);
 	assert_int_equal(world_emcy_code(w), 0);
@@ -319,6 +384,8 @@ int main(void)
 		WORLD(test_a_fault_of_the_gyro_is_reported_with_kind_and_chip_and_invalidates_the_outputs),
 		WORLD(test_a_fault_of_the_magnetometer_is_reported_and_the_outputs_stay_valid),
 		WORLD(test_an_output_beyond_what_was_measured_is_not_published_and_raises_5032h_until_a_second_without),
+		WORLD(test_reset_node_reports_a_fault_that_stays_again_and_forgets_the_others),
+		WORLD(test_samples_whose_time_stands_still_are_none),
 		WORLD(test_sensors_that_nobody_calibrated_are_told_once_and_in_an_object),
 		WORLD(test_a_saturated_sample_sets_its_status_bit),
 		WORLD(test_without_a_temperature_it_is_not_known),

@@ -7,7 +7,9 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/eventfd.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <sys/un.h>
 #include <unistd.h>
 
@@ -17,6 +19,26 @@
 #include "tests/unit/descriptors.h"
 
 enum { PATIENCE_MS = 120000 /* ends a test that hangs */, AT_LEVER_ARM_UM = 0x1100, COIL_STORE = 1, BUSY = 6 };
+
+/* A host without memory, and without descriptors for the loop's thread to be woken by. */
+static bool no_memory, no_events;
+/* The compiler may not make a calloc() of malloc() and memset(). */
+static void *(*volatile allocate)(size_t size) = malloc;
+
+void *calloc(size_t count, size_t size)
+{
+	void *p = no_memory ? NULL : allocate(count * size);
+
+	if (p)
+		memset(p, 0, count * size);
+	return p;
+}
+
+int eventfd(unsigned count, int flags)
+{
+	errno = EMFILE;
+	return no_events ? -1 : (int)syscall(SYS_eventfd2, count, flags);
+}
 
 struct fixture {
 	struct world world; /* first */
@@ -251,6 +273,37 @@ static void test_a_window_that_cannot_be_opened_is_told(void **state)
 	window_close(&second);
 }
 
+static void test_a_host_without_memory_or_descriptors_has_no_window_and_says_so(void **state)
+{
+	struct fixture *f = *state;
+	struct window second;
+
+	no_memory = true;
+	assert_int_equal(window_open(&second, f->where, &f->world.device, f->why, sizeof(f->why)), -ENOMEM);
+	assert_string_equal(f->why, "Modbus: Cannot allocate memory");
+	assert_null(ascii_gateway_open("unix:/tmp/x\n", &f->world.device, &f->world.bus, f->why, sizeof(f->why)));
+	no_memory = false;
+	assert_string_equal(f->why, "cia309: Cannot allocate memory");
+	assert_null(f->world.device.canopen.listener);
+	no_events = true;
+	assert_int_equal(window_open(&second, f->where, &f->world.device, f->why, sizeof(f->why)), -EMFILE);
+	no_events = false;
+	assert_string_equal(f->why, "Modbus: Too many open files");
+	window_close(&second);
+}
+
+static void test_a_gateway_has_up_to_four_windows(void **state)
+{
+	static char texts[] = "tcp:127.0.0.1:1\ntcp:127.0.0.1:2\ntcp:127.0.0.1:3\ntcp:127.0.0.1:4\n";
+	struct fixture *f = *state;
+	char five[100];
+
+	assert_int_equal(window_check(texts, f->why, sizeof(f->why)), 0);
+	snprintf(five, sizeof(five), "%stcp:127.0.0.1:5\n", texts);
+	assert_int_equal(window_check(five, f->why, sizeof(f->why)), -EINVAL);
+	assert_string_equal(f->why, "more than 4 Modbus windows");
+}
+
 /* ---- CiA 309-3 --------------------------------------------------------------------------------------------------- */
 
 static void test_cia309_takes_clients_until_it_is_closed(void **state)
@@ -296,6 +349,8 @@ int main(void)
 		TEST(test_a_store_that_fails_is_exception_4),
 		TEST(test_a_closed_window_takes_no_client),
 		TEST(test_a_window_that_cannot_be_opened_is_told),
+		TEST(test_a_host_without_memory_or_descriptors_has_no_window_and_says_so),
+		TEST(test_a_gateway_has_up_to_four_windows),
 		TEST(test_cia309_takes_clients_until_it_is_closed),
 		TEST(test_cia309_that_cannot_be_opened_is_told),
 	};

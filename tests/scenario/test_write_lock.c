@@ -98,8 +98,9 @@ static void test_only_the_same_key_opens_it(void **state)
 	assert_int_equal(write_key(w, KEY), 0);
 	assert_int_equal(write_key(w, KEY + 1), LOCAL_CONTROL);
 	assert_int_equal(write_heartbeat(w), READ_ONLY);
+	w->now_us += 999999;
 	assert_int_equal(write_key(w, KEY), DEVICE_STATE); /* keys cannot be tried quickly */
-	world_seconds(w, 1.1);
+	w->now_us += 1;
 	assert_int_equal(write_key(w, KEY), 0);
 	assert_int_equal(lock_state(w), 0);
 	assert_int_equal(write_heartbeat(w), 0);
@@ -131,6 +132,24 @@ static void test_the_lock_is_stored_at_once_and_nothing_else_with_it(void **stat
 	assert_int_equal(write_heartbeat(w), 0);
 }
 
+static void test_what_was_stored_before_stays(void **state)
+{
+	struct world *w = *state;
+
+	assert_int_equal(write_heartbeat(w), 0);
+	assert_int_equal(write_u32(w, 0x1010, 1, 0x65766173), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(write_key(w, KEY), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+	assert_int_equal(write_key(w, KEY), 0);
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+	assert_int_equal(write_u32(w, 0x1011, 3, 0x64616F6C), 0); /* of another group */
+	world_power_on(w, NULL);
+	assert_int_equal(w->device.values.producer_heartbeat_time, 2000);
+}
+
 static void test_a_lock_that_cannot_be_stored_is_refused(void **state)
 {
 	struct world *w = *state;
@@ -139,6 +158,24 @@ static void test_a_lock_that_cannot_be_stored_is_refused(void **state)
 	assert_int_equal(write_key(w, KEY), NOT_STORED);
 	assert_int_equal(lock_state(w), 0);
 	assert_int_equal(write_heartbeat(w), 0);
+}
+
+/* The storage has room for one image. */
+static void test_while_anything_is_stored_nothing_else_is(void **state)
+{
+	struct world *w = *state;
+
+	w->disk_answer = -EINPROGRESS;
+	world_receive(w, 0x600u + w->node_id, 8, (const uint8_t[8]){0x23, 0x10, 0x10, 1, 's', 'a', 'v', 'e'});
+	assert_int_equal(write_key(w, KEY), DEVICE_STATE);
+	device_saved(&w->device, 0, w->now_us);
+	world_receive(w, 0x600u + w->node_id, 8, (const uint8_t[8]){0x23, 0x4C, 0x21, 2, 0x78, 0x56, 0x34, 0x12});
+	assert_int_equal(write_u32(w, 0x1010, 1, 0x65766173), DEVICE_STATE);
+	assert_int_equal(write_u32(w, 0x1011, 1, 0x64616F6C), DEVICE_STATE);
+	assert_int_equal(lock_state(w), 0);
+	device_saved(&w->device, 0, w->now_us + 2500000);
+	assert_int_equal(lock_state(w), 1);
+	assert_non_null(strstr(w->device.log.text, " 2.500000 configuration locked (214Ch)\n"));
 }
 
 int main(void)
@@ -151,7 +188,9 @@ int main(void)
 		TEST(test_only_the_same_key_opens_it),
 		TEST(test_the_key_cannot_be_read),
 		TEST(test_the_lock_is_stored_at_once_and_nothing_else_with_it),
+		TEST(test_what_was_stored_before_stays),
 		TEST(test_a_lock_that_cannot_be_stored_is_refused),
+		TEST(test_while_anything_is_stored_nothing_else_is),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -98,6 +98,15 @@ static void test_an_unknown_object_names_its_line(void **state)
 	assert_non_null(strstr(why, "lever_arm.q"));
 }
 
+static void test_the_name_of_an_unknown_object_has_its_section(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[x]\nl = 1\n"), -ENOENT);
+	assert_non_null(strstr(why, ":2: no object has the name 'x.l'; `imu9-sdo dump` and objects.md list the names"));
+	assert_int_equal(read_file("l = 1\n"), -ENOENT);
+	assert_non_null(strstr(why, ":1: no object has the name 'l'; "));
+}
+
 static void test_an_unknown_gateway_key_names_its_line_and_the_known_ones(void **state)
 {
 	(void)state;
@@ -160,6 +169,39 @@ static void test_an_overlong_line_is_named(void **state)
 	memset(text + strlen(text), '1', 400);
 	assert_int_equal(read_file(text), -EINVAL);
 	assert_error_at(2);
+	assert_non_null(strstr(why, ":2: the line is longer than 198 characters"));
+	memset(text, ';', sizeof(text));
+	strcpy(text + 198, "\nlever_arm.l = 2"); /* that long; and the last line without an end */
+	assert_int_equal(read_file(text), 0);
+	config_apply(&config, &od);
+	assert_float_equal(values.lever_arm.l, 2, 0);
+}
+
+static void test_a_folder_is_no_file(void **state)
+{
+	(void)state;
+	assert_int_equal(config_file(&config, "/tmp", why), -EIO);
+	assert_string_equal(why, "/tmp: cannot be read");
+}
+
+static void test_of_several_errors_the_first_is_told(void **state)
+{
+	(void)state;
+	assert_int_equal(read_file("[Gateway]\nnode_id = 200\nimu =\nwhat is this\n"), -EINVAL);
+	assert_non_null(strstr(why, ":2: node_id: '200' is neither a number from 1 to 127 nor 255 (LSS assigns one)"));
+	assert_int_equal(read_file("what is this\n[gateway]\nlog_level = loud\n"), -EINVAL);
+	assert_error_at(3); /* of a key before the others */
+	assert_non_null(strstr(why, ":3: log_level: 'loud' is none of error, warning, info and debug"));
+}
+
+static void test_a_number_is_decimal_octal_or_hexadecimal_whatever_failed_before(void **state)
+{
+	(void)state;
+	errno = ERANGE;
+	assert_int_equal(config_option(&config, "serial", "0x12AB", why), 0);
+	assert_int_equal(config.serial, 0x12AB);
+	assert_int_equal(config_option(&config, "serial", "010", why), 0);
+	assert_int_equal(config.serial, 8);
 }
 
 static void test_a_missing_file_is_an_error(void **state)
@@ -347,6 +389,7 @@ int main(void)
 		TEST(test_a_later_setting_replaces_an_earlier_one),
 		TEST(test_an_index_can_be_used_as_a_name),
 		TEST(test_an_unknown_object_names_its_line),
+		TEST(test_the_name_of_an_unknown_object_has_its_section),
 		TEST(test_an_unknown_gateway_key_names_its_line_and_the_known_ones),
 		TEST(test_a_value_out_of_limits_names_line_and_limits),
 		TEST(test_a_long_value_out_of_limits_does_not_overflow_the_error_text),
@@ -354,6 +397,9 @@ int main(void)
 		TEST(test_an_object_that_is_not_configuration_cannot_be_set),
 		TEST(test_a_syntax_error_names_its_line),
 		TEST(test_an_overlong_line_is_named),
+		TEST(test_a_folder_is_no_file),
+		TEST(test_of_several_errors_the_first_is_told),
+		TEST(test_a_number_is_decimal_octal_or_hexadecimal_whatever_failed_before),
 		TEST(test_a_missing_file_is_an_error),
 		TEST(test_the_example_file_holds_the_defaults),
 		TEST(test_process_keys_are_checked),

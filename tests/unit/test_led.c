@@ -174,7 +174,7 @@ static void test_each_state_has_the_rhythm_of_the_standard(void **state)
 
 static void make_file(const char *folder, const char *led, const char *file)
 {
-	char path[200];
+	char path[400];
 
 	snprintf(path, sizeof(path), "%s/%s", folder, led);
 	mkdir(path, 0755);
@@ -235,6 +235,47 @@ static void test_a_missing_led_is_an_error(void **state)
 	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
 }
 
+/* So can the folder. */
+static void test_names_can_have_200_characters(void **state)
+{
+	struct fixture *f = *state;
+	char led[201], folder[201], long_folder[300];
+	const char *which;
+
+	strcpy(f->folder, "/tmp/imu9-leds-XXXXXX");
+	assert_non_null(mkdtemp(f->folder));
+	memset(led, 'x', 200);
+	led[200] = '\0';
+	snprintf(long_folder, sizeof(long_folder), "%s/", f->folder);
+	while (strlen(long_folder) < 200)
+		strcat(long_folder, "/");
+	snprintf(folder, sizeof(folder), "%.200s", long_folder);
+	make_file(f->folder, led, "brightness");
+	assert_int_equal(leds_open(&f->leds, folder, led, "", &which), 0);
+	leds_close(&f->leds);
+	snprintf(long_folder, sizeof(long_folder), "rm -r %s", f->folder);
+	assert_int_equal(system(long_folder), 0);
+}
+
+static void test_a_led_without_a_name_is_none(void **state)
+{
+	struct fixture *f = *state;
+	const char *which;
+
+	assert_int_equal(leds_open(&f->leds, "/nowhere", "", "", &which), 0);
+	assert_true(leds_tick(&f->leds, 0) == UINT64_MAX);
+	leds_close(&f->leds);
+}
+
+static void test_a_missing_error_led_is_told_by_its_name(void **state)
+{
+	struct fixture *f = *state;
+	const char *which;
+
+	assert_int_equal(leds_open(&f->leds, "/nowhere", "", "red", &which), -2);
+	assert_string_equal(which, "red");
+}
+
 static void test_the_error_led_works_without_the_run_led(void **state)
 {
 	struct fixture *f = *state;
@@ -268,6 +309,9 @@ int main(void)
 		cmocka_unit_test(test_each_state_has_the_rhythm_of_the_standard),
 		TEST(test_linux_leds_lose_their_trigger_and_blink),
 		TEST(test_a_missing_led_is_an_error),
+		TEST(test_names_can_have_200_characters),
+		TEST(test_a_led_without_a_name_is_none),
+		TEST(test_a_missing_error_led_is_told_by_its_name),
 		TEST(test_the_error_led_works_without_the_run_led),
 	};
 

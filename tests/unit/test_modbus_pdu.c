@@ -476,6 +476,7 @@ static void test_malformed_requests_of_function_43_are_exception_3(void **state)
 	(void)state;
 	assert_answers("2B", "AB 03");
 	assert_answers("2B 0D", "AB 03");
+	assert_answers("2B 05", "AB 01"); /* there is no such kind */
 	assert_answers("2B 0D 00 1F 10 05 00 00 00 00", "AB 03");
 	assert_answers("2B 0D 00 1F 10 05 00 00 00 00 08 00", "AB 03");
 	assert_answers("2B 0D 04 1F 10 05 00 00 00 00 08", "AB 03");

@@ -10,13 +10,16 @@
 #include <errno.h>
 #include <fcntl.h>
 #include <modbus/modbus.h>
+#include <netinet/tcp.h>
 #include <poll.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <sys/socket.h>
+#include <sys/syscall.h>
 #include <termios.h>
+#include <time.h>
 #include <unistd.h>
 
 #include "gateway/canopen/sdo_abort.h"
@@ -24,6 +27,34 @@
 #include "gateway/modbus/server.h"
 
 enum { AT_REALS = 100, REALS = 102, AT_MODEL = 0x1040, COIL_STORE = 1, PATIENCE_MS = 60000 };
+
+/* What happens, and what poll() returns, when the server waits for the loop; NULL: it waits. */
+static int (*instead_of_waiting)(void);
+static atomic_uint skipped_s;	  /* of the server's time */
+static atomic_uint without_delay; /* connections whose answers do not wait for each other */
+
+int poll(struct pollfd *fds, nfds_t count, int timeout)
+{
+	const struct timespec limit = {timeout / 1000, timeout % 1000 * 1000000};
+
+	if (instead_of_waiting && timeout == MODBUS_LINK_PATIENCE_MS)
+		return instead_of_waiting();
+	return (int)syscall(SYS_ppoll, fds, count, timeout < 0 ? NULL : &limit, NULL, 0);
+}
+
+int clock_gettime(clockid_t clock, struct timespec *t)
+{
+	int rc = (int)syscall(SYS_clock_gettime, clock, t);
+
+	t->tv_sec += (time_t)skipped_s;
+	return rc;
+}
+
+int setsockopt(int fd, int level, int name, const void *value, socklen_t size)
+{
+	without_delay += level == IPPROTO_TCP && name == TCP_NODELAY && *(const int *)value == 1;
+	return (int)syscall(SYS_setsockopt, fd, level, name, value, size);
+}
 
 /* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
@@ -91,9 +122,25 @@ static enum od_status take_long(void *ctx, const struct od_entry *entry, const v
 	return OD_PENDING;
 }
 
-static void no_log(int severity, const char *text)
+static pthread_mutex_t said_lock = PTHREAD_MUTEX_INITIALIZER;
+static char said[4000]; /* by the server, a line each */
+
+static void take_log(int severity, const char *text)
 {
-	(void)severity, (void)text;
+	(void)severity;
+	pthread_mutex_lock(&said_lock);
+	snprintf(said + strlen(said), sizeof(said) - strlen(said), "%s\n", text);
+	pthread_mutex_unlock(&said_lock);
+}
+
+/* Until the server has said it. */
+static void await_log(const char *text)
+{
+	for (bool found = false; !found; poll(NULL, 0, 1)) {
+		pthread_mutex_lock(&said_lock);
+		found = strstr(said, text) != NULL;
+		pthread_mutex_unlock(&said_lock);
+	}
 }
 
 /* A port that is free. */
@@ -115,7 +162,9 @@ static void open_pty(void)
 
 	f.pty = posix_openpt(O_RDWR | O_NOCTTY);
 	assert_true(f.pty >= 0 && grantpt(f.pty) == 0 && unlockpt(f.pty) == 0);
-	snprintf(f.tty, sizeof(f.tty), "%s", ptsname(f.pty));
+	snprintf(f.tty, sizeof(f.tty), "/tmp/imu9-modbus-tty-%d", (int)getpid());
+	unlink(f.tty);
+	assert_int_equal(symlink(ptsname(f.pty), f.tty), 0);
 	tcgetattr(f.pty, &raw);
 	cfmakeraw(&raw);
 	tcsetattr(f.pty, TCSANOW, &raw);
@@ -145,7 +194,7 @@ static void start(const char *options)
 		.map = &imu9_modbus_map,
 		.table = &imu9_od_table,
 		.abort_code = sdo_abort_code,
-		.log = no_log};
+		.log = take_log};
 	f.server = modbus_server_start(&config, why, sizeof(why));
 	if (!f.server)
 		fail_msg("%s", why);
@@ -160,6 +209,7 @@ static int stop(void **state)
 	modbus_server_stop(f.server);
 	modbus_link_close(&f.link);
 	close(f.pty);
+	unlink(f.tty);
 	return 0;
 }
 
@@ -273,6 +323,21 @@ static void test_a_client_reads_what_it_wrote_while_samples_go_on(void **state)
 	close_client(client);
 }
 
+static void test_an_answer_is_sent_at_once(void **state)
+{
+	static const uint8_t read_model[] = {0, 9, 0, 0, 0, 6, 1, 3, AT_MODEL >> 8, AT_MODEL & 0xFF, 0, 1};
+	uint8_t response[11];
+
+	(void)state;
+	start("");
+	without_delay = 0;
+	int fd = connect_raw();
+	assert_int_equal(write(fd, read_model, sizeof(read_model)), sizeof(read_model));
+	receive(fd, response, sizeof(response));
+	close(fd);
+	assert_int_equal(without_delay, 1);
+}
+
 static void test_a_client_outside_the_second_list_may_only_read(void **state)
 {
 	(void)state;
@@ -289,8 +354,27 @@ static void test_a_client_outside_the_first_list_is_not_served(void **state)
 {
 	(void)state;
 	start(",allow=127.0.0.2");
+	said[0] = '\0';
 	assert_closed(connect_raw());
 	assert_int_equal(atomic_load(&modbus_server_counters(f.server)->refused), 1);
+	await_log(" is refused: allow= does not have its address\n");
+	assert_memory_equal(said, "Modbus: 127.0.0.1:", strlen("Modbus: 127.0.0.1:"));
+}
+
+static void test_a_client_that_is_idle_for_the_time_of_its_window_is_closed(void **state)
+{
+	(void)state;
+	start(",idle=10");
+	int idle = connect_raw();
+	modbus_t *client = connect_client();
+	assert_serves(client);
+	skipped_s += 9;
+	assert_serves(client);
+	skipped_s += 2;
+	assert_serves(client);
+	assert_closed(idle);
+	assert_serves(client);
+	close_client(client);
 }
 
 static void test_there_are_no_more_clients_than_permitted(void **state)
@@ -429,6 +513,21 @@ static void test_a_serial_line_is_served_as_slave(void **state)
 	assert_line_reads(1);
 }
 
+/* A USB adapter that is pulled and plugged in again. */
+static void test_a_line_that_is_gone_is_opened_again(void **state)
+{
+	(void)state;
+	start("");
+	said[0] = '\0';
+	assert_line_reads(2);
+	close(f.pty);
+	await_log(" is gone; trying to open it again\n");
+	open_pty();
+	skipped_s += 3;
+	await_log(" is back\n");
+	assert_line_reads(2);
+}
+
 static void test_a_broadcast_is_executed_without_a_response(void **state)
 {
 	static const uint8_t broadcast[] = {0, 6, AT_MODEL >> 8, AT_MODEL & 0xFF, 0, 0};
@@ -492,6 +591,40 @@ static void test_the_end_of_a_job_is_that_of_its_ticket(void **state)
 	assert_int_equal(status, OD_OK);
 }
 
+static struct modbus_link waited;
+
+static int nothing_happens(void)
+{
+	return 0;
+}
+
+/* The loop has begun before the patience ends, and ends later. */
+static int take_then_end(void)
+{
+	static struct modbus_job *job;
+
+	if (!job) {
+		job = modbus_link_take(&waited);
+		return 0;
+	}
+	job->status = OD_TOO_HIGH;
+	modbus_link_done(&waited);
+	return 1;
+}
+
+static void test_a_job_that_the_loop_does_not_begin_is_withdrawn_and_one_that_it_has_begun_is_waited_for(void **state)
+{
+	(void)state;
+	assert_int_equal(modbus_link_open(&waited), 0);
+	instead_of_waiting = nothing_happens;
+	assert_int_equal(modbus_link_submit(&waited), OD_DEVICE_STATE);
+	assert_null(modbus_link_take(&waited));
+	instead_of_waiting = take_then_end;
+	assert_int_equal(modbus_link_submit(&waited), OD_TOO_HIGH);
+	instead_of_waiting = NULL;
+	modbus_link_close(&waited);
+}
+
 /* ---- start and end ----------------------------------------------------------------------------------------------- */
 
 static void test_a_window_that_cannot_be_opened_is_told(void **state)
@@ -504,7 +637,7 @@ static void test_a_window_that_cannot_be_opened_is_told(void **state)
 	snprintf(text, sizeof(text), "tcp:127.0.0.1:%s", f.port);
 	assert_int_equal(modbus_options_parse(&windows[0], text, why, sizeof(why)), 0);
 	assert_int_equal(modbus_options_parse(&windows[1], "rtu:/dev/none", why, sizeof(why)), 0);
-	struct modbus_server_config config = {.windows = windows, .count = 1, .link = &f.link, .log = no_log};
+	struct modbus_server_config config = {.windows = windows, .count = 1, .link = &f.link, .log = take_log};
 	assert_null(modbus_server_start(&config, why, sizeof(why)));
 	assert_non_null(strstr(why, f.port));
 	assert_non_null(strstr(why, strerror(EADDRINUSE)));
@@ -539,18 +672,23 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_each_response_has_the_values_of_one_sample),
 		TEST(test_a_client_reads_what_it_wrote_while_samples_go_on),
+		TEST(test_an_answer_is_sent_at_once),
 		TEST(test_a_client_outside_the_second_list_may_only_read),
 		TEST(test_a_client_outside_the_first_list_is_not_served),
+		TEST(test_a_client_that_is_idle_for_the_time_of_its_window_is_closed),
 		TEST(test_there_are_no_more_clients_than_permitted),
 		TEST(test_a_slow_client_does_not_keep_the_others_waiting),
 		TEST(test_requests_that_come_together_are_answered_in_their_order),
 		TEST(test_a_wrong_header_ends_the_connection),
 		TEST(test_a_store_that_takes_long_keeps_only_its_client_waiting),
 		TEST(test_a_serial_line_is_served_as_slave),
+		TEST(test_a_line_that_is_gone_is_opened_again),
 		TEST(test_a_broadcast_is_executed_without_a_response),
 		TEST(test_requests_to_other_slaves_and_noise_are_not_answered),
 		TEST(test_a_window_that_cannot_be_opened_is_told),
 		cmocka_unit_test(test_the_end_of_a_job_is_that_of_its_ticket),
+		cmocka_unit_test(
+			test_a_job_that_the_loop_does_not_begin_is_withdrawn_and_one_that_it_has_begun_is_waited_for),
 		cmocka_unit_test(test_the_server_ends_while_a_job_waits_for_the_loop),
 	};
 

@@ -26,6 +26,8 @@ static volatile bool impatient;
 
 int sigtimedwait(const sigset_t *set, siginfo_t *info, const struct timespec *timeout)
 {
+	if (timeout->tv_sec != 5 || timeout->tv_nsec != 0)
+		abort();
 	if (impatient) {
 		errno = EAGAIN;
 		return -1;

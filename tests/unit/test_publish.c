@@ -136,6 +136,28 @@ static void test_the_operating_parameter_inverts_and_scales(void **state)
 	assert_int_equal(values.slope_long16, -966);
 }
 
+static void test_a_slope_with_an_offset_saturates_at_the_ends_of_its_object(void **state)
+{
+	(void)state;
+	values.slope_long16_operating_parameter = values.slope_lateral32_operating_parameter = 2;
+	for (int sign = -1; sign <= 1; sign += 2) {
+		out.angles_rad.y = out.angles_rad.x = RAD(sign * 10);
+		values.slope_long16_offset = (int16_t)(sign > 0 ? 31767 : -31768);
+		values.slope_lateral32_offset = sign > 0 ? 2147482647 : -2147482648;
+		assert_int_equal(publish_sample(&od, &out, 0), 0);
+		assert_int_equal(values.slope_long16, sign > 0 ? 32767 : -32768);
+		assert_int_equal(values.slope_lateral32, sign > 0 ? 2147483647 : -2147483647 - 1);
+		values.slope_long16_differential_offset = (int16_t)sign;
+		values.slope_lateral32_differential_offset = sign;
+		assert_int_equal(publish_sample(&od, &out, 0), PUBLISH_CLIPPED_LONG | PUBLISH_CLIPPED_LATERAL);
+		assert_int_equal(values.slope_long16, sign > 0 ? 32767 : -32768);
+		assert_int_equal(values.slope_lateral32, sign > 0 ? 2147483647 : -2147483647 - 1);
+		assert_true(values.sample.status & STATUS_SATURATED);
+		values.slope_long16_differential_offset = 0;
+		values.slope_lateral32_differential_offset = 0;
+	}
+}
+
 static void test_a_preset_makes_the_present_slope_equal_to_it(void **state)
 {
 	static const uint8_t operating[] = {2, 3};
@@ -167,6 +189,7 @@ int main(void)
 		TEST(test_a_lost_sensor_clears_the_valid_bit_and_keeps_the_values),
 		TEST(test_the_long_slope_is_pitch_and_the_lateral_slope_is_roll),
 		TEST(test_the_operating_parameter_inverts_and_scales),
+		TEST(test_a_slope_with_an_offset_saturates_at_the_ends_of_its_object),
 		TEST(test_a_preset_makes_the_present_slope_equal_to_it),
 	};
 

@@ -86,6 +86,15 @@ static void test_a_sample_comes_back_to_the_bit(void **state)
 	}
 }
 
+/* 16 digits of it would be 9.801060121277329. */
+static void test_a_number_has_the_fewest_digits_that_come_back(void **state)
+{
+	struct record_entry e = {.kind = RECORD_SAMPLE, .sample.gyro_rad_s = {9.80106012127733, 0.1 + 0.2, -2}};
+
+	(void)state;
+	assert_string_equal(text_of(&e), "0.000000,9.80106012127733,0.30000000000000004,-2,0,0,0,,,,,,,,,0,0");
+}
+
 static void test_a_frame_comes_back(void **state)
 {
 	(void)state;
@@ -233,6 +242,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_sample_comes_back_to_the_bit),
+		cmocka_unit_test(test_a_number_has_the_fewest_digits_that_come_back),
 		cmocka_unit_test(test_a_frame_comes_back),
 		cmocka_unit_test(test_what_the_ports_show_comes_back),
 		cmocka_unit_test(test_the_other_inputs_come_back),

@@ -5,18 +5,43 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <errno.h>
 #include <sched.h>
 #include <signal.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/file.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
+#include <sys/syscall.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include "gateway/serial.h"
+#include "tests/unit/descriptors.h"
 
 static char base[64], pi[128], other_pi[128], store[128], other_store[128];
+static void (*before_lock)(void); /* what happens while a gateway waits for the lock */
+static bool no_sockets;
+
+int flock(int fd, int operation)
+{
+	void (*happens)(void) = before_lock;
+
+	before_lock = NULL;
+	if (happens && operation == LOCK_EX)
+		happens();
+	return (int)syscall(SYS_flock, fd, operation);
+}
+
+int socket(int domain, int type, int protocol)
+{
+	errno = EMFILE;
+	return no_sockets ? -1 : (int)syscall(SYS_socket, domain, type, protocol);
+}
 
 static void run(const char *format, const char *a, const char *b, const char *c)
 {
@@ -34,7 +59,7 @@ static void put(const char *machine, const char *file, const char *text)
 
 static void put_mac(const char *machine, const char *interface, const char *address, const char *assign_type)
 {
-	char file[128];
+	char file[400];
 
 	snprintf(file, sizeof(file), "sys/class/net/%s/address", interface);
 	put(machine, file, address);
@@ -69,9 +94,19 @@ static int remove_machines(void **state)
 	return 0;
 }
 
+/* A function finds there what others left. */
+__attribute__((noinline)) static void leave_ones_on_the_stack(void)
+{
+	volatile uint8_t bytes[65536];
+
+	for (size_t i = 0; i < sizeof(bytes); i++)
+		bytes[i] = 0xFF;
+}
+
 struct gateway {
 	pid_t pid;
 	uint32_t serial;
+	int descriptors; /* that it has more than before */
 	char note[SERIAL_NOTE_MAX];
 };
 
@@ -83,7 +118,11 @@ static struct gateway start(const char *machine, const char *folder, const char 
 	assert_int_equal(pipe(result), 0);
 	g.pid = fork();
 	if (g.pid == 0) {
+		int before = open_descriptors();
+
+		leave_ones_on_the_stack();
 		g.serial = serial_number(machine, folder, bus, configured, g.note);
+		g.descriptors = open_descriptors() - before;
 		_exit(write(result[1], &g, sizeof(g)) == sizeof(g) && pause());
 	}
 	pid_t pid = g.pid;
@@ -163,7 +202,7 @@ static void test_sixteen_gateways_of_a_host_keep_their_serial_numbers(void **sta
 
 static void test_a_bus_with_a_long_name_keeps_its_serial_number(void **state)
 {
-	char bus[256] = "slcan:/dev/serial/by-id/";
+	char bus[300] = "slcan:/dev/serial/by-id/";
 	struct gateway a = start(pi, store, "can0", 0), b;
 
 	(void)state;
@@ -233,6 +272,77 @@ static void test_a_serial_number_that_another_gateway_of_the_host_has_is_told(vo
 	end_gateway(b);
 }
 
+static void test_a_gateway_whose_number_another_one_has_got_is_told_what_to_set(void **state)
+{
+	struct gateway a = start(pi, store, "can0", 0), b;
+
+	(void)state;
+	end_gateway(a);
+	b = start(pi, other_store, "can0", 0);
+	assert_int_equal(b.serial, a.serial);
+	assert_string_equal(b.note, "");
+	a = start(pi, store, "can0", 0);
+	assert_int_equal(a.serial, b.serial);
+	assert_string_equal(
+		a.note, "serial number 5BE6FC0Ch is that of another gateway of this host, too: set --serial");
+	end_gateway(a);
+	end_gateway(b);
+}
+
+/* The name is that of all versions: they can run side by side. */
+static void test_a_number_is_held_by_a_socket_with_its_name_and_nothing_else_stays_open(void **state)
+{
+	static const char name[] = "imu9-gateway/serial/000004D2";
+	struct sockaddr_un address = {.sun_family = AF_UNIX};
+	int fd = socket(AF_UNIX, SOCK_DGRAM, 0);
+
+	(void)state;
+	memcpy(address.sun_path + 1, name, strlen(name));
+	assert_int_equal(bind(fd, (struct sockaddr *)&address,
+				 (socklen_t)(offsetof(struct sockaddr_un, sun_path) + 1 + strlen(name))),
+		0);
+	struct gateway taken = start(pi, store, "can0", 1234), free_one = start(pi, store, "can0", 0);
+	end_gateway(taken);
+	end_gateway(free_one);
+	struct gateway again = start(pi, store, "can0", 0); /* with a file */
+	end_gateway(again);
+	close(fd);
+	assert_string_equal(taken.note,
+		"serial number 000004D2h is that of another gateway of this host, too: set another --serial");
+	assert_int_equal(taken.descriptors, 0);
+	assert_string_equal(free_one.note, "");
+	assert_int_equal(free_one.descriptors, 1);
+	assert_int_equal(again.descriptors, 1);
+}
+
+static void test_without_sockets_a_gateway_has_the_number_of_its_hardware(void **state)
+{
+	(void)state;
+	no_sockets = true;
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	no_sockets = false;
+}
+
+static void start_two(void)
+{
+	struct gateway a = start(pi, store, "can1", 0), b = start(pi, store, "can2", 0);
+
+	end_gateway(a);
+	end_gateway(b);
+}
+
+static void test_gateways_that_start_at_the_same_time_have_their_lines_too(void **state)
+{
+	(void)state;
+	before_lock = start_two;
+	struct gateway a = start(pi, store, "can0", 0);
+	before_lock = NULL;
+	end_gateway(a);
+	assert_int_equal(serial_of(pi, store, "can1"), 0x5BE6FC0C); /* it was the first */
+	assert_int_not_equal(a.serial, 0x5BE6FC0C);
+	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
+}
+
 static void test_a_usb_network_adapter_changes_nothing(void **state)
 {
 	uint32_t serial;
@@ -289,6 +399,96 @@ static void test_what_is_no_number_has_no_influence_on_the_next(void **state)
 	assert_int_equal(serial_of(pi, other_store, "can0"), serial);
 }
 
+/* CRC-32 by python's zlib. */
+static void test_a_number_counts_with_its_first_127_characters(void **state)
+{
+	char text[244] = "PF3";
+
+	(void)state;
+	for (int i = 0; i < 60; i++)
+		snprintf(text + 3 + 4 * i, 5, "%04d", i);
+	run("rm -r %s/proc", pi, "", "");
+	put(pi, "sys/class/dmi/id/board_serial", text);
+	assert_int_equal(serial_of(pi, store, "can0"), 0x6B654D45);
+}
+
+static void expect_table(const char *expected)
+{
+	char path[160], text[512] = "";
+
+	snprintf(path, sizeof(path), "%s/serial", store);
+	FILE *f = fopen(path, "r");
+	assert_non_null(f);
+	text[fread(text, 1, sizeof(text) - 1, f)] = '\0';
+	fclose(f);
+	assert_string_equal(text, expected);
+}
+
+/* Of the board, and of the network interfaces in the order of their addresses. Names can have 255 characters. */
+static void test_the_file_has_eight_numbers_of_the_hardware_and_one_of_them_is_enough(void **state)
+{
+	char interface[256], address[32];
+
+	(void)state;
+	for (int i = 1; i <= 8; i++) {
+		memset(interface, 'a' + i * 5 % 8, sizeof(interface) - 1);
+		interface[255] = '\0';
+		snprintf(address, sizeof(address), "b8:27:eb:12:34:5%d", i);
+		put_mac(pi, interface, address, "0");
+	}
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	expect_table("5BE6FC0C can0 5BE6FC0C 5616ED56 CF1FBCEC B8188C7A 267C19D9 517B294F C87278F5 BF754863\n");
+	run("rm -r %s/proc", pi, "", "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	run("rm -r %s/sys/class/net/[b-z]*", pi, "", "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+}
+
+static void test_the_address_of_an_interface_that_is_no_ethernet_does_not_count(void **state)
+{
+	(void)state;
+	run("rm -r %s/proc", pi, "", "");
+	put_mac(pi, "eth0", "b8:27:eb:12:34:56", "0");
+	put_mac(pi, "ib0", "80:00:02:08:fe:80", "0");
+	put(pi, "sys/class/net/ib0/type", "32");
+	assert_int_equal(serial_of(pi, store, "can0"), 0xC87278F5);
+	expect_table("C87278F5 can0 C87278F5\n");
+}
+
+static void test_a_user_who_cannot_read_the_numbers_leaves_them_in_the_file(void **state)
+{
+	(void)state;
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	run("rm -r %s/proc", pi, "", "");
+	assert_int_equal(serial_of(pi, store, "can0"), 0x5BE6FC0C);
+	expect_table("5BE6FC0C can0 5BE6FC0C\n");
+}
+
+static void test_a_line_has_serial_number_bus_and_numbers_in_hexadecimal(void **state)
+{
+	(void)state;
+	put(store, "serial", "ABCD can0 1 2 3 4 5 6 7 5BE6FC0C\nABCE can1 1 2\n");
+	struct gateway g = start(pi, store, "can0", 0);
+	end_gateway(g);
+	assert_int_equal(g.serial, 0xABCD);
+	assert_non_null(strstr(g.note, "is of other hardware; this one has 0000ABCDh")); /* the second line */
+	expect_table("0000ABCD can0 5BE6FC0C\n");
+}
+
+static void test_a_file_that_is_right_is_not_written_again(void **state)
+{
+	struct stat before, after;
+	char path[160];
+
+	(void)state;
+	snprintf(path, sizeof(path), "%s/serial", store);
+	serial_of(pi, store, "can0");
+	assert_int_equal(stat(path, &before), 0);
+	serial_of(pi, store, "can0");
+	assert_int_equal(stat(path, &after), 0);
+	assert_int_equal(after.st_ino, before.st_ino);
+}
+
 static void test_a_usb_can_adapter_has_a_number_where_the_machine_has_none(void **state)
 {
 	(void)state;
@@ -331,14 +531,24 @@ int main(void)
 		TEST(test_a_copied_card_has_another_serial_number_on_another_board_and_says_so),
 		TEST(test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order),
 		TEST(test_a_serial_number_that_another_gateway_of_the_host_has_is_told),
+		TEST(test_a_gateway_whose_number_another_one_has_got_is_told_what_to_set),
+		TEST(test_a_number_is_held_by_a_socket_with_its_name_and_nothing_else_stays_open),
+		TEST(test_without_sockets_a_gateway_has_the_number_of_its_hardware),
+		TEST(test_gateways_that_start_at_the_same_time_have_their_lines_too),
 		TEST(test_a_usb_network_adapter_changes_nothing),
 		TEST(test_what_vendors_write_instead_of_a_number_is_none),
 		TEST(test_what_is_no_number_has_no_influence_on_the_next),
+		TEST(test_a_number_counts_with_its_first_127_characters),
+		TEST(test_the_file_has_eight_numbers_of_the_hardware_and_one_of_them_is_enough),
+		TEST(test_the_address_of_an_interface_that_is_no_ethernet_does_not_count),
+		TEST(test_a_user_who_cannot_read_the_numbers_leaves_them_in_the_file),
+		TEST(test_a_line_has_serial_number_bus_and_numbers_in_hexadecimal),
+		TEST(test_a_file_that_is_right_is_not_written_again),
 		TEST(test_a_usb_can_adapter_has_a_number_where_the_machine_has_none),
 		TEST(test_a_folder_that_cannot_be_written_is_told_and_the_number_is_that_of_the_board),
 		TEST(test_a_damaged_file_is_no_number),
 	};
 
 	(void)unshare(CLONE_NEWNET); /* where permitted: the names of sockets are of this program alone */
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

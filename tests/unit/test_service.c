@@ -97,6 +97,18 @@ static void test_it_is_ready_once_with_the_sensor_as_status(void **state)
 	assert_string_equal(message(), "STOPPING=1");
 }
 
+static void test_a_status_has_up_to_240_characters(void **state)
+{
+	char status[251];
+
+	(void)state;
+	memset(status, 'x', 250);
+	status[250] = '\0';
+	service_ready(&service, status);
+	status[240] = '\0';
+	assert_string_equal(message() + strlen("READY=1\nSTATUS="), status);
+}
+
 static void test_an_abstract_socket_is_reached(void **state)
 {
 	char name[64];
@@ -154,6 +166,26 @@ static void test_a_socket_that_cannot_be_used_is_none(void **state)
 	}
 }
 
+static void test_a_name_has_up_to_107_characters(void **state)
+{
+	char name[109];
+
+	(void)state;
+	memset(name, 'x', sizeof(name));
+	name[108] = '\0';
+	snprintf(name, 24, "@imu9-test-%-12d", (int)getpid());
+	name[strlen(name)] = 'x';
+	for (int length = 107; length <= 108; length++) {
+		service_close(&service);
+		close(manager);
+		name[length] = '\0';
+		listen_at(name);
+		service_open(&service, name, "10000000", NULL);
+		assert_int_equal(service_tick(&service, 1, false, now_us) == UINT64_MAX, length == 108);
+		name[length] = 'x';
+	}
+}
+
 static void test_a_sensor_s_thread_that_hangs_ends_the_signs_of_life(void **state)
 {
 	(void)state;
@@ -190,6 +222,32 @@ static void test_time_in_which_the_process_was_stopped_is_no_hang(void **state)
 	now_us += 600 * (uint64_t)S; /* a suspended machine */
 	service_away(&service, 600 * (uint64_t)S);
 	assert_true(lives_after(5, false, false));
+	assert_true(lives_after(5, true, true));
+	service_away(&service, 600 * (uint64_t)S); /* the write began while the process was stopped */
+	assert_true(lives_after(5, true, true));
+}
+
+/* Once each time. */
+static void test_the_log_says_what_hangs(void **state)
+{
+	char said[400] = "";
+	int ends[2], kept = dup(STDERR_FILENO);
+
+	(void)state;
+	assert_int_equal(pipe(ends), 0);
+	dup2(ends[1], STDERR_FILENO);
+	lives_after(100, false, false);
+	lives_after(100, true, true);
+	lives_after(100, false, false);
+	dup2(kept, STDERR_FILENO);
+	close(kept);
+	close(ends[1]);
+	assert_true(read(ends[0], said, sizeof(said) - 1) > 0);
+	close(ends[0]);
+	assert_string_equal(said,
+		"test_service: the sensor's driver hangs: waiting for the service manager to restart this process\n"
+		"test_service: the write to the store hangs: waiting for the service manager to restart this process\n"
+		"test_service: the sensor's driver hangs: waiting for the service manager to restart this process\n");
 }
 
 int main(void)
@@ -197,14 +255,17 @@ int main(void)
 #define TEST(test) cmocka_unit_test_setup_teardown(test, start_manager, end_manager)
 	const struct CMUnitTest tests[] = {
 		TEST(test_it_is_ready_once_with_the_sensor_as_status),
+		TEST(test_a_status_has_up_to_240_characters),
 		TEST(test_an_abstract_socket_is_reached),
 		TEST(test_a_sign_of_life_is_given_each_half_of_the_watchdog_s_time),
 		TEST(test_without_a_watchdog_or_for_another_process_there_are_none),
 		TEST(test_a_socket_that_cannot_be_used_is_none),
+		TEST(test_a_name_has_up_to_107_characters),
 		TEST(test_a_sensor_s_thread_that_hangs_ends_the_signs_of_life),
 		TEST(test_a_sensor_without_a_thread_cannot_hang),
 		TEST(test_a_write_to_the_store_that_hangs_ends_the_signs_of_life),
 		TEST(test_time_in_which_the_process_was_stopped_is_no_hang),
+		TEST(test_the_log_says_what_hangs),
 	};
 
 	return cmocka_run_group_tests_name("service", tests, count_descriptors, no_descriptor_is_left);

@@ -10,6 +10,8 @@
 #include <fcntl.h>
 #include <poll.h>
 #include <pthread.h>
+#include <sched.h>
+#include <stdatomic.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -19,12 +21,17 @@
 #include <unistd.h>
 
 #include "gateway/store.h"
+#include "od/little_endian.h"
+#include "od/od.h"
 #include "tests/unit/descriptors.h"
 
 static char folder[64], path[128], bad_path[160], new_path[160], lock_path[160];
 
-/* What the disk answers for a folder; files are synced. */
-static int folder_sync_errno;
+/* What the disk answers for a folder, and for a file. */
+static int folder_sync_errno, file_sync_errno;
+static atomic_bool waits; /* for a slow disk */
+static bool takes_bytes;  /* one by one, with signals in between */
+static bool takes_nothing;
 /* What it answers once, or twice, when a file is read. */
 static int read_errno[2];
 static bool no_thread;
@@ -37,7 +44,22 @@ int fsync(int fd)
 		errno = folder_sync_errno;
 		return -1;
 	}
-	return (int)syscall(SYS_fsync, fd);
+	while (waits)
+		sched_yield();
+	errno = file_sync_errno;
+	return file_sync_errno ? -1 : (int)syscall(SYS_fsync, fd);
+}
+
+ssize_t write(int fd, const void *bytes, size_t size)
+{
+	static unsigned calls;
+
+	errno = EINTR;
+	if (takes_nothing)
+		return 0;
+	if (takes_bytes && ++calls % 3 == 0)
+		return -1;
+	return syscall(SYS_write, fd, bytes, takes_bytes ? 1 : size);
 }
 
 ssize_t read(int fd, void *bytes, size_t size)
@@ -248,8 +270,11 @@ static void test_without_a_thread_the_store_is_not_open_and_its_lock_is_free(voi
 	(void)state;
 	no_thread = true;
 	assert_int_equal(store_writer_open(&writer, path), -EAGAIN);
-	store_writer_close(&writer);
 	no_thread = false;
+	int of_others[] = {dup(STDIN_FILENO), dup(STDIN_FILENO)}; /* with the numbers that it had */
+	store_writer_close(&writer);
+	for (int i = 0; i < 2; i++)
+		assert_int_equal(close(of_others[i]), 0);
 	assert_int_equal(store_writer_open(&writer, path), 0);
 	store_writer_close(&writer);
 }
@@ -316,6 +341,24 @@ static void test_a_bad_file_is_never_overwritten(void **state)
 	}
 }
 
+static void test_of_more_than_a_hundred_bad_files_the_last_one_stays(void **state)
+{
+	struct store_image image;
+	const uint8_t byte = 1;
+	char name[200];
+
+	(void)state;
+	for (int n = 0; n <= 100; n++) {
+		write_bytes(&byte, 1);
+		assert_int_equal(store_read(&image, path), -EBADMSG);
+		assert_int_equal(exists(path), n == 100);
+	}
+	for (int n = 0; n < 100; n++) {
+		snprintf(name, sizeof(name), n ? "%s.%d" : "%s", bad_path, n);
+		assert_int_equal(unlink(name), 0);
+	}
+}
+
 /* None of them is opened in a way that waits, and none is written through. */
 static void test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one(void **state)
 {
@@ -365,12 +408,56 @@ static void test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so(voi
 	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
 }
 
+static void test_a_file_that_is_not_synced_is_an_error_and_the_old_one_stays(void **state)
+{
+	const struct store_image old = example(5, 10), new = example(6, 20);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_write(path, bytes, store_encode(&old, bytes)), 0);
+	file_sync_errno = EIO;
+	assert_int_equal(store_write(path, bytes, store_encode(&new, bytes)), -EIO);
+	file_sync_errno = 0;
+	assert_false(exists(new_path));
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&old, &back);
+}
+
+static void test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_none_is_full(void **state)
+{
+	const struct store_image image = example(5, 10);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	takes_bytes = true;
+	assert_int_equal(store_write(path, bytes, store_encode(&image, bytes)), 0);
+	takes_bytes = false;
+	takes_nothing = true;
+	assert_int_equal(store_write(path, bytes, 10), -ENOSPC);
+	takes_nothing = false;
+	assert_false(exists(new_path));
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&image, &back);
+}
+
 static void test_a_folder_that_cannot_be_written_is_an_error(void **state)
 {
+	static struct store_writer writer;
 	uint8_t bytes[4] = {0};
 
 	(void)state;
 	assert_int_equal(store_write("/proc/no/such.store", bytes, 4), -ENOENT);
+	assert_int_equal(store_writer_open(&writer, "/proc/no/such.store"), -ENOENT);
+}
+
+static mode_t mode_of(const char *name)
+{
+	struct stat status;
+
+	assert_int_equal(stat(name, &status), 0);
+	return status.st_mode & 0777;
 }
 
 static void test_the_thread_creates_the_folder_writes_and_signals_the_end(void **state)
@@ -392,10 +479,13 @@ static void test_the_thread_creates_the_folder_writes_and_signals_the_end(void *
 	store_writer_close(&writer);
 	assert_int_equal(store_read(&back, deep), 0);
 	assert_same(&image, &back);
+	assert_int_equal(mode_of(deep), 0644);
 	unlink(deep);
 	strcat(deep, ".lock");
+	assert_int_equal(mode_of(deep), 0644);
 	unlink(deep);
 	snprintf(deep, sizeof(deep), "%s/a", folder);
+	assert_int_equal(mode_of(deep), 0755);
 	rmdir(deep);
 }
 
@@ -428,12 +518,39 @@ static void test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none(vo
 
 static void test_an_invalid_node_id_is_damage(void **state)
 {
-	struct store_image image = {.lss.node_id = 200}, back;
+	static const uint8_t wrong[] = {128, 254};
+	struct store_image image = {.lss.node_id = 127}, back;
 	uint8_t bytes[STORE_FILE_MAX];
 
 	(void)state;
-	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), -EBADMSG);
-	assert_int_equal(back.lss.node_id, 0);
+	assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), 0);
+	for (size_t i = 0; i < 2; i++) {
+		image.lss.node_id = wrong[i];
+		assert_int_equal(store_decode(&back, bytes, store_encode(&image, bytes)), -EBADMSG);
+		assert_int_equal(back.lss.node_id, 0);
+	}
+}
+
+/* Sizes of the three groups, which have one byte together. */
+static void test_groups_that_do_not_fill_the_file_are_damage(void **state)
+{
+	static const uint32_t sizes[][3] = {
+		{0, 0, 0}, {0, 0, 2}, {0, 2, 0}, {2, 0, 0}, {8193, 0, 0}, {UINT32_MAX, 0, 0}, {0, 0, UINT32_MAX - 3}};
+	static const struct store_image one_byte = {.groups[2].size = 1};
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+	size_t size = store_encode(&one_byte, bytes);
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(sizes) / sizeof(sizes[0]); i++) {
+		for (int group = 0; group < 3; group++)
+			put_u32(bytes + 16 + 4 * group, sizes[i][group]);
+		put_u32(bytes + size - 4, od_crc32(0, bytes, size - 4));
+		assert_int_equal(store_decode(&back, bytes, size), -EBADMSG);
+	}
+	put_u32(bytes + 12, 11); /* less than LSS and revision need */
+	put_u32(bytes + 16 + 11, od_crc32(0, bytes, 16 + 11));
+	assert_int_equal(store_decode(&back, bytes, 16 + 11 + 4), -EBADMSG);
 }
 
 /* Version 1 has no LSS. One group of 3 bytes, two empty ones; the CRC by python's zlib. */
@@ -517,6 +634,35 @@ static void test_a_file_of_a_later_version_is_not_read(void **state)
 	assert_int_equal(store_decode(&back, later, sizeof(later)), -ENOTSUP);
 }
 
+static void test_while_the_thread_writes_it_takes_nothing_else(void **state)
+{
+	static struct store_writer writer;
+	const struct store_image first = example(3, 10), second = example(4, 20);
+	struct store_image back;
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	assert_false(store_writer_busy(&writer));
+	waits = true;
+	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&first, bytes)), 0);
+	assert_true(store_writer_busy(&writer));
+	assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&second, bytes)), -EBUSY);
+	waits = false;
+	struct pollfd p = {.fd = writer.fd, .events = POLLIN};
+	assert_int_equal(poll(&p, 1, 120000), 1);
+	assert_int_equal(store_writer_result(&writer), 0);
+	assert_int_equal(store_writer_result(&writer), -EAGAIN); /* told once */
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&first, &back);
+	assert_int_equal(
+		store_writer_submit(&writer, bytes, store_encode(&second, bytes)), 0); /* it waits, and wakes */
+	assert_int_equal(poll(&p, 1, 120000), 1);
+	store_writer_close(&writer);
+	assert_int_equal(store_read(&back, path), 0);
+	assert_same(&second, &back);
+}
+
 static void test_closing_waits_for_a_write_in_progress(void **state)
 {
 	static struct store_writer writer;
@@ -548,21 +694,27 @@ int main(void)
 		TEST(test_without_a_thread_the_store_is_not_open_and_its_lock_is_free),
 		TEST(test_a_power_cut_during_a_write_keeps_the_old_values),
 		TEST(test_a_bad_file_is_never_overwritten),
+		TEST(test_of_more_than_a_hundred_bad_files_the_last_one_stays),
 		TEST(test_a_store_that_is_not_a_regular_file_is_told_and_replaced_by_one),
 		TEST(test_a_lock_that_is_a_link_is_not_followed),
 		TEST(test_a_folder_that_is_not_synced_leaves_the_new_file_and_says_so),
+		TEST(test_a_file_that_is_not_synced_is_an_error_and_the_old_one_stays),
+		TEST(test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_none_is_full),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
 		TEST(test_the_thread_creates_the_folder_writes_and_signals_the_end),
 		TEST(test_one_file_has_one_writer),
 		cmocka_unit_test(test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none),
 		cmocka_unit_test(test_an_invalid_node_id_is_damage),
+		cmocka_unit_test(test_groups_that_do_not_fill_the_file_are_damage),
 		cmocka_unit_test(test_a_file_of_version_1_is_read),
 		cmocka_unit_test(test_a_file_of_version_2_is_read),
 		cmocka_unit_test(test_a_file_of_version_3_has_the_revision_of_its_values),
 		cmocka_unit_test(test_a_file_of_version_4_has_the_key_of_the_write_lock),
 		cmocka_unit_test(test_a_file_of_a_later_version_is_not_read),
+		TEST(test_while_the_thread_writes_it_takes_nothing_else),
 		TEST(test_closing_waits_for_a_write_in_progress),
 	};
 
+	umask(022);
 	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

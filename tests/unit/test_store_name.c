@@ -14,8 +14,9 @@
 #include <unistd.h>
 
 #include "gateway/store_name.h"
+#include "tests/unit/descriptors.h"
 
-static char folder[64], path[300], old[400];
+static char folder[64], path[400], old[400];
 
 static int make_folder(void **state)
 {
@@ -33,11 +34,11 @@ static int remove_folder(void **state)
 	return system(command);
 }
 
-/* A file of that name, written `age` seconds ago, that contains its name. */
-static void put(const char *name, long age)
+/* A file of that name, written at this time, that contains its name. */
+static void put_at(const char *name, struct timespec time)
 {
-	char file[300];
-	struct timespec times[2] = {{.tv_sec = 1800000000 - age}, {.tv_sec = 1800000000 - age}};
+	char file[400];
+	struct timespec times[2] = {time, time};
 
 	snprintf(file, sizeof(file), "%s/%s", folder, name);
 	FILE *f = fopen(file, "w");
@@ -47,9 +48,15 @@ static void put(const char *name, long age)
 	assert_int_equal(utimensat(AT_FDCWD, file, times, 0), 0);
 }
 
+/* Written `age` seconds ago. */
+static void put(const char *name, long age)
+{
+	put_at(name, (struct timespec){.tv_sec = 1800000000 - age});
+}
+
 static void assert_store_is(const char *name)
 {
-	char text[200] = "";
+	char text[300] = "";
 	FILE *f = fopen(path, "r");
 
 	assert_non_null(f);
@@ -105,6 +112,66 @@ static void test_a_file_of_another_bus_is_left_alone(void **state)
 	assert_int_equal(access(path, F_OK), -1);
 }
 
+/* Whichever the folder lists first. */
+static void test_of_two_files_of_the_same_second_the_newer_one_is_taken_over(void **state)
+{
+	static const char *const names[] = {"udp,a.store", "udp,b.store"};
+
+	(void)state;
+	for (int newer = 0; newer < 2; newer++) {
+		for (int i = 0; i < 2; i++)
+			put_at(names[i], (struct timespec){1800000000, i == newer ? 2 : 1});
+		assert_int_equal(take_over("udp"), 1);
+		assert_store_is(names[newer]);
+		assert_int_equal(unlink(path), 0);
+		for (int i = 0; i < 2; i++) /* the second counts first */
+			put_at(names[i], (struct timespec){1800000000 + (i == newer), i == newer ? 1 : 2});
+		assert_int_equal(take_over("udp"), 1);
+		assert_store_is(names[newer]);
+		assert_int_equal(unlink(path), 0);
+	}
+}
+
+static void test_names_can_be_long_and_an_option_has_a_character_at_least(void **state)
+{
+	char bus[256] = "slcan:/dev/serial/by-id/", name[256], expected[400];
+
+	(void)state;
+	put("udp,.store", 1);
+	assert_int_equal(take_over("udp"), 0);
+	memset(bus + strlen(bus), 'x', 200);
+	snprintf(name, sizeof(name), "slcan__dev_serial_by-id_%.200s@115200.store",
+		bus + strlen("slcan:/dev/serial/by-id/"));
+	put(name, 1);
+	strcat(bus, "@9600");
+	assert_int_equal(take_over(bus), 1);
+	snprintf(expected, sizeof(expected), "%s/%s", folder, name);
+	assert_string_equal(old, expected);
+	snprintf(strchr(expected, '@'), 8, ".store");
+	assert_string_equal(path, expected);
+	assert_store_is(name);
+}
+
+static void test_what_cannot_be_taken_over_is_told_and_stays(void **state)
+{
+	char there[200];
+
+	(void)state;
+	put("udp,a.store", 1);
+	assert_int_equal(store_take_over("/no/such/udp.store", folder, "udp", 5, old, sizeof(old)), -ENOENT);
+	snprintf(there, sizeof(there), "%s/udp,a.store", folder);
+	assert_string_equal(old, there);
+	assert_int_equal(access(there, F_OK), 0);
+	strcat(there, "/udp.store"); /* not in a folder */
+	assert_int_equal(store_take_over(there, folder, "udp", 5, old, sizeof(old)), 0);
+	assert_string_equal(old, "");
+	assert_int_equal(store_take_over("/no/such/udp.store", "/no/such", "udp", 5, old, sizeof(old)), 0);
+	assert_string_equal(old, "");
+	store_path(path, sizeof(path), folder, "udp");
+	assert_int_equal(symlink("/no/such", path), 0); /* the name is in use, whatever it is */
+	assert_int_equal(store_take_over(path, folder, "udp", 5, old, sizeof(old)), 0);
+}
+
 static void test_a_link_is_not_taken_over(void **state)
 {
 	char link[200];
@@ -123,8 +190,11 @@ int main(void)
 		cmocka_unit_test(test_the_name_has_the_bus_and_none_of_its_options),
 		TEST(test_the_newest_file_under_an_earlier_name_is_taken_over_once),
 		TEST(test_a_file_of_another_bus_is_left_alone),
+		TEST(test_of_two_files_of_the_same_second_the_newer_one_is_taken_over),
+		TEST(test_names_can_be_long_and_an_option_has_a_character_at_least),
+		TEST(test_what_cannot_be_taken_over_is_told_and_stays),
 		TEST(test_a_link_is_not_taken_over),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

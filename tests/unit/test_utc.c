@@ -127,6 +127,50 @@ static void test_a_step_of_time_is_followed_at_once(void **state)
 	assert_true(f->values.utc.time == NOON_US + 61000000);
 }
 
+/* Times of day have a resolution of 1 ms, arrivals of 1 us. */
+static void test_a_difference_of_10_ms_is_jitter_and_more_is_a_step(void **state)
+{
+	static const struct {
+		int early_us, followed_us;
+	} cases[] = {{10000, 1250}, {10001, 10001}, {-10000, -1250}, {-10001, -10001}};
+	struct fixture *f = *state;
+
+	for (size_t i = 0; i < 4; i++) {
+		uint64_t t_us = START_US + (i + 1) * 10000000, ms = NOON_MS + i * 10000;
+
+		utc_time(&f->utc, DAY, (uint32_t)ms + 1000000, t_us - 1000); /* another step before */
+		utc_time(&f->utc, DAY, (uint32_t)ms, t_us);
+		utc_time(&f->utc, DAY, (uint32_t)ms + 1000, t_us + 1000000 - (uint64_t)(int64_t)cases[i].early_us);
+		utc_sample(&f->utc, t_us + 1000000, t_us + 1000000);
+		assert_int_equal(f->values.utc.time - (NOON_US + i * 10000000 + 1000000), cases[i].followed_us);
+	}
+}
+
+/* A log that is replayed again has another epoch then. */
+static void test_a_lag_that_grows_by_more_than_a_second_is_another_epoch(void **state)
+{
+	struct fixture *f = *state;
+
+	utc_host_clock(&f->utc, true, (int64_t)(NOON_US - START_US));
+	utc_sample(&f->utc, 0, START_US);
+	utc_sample(&f->utc, 1000, START_US + 1000 + 1000000);
+	assert_true(f->values.utc.time == NOON_US + 1000);
+	utc_sample(&f->utc, 2000, START_US + 2000 + 1000001);
+	assert_true(f->values.utc.time == NOON_US + 2000 + 1000001);
+}
+
+static void test_a_lag_of_up_to_a_tenth_of_a_second_is_the_same_clock(void **state)
+{
+	struct fixture *f = *state;
+
+	utc_host_clock(&f->utc, true, (int64_t)(NOON_US - START_US));
+	utc_sample(&f->utc, START_US, START_US + 2000000);
+	utc_sample(&f->utc, START_US + 1000, START_US + 1000 + 100001);
+	assert_true(f->values.utc.time == NOON_US + 1000 + 100001);
+	utc_sample(&f->utc, START_US + 2000, START_US + 2000 + 100000);
+	assert_true(f->values.utc.time == NOON_US + 2000);
+}
+
 static void test_time_is_used_for_five_minutes(void **state)
 {
 	struct fixture *f = *state;
@@ -146,6 +190,19 @@ static void test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_s
 		utc_sample(&f->utc, i * 10000, START_US + i * 10000 + (i == 3 ? 0 : 2000));
 	uint64_t error_us = f->values.utc.time - (NOON_US + 90000);
 	assert_in_range(error_us, 0, 10);
+}
+
+/* Of another epoch, for an hour; each second sample arrives 2 ms late. */
+static void test_a_clock_of_the_samples_that_is_40_ppm_slow_is_followed(void **state)
+{
+	struct fixture *f = *state;
+
+	utc_host_clock(&f->utc, true, (int64_t)(NOON_US - START_US));
+	for (uint64_t i = 0; i <= 36000; i++) {
+		utc_sample(&f->utc, i * 99996, START_US + i * 100000 + (i % 2 ? 2000 : 0));
+		int64_t error_us = (int64_t)(f->values.utc.time - (NOON_US + i * 100000));
+		assert_true(error_us >= -5 && error_us <= 10);
+	}
 }
 
 static void test_time_stamps_of_the_monotonic_clock_are_used_as_they_are(void **state)
@@ -197,8 +254,12 @@ int main(void)
 		TEST(test_the_day_changes_at_midnight),
 		TEST(test_the_jitter_of_time_is_filtered),
 		TEST(test_a_step_of_time_is_followed_at_once),
+		TEST(test_a_difference_of_10_ms_is_jitter_and_more_is_a_step),
+		TEST(test_a_lag_that_grows_by_more_than_a_second_is_another_epoch),
+		TEST(test_a_lag_of_up_to_a_tenth_of_a_second_is_the_same_clock),
 		TEST(test_time_is_used_for_five_minutes),
 		TEST(test_samples_of_another_epoch_get_the_time_of_the_arrival_with_the_smallest_delay),
+		TEST(test_a_clock_of_the_samples_that_is_40_ppm_slow_is_followed),
 		TEST(test_time_stamps_of_the_monotonic_clock_are_used_as_they_are),
 		TEST(test_time_is_produced_periodically_by_a_synchronised_host),
 		TEST(test_received_time_is_not_produced_again),
