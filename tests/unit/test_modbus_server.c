@@ -432,6 +432,25 @@ static void test_requests_that_come_together_are_answered_in_their_order(void **
 	close(fd);
 }
 
+/* More than the buffer of a client has room for. */
+static void test_requests_beyond_the_rate_of_the_window_wait_and_none_is_lost(void **state)
+{
+	enum { REQUESTS = 150 };
+	uint8_t requests[12 * REQUESTS], responses[11 * REQUESTS];
+
+	(void)state;
+	start(",rate=100");
+	for (uint8_t i = 0; i < REQUESTS; i++)
+		memcpy(requests + i * 12, (uint8_t[]){0, i, 0, 0, 0, 6, 1, 3, AT_MODEL >> 8, AT_MODEL & 0xFF, 0, 1},
+			12);
+	int fd = connect_raw();
+	assert_int_equal(write(fd, requests, sizeof(requests)), sizeof(requests));
+	receive(fd, responses, sizeof(responses));
+	for (uint8_t i = 0; i < REQUESTS; i++)
+		assert_int_equal(responses[i * 11 + 1], i);
+	close(fd);
+}
+
 static void test_a_wrong_header_ends_the_connection(void **state)
 {
 	static const uint8_t WRONG[][8] = {{0, 1, 0, 1, 0, 6, 1, 3}, {0, 1, 1, 0, 0, 6, 1, 3}, {0, 1, 0, 0, 0, 1, 1, 3},
@@ -679,6 +698,7 @@ int main(void)
 		TEST(test_there_are_no_more_clients_than_permitted),
 		TEST(test_a_slow_client_does_not_keep_the_others_waiting),
 		TEST(test_requests_that_come_together_are_answered_in_their_order),
+		TEST(test_requests_beyond_the_rate_of_the_window_wait_and_none_is_lost),
 		TEST(test_a_wrong_header_ends_the_connection),
 		TEST(test_a_store_that_takes_long_keeps_only_its_client_waiting),
 		TEST(test_a_serial_line_is_served_as_slave),
