@@ -1098,8 +1098,10 @@ static double creep_m_s(const struct navigation *n)
 
 static void add_creep(struct navigation *n, double t_s)
 {
-	if (creep_m_s(n) > 0)
-		creep(n, creep_m_s(n), &n->crept_s, t_s);
+	double sigma_m_s = n->still ? creep_m_s(n) : 0;
+
+	if (sigma_m_s > 0)
+		creep(n, sigma_m_s, &n->crept_s, t_s);
 	else
 		n->crept_s = 0;
 }
@@ -1182,8 +1184,7 @@ static void weigh_hypotheses(struct navigation *n, const struct navigation_input
 	struct zero_velocity_fork *begun = NULL;
 
 	follow_acceleration(n, &signals, in->gravity_m_s2, t_s);
-	if (n->still)
-		add_creep(n, t_s);
+	add_creep(n, t_s);
 	if (n->still)
 		begun = zero_velocity_stands(&n->zero_velocity, n, &signals, turned_rad, lever, n->turning, t_s);
 	else if (swings(n))
