@@ -78,6 +78,26 @@ static const double ATTITUDE_HOLD_S = 1;
 /* s. A magnetometer slower than the samples still counts as used between its measurements. By judgement. */
 static const double MAG_LATELY_S = 1;
 
+/* The filter whose attitude is published (f = NULL), then, when that is another one, the Kalman filter, then NULL. */
+static struct fusion *next_filter(struct pipeline *p, const struct fusion *f)
+{
+	if (!f)
+		return &p->fusion;
+	return f == &p->fusion && p->config.fusion.algorithm != FUSION_KALMAN ? &p->reference : NULL;
+}
+
+/* The filter that knows its own uncertainty. */
+static const struct fusion *kalman(const struct pipeline *p)
+{
+	return p->config.fusion.algorithm == FUSION_KALMAN ? &p->fusion : &p->reference;
+}
+
+/* The rotation from its attitude to the published one, n. */
+static struct vec3 apart_n_rad(const struct pipeline *p)
+{
+	return quat_to_rotation_vector(quat_multiply(p->fusion.q_nb, quat_conjugate(kalman(p)->q_nb)));
+}
+
 /* Variance of the derivative behind white noise of variance 1. */
 static void update_change_noise(struct pipeline *p)
 {
@@ -110,10 +130,12 @@ static int latency_check(const struct latency_config *latency)
 }
 
 /* The fusion uses the estimator's lever arm and the gyro's latency. */
-static struct fusion_config fusion_config(const struct pipeline_config *config, double rate_hz)
+static struct fusion_config fusion_config(
+	const struct pipeline_config *config, enum fusion_algorithm algorithm, double rate_hz)
 {
 	struct fusion_config fusion = config->fusion;
 
+	fusion.algorithm = algorithm;
 	fusion.interval_s = 1 / rate_hz;
 	fusion.lever_arm_b_m = config->estimator.lever_arm_b_m;
 	fusion.delay_s = config->latency.sensor_s;
@@ -165,7 +187,8 @@ static struct position_config position_config(const struct pipeline_config *conf
 /* All but the noise of the rates, which takes as long as 4096 samples. */
 static int prepare(struct pipeline *p, const struct pipeline_config *config, double rate_hz)
 {
-	struct fusion_config fusion = fusion_config(config, rate_hz);
+	struct fusion_config published = fusion_config(config, config->fusion.algorithm, rate_hz);
+	struct fusion_config reference = fusion_config(config, FUSION_KALMAN, rate_hz);
 	struct position_config position = position_config(config);
 
 	memset(p, 0, sizeof(*p));
@@ -175,9 +198,9 @@ static int prepare(struct pipeline *p, const struct pipeline_config *config, dou
 	p->last_good.q_nb = QUAT_IDENTITY;
 	if (latency_check(&config->latency) < 0 || calibration_init(&p->calibration, &config->calibration) < 0 ||
 		filter3_init(&p->accel_filter, &config->accel_filter, rate_hz) < 0 ||
-		rates_init(&p->rates, &config->rate_filter, rate_hz) < 0 || fusion_init(&p->fusion, &fusion) < 0 ||
-		estimator_check(&config->estimator) < 0 || rest_check(&config->rest) < 0 ||
-		position_init(&p->position, &position) < 0)
+		rates_init(&p->rates, &config->rate_filter, rate_hz) < 0 || fusion_init(&p->fusion, &published) < 0 ||
+		fusion_init(&p->reference, &reference) < 0 || estimator_check(&config->estimator) < 0 ||
+		rest_check(&config->rest) < 0 || position_init(&p->position, &position) < 0)
 		return -EINVAL;
 	p->accel_delay_s = filter3_delay_s(&p->accel_filter, rate_hz);
 	differentiator3_tune(&p->accel_change, CHANGE_CUTOFF_HZ, rate_hz);
@@ -227,21 +250,40 @@ static int configure_calibration(struct pipeline *p, const struct calibration_co
 		return 0;
 	if (calibration_configure(&p->calibration, config) < 0)
 		return -EINVAL;
-	fusion_turn_object(&p->fusion, quat_multiply(new, quat_conjugate(old)));
-	if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
-		fusion_reset_gyro_errors(&p->fusion);
+	for (struct fusion *f = NULL; (f = next_filter(p, f)) != NULL;) {
+		fusion_turn_object(f, quat_multiply(new, quat_conjugate(old)));
+		if (memcmp(&p->config.calibration.gyro, &config->gyro, sizeof(config->gyro)) != 0)
+			fusion_reset_gyro_errors(f);
+	}
 	p->primed = p->position.navigation.started = false;
 	return 0;
 }
 
+/* Another filter begins with the Kalman filter's attitude; back to this one the published attitude jumps. */
+static int configure_fusion(struct pipeline *p, const struct pipeline_config *config)
+{
+	struct fusion_config published = fusion_config(config, config->fusion.algorithm, p->rate_hz);
+	struct fusion_config reference = fusion_config(config, FUSION_KALMAN, p->rate_hz);
+	bool was_kalman = p->config.fusion.algorithm == FUSION_KALMAN, is_kalman = published.algorithm == FUSION_KALMAN;
+
+	if (was_kalman && !is_kalman)
+		p->reference = p->fusion;
+	if (!was_kalman && is_kalman) {
+		p->fusion = p->reference;
+		p->primed = false;
+	}
+	if (fusion_configure(&p->fusion, &published) < 0)
+		return -EINVAL;
+	return is_kalman ? 0 : fusion_configure(&p->reference, &reference);
+}
+
 int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
 {
-	struct fusion_config fusion = fusion_config(config, p->rate_hz);
 	struct position_config position = position_config(config);
 	struct pipeline next = *p;
 
 	if (latency_check(&config->latency) < 0 || configure_calibration(&next, &config->calibration) < 0 ||
-		configure_filters(&next, config) < 0 || fusion_configure(&next.fusion, &fusion) < 0 ||
+		configure_filters(&next, config) < 0 || configure_fusion(&next, config) < 0 ||
 		estimator_check(&config->estimator) < 0 || rest_check(&config->rest) < 0 ||
 		position_configure(&next.position, &position) < 0)
 		return -EINVAL;
@@ -271,7 +313,8 @@ int pipeline_aid_velocity(struct pipeline *p, struct vec3 v_n_m_s, double sigma_
 		return -EINVAL;
 	if (!p->started || !fusion_started(&p->fusion))
 		return 0;
-	fusion_aid_velocity(&p->fusion, v_n_m_s, sigma_m_s, p->last_gyro_b_rad_s);
+	for (struct fusion *f = NULL; (f = next_filter(p, f)) != NULL;)
+		fusion_aid_velocity(f, v_n_m_s, sigma_m_s, p->last_gyro_b_rad_s);
 	position_aid_velocity(&p->position, v_n_m_s, sigma_m_s, p->config.estimator.lever_arm_b_m);
 	return 0;
 }
@@ -280,19 +323,21 @@ int pipeline_aid_yaw(struct pipeline *p, double yaw_rad, double sigma_rad)
 {
 	if (!(fabs(yaw_rad) <= 2 * PI) || !(sigma_rad >= AID_SIGMA_MIN_RAD && sigma_rad <= PI))
 		return -EINVAL;
-	if (p->started && fusion_aid_yaw(&p->fusion, yaw_rad, sigma_rad, p->last_gyro_b_rad_s))
-		p->primed = false; /* no rate, no acceleration from the jump */
+	for (struct fusion *f = NULL; p->started && (f = next_filter(p, f)) != NULL;)
+		if (fusion_aid_yaw(f, yaw_rad, sigma_rad, p->last_gyro_b_rad_s))
+			p->primed = false; /* no rate, no acceleration from the jump */
 	return 0;
 }
 
 int pipeline_reset_attitude(struct pipeline *p, struct quat q_nb)
 {
 	double norm = sqrt(q_nb.w * q_nb.w + q_nb.x * q_nb.x + q_nb.y * q_nb.y + q_nb.z * q_nb.z);
-	struct quat from = p->fusion.q_nb;
+	struct quat from = kalman(p)->q_nb;
 
 	if (!(fabs(norm - 1) <= ATTITUDE_NORM_OFF))
 		return -EINVAL;
-	fusion_set_attitude(&p->fusion, q_nb);
+	for (struct fusion *f = NULL; (f = next_filter(p, f)) != NULL;)
+		fusion_set_attitude(f, q_nb);
 	position_set_attitude(&p->position, from, p->fusion.q_nb);
 	p->primed = false;
 	return 0;
@@ -368,11 +413,30 @@ static bool ready_to_start(struct pipeline *p, struct imu_sample *s, double dt_s
 	return true;
 }
 
-/* Attitude, and at rest the gyro's bias. Returns rest. When north is first known the attitude jumps to it, and all that
- * is filtered or differentiated starts again. */
+/* A constant rate is a bias for Madgwick's and Mahony's filters if it is small; the Kalman filter tells it from a turn
+ * itself. */
+static bool bias_shows(const struct pipeline *p, const struct fusion *f, bool rest)
+{
+	return rest && (f == kalman(p) || vec3_norm(p->rest.gyro_mean) < p->config.rest.gyro_threshold_rad_s);
+}
+
+static void step_filter(
+	struct pipeline *p, struct fusion *f, const struct imu_sample *s, bool starts, bool rest, double dt_s)
+{
+	f->force_noise_m2_s4 = p->vibration.force_noise_m2_s4;
+	f->force_error_m_s2 = p->vibration.force_error_m_s2;
+	f->steady_s = p->rest.still_s;
+	if (bias_shows(p, f, rest))
+		fusion_update_bias_at_rest(f, s->gyro_rad_s, dt_s);
+	if (fusion_started(f) || starts)
+		fusion_step(f, s, dt_s);
+}
+
+/* Attitude, and at rest the gyro's bias. Returns rest. When the attitude starts, or jumps to north because that is now
+ * known, all that is filtered or differentiated starts again. */
 static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 {
-	bool north_known = fusion_north_known(&p->fusion), rest;
+	bool north_known = fusion_north_known(kalman(p)), jumps = !fusion_north_known(&p->fusion), starts, rest;
 	struct imu_sample used = *s; /* its flag says that the gyro is saturated */
 
 	if (!p->primed) {
@@ -380,32 +444,23 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 		vibration_skip(&p->vibration);
 	}
 	vibration_step(&p->vibration, s->accel_m_s2, s->gyro_rad_s, s->flags & SAMPLE_SATURATED, dt_s);
-	p->fusion.force_noise_m2_s4 = p->vibration.force_noise_m2_s4;
-	p->fusion.force_error_m_s2 = p->vibration.force_error_m_s2;
 	if (!p->vibration.gyro_clipped)
 		used.flags &= ~(unsigned)SAMPLE_SATURATED;
 	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s) &&
 	       !navigation_accelerates(&p->position.navigation);
-	p->fusion.steady_s = p->rest.still_s;
-	if (p->config.fusion.algorithm != FUSION_KALMAN) /* which tells a bias from a turn itself */
-		rest &= vec3_norm(p->rest.gyro_mean) < p->config.rest.gyro_threshold_rad_s;
-	if (rest)
-		fusion_update_bias_at_rest(&p->fusion, s->gyro_rad_s, dt_s);
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
-	if (!p->primed && dt_s > ATTITUDE_HOLD_S)
-		fusion_restart(&p->fusion, dt_s);
-	if (!fusion_started(&p->fusion) && ready_to_start(p, &used, dt_s)) {
-		fusion_step(&p->fusion, &used, dt_s);
-		p->primed = false; /* until now there was no global frame */
-	} else if (fusion_started(&p->fusion)) {
-		fusion_step(&p->fusion, &used, dt_s);
-	}
-	p->north_found = fusion_north_known(&p->fusion) && !north_known;
-	if (p->north_found)
+	for (struct fusion *f = NULL; !p->primed && dt_s > ATTITUDE_HOLD_S && (f = next_filter(p, f)) != NULL;)
+		fusion_restart(f, dt_s);
+	starts = !fusion_started(&p->fusion) && ready_to_start(p, &used, dt_s);
+	for (struct fusion *f = NULL; (f = next_filter(p, f)) != NULL;)
+		step_filter(p, f, &used, starts, rest, dt_s);
+	p->north_found = fusion_north_known(kalman(p)) && !north_known;
+	jumps &= fusion_north_known(&p->fusion);
+	if (starts || jumps) /* until now there was no global frame, or another one */
 		p->primed = false;
 	p->since_mag_s = fusion_mag_used(&p->fusion) ? 0 : p->since_mag_s + dt_s;
-	return rest && (p->config.fusion.algorithm != FUSION_KALMAN || p->fusion.kalman.resting);
+	return rest && kalman(p)->kalman.resting;
 }
 
 /* The lever arm's share of the specific force, in auto mode as far as it exceeds its noise. */
@@ -502,21 +557,17 @@ static struct vec3 estimate(struct pipeline *p, struct vec3 force_b_m_s2, double
 
 static struct vec3 fusion_variance(const struct pipeline *p)
 {
-	const struct fusion_kalman *k = &p->fusion.kalman;
+	const struct fusion_kalman *k = &kalman(p)->kalman;
 
-	if (p->config.fusion.algorithm != FUSION_KALMAN)
-		return (struct vec3){0, 0, 0};
 	return (struct vec3){
-		k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k, &p->fusion.config.kalman)};
+		k->covariance[0][0], k->covariance[1][1], fusion_kalman_heading_variance(k, &p->config.fusion.kalman)};
 }
 
 static struct vec3 fusion_bias_variance(const struct pipeline *p)
 {
-	const struct fusion_kalman *k = &p->fusion.kalman;
+	const struct fusion_kalman *k = &kalman(p)->kalman;
 	int i = KALMAN_BIAS;
 
-	if (p->config.fusion.algorithm != FUSION_KALMAN)
-		return (struct vec3){0, 0, 0};
 	return (struct vec3){k->covariance[i][i], k->covariance[i + 1][i + 1], k->covariance[i + 2][i + 2]};
 }
 
@@ -527,11 +578,11 @@ static void locate(
 	const struct navigation_input in = {
 		.gyro_b_rad_s = s->gyro_rad_s,
 		.force_b_m_s2 = s->accel_m_s2,
-		.q_nb = p->fusion.q_nb,
-		.gyro_bias_b_rad_s = p->fusion.gyro_errors.bias_b_rad_s,
+		.q_nb = kalman(p)->q_nb,
+		.gyro_bias_b_rad_s = kalman(p)->gyro_errors.bias_b_rad_s,
 		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
-		.unseen_turn_rad = p->fusion.unseen_turn_rad,
+		.unseen_turn_rad = kalman(p)->unseen_turn_rad,
 		.north_found = p->north_found,
 		.force_variance_m2_s4 = p->vibration.force_error_m_s2 * p->vibration.force_error_m_s2,
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
@@ -547,9 +598,10 @@ static void locate(
 
 static unsigned status_of(const struct pipeline *p, bool rest, bool missing)
 {
-	struct vec3 variance = fusion_variance(p);
-	bool known = fusion_started(&p->fusion) && fmax(variance.x, variance.y) < TILT_UNKNOWN_RAD * TILT_UNKNOWN_RAD;
-	bool vibrates = p->vibration.lately || fusion_force_doubted(&p->fusion) ||
+	struct vec3 variance = fusion_variance(p), off = apart_n_rad(p);
+	double tilt_rad = sqrt(fmax(variance.x, variance.y) + off.x * off.x + off.y * off.y);
+	bool known = fusion_started(&p->fusion) && tilt_rad < TILT_UNKNOWN_RAD;
+	bool vibrates = p->vibration.lately || fusion_force_doubted(kalman(p)) ||
 			navigation_may_be_alias(&p->position.navigation);
 
 	return (known ? PIPELINE_VALID : 0u) | (rest ? PIPELINE_REST : 0u) |
@@ -557,7 +609,15 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool missing)
 	       (position_limited(&p->position) ? PIPELINE_TIME_LIMIT : 0u) | (missing ? PIPELINE_GAP : 0u) |
 	       (position_unsure(&p->position) ? PIPELINE_UNSURE : 0u) |
 	       (navigation_assumes_standstill(&p->position.navigation) ? PIPELINE_ASSUMED : 0u) |
-	       (fusion_field_disagrees(&p->fusion) ? PIPELINE_DISAGREES : 0u) | (vibrates ? PIPELINE_VIBRATION : 0u);
+	       (fusion_field_disagrees(kalman(p)) ? PIPELINE_DISAGREES : 0u) | (vibrates ? PIPELINE_VIBRATION : 0u);
+}
+
+/* About each horizontal axis: those of n are turned by the error of the heading. */
+static struct vec3 add_squares(struct vec3 sigma, struct vec3 off)
+{
+	double horizontal = hypot(off.x, off.y);
+
+	return (struct vec3){hypot(sigma.x, horizontal), hypot(sigma.y, horizontal), hypot(sigma.z, off.z)};
 }
 
 static double root_of_sum(double sigma, double more)
@@ -580,6 +640,21 @@ static struct navigation_sigma with_acceleration(
 		*accel = (struct vec3){root_of_sum(accel->x, more + y2 * lifted + z2 * a.y * a.y),
 			root_of_sum(accel->y, more + x2 * lifted + z2 * a.x * a.x),
 			root_of_sum(accel->z, more + x2 * a.y * a.y + y2 * a.x * a.x)};
+	return sigma;
+}
+
+/* Adds how far the published attitude and acceleration are from those by the Kalman filter, whose sigma it is. */
+static struct navigation_sigma of_published(
+	const struct pipeline *p, struct navigation_sigma sigma, struct vec3 accel_n_m_s2)
+{
+	struct vec3 off = apart_n_rad(p), force = accel_n_m_s2;
+
+	if (kalman(p) == &p->fusion || sigma.attitude_rad.x == 0) /* 0: there is none */
+		return sigma;
+	force.z += p->config.estimator.gravity_m_s2;
+	sigma.attitude_rad = add_squares(sigma.attitude_rad, off);
+	sigma.accel_m_s2 = add_squares(
+		sigma.accel_m_s2, vec3_sub(force, quat_rotate_inverse(quat_from_rotation_vector(off), force)));
 	return sigma;
 }
 
@@ -691,7 +766,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 		.position_n_m = p->position.position_n_m,
 		.displacement_n_m = p->position.displacement_n_m,
 		.displacement_sigma_m = p->position.displacement_sigma_m,
-		.sigma = with_acceleration(p, rates->omega_b_rad_s, accel),
+		.sigma = of_published(p, with_acceleration(p, rates->omega_b_rad_s, accel), accel),
 		.gyro_errors = p->fusion.gyro_errors,
 		.vibration_m_s2 = p->vibration.rms_m_s2,
 		.clipped_accel = p->vibration.clipped_accel,

@@ -124,7 +124,8 @@ struct pipeline {
 	struct calibration calibration;
 	struct differentiator3 accel_change;
 	struct filter3 accel_filter;
-	struct fusion fusion;
+	struct fusion fusion;	 /* its attitude is published */
+	struct fusion reference; /* FUSION_KALMAN, whenever that is another one: for the navigation, sigma and status */
 	struct rates rates;
 	struct rates_variance rates_variance; /* of the source of rates in use */
 	struct auto_correction auto_correction, auto_change;
@@ -180,6 +181,9 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  *
  * A first force that differs from gravity by 5 m/s^2 or more is averaged over 0.5 s. An attitude whose tilt has a 1
  * sigma beyond 30 degrees is not valid.
+ *
+ * With Madgwick's or Mahony's filter attitude and acceleration are theirs. All else is the Kalman filter's, which runs
+ * as well; sigma.attitude_rad and sigma.accel_m_s2 have the distance from it.
  *
  * An output that is not finite, a rate beyond three times the largest one measured, or an acceleration beyond three
  * times the largest force and gravity together (or these and the largest share of the lever arm by the gyro, if that is

@@ -1651,30 +1651,141 @@ static void test_a_new_gyro_bias_is_not_an_angular_acceleration(void **state)
 	assert_vec_near(out.rate_b_rad_s, ((struct vec3){0.5, 0, 0}), 0.01);
 }
 
-/* Only the Kalman filter knows how well; the first intervals of a motion take the variance of the bias from it. */
-static void test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_fusion(void **state)
+/* Also when another filter's attitude is published: the Kalman filter is the one that knows how well. */
+static void test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_kalman_filter(void **state)
 {
 	(void)state;
-	for (int kalman = 0; kalman < 2; kalman++) {
-		struct pipeline_config config = with_lever();
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_KALMAN; algorithm++) {
+		struct pipeline_config config = by_algorithm((enum fusion_algorithm)algorithm);
 		const struct navigation *n;
 		const struct fusion_kalman *k;
 		struct pipeline p;
-		struct vec3 expected;
 
-		config.fusion.algorithm = kalman ? FUSION_KALMAN : FUSION_MAHONY;
 		config.fusion.kalman.bias_sigma_rad_s = 0.05;
 		p = pipeline(&config);
 		run(&p, moving, 0, RATE_HZ);
 		n = &p.position.navigation;
-		k = &p.fusion.kalman;
-		expected = (struct vec3){k->covariance[0][0], k->covariance[1][1],
-			fusion_kalman_heading_variance(k, &config.fusion.kalman)};
-		assert_vec_near(n->fusion_variance_rad2, kalman ? expected : ZERO, 0);
+		k = algorithm == FUSION_KALMAN ? &p.fusion.kalman : &p.reference.kalman;
+		assert_vec_near(n->fusion_variance_rad2,
+			((struct vec3){k->covariance[0][0], k->covariance[1][1],
+				fusion_kalman_heading_variance(k, &config.fusion.kalman)}),
+			0);
 		for (int i = 0; i < 3; i++)
-			assert_int_equal(n->p[NAVIGATION_BG + i][NAVIGATION_BG + i] >
-						 0.9 * k->covariance[KALMAN_BIAS + i][KALMAN_BIAS + i],
-				kalman);
+			assert_true(n->p[NAVIGATION_BG + i][NAVIGATION_BG + i] >
+				    0.9 * k->covariance[KALMAN_BIAS + i][KALMAN_BIAS + i]);
+	}
+}
+
+/* ---- Madgwick's and Mahony's filters beside the Kalman filter ---- */
+
+/* Two pipelines on the same samples, one with the Kalman filter and one with another. */
+struct beside {
+	struct pipeline kalman, other;
+	struct pipeline_output of_kalman, of_other;
+};
+
+static struct beside beside(enum fusion_algorithm algorithm)
+{
+	struct pipeline_config by_kalman = by_algorithm(FUSION_KALMAN), by_other = by_algorithm(algorithm);
+
+	return (struct beside){.kalman = pipeline(&by_kalman), .other = pipeline(&by_other)};
+}
+
+static void run_beside(struct beside *b, struct truth (*motion)(int), int from, int to)
+{
+	b->of_kalman = run(&b->kalman, motion, from, to);
+	b->of_other = run(&b->other, motion, from, to);
+}
+
+static void test_another_filter_changes_neither_velocity_nor_position(void **state)
+{
+	(void)state;
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_MAHONY; algorithm++) {
+		struct beside b = beside((enum fusion_algorithm)algorithm);
+
+		run_beside(&b, moving, 0, 10 * RATE_HZ);
+		assert_vec_near(b.of_other.velocity_n_m_s, b.of_kalman.velocity_n_m_s, 0);
+		assert_vec_near(b.of_other.position_n_m, b.of_kalman.position_n_m, 0);
+		assert_vec_near(b.of_other.sigma.position_m, b.of_kalman.sigma.position_m, 0);
+		assert_true(quat_apart_rad(b.of_other.q_nb, b.of_kalman.q_nb) > 0.1 * RAD_PER_DEG);
+	}
+}
+
+/* The variance of the Kalman filter's attitude and the square of the distance from it. */
+static void test_the_sigma_of_another_filters_attitude_has_its_distance_from_the_kalman_filters(void **state)
+{
+	(void)state;
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_MAHONY; algorithm++) {
+		struct beside b = beside((enum fusion_algorithm)algorithm);
+		struct vec3 apart, sigma, expected, accel_apart;
+
+		for (int k = 0; k < 10 * RATE_HZ; k++) {
+			run_beside(&b, moving, k, k + 1);
+			apart = quat_to_rotation_vector(
+				quat_multiply(b.other.fusion.q_nb, quat_conjugate(b.kalman.fusion.q_nb)));
+			sigma = b.of_kalman.sigma.attitude_rad;
+			expected = (struct vec3){sqrt(sigma.x * sigma.x + apart.x * apart.x + apart.y * apart.y),
+				sqrt(sigma.y * sigma.y + apart.x * apart.x + apart.y * apart.y),
+				sqrt(sigma.z * sigma.z + apart.z * apart.z)};
+			assert_vec_near(b.of_other.sigma.attitude_rad, expected, 1e-9);
+			accel_apart = vec3_sub(b.of_other.accel_n_m_s2, b.of_kalman.accel_n_m_s2);
+			if (k < RATE_HZ)
+				continue;
+			sigma = b.of_other.sigma.accel_m_s2;
+			assert_true(fabs(accel_apart.x) < 1.2 * sigma.x && fabs(accel_apart.y) < 1.2 * sigma.y &&
+				    fabs(accel_apart.z) < 1.2 * sigma.z);
+		}
+	}
+}
+
+/* A bias of 10 deg/s is more than Madgwick's filter makes good; the Kalman filter finds it. */
+static void test_an_attitude_that_is_known_to_be_wrong_is_not_valid(void **state)
+{
+	struct pipeline_config config = by_algorithm(FUSION_MADGWICK);
+	struct pipeline p;
+	bool was_valid = false;
+
+	(void)state;
+	config.uncalibrated = PIPELINE_UNCALIBRATED_GYRO;
+	p = pipeline(&config);
+	for (int k = 0; k < 20 * RATE_HZ; k++) {
+		struct truth truth = standing(k);
+		struct pipeline_output out;
+
+		truth.sample.gyro_rad_s = (struct vec3){10 * RAD_PER_DEG, 0, 0};
+		out = step(&p, &truth.sample);
+		was_valid |= out.status & PIPELINE_VALID;
+		if (quat_apart_rad(p.fusion.q_nb, truth.q_nb) > 35 * RAD_PER_DEG)
+			assert_int_equal(out.status & PIPELINE_VALID, 0);
+	}
+	assert_true(was_valid);
+	assert_true(quat_apart_rad(p.fusion.q_nb, standing(0).q_nb) > 35 * RAD_PER_DEG);
+}
+
+/* To another filter it goes on; back to the Kalman filter it is this one's again, without a rate from the jump. */
+static void test_the_filter_is_changed_while_the_gateway_runs(void **state)
+{
+	(void)state;
+	for (int algorithm = FUSION_MADGWICK; algorithm <= FUSION_MAHONY; algorithm++) {
+		struct beside b = beside(FUSION_KALMAN);
+		struct pipeline_config config = b.other.config;
+		struct quat before;
+
+		config.estimator.rates_from = RATES_FROM_ANGLES;
+		assert_int_equal(pipeline_configure(&b.other, &config), 0);
+		assert_int_equal(pipeline_configure(&b.kalman, &config), 0);
+		run_beside(&b, moving, 0, 5 * RATE_HZ);
+		before = b.other.fusion.q_nb;
+		config.fusion.algorithm = (enum fusion_algorithm)algorithm;
+		assert_int_equal(pipeline_configure(&b.other, &config), 0);
+		assert_memory_equal(&b.other.fusion.q_nb, &before, sizeof(before));
+		run_beside(&b, moving, 5 * RATE_HZ, 10 * RATE_HZ);
+		config.fusion.algorithm = FUSION_KALMAN;
+		assert_int_equal(pipeline_configure(&b.other, &config), 0);
+		run_beside(&b, moving, 10 * RATE_HZ, 10 * RATE_HZ + 1);
+		assert_memory_equal(&b.of_other.q_nb, &b.of_kalman.q_nb, sizeof(before));
+		assert_vec_near(b.of_other.sigma.attitude_rad, b.of_kalman.sigma.attitude_rad, 0);
+		assert_vec_near(b.of_other.rate_b_rad_s, b.of_kalman.rate_b_rad_s, 0.1);
 	}
 }
 
@@ -1750,7 +1861,11 @@ int main(void)
 		cmocka_unit_test(test_a_new_acceleration_filter_continues_from_the_last_output),
 		cmocka_unit_test(test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise),
 		cmocka_unit_test(test_a_new_gyro_bias_is_not_an_angular_acceleration),
-		cmocka_unit_test(test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_fusion),
+		cmocka_unit_test(test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_kalman_filter),
+		cmocka_unit_test(test_another_filter_changes_neither_velocity_nor_position),
+		cmocka_unit_test(test_the_sigma_of_another_filters_attitude_has_its_distance_from_the_kalman_filters),
+		cmocka_unit_test(test_an_attitude_that_is_known_to_be_wrong_is_not_valid),
+		cmocka_unit_test(test_the_filter_is_changed_while_the_gateway_runs),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
