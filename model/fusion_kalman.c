@@ -57,6 +57,10 @@ static const double SCALE_TIME_S = 36000;
 static const double MOST_BIAS_RAD_S = 45 * RAD_PER_DEG;
 /* Limit of the scale estimate, in its 1 sigma. By judgement: beyond five sigma the configured sigma is wrong. */
 static const double MOST_SCALE_SIGMAS = 5;
+/* 1 sigma of the scale beyond which it is considered, not estimated. Measured: in a motion to and fro a lever arm that
+ * is not configured looks like a scale error, at 0.3 m and 0.5 Hz like one of 30 %. A scale known to 0.005 keeps
+ * the tilt within its sigma there, one to 0.01 does not. */
+static const double SCALE_ESTIMATED = 0.005;
 
 /* ---- measured velocity ---- */
 
@@ -419,9 +423,10 @@ static void predict(struct fusion_kalman *k, const struct fusion_kalman_config *
 
 /* A measurement of state i; `error` collects the estimates of all states. The last states are considered, not
  * estimated: the accelerometer's bias, and by a heading the gyro's scale, too (see the header). */
-static void measure(struct fusion_kalman *k, double *error, int i, double measured, double variance)
+static void measure(struct fusion_kalman *k, const struct fusion_kalman_config *config, double *error, int i,
+	double measured, double variance)
 {
-	const int estimated = i == HEADING ? SCALE : ACCEL;
+	const int estimated = i == HEADING || config->gyro_scale_sigma > SCALE_ESTIMATED ? SCALE : ACCEL;
 	double ph[STATES], innovation = measured - error[i], innovation_variance = k->covariance[i][i] + variance;
 
 	memcpy(ph, k->covariance[i], sizeof(ph));
@@ -494,8 +499,8 @@ static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman
 	variance = rest ? squared(REST_VELOCITY_M_S)
 			: 2 * VELOCITY_TIME_S / k->sums.time_s * k->spread_m2_s2 + lever_variance(k);
 	doubt_mean_force(k, config, x * x + y * y, rest);
-	measure(k, error, VELOCITY, -x, variance);
-	measure(k, error, VELOCITY + 1, -y, variance);
+	measure(k, config, error, VELOCITY, -x, variance);
+	measure(k, config, error, VELOCITY + 1, -y, variance);
 }
 
 /* A steady signal is rest only if the object does not turn: a rate is bias as far as the bias's own sigma allows. */
@@ -563,7 +568,8 @@ static void begin_block(struct fusion_kalman *k)
 }
 
 /* Blocks of a second of a steady signal; each counts when the next one agrees with it. */
-static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_b_rad_s, double *error)
+static void measure_bias(struct fusion_kalman *k, const struct fusion_kalman_config *config, bool steady,
+	struct vec3 bias_b_rad_s, double *error)
 {
 	const double variance = squared(REST_GYRO_NOISE) / BLOCK_S;
 	struct vec3 mean, field;
@@ -590,7 +596,7 @@ static void measure_bias(struct fusion_kalman *k, bool steady, struct vec3 bias_
 			k->turning |=
 				squared(d[i]) > squared(BIAS_SIGMAS) * (k->covariance[BIAS + i][BIAS + i] + variance);
 		for (int i = 0; i < 3 && !k->turning; i++)
-			measure(k, error, BIAS + i, d[i], variance);
+			measure(k, config, error, BIAS + i, d[i], variance);
 		k->bias_known |= !k->turning;
 	}
 	k->last_block_b_rad_s = mean;
@@ -792,7 +798,7 @@ static bool measure_heading(
 	share = k->covariance[HEADING][HEADING] / (k->covariance[HEADING][HEADING] + variance);
 	follow_by_offset(k, q_nb, m, share);
 	keep_turns(k, 1 - share);
-	measure(k, error, HEADING, off, variance);
+	measure(k, config, error, HEADING, off, variance);
 	return true;
 }
 
@@ -853,7 +859,7 @@ bool fusion_kalman_aid_heading(struct fusion_kalman *k, const struct fusion_kalm
 		return true;
 	}
 	keep_turns(k, variance_rad2 / innovation_variance);
-	measure(k, error, HEADING, innovation_rad, variance_rad2);
+	measure(k, config, error, HEADING, innovation_rad, variance_rad2);
 	apply_correction(k, config, error, q_nb, gyro_errors);
 	k->aided_heading_s = AID_S;
 	k->heading_rejections = 0;
@@ -876,8 +882,8 @@ void fusion_kalman_aid_velocity(struct fusion_kalman *k, const struct fusion_kal
 		k->velocity_n_m_s[0] = velocity_n_m_s.x + lever_n_m_s.x;
 		k->velocity_n_m_s[1] = velocity_n_m_s.y + lever_n_m_s.y;
 	} else {
-		measure(k, error, VELOCITY, x, variance_m2_s2);
-		measure(k, error, VELOCITY + 1, y, variance_m2_s2);
+		measure(k, config, error, VELOCITY, x, variance_m2_s2);
+		measure(k, config, error, VELOCITY + 1, y, variance_m2_s2);
 		apply_correction(k, config, error, q_nb, gyro_errors);
 	}
 	k->aided_velocity_n_m_s[0] = velocity_n_m_s.x;
@@ -949,7 +955,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 		set_variance(k, i, squared(STEADY_VELOCITY_M_S));
 	k->resting = rest;
 	measure_velocity(k, config, rest ? (struct vec3){0, 0, 0} : lever_n_m_s, rest, error);
-	measure_bias(k, steady, gyro_errors->bias_b_rad_s, error);
+	measure_bias(k, config, steady, gyro_errors->bias_b_rad_s, error);
 	field_used = k->sums.fields > 0 && measure_heading(k, config, *q_nb, rest, error);
 	if (!covariance_is_valid(k)) {
 		*gyro_errors = (struct gyro_errors){0};

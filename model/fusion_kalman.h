@@ -19,7 +19,8 @@
  * - Gyro bias, in motion through tilt and heading, at rest from the gyro itself.
  * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
  *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
- *   filter): the field of a magnet in the object would look just like a scale error.
+ *   filter): the field of a magnet in the object would look just like a scale error. Nor does the tilt if nobody
+ *   calibrated the scale, since a lever arm that is not configured looks like one, too.
  * - Error of the force by vibration and clipping (vibration.h), and by what a steady force or a high velocity
  *   contradicts: the accelerometer's bias is uncertain by as much for some seconds. Such a force does not re-initialise
  *   the tilt.
@@ -71,7 +72,7 @@ struct fusion_kalman_config {
 	double bias_walk_rad_s_sqrt_s;
 	/** 0..0.05, default 0.002: 1 sigma of the gyro's scale factors as calibrated; 0: they are exact and not
 	 * estimated. A smaller one trusts the calibration. A larger one is for a gyro whose scale was never
-	 * calibrated. The estimate stays within five of it. */
+	 * calibrated: beyond 0.005 it is not estimated. The estimate stays within five of it. */
 	double gyro_scale_sigma;
 	/** uT, 0..1000, default 0.5: 1 sigma of one sample of the field, each axis, white.
 	 * noise_config.mag_sigma_uT. */

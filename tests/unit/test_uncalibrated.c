@@ -108,12 +108,57 @@ static void test_a_calibration_that_comes_later_ends_the_doubt(void **state)
 	assert_true(out.sigma.attitude_rad.z < 6 * RAD_PER_DEG);
 }
 
+/* rad, of an arm that begins to swing after 5 s, to 60 degrees at 0.5 Hz within 2 s. */
+static double arm_angle_rad(double t)
+{
+	double share = fmax(0, fmin(1, (t - 5) / 2));
+
+	return 60 * RAD_PER_DEG * share * share * (3 - 2 * share) * sin(PI * t);
+}
+
+/* The sensor hangs on it, 0.3 m from the axis. */
+static struct imu_sample on_an_arm(int k, struct quat *q_nb)
+{
+	const double t = (double)k / RATE_HZ, h = 1e-4, length_m = 0.3, angle = arm_angle_rad(t);
+	const double before = arm_angle_rad(t - h), after = arm_angle_rad(t + h), rate = (after - before) / (2 * h);
+	const struct vec3 arm_m_s2 = {(after - 2 * angle + before) / (h * h) * length_m, 0, rate * rate * length_m};
+
+	*q_nb = quat_from_rotation_vector((struct vec3){0, -angle, 0});
+	return (struct imu_sample){.t_us = (uint64_t)k * (1000000 / RATE_HZ),
+		.gyro_rad_s = {0, -rate, 0},
+		.accel_m_s2 = vec3_add(quat_rotate_inverse(*q_nb, (struct vec3){0, 0, 9.81}), arm_m_s2)};
+}
+
+/* The tangential acceleration is in phase with the angle, like the gravity that a scale error leaves. */
+static void test_a_lever_arm_that_is_not_configured_is_not_taken_for_a_scale_error(void **state)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	static struct pipeline p;
+	double beyond = 0;
+
+	(void)state;
+	config.latency.sensor_s = config.latency.accelerometer_s = 0;
+	config.uncalibrated = PIPELINE_UNCALIBRATED_GYRO;
+	assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+	for (int k = 0; k < 60 * RATE_HZ; k++) {
+		struct pipeline_output out;
+		struct quat q_nb;
+		struct imu_sample s = on_an_arm(k, &q_nb);
+
+		assert_int_equal(pipeline_step(&p, &s, &out), 0);
+		beyond += (quat_apart_rad(out.q_nb, q_nb) > 3 * out.sigma.attitude_rad.y) / (60.0 * RATE_HZ);
+	}
+	print_message("arm, uncalibrated gyro: tilt beyond 3 sigma for %.3f of the time\n", beyond);
+	assert_true(beyond < 0.02);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_an_uncalibrated_board_at_rest_is_within_its_sigma_from_the_first_sample),
 		cmocka_unit_test(test_turning_shows_the_errors_of_an_uncalibrated_magnetometer),
 		cmocka_unit_test(test_a_calibration_that_comes_later_ends_the_doubt),
+		cmocka_unit_test(test_a_lever_arm_that_is_not_configured_is_not_taken_for_a_scale_error),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
