@@ -1,6 +1,7 @@
 #include "model/fusion_kalman.h"
 
 #include <errno.h>
+#include <float.h>
 #include <string.h>
 
 #include "model/math/kalman.h"
@@ -300,6 +301,8 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 	fusion_kalman_reset_accelerometer(k, config);
 	k->mean_force_s = k->since_start_s = k->since_tilt_s = 0;
 	k->has_moved = false;
+	k->began_steady = true;
+	k->doubted_rate_b_rad_s = (struct vec3){INFINITY, 0, 0};
 	k->spread_m2_s2 = squared(LEAST_SPREAD * config->velocity_sigma_m_s);
 	k->mean_force_n_m_s2 = (struct vec3){0, 0, force_m_s2};
 	k->lever_known = false;
@@ -524,12 +527,23 @@ static bool blocks_agree(const struct fusion_kalman *k, struct vec3 mean_b_rad_s
 	return k->last_block_known && vec3_dot(apart, apart) < squared(BLOCK_SIGMAS) * 3 * variance;
 }
 
+/* Of a mean rate over this time. */
+static bool is_noise(struct vec3 rate_b_rad_s, double time_s)
+{
+	return vec3_dot(rate_b_rad_s, rate_b_rad_s) < squared(TURNING_SIGMAS) * 3 * squared(REST_GYRO_NOISE) / time_s;
+}
+
+/* Of the difference of two. */
+static bool same_rate(struct vec3 apart_b_rad_s)
+{
+	return is_noise(apart_b_rad_s, MEAN_RATE_S / 2);
+}
+
 /* What has been steady since the start may lie still, and its whole rate be bias, however large: until that is known,
  * the bias is uncertain by as much. A rate that changes is a motion. */
 static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 {
 	struct vec3 rate = vec3_scale(1 / k->sums.time_s, k->sums.gyro_b_rad), off, changed;
-	const double noise = squared(REST_GYRO_NOISE) / MEAN_RATE_S;
 
 	if (k->since_start_s == 0)
 		k->last_rate_b_rad_s = rate;
@@ -540,15 +554,29 @@ static void doubt_bias(struct fusion_kalman *k, struct vec3 bias_b_rad_s)
 	if (k->since_start_s < MEAN_RATE_S)
 		k->first_rate_b_rad_s = k->last_rate_b_rad_s;
 	changed = vec3_sub(k->last_rate_b_rad_s, k->first_rate_b_rad_s);
-	k->has_moved |= k->sums.steady_s < k->since_start_s - STEADY_SINCE_START_S ||
-			vec3_dot(changed, changed) > squared(TURNING_SIGMAS) * 3 * 2 * noise ||
+	k->has_moved |= k->sums.steady_s < k->since_start_s - STEADY_SINCE_START_S || !same_rate(changed) ||
 			vec3_norm(rate) > MOST_BIAS_RAD_S;
+	if (k->since_start_s < MEAN_RATE_S)
+		k->began_steady &= !k->has_moved && is_noise(vec3_sub(rate, k->last_rate_b_rad_s), k->sums.time_s);
 	if (k->bias_known || k->has_moved || k->since_start_s < MEAN_RATE_S)
 		return;
 	off = vec3_sub(k->first_rate_b_rad_s, bias_b_rad_s); /* not what a motion has added by now */
 	const double r[3] = {off.x, off.y, off.z};
 	for (int i = 0; i < 3; i++)
 		k->covariance[BIAS + i][BIAS + i] = fmax(k->covariance[BIAS + i][BIAS + i], squared(r[i]));
+}
+
+/* 1 sigma of a steady rate as bias, rad/s. After another steady one, at the start, it is that or a turn more than the
+ * bias: the smaller one is the more likely bias, as far as the gyro's calibration tells. */
+static double turn_in_rate(
+	const struct fusion_kalman *k, const struct fusion_kalman_config *config, struct vec3 rate_b_rad_s)
+{
+	struct vec3 first = k->first_rate_b_rad_s, turn = vec3_sub(rate_b_rad_s, first);
+	double smaller = vec3_dot(first, first) - vec3_dot(rate_b_rad_s, rate_b_rad_s);
+
+	if (k->bias_known || !k->has_moved || !k->began_steady || same_rate(turn))
+		return 0;
+	return vec3_norm(turn) / sqrt(1 + exp(smaller / (2 * fmax(squared(config->bias_sigma_rad_s), DBL_MIN))));
 }
 
 /* The field of an object that turns at this rate turns against it; that of one that lies does not. */
@@ -573,6 +601,7 @@ static void measure_bias(struct fusion_kalman *k, const struct fusion_kalman_con
 {
 	const double variance = squared(REST_GYRO_NOISE) / BLOCK_S;
 	struct vec3 mean, field;
+	double turn;
 
 	if (!steady) {
 		k->turning = k->last_block_known = false;
@@ -595,9 +624,13 @@ static void measure_bias(struct fusion_kalman *k, const struct fusion_kalman_con
 		for (int i = 0; i < 3; i++)
 			k->turning |=
 				squared(d[i]) > squared(BIAS_SIGMAS) * (k->covariance[BIAS + i][BIAS + i] + variance);
-		for (int i = 0; i < 3 && !k->turning; i++)
-			measure(k, config, error, BIAS + i, d[i], variance);
-		k->bias_known |= !k->turning;
+		turn = turn_in_rate(k, config, mean);
+		if (!k->turning && (turn == 0 || !same_rate(vec3_sub(mean, k->doubted_rate_b_rad_s)))) {
+			for (int i = 0; i < 3; i++)
+				measure(k, config, error, BIAS + i, d[i], variance + squared(turn));
+			k->bias_known |= turn == 0;
+			k->doubted_rate_b_rad_s = mean; /* seen again, it is no other measurement */
+		}
 	}
 	k->last_block_b_rad_s = mean;
 	k->last_block_field_b_uT = field;

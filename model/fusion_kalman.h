@@ -16,7 +16,8 @@
  *   rejection time. A heading that is off by more than any gyro drifts is an outlier, and rejected for the same time.
  *   An object that does not turn sees the same error of the field again and again, so such measurements are correlated
  *   and weigh less.
- * - Gyro bias, in motion through tilt and heading, at rest from the gyro itself.
+ * - Gyro bias, in motion through tilt and heading, at rest from the gyro itself. Of two steady rates in a row after the
+ *   start, one may be a turn: the bias is uncertain by as much until the first one returns.
  * - Gyro scale, through the tilt of an object that turns to different sides: 0.2 % of a turn is 0.7 degrees. A measured
  *   heading does not estimate the scale, it only accounts for its uncertainty (consider states of a Schmidt-Kalman
  *   filter): the field of a magnet in the object would look just like a scale error. Nor does the tilt if nobody
@@ -150,6 +151,8 @@ struct fusion_kalman {
 	bool bias_known;				   /* estimated at rest, since it was reset */
 	bool has_moved;					   /* since the start; until then the whole rate may be bias */
 	struct vec3 first_rate_b_rad_s, last_rate_b_rad_s; /* means over 0.3 s */
+	bool began_steady;				   /* nothing moved while the first one was measured */
+	struct vec3 doubted_rate_b_rad_s;		   /* the last one that was measured as bias */
 	bool turning;					   /* that one differs from the bias by more than its sigma */
 	double since_start_s, since_tilt_s;   /* since the filter started, and since the force has set the tilt */
 	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */

@@ -152,6 +152,93 @@ static void test_a_lever_arm_that_is_not_configured_is_not_taken_for_a_scale_err
 	assert_true(beyond < 0.02);
 }
 
+/* A turntable: its rate about the vertical, then another one and a third one, each reached within 0.5 s. A hand may
+ * hold the sensor before. */
+struct turntable {
+	double rad_s[3], for_s[3];
+	bool in_a_hand;
+};
+
+struct seen {
+	double beyond; /* 3 sigma of the heading: share of the time */
+	double heading_off_rad, bias_sigma_rad_s;
+};
+
+static double turntable_rad_s(const struct turntable *t, double at_s)
+{
+	double second = fmax(0, fmin(1, 2 * (at_s - t->for_s[0])));
+	double third = fmax(0, fmin(1, 2 * (at_s - t->for_s[0] - t->for_s[1])));
+
+	return t->rad_s[0] + second * (t->rad_s[1] - t->rad_s[0]) + third * (t->rad_s[2] - t->rad_s[1]);
+}
+
+/* With a gyro whose bias is 2 deg/s, and without a magnetometer. */
+static struct seen put_on(struct turntable t, unsigned uncalibrated)
+{
+	struct pipeline_config config = PIPELINE_DEFAULTS;
+	struct seen seen = {.beyond = 0};
+	static struct pipeline p;
+	double heading_rad = 0, before = t.rad_s[0];
+	int n = (int)((t.for_s[0] + t.for_s[1] + t.for_s[2]) * RATE_HZ);
+
+	config.latency.sensor_s = config.latency.accelerometer_s = 0;
+	config.uncalibrated = uncalibrated;
+	assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+	for (int k = 0; k < n; k++) {
+		double rate = turntable_rad_s(&t, (double)k / RATE_HZ);
+		double hand = t.in_a_hand && k < t.for_s[0] * RATE_HZ ? 0.3 * sin(0.2 * k) : 0;
+		struct imu_sample s = {.t_us = (uint64_t)k * (1000000 / RATE_HZ),
+			.gyro_rad_s = {hand, 0, rate + 2 * RAD_PER_DEG},
+			.accel_m_s2 = {0, 0, 9.81}};
+		struct pipeline_output out;
+
+		heading_rad += (before + rate) / 2 / RATE_HZ;
+		before = rate;
+		assert_int_equal(pipeline_step(&p, &s, &out), 0);
+		seen.heading_off_rad = fabs(remainder(out.angles_rad.z - heading_rad, 2 * PI));
+		seen.beyond += (seen.heading_off_rad > 3 * out.sigma.attitude_rad.z) / (double)n;
+	}
+	seen.bias_sigma_rad_s = sqrt(p.fusion.kalman.covariance[KALMAN_BIAS + 2][KALMAN_BIAS + 2]);
+	return seen;
+}
+
+/* Whether it lay and turns now, or turned and lies now, no gyro shows that may have any bias. */
+static void test_of_two_steady_rates_after_the_start_either_is_the_bias_until_the_first_one_returns(void **state)
+{
+	const double turn = 5 * RAD_PER_DEG;
+
+	(void)state;
+	for (double s = 0.5; s < 4; s *= 2) {
+		struct seen turns = put_on((struct turntable){{0, turn, 0}, {s, 20, 0}, 0}, PIPELINE_UNCALIBRATED_GYRO);
+		struct seen lies = put_on((struct turntable){{turn, 0, 0}, {s, 20, 0}, 0}, PIPELINE_UNCALIBRATED_GYRO);
+		struct seen back = put_on((struct turntable){{0, turn, 0}, {s, 20, 9}, 0}, PIPELINE_UNCALIBRATED_GYRO);
+
+		assert_true(turns.beyond < 0.01 && lies.beyond < 0.01 && back.beyond < 0.01);
+		assert_true(turns.bias_sigma_rad_s > turn / 2 && lies.bias_sigma_rad_s > turn / 2);
+		assert_true(back.bias_sigma_rad_s < 0.1 * RAD_PER_DEG);
+		assert_true(back.heading_off_rad < 5 * RAD_PER_DEG);
+	}
+}
+
+static void test_what_a_hand_laid_down_lies(void **state)
+{
+	struct seen seen = put_on((struct turntable){{0.5, 0, 0}, {3, 20, 0}, true}, PIPELINE_UNCALIBRATED_GYRO);
+
+	(void)state;
+	assert_true(seen.bias_sigma_rad_s < 0.1 * RAD_PER_DEG);
+}
+
+/* 20 deg/s are no bias of a gyro that was calibrated to 0.5. */
+static void test_a_calibrated_gyro_knows_which_rate_is_the_turn(void **state)
+{
+	struct seen turns = put_on((struct turntable){{0, 20 * RAD_PER_DEG, 0}, {3, 20, 9}, 0}, 0);
+	struct seen lies = put_on((struct turntable){{20 * RAD_PER_DEG, 0, 0}, {3, 20, 0}, 0}, 0);
+
+	(void)state;
+	assert_true(turns.bias_sigma_rad_s < 0.1 * RAD_PER_DEG && lies.bias_sigma_rad_s < 0.1 * RAD_PER_DEG);
+	assert_true(turns.beyond < 0.01);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -159,6 +246,10 @@ int main(void)
 		cmocka_unit_test(test_turning_shows_the_errors_of_an_uncalibrated_magnetometer),
 		cmocka_unit_test(test_a_calibration_that_comes_later_ends_the_doubt),
 		cmocka_unit_test(test_a_lever_arm_that_is_not_configured_is_not_taken_for_a_scale_error),
+		cmocka_unit_test(
+			test_of_two_steady_rates_after_the_start_either_is_the_bias_until_the_first_one_returns),
+		cmocka_unit_test(test_what_a_hand_laid_down_lies),
+		cmocka_unit_test(test_a_calibrated_gyro_knows_which_rate_is_the_turn),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
