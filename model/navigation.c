@@ -1229,6 +1229,50 @@ static void add_scale_error(struct navigation *n)
 	n->net_turn2_max_rad2 = turned2;
 }
 
+/* An error of scale is one of the velocity along that axis, which vanishes with the velocity unless the object turns to
+ * and fro as it accelerates: what a swinging arm rectifies grows with time. */
+static void add_rectified_error(struct navigation *n)
+{
+	const struct mat3 r_nb = mat3_from_quat(n->q_nb);
+	const struct vec3 f = n->sums.f, turned = n->sums.turned_b_rad;
+	const struct vec3 up_b = quat_rotate_inverse(n->q_nb, (struct vec3){0, 0, n->gravity_m_s2});
+	const struct vec3 v_b = quat_rotate_inverse(n->q_nb, n->velocity_n_m_s);
+	const double t = n->sums.t_s, accel[3] = {f.x, f.y, f.z - n->gravity_m_s2 * t};
+	struct mat3 *attitude = &n->scales.attitude;
+	bool begun = n->scales.begun;
+	struct vec3 force_b;
+
+	if (n->still && !n->turning) {
+		memset(&n->scales, 0, sizeof(n->scales));
+		return;
+	}
+	if (!begun)
+		n->scales.up_b_m_s2 = up_b;
+	force_b = vec3_sub(quat_rotate_inverse(n->q_nb, f), vec3_scale(t, n->scales.up_b_m_s2));
+	const double force[3] = {force_b.x, force_b.y, force_b.z}, vanishes[3] = {v_b.x, v_b.y, v_b.z};
+	const double turned_rad[3] = {turned.x, turned.y, turned.z};
+
+	for (int i = 0; i < 3; i++) {
+		const int k = (i + 1) % 3, l = (i + 2) % 3;
+		double *by_gyro = n->scales.velocity_by_gyro.m[i], *by_accel = n->scales.velocity_by_accel.m[i];
+		double gyro2 = 0, accel2 = 0, variance;
+
+		for (int j = 0; j < 3; j++) {
+			by_gyro[j] += attitude->m[k][j] * accel[l] - attitude->m[l][j] * accel[k];
+			by_accel[j] = begun ? by_accel[j] + r_nb.m[i][j] * force[j] : r_nb.m[i][j] * vanishes[j];
+			gyro2 += squared(by_gyro[j]);
+			accel2 += squared(by_accel[j] - r_nb.m[i][j] * vanishes[j]);
+		}
+		variance = squared(gyro_scale(n)) * gyro2 + squared(accel_scale(n)) * accel2;
+		n->p[V + i][V + i] += fmax(0, variance - n->scales.velocity2_max[i]);
+		n->scales.velocity2_max[i] = fmax(n->scales.velocity2_max[i], variance);
+	}
+	for (int i = 0; i < 3; i++)
+		for (int j = 0; j < 3; j++)
+			attitude->m[i][j] += r_nb.m[i][j] * turned_rad[j];
+	n->scales.begun = true;
+}
+
 /* A way in one direction leaves an error of position behind that grows with it. */
 static void add_way_error(struct navigation *n)
 {
@@ -1337,6 +1381,8 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 
 	if (!assumptions(n)->dwell)
 		add_scale_error(n);
+	if (!assumptions(n)->dwell)
+		add_rectified_error(n);
 	if (assumptions(n)->stances && n->stood_s < STOOD_S)
 		creep(n, STANCE_CREEP_M_S, &n->walked_s, t_s);
 

@@ -135,9 +135,17 @@ struct navigation {
 	double bounded_s[3];	      /* in this movement, for which the prior bounded the velocity of each axis */
 	struct vec3 net_turn_b_rad;   /* integral of the rate since the last standstill, */
 	double net_turn2_max_rad2;    /* .. and its greatest square */
-	struct vec3 way_from_n_m;     /* where the sensor was when the displacement began, */
-	double way2_max_m2;	      /* .. and its greatest squared distance from there */
-	double accelerated_s;	      /* for how long it still counts as accelerating */
+	struct {
+		bool begun;	       /* since the last standstill; the movement may have begun before */
+		struct vec3 up_b_m_s2; /* gravity then: the bias has the error of that */
+		/* what a relative error of each axis adds up to since: of the attitude by the gyro, of the velocity by
+		 * that and by the accelerometer, n; a column an axis */
+		struct mat3 attitude, velocity_by_gyro, velocity_by_accel;
+		double velocity2_max[3]; /* greatest variance of the velocity, m^2/s^2 */
+	} scales;
+	struct vec3 way_from_n_m;			   /* where the sensor was when the displacement began, */
+	double way2_max_m2;				   /* .. and its greatest squared distance from there */
+	double accelerated_s;				   /* for how long it still counts as accelerating */
 	struct vec3 slow_force_n_m_s2, usual_force_n_m_s2; /* means over a second, and over ten */
 	double changed_s;	     /* for how long the force may stay where it is since it changed */
 	struct vec3 high_pass_n_m_s; /* of the reference point's velocity, */

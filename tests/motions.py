@@ -175,6 +175,7 @@ class Motion:
     preset: int = 0  # position.motion_preset
     rope_m: float = 0  # position.rope_length
     gaps: bool = False  # without samples for 0.08 to 0.32 s, every 0.5 to 3 s of the motion
+    uncalibrated: str = ''  # the sensors that the log tells to be
 
 
 def drive(speed, cruise_s, ramp_s, axis=(1, 0, 0), vibration=None, preset=0):
@@ -247,6 +248,10 @@ def all_motions():
                  'arm 1 m, ±60 deg, 0.5 Hz', 'crane, rope 5 m', 'straight 1 m/s, 10 s', 'straight 1 m/s, 60 s',
                  'lift 12 m, 2 m/s', 'conveyor 0.3 m/s, 30 s'):
         m[name + ', gaps'] = replace(m[name], gaps=True)
+    delivered = {'uncalibrated_rad_s': np.radians(5), 'gyro_scale': 0.02}
+    for name in ('turn 5 deg/s from 3 s on', 'circle 2 m, 0.5 rad/s', 'arm 0.3 m, ±60 deg, 0.5 Hz',
+                 'arm 1 m, ±60 deg, 0.5 Hz'):
+        m[name + ', uncalibrated'] = replace(m[name], chip=delivered, uncalibrated='gyro')
     for deg in (2, 5, 10, 20):
         m[f'lying, gyro bias {deg} deg/s'] = still(uncalibrated_rad_s=np.radians(deg))
     return m

@@ -628,6 +628,65 @@ static void test_a_robot_that_stops_at_the_corners_of_its_square_is_followed(voi
 	assert_true(worst < 0.4);
 }
 
+/* rad, of an arm that hangs, and from 4 s on swings by 120 degrees at 0.2 Hz, within 2 s. */
+static double arm_angle_rad(double t)
+{
+	double share = fmax(0, fmin(1, (t - 4) / 2));
+
+	return 120 * RAD_PER_DEG * share * share * (3 - 2 * share) * sin(0.4 * PI * (t - 4));
+}
+
+/* What a sensor with these errors of scale measures on it, 1 m from the axis, and where it is. */
+static struct imu_sample on_an_arm(int k, struct vec3 gyro_scale, struct vec3 accel_scale, struct vec3 *position_n_m)
+{
+	const double t = 0.01 * k, h = 1e-4, angle = arm_angle_rad(t);
+	const double before = arm_angle_rad(t - h), after = arm_angle_rad(t + h), rate = (after - before) / (2 * h);
+	struct quat q_nb = quat_from_rotation_vector((struct vec3){0, -angle, 0});
+	struct vec3 up_b = quat_rotate_inverse(q_nb, (struct vec3){0, 0, G});
+	struct vec3 f = vec3_add(up_b, (struct vec3){(after - 2 * angle + before) / (h * h), 0, rate * rate});
+
+	*position_n_m = vec3_add(quat_rotate(q_nb, (struct vec3){0, 0, -1}), (struct vec3){0, 0, 1});
+	return (struct imu_sample){.t_us = (uint64_t)k * 10000,
+		.gyro_rad_s = {0, -rate * (1 + gyro_scale.y), 0},
+		.accel_m_s2 = {f.x * (1 + accel_scale.x), f.y * (1 + accel_scale.y), f.z * (1 + accel_scale.z)}};
+}
+
+/* The error of an axis is in phase with what it multiplies, so that a part of it never averages out: the height was 8
+ * sigma off. */
+static void test_what_a_swinging_arm_rectifies_of_the_errors_of_scale_is_in_the_sigma(void **state)
+{
+	static const struct {
+		struct vec3 gyro, accel;
+		unsigned uncalibrated;
+	} errors[] = {{{0, 0.02, 0}, {0, 0, 0}, PIPELINE_UNCALIBRATED_GYRO},
+		{{0, 0, 0}, {0.02, 0, 0}, PIPELINE_UNCALIBRATED_ACCEL},
+		{{0, 0, 0}, {0, 0, 0.02}, PIPELINE_UNCALIBRATED_ACCEL}, {{0, 0.003, 0}, {0, 0, 0}, 0},
+		{{0, 0, 0}, {-0.003, 0, 0.003}, 0}};
+
+	(void)state;
+	for (size_t e = 0; e < sizeof(errors) / sizeof(errors[0]); e++) {
+		struct pipeline_config config = PIPELINE_DEFAULTS;
+		static struct pipeline p;
+		double worst = 0;
+
+		config.latency.sensor_s = config.latency.accelerometer_s = 0;
+		config.uncalibrated = errors[e].uncalibrated;
+		assert_int_equal(pipeline_init(&p, &config, 100), 0);
+		for (int k = 0; k < 64 * 100; k++) {
+			struct vec3 position_n_m, off;
+			struct imu_sample s = on_an_arm(k, errors[e].gyro, errors[e].accel, &position_n_m);
+			struct pipeline_output out;
+
+			assert_int_equal(pipeline_step(&p, &s, &out), 0);
+			off = vec3_sub(out.position_n_m, position_n_m);
+			if (k > 800)
+				worst = fmax(worst, fabs(off.z) / out.sigma.position_m.z);
+		}
+		print_message("scale error %zu: height off by %.1f sigma at most\n", e, worst);
+		assert_true(worst < 2);
+	}
+}
+
 /* A constant error of acceleration is seen as velocity at the standstill, and half of that velocity times the time is
  * the error of the position. A smoother over the movement removes it, and so must the filter. */
 static void test_a_standstill_corrects_the_whole_movement_before_it(void **state)
@@ -1891,6 +1950,7 @@ int main(void)
 		cmocka_unit_test(test_levelling_does_not_shorten_a_long_steady_drive),
 		cmocka_unit_test(test_sigma_is_honest_on_a_simulated_robot_at_any_rate),
 		cmocka_unit_test(test_the_errors_stay_bounded_at_the_end_of_a_lever_arm_at_any_rate),
+		cmocka_unit_test(test_what_a_swinging_arm_rectifies_of_the_errors_of_scale_is_in_the_sigma),
 		cmocka_unit_test(test_a_robot_that_stops_at_the_corners_of_its_square_is_followed),
 		cmocka_unit_test(test_a_standstill_corrects_the_whole_movement_before_it),
 		cmocka_unit_test(test_a_steady_speed_passes_for_a_standstill_only_after_the_rest_time),
