@@ -98,6 +98,9 @@ static const double YOUNG_S = 6;
  * differs from gravity by less than this (m/s^2). By judgement: a hand in fast motion. */
 static const double LOST_S = 3, LOST_LENGTH_M_S2 = 3;
 
+/* s, memory of the rate about the vertical that is steady. By judgement: some memories of the velocity. */
+static const double CIRCLE_S = 5;
+
 /* ---- bias at rest ---- */
 
 /* s, over which the rate is averaged before it counts as bias, once the next mean agrees with it: a motion that begins
@@ -382,19 +385,25 @@ static void propagate_rows(struct fusion_kalman *k, struct vec3 f)
 	kalman_add_rows(STATES, p, VELOCITY, 2, -1, k->sums.rotation_s[0], ACCEL);
 }
 
-/* What exceeds the accelerometer's error as calibrated is a Gauss-Markov process. */
+/* Of the accelerometer's error while nothing falsifies it: as calibrated, and what a circle looks like. */
+static double usual_accel_variance(const struct fusion_kalman *k)
+{
+	return k->accel_variance + k->circle_m2_s4;
+}
+
+/* What exceeds the accelerometer's usual error is a Gauss-Markov process. */
 static void forget_force_error(struct fusion_kalman *k, double t)
 {
-	double kept = exp(-t / FORCE_ERROR_S);
+	double kept = exp(-t / FORCE_ERROR_S), usual = usual_accel_variance(k);
 
 	for (int i = ACCEL; i < ACCEL + 3; i++) {
 		double variance = k->covariance[i][i];
 
-		if (variance < 1.001 * k->accel_variance)
+		if (variance < 1.001 * usual)
 			continue;
 		for (int j = 0; j < STATES; j++)
 			k->covariance[j][i] = k->covariance[i][j] *= kept;
-		k->covariance[i][i] = squared(kept) * variance + (1 - squared(kept)) * k->accel_variance;
+		k->covariance[i][i] = squared(kept) * variance + (1 - squared(kept)) * usual;
 	}
 }
 
@@ -454,7 +463,7 @@ static void doubt_force(struct fusion_kalman *k, double variance)
 {
 	for (int i = ACCEL; i < ACCEL + 3; i++)
 		k->covariance[i][i] = fmax(k->covariance[i][i], variance);
-	k->doubted |= variance > k->accel_variance;
+	k->doubted |= variance > usual_accel_variance(k);
 	if (k->since_tilt_s < YOUNG_S)
 		widen_attitude(k, variance);
 }
@@ -480,6 +489,18 @@ static void doubt_mean_force(
 				 : k->velocity2_m2_s2 < 2 * squared(FAST * config->velocity_sigma_m_s))
 		return;
 	doubt_force(k, off2);
+}
+
+/* A steady turn may be a circle: its centripetal acceleration, rate times velocity, stays the same in the object as an
+ * error of the accelerometer does. */
+static void expect_circle(struct fusion_kalman *k)
+{
+	double t = k->sums.time_s, share = t / (CIRCLE_S + t), rate = k->sums.turned_up_rad / t, steady2;
+
+	k->yaw_rate_rad_s += share * (rate - k->yaw_rate_rad_s);
+	k->yaw_rate2_rad2_s2 += share * (squared(rate) - k->yaw_rate2_rad2_s2);
+	steady2 = fmax(0, 2 * squared(k->yaw_rate_rad_s) - k->yaw_rate2_rad2_s2); /* less what it varies by */
+	k->circle_m2_s4 = k->spread_m2_s2 * steady2;
 }
 
 /* m^2/s^2, of the lever arm's velocity by the gyro's noise and bias, each axis. */
@@ -651,7 +672,7 @@ static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 		k->mean_force_m_s2 = length;
 	k->mean_force_m_s2 += k->sums.time_s / k->mean_force_s * (length - k->mean_force_m_s2);
 	off = (GRAVITY_M_S2 - k->mean_force_m_s2) * fmin(1, k->mean_force_s / MEAN_LENGTH_LEAST_S);
-	if (k->covariance[ACCEL][ACCEL] > 1.01 * k->accel_variance)
+	if (k->covariance[ACCEL][ACCEL] > 1.01 * usual_accel_variance(k))
 		least = UNCALIBRATED_AT_REST_M_S2;
 	if (fabs(off) > least && (rest || is_steady(k))) {
 		doubt_force(k, squared(off) + (off < 0 ? -2 * GRAVITY_M_S2 * off : 0));
@@ -659,7 +680,7 @@ static void observe_accelerometer(struct fusion_kalman *k, bool rest)
 	} else if (least == VIBRATES_M_S2 && (rest ? fabs(off) > UNCALIBRATED_AT_REST_M_S2 : off > UNCALIBRATED_M_S2))
 		k->accel_variance = fmax(k->accel_variance, (rest ? 1 : 3) * squared(off));
 	for (int i = ACCEL; i < ACCEL + 3; i++)
-		k->covariance[i][i] = fmax(k->covariance[i][i], k->accel_variance);
+		k->covariance[i][i] = fmax(k->covariance[i][i], usual_accel_variance(k));
 }
 
 struct field {
@@ -982,6 +1003,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	expire_aids(k);
 	doubt_bias(k, gyro_errors->bias_b_rad_s);
 	rest = is_resting(k, steady, gyro_errors->bias_b_rad_s);
+	expect_circle(k);
 	observe_accelerometer(k, rest);
 	doubt_force(k, squared(k->sums.force_error_m_s2));
 	for (int i = VELOCITY; i < VELOCITY + 2 && rest && !k->resting; i++)
@@ -1119,6 +1141,7 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 {
 	struct vec3 force_n = quat_rotate(*q_nb, s->force_b_m_s2);
 	struct vec3 lever_n = quat_rotate(*q_nb, vec3_cross(s->rate_b_rad_s, s->lever_arm_b_m));
+	double turned_up_rad;
 
 	change_lever_arm(k, s, *q_nb);
 	if (s->unseen_turn_rad > 0) {
@@ -1135,7 +1158,9 @@ bool fusion_kalman_step(struct fusion_kalman *k, const struct fusion_kalman_conf
 	k->velocity_n_m_s[1] += dt_s * force_n.y;
 	k->sums.gyro_b_rad = vec3_add(k->sums.gyro_b_rad, vec3_scale(dt_s, s->gyro_b_rad_s));
 	k->sums.turned_rad2_s += dt_s * vec3_dot(s->rate_b_rad_s, s->rate_b_rad_s);
-	k->net_turn_rad += dt_s * quat_rotate(*q_nb, s->rate_b_rad_s).z;
+	turned_up_rad = dt_s * quat_rotate(*q_nb, s->rate_b_rad_s).z;
+	k->sums.turned_up_rad += turned_up_rad;
+	k->net_turn_rad += turned_up_rad;
 	k->net_turn_max_rad = fmax(k->net_turn_max_rad, fabs(k->net_turn_rad));
 	k->sums.rest_s += s->rest ? dt_s : 0;
 	k->sums.steady_s = s->steady_s;

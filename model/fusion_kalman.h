@@ -25,6 +25,8 @@
  * - Error of the force by vibration and clipping (vibration.h), and by what a steady force or a high velocity
  *   contradicts: the accelerometer's bias is uncertain by as much for some seconds. Such a force does not re-initialise
  *   the tilt.
+ * - A steady turn about the vertical may be a circle: the accelerometer's bias is uncertain by the rate times the
+ *   spread of the velocity.
  * - Agreement of field and gyro (hard_iron.h). A hard-iron offset that the motion shows is subtracted. While the field
  *   does not turn as the gyro says, it is not used, and a heading that it gave is unknown.
  * - Heading and velocity from outside, with the sigma given. While headings come, the magnetometer only estimates where
@@ -115,6 +117,7 @@ enum {
 /** Integrals over the samples since the last correction. */
 struct fusion_kalman_sums {
 	double time_s, rest_s;		     /* and how much of it the object was at rest */
+	double turned_up_rad;		     /* about the vertical */
 	double turned_rad2_s;		     /* of the squared rate */
 	double force_noise_m2_s2;	     /* variance of the velocity by white noise of the force */
 	double force_error_m_s2;	     /* the largest of the samples */
@@ -154,12 +157,14 @@ struct fusion_kalman {
 	bool began_steady;				   /* nothing moved while the first one was measured */
 	struct vec3 doubted_rate_b_rad_s;		   /* the last one that was measured as bias */
 	bool turning;					   /* that one differs from the bias by more than its sigma */
-	double since_start_s, since_tilt_s;   /* since the filter started, and since the force has set the tilt */
-	double mean_force_m_s2, mean_force_s; /* mean length of the force, and the time behind it */
-	double accel_variance;		      /* of the accelerometer's error, m^2/s^4, without that of vibration */
-	bool doubted;			      /* it is larger now */
-	double velocity2_m2_s2;		      /* mean square of the measured velocity */
-	double lost_s;			      /* for how long the mean force has been far from the vertical */
+	double since_start_s, since_tilt_s;	  /* since the filter started, and since the force has set the tilt */
+	double mean_force_m_s2, mean_force_s;	  /* mean length of the force, and the time behind it */
+	double accel_variance;			  /* of the accelerometer's error, m^2/s^4, without that of vibration */
+	bool doubted;				  /* it is larger now */
+	double yaw_rate_rad_s, yaw_rate2_rad2_s2; /* means of the rate about the vertical and of its square, */
+	double circle_m2_s4;			  /* .. and variance of the centripetal acceleration by it */
+	double velocity2_m2_s2;			  /* mean square of the measured velocity */
+	double lost_s;				  /* for how long the mean force has been far from the vertical */
 	/* the field's reference, and the candidate that may replace it */
 	double norm_uT, dip_rad, reference_s; /* norm 0: no reference; reference_s: time of fields behind it, limited */
 	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
@@ -237,7 +242,7 @@ static inline bool fusion_kalman_field_disagrees(const struct fusion_kalman *k)
 /** The error of the force exceeds that of the calibration by a 1 sigma of 0.1 m/s^2 (0.6 degrees of tilt). */
 static inline bool fusion_kalman_force_doubted(const struct fusion_kalman *k)
 {
-	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + 0.01;
+	return k->covariance[KALMAN_ACCEL][KALMAN_ACCEL] > k->accel_variance + k->circle_m2_s4 + 0.01;
 }
 /** Variance of the heading, rad^2, with what the turns in one direction left behind: of a full turn while the heading
  * was set by a field that cannot be used, or that has just replaced another one. */

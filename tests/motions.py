@@ -227,7 +227,7 @@ def all_motions():
     for begin_s in (0.5, 1.2, 3.0):
         m[f'turn 5 deg/s from {begin_s:g} s on'] = turn(np.radians(5), 60, begin_s=begin_s)
     m['spin 17 deg/s, 60 s'] = turn(np.radians(17), 60, ramp_s=2.0)
-    for radius, rate in ((0.5, 0.3), (2, 0.5), (2, 0.02)):
+    for radius, rate in ((0.5, 0.3), (2, 0.5), (2, 0.02), (5, 0.2)):
         m[f'circle {radius:g} m, {rate:g} rad/s'] = turn(rate, 60, radius, ramp_s=2.0)
     for length, amplitude, hz in ((0.3, 60, 0.5), (1.0, 60, 0.5), (1.0, 20, 0.1)):
         m[f'arm {length:g} m, ±{amplitude} deg, {hz:g} Hz'] = arm(length, amplitude, hz)

@@ -1676,6 +1676,40 @@ static void test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_kalm
 	}
 }
 
+/* A robot stands for 10 s, reaches 1 m/s within 2 s on a circle, and stays on it. Its centripetal acceleration looks
+ * like an accelerometer's error: it turns with the robot. Returns the share of the time beyond 3 sigma. */
+static double tilt_beyond_on_a_circle(double radius_m, bool *vibrates)
+{
+	const double most_rad_s = 1 / radius_m, dt_s = 1.0 / RATE_HZ;
+	struct pipeline p = pipeline(&PIPELINE_DEFAULTS);
+	double beyond = 0, rate = 0;
+
+	for (int k = 0; k < 60 * RATE_HZ; k++) {
+		double next = most_rad_s * fmax(0, fmin(1, (k * dt_s - 10) / 2));
+		double t_m_s2 = radius_m * (next - rate) / dt_s;
+		struct imu_sample s = {.t_us = (uint64_t)k * (1000000 / RATE_HZ),
+			.gyro_rad_s = {0, 0, next},
+			.accel_m_s2 = {t_m_s2, radius_m * next * next, 9.81}};
+		struct pipeline_output out = step(&p, &s);
+		double tilt = hypot(out.angles_rad.x, out.angles_rad.y);
+
+		rate = next;
+		beyond += (tilt > 3 * out.sigma.attitude_rad.x) / (60.0 * RATE_HZ);
+		*vibrates |= k > 30 * RATE_HZ && out.status & PIPELINE_VIBRATION;
+	}
+	return beyond;
+}
+
+static void test_the_centripetal_acceleration_of_a_long_turn_counts_in_the_sigma_of_the_tilt(void **state)
+{
+	bool vibrates = false;
+
+	(void)state;
+	for (double radius_m = 2; radius_m < 10; radius_m *= 2)
+		assert_true(tilt_beyond_on_a_circle(radius_m, &vibrates) < 0.01);
+	assert_false(vibrates);
+}
+
 /* ---- Madgwick's and Mahony's filters beside the Kalman filter ---- */
 
 /* Two pipelines on the same samples, one with the Kalman filter and one with another. */
@@ -1862,6 +1896,7 @@ int main(void)
 		cmocka_unit_test(test_fusion_and_navigation_use_the_users_limits_of_rest_latency_and_noise),
 		cmocka_unit_test(test_a_new_gyro_bias_is_not_an_angular_acceleration),
 		cmocka_unit_test(test_the_navigation_knows_attitude_and_gyro_bias_as_well_as_the_kalman_filter),
+		cmocka_unit_test(test_the_centripetal_acceleration_of_a_long_turn_counts_in_the_sigma_of_the_tilt),
 		cmocka_unit_test(test_another_filter_changes_neither_velocity_nor_position),
 		cmocka_unit_test(test_the_sigma_of_another_filters_attitude_has_its_distance_from_the_kalman_filters),
 		cmocka_unit_test(test_an_attitude_that_is_known_to_be_wrong_is_not_valid),
