@@ -335,6 +335,17 @@ static void test_what_another_node_answers_is_told(void **state)
 	other_nodes = NULL;
 }
 
+/* cocomm takes the head for the whole answer when the value comes later. */
+static void test_a_short_answer_comes_in_one_piece(void **state)
+{
+	(void)state;
+	type(client, "[1] 6 r 0x1017 0 u16\n");
+	cia309_tick(&g, now_us);
+	respond(0x586, (const uint8_t[8]){0x4B, 0x17, 0x10, 0, 0xE8, 3});
+	cia309_tick(&g, now_us);
+	assert_string_equal(take(client), "[1] 1000\r\n");
+}
+
 static void test_the_time_for_an_answer_is_as_set_by_clients_with_the_same_rights(void **state)
 {
 	struct cia309_session *reader = cia309_open(&g, "reader", false);
@@ -953,6 +964,7 @@ int main(void)
 		TEST(test_the_transfers_of_other_nodes_are_segmented_or_in_blocks_as_set),
 		TEST(test_the_filter_of_the_bus_changes_with_the_node_that_is_asked),
 		TEST(test_what_another_node_answers_is_told),
+		TEST(test_a_short_answer_comes_in_one_piece),
 		TEST(test_the_time_for_an_answer_is_as_set_by_clients_with_the_same_rights),
 		TEST(test_a_value_that_is_none_reaches_nobody),
 		TEST(test_long_objects_of_this_node_are_read_and_written),

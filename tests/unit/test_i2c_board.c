@@ -117,6 +117,52 @@ static void test_an_empty_bus_is_refused_with_the_addresses_that_were_tried(void
 	world_free(w);
 }
 
+static int cause, cause_at; /* of an access to this address; to all others ENXIO */
+
+static int refuse_access(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	return access->address == cause_at ? -cause : -ENXIO;
+}
+
+static int only_the_gyro(struct world *w, const struct sim_access *access)
+{
+	return access->address == sim_board_address(w->sim, IMU_CHIP_GYRO) ? 0 : refuse_access(w, access);
+}
+
+/* Of several causes the one that the user can do something about: a driver that has the chip, or a lack of rights. */
+static void test_why_no_chip_was_found_is_told(void **state)
+{
+	static const struct {
+		int at, cause, told;
+	} cases[] = {{0, 0, ENXIO}, {0x6B, EIO, ENXIO}, {0x68, EIO, EIO}, {0x6B, EBUSY, EBUSY}, {0x6A, EACCES, EACCES}};
+	char why[200], expected[200];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+		struct world *w = world_make("v3", "rest", true);
+		const struct board_clock clock = w->board.clock;
+
+		w->before = refuse_access;
+		cause_at = cases[i].at;
+		cause = cases[i].cause;
+		assert_int_equal(board_detect(&w->board, w->bus, &clock, why, sizeof why), -cases[i].told);
+		snprintf(expected, sizeof expected,
+			"no gyro answers at 68h to 6Bh (%s): check power and wiring, and that no kernel driver is "
+			"bound to the chip",
+			strerror(cases[i].told));
+		assert_string_equal(why, expected);
+		w->before = only_the_gyro;
+		cause_at = 0x1D;
+		cause = EBUSY;
+		assert_int_equal(board_detect(&w->board, w->bus, &clock, why, sizeof why), -EBUSY);
+		assert_string_equal(why,
+			"no accelerometer answers at 18h, 19h, 1Dh or 1Eh (Device or resource busy): check power and "
+			"wiring, and that no kernel driver is bound to the chip");
+		world_free(w);
+	}
+}
+
 static void other_identity(struct world *w, const struct sim_access *access)
 {
 	(void)w;
@@ -132,7 +178,13 @@ static void test_unknown_chips_are_refused(void **state)
 
 	(void)state;
 	w->after = other_identity;
-	assert_true(board_detect(&w->board, w->bus, &clock, why, sizeof why) < 0);
+	assert_int_equal(board_detect(&w->board, w->bus, &clock, why, sizeof why), -ENXIO); /* of the other address */
+	w->bus->spi = true;
+	w->before = nobody;
+	assert_int_equal(board_detect(&w->board, w->bus, &clock, why, sizeof why), -ENXIO);
+	assert_string_equal(why,
+		"no gyro answers on SPI: name the device of each chip, check power and wiring, and try "
+		"speed=100000");
 	world_free(w);
 }
 
@@ -1459,6 +1511,7 @@ int main(void)
 		cmocka_unit_test(test_an_accelerometer_without_its_magnetometer_is_named_beside_the_gyro),
 		cmocka_unit_test(test_a_board_without_magnetometer_gives_samples_without_it_and_says_so),
 		cmocka_unit_test(test_an_empty_bus_is_refused_with_the_addresses_that_were_tried),
+		cmocka_unit_test(test_why_no_chip_was_found_is_told),
 		cmocka_unit_test(test_unknown_chips_are_refused),
 		cmocka_unit_test(test_digits_have_the_size_and_the_axes_the_order_of_the_data_sheets),
 		cmocka_unit_test(test_samples_are_the_motion_within_a_digit_and_the_time_within_a_tenth_of_a_sample),

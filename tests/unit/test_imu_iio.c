@@ -71,6 +71,7 @@ static struct world {
 	struct iio_device devices[DEVICES];
 	unsigned device_count;
 	bool no_iio, no_configfs, no_raw;
+	int no_iio_errno;
 	const char *denied; /* attribute that must not be written */
 	enum { NOTHING, KERNEL_BUFFERS, BUFFER, NOT_BLOCKING, TIMER } refused;
 	unsigned contexts;
@@ -174,7 +175,7 @@ struct iio_context *iio_create_local_context(void)
 
 	if (w.no_iio) {
 		free(context);
-		errno = ENOENT;
+		errno = w.no_iio_errno;
 		return NULL;
 	}
 	w.contexts++;
@@ -608,7 +609,13 @@ static void test_a_sensor_that_is_missing_or_there_twice_is_refused(void **state
 	imu_close(port);
 	port = NULL;
 	w.no_iio = true;
-	assert_refused("iio", -ENOENT, "IIO");
+	w.no_iio_errno = ENOENT;
+	assert_refused("iio", -ENOENT,
+		"iio: No such file or directory: this kernel has no IIO devices: load the sensor's driver");
+	w.no_iio_errno = 0;
+	assert_refused("iio", -ENODEV, "iio: No such device: this kernel has no IIO devices");
+	w.no_iio_errno = ELIBACC;
+	assert_refused("iio", -ELIBACC, "iio: libiio is missing: apt install libiio0");
 }
 
 static void test_without_a_magnetometer_the_others_are_enough(void **state)

@@ -528,6 +528,7 @@ static void test_a_client_has_a_second_of_requests_and_then_its_rate(void **stat
 	for (uint8_t i = 0; i < 4; i++) {
 		turn();
 		assert_answered(fd, i);
+		assert_int_equal(waits_us, i < 3 ? 0 : 250000);
 	}
 	turn();
 	assert_int_equal(take(fd), 0);
