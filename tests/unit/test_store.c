@@ -271,7 +271,7 @@ static void test_without_a_thread_the_store_is_not_open_and_its_lock_is_free(voi
 	no_thread = true;
 	assert_int_equal(store_writer_open(&writer, path), -EAGAIN);
 	no_thread = false;
-	int of_others[] = {dup(STDIN_FILENO), dup(STDIN_FILENO)}; /* with the numbers that it had */
+	int of_others[] = {dup(STDOUT_FILENO), dup(STDOUT_FILENO)}; /* with the numbers that it had */
 	store_writer_close(&writer);
 	for (int i = 0; i < 2; i++)
 		assert_int_equal(close(of_others[i]), 0);
