@@ -911,7 +911,7 @@ static size_t many(void *ctx, uint8_t *out)
 static void test_a_long_answer_is_not_overwritten_by_another_client(void **state)
 {
 	static struct od_domain log;
-	struct cia309_session *second = cia309_open(&g, "2", false);
+	struct cia309_session *second = cia309_open(&g, "2", false), *third = cia309_open(&g, "3", false);
 	char letter = 'a';
 	size_t as = 0, n;
 
@@ -922,8 +922,11 @@ static void test_a_long_answer_is_not_overwritten_by_another_client(void **state
 	run();
 	letter = 'b';
 	type(second, "[2] 5 r 0x2131 0 vs\n");
+	type(third, "[3] log\n");
 	run();
 	cia309_output(second, &n);
+	assert_int_equal(n, 0);
+	cia309_output(third, &n);
 	assert_int_equal(n, 0);
 	for (const char *piece; *(piece = take(client)); run()) {
 		as += strspn(piece, "a");
@@ -933,6 +936,11 @@ static void test_a_long_answer_is_not_overwritten_by_another_client(void **state
 	assert_int_equal(as, OD_DOMAIN_MAX);
 	run();
 	assert_memory_equal(take(second), "[2] \"bbb", 8);
+	cia309_output(third, &n);
+	assert_int_equal(n, 0);
+	cia309_close(&g, second); /* in the middle of its answer */
+	run();
+	assert_memory_equal(take(third), "bbb", 3);
 }
 
 static void test_a_client_that_is_gone_leaves_its_place_clean(void **state)

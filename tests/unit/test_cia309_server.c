@@ -122,6 +122,16 @@ ssize_t send(int fd, const void *bytes, size_t size, int flags)
 	return fails("send") ? -1 : syscall(SYS_sendto, fd, bytes, size, flags, NULL, 0);
 }
 
+int getpeername(int fd, __SOCKADDR_ARG peer, socklen_t *restrict size)
+{
+	return fails("getpeername") ? -1 : (int)syscall(SYS_getpeername, fd, peer.__sockaddr__, size);
+}
+
+int getsockopt(int fd, int level, int name, void *restrict value, socklen_t *restrict size)
+{
+	return fails("getsockopt") ? -1 : (int)syscall(SYS_getsockopt, fd, level, name, value, size);
+}
+
 int setsockopt(int fd, int level, int name, const void *value, socklen_t size)
 {
 	without_delay += level == IPPROTO_TCP && name == TCP_NODELAY && *(const int *)value == 1;
@@ -550,6 +560,7 @@ static void test_what_cannot_be_opened_is_told_and_leaves_nothing(void **state)
 		assert_int_equal(open_descriptors(), before);
 		assert_int_equal(unlink(path), 0); /* it is not this process's: it stays */
 	}
+	assert_int_equal(cia309_server_open(&server, &core, "nowhere", error, sizeof(error)), -EINVAL);
 	fail_next("epoll_create1", EMFILE, 0);
 	assert_int_equal(cia309_server_open(&server, &core, with_group, error, sizeof(error)), -EMFILE);
 	/* the second of two: the first is closed again */
@@ -648,6 +659,22 @@ static void test_a_client_over_ipv6_is_told_by_its_port(void **state)
 	assert_string_equal(who, expected);
 	close(fd);
 	turn();
+}
+
+static void test_a_client_that_the_kernel_does_not_tell_is_unknown(void **state)
+{
+	static const char *const CALLS[] = {"getpeername", "getsockopt"};
+
+	(void)state;
+	for (int i = 0; i < 2; i++) {
+		fail_next(CALLS[i], ENOTCONN, 0);
+		int fd = connect_unix();
+		type(fd, "[1] 5 start\n");
+		assert_string_equal(received(fd), "[1] OK\r\n");
+		assert_string_equal(who, "unknown");
+		close(fd);
+		turn();
+	}
 }
 
 static void test_a_client_that_cannot_be_watched_is_closed(void **state)
@@ -771,6 +798,7 @@ int main(void)
 		TEST(test_why_an_address_is_refused_is_told),
 		TEST(test_the_last_of_contradicting_options_counts),
 		TEST(test_a_client_over_ipv6_is_told_by_its_port),
+		TEST(test_a_client_that_the_kernel_does_not_tell_is_unknown),
 		TEST(test_a_client_that_cannot_be_watched_is_closed),
 		TEST(test_what_is_interrupted_is_repeated_and_another_error_ends_the_client),
 		TEST(test_between_two_clients_the_listeners_wait),

@@ -6,12 +6,17 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <errno.h>
 #include <stdio.h>
 #include <string.h>
+#include <sys/eventfd.h>
+#include <sys/syscall.h>
+#include <unistd.h>
 
 #include "gateway/canopen/sdo_abort.h"
 #include "gateway/modbus/access.h"
 #include "od/little_endian.h"
+#include "tests/unit/descriptors.h"
 
 struct values {
 	uint16_t a, b, fixed, secret;
@@ -446,6 +451,37 @@ static void test_who_may_write_is_said_at_the_beginning(void **state)
 	assert_int_equal(client.registers.abort_code(OD_NO_OBJECT), 0x06020000);
 }
 
+/* ---- the link ---------------------------------------------------------------------------------------------------- */
+
+static int eventfds, failing_eventfd; /* the one with this number; 0: none */
+
+int eventfd(unsigned count, int flags)
+{
+	assert_int_equal(count, 0);
+	assert_int_equal(flags, EFD_NONBLOCK | EFD_CLOEXEC);
+	if (++eventfds != failing_eventfd)
+		return (int)syscall(SYS_eventfd2, count, flags);
+	errno = EMFILE;
+	return -1;
+}
+
+static void test_a_link_that_cannot_be_opened_leaves_no_descriptor(void **state)
+{
+	static struct modbus_link link;
+
+	(void)state;
+	for (failing_eventfd = 0; failing_eventfd <= 2; failing_eventfd++) {
+		eventfds = 0;
+		assert_int_equal(modbus_link_open(&link), failing_eventfd ? -EMFILE : 0);
+		if (!failing_eventfd)
+			modbus_link_close(&link);
+		assert_int_equal(link.request_fd, -1);
+		assert_int_equal(link.done_fd, -1);
+		modbus_link_close(&link); /* once more: nothing is left to close */
+		assert_int_equal(open_descriptors(), descriptors_before);
+	}
+}
+
 #define TEST(name) cmocka_unit_test_setup(name, set_up)
 
 int main(void)
@@ -467,7 +503,8 @@ int main(void)
 		TEST(test_the_error_history_has_no_entry_beyond_its_count),
 		TEST(test_values_are_read_in_parts_and_of_the_latest_snapshot),
 		TEST(test_who_may_write_is_said_at_the_beginning),
+		TEST(test_a_link_that_cannot_be_opened_leaves_no_descriptor),
 	};
 
-	return cmocka_run_group_tests(tests, NULL, NULL);
+	return cmocka_run_group_tests(tests, count_descriptors, no_descriptor_is_left);
 }

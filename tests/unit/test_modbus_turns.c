@@ -8,7 +8,9 @@
 #include <cmocka.h>
 
 #include <arpa/inet.h>
+#include <dlfcn.h>
 #include <errno.h>
+#include <fcntl.h>
 #include <modbus/modbus.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
@@ -109,6 +111,37 @@ int setsockopt(int fd, int level, int name, const void *value, socklen_t size)
 	(void)fd;
 	without_delay += level == IPPROTO_TCP && name == TCP_NODELAY && size == sizeof(int) && *(const int *)value == 1;
 	return 0;
+}
+
+static bool no_thread;
+static size_t stack;
+
+int pthread_create(pthread_t *thread, const pthread_attr_t *attributes, void *(*body)(void *), void *arg)
+{
+	int (*create)(pthread_t *, const pthread_attr_t *, void *(*)(void *), void *);
+
+	*(void **)&create = dlsym(RTLD_NEXT, "pthread_create");
+	pthread_attr_getstacksize(attributes, &stack);
+	return no_thread ? EAGAIN : create(thread, attributes, body, arg);
+}
+
+static int refused_command = -1; /* of fcntl() */
+static bool nonblocking, closes_on_exec;
+
+int fcntl(int fd, int command, ...)
+{
+	va_list args;
+	int value;
+
+	va_start(args, command);
+	value = va_arg(args, int);
+	va_end(args);
+	nonblocking |= command == F_SETFL && value == O_NONBLOCK;
+	closes_on_exec |= command == F_SETFD && value == FD_CLOEXEC;
+	if (command != refused_command)
+		return (int)syscall(SYS_fcntl, fd, command, value);
+	errno = EPERM;
+	return -1;
 }
 
 /* Who comes to a listener. */
@@ -1037,6 +1070,20 @@ static void test_why_a_window_is_not_opened_is_told(void **state)
 	lib.open_errno = ENOENT;
 	assert_fails("rtu:/dev/ttyS0", "Modbus: /dev/ttyS0: No such file or directory");
 	assert_int_equal(lib.made, lib.freed);
+	int before = open_descriptors();
+	static const int COMMANDS[] = {F_SETFL, F_SETFD};
+	for (int i = 0; i < 2; i++) {
+		refused_command = COMMANDS[i];
+		assert_fails("tcp:127.0.0.1:502", "Modbus: 127.0.0.1:502: Operation not permitted");
+		assert_int_equal(open_descriptors(), before);
+	}
+	refused_command = -1;
+	no_thread = true;
+	assert_fails("tcp:127.0.0.1:502", "Modbus: no thread: Resource temporarily unavailable");
+	assert_int_equal(open_descriptors(), before);
+	no_thread = false;
+	assert_true(nonblocking && closes_on_exec);
+	assert_in_range(stack, 100000, 1000000); /* less than the 8 MB of a thread */
 }
 
 static void test_when_one_window_is_not_opened_the_others_are_closed(void **state)
@@ -1052,6 +1099,13 @@ static void test_when_one_window_is_not_opened_the_others_are_closed(void **stat
 	assert_int_equal(waited[1].fd, -1);
 	assert_int_equal(waited[2].fd, lib.listeners[0]);
 	assert_int_equal(waited[3].fd, lib.listeners[1]);
+	int before = open_descriptors();
+	struct modbus_server *first = server;
+	lib.open_errno = EADDRINUSE;
+	static const char *const MORE[] = {"tcp:127.0.0.1:504", "rtu:/dev/ttyS1"};
+	assert_null(open_server(MORE, 2));
+	assert_int_equal(open_descriptors(), before);
+	server = first;
 }
 
 #define TEST(name) cmocka_unit_test_setup_teardown(name, set_up, tear_down)
