@@ -47,7 +47,8 @@ static struct world {
 	int64_t now_ns, request_ns, answer_ns; /* how long a request, and the answer to it, take */
 	void *(*thread)(void *);
 	void *thread_ctx;
-	unsigned waits; /* of the thread, that are left */
+	unsigned waits;	    /* of the thread, that are left */
+	unsigned good_from; /* with so many waits left the sensor answers again; 0: it does not */
 } w;
 
 static struct imu_port *port;
@@ -82,6 +83,8 @@ int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const si
 {
 	(void)fds, (void)n, (void)mask;
 	w.now_ns += timeout->tv_sec * 1000000000 + timeout->tv_nsec;
+	if (w.thread && w.good_from && w.waits == w.good_from)
+		w.answer_error = 0;
 	if (w.thread && w.waits-- == 0)
 		((struct imu_thread *)w.thread_ctx)->stop = true;
 	return 0;
@@ -508,6 +511,21 @@ static void test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again(voi
 	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
 }
 
+/* A device that is unplugged and plugged in again between two requests gets a new number: the old line stays dead. */
+static void test_after_a_fault_of_the_line_it_is_opened_again_although_reading_would_work(void **state)
+{
+	unsigned connections;
+
+	(void)state;
+	open_sensor(",baud=115200", NULL);
+	connections = w.connections;
+	w.answer_error = EIO;
+	w.good_from = 15; /* waits before the end: the first request fails, and none behind */
+	run(15);
+	assert_int_equal(w.connections, connections + 1);
+	assert_true(count_samples() > 0);
+}
+
 static void test_thirty_equal_measurements_are_a_fault_until_they_change(void **state)
 {
 	(void)state;
@@ -572,6 +590,7 @@ int main(void)
 		LINE_TEST(test_two_answers_that_are_missing_are_a_fault_and_one_is_not),
 		LINE_TEST(test_an_answer_that_is_not_valid_is_never_a_sample),
 		LINE_TEST(test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again),
+		LINE_TEST(test_after_a_fault_of_the_line_it_is_opened_again_although_reading_would_work),
 		LINE_TEST(test_thirty_equal_measurements_are_a_fault_until_they_change),
 		LINE_TEST(test_firmware_without_the_register_of_the_type_has_the_usual_magnetometer),
 	};
