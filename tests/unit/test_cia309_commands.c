@@ -411,6 +411,8 @@ static void test_long_objects_of_this_node_are_read_and_written(void **state)
 	assert_answer("[1] 5 r 0x1021 0 vs", "[1] \"[FileInfo]\"");
 	assert_answer("[1] 5 r 0x2131 0 vs", "[1] \"some\nlines\"");
 	assert_answer("[1] log", "some\nlines");
+	assert_answer(
+		"[1] 5 w 0x2130 0 vs \"\"", "[1] ERROR:0x06070013 #the value is too short for the type of the object");
 	assert_answer("[1] 5 w 0x2130 0 vs data", "[1] OK");
 	assert_int_equal(written_size, 4);
 	assert_answer(
