@@ -1,6 +1,6 @@
 /* The thread of the Modbus server turn by turn: in simulated time, with simulated sockets and lines. It stands still
- * between two turns, so that what it waits for, and how long, is seen to the microsecond. libmodbus, which opens sockets
- * and lines, is simulated, too. */
+ * between two turns, so that what it waits for, and how long, is seen to the microsecond. libmodbus, which opens
+ * sockets and lines, is simulated, too. */
 #include <stdarg.h>
 #include <stddef.h>
 #include <stdint.h>
