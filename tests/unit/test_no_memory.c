@@ -10,8 +10,10 @@
 
 #include "drivers/i2c/i2c.h"
 #include "drivers/ports/can.h"
+#include "drivers/ports/imu.h"
 
 static bool no_memory;
+static int calls, failing; /* the call with this number fails; 0: none */
 
 /* The compiler may not make a calloc() of malloc() and memset(). */
 static void *(*volatile allocate)(size_t size) = malloc;
@@ -20,7 +22,7 @@ void *calloc(size_t count, size_t size)
 {
 	void *p;
 
-	if (no_memory) {
+	if (no_memory || ++calls == failing) {
 		errno = ENOMEM;
 		return NULL;
 	}
@@ -64,11 +66,37 @@ static void test_a_bus_of_chips_is_not_opened(void **state)
 	no_memory = false;
 }
 
+/* Each allocation fails once. */
+static void test_a_source_of_samples_is_not_opened(void **state)
+{
+	static const char *const sources[] = {
+		"sim:rest", "sim:rest,board=bmi270", "wt901:/dev/null", "iio", "spi:/dev/null", "i2c:/dev/null"};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof sources / sizeof *sources; i++)
+		for (failing = 1, calls = 1; calls >= failing; failing++) {
+			struct imu_port *port = NULL;
+			char error[300] = "";
+
+			calls = 0;
+			int result = imu_open(sources[i], NULL, &port, error, sizeof error);
+			if (calls >= failing) {
+				assert_int_equal(result, -ENOMEM);
+				assert_null(port);
+				assert_non_null(strstr(error, "Cannot allocate memory"));
+			} else if (port) {
+				imu_close(port);
+			}
+		}
+	failing = 0;
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_bus_is_not_opened_and_the_message_says_why),
 		cmocka_unit_test(test_a_bus_of_chips_is_not_opened),
+		cmocka_unit_test(test_a_source_of_samples_is_not_opened),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);
