@@ -141,8 +141,7 @@ static void test_a_mapping_that_differs_in_one_entry_is_none(void **state)
 		for (uint8_t sub = 1; sub <= ENTRIES[pdo]; sub++) {
 			uint32_t *entry = od_value(od, 0x1A00 + pdo, sub, 4), before = *entry;
 
-			*entry =
-				0x210F0210; /* as if it had been mapped: the object is looked up when a PDO is written */
+			*entry = 0x210F0210; /* as if it had been mapped so */
 			w->device.pdo_preset.mapping.after(&w->device.pdo_preset, NULL);
 			assert_int_equal(w->device.values.pdo_preset, 0);
 			*entry = before;
