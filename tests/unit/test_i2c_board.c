@@ -1366,6 +1366,43 @@ static void test_a_fifo_is_read_in_batches(void **state)
 	}
 }
 
+static size_t fifo_bytes;
+static uint8_t fifo_at;
+
+static void count_fifo(struct world *w, const struct sim_access *access)
+{
+	(void)w;
+	fifo_bytes += !access->write && (access->sub & 0x7F) == fifo_at ? access->n : 0;
+}
+
+/* After a stall at 833 Hz: 32 samples a step, so that the bus is free for a command in between. */
+static void test_a_step_takes_32_samples_at_most_from_a_fifo(void **state)
+{
+	static const struct {
+		const char *board;
+		uint8_t at;
+		size_t set; /* bytes of a sample of both */
+	} boards[] = {{"v5", 0x3E, 12}, {"v6", 0x78, 14}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof boards / sizeof *boards; i++) {
+		struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+		struct world *w = world_make(boards[i].board, "rest", false);
+
+		settings.rate_hz = 800;
+		world_detect(w);
+		world_set_up(w, &settings, true);
+		world_run(w, 1000000);
+		w->now_ns += 150000000; /* 125 samples */
+		w->after = count_fifo;
+		fifo_at = boards[i].at;
+		fifo_bytes = 0;
+		board_step(&w->board);
+		assert_int_equal(fifo_bytes, 32 * boards[i].set);
+		world_free(w);
+	}
+}
+
 static uint8_t self_test_with(const char *board, enum imu_chip chip, struct vec3 deflection)
 {
 	struct world *w = world_new(board, "rest", false);
@@ -1542,6 +1579,7 @@ int main(void)
 		cmocka_unit_test(test_each_rate_has_the_registers_of_the_data_sheets),
 		cmocka_unit_test(test_a_self_test_at_rest_passes_where_there_is_one),
 		cmocka_unit_test(test_a_self_test_has_the_limits_of_the_data_sheets),
+		cmocka_unit_test(test_a_step_takes_32_samples_at_most_from_a_fifo),
 		cmocka_unit_test(test_a_fifo_is_read_in_batches),
 		cmocka_unit_test(test_a_self_test_takes_as_long_as_its_samples),
 		cmocka_unit_test(test_a_self_test_passes_in_any_range),

@@ -72,6 +72,8 @@ static void test_strings_have_two_characters_a_register_and_are_padded(void **st
 	reads(10, 5, true, "abc\0\0\0\1\2\3\0"); /* the order of words is that of numbers */
 	reads(11, 1, false, "c\0");
 	reads(12, 2, false, "\0\0\1\2");
+	values.text[0] = '\0';
+	reads(10, 3, false, "\0\0\0\0\0\0");
 }
 
 static void test_values_of_8_bits_are_extended_by_their_sign(void **state)
