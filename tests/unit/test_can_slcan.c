@@ -15,6 +15,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/ioctl.h>
 #include <sys/syscall.h>
 #include <termios.h>
 #include <unistd.h>
@@ -58,6 +59,35 @@ int epoll_ctl(int fd, int op, int of, struct epoll_event *event)
 int open(const char *path, int flags, ...)
 {
 	return fails("open") ? -1 : (int)syscall(SYS_openat, AT_FDCWD, path, flags, 0);
+}
+
+static bool stuck; /* the adapter takes nothing more: bytes stay in the buffer of the tty */
+static unsigned slept_us, flushed;
+
+int ioctl(int fd, unsigned long request, ...)
+{
+	va_list args;
+
+	va_start(args, request);
+	void *argument = va_arg(args, void *);
+	va_end(args);
+	if (request != TIOCOUTQ || !stuck)
+		return (int)syscall(SYS_ioctl, fd, request, argument);
+	*(int *)argument = 1;
+	return 0;
+}
+
+int usleep(useconds_t us)
+{
+	slept_us += us;
+	return 0;
+}
+
+int tcflush(int fd, int queue)
+{
+	(void)fd;
+	flushed += queue == TCOFLUSH;
+	return 0;
 }
 
 struct rig {
@@ -514,6 +544,23 @@ static void test_why_an_adapter_is_not_opened_is_told(void **state)
 	}
 }
 
+/* close() of a tty would wait up to 30 s for it. */
+static void test_an_adapter_that_takes_nothing_is_closed_after_100_ms(void **state)
+{
+	struct rig *r = *state;
+
+	for (int i = 0; i < 2; i++) {
+		open_bus(r, "");
+		stuck = i == 1;
+		slept_us = flushed = 0;
+		can_close(r->port);
+		r->port = NULL;
+		assert_int_equal(slept_us, stuck ? 100000 : 0);
+		assert_int_equal(flushed, stuck);
+		stuck = false;
+	}
+}
+
 /* ---- frames ---- */
 
 static void test_frames_are_sent_as_lines(void **state)
@@ -914,6 +961,8 @@ int main(void)
 			test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_wrong_address_or_device_is_refused_with_what_to_do, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_takes_nothing_is_closed_after_100_ms, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_why_an_adapter_is_not_opened_is_told, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_frames_are_sent_as_lines, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_lines_are_received_as_frames, set_up, tear_down),
