@@ -83,28 +83,6 @@ static void test_the_sigma_of_a_gyro_bias_has_its_instability(void **state)
 	assert_near(w->device.values.calibration.quality, 1.5 * 0.5 * M_PI / 180, 1e-4);
 }
 
-/* Where to turn next is that of what is covered now. */
-static void test_the_next_side_follows_each_measurement(void **state)
-{
-	struct world *w = *state;
-	const struct od_values *v = &w->device.values;
-	const struct calibrate_magnetometer *m = &w->device.calibration_command.magnetometer;
-	int changes = 0;
-
-	assert_int_equal(command(w, 4), 0);
-	w->signal = signal_find("tumble");
-	for (int i = 0; i < 6000 && v->calibration.state == COMMAND_RUNNING; i++) {
-		double before = m->coverage;
-
-		world_sample(w);
-		if (v->calibration.state != COMMAND_RUNNING || m->coverage == before)
-			continue;
-		changes++;
-		assert_int_equal(v->calibration.next_side, calibrate_magnetometer_next(m));
-	}
-	assert_true(changes > 3);
-}
-
 /* Quality is the sigma of the worst axis: the same whichever it is. */
 static void test_the_noise_of_any_axis_counts(void **state)
 {
@@ -422,7 +400,6 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
 		TEST(test_the_sigma_of_a_gyro_bias_has_its_instability),
-		TEST(test_the_next_side_follows_each_measurement),
 		TEST(test_the_noise_of_any_axis_counts),
 		TEST(test_free_positions_calibrate_the_accelerometer),
 		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),

@@ -60,7 +60,7 @@ static struct imu_log opened(const void *text, size_t size)
 	char error[256];
 
 	write_file(text, size);
-	memset(&log, 0xA5, sizeof log); /* whatever was there */
+	memset(&log, 0x5A, sizeof log); /* whatever was there */
 	if (imu_log_open(&log, path, log_format_at(0), error, sizeof error) != 0)
 		fail_msg("%s", error);
 	unlink(path);
