@@ -994,6 +994,19 @@ static void test_a_line_that_is_gone_is_tried_every_two_seconds_and_told_once(vo
 	}
 }
 
+static void test_the_longest_name_of_a_line_is_told_whole(void **state)
+{
+	char options[140] = "rtu:/dev/", expected[200];
+
+	(void)state;
+	memset(options + strlen(options), 'x', 127 - 5);
+	start(options);
+	close(lib.line);
+	turn();
+	snprintf(expected, sizeof(expected), "<4>Modbus: %s is gone; trying to open it again\n", options + 4);
+	assert_string_equal(said, expected);
+}
+
 static void test_a_line_that_takes_no_answer_is_opened_again(void **state)
 {
 	(void)state;
@@ -1133,6 +1146,7 @@ int main(void)
 		TEST(test_what_is_not_for_this_slave_is_passed_over),
 		TEST(test_a_write_over_a_line_that_takes_longer_is_answered_at_its_end),
 		TEST(test_a_line_that_is_gone_is_tried_every_two_seconds_and_told_once),
+		TEST(test_the_longest_name_of_a_line_is_told_whole),
 		TEST(test_a_line_that_takes_no_answer_is_opened_again),
 		TEST(test_a_line_without_data_stays),
 		TEST(test_noise_fills_a_frame_and_no_more),
