@@ -358,7 +358,8 @@ static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **stat
 	static const char *const BAD[] = {"tcp:0.0.0.0:60000", "tcp:192.168.1.1:60000", "tcp:localhost:60000",
 		"tcp:127.0.0.1", "tcp:127.0.0.1:0", "tcp:127.0.0.1:65536", "tcp:127.0.0.1:6x", "tcp:[::]:60000",
 		"unix:", "unix:relative", "udp:127.0.0.1:60000", "/run/309", "unix:/run/309,write=maybe",
-		"tcp:127.0.0.1:60000,group=root", "unix:/run/309,group=no-such-group", "unix:/run/309,mode=0666"};
+		"tcp:127.0.0.1:60000,group=root", "unix:/run/309,group=no-such-group", "unix:/run/309,mode=0666",
+		"unix:/run/309,group:root", "unix:/run/309,write:yes"};
 	char error[256];
 
 	(void)state;

@@ -605,6 +605,9 @@ static void test_a_sensor_that_is_missing_or_there_twice_is_refused(void **state
 	assert_refused("iio:lis3mdl", -ENODEV, "gyro");
 	assert_refused("iio:itg3200", -ENODEV, "accelerometer");
 	assert_refused("iio:a,b,c,d,e", -EINVAL, "4");
+	char names[400] = "iio:";
+	memset(names + 4, 'x', sizeof(names) - 5);
+	assert_refused(names, -EINVAL, "the device names have more than");
 	open_sensor("iio:lsm6dso,iio:device1");
 	imu_close(port);
 	port = NULL;
