@@ -945,6 +945,28 @@ static void test_a_long_answer_is_not_overwritten_by_another_client(void **state
 	assert_memory_equal(take(third), "bbb", 3);
 }
 
+/* Its answers are not taken, and there is no room for what is wrong. */
+static void test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing(void **state)
+{
+	static char line[CIA309_LINE_MAX];
+	static struct od_domain log;
+	char letter = 'a';
+	size_t n;
+
+	(void)state;
+	log = (struct od_domain){.index = 0x2131, .read = many, .ctx = &letter};
+	od_set_domain(&od, &log);
+	type(client, "[1] log\n");
+	run();
+	cia309_output(client, &n);
+	assert_in_range(n, CIA309_OUT_MAX - 20, CIA309_OUT_MAX);
+	memset(line, 'x', sizeof(line));
+	cia309_input(client, line, cia309_room(client));
+	assert_true(cia309_closing(client));
+	assert_int_equal(client->out_used, CIA309_OUT_MAX);
+	assert_int_equal(client->command.verb, CIA309_LOG);
+}
+
 static void test_a_client_that_is_gone_leaves_its_place_clean(void **state)
 {
 	size_t n;
@@ -997,6 +1019,7 @@ int main(void)
 		TEST(test_clients_with_many_lines_take_turns_of_a_millisecond),
 		TEST(test_a_client_that_takes_no_answer_gets_no_other),
 		TEST(test_a_long_answer_is_not_overwritten_by_another_client),
+		TEST(test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing),
 		TEST(test_a_client_that_is_gone_leaves_its_place_clean),
 	};
 
