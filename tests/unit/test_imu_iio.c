@@ -789,6 +789,28 @@ static void test_a_sample_has_the_temperature_once_a_second(void **state)
 	assert_near((double)port->health.rate_hz, 50, 1);
 }
 
+/* sysfs-bus-iio: without an offset it is 0. */
+static void test_a_temperature_without_an_offset_is_the_scaled_reading(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct iio_channel *c = &motion->channels[motion->channel_count++];
+	struct imu_sample sample;
+	int with = 0;
+
+	(void)state;
+	*c = (struct iio_channel){.type = IIO_TEMP, .raw = 512};
+	c->attrs[0] = (struct attr){.name = "scale", .text = "50"};
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(10, one_scan_of_each);
+	while (imu_read(port, &sample) == 1)
+		if (sample.flags & SAMPLE_TEMPERATURE) {
+			assert_near(sample.temperature_degC, 25.6, 1e-9);
+			with++;
+		}
+	assert_int_equal(with, 1);
+}
+
 /* ---- devices as the kernel's drivers show them ------------------------------------------------------------------- */
 
 struct shown_triad {
@@ -1726,6 +1748,7 @@ int main(void)
 		IIO_TEST(test_devices_as_the_kernels_drivers_show_them_give_samples_of_the_right_scale_axes_and_rate),
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
 		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
+		IIO_TEST(test_a_temperature_without_an_offset_is_the_scaled_reading),
 		IIO_TEST(test_a_temperature_that_cannot_be_read_is_not_known),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
 		IIO_TEST(test_a_new_rate_is_that_of_the_timer_where_there_is_one),
