@@ -1,5 +1,6 @@
 #include "gateway/pdo_preset.h"
 
+#include <assert.h>
 #include <string.h>
 
 #include "od/little_endian.h"
@@ -57,7 +58,16 @@ static uint32_t read_u32(const struct od *od, uint16_t index, uint8_t sub)
 {
 	const uint32_t *value = od_value(od, index, sub, sizeof(uint32_t));
 
-	return value ? *value : 0;
+	assert(value); /* the EDS has all of them */
+	return *value;
+}
+
+static uint8_t mapped_count(const struct od *od, uint16_t pdo)
+{
+	const uint8_t *count = od_value(od, FIRST_MAPPING + pdo, 0, 1);
+
+	assert(count);
+	return *count;
 }
 
 static enum od_status write_u32(struct od *od, uint16_t index, uint8_t sub, uint32_t value)
@@ -77,10 +87,9 @@ struct pdo_setting {
 
 static struct pdo_setting setting_of(const struct od *od, uint16_t pdo)
 {
-	const uint8_t *count = od_value(od, FIRST_MAPPING + pdo, 0, 1);
-	struct pdo_setting setting = {.cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1),
-		.entry_count = PDO_ENTRIES,
-		.count = count ? *count : 0};
+	uint8_t count = mapped_count(od, pdo);
+	struct pdo_setting setting = {
+		.cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1), .entry_count = PDO_ENTRIES, .count = count};
 
 	for (uint8_t i = 0; i < PDO_ENTRIES; i++)
 		setting.entries[i] = read_u32(od, FIRST_MAPPING + pdo, i + 1);
@@ -117,11 +126,11 @@ static enum od_status map_preset(struct od *od, uint16_t pdo, const uint32_t ent
 
 static bool is_mapped(const struct od *od, uint16_t pdo, const uint32_t entries[ENTRIES])
 {
-	const uint8_t *count = od_value(od, FIRST_MAPPING + pdo, 0, 1);
+	uint8_t count = mapped_count(od, pdo);
 	bool valid = !(read_u32(od, FIRST_COMMUNICATION + pdo, 1) & COB_ID_INVALID);
-	bool same = count && *count == count_of(entries);
+	bool same = count == count_of(entries);
 
-	for (uint8_t i = 0; same && i < *count; i++)
+	for (uint8_t i = 0; same && i < count; i++)
 		same = read_u32(od, FIRST_MAPPING + pdo, i + 1) == entries[i];
 	return same && valid == (count_of(entries) > 0);
 }

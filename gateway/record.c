@@ -328,8 +328,6 @@ void record_close(struct record *r)
 {
 	free(r->ring);
 	free(r->state);
-	r->ring = NULL;
-	r->state = NULL;
 }
 
 void record_attach_object(struct device *d)

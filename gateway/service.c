@@ -31,8 +31,8 @@ static int connect_to(const char *path)
 
 static void tell(const struct service *s, const char *message)
 {
-	if (s->fd >= 0 && send(s->fd, message, strlen(message), MSG_NOSIGNAL) < 0)
-		return; /* the manager does not read: it has its own limits for that */
+	if (s->fd >= 0) /* a manager that does not read has its own limits for that */
+		(void)send(s->fd, message, strlen(message), MSG_NOSIGNAL);
 }
 
 void service_open(struct service *s, const char *socket, const char *watchdog, const char *pid)

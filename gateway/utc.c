@@ -22,7 +22,7 @@ void utc_time(struct utc *utc, uint16_t day, uint32_t ms, uint64_t t_us)
 	int64_t offset_us = (day + DAYS_TO_1984) * US_PER_DAY + ms * (int64_t)1000 - (int64_t)t_us;
 	int64_t off_us = offset_us - utc->time_offset_us;
 
-	if (utc->heard_us == 0 || off_us > STEP_US || off_us < -STEP_US)
+	if (off_us > STEP_US || off_us < -STEP_US) /* or it is the first: years since 1970 */
 		utc->time_offset_us = offset_us;
 	else
 		utc->time_offset_us += off_us / SMOOTHING;

@@ -413,25 +413,25 @@ static void watch(struct slcan *can, uint64_t now_us)
 	restart(can);
 }
 
-/* False: not now. */
-static bool search(struct slcan *can, uint64_t now_us)
+static void search(struct slcan *can, uint64_t now_us)
 {
 	if (now_us < can->look_at_us)
-		return false;
+		return;
 	back_off(can, now_us);
 	if (attach(can) == 0)
-		return true;
+		return;
 	can->look_at_us = now_us + BACKOFF_MIN_US; /* it was unplugged: looked for often */
 	can->backoff_us = BACKOFF_MIN_US;
 	can->answers = false;
-	return false;
 }
 
 static uint64_t slcan_service(struct can_port *port, uint64_t now_us)
 {
 	struct slcan *can = of(port);
 
-	if (can->fd < 0 && !search(can, now_us))
+	if (can->fd < 0)
+		search(can, now_us);
+	if (can->fd < 0)
 		return can->look_at_us;
 	if (can->step == STEP_OPENED)
 		watch(can, now_us);

@@ -169,7 +169,6 @@ static bool parse_group(const char *text, union address *address)
 
 	if (!split(text, group, &port_text) || !parse_port(port_text ? port_text : CAN_UDP_PORT, &port))
 		return false;
-	memset(address, 0, sizeof(*address));
 	if (group[0] == '\0')
 		snprintf(group, sizeof(group), "%s", CAN_UDP_GROUP);
 	if (inet_pton(AF_INET, group, &address->v4.sin_addr) == 1) {

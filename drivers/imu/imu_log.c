@@ -432,7 +432,6 @@ int imu_log_open(struct imu_log *log, const char *path, const struct log_format 
 	log->ended = 0;
 	log->origin_us = log->shift_us = 0;
 	log->started = log->even = false;
-	log->last_t_us = 0;
 	memset(log->before, 0, sizeof log->before);
 	log->units = (struct log_units){0};
 	result = log_rows_open(&log->rows, path, format, error, error_size);

@@ -114,7 +114,6 @@ static void print(struct cia309_session *s, const struct cia309_type *type, cons
 {
 	s->printer = (struct cia309_printer){.type = type, .bytes = bytes, .size = size};
 	s->printing = true;
-	s->state = CIA309_IDLE;
 }
 
 static void print_value(struct cia309_session *s, const void *bytes, size_t size)

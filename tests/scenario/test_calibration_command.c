@@ -1,7 +1,7 @@
 /* Calibration by SDO (2061h), from the command to the stored result: a chip with its factory errors in simulated time.
  * */
 #include <math.h>
-
+#include <stdlib.h>
 #include <string.h>
 
 #include "tests/scenario/world.h"
@@ -81,6 +81,35 @@ static void test_the_sigma_of_a_gyro_bias_has_its_instability(void **state)
 	seconds(w, "rest", 12);
 	assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
 	assert_near(w->device.values.calibration.quality, 1.5 * 0.5 * M_PI / 180, 1e-4);
+}
+
+/* Quality is the sigma of the worst axis: the same whichever it is. */
+static void test_the_noise_of_any_axis_counts(void **state)
+{
+	double quality[4];
+
+	for (int axis = 0; axis < 4; axis++) { /* 3: none */
+		struct world *w = world_new(sensor_preset("ideal"), 1, "rest");
+
+		assert_int_equal(command(w, 1), 0);
+		for (int i = 0; w->device.values.calibration.state == COMMAND_RUNNING && i < 3000; i++) {
+			struct imu_sample sample;
+			double noise_rad_s = (i / 100 % 2 ? 1 : -1) * 0.004;
+
+			sensor_next(&w->sensor, w->signal, &sample, NULL);
+			sample.gyro_rad_s.x += axis == 0 ? noise_rad_s : 0;
+			sample.gyro_rad_s.y += axis == 1 ? noise_rad_s : 0;
+			sample.gyro_rad_s.z += axis == 2 ? noise_rad_s : 0;
+			world_deliver(w, &sample);
+		}
+		assert_state(w, COMMAND_DONE, CALIBRATE_GOOD);
+		quality[axis] = w->device.values.calibration.quality;
+		free(w);
+	}
+	(void)state;
+	assert_near(quality[1], quality[0], 1e-9);
+	assert_near(quality[2], quality[0], 1e-9);
+	assert_true(quality[0] > 1.5 * quality[3]);
 }
 
 static void test_free_positions_calibrate_the_accelerometer(void **state)
@@ -371,6 +400,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_gyro_bias_is_estimated_accepted_and_used),
 		TEST(test_the_sigma_of_a_gyro_bias_has_its_instability),
+		TEST(test_the_noise_of_any_axis_counts),
 		TEST(test_free_positions_calibrate_the_accelerometer),
 		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),
 		TEST(test_six_faces_calibrate_the_accelerometer),

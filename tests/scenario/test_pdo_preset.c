@@ -130,6 +130,26 @@ static void test_the_object_reads_which_preset_is_mapped(void **state)
 	assert_int_equal(w->device.values.pdo_preset, 1);
 }
 
+/* Each of its 15 entries counts. */
+static void test_a_mapping_that_differs_in_one_entry_is_none(void **state)
+{
+	static const uint8_t ENTRIES[] = {4, 4, 4, 3};
+	struct world *w = *state;
+	const struct od *od = &w->device.od;
+
+	for (uint16_t pdo = 0; pdo < 4; pdo++)
+		for (uint8_t sub = 1; sub <= ENTRIES[pdo]; sub++) {
+			uint32_t *entry = od_value(od, 0x1A00 + pdo, sub, 4), before = *entry;
+
+			*entry = 0x210F0210; /* as if it had been mapped so */
+			w->device.pdo_preset.mapping.after(&w->device.pdo_preset, NULL);
+			assert_int_equal(w->device.values.pdo_preset, 0);
+			*entry = before;
+			w->device.pdo_preset.mapping.after(&w->device.pdo_preset, NULL);
+			assert_int_equal(w->device.values.pdo_preset, 1);
+		}
+}
+
 static void test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none(void **state)
 {
 	struct world *w = *state;
@@ -235,6 +255,7 @@ int main(void)
 		PRESET_TEST(test_preset_4_has_force_rate_and_field),
 		PRESET_TEST(test_a_step_can_be_chosen_and_a_value_beyond_it_sets_the_status_bit),
 		PRESET_TEST(test_the_object_reads_which_preset_is_mapped),
+		PRESET_TEST(test_a_mapping_that_differs_in_one_entry_is_none),
 		PRESET_TEST(test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none),
 		PRESET_TEST(test_a_preset_is_stored_as_its_mapping),
 		PRESET_TEST(test_a_preset_that_cannot_be_mapped_changes_nothing),

@@ -1,11 +1,13 @@
 /* tests/unit/descriptors.h
  * The tests of a program leave no more descriptors open than there were: cmocka_run_group_tests(tests,
- * count_descriptors, no_descriptor_is_left). */
+ * count_descriptors, no_descriptor_is_left). Standard input is closed, as that of a service may be: descriptor 0 is one
+ * as any other. */
 #ifndef TESTS_UNIT_DESCRIPTORS_H
 #define TESTS_UNIT_DESCRIPTORS_H
 
 #include <fcntl.h>
 #include <stdlib.h>
+#include <unistd.h>
 
 static int descriptors_before;
 
@@ -21,6 +23,7 @@ static int open_descriptors(void)
 static int count_descriptors(void **state)
 {
 	(void)state;
+	close(STDIN_FILENO);
 	descriptors_before = open_descriptors();
 	return 0;
 }

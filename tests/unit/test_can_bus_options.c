@@ -49,6 +49,7 @@ static void test_the_bounds_of_the_values_are_permitted(void **state)
 	(void)state;
 	assert_int_equal(parsed(",bitrate=5000").bit_s, 5000);
 	assert_int_equal(parsed(",bitrate=1000000").bit_s, 1000000);
+	assert_int_equal(parsed(",bitrate=0125000").bit_s, 125000);
 	assert_int_equal(parsed(",sample-point=0.5").sample_point_permille, 500);
 	assert_int_equal(parsed(",sample-point=0.95").sample_point_permille, 950);
 }

@@ -6,17 +6,89 @@
 #include <stdint.h>
 #include <cmocka.h>
 
+#include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <poll.h>
+#include <stdbool.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+#include <sys/epoll.h>
+#include <sys/ioctl.h>
+#include <sys/syscall.h>
 #include <termios.h>
 #include <unistd.h>
 
 #include "drivers/ports/can.h"
 #include "tests/unit/descriptors.h"
+
+static const char *failing; /* the call that fails, */
+static int failing_errno;   /* with this */
+
+static bool fails(const char *call)
+{
+	if (!failing || strcmp(failing, call) != 0)
+		return false;
+	failing = NULL;
+	errno = failing_errno;
+	return true;
+}
+
+int tcgetattr(int fd, struct termios *line)
+{
+	int (*real)(int, struct termios *);
+
+	*(void **)&real = dlsym(RTLD_NEXT, "tcgetattr");
+	return fails("tcgetattr") ? -1 : real(fd, line);
+}
+
+int tcsetattr(int fd, int how, const struct termios *line)
+{
+	int (*real)(int, int, const struct termios *);
+
+	*(void **)&real = dlsym(RTLD_NEXT, "tcsetattr");
+	return fails("tcsetattr") ? -1 : real(fd, how, line);
+}
+
+int epoll_ctl(int fd, int op, int of, struct epoll_event *event)
+{
+	return fails("epoll_ctl") ? -1 : (int)syscall(SYS_epoll_ctl, fd, op, of, event);
+}
+
+int open(const char *path, int flags, ...)
+{
+	return fails("open") ? -1 : (int)syscall(SYS_openat, AT_FDCWD, path, flags, 0);
+}
+
+static bool stuck; /* the adapter takes nothing more: bytes stay in the buffer of the tty */
+static unsigned slept_us, flushed;
+
+int ioctl(int fd, unsigned long request, ...)
+{
+	va_list args;
+
+	va_start(args, request);
+	void *argument = va_arg(args, void *);
+	va_end(args);
+	if (request != TIOCOUTQ || !stuck)
+		return (int)syscall(SYS_ioctl, fd, request, argument);
+	*(int *)argument = 1;
+	return 0;
+}
+
+int usleep(useconds_t us)
+{
+	slept_us += us;
+	return 0;
+}
+
+int tcflush(int fd, int queue)
+{
+	(void)fd;
+	flushed += queue == TCOFLUSH;
+	return 0;
+}
 
 struct rig {
 	int adapter; /* its end of the pseudo terminal */
@@ -435,6 +507,60 @@ static void test_a_wrong_address_or_device_is_refused_with_what_to_do(void **sta
 	assert_null(r->port);
 }
 
+static void test_why_an_adapter_is_not_opened_is_told(void **state)
+{
+	static const struct {
+		const char *call;
+		int error;
+		const char *text; /* %s: the device */
+	} FAILURES[] = {{"open", EACCES,
+				"no permission to use %s: add this user to the group that owns it (dialout), "
+				"or run as root"},
+		{"open", EBUSY, "another program uses %s: stop it (`fuser %s` shows which)"},
+		{"open", ENXIO,
+			"cannot open %s: No such device or address: is the adapter plugged in? "
+			"`ls /dev/tty[AU]*`"},
+		{"tcgetattr", EIO, "cannot open %s: Input/output error: is the adapter plugged in? `ls /dev/tty[AU]*`"},
+		{"tcsetattr", EIO, "cannot open %s: Input/output error: is the adapter plugged in? `ls /dev/tty[AU]*`"},
+		{"epoll_ctl", ENOSPC,
+			"cannot open %s: No space left on device: is the adapter plugged in? "
+			"`ls /dev/tty[AU]*`"}};
+	struct rig *r = *state;
+	char error[300], expected[300];
+	int before = open_descriptors();
+
+	for (size_t i = 0; i < sizeof(FAILURES) / sizeof(FAILURES[0]); i++) {
+		const char *text = FAILURES[i].text, *device = strstr(text, "%s"), *again = strstr(device + 2, "%s");
+
+		failing = FAILURES[i].call;
+		failing_errno = FAILURES[i].error;
+		assert_int_equal(try_open(r, "", error), -FAILURES[i].error);
+		snprintf(expected, sizeof(expected), "%.*s%s%.*s%s%s", (int)(device - text), text, r->link,
+			again ? (int)(again - device - 2) : 0, device + 2, again ? r->link : "",
+			again ? again + 2 : device + 2);
+		assert_string_equal(error, expected);
+		assert_null(r->port);
+		assert_int_equal(open_descriptors(), before);
+	}
+}
+
+/* close() of a tty would wait up to 30 s for it. */
+static void test_an_adapter_that_takes_nothing_is_closed_after_100_ms(void **state)
+{
+	struct rig *r = *state;
+
+	for (int i = 0; i < 2; i++) {
+		open_bus(r, "");
+		stuck = i == 1;
+		slept_us = flushed = 0;
+		can_close(r->port);
+		r->port = NULL;
+		assert_int_equal(slept_us, stuck ? 100000 : 0);
+		assert_int_equal(flushed, stuck);
+		stuck = false;
+	}
+}
+
 /* ---- frames ---- */
 
 static void test_frames_are_sent_as_lines(void **state)
@@ -835,6 +961,9 @@ int main(void)
 			test_an_adapter_that_refuses_a_frame_now_and_then_stays_on_the_bus, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(
 			test_a_wrong_address_or_device_is_refused_with_what_to_do, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(
+			test_an_adapter_that_takes_nothing_is_closed_after_100_ms, set_up, tear_down),
+		cmocka_unit_test_setup_teardown(test_why_an_adapter_is_not_opened_is_told, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_frames_are_sent_as_lines, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(test_lines_are_received_as_frames, set_up, tear_down),
 		cmocka_unit_test_setup_teardown(

@@ -23,6 +23,7 @@ static const struct value {
 	{"b", "1", 1, "\x01", NULL},
 	{"u8", "255", 1, "\xFF", NULL},
 	{"u8", "0x1f", 1, "\x1F", "31"},
+	{"u8", "00000000000000000000000000000000000000000000001", 1, "\x01", "1"},
 	{"i8", "-128", 1, "\x80", NULL},
 	{"i8", "127", 1, "\x7F", NULL},
 	{"u16", "1000", 2, "\xE8\x03", NULL},
@@ -107,7 +108,7 @@ static void test_what_is_no_value_of_its_type_is_refused(void **state)
 		{"u8", "000000000000000000000000000000000000000000000000000000000001"}, {"r64", "nan"}, {"t", "1"},
 		{"t", "65536 0"}, {"t", "0 268435456"}, {"vs", "two words"}, {"vs", "\"open"}, {"vs", "a\"b"},
 		{"vs", "\"a\"b"}, {"hex", "0G"}, {"hex", ""}, {"d", "Zm9vY"}, {"d", "Zm-v"}, {"d", ""}, {"vs", ""},
-		{"u8", "# 1"}};
+		{"u8", "# 1"}, {"u8", "000000000000000000000000000000000000000000000001"}};
 	uint8_t bytes[16];
 
 	(void)state;
@@ -339,6 +340,188 @@ static void test_each_wrong_line_has_its_error(void **state)
 			strstr(LINES[i].line, "[1] ") || strcmp(LINES[i].line, "[1]") == 0);
 }
 
+/* Of each number of a command: the lowest, the highest, and one beyond each. */
+static void test_each_number_of_a_command_has_its_limits(void **state)
+{
+	static const struct {
+		const char *before, *behind;
+		uint64_t low, high;
+	} NUMBERS[] = {
+		{"", "start", 0, 127},
+		{"1 ", "start", 0, 127},
+		{"", "r 1 1", 0, 127},
+		{"", "info version", 0, 1},
+		{"", "5 start", 0, 1},
+		{"r ", "0", 0, 65535},
+		{"r 1 ", "u8", 0, 255},
+		{"w ", "0 u8 1", 0, 65535},
+		{"w 1 ", "u8 1", 0, 255},
+		{"r p ", "", 1, 512},
+		{"w p ", "0", 1, 512},
+		{"w p 1 1 ", "", 0, UINT64_MAX},
+		{"set network ", "", 0, 65535},
+		{"set node ", "", 1, 127},
+		{"set sdo_timeout ", "", 1, 65535},
+		{"set sdo_block ", "", 0, 1},
+		{"lss_switch_glob ", "", 0, 1},
+		{"lss_switch_sel ", "1 1 1", 0, UINT32_MAX},
+		{"lss_switch_sel 1 ", "1 1", 0, UINT32_MAX},
+		{"lss_switch_sel 1 1 ", "1", 0, UINT32_MAX},
+		{"lss_switch_sel 1 1 1 ", "", 0, UINT32_MAX},
+		{"lss_set_node ", "", 0, 127},
+		{"lss_set_node ", "", 255, 255},
+		{"lss_conf_bitrate ", "1", 0, 0},
+		{"lss_conf_bitrate 0 ", "", 0, 4},
+		{"lss_conf_bitrate 0 ", "", 6, 9},
+		{"lss_activate_bitrate ", "", 0, 65535},
+		{"lss_inquire_addr ", "", 0, 3},
+		{"_lss_fastscan ", "", 0, 65535},
+		{"lss_allnodes ", "", 0, 65535},
+		{"lss_allnodes ", "1 1", 0, 65535},
+		{"lss_allnodes 0 ", "1", 1, 127},
+		{"lss_allnodes 0 1 ", "", 0, 1},
+		{"lss_allnodes 0 1 1 ", "0 0 0 0 0 0 0", 0, 2},
+		{"lss_allnodes 0 1 1 0 ", "0 0 0 0 0 0", 0, UINT32_MAX},
+		{"lss_allnodes 0 1 1 0 0 ", "0 0 0 0 0", 0, 2},
+		{"lss_allnodes 0 1 1 0 0 0 ", "0 0 0 0", 0, UINT32_MAX},
+		{"lss_allnodes 0 1 1 0 0 0 0 ", "0 0 0", 0, 2},
+		{"lss_allnodes 0 1 1 0 0 0 0 0 ", "0 0", 0, UINT32_MAX},
+		{"lss_allnodes 0 1 1 0 0 0 0 0 0 ", "0", 0, 2},
+		{"lss_allnodes 0 1 1 0 0 0 0 0 0 0 ", "", 0, UINT32_MAX},
+	};
+	struct cia309_command c;
+	char line[100];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(NUMBERS) / sizeof(NUMBERS[0]); i++) {
+		const uint64_t low = NUMBERS[i].low, high = NUMBERS[i].high, values[] = {low, high, low - 1, high + 1};
+
+		for (int k = 0; k < 4; k++) {
+			if ((k == 2 && low == 0) || (k == 3 && high == UINT64_MAX))
+				continue;
+			snprintf(line, sizeof(line), "[1] %s%llu %s", NUMBERS[i].before, (unsigned long long)values[k],
+				NUMBERS[i].behind);
+			if ((cia309_parse(line, strlen(line), &c) == CIA309_OK) != (k < 2))
+				fail_msg("%s", line);
+		}
+	}
+}
+
+static void test_numbers_are_kept_in_their_order(void **state)
+{
+	struct cia309_command c = parsed("[1] lss_allnodes 1 2 0 0 0x494D55 1 6 2 7 0 8", CIA309_OK);
+	static const uint64_t LSS[] = {1, 2, 0, 0, 0x494D55, 1, 6, 2, 7, 0, 8};
+
+	(void)state;
+	assert_memory_equal(c.numbers, LSS, sizeof(LSS));
+	c = parsed("[1] w pdo 512 8 1 2 3 4 5 6 7 18446744073709551615", CIA309_OK);
+	static const uint64_t PDO[] = {512, 8, 1, 2, 3, 4, 5, 6, 7, UINT64_MAX};
+	assert_int_equal(c.count, 10);
+	assert_memory_equal(c.numbers, PDO, sizeof(PDO));
+	assert_int_equal(parsed("[1] W P 1 0", CIA309_OK).count, 2);
+	parsed("[1] w p 1 8 1 2 3 4 5 6 7 8 9", CIA309_SYNTAX);
+	parsed("[1] w p 1 1 18446744073709551616", CIA309_SYNTAX);
+	parsed("[1] r p 1 1", CIA309_SYNTAX);
+	parsed("[1] lss_allnodes 1 2 0 0 0 0 0 0 0 0 0 0", CIA309_SYNTAX);
+	for (int n = 4; n <= 10; n++) {
+		char line[64] = "[1] lss_allnodes";
+
+		for (int i = 0; i < n; i++)
+			strcat(line, " 1");
+		parsed(line, CIA309_SYNTAX);
+	}
+}
+
+static void test_net_and_node_before_a_command_are_told_apart(void **state)
+{
+	static const struct {
+		const char *line;
+		int net, node;
+	} LINES[] = {{"[1] start", -1, -1}, {"[1] 7 start", -1, 7}, {"[1] 0 7 start", 0, 7}, {"[1] 1 0 start", 1, 0},
+		{"[1] info version", -1, -1}, {"[1] 1 info version", 1, -1}, {"[1] 0 set node 7", 0, -1}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(LINES) / sizeof(LINES[0]); i++) {
+		struct cia309_command c = parsed(LINES[i].line, CIA309_OK);
+
+		assert_int_equal(c.net, LINES[i].net);
+		assert_int_equal(c.node, LINES[i].node);
+	}
+	parsed("[1] 1 1 info version", CIA309_SYNTAX);
+	parsed("[1] 4294967296 start", CIA309_SYNTAX);
+	parsed("[1] 2 info version", CIA309_BAD_NET);
+	parsed("[1] 1x start", CIA309_SYNTAX);
+}
+
+/* 23 characters are a word of the language; of a longer one no part is taken for one. */
+static void test_words_are_whole_up_to_a_blank_or_a_comment(void **state)
+{
+	(void)state;
+	parsed("[1] set node 0x00000000000000000007f", CIA309_OK);
+	parsed("[1] set node 0x000000000000000000007f", CIA309_SYNTAX);
+	parsed("aaaaaaaaaaaaaaaaaaaaaaastart", CIA309_SYNTAX);
+	parsed("[1] aaaaaaaaaaaaaaaaaaaaaaastart", CIA309_SYNTAX);
+	parsed("[1] 5 start#comment", CIA309_OK);
+	parsed("[1] 5 r 0x1017 0#comment", CIA309_OK);
+	parsed("[1] 5 r 0x1017 0 u16#comment", CIA309_OK);
+	parsed("[1]\t5\vstart\f\r", CIA309_OK);
+	parsed("[1]#start", CIA309_SYNTAX);
+	parsed("[1]start", CIA309_SYNTAX);
+	parsed("(1] start", CIA309_SYNTAX);
+	parsed("[1) start", CIA309_SYNTAX);
+	assert_int_equal(cia309_parse("[1] 5 startx", 11, &(struct cia309_command){0}), CIA309_OK);
+}
+
+static void test_each_error_has_its_text(void **state)
+{
+	static const struct {
+		int error;
+		const char *text;
+	} TEXTS[] = {{0, "-"}, {100, "Request not supported."}, {101, "Syntax error."},
+		{102, "Request not processed due to internal state."}, {103, "Time-out."}, {104, "-"},
+		{105, "No default node set."}, {106, "Unsupported net."}, {107, "Unsupported node."},
+		{204, "Wrong NMT state."}, {301, "Bus off."}, {303, "CAN buffer overflow."},
+		{401, "PDO length exceeded."}, {501, "LSS implementation- / manufacturer-specific error."},
+		{502, "LSS node-ID not supported."}, {503, "LSS bit-rate not supported."},
+		{504, "LSS parameter storing failed."}, {600, "Running out of memory."}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(TEXTS) / sizeof(TEXTS[0]); i++)
+		assert_string_equal(cia309_error_text((enum cia309_error)TEXTS[i].error), TEXTS[i].text);
+}
+
+/* Whatever room there is from the smallest on, no value is cut, and none needs more. */
+static void test_a_value_is_printed_the_same_whatever_the_room(void **state)
+{
+	static const char *const TYPES[] = {"vs", "d", "hex", "r64", "x64", "t"};
+	static uint8_t bytes[300];
+	static char whole[1300], text[1300];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(bytes); i++)
+		bytes[i] = i % 3 ? '"' : (uint8_t)('A' + i % 26);
+	for (size_t i = 0; i < sizeof(TYPES) / sizeof(TYPES[0]); i++)
+		for (size_t room = CIA309_PRINT_MIN; room < CIA309_PRINT_MIN + 9; room++) {
+			const struct cia309_type *type = cia309_type(TYPES[i]);
+			size_t size = type->size ? type->size : sizeof(bytes), n = 0;
+			struct cia309_printer all = {.type = type, .bytes = bytes, .size = size};
+			struct cia309_printer p = {.type = type, .bytes = bytes, .size = size};
+			size_t expected = cia309_print(&all, whole, sizeof(whole));
+
+			assert_true(cia309_printed(&all));
+			for (int pieces = 0; !cia309_printed(&p); pieces++) {
+				size_t piece = cia309_print(&p, text + n, room);
+
+				assert_in_range(piece, 1, room);
+				assert_true(pieces < 40);
+				n += piece;
+			}
+			assert_int_equal(cia309_print(&p, text, room), 0);
+			assert_int_equal(n, expected);
+			assert_memory_equal(text, whole, n);
+		}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -352,6 +535,12 @@ int main(void)
 		cmocka_unit_test(test_write_has_the_rest_of_the_line_as_its_value),
 		cmocka_unit_test(test_each_command_is_known_in_any_case),
 		cmocka_unit_test(test_each_wrong_line_has_its_error),
+		cmocka_unit_test(test_each_number_of_a_command_has_its_limits),
+		cmocka_unit_test(test_numbers_are_kept_in_their_order),
+		cmocka_unit_test(test_net_and_node_before_a_command_are_told_apart),
+		cmocka_unit_test(test_words_are_whole_up_to_a_blank_or_a_comment),
+		cmocka_unit_test(test_each_error_has_its_text),
+		cmocka_unit_test(test_a_value_is_printed_the_same_whatever_the_room),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -231,7 +231,8 @@ static void test_the_example_file_holds_the_defaults(void **state)
 static void test_process_keys_are_checked(void **state)
 {
 	static const char *const bad[][2] = {{"node_id", "0"}, {"node_id", "128"}, {"node_id", "5x"}, {"node_id", ""},
-		{"node_id", "-1"}, {"bitrate", "1"}, {"realtime", "100"}, {"imu", ""}, {"log_level", "loud"}};
+		{"node_id", "-1"}, {"node_id", "-18446744073709551615"}, {"node_id", "-4294967295"}, {"bitrate", "1"},
+		{"realtime", "100"}, {"imu", ""}, {"log_level", "loud"}};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(bad) / sizeof(bad[0]); i++)

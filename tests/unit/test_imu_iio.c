@@ -71,6 +71,7 @@ static struct world {
 	struct iio_device devices[DEVICES];
 	unsigned device_count;
 	bool no_iio, no_configfs, no_raw;
+	int no_iio_errno;
 	const char *denied; /* attribute that must not be written */
 	enum { NOTHING, KERNEL_BUFFERS, BUFFER, NOT_BLOCKING, TIMER } refused;
 	unsigned contexts;
@@ -174,7 +175,7 @@ struct iio_context *iio_create_local_context(void)
 
 	if (w.no_iio) {
 		free(context);
-		errno = ENOENT;
+		errno = w.no_iio_errno;
 		return NULL;
 	}
 	w.contexts++;
@@ -604,11 +605,20 @@ static void test_a_sensor_that_is_missing_or_there_twice_is_refused(void **state
 	assert_refused("iio:lis3mdl", -ENODEV, "gyro");
 	assert_refused("iio:itg3200", -ENODEV, "accelerometer");
 	assert_refused("iio:a,b,c,d,e", -EINVAL, "4");
+	char names[400] = "iio:";
+	memset(names + 4, 'x', sizeof(names) - 5);
+	assert_refused(names, -EINVAL, "the device names have more than");
 	open_sensor("iio:lsm6dso,iio:device1");
 	imu_close(port);
 	port = NULL;
 	w.no_iio = true;
-	assert_refused("iio", -ENOENT, "IIO");
+	w.no_iio_errno = ENOENT;
+	assert_refused("iio", -ENOENT,
+		"iio: No such file or directory: this kernel has no IIO devices: load the sensor's driver");
+	w.no_iio_errno = 0;
+	assert_refused("iio", -ENODEV, "iio: No such device: this kernel has no IIO devices");
+	w.no_iio_errno = ELIBACC;
+	assert_refused("iio", -ELIBACC, "iio: libiio is missing: apt install libiio0");
 }
 
 static void test_without_a_magnetometer_the_others_are_enough(void **state)
@@ -777,6 +787,28 @@ static void test_a_sample_has_the_temperature_once_a_second(void **state)
 	assert_true(n > 90);
 	assert_int_equal(with, 3); /* at 0, 1 and 2 s */
 	assert_near((double)port->health.rate_hz, 50, 1);
+}
+
+/* sysfs-bus-iio: without an offset it is 0. */
+static void test_a_temperature_without_an_offset_is_the_scaled_reading(void **state)
+{
+	struct iio_device *motion = &w.devices[MOTION];
+	struct iio_channel *c = &motion->channels[motion->channel_count++];
+	struct imu_sample sample;
+	int with = 0;
+
+	(void)state;
+	*c = (struct iio_channel){.type = IIO_TEMP, .raw = 512};
+	c->attrs[0] = (struct attr){.name = "scale", .text = "50"};
+	open_sensor("iio");
+	w.now_ns += 100 * MS;
+	run(10, one_scan_of_each);
+	while (imu_read(port, &sample) == 1)
+		if (sample.flags & SAMPLE_TEMPERATURE) {
+			assert_near(sample.temperature_degC, 25.6, 1e-9);
+			with++;
+		}
+	assert_int_equal(with, 1);
 }
 
 /* ---- devices as the kernel's drivers show them ------------------------------------------------------------------- */
@@ -1246,7 +1278,8 @@ static void test_a_buffer_that_cannot_be_had_is_named(void **state)
 	w.refused = KERNEL_BUFFERS;
 	assert_refused("iio", -ENOMEM, "the buffer of lsm6dso");
 	w.refused = BUFFER;
-	assert_refused("iio", -EBUSY, "the buffer of lsm6dso");
+	assert_refused(
+		"iio", -EBUSY, "the buffer of lsm6dso: Device or resource busy: another program reads it: stop that");
 	w.refused = NOT_BLOCKING;
 	assert_refused("iio", -ENOSYS, "the buffer of lsm6dso");
 }
@@ -1637,13 +1670,13 @@ static void test_a_gyro_that_does_not_come_back_is_reported_each_time(void **sta
 	assert_true(port->health.bus_errors > 1);
 }
 
-/* A timer reads both, of which one has measured 2.5 ms earlier on average: the later one is not waited for. */
+/* A timer reads both, of which one has measured 3.75 ms earlier on average: the later one is not waited for. */
 static void test_readings_by_timer_belong_together_within_half_an_interval_of_the_slower_chip(void **state)
 {
 	struct imu_sample sample;
 
 	(void)state;
-	add_triad(add_device("l3gd20", "200", "200"), IIO_ANGL_VEL, "0.00122", 0);
+	add_triad(add_device("l3gd20", "400", "400"), IIO_ANGL_VEL, "0.00122", 0);
 	add_triad(add_device("lsm303", "100", "100"), IIO_ACCEL, "0.0024", 0);
 	for (int device = 2; device < 4; device++) {
 		add_timestamp(&w.devices[device]);
@@ -1715,6 +1748,7 @@ int main(void)
 		IIO_TEST(test_devices_as_the_kernels_drivers_show_them_give_samples_of_the_right_scale_axes_and_rate),
 		IIO_TEST(test_a_value_at_the_end_of_its_range_is_flagged_on_every_axis),
 		IIO_TEST(test_a_sample_has_the_temperature_once_a_second),
+		IIO_TEST(test_a_temperature_without_an_offset_is_the_scaled_reading),
 		IIO_TEST(test_a_temperature_that_cannot_be_read_is_not_known),
 		IIO_TEST(test_a_device_without_a_trigger_gets_a_timer_and_takes_twice_as_many_samples),
 		IIO_TEST(test_a_new_rate_is_that_of_the_timer_where_there_is_one),

@@ -3,6 +3,7 @@
 #include <setjmp.h>
 #include <stdint.h>
 #include <cmocka.h>
+#include <dlfcn.h>
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -18,6 +19,29 @@
 #define ROW(t) t ",1,2,3,4,5,6,7,8,9\n"
 
 static char path[64];
+
+/* The file "/failing": this text, and then the disk fails. */
+static const char *failing;
+
+static ssize_t read_then_fail(void *cookie, char *bytes, size_t size)
+{
+	size_t left = strlen(failing), n = left < size ? left : size;
+
+	(void)cookie;
+	errno = EIO;
+	memcpy(bytes, failing, n);
+	failing += n;
+	return n ? (ssize_t)n : -1;
+}
+
+FILE *fopen(const char *restrict name, const char *restrict mode)
+{
+	FILE *(*real)(const char *, const char *);
+
+	*(void **)&real = dlsym(RTLD_NEXT, "fopen");
+	return strcmp(name, "/failing") == 0 ? fopencookie(NULL, mode, (cookie_io_functions_t){.read = read_then_fail})
+					     : real(name, mode);
+}
 
 static void write_file(const void *text, size_t size)
 {
@@ -36,6 +60,7 @@ static struct imu_log opened(const void *text, size_t size)
 	char error[256];
 
 	write_file(text, size);
+	memset(&log, 0x5A, sizeof log); /* whatever was there */
 	if (imu_log_open(&log, path, log_format_at(0), error, sizeof error) != 0)
 		fail_msg("%s", error);
 	unlink(path);
@@ -517,9 +542,39 @@ static void test_a_log_is_read_as_fast_as_strtod_reads_its_numbers(void **state)
 	assert_true(s < 20 * canary_s); /* 2.3 times measured, 5 with sanitizers */
 }
 
+static void test_a_disk_that_fails_is_told_when_its_rows_are_read(void **state)
+{
+	static const char *const HEADS[] = {"", "t,gx", HEADER, HEADER ROW("1") "1.0"};
+	static const char *const TEXTS[] = {"/failing:1: Input/output error", "/failing:1: Input/output error",
+		"/failing:1: Input/output error", "/failing:3: Input/output error"};
+	static char text[600000];
+	struct imu_sample sample;
+	struct imu_log log;
+	char error[256];
+	int rows = 0, got;
+
+	(void)state;
+	for (size_t i = 0; i < sizeof HEADS / sizeof *HEADS; i++) {
+		failing = HEADS[i];
+		assert_int_equal(imu_log_open(&log, "/failing", log_format_at(0), error, sizeof error), -EIO);
+		assert_string_equal(error, TEXTS[i]);
+	}
+	strcpy(text, HEADER);
+	for (size_t n = strlen(text), i = 0; i < 10000; i++)
+		n += (size_t)sprintf(text + n, "%.2f,1,2,3,4,5,6,7,8,9\n", 0.01 * (double)i);
+	failing = text;
+	assert_int_equal(imu_log_open(&log, "/failing", log_format_at(0), error, sizeof error), 0);
+	while ((got = imu_log_next(&log, &sample)) > 0)
+		rows++;
+	assert_int_equal(got, -EIO);
+	assert_int_equal(rows, 10000);
+	imu_log_close(&log);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
+		cmocka_unit_test(test_a_disk_that_fails_is_told_when_its_rows_are_read),
 		cmocka_unit_test(test_a_row_becomes_a_sample_in_si_units),
 		cmocka_unit_test(test_a_log_names_the_sensors_that_nobody_calibrated_before_its_header),
 		cmocka_unit_test(test_empty_magnetometer_fields_mean_no_measurement),

@@ -13,6 +13,7 @@
 
 #include "drivers/ports/sources.h"
 #include "drivers/ports/imu.h"
+#include "tests/unit/descriptors.h"
 
 enum { ROWS = 20 };
 
@@ -277,5 +278,8 @@ int main(void)
 		cmocka_unit_test(test_closing_null_is_permitted),
 	};
 
-	return cmocka_run_group_tests(tests, write_log, remove_log);
+	count_descriptors(NULL);
+	int failed = cmocka_run_group_tests(tests, write_log, remove_log);
+	no_descriptor_is_left(NULL);
+	return failed;
 }

@@ -90,6 +90,22 @@ static void test_at_rest_the_sensor_measures_gravity_and_its_noise(void **state)
 	imu_close(port);
 }
 
+static void test_a_self_test_at_the_start_is_run_when_the_settings_say_so(void **state)
+{
+	struct imu_settings settings = IMU_SETTINGS_DEFAULTS;
+	struct imu_sample sample;
+	struct imu_port *port;
+	char error[256];
+
+	(void)state;
+	for (settings.self_test = 0; settings.self_test <= 1; settings.self_test++) {
+		assert_int_equal(imu_open("sim:rest,rate=800,board=v5", &settings, &port, error, sizeof error), 0);
+		wait_and_read(port, &sample);
+		assert_int_equal(port->health.self_test, settings.self_test ? 0x03 : 0); /* gyro and accelerometer */
+		imu_close(port);
+	}
+}
+
 /* The centripetal acceleration of a sensor 5 cm ahead of the axis points back: -omega^2 * 0.05 m. */
 static void test_the_sensor_is_5_cm_ahead_of_the_reference_point(void **state)
 {
@@ -234,6 +250,7 @@ int main(void)
 		cmocka_unit_test(test_settings_can_be_changed_while_it_runs),
 		cmocka_unit_test(test_settings_that_are_not_possible_are_refused_and_the_old_ones_stay),
 		cmocka_unit_test(test_a_self_test_on_command_reports_its_result),
+		cmocka_unit_test(test_a_self_test_at_the_start_is_run_when_the_settings_say_so),
 		cmocka_unit_test(test_the_sensor_is_5_cm_ahead_of_the_reference_point),
 		cmocka_unit_test(test_a_simulated_sensor_is_silent_after_10_s_at_any_rate),
 		cmocka_unit_test(test_another_sensor_is_silent_after_ten_intervals_and_at_least_a_tenth_of_a_second),

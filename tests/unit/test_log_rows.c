@@ -47,6 +47,7 @@ static void open_log(const char *text)
 
 	put_file("a.csv", text);
 	snprintf(path, sizeof path, "%s/a.csv", folder);
+	memset(&rows, 0xA5, sizeof rows); /* whatever was there */
 	if (log_rows_open(&rows, path, log_format_at(0), error, sizeof error) < 0)
 		fail_msg("%s", error);
 }
@@ -203,6 +204,7 @@ static void test_the_unit_of_the_time_is_known_if_the_header_names_it_or_it_is_a
 
 static int open_folder(void)
 {
+	memset(&rows, 0xA5, sizeof rows);
 	return log_rows_open(&rows, folder, log_format_named("phyphox"), error, sizeof error);
 }
 

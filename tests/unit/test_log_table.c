@@ -280,6 +280,39 @@ static void test_a_header_that_is_not_one_is_refused_with_what_it_lacks(void **s
 	assert_int_equal(log_table_open(&table, "/tmp", log_format_at(0), NEEDED, error, sizeof error), -EIO);
 }
 
+/* A disk that fails behind these bytes. */
+static ssize_t read_then_fail(void *cookie, char *bytes, size_t size)
+{
+	const char **left = cookie;
+	size_t n = strlen(*left);
+
+	(void)size;
+	errno = EIO;
+	memcpy(bytes, *left, n);
+	*left += n;
+	return n ? (ssize_t)n : -1;
+}
+
+static void test_a_disk_that_fails_is_told_wherever_it_does(void **state)
+{
+	static const char *const BEFORE[] = {
+		"", "1", "1,2,3,4,5,6,7", "1,2,3,4,5,6,7\r", "1,2,3,4,5,6,7\n", "# a comment"};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof BEFORE / sizeof *BEFORE; i++) {
+		const char *left = BEFORE[i];
+
+		open_text("t,gx,gy,gz,ax,ay,az\n");
+		fclose(table.file);
+		table.file = fopencookie(&left, "r", (cookie_io_functions_t){.read = read_then_fail});
+		assert_non_null(table.file);
+		if (strcmp(BEFORE[i], "1,2,3,4,5,6,7\n") == 0)
+			assert_next(LOG_LINE_ROW);
+		assert_next(-EIO);
+		log_table_close(&table);
+	}
+}
+
 static void test_what_is_not_needed_may_be_missing(void **state)
 {
 	static const char text[] = "t,mx,my,mz\n1,2,3,4\n";
@@ -363,6 +396,7 @@ int main(void)
 		cmocka_unit_test(test_comments_are_skipped_and_a_header_in_the_middle_is_another_log),
 		cmocka_unit_test(test_the_header_may_be_a_comment_and_begin_with_a_byte_order_mark),
 		cmocka_unit_test(test_a_header_that_is_not_one_is_refused_with_what_it_lacks),
+		cmocka_unit_test(test_a_disk_that_fails_is_told_wherever_it_does),
 		cmocka_unit_test(test_what_is_not_needed_may_be_missing),
 		cmocka_unit_test(test_of_two_names_of_a_column_that_of_an_imu_log_counts),
 		cmocka_unit_test(test_the_unit_of_one_axis_is_that_of_its_triad),

@@ -72,6 +72,8 @@ static void test_strings_have_two_characters_a_register_and_are_padded(void **st
 	reads(10, 5, true, "abc\0\0\0\1\2\3\0"); /* the order of words is that of numbers */
 	reads(11, 1, false, "c\0");
 	reads(12, 2, false, "\0\0\1\2");
+	values.text[0] = '\0';
+	reads(10, 3, false, "\0\0\0\0\0\0");
 }
 
 static void test_values_of_8_bits_are_extended_by_their_sign(void **state)
@@ -100,6 +102,91 @@ static void test_what_cannot_be_read_is_told(void **state)
 	assert_int_equal(modbus_map_read(&MAP, &od, false, 24, 1, out), OD_NO_OBJECT);
 	assert_int_equal(modbus_map_read(&MAP, &od, false, 31, 1, out), OD_NO_OBJECT);
 	assert_int_equal(modbus_map_read(&MAP, &od, false, 30, 1, out), OD_WRITE_ONLY);
+}
+
+/* Each address alone, and each bit: those of the tables and no other. */
+static void test_only_the_addresses_of_the_map_are_there(void **state)
+{
+	uint8_t out[OD_VALUE_MAX];
+
+	(void)state;
+	for (unsigned a = 0; a <= 0xFFFF; a++) {
+		bool text = a >= 10 && a < 13, octets = a == 13 || a == 14, numbers = a >= 20 && a < 24;
+		enum od_status expected = text || octets || numbers ? OD_OK : a == 30 ? OD_WRITE_ONLY : OD_NO_OBJECT;
+
+		assert_int_equal(modbus_map_read(&MAP, &od, false, (uint16_t)a, 1, out), expected);
+		out[0] = 0;
+		assert_int_equal(modbus_map_read_bits(&MAP, &od, MODBUS_COILS, (uint16_t)a, 1, out),
+			a >= 1 && a <= 3 ? OD_OK : OD_NO_OBJECT);
+		assert_int_equal(modbus_map_read_bits(&MAP, &od, MODBUS_DISCRETE_INPUTS, (uint16_t)a, 1, out),
+			a == 1 || a == 2 ? OD_OK : OD_NO_OBJECT);
+	}
+}
+
+/* A value of the greatest size, as number of four registers and as string. */
+static void test_wide_values_are_read_and_written_in_both_orders(void **state)
+{
+	static const struct od_entry wide[] = {
+		{.index = 1, .type = OD_UNSIGNED64, .access = OD_READ | OD_WRITE, .size = 8, .factor = 1, .name = ""},
+		{.index = 2,
+			.type = OD_OCTET_STRING,
+			.access = OD_READ | OD_WRITE,
+			.size = OD_VALUE_MAX,
+			.offset = 8,
+			.factor = 1,
+			.name = ""}};
+	static const struct modbus_point points[] = {{1, 4, 0}, {5, OD_VALUE_MAX / 2, 1}};
+	static const struct modbus_input inputs[] = {{7, 0, 63}, {8, 0, 0}, {9, 1, 255}};
+	static const struct modbus_map map = {points, inputs, NULL, 2, 3, 0, "", ""};
+	static const uint8_t words[] = {1, 2, 3, 4, 5, 6, 7, 0x88}, low_first[] = {7, 0x88, 5, 6, 3, 4, 1, 2};
+	static const uint8_t zeros[8 + OD_VALUE_MAX];
+	const struct od_table table = {wide, 2, zeros, sizeof(zeros)};
+	struct modbus_item items[2];
+	uint64_t bytes[1 + OD_VALUE_MAX / 8];
+	uint8_t in[2 * (4 + OD_VALUE_MAX / 2)], out[sizeof(in)], bits[1];
+	struct od wide_od;
+	unsigned n;
+
+	(void)state;
+	od_init(&wide_od, &table, bytes, 1);
+	for (int low = 0; low <= 1; low++) {
+		memcpy(in, low ? low_first : words, 8);
+		for (unsigned i = 0; i < OD_VALUE_MAX; i++)
+			in[8 + i] = (uint8_t)(200 - i);
+		assert_int_equal(modbus_map_items(&map, &table, low, 1, sizeof(in) / 2, in, items, &n), OD_OK);
+		assert_int_equal(n, 2);
+		assert_int_equal(items[0].size, 8);
+		assert_memory_equal(items[0].wire, "\x88\7\6\5\4\3\2\1", 8);
+		assert_int_equal(items[1].size, OD_VALUE_MAX);
+		assert_memory_equal(items[1].wire, in + 8, OD_VALUE_MAX);
+		for (int i = 0; i < 2; i++)
+			assert_int_equal(od_put(&wide_od, items[i].entry, items[i].wire, items[i].size), OD_OK);
+		assert_int_equal(modbus_map_read(&map, &wide_od, low, 1, sizeof(out) / 2, out), OD_OK);
+		assert_memory_equal(out, in, sizeof(in));
+	}
+	bits[0] = 0;
+	assert_int_equal(modbus_map_read_bits(&map, &wide_od, MODBUS_DISCRETE_INPUTS, 7, 3, bits), OD_OK);
+	assert_int_equal(bits[0], 0 | 0 << 1 | (200 - 31) >> 7 << 2);
+	bytes[0] = 0x8000000000000001;
+	bits[0] = 0;
+	assert_int_equal(modbus_map_read_bits(&map, &wide_od, MODBUS_DISCRETE_INPUTS, 7, 2, bits), OD_OK);
+	assert_int_equal(bits[0], 3);
+}
+
+static void test_as_many_coils_as_items_are_written_at_once(void **state)
+{
+	static struct modbus_coil many[MODBUS_REGISTERS_MAX + 1];
+	static const uint8_t on[(MODBUS_REGISTERS_MAX + 8) / 8];
+	static struct modbus_item items[MODBUS_REGISTERS_MAX];
+	const struct modbus_map map = {.coils = many, .coil_count = MODBUS_REGISTERS_MAX + 1};
+	unsigned n;
+
+	(void)state;
+	for (uint16_t i = 0; i <= MODBUS_REGISTERS_MAX; i++)
+		many[i] = (struct modbus_coil){.address = i, .entry = U8};
+	assert_int_equal(modbus_map_coil_items(&map, &TABLE, 0, MODBUS_REGISTERS_MAX, on, items, &n), OD_OK);
+	assert_int_equal(n, MODBUS_REGISTERS_MAX);
+	assert_int_equal(modbus_map_coil_items(&map, &TABLE, 0, MODBUS_REGISTERS_MAX + 1, on, items, &n), OD_NO_OBJECT);
 }
 
 static enum od_status items_of(uint16_t address, unsigned count, const char *in, struct modbus_item *items, unsigned *n)
@@ -206,6 +293,9 @@ int main(void)
 		cmocka_unit_test_setup(test_values_of_8_bits_are_extended_by_their_sign, fresh),
 		cmocka_unit_test_setup(test_the_order_of_words_can_be_chosen, fresh),
 		cmocka_unit_test_setup(test_what_cannot_be_read_is_told, fresh),
+		cmocka_unit_test_setup(test_only_the_addresses_of_the_map_are_there, fresh),
+		cmocka_unit_test_setup(test_wide_values_are_read_and_written_in_both_orders, fresh),
+		cmocka_unit_test_setup(test_as_many_coils_as_items_are_written_at_once, fresh),
 		cmocka_unit_test_setup(test_a_written_string_ends_with_its_first_0_and_octets_do_not, fresh),
 		cmocka_unit_test_setup(test_a_register_of_a_value_of_8_bits_has_its_limits, fresh),
 		cmocka_unit_test_setup(test_a_part_of_a_value_is_not_written, fresh),

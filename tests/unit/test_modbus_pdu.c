@@ -14,23 +14,24 @@
 #include "gateway/modbus/pdu.h"
 
 /* A device whose registers are memory: 0 to BANK - 1. Counts what reaches it. */
-enum { BANK = 256, BITS = 512 };
+enum { BANK = 256, BITS = 2048 };
 
 static struct bank {
 	struct modbus_registers registers;
 	uint16_t words[BANK];
 	uint8_t coils[BITS], inputs[BITS];
 	const char *identification[256];
-	uint8_t object[8];
+	uint8_t object[300];
 	size_t object_size;
 	enum od_status answer; /* of writes */
-	unsigned writes;
+	unsigned reads, writes;
 } bank;
 
 static enum od_status bank_read(void *ctx, uint16_t address, unsigned count, uint8_t *out)
 {
 	struct bank *b = ctx;
 
+	b->reads++;
 	if (address + count > BANK)
 		return OD_NO_OBJECT;
 	for (unsigned i = 0; i < count; i++) {
@@ -66,6 +67,7 @@ static enum od_status bank_read_bits(void *ctx, enum modbus_bits kind, uint16_t 
 {
 	struct bank *b = ctx;
 
+	b->reads++;
 	if (address + count > BITS)
 		return OD_NO_OBJECT;
 	for (unsigned i = 0; i < count; i++)
@@ -149,6 +151,7 @@ static size_t from_hex(const char *hex, uint8_t *out)
 static void assert_answers(const char *request, const char *response)
 {
 	uint8_t in[MODBUS_PDU_MAX + 3], expected[MODBUS_PDU_MAX], *out = malloc(MODBUS_PDU_MAX);
+	memset(out, 0xA5, MODBUS_PDU_MAX);
 	size_t size = modbus_pdu(&bank.registers, in, from_hex(request, in), out);
 
 	assert_int_equal(size, from_hex(response, expected));
@@ -236,8 +239,8 @@ static void test_function_23_writes_nothing_when_its_range_cannot_be_read(void *
 static void test_an_address_that_is_not_there_is_exception_2(void **state)
 {
 	(void)state;
-	assert_answers("01 04 A1 00 01", "81 02");
-	assert_answers("02 02 00 00 01", "82 02");
+	assert_answers("01 08 A1 00 01", "81 02");
+	assert_answers("02 08 00 00 01", "82 02");
 	assert_answers("03 00 FF 00 02", "83 02");
 	assert_answers("04 FF FF 00 01", "84 02");
 	assert_answers("04 FF FF 00 02", "84 02");
@@ -245,6 +248,47 @@ static void test_an_address_that_is_not_there_is_exception_2(void **state)
 	assert_answers("10 FF FF 00 02 04 00 00 00 00", "90 02");
 	assert_answers("0F FF FF 00 02 01 00", "8F 02");
 	assert_answers("17 00 00 00 01 FF FF 00 02 04 00 00 00 00", "97 02");
+}
+
+/* FFFFh is an address, 10000h is none: such a range does not reach the device. */
+static void test_a_range_ends_at_the_last_address(void **state)
+{
+	static const struct {
+		const char *request;
+		unsigned reads, writes;
+	} RANGES[] = {{"01 FF FF 00 01", 1, 0}, {"01 FF FF 00 02", 0, 0}, {"02 FF 00 01 00", 1, 0},
+		{"02 FF 01 01 00", 0, 0}, {"03 FF FF 00 01", 1, 0}, {"03 FF FF 00 02", 0, 0}, {"04 FF F0 00 10", 1, 0},
+		{"04 FF F0 00 11", 0, 0}, {"10 FF FF 00 01 02 00 00", 0, 1}, {"10 FF FF 00 02 04 00 00 00 00", 0, 0},
+		{"0F FF FF 00 02 01 00", 0, 0}, {"17 FF FF 00 01 00 00 00 01 02 00 00", 1, 0},
+		{"17 FF FF 00 02 00 00 00 01 02 00 00", 0, 0}, {"17 00 00 00 01 FF FF 00 01 02 00 00", 1, 1},
+		{"17 00 00 00 01 FF FF 00 02 04 00 00 00 00", 0, 0}};
+	uint8_t request[MODBUS_PDU_MAX], response[MODBUS_PDU_MAX];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(RANGES) / sizeof(*RANGES); i++) {
+		bank.reads = bank.writes = 0;
+		assert_int_equal(
+			modbus_pdu(&bank.registers, request, from_hex(RANGES[i].request, request), response), 2);
+		assert_int_equal(response[1], 2);
+		assert_int_equal(bank.reads, RANGES[i].reads);
+		assert_int_equal(bank.writes, RANGES[i].writes);
+	}
+}
+
+static void test_bits_fill_as_many_bytes_as_they_need(void **state)
+{
+	(void)state;
+	memset(bank.coils, 1, 20);
+	assert_answers("01 00 00 00 01", "01 01 01");
+	assert_answers("01 00 00 00 08", "01 01 FF");
+	assert_answers("01 00 00 00 09", "01 02 FF 01");
+	assert_answers("01 00 0A 00 10", "01 02 FF 03");
+	assert_answers("0F 00 20 00 08 01 81", "0F 00 20 00 08");
+	assert_int_equal(bank.coils[0x20] + bank.coils[0x27], 2);
+	assert_answers("0F 00 20 00 09 02 00 01", "0F 00 20 00 09");
+	assert_int_equal(bank.coils[0x28], 1);
+	assert_answers("0F 00 20 00 08 02 00 01", "8F 03");
+	assert_answers("0F 00 20 00 09 01 00", "8F 03");
 }
 
 static void test_a_quantity_out_of_range_is_exception_3(void **state)
@@ -269,7 +313,7 @@ static void test_a_quantity_out_of_range_is_exception_3(void **state)
 /* The quantity is refused before the address is looked at. */
 static void test_the_largest_quantities_are_served(void **state)
 {
-	uint8_t request[MODBUS_PDU_MAX] = {3, 0, 0, 0, 125}, response[MODBUS_PDU_MAX];
+	uint8_t request[MODBUS_PDU_MAX + 1] = {3, 0, 0, 0, 125}, response[MODBUS_PDU_MAX];
 
 	(void)state;
 	assert_int_equal(modbus_pdu(&bank.registers, request, 5, response), 2 + 250);
@@ -279,6 +323,17 @@ static void test_the_largest_quantities_are_served(void **state)
 	assert_int_equal(modbus_pdu(&bank.registers, request, 10 + 242, response), 2 + 250);
 	memcpy(request, (uint8_t[]){16, 0, 0, 0, 124, 248}, 6);
 	assert_int_equal(modbus_pdu(&bank.registers, request, MODBUS_PDU_MAX, response), 2);
+	assert_int_equal(response[1], 3);
+	memcpy(request, (uint8_t[]){23, 0, 0, 0, 1, 0, 0, 0, 122, 244}, 10);
+	assert_int_equal(modbus_pdu(&bank.registers, request, 10 + 244, response), 2);
+	assert_int_equal(response[1], 3);
+	memcpy(request, (uint8_t[]){1, 0, 0, 2000 >> 8, 2000 & 0xFF}, 5);
+	assert_int_equal(modbus_pdu(&bank.registers, request, 5, response), 2 + 250);
+	assert_int_equal(response[1], 250);
+	memcpy(request, (uint8_t[]){15, 0, 0, 1968 >> 8, 1968 & 0xFF, 246}, 6);
+	assert_int_equal(modbus_pdu(&bank.registers, request, 6 + 246, response), 5);
+	memcpy(request, (uint8_t[]){15, 0, 0, 1969 >> 8, 1969 & 0xFF, 247}, 6);
+	assert_int_equal(modbus_pdu(&bank.registers, request, 6 + 247, response), 2);
 	assert_int_equal(response[1], 3);
 }
 
@@ -331,14 +386,32 @@ static void test_the_status_of_a_write_is_its_exception(void **state)
 	}
 }
 
+/* 02: nothing to be read or written there; 03: not that value; 06: not now; 04: it failed. */
 static void test_every_failure_has_one_of_the_exceptions_2_3_4_and_6(void **state)
 {
+	static const uint8_t EXCEPTIONS[OD_STATUS_COUNT] = {[OD_NO_OBJECT] = 2,
+		[OD_NO_SUBINDEX] = 2,
+		[OD_WRITE_ONLY] = 2,
+		[OD_READ_ONLY] = 2,
+		[OD_UNSUPPORTED_ACCESS] = 2,
+		[OD_TOO_LONG] = 3,
+		[OD_TOO_SHORT] = 3,
+		[OD_TOO_HIGH] = 3,
+		[OD_TOO_LOW] = 3,
+		[OD_BAD_VALUE] = 3,
+		[OD_NOT_MAPPABLE] = 3,
+		[OD_PDO_LENGTH] = 3,
+		[OD_INCOMPATIBLE] = 3,
+		[OD_LOCAL_CONTROL] = 6,
+		[OD_DEVICE_STATE] = 6,
+		[OD_CANNOT_STORE] = 4,
+		[OD_NO_DATA] = 4,
+		[OD_GENERAL] = 4};
+
 	(void)state;
 	for (enum od_status s = OD_OK; s < OD_STATUS_COUNT; s++) {
-		uint8_t exception = modbus_exception(s);
-
-		assert_int_equal(exception == 0, sdo_abort_code(s) == 0);
-		assert_true(exception == 0 || (exception >= 2 && exception <= 4) || exception == 6);
+		assert_int_equal(modbus_exception(s), EXCEPTIONS[s]);
+		assert_int_equal(EXCEPTIONS[s] == 0, sdo_abort_code(s) == 0);
 	}
 }
 
@@ -382,6 +455,56 @@ static void test_identification_has_three_levels(void **state)
 	assert_answers("2B 0E 01 00", "2B 0E 01 83 00 00 03 " ACME " " X1 " " V211);
 	assert_answers("2B 0E 02 00", "2B 0E 02 83 00 00 04 " ACME " " X1 " " V211 " " NAME);
 	assert_answers("2B 0E 03 00", "2B 0E 03 83 00 00 05 " ACME " " X1 " " V211 " " NAME " " UNIT);
+}
+
+/* V1.1b3, 6.21: basic to 02h, regular to 06h, extended from 80h on; what is between is reserved. */
+static void test_each_level_has_its_objects_and_reserved_ones_are_in_none(void **state)
+{
+	static const unsigned BASIC = 3, REGULAR = 7, ALL = 7 + 128;
+	uint8_t request[4] = {0x2B, 0x0E}, response[MODBUS_PDU_MAX];
+
+	(void)state;
+	for (int i = 0; i < 256; i++)
+		bank.identification[i] = "x";
+	for (uint8_t level = 1; level <= 3; level++) {
+		unsigned seen = 0;
+
+		request[2] = level;
+		request[3] = 0;
+		do {
+			size_t size = modbus_pdu(&bank.registers, request, 4, response);
+
+			assert_int_equal(size, 7 + 3u * response[6]);
+			for (size_t at = 7; at < size; at += 3, seen++)
+				assert_int_equal(response[at], seen < REGULAR ? seen : seen - REGULAR + 0x80);
+			request[3] = response[5];
+		} while (response[4] == 0xFF);
+		assert_int_equal(response[5], 0);
+		assert_int_equal(seen, level == 1 ? BASIC : level == 2 ? REGULAR : ALL);
+	}
+	request[2] = 4;
+	for (unsigned number = 0; number < 256; number++) {
+		request[3] = (uint8_t)number;
+		assert_int_equal(
+			modbus_pdu(&bank.registers, request, 4, response), number < REGULAR || number >= 0x80 ? 10 : 2);
+	}
+}
+
+static void test_identification_fills_a_response_to_its_last_byte(void **state)
+{
+	uint8_t request[4] = {0x2B, 0x0E, 1, 0}, response[MODBUS_PDU_MAX];
+	char text[300];
+
+	(void)state;
+	memset(text, 'x', sizeof(text));
+	text[MODBUS_PDU_MAX - 7 - 2] = '\0';
+	bank.identification[0] = text;
+	assert_int_equal(modbus_pdu(&bank.registers, request, 4, response), MODBUS_PDU_MAX);
+	assert_int_equal(response[8], MODBUS_PDU_MAX - 7 - 2);
+	text[MODBUS_PDU_MAX - 7 - 2] = 'x';
+	text[MODBUS_PDU_MAX - 7 - 1] = '\0';
+	assert_int_equal(modbus_pdu(&bank.registers, request, 4, response), 7);
+	assert_int_equal(response[4], 0xFF);
 }
 
 static void test_identification_begins_where_the_client_says(void **state)
@@ -455,9 +578,30 @@ static void test_objects_are_read_in_parts(void **state)
 	assert_answers("2B 0D 00 1F 10 05 00 00 08 00 03", "2B 0D 00 1F 10 05 00 00 08 00 00");
 }
 
+/* 253 bytes less the head, which is two bytes longer with an encoding. */
+static void test_an_object_fills_a_response_to_its_last_byte(void **state)
+{
+	uint8_t plain[] = {0x2B, 0x0D, 0, 0x1F, 0x10, 0x05, 0, 0, 0, 0xFF, 0xFF};
+	uint8_t encoded[] = {0x2B, 0x0D, 2, 0, 0x50, 0x1F, 0x10, 0x05, 0, 0, 0, 0xFF, 0xFF}, response[MODBUS_PDU_MAX];
+
+	(void)state;
+	bank.object_size = 300;
+	assert_int_equal(modbus_pdu(&bank.registers, plain, sizeof(plain), response), MODBUS_PDU_MAX);
+	assert_int_equal(response[9] << 8 | response[10], 242);
+	assert_int_equal(modbus_pdu(&bank.registers, encoded, sizeof(encoded), response), MODBUS_PDU_MAX);
+	assert_int_equal(response[11] << 8 | response[12], 240);
+	plain[7] = 1; /* from byte 256 on */
+	assert_int_equal(modbus_pdu(&bank.registers, plain, sizeof(plain), response), 11 + 44);
+}
+
 static void test_objects_are_written_by_function_43_13(void **state)
 {
 	(void)state;
+	assert_answers("2B 0D 03 00 50 1F 20 3C 02 00 00 00 01 07", "2B 0D 03 00 50 1F 20 3C 02 00 00 00 00");
+	assert_int_equal(bank.object[0], 7);
+	assert_answers("2B 0D 01 00 20 3C 02 00 00 00 01 08", "2B 0D 01 00 20 3C 02 00 00 00 00");
+	assert_answers("2B 0D 01 05 20 3C 02 00 00 00 01 09", "AB FF 00 06 0D EC 06 0A 00 23");
+	assert_int_equal(bank.object[0], 8);
 	assert_answers("2B 0D 01 1F 20 3C 02 00 00 00 02 03 E8", "2B 0D 01 1F 20 3C 02 00 00 00 00");
 	assert_memory_equal(bank.object, "\x03\xE8", 2);
 }
@@ -514,6 +658,74 @@ static void test_a_request_that_is_cut_off_writes_nothing(void **state)
 	assert_int_equal(bank.writes, 0);
 }
 
+/* As the requests above, with a byte too many: of those with a byte count this is wrong, too. */
+static void test_a_request_with_a_byte_too_many_does_nothing(void **state)
+{
+	static const char *const REQUESTS[] = {"01 00 00 00 01 00", "02 00 00 00 01 00", "03 00 00 00 01 00",
+		"04 00 00 00 01 00", "05 00 AC FF 00 00", "06 00 01 00 03 00", "0F 00 13 00 0A 02 CD 01 00",
+		"10 00 01 00 02 04 00 0A 01 02 00", "16 00 04 00 F2 00 25 00",
+		"17 00 03 00 06 00 0E 00 03 06 00 FF 00 FF 00 FF 00", "2B 0D 01 1F 20 3C 02 00 00 00 02 03 E8 00",
+		"2B 0E 01 00 00"};
+	uint8_t request[MODBUS_PDU_MAX], response[MODBUS_PDU_MAX];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(REQUESTS) / sizeof(*REQUESTS); i++) {
+		assert_int_equal(modbus_pdu(&bank.registers, request, from_hex(REQUESTS[i], request), response), 2);
+		assert_int_equal(response[1], 3);
+	}
+	assert_int_equal(bank.reads + bank.writes, 0);
+}
+
+/* On a line: how long a request is, as soon as its bytes tell. */
+static void test_the_size_of_a_request_follows_from_its_first_bytes(void **state)
+{
+	static const struct {
+		const char *request;
+		size_t known_from; /* bytes; before: 0 */
+		int size;
+	} REQUESTS[] = {{"01 00 00 00 01", 3, 5}, {"02 00 00 00 01", 3, 5}, {"03 00 00 00 01", 3, 5},
+		{"04 00 00 00 01", 3, 5}, {"05 00 AC FF 00", 3, 5}, {"06 00 01 00 03", 3, 5},
+		{"0F 00 13 00 0A 02 CD 01", 6, 8}, {"10 00 01 00 02 04 00 0A 01 02", 6, 10},
+		{"10 00 01 00 7B F6", 6, 6 + 246}, {"16 00 04 00 F2 00 25", 3, 7},
+		{"17 00 03 00 06 00 0E 00 03 06 00 FF 00 FF 00 FF", 10, 16},
+		{"2B 0D 00 1F 10 05 00 00 00 00 08", 3, 11}, {"2B 0D 02 00 50 1F 10 05 00 00 00 00 08", 3, 13},
+		{"2B 0D 01 1F 20 3C 02 00 00 00 02 03 E8", 11, 13},
+		{"2B 0D 01 1F 20 3C 02 00 00 01 02 03", 11, 11 + 258},
+		{"2B 0D 03 00 50 1F 20 3C 02 00 00 00 02 03 E8", 13, 15}, {"2B 0E 01 00", 3, 4}, {"2B 0F 00", 3, -1},
+		{"07 00 00", 3, -1}, {"41 00 00", 3, -1}};
+	uint8_t request[MODBUS_PDU_MAX];
+
+	(void)state;
+	for (size_t i = 0; i < sizeof(REQUESTS) / sizeof(*REQUESTS); i++) {
+		size_t size = from_hex(REQUESTS[i].request, request);
+
+		for (size_t n = 0; n <= size; n++) {
+			uint8_t *exact = malloc(n + 1);
+
+			memcpy(exact, request, n);
+			assert_int_equal(modbus_pdu_size(exact, n), n >= REQUESTS[i].known_from ? REQUESTS[i].size : 0);
+			free(exact);
+		}
+	}
+}
+
+static void test_which_requests_write_is_known(void **state)
+{
+	static const uint8_t WRITES[] = {5, 6, 15, 16, 22, 23};
+	uint8_t request[3] = {0};
+
+	(void)state;
+	for (unsigned function = 0; function < 256; function++) {
+		request[0] = (uint8_t)function;
+		assert_int_equal(modbus_pdu_writes(request, 3), memchr(WRITES, (int)function, sizeof(WRITES)) != NULL);
+	}
+	assert_true(modbus_pdu_writes((const uint8_t[]){0x2B, 0x0D, 1}, 3));
+	assert_true(modbus_pdu_writes((const uint8_t[]){0x2B, 0x0D, 3}, 3));
+	assert_false(modbus_pdu_writes((const uint8_t[]){0x2B, 0x0D, 2}, 3));
+	assert_false(modbus_pdu_writes((const uint8_t[]){0x2B, 0x0E, 1}, 3));
+	assert_false(modbus_pdu_writes((const uint8_t[]){0x2B, 0x0D, 1}, 2));
+}
+
 #define TEST(name) cmocka_unit_test_setup(name, set_up)
 
 int main(void)
@@ -528,6 +740,8 @@ int main(void)
 		TEST(test_function_23_writes_before_it_reads),
 		TEST(test_function_23_writes_nothing_when_its_range_cannot_be_read),
 		TEST(test_an_address_that_is_not_there_is_exception_2),
+		TEST(test_a_range_ends_at_the_last_address),
+		TEST(test_bits_fill_as_many_bytes_as_they_need),
 		TEST(test_a_quantity_out_of_range_is_exception_3),
 		TEST(test_the_largest_quantities_are_served),
 		TEST(test_every_other_function_is_exception_1),
@@ -536,15 +750,21 @@ int main(void)
 		TEST(test_every_failure_has_one_of_the_exceptions_2_3_4_and_6),
 		TEST(test_a_write_that_takes_longer_is_answered_when_it_has_ended),
 		TEST(test_identification_has_three_levels),
+		TEST(test_each_level_has_its_objects_and_reserved_ones_are_in_none),
+		TEST(test_identification_fills_a_response_to_its_last_byte),
 		TEST(test_identification_begins_where_the_client_says),
 		TEST(test_one_object_of_the_identification),
 		TEST(test_identification_that_does_not_fit_goes_on_in_the_next_response),
 		TEST(test_objects_are_read_by_function_43_13),
 		TEST(test_objects_are_read_in_parts),
+		TEST(test_an_object_fills_a_response_to_its_last_byte),
 		TEST(test_objects_are_written_by_function_43_13),
 		TEST(test_function_43_13_answers_with_sdo_abort_codes),
 		TEST(test_malformed_requests_of_function_43_are_exception_3),
 		TEST(test_a_request_that_is_cut_off_writes_nothing),
+		TEST(test_a_request_with_a_byte_too_many_does_nothing),
+		TEST(test_the_size_of_a_request_follows_from_its_first_bytes),
+		TEST(test_which_requests_write_is_known),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

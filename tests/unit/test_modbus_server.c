@@ -620,6 +620,30 @@ static void test_the_end_of_a_job_is_that_of_its_ticket(void **state)
 	assert_true(modbus_link_late(&link, &ticket, &status));
 	assert_int_equal(ticket, link.job.ticket);
 	assert_int_equal(status, OD_OK);
+	modbus_link_ended(&link, OD_OK); /* there is none any more */
+	assert_false(modbus_link_late(&link, &ticket, &status));
+}
+
+static void test_a_snapshot_stays_until_the_next_one_is_asked_for(void **state)
+{
+	static struct modbus_link link;
+	static struct od_values values;
+
+	(void)state;
+	modbus_link_direct(&link, take_and_wait, &link);
+	for (uint32_t i = 1; i < 50; i++) {
+		const struct od_values *read = modbus_link_values(&link);
+		uint16_t before = read->sample.counter;
+
+		for (uint32_t k = 0; k < i % 4; k++) {
+			values.sample.counter++;
+			modbus_link_publish(&link, &values);
+			assert_int_equal(read->sample.counter, before);
+		}
+		read = modbus_link_values(&link);
+		assert_int_equal(read->sample.counter, values.sample.counter);
+		assert_ptr_equal(modbus_link_values(&link), read);
+	}
 }
 
 static struct modbus_link waited;
@@ -719,6 +743,7 @@ int main(void)
 		TEST(test_requests_to_other_slaves_and_noise_are_not_answered),
 		TEST(test_a_window_that_cannot_be_opened_is_told),
 		cmocka_unit_test(test_the_end_of_a_job_is_that_of_its_ticket),
+		cmocka_unit_test(test_a_snapshot_stays_until_the_next_one_is_asked_for),
 		cmocka_unit_test(
 			test_a_job_that_the_loop_does_not_begin_is_withdrawn_and_one_that_it_has_begun_is_waited_for),
 		cmocka_unit_test(test_the_server_ends_while_a_job_waits_for_the_loop),

@@ -10,8 +10,10 @@
 
 #include "drivers/i2c/i2c.h"
 #include "drivers/ports/can.h"
+#include "drivers/ports/imu.h"
 
 static bool no_memory;
+static int calls, failing; /* the call with this number fails; 0: none */
 
 /* The compiler may not make a calloc() of malloc() and memset(). */
 static void *(*volatile allocate)(size_t size) = malloc;
@@ -20,7 +22,7 @@ void *calloc(size_t count, size_t size)
 {
 	void *p;
 
-	if (no_memory) {
+	if (no_memory || ++calls == failing) {
 		errno = ENOMEM;
 		return NULL;
 	}
@@ -64,11 +66,35 @@ static void test_a_bus_of_chips_is_not_opened(void **state)
 	no_memory = false;
 }
 
+/* Each allocation of the driver fails once; those behind it are of the thread and of libraries. */
+static void test_a_source_of_samples_is_not_opened(void **state)
+{
+	static const struct {
+		const char *source;
+		int allocations;
+	} sources[] = {{"sim:rest", 2}, {"wt901:/dev/null", 1}, {"iio", 1}, {"spi:/dev/null", 1}};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof sources / sizeof *sources; i++)
+		for (failing = 1; failing <= sources[i].allocations; failing++) {
+			struct imu_port *port = NULL;
+			char error[300] = "";
+
+			calls = 0;
+			assert_int_equal(imu_open(sources[i].source, NULL, &port, error, sizeof error), -ENOMEM);
+			assert_int_equal(calls, failing);
+			assert_null(port);
+			assert_non_null(strstr(error, "Cannot allocate memory"));
+		}
+	failing = 0;
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_a_bus_is_not_opened_and_the_message_says_why),
 		cmocka_unit_test(test_a_bus_of_chips_is_not_opened),
+		cmocka_unit_test(test_a_source_of_samples_is_not_opened),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -343,7 +343,8 @@ static void test_an_unknown_name_is_not_found(void **state)
 {
 	static const char *const NAMES[] = {"", ".", "lever_arm", "lever_arm.", "lever_arm.x", "lever_arm.ll", "lever",
 		"leverarm.l", "lever_arm.l ", "lever_arm.l.l", "2000", "2000:1", "0x2000:", "0x2000:1:1", "0x2000:9",
-		"0x2000:256", "0x12003", "2000hh", "h", "0x", "0x2000:1x", "-0x2000"};
+		"0x2000:256", "0x12003", "2000hh", "h", "0x", "0x2000:1x", "-0x2000", "l ver_arm.l", "lever_a m.l",
+		"lever_arm. l"};
 
 	(void)state;
 	for (size_t i = 0; i < sizeof(NAMES) / sizeof(*NAMES); i++)

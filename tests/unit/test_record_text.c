@@ -179,7 +179,9 @@ static void test_a_damaged_line_is_refused(void **state)
 		"# failed 5 0", "# answer", "1.5,1,2", "1.000000,1,2,3,4,5,6,,,,,,,,,5",
 		"# bus 1 2 3 4 5 6 7 8 4 9 10 11 12 13x", "# bus 1 2 3 4 5 6 7 8 4 9 10 11 12 13 14",
 		"# imu 1 2 3 4 5 6 7 8 9 10 11 1 2 5x", "# recording 1 2 3 4x", "1.000000,1,2,3,4,5,6,,,,,,,,,5,x",
-		"1.000000,a,2,3,4,5,6,,,,,,,,,5,0"};
+		"1.000000,a,2,3,4,5,6,,,,,,,,,5,0",
+		/* a time has six digits behind the point; what follows is not taken for a value */
+		"1.0000005,1,2,3,4,5,6,,,,,,,,,5,0", "1.0000005,2,3,4,5,6,,,,,,,,,5,0", "1.5;2,3,4,5,6,,,,,,,,,5,0"};
 	struct record_entry e;
 
 	(void)state;

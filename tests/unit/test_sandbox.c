@@ -6,7 +6,10 @@
 #include <setjmp.h>
 #include <cmocka.h>
 
+#include <dlfcn.h>
 #include <errno.h>
+#include <linux/filter.h>
+#include <linux/seccomp.h>
 #include <pthread.h>
 #include <sched.h>
 #include <signal.h>
@@ -14,6 +17,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 #include <sys/mount.h>
+#include <sys/prctl.h>
 #include <sys/ptrace.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
@@ -150,6 +154,43 @@ static void test_files_are_written_and_renamed_as_before(void **state)
 	in_sandbox(store_a_file);
 }
 
+static bool no_library;
+
+void *dlopen(const char *file, int mode)
+{
+	void *(*real)(const char *, int);
+
+	*(void **)&real = dlsym(RTLD_NEXT, "dlopen");
+	return no_library ? NULL : real(file, mode);
+}
+
+/* A process that may not set a filter, as under another sandbox, and one without the library. */
+static void test_without_a_sandbox_the_process_is_told(void **state)
+{
+	struct sock_filter code[] = {BPF_STMT(BPF_LD | BPF_W | BPF_ABS, 0 /* the number of the call */),
+		BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, SYS_seccomp, 0, 1),
+		BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ERRNO | EPERM), BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW)};
+	struct sock_fprog program = {sizeof(code) / sizeof(code[0]), code};
+	int status;
+
+	(void)state;
+	no_library = true;
+	int rc = sandbox_enter();
+	no_library = false;
+	assert_true(rc == -ENOENT || rc == -ENOTSUP); /* the latter with a sanitizer */
+	pid_t pid = fork();
+	if (pid == 0) {
+		if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0 ||
+			prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program) != 0)
+			_exit(NO_SANDBOX);
+		_exit(sandbox_enter() < 0 ? 0 : WRONG);
+	}
+	assert_int_equal(waitpid(pid, &status, 0), pid);
+	if (WEXITSTATUS(status) == NO_SANDBOX)
+		skip();
+	assert_int_equal(status, 0);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -158,6 +199,7 @@ int main(void)
 		cmocka_unit_test(test_threads_start_as_before_and_are_in_it_too),
 		cmocka_unit_test(test_a_thread_that_ran_before_is_in_it_too),
 		cmocka_unit_test(test_files_are_written_and_renamed_as_before),
+		cmocka_unit_test(test_without_a_sandbox_the_process_is_told),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

@@ -96,6 +96,28 @@ static void test_the_status_shows_new_and_overwritten_samples_until_they_are_rea
 	}
 }
 
+static void test_after_a_brown_out_a_chip_is_as_after_power_on(void **state)
+{
+	uint8_t bytes[6];
+
+	(void)state;
+	board("v3", "rest");
+	put(IMU_CHIP_GYRO, 0x20, 0x0F);
+	wait_ms(34);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x27), 0xFF);
+	sim_board_brown_out(w->sim, IMU_CHIP_GYRO);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x27), 0);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x20), 0x07); /* L3GD20H, 7.2: powered down */
+	wait_ms(1000);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x27), 0);
+	put(IMU_CHIP_GYRO, 0x20, 0x0F);
+	wait_ms(14);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x27), 0x0F);
+	get(IMU_CHIP_GYRO, 0xA8, bytes, 6);
+	assert_int_equal(get_one(IMU_CHIP_GYRO, 0x27), 0);
+	world_free(w);
+}
+
 /* SR of the LSM303DLH, DLM and DLHC: RDY. STATUS_REG of the LSM6: TDA, GDA and XLDA. */
 static void test_the_status_of_the_other_chips(void **state)
 {
@@ -488,6 +510,7 @@ int main(void)
 {
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_the_status_shows_new_and_overwritten_samples_until_they_are_read),
+		cmocka_unit_test(test_after_a_brown_out_a_chip_is_as_after_power_on),
 		cmocka_unit_test(test_the_status_of_the_other_chips),
 		cmocka_unit_test(test_a_fifo_of_32_sets_shows_its_level_and_keeps_the_newest),
 		cmocka_unit_test(test_the_fifo_of_words_shows_its_level_and_the_place_in_the_set),

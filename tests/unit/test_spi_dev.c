@@ -183,6 +183,8 @@ static void test_what_cannot_be_opened_is_refused_with_what_to_do(void **state)
 	assert_refused((struct kernel){.mode_error = ENOTTY}, "spi:/dev/spidev0.0", "use /dev/spidevB.C");
 	assert_refused((struct kernel){.mode_error = EINVAL}, "spi:/dev/spidev0.0,mode=0", "use mode=0 or mode=3");
 	assert_refused((struct kernel){.answer = 0x33}, "spi:/dev/spidev0.0", "no gyro answers on SPI");
+	assert_refused((struct kernel){.answer = 0x33}, "spi:/dev/spidev0.0,/dev/spidev0.1",
+		"spi:/dev/spidev0.0: no gyro answers on SPI");
 	assert_refused((struct kernel){0}, "spi", "no device: use spi:/dev/spidevB.C");
 	assert_refused((struct kernel){0}, "spi:mode=3", "no device");
 	assert_refused((struct kernel){0}, "spi:/dev/spidev0.0,mode=1", "mode=3");

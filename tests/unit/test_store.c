@@ -271,7 +271,7 @@ static void test_without_a_thread_the_store_is_not_open_and_its_lock_is_free(voi
 	no_thread = true;
 	assert_int_equal(store_writer_open(&writer, path), -EAGAIN);
 	no_thread = false;
-	int of_others[] = {dup(STDIN_FILENO), dup(STDIN_FILENO)}; /* with the numbers that it had */
+	int of_others[] = {dup(STDOUT_FILENO), dup(STDOUT_FILENO)}; /* with the numbers that it had */
 	store_writer_close(&writer);
 	for (int i = 0; i < 2; i++)
 		assert_int_equal(close(of_others[i]), 0);
@@ -489,6 +489,25 @@ static void test_the_thread_creates_the_folder_writes_and_signals_the_end(void *
 	rmdir(deep);
 }
 
+static void test_the_result_of_a_write_is_that_of_the_disk(void **state)
+{
+	static struct store_writer writer;
+	const struct store_image image = example(9, 10);
+	uint8_t bytes[STORE_FILE_MAX];
+
+	(void)state;
+	assert_int_equal(store_writer_open(&writer, path), 0);
+	struct pollfd p = {.fd = writer.fd, .events = POLLIN};
+	for (int i = 0; i < 2; i++) {
+		file_sync_errno = i == 0 ? EIO : 0;
+		assert_int_equal(store_writer_submit(&writer, bytes, store_encode(&image, bytes)), 0);
+		assert_int_equal(poll(&p, 1, 120000), 1);
+		assert_int_equal(store_writer_result(&writer), i == 0 ? -EIO : 0);
+		assert_int_equal(store_writer_result(&writer), -EAGAIN); /* it is told once */
+	}
+	store_writer_close(&writer);
+}
+
 static void test_one_file_has_one_writer(void **state)
 {
 	static struct store_writer first, second;
@@ -632,6 +651,10 @@ static void test_a_file_of_a_later_version_is_not_read(void **state)
 
 	(void)state;
 	assert_int_equal(store_decode(&back, later, sizeof(later)), -ENOTSUP);
+	write_bytes(later, sizeof(later)); /* it is kept for that version */
+	assert_int_equal(store_read(&back, path), -ENOTSUP);
+	assert_false(exists(path));
+	assert_int_equal(unlink(bad_path), 0);
 }
 
 static void test_while_the_thread_writes_it_takes_nothing_else(void **state)
@@ -702,6 +725,7 @@ int main(void)
 		TEST(test_a_disk_that_takes_bytes_one_by_one_gets_all_and_one_that_takes_none_is_full),
 		cmocka_unit_test(test_a_folder_that_cannot_be_written_is_an_error),
 		TEST(test_the_thread_creates_the_folder_writes_and_signals_the_end),
+		TEST(test_the_result_of_a_write_is_that_of_the_disk),
 		TEST(test_one_file_has_one_writer),
 		cmocka_unit_test(test_node_id_and_bit_rate_of_lss_are_read_back_and_initially_none),
 		cmocka_unit_test(test_an_invalid_node_id_is_damage),
@@ -710,7 +734,7 @@ int main(void)
 		cmocka_unit_test(test_a_file_of_version_2_is_read),
 		cmocka_unit_test(test_a_file_of_version_3_has_the_revision_of_its_values),
 		cmocka_unit_test(test_a_file_of_version_4_has_the_key_of_the_write_lock),
-		cmocka_unit_test(test_a_file_of_a_later_version_is_not_read),
+		TEST(test_a_file_of_a_later_version_is_not_read),
 		TEST(test_while_the_thread_writes_it_takes_nothing_else),
 		TEST(test_closing_waits_for_a_write_in_progress),
 	};

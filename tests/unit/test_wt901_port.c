@@ -32,6 +32,7 @@ static struct world {
 	int thread_error;
 	int connect_error, answer_error; /* errno; 0: the sensor answers */
 	int mag_type, mag_error;	 /* of the register with the magnetometer's type; error: no value */
+	unsigned missing_reads;		 /* of the measurements, from now on */
 	unsigned bad_read;		 /* the answer to this read of the measurements is bad, from 1; 0: none */
 	int16_t words[13];
 	bool live;
@@ -47,7 +48,8 @@ static struct world {
 	int64_t now_ns, request_ns, answer_ns; /* how long a request, and the answer to it, take */
 	void *(*thread)(void *);
 	void *thread_ctx;
-	unsigned waits; /* of the thread, that are left */
+	unsigned waits;	    /* of the thread, that are left */
+	unsigned good_from; /* with so many waits left the sensor answers again; 0: it does not */
 } w;
 
 static struct imu_port *port;
@@ -82,6 +84,8 @@ int ppoll(struct pollfd *fds, nfds_t n, const struct timespec *timeout, const si
 {
 	(void)fds, (void)n, (void)mask;
 	w.now_ns += timeout->tv_sec * 1000000000 + timeout->tv_nsec;
+	if (w.thread && w.good_from && w.waits == w.good_from)
+		w.answer_error = 0;
 	if (w.thread && w.waits-- == 0)
 		((struct imu_thread *)w.thread_ctx)->stop = true;
 	return 0;
@@ -181,6 +185,8 @@ int modbus_read_registers(modbus_t *line, int at, int n, uint16_t *words)
 	}
 	assert_int_equal(at, 0x34);
 	assert_int_equal(n, 13);
+	if (w.missing_reads > 0 && w.missing_reads--)
+		return failed(ETIMEDOUT);
 	if (++w.reads == w.bad_read) {
 		w.left_over = true; /* the rest of the answer is on its way */
 		return failed(EMBBADCRC);
@@ -469,6 +475,23 @@ static void test_two_answers_that_are_missing_are_a_fault_and_one_is_not(void **
 	assert_true(port->health.restarts > 0);
 }
 
+/* Two in a row, exactly: a third answer that comes is too late. */
+static void test_the_second_answer_that_is_missing_is_the_fault(void **state)
+{
+	(void)state;
+	open_sensor(",baud=115200", NULL);
+	w.missing_reads = 1;
+	run(20);
+	assert_true(count_samples() > 0);
+	assert_int_equal(port->health.bus_errors, 1);
+	assert_int_equal(port->health.restarts, 0);
+	w.missing_reads = 2;
+	run(20);
+	assert_true(count_samples() > 0);
+	assert_int_equal(port->health.bus_errors, 3);
+	assert_true(port->health.restarts > 0);
+}
+
 static void test_an_answer_that_is_not_valid_is_never_a_sample(void **state)
 {
 	static const int errors[] = {EMBBADCRC, EMBBADSLAVE, EMBBADDATA, EMBXILADD, EMBXSBUSY, ETIMEDOUT};
@@ -506,6 +529,21 @@ static void test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again(voi
 	assert_int_equal(w.connections, connections + 1);
 	assert_true(count_samples() > 0);
 	assert_int_equal(port->health.fault, IMU_FAULT_NONE);
+}
+
+/* A device that is unplugged and plugged in again between two requests gets a new number: the old line stays dead. */
+static void test_after_a_fault_of_the_line_it_is_opened_again_although_reading_would_work(void **state)
+{
+	unsigned connections;
+
+	(void)state;
+	open_sensor(",baud=115200", NULL);
+	connections = w.connections;
+	w.answer_error = EIO;
+	w.good_from = 15; /* waits before the end: the first request fails, and none behind */
+	run(15);
+	assert_int_equal(w.connections, connections + 1);
+	assert_true(count_samples() > 0);
 }
 
 static void test_thirty_equal_measurements_are_a_fault_until_they_change(void **state)
@@ -570,8 +608,10 @@ int main(void)
 		LINE_TEST(test_a_range_that_it_does_not_have_is_refused),
 		LINE_TEST(test_each_word_has_its_place_its_unit_and_its_end),
 		LINE_TEST(test_two_answers_that_are_missing_are_a_fault_and_one_is_not),
+		LINE_TEST(test_the_second_answer_that_is_missing_is_the_fault),
 		LINE_TEST(test_an_answer_that_is_not_valid_is_never_a_sample),
 		LINE_TEST(test_an_unplugged_adapter_is_a_fault_at_once_and_is_opened_again),
+		LINE_TEST(test_after_a_fault_of_the_line_it_is_opened_again_although_reading_would_work),
 		LINE_TEST(test_thirty_equal_measurements_are_a_fault_until_they_change),
 		LINE_TEST(test_firmware_without_the_register_of_the_type_has_the_usual_magnetometer),
 	};

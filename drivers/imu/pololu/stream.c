@@ -157,7 +157,6 @@ void stream_start(struct board *b, struct stream *s)
 	s->first = s->count = s->verify = 0;
 	s->partial_have = s->failures = s->saturated = s->same = 0;
 	s->flushed = false;
-	s->failing_ns = 0;
 	s->fresh_ns = s->none_ns = s->due_ns = s->since_ns;
 	s->verify_ns = s->since_ns + STREAM_VERIFY_MS * BOARD_MS;
 	s->same_limit = stream_same_limit(s);

@@ -70,10 +70,10 @@ int sim_open(char *args, const struct imu_settings *settings, struct imu_port **
 	memcpy(config.rate_error, RATE_ERROR, sizeof RATE_ERROR);
 	snprintf(name, sizeof name, "sim:%s", config.signal->name);
 	result = sim_board_open(&config, &board);
-	if (result < 0) {
+	if (result == -EINVAL)
 		snprintf(error, error_size, "sim: unknown board '%.10s': use " BOARDS, config.board);
+	if (result < 0)
 		return result;
-	}
 	if (!port) {
 		i2c_close(sim_board_bus(board));
 		return 0;
