@@ -1149,13 +1149,13 @@ static bool force_changes(struct navigation *n, const struct zero_velocity_signa
 
 /* What accelerates does not rest. */
 static void follow_acceleration(
-	struct navigation *n, const struct zero_velocity_signals *s, double gravity_m_s2, double t_s)
+	struct navigation *n, const struct zero_velocity_signals *s, bool accelerates, double gravity_m_s2, double t_s)
 {
-	bool changes = force_changes(n, s, t_s), accelerates;
+	bool changes = force_changes(n, s, t_s);
 
 	n->changed_s = changes ? CHANGED_S : fmax(0, n->changed_s - t_s);
-	accelerates = s->accelerates ||
-		      (!n->still && (changes || (n->changed_s > 0 && !accel_may_be_zero(n, gravity_m_s2, 1))));
+	accelerates =
+		accelerates || (!n->still && (changes || (n->changed_s > 0 && !accel_may_be_zero(n, gravity_m_s2, 1))));
 	n->accelerated_s = fmax(accelerates ? ACCELERATED_S : 0, n->accelerated_s - t_s);
 }
 
@@ -1166,6 +1166,7 @@ static void weigh_hypotheses(struct navigation *n, const struct navigation_input
 {
 	struct vec3 lever = quat_rotate(n->q_nb, vec3_cross(rate_b_rad_s, in->lever_b_m));
 	bool steady = n->rest.still_s > n->config.standstill.time_s;
+	bool accelerates = !n->still && !accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS);
 	double walk = rest_accel_walk_m2_s3(&n->rest, dt_s);
 
 	n->stood |= n->still;
@@ -1178,12 +1179,11 @@ static void weigh_hypotheses(struct navigation *n, const struct navigation_input
 		.accel_walk_m2_s3 = walk,
 		.force_n_m_s2 = mean_force(n),
 		.force_change2_m2_s4 = force_change2_m2_s4(n, walk),
-		.accelerates = !n->still && (!accel_may_be_zero(n, in->gravity_m_s2, ACCEL_SIGMAS) ||
-						    (assumptions(n)->stands_steady && !steady)),
+		.accelerates = accelerates || (!n->still && assumptions(n)->stands_steady && !steady),
 	};
 	struct zero_velocity_fork *begun = NULL;
 
-	follow_acceleration(n, &signals, in->gravity_m_s2, t_s);
+	follow_acceleration(n, &signals, accelerates, in->gravity_m_s2, t_s);
 	add_creep(n, t_s);
 	if (n->still)
 		begun = zero_velocity_stands(&n->zero_velocity, n, &signals, turned_rad, lever, n->turning, t_s);

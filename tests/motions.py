@@ -251,7 +251,10 @@ def all_motions():
     delivered = {'uncalibrated_rad_s': np.radians(5), 'gyro_scale': 0.02}
     for name in ('turn 5 deg/s from 3 s on', 'circle 2 m, 0.5 rad/s', 'arm 0.3 m, ±60 deg, 0.5 Hz',
                  'arm 1 m, ±60 deg, 0.5 Hz'):
-        m[name + ', uncalibrated'] = replace(m[name], chip=delivered, uncalibrated='gyro')
+        m[name + ', uncalibrated'] = replace(m[name], chip=dict(delivered), uncalibrated='gyro')
+    delivered |= {'accel_scale': 0.02, 'accel_bias_m_s2': 0.3}
+    for name in ('lift 12 m, 2 m/s, preset 6', 'lift 40 m, 2.5 m/s', 'lift 40 m, 2.5 m/s, preset 6'):
+        m[name + ', uncalibrated'] = replace(m[name], chip=delivered, uncalibrated='gyro accelerometer')
     for deg in (2, 5, 10, 20):
         m[f'lying, gyro bias {deg} deg/s'] = still(uncalibrated_rad_s=np.radians(deg))
     return m

@@ -239,6 +239,31 @@ static void test_a_calibrated_gyro_knows_which_rate_is_the_turn(void **state)
 	assert_true(turns.beyond < 0.01);
 }
 
+/* A rate beyond the limit of rest, until it is known to be the gyro's bias. */
+static void test_a_lift_with_chips_as_delivered_is_seen_to_stand(void **state)
+{
+	static const enum motion_preset presets[] = {MOTION_ANY, MOTION_LINEAR_AXIS, MOTION_VERTICAL_LIFT};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct pipeline_config config = PIPELINE_DEFAULTS;
+		static struct pipeline p;
+
+		config.uncalibrated = ALL;
+		config.position.navigation.preset = presets[i];
+		assert_int_equal(pipeline_init(&p, &config, RATE_HZ), 0);
+		for (int k = 0; k < 8 * RATE_HZ; k++) {
+			struct imu_sample s = {.t_us = (uint64_t)k * (1000000 / RATE_HZ),
+				.gyro_rad_s = {2 * RAD_PER_DEG, -2 * RAD_PER_DEG, 4 * RAD_PER_DEG},
+				.accel_m_s2 = {0.3, -0.2, 10.1}};
+			struct pipeline_output out;
+
+			assert_int_equal(pipeline_step(&p, &s, &out), 0);
+		}
+		assert_true(p.position.navigation.still);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -249,6 +274,7 @@ int main(void)
 		cmocka_unit_test(
 			test_of_two_steady_rates_after_the_start_either_is_the_bias_until_the_first_one_returns),
 		cmocka_unit_test(test_what_a_hand_laid_down_lies),
+		cmocka_unit_test(test_a_lift_with_chips_as_delivered_is_seen_to_stand),
 		cmocka_unit_test(test_a_calibrated_gyro_knows_which_rate_is_the_turn),
 	};
 
