@@ -101,6 +101,19 @@ static void test_a_stored_value_keeps_its_precedence(void **state)
 	assert_near(w->device.values.lever_arm.s, 0.25, 1e-6);
 }
 
+/* The file changes a locked device, and the bus still does not. */
+static void test_a_device_that_is_locked_stays_so(void **state)
+{
+	struct world *w = *state;
+	const float metres = 0.5f;
+
+	assert_int_equal(world_sdo_write(w, 0x214C, 2, "\x78\x56\x34\x12", 4), 0);
+	assert_int_equal(reload_as(w, (const char *[]){"lever_arm.l=0.25", NULL}), 0);
+	assert_near(w->device.values.lever_arm.l, 0.25, 1e-6);
+	assert_int_equal(world_sdo_write(w, 0x2000, 1, &metres, 4), 0x06010002);
+	assert_near(w->device.values.lever_arm.l, 0.25, 1e-6);
+}
+
 static void test_what_is_no_configuration_stays_as_the_start_has_set_it(void **state)
 {
 	struct world *w = *state;
@@ -148,6 +161,7 @@ int main(void)
 		TEST(test_a_reset_starts_from_the_new_values),
 		TEST(test_communication_objects_hold_from_the_next_reset_communication_on),
 		TEST(test_a_stored_value_keeps_its_precedence),
+		TEST(test_a_device_that_is_locked_stays_so),
 		TEST(test_what_is_no_configuration_stays_as_the_start_has_set_it),
 		TEST(test_a_contradiction_changes_nothing),
 	};

@@ -773,6 +773,23 @@ static void test_each_step_of_a_magnetometer_calibration_returns_its_verdict(voi
 	assert_int_equal(calibrate_magnetometer_finish(&mag), CALIBRATE_GOOD);
 }
 
+/* A hyperboloid of two sheets, by which the points of a well covered sphere are outnumbered, is no ellipsoid. */
+static void test_points_of_no_ellipsoid_cover_nothing(void **state)
+{
+	(void)state;
+	begin_magnetometer(true);
+	for (int i = 0; i < 1100; i++)
+		give(vec3_scale(15, spiral(i < 300 ? i / 3 : 99, 1)));
+	assert_true(mag.coverage > 0.9);
+	for (int i = 0; i < 900; i++) {
+		const double angle = 2.4 * (i / 3), r = 3.0 * sqrt(i / 3), z = sqrt(400 + r * r);
+
+		give((struct vec3){r * cos(angle), r * sin(angle), i / 3 % 2 ? z : -z});
+	}
+	assert_int_equal(calibrate_magnetometer_finish(&mag), CALIBRATE_NO_ELLIPSOID);
+	assert_near(mag.coverage, 0, 0);
+}
+
 static void test_a_sample_10_uT_from_its_neighbours_is_not_a_spike(void **state)
 {
 	(void)state;
@@ -825,6 +842,32 @@ static void test_a_temperature_calibration_needs_20_seconds_of_rest_and_5_K(void
 	/* the last block of motion and the first and last of the rest do not count */
 	assert_int_equal(temperature_log(402, 4.98, 0), CALIBRATE_SMALL_TEMPERATURE_SPAN);
 	assert_int_equal(temperature_log(402, 5.05, 0), CALIBRATE_GOOD);
+}
+
+/* Two rests of 30 s, each warmed evenly by rise_K; the second one begins 10 K warmer. */
+static enum calibrate_verdict two_warm_rests(double rise_K)
+{
+	struct imu_sample s = {.accel_m_s2 = {0, 0, G}, .flags = SAMPLE_TEMPERATURE};
+
+	calibrate_temperature_init(&temperature);
+	for (int i = 0; i < 61 * 100; i++) {
+		const int at = i % 3050;
+
+		s.t_us += INTERVAL_US;
+		s.temperature_degC = 20 + rise_K * at / 3000 + (i >= 3050 ? 10 : 0);
+		s.gyro_rad_s.y = at >= 3000 ? i % 2 : 0;
+		calibrate_temperature_step(&temperature, &s);
+	}
+	return calibrate_temperature_finish(&temperature);
+}
+
+/* An even rise has a standard deviation of 1 / sqrt(12) of it; a sixth of the 5 K is 2.89 K of a rise. */
+static void test_what_the_temperature_rises_by_between_two_rests_does_not_count(void **state)
+{
+	(void)state;
+	assert_int_equal(two_warm_rests(2.7), CALIBRATE_SMALL_TEMPERATURE_SPAN);
+	assert_int_equal(two_warm_rests(3.1), CALIBRATE_GOOD);
+	assert_true(temperature.result.highest_degC - temperature.result.lowest_degC > 12);
 }
 
 static void test_a_parabola_needs_a_span_of_15_K(void **state)
@@ -985,6 +1028,37 @@ static void test_a_turn_is_kept_in_parts_of_a_tenth_of_a_second(void **state)
 	}
 }
 
+/* Three turns about each axis, from as many attitudes, by a gyro without errors. */
+static void test_nine_turns_give_the_matrix_of_a_gyro_and_eight_do_not(void **state)
+{
+	const struct triad_calibration exact = {.matrix = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}}};
+
+	(void)state;
+	for (int turns = 8; turns <= 9; turns++) {
+		static struct gyro_turns t;
+		struct gyro_turns_result r;
+
+		gyro_turns_init(&t);
+		for (int i = 0; i < turns; i++) {
+			struct vec3 angle = {0.3, -0.2, 0.1}, before = {1, 2, -2};
+
+			*component(&angle, i % 3) = i < 6 ? 1.6 : -1.5;
+			*component(&before, i / 3) *= -1;
+			before = vec3_scale(G / 3, before);
+			for (int k = 0; k < 10; k++)
+				t.part[t.parts++] = (struct gyro_part){vec3_scale(0.1, angle), 0.1 * (1 + i % 4)};
+			t.turn[t.turns++] = (struct gyro_turn){.end = t.parts,
+				.before_m_s2 = before,
+				.after_m_s2 = quat_rotate_inverse(quat_from_rotation_vector(angle), before)};
+		}
+		r = gyro_turns_solve(&t, &exact);
+		assert_int_equal(r.turns, turns);
+		assert_int_equal(r.found, turns == 9);
+		for (int i = 0; i < 9 && r.found; i++)
+			assert_near(r.matrix[i / 3][i % 3], i % 4 == 0, 1e-6);
+	}
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1031,14 +1105,17 @@ int main(void)
 		cmocka_unit_test(test_a_saturated_field_is_not_used),
 		cmocka_unit_test(test_a_magnetometer_is_missing_after_five_seconds_without_gaps),
 		cmocka_unit_test(test_each_step_of_a_magnetometer_calibration_returns_its_verdict),
+		cmocka_unit_test(test_points_of_no_ellipsoid_cover_nothing),
 		cmocka_unit_test(test_a_sample_10_uT_from_its_neighbours_is_not_a_spike),
 		cmocka_unit_test(test_a_rest_with_one_block_does_not_count_for_the_slope),
 		cmocka_unit_test(test_a_temperature_calibration_needs_20_seconds_of_rest_and_5_K),
+		cmocka_unit_test(test_what_the_temperature_rises_by_between_two_rests_does_not_count),
 		cmocka_unit_test(test_a_parabola_needs_a_span_of_15_K),
 		cmocka_unit_test(test_biases_that_do_not_change_with_the_temperature_have_no_slope_and_no_residual),
 		cmocka_unit_test(test_the_fit_of_an_ellipsoid_is_that_of_least_squares_whichever_point_is_off),
 		cmocka_unit_test(test_a_fit_that_starts_0_8_radii_beside_the_centre_arrives),
 		cmocka_unit_test(test_a_turn_is_kept_in_parts_of_a_tenth_of_a_second),
+		cmocka_unit_test(test_nine_turns_give_the_matrix_of_a_gyro_and_eight_do_not),
 	};
 
 	return cmocka_run_group_tests(tests, NULL, NULL);

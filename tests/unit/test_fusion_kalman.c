@@ -7,7 +7,8 @@
 #include "model/math/rotation.h"
 #include "model/sim/sensor.h"
 
-static const double G = 9.81;
+#define G 9.81
+
 static const struct vec3 FIELD_N = {0, 20, -45}; /* magnetic north, dipping, micro-tesla */
 static const struct fusion_config NINE_AXES = {
 	.algorithm = FUSION_KALMAN,
@@ -1285,6 +1286,133 @@ static void test_a_yaw_from_outside_counts_up_to_5_sigma(void **state)
 	}
 }
 
+/* Of the mean rate over 0.3 s, by a noise of 0.03 deg/s/sqrt(Hz) on each axis, four sigma are 0.379 deg/s. */
+static void test_a_steady_rate_beyond_four_sigma_of_a_known_bias_is_no_rest(void **state)
+{
+	(void)state;
+	for (int turns = 0; turns < 2; turns++) {
+		struct filter f = started(G);
+
+		for (double t = 0; t < 1.8;) {
+			for (int i = KALMAN_BIAS; i < KALMAN_BIAS + 3; i++)
+				f.k.covariance[i][i] = 0;
+			t += one_correction(&f, (struct vec3){0, 0, (turns ? 0.39 : 0.37) * RAD_PER_DEG}, true, false);
+		}
+		assert_int_equal(f.k.resting, !turns);
+	}
+}
+
+/* A second of one steady rate about the vertical, four of another one, and three of the first again. The second rate is
+ * measured once: its sigma as bias is the difference d of both, less the more probable it is than the first one, for
+ * which the bias's own sigma s speaks: d / sqrt(1 + exp((first^2 - then^2) / 2 s^2)). */
+static void test_of_two_steady_rates_the_second_is_bias_as_far_as_the_calibration_tells(void **state)
+{
+	static const double rates_deg_s[][2] = {{0, 1}, {1, 0}, {0.4, -0.6}, {-0.6, 0.4}, {0, -0.6}};
+	const double s_deg_s = 0.5; /* of FUSION_KALMAN_DEFAULTS */
+
+	(void)state;
+	for (size_t i = 0; i < sizeof rates_deg_s / sizeof *rates_deg_s; i++) {
+		const double first = rates_deg_s[i][0], then = rates_deg_s[i][1];
+		const double more = exp((first * first - then * then) / 2 / s_deg_s / s_deg_s);
+		const double variance_deg2_s2 = (then - first) * (then - first) / (1 + more);
+		struct filter f = started(G);
+		int measured = 0;
+
+		f.k.bias_known = false;
+		for (double t = 0; t < 8;) {
+			const double before = f.k.covariance[KALMAN_BIAS + 2][KALMAN_BIAS + 2];
+			const struct vec3 rate = {0, 0, (t < 1 || t > 5 ? first : then) * RAD_PER_DEG};
+			double after;
+
+			t += one_correction(&f, rate, true, false);
+			f.q_nb = QUAT_IDENTITY;
+			assert_true(t > 5 || !f.k.bias_known);
+			after = f.k.covariance[KALMAN_BIAS + 2][KALMAN_BIAS + 2];
+			if (t > 5 || t < 2 || after > before)
+				continue;
+			assert_near(
+				before * after / (before - after) / pow(RAD_PER_DEG, 2) / variance_deg2_s2, 1, 0.01);
+			measured++;
+		}
+		assert_int_equal(measured, 1);
+		assert_true(f.k.bias_known);
+		assert_near(f.errors.bias_b_rad_s.z / RAD_PER_DEG, first, 0.02);
+	}
+}
+
+/* The centripetal acceleration of a circle: the velocity's spread (here the least, 0.35 m/s) times the rate about the
+ * vertical, of which a mean over 5 s is known; what it varies by is no part of it. After a time constant the mean of
+ * what began at 0 is 1 - 1/e of it, and so is that of its square. */
+static void test_a_steady_rate_about_the_vertical_may_be_that_of_a_circle(void **state)
+{
+	static const struct {
+		double turn_rad_s, varies_rad_s, s, steady2_rad2_s2;
+	} cases[] = {
+		{0.5, 0, 60, 0.25},
+		{-0.5, 0, 60, 0.25},
+		{0.5, 0, 5, 0.25 * (2 * 0.632 * 0.632 - 0.632)},
+		{0.5, 0.4, 60, 0.25 - 0.16},
+		{0.5, 0.6, 60, 0},
+		{0, 0.5, 60, 0},
+	};
+	const struct quat tilted = quat_from_rotation_vector((struct vec3){0.7, -0.4, 0.2});
+
+	(void)state;
+	for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+		struct filter f = started(G);
+		double t = 0;
+
+		for (int n = 0; t < cases[i].s; n++) {
+			const double up = cases[i].turn_rad_s + (n % 2 ? 1 : -1) * cases[i].varies_rad_s;
+			const struct vec3 rate = quat_rotate_inverse(tilted, (struct vec3){0.2, 0.3, up});
+			const struct fusion_kalman_sample s = {.gyro_b_rad_s = rate,
+				.rate_b_rad_s = rate,
+				.force_b_m_s2 = quat_rotate_inverse(tilted, (struct vec3){0, 0, G})};
+
+			do {
+				f.q_nb = tilted;
+				fusion_kalman_step(&f.k, &KALMAN, &s, 1e-3, &f.q_nb, &f.errors);
+				t += 1e-3;
+			} while (f.k.sums.time_s > 0);
+		}
+		assert_near(f.k.circle_m2_s4 / (0.35 * 0.35), cases[i].steady2_rad2_s2, 3e-3);
+	}
+}
+
+/* A second's mean of the force that is for 3 s far from the vertical is gravity if it is as long to 3 m/s^2, and so is
+ * the mean length over 10 s. In the first 6 s after the force has set the tilt it is gravity at once. */
+static void test_a_mean_force_far_from_the_vertical_is_gravity_after_3_s_if_it_is_about_as_long(void **state)
+{
+	static const struct {
+		double force_m_s2, mean_length_m_s2, lost_s, since_tilt_s;
+		bool gravity;
+	} cases[] = {
+		{G + 2.9, G, 3.1, 10, true},
+		{G + 3.1, G, 3.1, 10, false},
+		{G - 2.9, G, 3.1, 10, true},
+		{G - 3.1, G, 3.1, 10, false},
+		{G, G + 2.9, 3.1, 10, true},
+		{G, G + 3.1, 3.1, 10, false},
+		{G, G - 2.9, 3.1, 10, true},
+		{G, G - 3.1, 3.1, 10, false},
+		{G, G, 2.9, 10, false},
+		{G, G, 0, 6.1, false},
+		{G + 9, G + 9, 0, 5.9, true},
+	};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
+		struct filter f = started(G);
+
+		f.k.mean_force_n_m_s2 = (struct vec3){0, 0, -cases[i].force_m_s2};
+		f.k.mean_force_m_s2 = cases[i].mean_length_m_s2;
+		f.k.lost_s = cases[i].lost_s;
+		f.k.since_tilt_s = cases[i].since_tilt_s;
+		one_correction_under(-cases[i].force_m_s2, &f, (struct vec3){0, 0, 0}, false, false);
+		assert_near(up_of(f.q_nb).z, cases[i].gravity ? -1 : 1, 1e-3);
+	}
+}
+
 /* Bias that is estimated within 4 s of a steady rate about the vertical, while the field turns by a share of it. */
 static double bias_of_a_steady_rate(double rate_rad_s, double share)
 {
@@ -1722,6 +1850,10 @@ int main(void)
 		cmocka_unit_test(test_the_velocity_of_the_lever_arm_is_that_of_a_new_arm_from_the_last_correction_on),
 		cmocka_unit_test(test_after_half_a_second_without_samples_the_velocity_before_does_not_count),
 		cmocka_unit_test(test_a_yaw_from_outside_counts_up_to_5_sigma),
+		cmocka_unit_test(test_a_steady_rate_beyond_four_sigma_of_a_known_bias_is_no_rest),
+		cmocka_unit_test(test_of_two_steady_rates_the_second_is_bias_as_far_as_the_calibration_tells),
+		cmocka_unit_test(test_a_steady_rate_about_the_vertical_may_be_that_of_a_circle),
+		cmocka_unit_test(test_a_mean_force_far_from_the_vertical_is_gravity_after_3_s_if_it_is_about_as_long),
 		cmocka_unit_test(test_a_steady_rate_is_bias_unless_the_field_turns_with_it),
 		cmocka_unit_test(test_turns_in_one_direction_leave_an_error_of_the_heading_that_grows_with_them),
 		cmocka_unit_test(test_no_number_of_turns_makes_the_heading_less_certain_than_unknown),

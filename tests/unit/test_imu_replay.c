@@ -120,6 +120,37 @@ static void test_the_speed_changes_the_pace_and_not_the_time_stamps(void **state
 	imu_close(port);
 }
 
+/* It is silent after ten intervals, 100 ms at least: at a hundredth of the speed an interval is 1 s. */
+static void test_a_slow_replay_is_silent_later(void **state)
+{
+	static const char *const options[] = {"", ",speed=0.01", ",speed=0.05"};
+	static const uint64_t silence_us[] = {100000, 10000000, 2000000};
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		struct imu_port *port = opened(options[i]);
+
+		assert_int_equal(port->silence_us, silence_us[i]);
+		imu_close(port);
+	}
+}
+
+static void test_a_log_of_an_uncalibrated_sensor_is_replayed_as_one(void **state)
+{
+	char log[64] = "/tmp/imu9_replay_XXXXXX", src[80], error[256];
+	FILE *file = fdopen(mkstemp(log), "w");
+	struct imu_port *port;
+
+	(void)state;
+	fprintf(file, "# uncalibrated: gyro magnetometer\nt,gx,gy,gz,ax,ay,az\n0,0,0,0,0,0,9.81\n1,0,0,0,0,0,9.81\n");
+	fclose(file);
+	snprintf(src, sizeof src, "replay:%s", log);
+	assert_int_equal(imu_open(src, NULL, &port, error, sizeof error), 0);
+	assert_int_equal(port->uncalibrated, 1 | 4);
+	imu_close(port);
+	unlink(log);
+}
+
 static void test_a_loop_starts_again_with_a_discontinuity_and_increasing_time(void **state)
 {
 	struct imu_port *port = opened(",loop,speed=100");
@@ -266,6 +297,8 @@ int main(void)
 		cmocka_unit_test(test_every_row_is_read_in_order_and_not_before_its_time),
 		cmocka_unit_test(test_the_end_of_the_log_is_reported_at_once_and_stays),
 		cmocka_unit_test(test_the_speed_changes_the_pace_and_not_the_time_stamps),
+		cmocka_unit_test(test_a_slow_replay_is_silent_later),
+		cmocka_unit_test(test_a_log_of_an_uncalibrated_sensor_is_replayed_as_one),
 		cmocka_unit_test(test_a_loop_starts_again_with_a_discontinuity_and_increasing_time),
 		cmocka_unit_test(test_the_descriptor_is_not_readable_before_a_sample_is_due),
 		cmocka_unit_test(test_after_a_pause_all_due_samples_are_read_and_counted_as_late),

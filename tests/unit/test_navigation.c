@@ -1930,6 +1930,27 @@ static void test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it(void **st
 	assert_false(n.high_pass2_max > 0 || n.lever_known || n.rope.full || n.rope.steady);
 }
 
+/* Of a load that stands it is known that nothing moves; what was seen of its rope before is over. */
+static void test_a_load_that_stands_hangs_no_longer(void **state)
+{
+	const struct navigation_input in = {.force_b_m_s2 = {0, 0, G}, .q_nb = QUAT_IDENTITY, .gravity_m_s2 = G};
+	struct navigation_config config = BARE;
+	struct navigation n = {.started = false};
+
+	(void)state;
+	config.preset = MOTION_HANGING_LOAD;
+	config.rope_m = 5;
+	navigation_start(&n, &config, QUAT_IDENTITY);
+	for (int k = 0; k < 300; k++)
+		navigation_step(&n, &in, 0.01);
+	assert_true(n.still);
+	n.rope_ended = n.hangs_still = true;
+	for (int k = 0; k < 20; k++)
+		navigation_step(&n, &in, 0.01);
+	assert_true(n.still);
+	assert_false(n.rope_ended || n.hangs_still);
+}
+
 int main(void)
 {
 	const struct CMUnitTest tests[] = {
@@ -1991,6 +2012,7 @@ int main(void)
 		cmocka_unit_test(test_the_sigmas_of_acceleration_and_attitude_follow_from_tilt_noise_and_bias),
 		cmocka_unit_test(test_the_sigmas_of_position_and_velocity_are_the_roots_of_the_sums_of_their_parts),
 		cmocka_unit_test(test_a_correction_of_the_attitude_turns_the_forces_of_a_rope),
+		cmocka_unit_test(test_a_load_that_stands_hangs_no_longer),
 		cmocka_unit_test(test_a_position_that_is_reset_is_known),
 		cmocka_unit_test(test_with_an_attitude_that_was_set_the_velocity_turns_and_what_was_integrated_is_void),
 		cmocka_unit_test(test_what_was_integrated_before_missing_samples_is_void),

@@ -578,6 +578,20 @@ static void test_hooks_run_in_the_order_of_attachment_until_one_refuses(void **s
 	assert_int_equal(first.after, 0);
 }
 
+/* As one that was attached to another dictionary before. */
+static void test_a_hook_that_is_attached_brings_no_other_one_with_it(void **state)
+{
+	struct watcher watcher = {.answer = OD_OK}, unattached_watcher = {.answer = OD_OK};
+	struct od_hook unattached = watch(&unattached_watcher, 0x2001, 0x2001), hook = watch(&watcher, 0x2001, 0x2001);
+
+	(void)state;
+	hook.next = &unattached;
+	od_attach(&od, &hook);
+	assert_int_equal(write_u8(0x2001, 0, 1), OD_OK);
+	assert_int_equal(watcher.before, 1);
+	assert_int_equal(unattached_watcher.before, 0);
+}
+
 static void test_no_hook_runs_when_the_device_itself_sets_a_value(void **state)
 {
 	struct watcher watcher = {.answer = OD_DEVICE_STATE};
@@ -665,6 +679,7 @@ int main(void)
 		cmocka_unit_test_setup(test_a_hook_is_not_called_for_a_value_outside_the_limits, fresh),
 		cmocka_unit_test_setup(test_a_hook_is_called_only_for_its_own_objects, fresh),
 		cmocka_unit_test_setup(test_hooks_run_in_the_order_of_attachment_until_one_refuses, fresh),
+		cmocka_unit_test_setup(test_a_hook_that_is_attached_brings_no_other_one_with_it, fresh),
 		cmocka_unit_test_setup(test_no_hook_runs_when_the_device_itself_sets_a_value, fresh),
 		cmocka_unit_test_setup(test_a_reset_of_one_group_leaves_the_others, fresh),
 		cmocka_unit_test_setup(test_a_reset_does_not_change_entries_that_are_not_stored, fresh),

@@ -531,6 +531,7 @@ static void test_uncalibrated(void **state)
 			values.accelerometer_calibration.zx = 0.01f;
 			values.magnetometer_calibration.yy = 1.01f;
 			show("calibrated", settings_uncalibrated(&values, source));
+			assert_int_equal(settings_pipeline(&values).uncalibrated, settings_uncalibrated(&values, 0));
 		}
 	trace_check();
 }
