@@ -95,6 +95,8 @@ static const struct fusion *kalman(const struct pipeline *p)
 /* The rotation from its attitude to the published one, n. */
 static struct vec3 apart_n_rad(const struct pipeline *p)
 {
+	if (kalman(p) == &p->fusion)
+		return (struct vec3){0, 0, 0};
 	return quat_to_rotation_vector(quat_multiply(p->fusion.q_nb, quat_conjugate(kalman(p)->q_nb)));
 }
 
@@ -612,8 +614,8 @@ static unsigned status_of(const struct pipeline *p, bool rest, bool missing)
 	       (fusion_field_disagrees(kalman(p)) ? PIPELINE_DISAGREES : 0u) | (vibrates ? PIPELINE_VIBRATION : 0u);
 }
 
-/* About each horizontal axis: those of n are turned by the error of the heading. */
-static struct vec3 add_squares(struct vec3 sigma, struct vec3 off)
+/* What is apart about one horizontal axis counts for both: they are turned by the error of the heading. */
+static struct vec3 add_distance(struct vec3 sigma, struct vec3 off)
 {
 	double horizontal = hypot(off.x, off.y);
 
@@ -652,8 +654,8 @@ static struct navigation_sigma of_published(
 	if (kalman(p) == &p->fusion || sigma.attitude_rad.x == 0) /* 0: there is none */
 		return sigma;
 	force.z += p->config.estimator.gravity_m_s2;
-	sigma.attitude_rad = add_squares(sigma.attitude_rad, off);
-	sigma.accel_m_s2 = add_squares(
+	sigma.attitude_rad = add_distance(sigma.attitude_rad, off);
+	sigma.accel_m_s2 = add_distance(
 		sigma.accel_m_s2, vec3_sub(force, quat_rotate_inverse(quat_from_rotation_vector(off), force)));
 	return sigma;
 }
