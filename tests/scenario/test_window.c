@@ -20,8 +20,8 @@
 
 enum { PATIENCE_MS = 120000 /* ends a test that hangs */, AT_LEVER_ARM_UM = 0x1100, COIL_STORE = 1, BUSY = 6 };
 
-/* A host without memory, and without descriptors for the loop's thread to be woken by. */
-static bool no_memory, no_events;
+/* A host without memory, and without descriptors for the loop to be woken by, for this thread: the server's goes on. */
+static _Thread_local bool no_memory, no_events;
 /* The compiler may not make a calloc() of malloc() and memset(). */
 static void *(*volatile allocate)(size_t size) = malloc;
 
