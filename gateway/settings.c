@@ -106,6 +106,8 @@ struct pipeline_config settings_pipeline(const struct od_values *v)
 		.accel_density_m_s2_sqrt_hz = (double)v->noise.accelerometer_density * 1e-6 * STANDARD_GRAVITY_M_S2,
 		.accel_bias_instability_m_s2 =
 			(double)v->noise.accelerometer_bias_instability * 1e-3 * STANDARD_GRAVITY_M_S2,
+		.gyro_bias_per_K_rad_s = (double)v->noise.gyro_bias_per_kelvin * RAD_PER_DEG,
+		.accel_bias_per_K_m_s2 = (double)v->noise.accelerometer_bias_per_kelvin * 1e-3 * STANDARD_GRAVITY_M_S2,
 		.mag_sigma_uT = (double)v->noise.magnetometer_sigma,
 	};
 

@@ -65,16 +65,17 @@ int calibration_init(struct calibration *cal, const struct calibration_config *c
 	return 0;
 }
 
-void calibration_temperature(struct calibration *cal, double temperature_degC)
+bool calibration_temperature(struct calibration *cal, double temperature_degC)
 {
 	const struct calibration_config *c = &cal->config;
 
 	if (!(fabs(temperature_degC) <= TEMPERATURE_MAX_DEGC))
-		return;
+		return false;
 	cal->temperature_degC = temperature_degC;
 	cal->temperature_known = true;
 	cal->gyro_bias = vec3_add(c->gyro.bias, calibration_gyro_shift(&c->temperature, temperature_degC));
 	cal->accel_bias = vec3_add(c->accel.bias, calibration_accel_shift(&c->temperature, temperature_degC));
+	return true;
 }
 
 int calibration_configure(struct calibration *cal, const struct calibration_config *config)

@@ -44,12 +44,24 @@ struct calibration {
 int calibration_init(struct calibration *cal, const struct calibration_config *config);
 /** The same while it runs: the last temperature stays. */
 int calibration_configure(struct calibration *cal, const struct calibration_config *config);
-/** The temperature from now on. Before the first one nothing is compensated. One beyond +-200 degC is ignored. */
-void calibration_temperature(struct calibration *cal, double temperature_degC);
+/** The temperature from now on. Before the first one nothing is compensated. One beyond +-200 degC is ignored:
+ * false. */
+bool calibration_temperature(struct calibration *cal, double temperature_degC);
 /** The sample with its three triads corrected and in the object frame. Time and flags stay. */
 struct imu_sample calibration_apply(const struct calibration *cal, const struct imu_sample *raw);
 /** Biases at that temperature less those of the triads. */
 struct vec3 calibration_gyro_shift(const struct temperature_compensation *c, double temperature_degC);
 struct vec3 calibration_accel_shift(const struct temperature_compensation *c, double temperature_degC);
+
+/** The change of the biases with temperature was calibrated: some coefficient is not 0. */
+static inline bool calibration_compensates_gyro(const struct temperature_compensation *c)
+{
+	return vec3_norm(c->gyro_slope) + vec3_norm(c->gyro_quadratic) > 0;
+}
+
+static inline bool calibration_compensates_accel(const struct temperature_compensation *c)
+{
+	return vec3_norm(c->accel_slope) + vec3_norm(c->accel_quadratic) > 0;
+}
 
 #endif

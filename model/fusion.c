@@ -104,6 +104,11 @@ void fusion_reset_gyro_errors(struct fusion *f)
 	fusion_kalman_reset_gyro_errors(&f->kalman, &f->config.kalman);
 }
 
+void fusion_bias_drifts(struct fusion *f, double variance_rad2_s2)
+{
+	fusion_kalman_bias_drifts(&f->kalman, variance_rad2_s2);
+}
+
 struct vec3 fusion_rate_b(const struct fusion *f, struct vec3 gyro_b_rad_s)
 {
 	struct vec3 rate = vec3_sub(gyro_b_rad_s, f->gyro_errors.bias_b_rad_s), scale = f->gyro_errors.scale_b;

@@ -82,6 +82,9 @@ void fusion_turn_object(struct fusion *f, struct quat turn);
  * fusion_step() of this sample. Madgwick's and Mahony's filters estimate the mean over all rest, the last
  * FUSION_BIAS_MEMORY_S of it counting most, so that it follows the temperature; the Kalman filter weighs it itself. */
 void fusion_update_bias_at_rest(struct fusion *f, struct vec3 gyro_b_rad_s, double dt_s);
+/** The gyro's bias has changed since the last sample, with this variance, each axis: FUSION_KALMAN takes account of
+ * it. */
+void fusion_bias_drifts(struct fusion *f, double variance_rad2_s2);
 /** The gyro has a new calibration: the estimates of its errors are 0 again. */
 void fusion_reset_gyro_errors(struct fusion *f);
 /** The calibrated rate less the estimated errors. */

@@ -248,6 +248,12 @@ void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusio
 	fusion_kalman_reset_scale(k, config);
 }
 
+void fusion_kalman_bias_drifts(struct fusion_kalman *k, double variance_rad2_s2)
+{
+	for (int i = BIAS; i < BIAS + 3 && k->covariance[i][i] > 0; i++) /* 0: not started */
+		k->covariance[i][i] += variance_rad2_s2;
+}
+
 void fusion_kalman_reset_accelerometer(struct fusion_kalman *k, const struct fusion_kalman_config *config)
 {
 	k->accel_variance = squared(config->accel_sigma_m_s2);

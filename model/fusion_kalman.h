@@ -194,6 +194,8 @@ void fusion_kalman_start(struct fusion_kalman *k, const struct fusion_kalman_con
 /** The heading was set by this field. */
 void fusion_kalman_set_north(
 	struct fusion_kalman *k, const struct fusion_kalman_config *config, struct quat q_nb, struct vec3 field_n_uT);
+/** The gyro's bias has changed since the last sample, with this variance, each axis. */
+void fusion_kalman_bias_drifts(struct fusion_kalman *k, double variance_rad2_s2);
 /** The estimates of the gyro's errors, or of its scale alone, were reset: their variances are those of the start. */
 void fusion_kalman_reset_gyro_errors(struct fusion_kalman *k, const struct fusion_kalman_config *config);
 void fusion_kalman_reset_scale(struct fusion_kalman *k, const struct fusion_kalman_config *config);

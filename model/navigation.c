@@ -223,7 +223,7 @@ int navigation_check(const struct navigation_config *c)
 	const double not_negative[] = {c->velocity_prior_m_s, c->rope_m, c->rest_s, c->gyro_bias_sigma_rad_s,
 		c->gyro_scale_sigma, c->accel_bias_sigma_m_s2, c->accel_scale_sigma, noise->gyro_density_rad_s_sqrt_hz,
 		noise->gyro_bias_instability_rad_s, noise->accel_density_m_s2_sqrt_hz,
-		noise->accel_bias_instability_m_s2};
+		noise->accel_bias_instability_m_s2, noise->gyro_bias_per_K_rad_s, noise->accel_bias_per_K_m_s2};
 
 	if (c->preset < 0 || c->preset >= MOTION_PRESETS || (c->levelling != 0 && c->levelling != 1))
 		return -EINVAL;
@@ -1475,6 +1475,12 @@ void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, d
 	}
 	n->aided_s = AIDED_S;
 	n->aided_in_motion = vec3_norm(velocity_n_m_s) > AIDED_SIGMAS * sigma_m_s + STILL_VELOCITY_M_S;
+}
+
+void navigation_biases_drift(struct navigation *n, double gyro_rad2_s2, double accel_m2_s4)
+{
+	add_variance(n, BG, gyro_rad2_s2);
+	add_variance(n, BA, accel_m2_s4);
 }
 
 void navigation_set_attitude(struct navigation *n, struct quat q_nb)

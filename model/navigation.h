@@ -189,6 +189,9 @@ bool navigation_step(struct navigation *n, const struct navigation_input *in, do
 void navigation_aid_velocity(struct navigation *n, struct vec3 velocity_n_m_s, double sigma_m_s,
 	struct vec3 omega_b_rad_s, struct vec3 lever_b_m);
 
+/** The biases have changed since the last sample, with this variance, each axis. */
+void navigation_biases_drift(struct navigation *n, double gyro_rad2_s2, double accel_m2_s4);
+
 /** The attitude from outside, with a 1 sigma of a degree. The velocity turns with the object, the position stays. */
 void navigation_set_attitude(struct navigation *n, struct quat q_nb);
 

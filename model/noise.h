@@ -27,6 +27,11 @@ struct noise_config {
 	double accel_density_m_s2_sqrt_hz;
 	/** m/s^2, >= 0, default 0.1 mg: minimum of the Allan deviation of the accelerometer. As for the gyro. */
 	double accel_bias_instability_m_s2;
+	/** rad/s/K, >= 0, default 0.03 deg/s/K: 1 sigma by which the gyro's bias changes with temperature, where nobody
+	 * has calibrated that. A smaller one relies on the bias for longer while the chip warms up. */
+	double gyro_bias_per_K_rad_s;
+	/** m/s^2/K, >= 0, default 0.5 mg/K: of the accelerometer. As for the gyro. */
+	double accel_bias_per_K_m_s2;
 	/** uT, >= 0, default 0.5: 1 sigma of one sample of the magnetometer, each axis, white. A smaller one relies on
 	 * single samples, a larger one averages the heading over more of them. */
 	double mag_sigma_uT;

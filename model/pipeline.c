@@ -32,6 +32,8 @@ const struct pipeline_config PIPELINE_DEFAULTS = {
 			.gyro_bias_instability_rad_s = 0.01 * RAD_PER_DEG,
 			.accel_density_m_s2_sqrt_hz = 220e-6 * STANDARD_GRAVITY_M_S2,
 			.accel_bias_instability_m_s2 = 0.1e-3 * STANDARD_GRAVITY_M_S2,
+			.gyro_bias_per_K_rad_s = 0.03 * RAD_PER_DEG,
+			.accel_bias_per_K_m_s2 = 0.5e-3 * STANDARD_GRAVITY_M_S2,
 			.mag_sigma_uT = 0.5,
 		},
 	.estimator =
@@ -75,6 +77,9 @@ static const double AID_MAX_M_S = 1e3, AID_SIGMA_MIN_M_S = 1e-3, AID_SIGMA_MIN_R
 /* s. After a longer gap only the heading of the attitude is kept. By judgement: within a second a robot may turn
  * over. */
 static const double ATTITUDE_HOLD_S = 1;
+/* Share of the biases' change with temperature that a calibration of that leaves. By judgement: what is measured on one
+ * day over part of the range. */
+static const double COMPENSATED = 0.2;
 /* s. A magnetometer slower than the samples still counts as used between its measurements. By judgement. */
 static const double MAG_LATELY_S = 1;
 
@@ -358,6 +363,7 @@ static void start_over(struct pipeline *p)
 	(void)prepare(&fresh, &p->config, p->rate_hz); /* valid, as it was before */
 	fresh.rates_variance = p->rates_variance;
 	fresh.calibration = p->calibration; /* with the last temperature */
+	fresh.warming = p->warming;
 	fresh.last_good = p->last_good;
 	fresh.vibration.clipped_accel = p->vibration.clipped_accel;
 	fresh.vibration.clipped_gyro = p->vibration.clipped_gyro;
@@ -713,6 +719,26 @@ static void guard(struct pipeline *p, struct pipeline_output *out)
 		start_over(p);
 }
 
+/* The biases change with temperature, by what calibration leaves of that. */
+static void follow_temperature(struct pipeline *p, const struct imu_sample *sample)
+{
+	const struct temperature_compensation *c = &p->config.calibration.temperature;
+	const struct noise_config *noise = &p->config.noise;
+	double gyro = noise->gyro_bias_per_K_rad_s * (calibration_compensates_gyro(c) ? COMPENSATED : 1);
+	double accel = noise->accel_bias_per_K_m_s2 * (calibration_compensates_accel(c) ? COMPENSATED : 1);
+
+	double change_K;
+
+	if (!calibration_temperature(&p->calibration, sample->temperature_degC))
+		return;
+	change_K = warming_step(&p->warming, sample->temperature_degC, sample->t_us);
+	if (change_K == 0)
+		return;
+	for (struct fusion *f = NULL; (f = next_filter(p, f)) != NULL;)
+		fusion_bias_drifts(f, warming_variance(change_K, gyro));
+	position_biases_drift(&p->position, warming_variance(change_K, gyro), warming_variance(change_K, accel));
+}
+
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
 	struct imu_sample s;
@@ -723,7 +749,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	double dt_s;
 
 	if (sample->flags & SAMPLE_TEMPERATURE)
-		calibration_temperature(&p->calibration, sample->temperature_degC);
+		follow_temperature(p, sample);
 	s = calibration_apply(&p->calibration, sample);
 	if (!usable(p, &s)) {
 		p->refused++;

@@ -24,6 +24,7 @@
 #include "model/rest.h"
 #include "model/sample.h"
 #include "model/vibration.h"
+#include "model/warming.h"
 
 /** The latency of a sensor: by how much its samples are older than their time stamps, because of its low-pass and its
  * buffers. */
@@ -132,6 +133,7 @@ struct pipeline {
 	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
 	struct vibration vibration;
+	struct warming warming;
 	struct position position;
 	uint64_t last_t_us;
 	struct vec3 last_gyro_b_rad_s;

@@ -180,6 +180,12 @@ void position_aid_velocity(struct position *p, struct vec3 velocity_n_m_s, doubl
 		navigation_aid_velocity(&p->navigation, velocity_n_m_s, sigma_m_s, p->omega_b_rad_s, lever_b_m);
 }
 
+void position_biases_drift(struct position *p, double gyro_rad2_s2, double accel_m2_s4)
+{
+	if (p->navigation.started)
+		navigation_biases_drift(&p->navigation, gyro_rad2_s2, accel_m2_s4);
+}
+
 void position_set_attitude(struct position *p, struct quat from, struct quat to)
 {
 	p->velocity_n_m_s = quat_rotate(to, quat_rotate_inverse(from, p->velocity_n_m_s));

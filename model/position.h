@@ -56,6 +56,8 @@ void position_skip(
 /** The velocity of the reference point from outside: a measurement of the navigation, or the new velocity in mode 1.
  * The integration time starts again. */
 void position_aid_velocity(struct position *p, struct vec3 velocity_n_m_s, double sigma_m_s, struct vec3 lever_b_m);
+/** The sensors' biases have changed since the last sample, with this variance, each axis. */
+void position_biases_drift(struct position *p, double gyro_rad2_s2, double accel_m2_s4);
 /** The attitude was set from outside; it was `from`. The velocity turns with the object, the position stays. */
 void position_set_attitude(struct position *p, struct quat from, struct quat to);
 /** The longest integration time has passed. */

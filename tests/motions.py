@@ -24,6 +24,7 @@ RATE_HZ = 100  # of the samples
 STEP_S = 1e-3  # of the simulation, in which the chip's low-pass runs
 REST_S = 10.0  # before and after each motion, if nothing else is said
 FIELD_N_UT = np.array([0, 20.3, -43.5])  # 48 uT, dip 65 deg
+WARMING_S = 120.0  # time constant of a board after it is switched on
 FADE_S = 1.0  # in which vibration begins and ends
 MOUNTING_RAD = np.radians(3)  # 1 sigma of roll and pitch
 
@@ -43,6 +44,9 @@ class Chip:
     gyro_step_rad_s: float = np.radians(0.07)
     mag_uT: float = 0.5  # noise of one sample
     uncalibrated_rad_s: float = 0.0  # length of a further gyro bias, in any direction
+    warms_K: float = 0.0  # above the 25 degC at the start, within some WARMING_S; and what that does to the biases:
+    gyro_bias_rad_s_K: float = np.radians(0.03)
+    accel_bias_m_s2_K: float = 0.5e-3 * GRAVITY_M_S2
 
     def delay_s(self):
         """Of slow changes: sqrt(2) / omega of the low-pass."""
@@ -255,6 +259,10 @@ def all_motions():
     delivered |= {'accel_scale': 0.02, 'accel_bias_m_s2': 0.3}
     for name in ('lift 12 m, 2 m/s, preset 6', 'lift 40 m, 2.5 m/s', 'lift 40 m, 2.5 m/s, preset 6'):
         m[name + ', uncalibrated'] = replace(m[name], chip=delivered, uncalibrated='gyro accelerometer')
+    for name in ('straight 0.5 m/s, 10 s', 'straight 1 m/s, 60 s', 'lift 40 m, 2.5 m/s, preset 6',
+                 'turn 1.15 deg/s, 60 s', 'crane, rope 5 m, preset 7 with 5 m',
+                 'on foot, 40 strides of 1.3 m, preset 5'):
+        m[name + ', warming'] = replace(m[name], chip={'warms_K': 10})
     for deg in (2, 5, 10, 20):
         m[f'lying, gyro bias {deg} deg/s'] = still(uncalibrated_rad_s=np.radians(deg))
     return m
@@ -271,6 +279,7 @@ class Recording:
     velocity_n: np.ndarray
     attitude: Rotation  # b -> n
     moving: np.ndarray
+    temperature_degC: np.ndarray
     delay_s: float  # of position and velocity as a sensor with this low-pass can know them
 
 
@@ -323,8 +332,14 @@ def record(name, motion, seed):
     gyro = gyro * (1 + rng.normal(0, chip.gyro_scale, 3)) + rng.normal(0, chip.gyro_bias_rad_s, 3)
     gyro += chip.uncalibrated_rad_s * direction(rng) + white(chip.gyro_density_rad_s)
     gyro += np.cumsum(rng.normal(0, chip.gyro_walk_rad_s / np.sqrt(RATE_HZ), gyro.shape), axis=0)
+    warmer_K = chip.warms_K * (1 - np.exp(-t / WARMING_S))
+    temperature = quantised(25 + warmer_K, 0.1)
+    if chip.warms_K:
+        accel += np.outer(warmer_K, rng.normal(0, chip.accel_bias_m_s2_K, 3))
+        gyro += np.outer(warmer_K, rng.normal(0, chip.gyro_bias_rad_s_K, 3))
     mag = attitude.inv().apply(FIELD_N_UT) + rng.normal(0, chip.mag_uT, force.shape)
     there = without_gaps(t, rng, motion.begin_s) if motion.gaps else slice(None)
     moving = (t >= motion.begin_s) & (t <= motion.end_s)
     gyro, accel = quantised(gyro, chip.gyro_step_rad_s), quantised(accel, chip.accel_step_m_s2)
-    return Recording(*(x[there] for x in (t, gyro, accel, mag, position, velocity, attitude, moving)), chip.delay_s())
+    return Recording(*(x[there] for x in (t, gyro, accel, mag, position, velocity, attitude, moving,
+                                           temperature)), chip.delay_s())

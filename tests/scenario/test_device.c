@@ -77,6 +77,8 @@ static void test_the_defaults_of_the_eds_are_those_of_the_model(void **state)
 	assert_equal(e.noise.gyro_bias_instability_rad_s, m.noise.gyro_bias_instability_rad_s);
 	assert_equal(e.noise.accel_density_m_s2_sqrt_hz, m.noise.accel_density_m_s2_sqrt_hz);
 	assert_equal(e.noise.accel_bias_instability_m_s2, m.noise.accel_bias_instability_m_s2);
+	assert_equal(e.noise.gyro_bias_per_K_rad_s, m.noise.gyro_bias_per_K_rad_s);
+	assert_equal(e.noise.accel_bias_per_K_m_s2, m.noise.accel_bias_per_K_m_s2);
 	assert_equal(e.noise.mag_sigma_uT, m.noise.mag_sigma_uT);
 	assert_int_equal(e.estimator.model, m.estimator.model);
 	assert_int_equal(e.estimator.rates_from, m.estimator.rates_from);

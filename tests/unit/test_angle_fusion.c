@@ -11,8 +11,14 @@
 #include "model/sim/signal.h"
 #include "model/math/units.h"
 
+#define ANGLE_NOISE(ANGLE, GYRO, INSTABILITY)                                 \
+	{                                                                     \
+		.angle_sigma_rad = ANGLE, .gyro_density_rad_s_sqrt_hz = GYRO, \
+		.gyro_bias_instability_rad_s = INSTABILITY                    \
+	}
+
 static const double DT_S = 0.01;
-static const struct noise_config NOISE = {0.035, 5e-4, 2e-4, 0, 0, 0}; /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */
+static const struct noise_config NOISE = ANGLE_NOISE(0.035, 5e-4, 2e-4); /* 2 deg, 0.03 deg/s/sqrt(Hz), 0.01 deg/s */
 
 static struct vec3 gauss3(struct rng *rng, double sigma)
 {
@@ -89,7 +95,7 @@ static void test_the_gyro_bias_is_estimated(void **state)
 /* Over many runs. */
 static void test_its_variance_is_that_of_its_errors(void **state)
 {
-	const struct noise_config noise = {0.01, 2e-3, 0, 0, 0, 0};
+	const struct noise_config noise = ANGLE_NOISE(0.01, 2e-3, 0);
 	double squares = 0;
 
 	(void)state;
@@ -115,8 +121,8 @@ static void test_the_sign_of_a_given_quaternion_does_not_matter(void **state)
 
 static void test_a_noise_out_of_range_is_refused(void **state)
 {
-	const struct noise_config bad[] = {
-		{0, 1, 0, 0, 0, 0}, {-1, 1, 0, 0, 0, 0}, {1, 0, 0, 0, 0, 0}, {1, 1, -1, 0, 0, 0}, {NAN, 1, 0, 0, 0, 0}};
+	const struct noise_config bad[] = {ANGLE_NOISE(0, 1, 0), ANGLE_NOISE(-1, 1, 0), ANGLE_NOISE(1, 0, 0),
+		ANGLE_NOISE(1, 1, -1), ANGLE_NOISE(NAN, 1, 0)};
 	struct angle_fusion f;
 
 	(void)state;

@@ -21,7 +21,12 @@ static struct navigation_config levelling(void)
 	struct navigation_config config = BARE;
 
 	config.levelling = 1;
-	config.noise = (struct noise_config){0.001, 0.03 * RAD_PER_DEG, 0.01 * RAD_PER_DEG, 220e-6 * G, 1e-4 * G, 0.5};
+	config.noise = (struct noise_config){.angle_sigma_rad = 0.001,
+		.gyro_density_rad_s_sqrt_hz = 0.03 * RAD_PER_DEG,
+		.gyro_bias_instability_rad_s = 0.01 * RAD_PER_DEG,
+		.accel_density_m_s2_sqrt_hz = 220e-6 * G,
+		.accel_bias_instability_m_s2 = 1e-4 * G,
+		.mag_sigma_uT = 0.5};
 	return config;
 }
 

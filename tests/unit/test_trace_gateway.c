@@ -491,6 +491,8 @@ static void test_settings(void **state)
 	NUMBER(noise.gyro_bias_instability_rad_s);
 	NUMBER(noise.accel_density_m_s2_sqrt_hz);
 	NUMBER(noise.accel_bias_instability_m_s2);
+	NUMBER(noise.gyro_bias_per_K_rad_s);
+	NUMBER(noise.accel_bias_per_K_m_s2);
 	NUMBER(noise.mag_sigma_uT);
 	NUMBER(estimator.model);
 	NUMBER(estimator.rates_from);
