@@ -269,17 +269,17 @@ static struct vec3 variance(const struct navigation *n, int at)
 /* m^2/s^2, each axis: of the sensor's velocity relative to the reference point by the noise of the mean rate of t_s. */
 static double lever_noise(const struct navigation *n, double t_s)
 {
-	return squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t_s * vec3_dot(n->lever_b_m, n->lever_b_m);
+	return squared(n->noise.gyro_density_rad_s_sqrt_hz) / 2 / t_s * vec3_dot(n->lever_b_m, n->lever_b_m);
 }
 
 static double guide_walk(const struct navigation *n)
 {
-	return guide_walk_m2_s3(n->config.noise.gyro_density_rad_s_sqrt_hz, n->gravity_m_s2);
+	return guide_walk_m2_s3(n->noise.gyro_density_rad_s_sqrt_hz, n->gravity_m_s2);
 }
 
 static void propagate(struct navigation *n, const struct navigation_sums *s)
 {
-	const struct noise_config *c = &n->config.noise;
+	const struct noise_config *c = &n->noise;
 	double t = s->t_s, walk = squared(c->accel_density_m_s2_sqrt_hz) / 2 * t,
 	       (*since_point)[N] = smoother_transition(n->smoother);
 
@@ -563,7 +563,7 @@ static void measure_zero_velocity(struct navigation *n, double x[N], const struc
 	struct vec3 rate = vec3_scale(1 / n->sums.t_s, n->sums.turned_b_rad), bias = variance(n, BG);
 	struct vec3 u = quat_rotate(n->q_nb, vec3_cross(rate, in->lever_b_m)), *mean = &n->mean_rate_b_rad_s;
 	double share = n->sums.t_s / (MEAN_RATE_S + n->sums.t_s);
-	double noise = 3 * squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / MEAN_RATE_S + STILL_RATE_VARIANCE;
+	double noise = 3 * squared(n->noise.gyro_density_rad_s_sqrt_hz) / 2 / MEAN_RATE_S + STILL_RATE_VARIANCE;
 
 	*mean = vec3_add(*mean, vec3_scale(share, vec3_sub(rate, *mean)));
 	n->turning = vec3_dot(*mean, *mean) > squared(TURNING_SIGMAS) * (bias.x + bias.y + bias.z + noise);
@@ -600,7 +600,7 @@ static void measure_standstill(struct navigation *n, double x[N], const struct n
 		measure_zero_velocity(n, x, in);
 	if (rate_is_bias(n))
 		measure3(n, x, BG, vec3_scale(1 / t, n->sums.turned_b_rad),
-			squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 / t + STILL_RATE_VARIANCE);
+			squared(n->noise.gyro_density_rad_s_sqrt_hz) / 2 / t + STILL_RATE_VARIANCE);
 }
 
 /* Variance of one component of the reference point's velocity, estimated from its high-pass. u: the lever arm's
@@ -758,13 +758,13 @@ static void measure_rope(struct navigation *n, double x[N])
 	struct rope_difference d[ROPE_DIFFERENCES], *middle = &d[2];
 
 	for (int i = 0; i < ROPE_DIFFERENCES; i++)
-		d[i] = rope_difference(rope, i, &n->config.noise, n->gravity_m_s2);
+		d[i] = rope_difference(rope, i, &n->noise, n->gravity_m_s2);
 	rope->steady = moves_steadily(n, &d[3]) ? rope->steady + 1 : 0;
 	n->hangs_still &= rope->steady > 0;
 	if (rope->steady < ROPE_DIFFERENCES)
 		return;
 	rope_measure_length(rope, &d[1], middle);
-	*middle = rope_difference(rope, 2, &n->config.noise, n->gravity_m_s2);
+	*middle = rope_difference(rope, 2, &n->noise, n->gravity_m_s2);
 	if (rope->length_variance_m2 * vec3_dot(middle->up_n, middle->up_n) > middle->variance_m2)
 		return;
 	const double point[3] = {middle->point_n_m.x, middle->point_n_m.y, middle->point_n_m.z};
@@ -891,12 +891,14 @@ static void correct(struct navigation *n, const struct navigation_input *in)
 
 void navigation_start(struct navigation *n, const struct navigation_config *config, struct quat q_nb)
 {
-	struct navigation fresh = {.config = *config, .q_nb = q_nb, .started = true};
+	struct navigation fresh = {.config = *config, .q_nb = q_nb, .started = true, .seen = n->seen};
 
 	smoother_cancel(n->smoother);
 	fresh.smoother = n->smoother;
 	fresh.position_n_m = n->position_n_m;
 	fresh.gravity_m_s2 = 9.81;
+	noise_seen_break(&fresh.seen);
+	fresh.noise = noise_seen(&fresh.seen, &config->noise);
 	fresh.earlier_variance_m2 = end_displacement(n);
 	fresh.way_from_n_m = n->way_from_n_m;
 	set_variance(&fresh, THETA, squared(START_ANGLE_RAD));
@@ -1091,9 +1093,9 @@ static void creep(struct navigation *n, double sigma_m_s, double *since_s, doubl
 static double creep_m_s(const struct navigation *n)
 {
 	double turning_m_s = n->turning ? assumptions(n)->creep_m_s : 0;
-	double seen_m_s = zero_velocity_slowest_seen_m_s(&n->config.noise, n->gravity_m_s2);
+	double seen_m_s = zero_velocity_slowest_seen_m_s(&n->noise, n->gravity_m_s2);
 
-	return seen_m_s > assumptions(n)->slowest_m_s ? fmax(turning_m_s, seen_m_s) : turning_m_s;
+	return fmax(turning_m_s, sqrt(fmax(0, squared(seen_m_s) - squared(assumptions(n)->slowest_m_s))));
 }
 
 static void add_creep(struct navigation *n, double t_s)
@@ -1290,8 +1292,7 @@ static void release(struct navigation *n)
 {
 	const struct guide *g = &n->guide;
 	struct vec3 bias = variance(n, BG);
-	double t = g->t_s, walk = squared(n->config.noise.gyro_density_rad_s_sqrt_hz) / 2 * t,
-	       g2 = squared(n->gravity_m_s2);
+	double t = g->t_s, walk = squared(n->noise.gyro_density_rad_s_sqrt_hz) / 2 * t, g2 = squared(n->gravity_m_s2);
 	double drift = (bias.x + bias.y + bias.z) / 3 * squared(t);
 
 	n->q_nb = quat_multiply(quat_from_rotation_vector(g->taken_n_rad), n->q_nb);
@@ -1358,7 +1359,7 @@ static void follow_guide(struct navigation *n)
 	n->sums.held = true;
 	back = guide_hold(&n->guide, &r_nb, &n->sums);
 	n->q_nb = quat_multiply(quat_from_rotation_vector(vec3_scale(-1, back)), n->q_nb);
-	if (guide_turns(&n->guide, n->config.noise.gyro_density_rad_s_sqrt_hz, bias.x + bias.y + bias.z))
+	if (guide_turns(&n->guide, n->noise.gyro_density_rad_s_sqrt_hz, bias.x + bias.y + bias.z))
 		release(n);
 }
 
@@ -1373,12 +1374,26 @@ static void follow_rope(struct navigation *n, double dt_s)
 	}
 }
 
+/* A chip may be noisier than told. */
+static void watch_noise(struct navigation *n)
+{
+	const struct navigation_sums *s = &n->sums;
+
+	if (assumptions(n)->dwell || !n->still || n->rest.still_s <= n->config.standstill.time_s)
+		noise_seen_break(&n->seen);
+	else
+		noise_seen_step(&n->seen, &n->config.noise, quat_rotate_inverse(n->q_nb, vec3_scale(1 / s->t_s, s->f)),
+			vec3_scale(1 / s->t_s, s->turned_b_rad), s->t_s);
+	n->noise = noise_seen(&n->seen, &n->config.noise);
+}
+
 static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
 {
 	double t_s = n->sums.t_s;
 	struct quat before = n->q_nb;
 	struct vec3 rate_b_rad_s = vec3_scale(1 / t_s, n->sums.turned_b_rad);
 
+	watch_noise(n);
 	if (!assumptions(n)->dwell)
 		add_scale_error(n);
 	if (!assumptions(n)->dwell)
@@ -1556,8 +1571,7 @@ static struct vec3 by_lever(const struct navigation *n, struct vec3 angle2)
 struct navigation_sigma navigation_sigma(const struct navigation *n, double rate_hz)
 {
 	struct vec3 angle = attitude_variance(n), bias = variance(n, BA);
-	double force =
-		squared(n->config.noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
+	double force = squared(n->noise.accel_density_m_s2_sqrt_hz) * rate_hz / 2 + (bias.x + bias.y + bias.z) / 3;
 	double g2 = squared(n->gravity_m_s2);
 	struct vec3 displacement = vec3_add(variance(n, P), n->zero_velocity.position_variance_m2);
 	struct vec3 velocity = vec3_add(variance(n, V), n->zero_velocity.velocity_variance_m2_s2);

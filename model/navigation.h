@@ -28,7 +28,7 @@
 #include "model/alias.h"
 #include "model/guide.h"
 #include "model/navigation_sums.h"
-#include "model/noise.h"
+#include "model/noise_seen.h"
 #include "model/rest.h"
 #include "model/rope.h"
 #include "model/zero_velocity.h"
@@ -96,6 +96,7 @@ struct navigation_input {
 
 struct navigation {
 	struct navigation_config config;
+	struct noise_config noise; /* as told, or as seen where that is more */
 	struct smoother *smoother; /* records the movements; or NULL */
 	struct quat q_nb;
 	struct vec3 velocity_n_m_s, position_n_m; /* of the sensor */
@@ -115,6 +116,7 @@ struct navigation {
 	struct vec3 begin_n_m; /* of the reference point, where the last of them began */
 	/* PRIVATE */
 	struct navigation_sums sums;
+	struct noise_seen seen;
 	struct rest rest;
 	double stood_s;	       /* duration of the standstill so far */
 	double contradicted_s; /* for how long velocity or acceleration contradict the detector */

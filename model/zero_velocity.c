@@ -244,7 +244,7 @@ static double turned_bias_variance(const struct zero_velocity_fork *f, int i)
 static double distance2(const struct zero_velocity_fork *f, const struct zero_velocity *z, const struct navigation *n,
 	struct vec3 lever_n_m_s)
 {
-	const struct noise_config *noise = &n->config.noise;
+	const struct noise_config *noise = &n->noise;
 	struct vec3 v = vec3_sub(f->velocity_n_m_s, lever_n_m_s);
 	const double x[3] = {v.x, v.y, v.z}, t = f->sums.t_s, g2 = squared(n->gravity_m_s2);
 	const double by_tilt = g2 * (squared(noise->gyro_density_rad_s_sqrt_hz) / 2 * t * t * t / 3 +
@@ -401,7 +401,7 @@ static void mix(struct zero_velocity *z, const struct navigation *n, struct vec3
 static bool has_accelerated(const struct zero_velocity *z, const struct navigation *n, struct vec3 velocity_n_m_s)
 {
 	struct vec3 change = vec3_sub(velocity_n_m_s, z->odds_velocity_n_m_s);
-	double a[3], t = z->odds_age_s, noise = squared(n->config.noise.accel_density_m_s2_sqrt_hz) / 2 * t;
+	double a[3], t = z->odds_age_s, noise = squared(n->noise.accel_density_m_s2_sqrt_hz) / 2 * t;
 
 	navigation_accel_variance(n, a);
 	return vec3_dot(change, change) > squared(CHANGE_SIGMAS) * ((a[0] + a[1] + a[2]) * t * t + 3 * noise +

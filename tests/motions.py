@@ -259,6 +259,10 @@ def all_motions():
     delivered |= {'accel_scale': 0.02, 'accel_bias_m_s2': 0.3}
     for name in ('lift 12 m, 2 m/s, preset 6', 'lift 40 m, 2.5 m/s', 'lift 40 m, 2.5 m/s, preset 6'):
         m[name + ', uncalibrated'] = replace(m[name], chip=delivered, uncalibrated='gyro accelerometer')
+    noisy = {'accel_density_m_s2': 600e-6 * GRAVITY_M_S2, 'gyro_density_rad_s': np.radians(0.045)}
+    for name in ('straight 0.05 m/s, 60 s', 'straight 0.2 m/s, 10 s', 'straight 1 m/s, 60 s',
+                 'lift 12 m, 2 m/s, preset 6'):
+        m[name + ', noisier than told'] = replace(m[name], chip=noisy)
     for name in ('straight 0.5 m/s, 10 s', 'straight 1 m/s, 60 s', 'lift 40 m, 2.5 m/s, preset 6',
                  'turn 1.15 deg/s, 60 s', 'crane, rope 5 m, preset 7 with 5 m',
                  'on foot, 40 strides of 1.3 m, preset 5'):

@@ -1619,7 +1619,7 @@ static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a
 
 	(void)state;
 	memset(n.p, 0, sizeof(n.p));
-	n.config.noise = (struct noise_config){0};
+	n.noise = (struct noise_config){0};
 	n.zero_velocity.vibration_m2_s2 = 4e-4;
 	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ZERO, 1e-12); /* in motion it is part of the velocity */
 	n.still = true;
@@ -1629,7 +1629,7 @@ static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a
 }
 
 /* Six sigmas of the velocity that the sensors' noise leaves unknown after a second, 1 and 2 mm/s beside that: what
- * begins to move more slowly may not be seen. It matters where the preset knows slower motions. */
+ * begins to move more slowly may not be seen. It matters as far as the preset knows slower motions. */
 static void test_what_stands_may_creep_as_fast_as_noisy_sensors_do_not_show(void **state)
 {
 	const struct {
@@ -1637,9 +1637,9 @@ static void test_what_stands_may_creep_as_fast_as_noisy_sensors_do_not_show(void
 		enum motion_preset preset;
 		double creep_m_s;
 	} cases[] = {{{.accel_bias_instability_m_s2 = 0.002}, MOTION_ANY, 0},
-		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_ANY, 6 * sqrt(5e-6 + 0.005 * 0.005)},
-		{{.accel_density_m_s2_sqrt_hz = 0.01}, MOTION_ANY, 6 * sqrt(5e-6 + 0.01 * 0.01 / 2)},
-		{{.gyro_density_rad_s_sqrt_hz = 0.002}, MOTION_ANY, 6 * sqrt(5e-6 + G * G * 4e-6 / 6)},
+		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_ANY, sqrt(36 * (5e-6 + 0.005 * 0.005) - 9e-4)},
+		{{.accel_density_m_s2_sqrt_hz = 0.01}, MOTION_ANY, sqrt(36 * (5e-6 + 0.01 * 0.01 / 2) - 9e-4)},
+		{{.gyro_density_rad_s_sqrt_hz = 0.002}, MOTION_ANY, sqrt(36 * (5e-6 + G * G * 4e-6 / 6) - 9e-4)},
 		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_ROBOT_BASE, 0},
 		{{.accel_bias_instability_m_s2 = 0.0025}, MOTION_HAND_HELD, 0}};
 
