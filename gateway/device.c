@@ -413,6 +413,7 @@ static void publish_sensor_counters(struct device *d)
 	d->values.sensor_counters.late = d->imu->counters.late;
 	d->values.sensor_counters.gaps = d->pipeline.gaps;
 	d->values.sensor_counters.implausible = d->pipeline.implausible;
+	d->values.sensor_counters.glitches = d->pipeline.gyro_glitch.count + d->pipeline.accel_glitch.count;
 }
 
 /* The pipeline kept an output back. */

@@ -43,8 +43,8 @@ static void end_window(struct noise_seen *s, const struct noise_config *told)
 	s->last_known = true;
 }
 
-void noise_seen_step(struct noise_seen *s, const struct noise_config *told, struct vec3 force_b_m_s2, struct vec3 rate_b_rad_s,
-	double t_s)
+void noise_seen_step(struct noise_seen *s, const struct noise_config *told, struct vec3 force_b_m_s2,
+	struct vec3 rate_b_rad_s, double t_s)
 {
 	double weight_s = t_s * (1 - cos(2 * PI * (s->elapsed_s + t_s / 2) / WINDOW_S));
 

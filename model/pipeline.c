@@ -80,6 +80,9 @@ static const double ATTITUDE_HOLD_S = 1;
 /* Share of the biases' change with temperature that a calibration of that leaves. By judgement: what is measured on one
  * day over part of the range. */
 static const double COMPENSATED = 0.2;
+/* The smallest jumps of rate and force that may be glitches, and by how much more in slow samples. By judgement: above
+ * what a low-pass of 40 Hz leaves of motions that begin; smaller ones turn by 0.3 degrees at 100 Hz. */
+static const double GLITCH_RAD_S = 0.2, GLITCH_RAD_S2 = 50, GLITCH_M_S2 = 3, GLITCH_M_S3 = 500;
 /* s. A magnetometer slower than the samples still counts as used between its measurements. By judgement. */
 static const double MAG_LATELY_S = 1;
 
@@ -365,6 +368,8 @@ static void start_over(struct pipeline *p)
 	fresh.calibration = p->calibration; /* with the last temperature */
 	fresh.warming = p->warming;
 	fresh.last_good = p->last_good;
+	fresh.gyro_glitch.count = p->gyro_glitch.count;
+	fresh.accel_glitch.count = p->accel_glitch.count;
 	fresh.vibration.clipped_accel = p->vibration.clipped_accel;
 	fresh.vibration.clipped_gyro = p->vibration.clipped_gyro;
 	fresh.gaps = p->gaps;
@@ -442,10 +447,10 @@ static void step_filter(
 
 /* Attitude, and at rest the gyro's bias. Returns rest. When the attitude starts, or jumps to north because that is now
  * known, all that is filtered or differentiated starts again. */
-static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
+static bool fuse(struct pipeline *p, const struct imu_sample *s, const struct imu_sample *clean, double dt_s)
 {
 	bool north_known = fusion_north_known(kalman(p)), jumps = !fusion_north_known(&p->fusion), starts, rest;
-	struct imu_sample used = *s; /* its flag says that the gyro is saturated */
+	struct imu_sample used = *clean; /* its flag says that the gyro is saturated */
 
 	if (!p->primed) {
 		rest_restart(&p->rest);
@@ -454,7 +459,7 @@ static bool fuse(struct pipeline *p, const struct imu_sample *s, double dt_s)
 	vibration_step(&p->vibration, s->accel_m_s2, s->gyro_rad_s, s->flags & SAMPLE_SATURATED, dt_s);
 	if (!p->vibration.gyro_clipped)
 		used.flags &= ~(unsigned)SAMPLE_SATURATED;
-	rest = rest_step(&p->rest, &p->config.rest, s->gyro_rad_s, s->accel_m_s2, dt_s) &&
+	rest = rest_step(&p->rest, &p->config.rest, clean->gyro_rad_s, clean->accel_m_s2, dt_s) &&
 	       !navigation_accelerates(&p->position.navigation);
 	if (s->flags & SAMPLE_MAG)
 		p->mag_b_uT = s->mag_uT;
@@ -499,6 +504,20 @@ static struct vec3 accel_n_as_before(const struct pipeline *p, struct vec3 force
 	struct vec3 all = estimator_lever_arm_b(before, p->fusion.q_nb, &p->rates.out[before->rates_from]);
 
 	return accel_n(p, before, force_b_m_s2, all);
+}
+
+/* What is integrated, see glitch.h. */
+static struct imu_sample without_glitches(struct pipeline *p, const struct imu_sample *s, double dt_s)
+{
+	struct imu_sample clean = *s;
+
+	if (!p->primed) {
+		glitch_restart(&p->gyro_glitch);
+		glitch_restart(&p->accel_glitch);
+	}
+	clean.gyro_rad_s = glitch_step(&p->gyro_glitch, s->gyro_rad_s, fmax(GLITCH_RAD_S, GLITCH_RAD_S2 * dt_s), dt_s);
+	clean.accel_m_s2 = glitch_step(&p->accel_glitch, s->accel_m_s2, fmax(GLITCH_M_S2, GLITCH_M_S3 * dt_s), dt_s);
+	return clean;
 }
 
 /* The accelerometer measured at another instant than the gyro: its force in the object's axes at the gyro's instant. */
@@ -741,7 +760,7 @@ static void follow_temperature(struct pipeline *p, const struct imu_sample *samp
 
 int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pipeline_output *out)
 {
-	struct imu_sample s;
+	struct imu_sample s, clean;
 	const struct body_rates *rates = &p->rates.out[p->config.estimator.rates_from];
 	struct vec3 gyro, accel, force;
 	struct quat q_nb;
@@ -764,22 +783,24 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	if (gap)
 		p->primed = false;
 
+	clean = without_glitches(p, &s, dt_s);
 	force = s.accel_m_s2;
 	s.accel_m_s2 = at_the_gyros_instant(p, &s);
-	rest = fuse(p, &s, dt_s);
+	clean.accel_m_s2 = at_the_gyros_instant(p, &clean);
+	rest = fuse(p, &s, &clean, dt_s);
 	gyro = fusion_rate_b(&p->fusion, s.gyro_rad_s);
 	if (p->primed)
 		rates_step(&p->rates, gyro, p->fusion.q_nb, dt_s);
 	else
 		rates_prime(&p->rates, gyro, p->fusion.q_nb);
 	accel = estimate(p, s.accel_m_s2, dt_s);
-	locate(p, &s, accel, rest, gap, dt_s);
+	locate(p, &clean, accel, rest, gap, dt_s);
 	remember_most(p, &s, force, dt_s);
 	p->last_t_us = s.t_us;
 	p->last_gyro_b_rad_s = s.gyro_rad_s;
 	p->started = p->primed = true;
 
-	q_nb = fusion_attitude_now(&p->fusion, s.gyro_rad_s);
+	q_nb = fusion_attitude_now(&p->fusion, clean.gyro_rad_s);
 	*out = (struct pipeline_output){
 		.t_us = s.t_us,
 		.force_b_m_s2 = force,

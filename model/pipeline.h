@@ -17,6 +17,7 @@
 #include "model/auto_correction.h"
 #include "model/calibration.h"
 #include "model/estimator.h"
+#include "model/glitch.h"
 #include "model/math/filter.h"
 #include "model/fusion.h"
 #include "model/position.h"
@@ -132,6 +133,7 @@ struct pipeline {
 	struct auto_correction auto_correction, auto_change;
 	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
+	struct glitch gyro_glitch, accel_glitch;
 	struct vibration vibration;
 	struct warming warming;
 	struct position position;
