@@ -1,8 +1,8 @@
 /* model/glitch.h
- * A single sample far from those before and after it, which agree: a bit that was read wrongly from the chip, or a knock
- * too short for its low-pass. What is integrated must not have it, and only the next sample tells it from the beginning
- * of a motion. So a jump is held back for one sample: if the next one is where the last one was, it never was; if not,
- * it is made up for, and the integral is what it would have been. */
+ * A single sample far from those before and after it, which agree: a bit that was read wrongly from the chip, or a
+ * knock too short for its low-pass. What is integrated must not have it, and only the next sample tells it from the
+ * beginning of a motion. So a jump is held back for one sample: if the next one is where the last one was, it never
+ * was; if not, it is made up for, and the integral is what it would have been. */
 #ifndef MODEL_GLITCH_H
 #define MODEL_GLITCH_H
 

@@ -46,7 +46,13 @@ static void end_window(struct noise_seen *s, const struct noise_config *told)
 void noise_seen_step(struct noise_seen *s, const struct noise_config *told, struct vec3 force_b_m_s2,
 	struct vec3 rate_b_rad_s, double t_s)
 {
-	double weight_s = t_s * (1 - cos(2 * PI * (s->elapsed_s + t_s / 2) / WINDOW_S));
+	double weight_s;
+
+	if (t_s > WINDOW_S / 4) {
+		noise_seen_break(s);
+		return;
+	}
+	weight_s = t_s * (1 - cos(2 * PI * (s->elapsed_s + t_s / 2) / WINDOW_S));
 
 	s->accel_m_s = vec3_add(s->accel_m_s, vec3_scale(weight_s, force_b_m_s2));
 	s->rate_rad = vec3_add(s->rate_rad, vec3_scale(weight_s, rate_b_rad_s));

@@ -24,7 +24,8 @@ struct noise_seen {
 	double accel2_m2_s3, rate2_rad2_s; /* squared densities, one-sided, by them */
 };
 
-/** An interval of a standstill: mean specific force and rate, object frame. */
+/** An interval of a standstill: mean specific force and rate, object frame. Of one longer than 0.12 s nothing is
+ * learnt. */
 void noise_seen_step(struct noise_seen *s, const struct noise_config *told, struct vec3 force_b_m_s2,
 	struct vec3 rate_b_rad_s, double t_s);
 /** It does not stand. What was seen stays. */

@@ -745,7 +745,6 @@ static void follow_temperature(struct pipeline *p, const struct imu_sample *samp
 	const struct noise_config *noise = &p->config.noise;
 	double gyro = noise->gyro_bias_per_K_rad_s * (calibration_compensates_gyro(c) ? COMPENSATED : 1);
 	double accel = noise->accel_bias_per_K_m_s2 * (calibration_compensates_accel(c) ? COMPENSATED : 1);
-
 	double change_K;
 
 	if (!calibration_temperature(&p->calibration, sample->temperature_degC))

@@ -57,6 +57,23 @@ static void test_more_noise_than_told_is_seen_at_any_rate(void **state)
 	}
 }
 
+static void test_slow_samples_show_nothing(void **state)
+{
+	static const double INTERVAL_S[] = {0.2, 0.5, 1, 7};
+
+	(void)state;
+	for (size_t i = 0; i < sizeof INTERVAL_S / sizeof *INTERVAL_S; i++) {
+		struct noise_seen s = {0};
+		struct noise_config noise;
+		struct rng rng;
+
+		rng_init(&rng, i);
+		feed(&s, &rng, (struct signal){2e-3, 6e-3, 0, 0}, INTERVAL_S[i], 100);
+		noise = noise_seen(&s, &TOLD);
+		assert_memory_equal(&noise, &TOLD, sizeof(TOLD));
+	}
+}
+
 static void test_less_noise_than_told_is_what_was_told(void **state)
 {
 	struct noise_seen s = {0};
@@ -211,6 +228,7 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		cmocka_unit_test(test_nothing_seen_is_what_was_told),
 		cmocka_unit_test(test_more_noise_than_told_is_seen_at_any_rate),
+		cmocka_unit_test(test_slow_samples_show_nothing),
 		cmocka_unit_test(test_less_noise_than_told_is_what_was_told),
 		cmocka_unit_test(test_five_seconds_show_it),
 		cmocka_unit_test(test_a_vibration_is_no_noise),
