@@ -134,7 +134,7 @@ static void test_a_drive_while_the_chip_warms_up_ends_within_its_sigma(void **st
 
 	(void)state;
 	for (int preset = 0; preset <= MOTION_LINEAR_AXIS; preset++) {
-		c.position.navigation.preset = preset;
+		c.position.navigation.preset = (enum motion_preset)preset;
 		told = warm_up(&pipeline, &c, (struct warm_up){10, 10, 1});
 		untold = warm_up(&other, &c, (struct warm_up){0, 10, 1});
 		if (preset == MOTION_HAND_HELD) /* nothing moves it steadily */
