@@ -180,6 +180,8 @@ int pipeline_configure(struct pipeline *p, const struct pipeline_config *config)
  * attitude is carried over by the gyro, or, after more than a second, initialised from this sample (without a
  * magnetometer the old heading is kept). A sample marked SAMPLE_DISCONTINUITY starts everything over.
  *
+ * A sample far from those before and after it, which agree, is published but not integrated (glitch.h).
+ *
  * The first attitude takes the accelerometer for up, less the lever arm's share: if that is large (2 m/s^2), it is
  * valid only after 0.05 s or five samples, when the angular acceleration is known.
  *

@@ -25,6 +25,15 @@ static struct integrals integrate(const double *x, int n)
 	return sum;
 }
 
+static struct glitch at_rest(void)
+{
+	struct glitch g = {0};
+
+	for (int i = 0; i < 3; i++)
+		glitch_step(&g, (struct vec3){0, 0, 0}, LEAST, DT_S);
+	return g;
+}
+
 static void test_a_single_sample_that_was_misread_is_not_integrated(void **state)
 {
 	static const double X[] = {0.1, 0, 0.1, 30, 0, 0.1, 0, -900, 0.1, 0};
@@ -47,11 +56,9 @@ static void test_a_step_is_integrated_to_the_last_digit(void **state)
 
 static void test_a_step_is_held_back_for_one_sample(void **state)
 {
-	struct glitch g = {0};
+	struct glitch g = at_rest();
 
 	(void)state;
-	for (int i = 0; i < 3; i++)
-		glitch_step(&g, (struct vec3){0, 0, 0}, LEAST, DT_S);
 	assert_near(glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, DT_S).x, 0, 0);
 	assert_near(glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, DT_S).x, 16, 0);
 	assert_near(glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, DT_S).x, 8, 0);
@@ -86,11 +93,9 @@ static void test_two_samples_in_a_row_are_no_glitch(void **state)
 /* Over missing samples any motion jumps. */
 static void test_a_jump_over_a_pause_passes_unchanged(void **state)
 {
-	struct glitch g = {0};
+	struct glitch g = at_rest();
 
 	(void)state;
-	for (int i = 0; i < 3; i++)
-		glitch_step(&g, (struct vec3){0, 0, 0}, LEAST, DT_S);
 	assert_near(glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, 5 * DT_S).x, 8, 0);
 	assert_near(glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, DT_S).x, 8, 0);
 }
@@ -104,10 +109,8 @@ static void test_a_step_is_made_up_for_over_the_next_interval(void **state)
 
 	(void)state;
 	for (int k = 0; k < 3; k++) {
-		struct glitch g = {0};
+		struct glitch g = at_rest();
 
-		for (int i = 0; i < 3; i++)
-			glitch_step(&g, (struct vec3){0, 0, 0}, LEAST, DT_S);
 		glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, DT_S);
 		assert_near(
 			glitch_step(&g, (struct vec3){8, 0, 0}, LEAST, cases[k].interval_s).x, cases[k].expected, 1e-9);
