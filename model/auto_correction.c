@@ -14,6 +14,10 @@ static const double MEMORY_S = 1;
 
 /* Samples of the impulse response. By judgement: that of the lowest usual cut-off has decayed. */
 enum { IMPULSE_SAMPLES = 4096 };
+/* It is over where so many samples add a share so small: quick filters have decayed long before. By judgement: far
+ * below what a variance is known to. */
+enum { DECAY_SAMPLES = 128 };
+static const double DECAYED = 1e-12;
 
 /* The variance of white noise behind a filter is that before it times the sum of squares of the impulse response.
  * Angles are differentiated first: an impulse of them is a pair of impulses of the rate. */
@@ -25,7 +29,7 @@ struct rates_variance rates_variance(const struct noise_config *noise, enum rate
 	const double dt_s = 1 / rate_hz, bias = noise->gyro_bias_instability_rad_s;
 	const double gyro_sigma = noise->gyro_density_rad_s_sqrt_hz * sqrt(rate_hz / 2);
 	const double first = angles ? noise->angle_sigma_rad * rate_hz : gyro_sigma;
-	struct rates_variance sum = {0, 0};
+	struct rates_variance sum = {0, 0}, before = sum;
 	struct rates rates;
 
 	if (rates_init(&rates, rate_filter, rate_hz) < 0)
@@ -38,6 +42,11 @@ struct rates_variance rates_variance(const struct noise_config *noise, enum rate
 		rates_step(&rates, in, QUAT_IDENTITY, dt_s);
 		sum.omega += out->omega_b_rad_s.x * out->omega_b_rad_s.x;
 		sum.alpha += out->alpha_b_rad_s2.x * out->alpha_b_rad_s2.x;
+		if (k % DECAY_SAMPLES != DECAY_SAMPLES - 1)
+			continue;
+		if (sum.omega - before.omega <= DECAYED * sum.omega && sum.alpha - before.alpha <= DECAYED * sum.alpha)
+			break;
+		before = sum;
 	}
 	if (!angles)
 		sum.omega += bias * bias;
