@@ -1243,12 +1243,14 @@ static void test_last_movement(void **state)
 			10);
 		if (n % 8)
 			continue;
-		trace_value("t", t_s, 0.0011);
-		for (int i = 0; i < 3; i++)
-			trace_vec(i == 0   ? "position"
-				  : i == 1 ? "velocity"
-					   : "sigma",
-				(struct vec3){v[3 * i], v[3 * i + 1], v[3 * i + 2]}, 0.00011);
+		snprintf(what, sizeof(what), "row_%d_s", n); /* rows of zeros are not in the file */
+		trace_value(what, t_s, 0.0011);
+		for (int i = 0; i < 3; i++) {
+			static const char *const names[] = {"position", "velocity", "sigma"};
+
+			snprintf(what, sizeof(what), "row_%d_%s", n, names[i]);
+			trace_vec(what, (struct vec3){v[3 * i], v[3 * i + 1], v[3 * i + 2]}, 0.00011);
+		}
 	}
 	trace_check();
 }
