@@ -517,15 +517,25 @@ static double lever_variance(const struct fusion_kalman *k)
 	return vec3_dot(k->lever_arm_b_m, k->lever_arm_b_m) * (squared(REST_GYRO_NOISE) / k->sums.time_s + bias / 3);
 }
 
+/* m^2/s^2, of one horizontal axis: as configured. After missing samples, while their force alone has found the tilt, it
+ * is that of before them, too. */
+static double most_velocity2(const struct fusion_kalman *k, const struct fusion_kalman_config *config)
+{
+	double configured = squared(config->velocity_sigma_m_s);
+
+	return k->since_tilt_s < YOUNG_S ? fmax(configured, k->velocity2_m2_s2) : configured;
+}
+
 static void measure_velocity(struct fusion_kalman *k, const struct fusion_kalman_config *config,
 	struct vec3 lever_n_m_s, bool rest, double *error)
 {
 	double x = k->velocity_n_m_s[0] - lever_n_m_s.x - k->aided_velocity_n_m_s[0];
 	double y = k->velocity_n_m_s[1] - lever_n_m_s.y - k->aided_velocity_n_m_s[1];
-	double most = squared(config->velocity_sigma_m_s), share = fmin(1, k->sums.time_s / SPREAD_TIME_S), variance;
+	double most = most_velocity2(k, config), share = fmin(1, k->sums.time_s / SPREAD_TIME_S), variance;
 
 	k->spread_m2_s2 += share * ((x * x + y * y) / 2 - k->spread_m2_s2);
-	k->spread_m2_s2 = fmin(most, fmax(k->spread_m2_s2, squared(LEAST_SPREAD) * most));
+	k->spread_m2_s2 = fmax(k->spread_m2_s2, squared(LEAST_SPREAD * config->velocity_sigma_m_s));
+	k->spread_m2_s2 = fmin(most, k->spread_m2_s2);
 	variance = rest ? squared(REST_VELOCITY_M_S)
 			: 2 * VELOCITY_TIME_S / k->sums.time_s * k->spread_m2_s2 + lever_variance(k);
 	doubt_mean_force(k, config, x * x + y * y, rest);
@@ -1055,13 +1065,16 @@ static void skip_gap(struct fusion_kalman *k, const struct fusion_kalman_config 
 	const struct fusion_kalman_sample *s, struct vec3 force_n_m_s2, double dt_s)
 {
 	double change = fmax(GAP_ACCEL_M_S2, hypot(force_n_m_s2.x, force_n_m_s2.y)) * dt_s;
-	double most = squared(config->velocity_sigma_m_s);
+	double most;
 
 	fusion_kalman_doubt_attitude(k, s->unseen_turn_rad);
 	if (s->unseen_turn_rad > LINEAR_HEADING_RAD)
 		lose_north(k);
-	if (s->unseen_turn_rad > START_TILT_RAD)
+	if (s->unseen_turn_rad > START_TILT_RAD) {
 		k->since_tilt_s = 0;
+		k->spread_m2_s2 = fmax(k->spread_m2_s2, k->velocity2_m2_s2);
+	}
+	most = most_velocity2(k, config);
 	for (int i = 0; i < 2; i++) {
 		double *variance = &k->covariance[VELOCITY + i][VELOCITY + i];
 

@@ -796,12 +796,12 @@ static void turn_heading(struct navigation *n, double angle_rad)
 	rope_restart(&n->rope, n->q_nb);
 }
 
-/* Starts again with the fusion's attitude, as if the reference point stood still, when the tilt is too far from it.
- * Returns whether it did. */
+/* Starts again with the fusion's attitude, as if the reference point stood still, when the tilt is too far from it. How
+ * well both are known is what the fusion knows. Returns whether it did. */
 static bool reinitialise_if_lost(struct navigation *n, const struct navigation_input *in)
 {
 	struct vec3 up = quat_rotate_inverse(in->q_nb, (struct vec3){0, 0, 1});
-	struct vec3 off = quat_rotate(n->q_nb, up);
+	struct vec3 off = quat_rotate(n->q_nb, up), angle = in->attitude_variance_rad2;
 
 	if (off.z > 0 && hypot(off.x, off.y) < LOST_RAD)
 		return false;
@@ -810,8 +810,8 @@ static bool reinitialise_if_lost(struct navigation *n, const struct navigation_i
 	n->accel_bias_b_m_s2 = ZERO;
 	n->velocity_n_m_s =
 		quat_rotate(n->q_nb, vec3_cross(vec3_sub(in->gyro_b_rad_s, n->gyro_bias_b_rad_s), in->lever_b_m));
-	reset_errors(n, THETA, squared(START_ANGLE_RAD));
-	reset_errors(n, V, squared(LOST_VELOCITY_M_S));
+	reset_errors(n, THETA, fmax(squared(START_ANGLE_RAD), fmax(angle.x, angle.y)));
+	reset_errors(n, V, fmax(squared(LOST_VELOCITY_M_S), in->velocity2_m2_s2));
 	reset_errors(n, BG, squared(start_gyro_bias_rad_s(n)));
 	reset_errors(n, BA, squared(start_accel_bias_m_s2(n)));
 	n->high_pass_n_m_s = ZERO;

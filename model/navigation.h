@@ -87,6 +87,7 @@ struct navigation_input {
 	struct quat q_nb;					   /* the fusion's attitude */
 	struct vec3 gyro_bias_b_rad_s, gyro_bias_variance_rad2_s2; /* the fusion's estimate, to start from */
 	struct vec3 attitude_variance_rad2; /* of the fusion's attitude, about each axis of n; 0: unknown */
+	double velocity2_m2_s2; /* mean square of the horizontal velocity lately, as far as the fusion knows it */
 	double unseen_turn_rad; /* 1 sigma, each axis, of the turn by missing samples before this one; 0: none are */
 	bool north_found; /* the fusion's heading has just been set: it is another one than that of the sample before */
 	double force_variance_m2_s4; /* of the force, each axis, beyond that of a calibration (vibration, clipping) */

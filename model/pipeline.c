@@ -609,6 +609,7 @@ static void locate(
 		.gyro_bias_b_rad_s = kalman(p)->gyro_errors.bias_b_rad_s,
 		.gyro_bias_variance_rad2_s2 = fusion_bias_variance(p),
 		.attitude_variance_rad2 = fusion_variance(p),
+		.velocity2_m2_s2 = kalman(p)->kalman.velocity2_m2_s2,
 		.unseen_turn_rad = kalman(p)->unseen_turn_rad,
 		.north_found = p->north_found,
 		.force_variance_m2_s4 = p->vibration.force_error_m_s2 * p->vibration.force_error_m_s2,

@@ -1558,6 +1558,26 @@ static void test_over_missing_samples_the_velocity_stays_and_is_less_certain(voi
 	}
 }
 
+/* An arm of a metre that swings is faster than the metre per second that is expected, before and after missing samples.
+ * The tilt that it had meanwhile says nothing else. */
+static void test_over_missing_samples_the_velocity_is_what_it_was_usually(void **state)
+{
+	static const struct {
+		double usual_m_s, turn_rad, sigma_m_s;
+	} gaps[] = {{0.5, 0.2, 1}, {3, 0.2, 3}, {3, 0.05, 1}}; /* a small turn does not set the tilt */
+
+	(void)state;
+	for (int i = 0; i < 3; i++) {
+		const struct fusion_kalman_sample s = {.unseen_turn_rad = gaps[i].turn_rad, .force_b_m_s2 = {0, 20, G}};
+		struct filter f = started(G);
+
+		f.k.since_tilt_s = 100;
+		f.k.velocity2_m2_s2 = gaps[i].usual_m_s * gaps[i].usual_m_s;
+		fusion_kalman_step(&f.k, &KALMAN, &s, 0.3, &f.q_nb, &f.errors);
+		assert_near(sigma_of(&f, KALMAN_VELOCITY), gaps[i].sigma_m_s, 0.2 * gaps[i].sigma_m_s);
+	}
+}
+
 /* The offset was wrong: the heading is off by what each microtesla of it has turned it; by too much for a linear
  * filter, and it is unknown. */
 static void test_when_the_offset_changes_the_heading_is_less_certain_by_what_it_owes_to_it(void **state)
@@ -1861,6 +1881,7 @@ int main(void)
 		cmocka_unit_test(test_the_first_north_is_as_uncertain_as_the_tilt_makes_it),
 		cmocka_unit_test(test_over_missing_samples_the_attitude_is_uncertain_by_the_unseen_turn),
 		cmocka_unit_test(test_over_missing_samples_the_velocity_stays_and_is_less_certain),
+		cmocka_unit_test(test_over_missing_samples_the_velocity_is_what_it_was_usually),
 		cmocka_unit_test(test_the_ranges_of_the_configuration_include_their_limits),
 		cmocka_unit_test(test_a_configuration_out_of_range_is_refused),
 		cmocka_unit_test(test_the_spread_of_the_velocity_is_its_mean_square_of_an_axis),

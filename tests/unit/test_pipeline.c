@@ -524,6 +524,56 @@ static void test_a_gap_while_it_is_shaken_says_nothing_of_the_accelerometer(void
 	}
 }
 
+/* On an arm of a metre that swings by 60 degrees to both sides, once in two seconds, after 10 s of rest. */
+static struct truth on_an_arm(int k, struct vec3 *velocity_n)
+{
+	const double w = PI, swing_rad = PI / 3, t = (double)k / RATE_HZ - 10, rise = fmin(1, fmax(0, t) / 4);
+	const double angle = rise * swing_rad * sin(w * t), slope = t > 0 && t < 4 ? 0.25 : 0;
+	const double rate = slope * swing_rad * sin(w * t) + rise * w * swing_rad * cos(w * t) * (t > 0);
+	const double accel = 2 * slope * w * swing_rad * cos(w * t) - w * w * angle;
+	struct quat q_nb = quat_from_rotation_vector((struct vec3){angle, 0, 0});
+	const struct vec3 along = quat_rotate(q_nb, (struct vec3){0, 1, 0}); /* its point is 1 m below the axis */
+
+	*velocity_n = vec3_scale(rate, along);
+	return (struct truth){.q_nb = q_nb,
+		.sample = {.t_us = (uint64_t)llround((double)k / RATE_HZ * 1e6),
+			.gyro_rad_s = {rate, 0, 0},
+			.accel_m_s2 = vec3_add((struct vec3){0, accel, rate * rate},
+				quat_rotate_inverse(q_nb, (struct vec3){0, 0, G}))}};
+}
+
+/* The arm is three times as fast as the fusion expects by default, and 0.25 s of it are missing again and again: that
+ * the tilt is found again by the force, and the velocity by none, is in both sigmas. */
+static void test_an_arm_that_loses_samples_is_within_its_sigmas(void **state)
+{
+	double tilt_beyond = 0, velocity_beyond = 0, n = 0;
+
+	(void)state;
+	for (int every = 250; every < 450; every += 40) {
+		struct pipeline_config config = with_lever();
+		struct pipeline p;
+
+		config.estimator.lever_arm_b_m = ZERO;
+		p = pipeline(&config);
+		for (int k = 0; k < 60 * RATE_HZ; k++) {
+			struct vec3 velocity_n, off, apart;
+			struct truth truth = on_an_arm(k, &velocity_n);
+			struct pipeline_output out;
+
+			if (k > 16 * RATE_HZ && k % every < 0.25 * RATE_HZ)
+				continue;
+			out = step(&p, &truth.sample);
+			off = quat_to_rotation_vector(quat_multiply(truth.q_nb, quat_conjugate(out.q_nb)));
+			apart = vec3_sub(out.velocity_n_m_s, velocity_n);
+			n++;
+			tilt_beyond += fabs(off.x) > 3 * out.sigma.attitude_rad.x;
+			velocity_beyond += fabs(apart.y) > 3 * out.sigma.velocity_m_s.y;
+		}
+	}
+	print_message("beyond 3 sigma: tilt %.4f, velocity %.4f\n", tilt_beyond / n, velocity_beyond / n);
+	assert_true(tilt_beyond < 0.02 * n && velocity_beyond < 0.02 * n);
+}
+
 static void test_after_a_gap_rest_is_observed_for_its_time_again(void **state)
 {
 	struct pipeline_config config = with_lever();
@@ -1848,6 +1898,7 @@ int main(void)
 		cmocka_unit_test(test_ten_intervals_are_not_a_gap),
 		cmocka_unit_test(test_a_gap_of_less_than_a_tenth_of_a_second_interrupts_nothing),
 		cmocka_unit_test(test_a_gap_while_it_is_shaken_says_nothing_of_the_accelerometer),
+		cmocka_unit_test(test_an_arm_that_loses_samples_is_within_its_sigmas),
 		cmocka_unit_test(test_after_a_gap_rest_is_observed_for_its_time_again),
 		cmocka_unit_test(test_after_a_long_gap_the_attitude_is_initialised_again),
 		cmocka_unit_test(test_after_a_gap_sigma_covers_a_turn_that_nobody_saw),
