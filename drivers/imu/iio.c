@@ -115,18 +115,18 @@ static int begin(struct iio_imu *imu, char *error, size_t error_size)
 
 /* ---- readings ---------------------------------------------------------------------------------------------------- */
 
-static double raw_of(const struct iio_channel *channel, const void *host)
+/* `host`: its first bytes are the value, in the order of this host. */
+static double raw_of(const struct iio_channel *channel, uint64_t host)
 {
 	const struct iio_data_format *format = iio_channel_get_data_format(channel);
-	union {
-		uint8_t u8;
-		uint16_t u16;
-		uint32_t u32;
+	const union {
 		uint64_t u64;
-	} word;
+		uint32_t u32;
+		uint16_t u16;
+		uint8_t u8;
+	} word = {host};
 	uint64_t value;
 
-	memcpy(&word, host, format->length / 8); /* in the order of this host */
 	value = format->length == 8    ? word.u8
 		: format->length == 16 ? word.u16
 		: format->length == 32 ? word.u32
@@ -184,10 +184,10 @@ static void process_scan(struct iio_imu *imu, struct capture *c)
 		if (!iio_imu_is_of(c, t))
 			continue;
 		for (int i = 0; i < AXES; i++) {
-			int64_t host = 0;
+			uint64_t host = 0;
 
 			iio_channel_convert(t->axis[i], &host, iio_buffer_first(c->buffer, t->axis[i]));
-			raw[i] = raw_of(t->axis[i], &host);
+			raw[i] = raw_of(t->axis[i], host);
 		}
 		add_reading(imu, kind, raw, t_ns);
 	}

@@ -190,7 +190,7 @@ static void read_own(struct cia309 *g, struct cia309_session *s, uint64_t now_us
 {
 	const struct cia309_command *c = &s->command;
 	const uint8_t *bytes = s->value;
-	size_t size = 0;
+	size_t size;
 	enum od_status status;
 
 	if (is_domain(own_entry(g, c)))

@@ -25,15 +25,15 @@ static const struct cia309_type TYPES[] = {
 	{"x64", 8, OD_UNSIGNED64, CIA309_HEX_NUMBER},
 	{"r32", 4, OD_REAL32, CIA309_NUMBER},
 	{"r64", 8, OD_REAL64, CIA309_NUMBER},
-	{"t", 6, 0, CIA309_TIME},
-	{"td", 6, 0, CIA309_TIME},
-	{"vs", 0, 0, CIA309_STRING},
-	{"os", 0, 0, CIA309_BASE64},
-	{"us", 0, 0, CIA309_BASE64},
-	{"d", 0, 0, CIA309_BASE64},
+	{"t", 6, .form = CIA309_TIME},
+	{"td", 6, .form = CIA309_TIME},
+	{"vs", .form = CIA309_STRING},
+	{"os", .form = CIA309_BASE64},
+	{"us", .form = CIA309_BASE64},
+	{"d", .form = CIA309_BASE64},
 };
-const struct cia309_type CIA309_TYPE_HEX = {"hex", 0, 0, CIA309_HEX};
-const struct cia309_type CIA309_TYPE_RAW = {"", 0, 0, CIA309_RAW};
+const struct cia309_type CIA309_TYPE_HEX = {"hex", .form = CIA309_HEX};
+const struct cia309_type CIA309_TYPE_RAW = {"", .form = CIA309_RAW};
 
 const struct cia309_type *cia309_type(const char *name)
 {

@@ -11,7 +11,7 @@
 /** A data type: of a name. Static. */
 struct cia309_type {
 	const char *name; /* "u16" */
-	uint8_t size;	  /* bytes; 0: as many as there are */
+	uint8_t size;	  /* bytes of a number or a time; 0: as many as there are */
 	uint8_t od_type;  /* enum od_type: how a number is written; 0: not a number */
 	enum cia309_form {
 		CIA309_NUMBER,

@@ -162,6 +162,22 @@ static void test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_kno
 	assert_true(fabs(chip->gyro.matrix[0][0] - 1) > 0.005);
 }
 
+/* Since the sensor has changed between them no ellipsoid fits. */
+static void test_free_positions_that_do_not_suffice_are_not_all(void **state)
+{
+	struct world *w = *state;
+	const struct od_values *v = &w->device.values;
+
+	assert_int_equal(command(w, 3), 0);
+	seconds(w, "multiposition", 30);
+	w->sensor.accel.bias.x += 1;
+	seconds(w, "multiposition", 40);
+	assert_state(w, COMMAND_RUNNING, CALIBRATE_COLLECTING);
+	assert_int_equal(v->calibration.positions, 14);
+	assert_int_equal(v->calibration.positions_wanted, 14);
+	assert_int_equal(v->calibration.progress, 99);
+}
+
 static void test_six_faces_calibrate_the_accelerometer(void **state)
 {
 	struct world *w = *state;
@@ -402,6 +418,7 @@ int main(void)
 		TEST(test_the_sigma_of_a_gyro_bias_has_its_instability),
 		TEST(test_the_noise_of_any_axis_counts),
 		TEST(test_free_positions_calibrate_the_accelerometer),
+		TEST(test_free_positions_that_do_not_suffice_are_not_all),
 		TEST(test_free_positions_calibrate_the_matrix_of_a_gyro_whose_bias_is_known),
 		TEST(test_six_faces_calibrate_the_accelerometer),
 		TEST(test_turning_calibrates_the_magnetometer_to_the_given_field),

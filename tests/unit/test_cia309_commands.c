@@ -421,6 +421,24 @@ static void test_long_objects_of_this_node_are_read_and_written(void **state)
 	assert_int_equal(sent_count, 0);
 }
 
+/* No object of the device is one; a dictionary may have it. */
+static void test_a_long_object_that_can_only_be_written_is_not_read(void **state)
+{
+	static struct od_entry entries[1];
+	static struct od_domain program;
+	const struct od_table *whole = od.table, table = {.entries = entries, .count = 1};
+
+	(void)state;
+	entries[0] = *od_find(whole, 0x2130, 0, NULL);
+	entries[0].access = OD_WRITE;
+	program = (struct od_domain){.index = 0x2130, .write = take_data, .data = (const uint8_t *)"x", .size = 1};
+	od_set_domain(&od, &program);
+	od.table = &table;
+	assert_answer("[1] 5 r 0x2130 0 vs", "[1] ERROR:0x06010001 #the object can only be written");
+	assert_answer("[1] 5 w 0x2130 0 vs data", "[1] OK");
+	od.table = whole;
+}
+
 static void test_a_write_that_takes_longer_is_answered_at_its_end(void **state)
 {
 	(void)state;
@@ -567,6 +585,17 @@ static void test_each_lss_command_is_its_frame_and_waits_for_its_answer(void **s
 		ask_lss(c, c->answer, 0x07FF); /* 255: one of the manufacturer */
 		assert_text("ERROR:501 #LSS implementation- / manufacturer-specific error.");
 	}
+}
+
+/* Another master of the bus has asked this node before. */
+static void test_an_answer_of_this_node_to_another_lss_master_is_none_to_the_gateway(void **state)
+{
+	const struct can_msg answer = {.id = 0x7E4, .len = 8, .data = {0x5E, NODE}};
+
+	(void)state;
+	g.listener.lss_answered(g.listener.ctx, &answer);
+	run();
+	assert_answer("[1] lss_get_node", "[1] ERROR:103 #Time-out.");
 }
 
 static void test_a_selected_node_is_told_all_four_parts_of_its_address(void **state)
@@ -1000,11 +1029,13 @@ int main(void)
 		TEST(test_the_time_for_an_answer_is_as_set_by_clients_with_the_same_rights),
 		TEST(test_a_value_that_is_none_reaches_nobody),
 		TEST(test_long_objects_of_this_node_are_read_and_written),
+		TEST(test_a_long_object_that_can_only_be_written_is_not_read),
 		TEST(test_a_write_that_takes_longer_is_answered_at_its_end),
 		TEST(test_each_pdo_of_this_node_is_read_by_its_number),
 		TEST(test_a_pdo_that_is_written_is_its_frame_to_this_node),
 		TEST(test_the_version_is_that_of_the_identity),
 		TEST(test_each_lss_command_is_its_frame_and_waits_for_its_answer),
+		TEST(test_an_answer_of_this_node_to_another_lss_master_is_none_to_the_gateway),
 		TEST(test_a_selected_node_is_told_all_four_parts_of_its_address),
 		TEST(test_a_whole_lss_address_is_inquired_part_by_part),
 		TEST(test_all_nodes_get_node_ids_from_the_first_on),

@@ -463,6 +463,17 @@ static void test_a_silent_client_is_closed_after_a_while(void **state)
 	close(fd);
 }
 
+static void test_a_client_that_sends_a_part_of_a_line_is_not_silent(void **state)
+{
+	int fd = connect_unix();
+
+	(void)state;
+	now_us += CIA309_QUIET_US / 2;
+	type(fd, "[1] ");
+	assert_int_equal(turn(), now_us + CIA309_QUIET_US);
+	close(fd);
+}
+
 static void test_a_line_without_end_closes_its_client(void **state)
 {
 	static char line[CIA309_LINE_MAX];
@@ -791,6 +802,7 @@ int main(void)
 		TEST(test_a_client_that_is_gone_executes_what_it_sent_and_wakes_nobody),
 		TEST(test_a_client_that_takes_no_answers_is_closed),
 		TEST(test_a_silent_client_is_closed_after_a_while),
+		TEST(test_a_client_that_sends_a_part_of_a_line_is_not_silent),
 		TEST(test_a_line_without_end_closes_its_client),
 		TEST(test_one_client_more_than_there_are_places_is_closed),
 		TEST(test_clients_that_come_at_once_are_accepted_one_by_one),

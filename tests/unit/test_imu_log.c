@@ -356,6 +356,38 @@ static void test_the_median_is_that_of_the_sorted_intervals(void **state)
 	}
 }
 
+static void test_of_two_intervals_the_longer_is_the_median(void **state)
+{
+	const char text[] = HEADER ROW("0") ROW("0.0100") ROW("0.0205");
+	struct imu_log log = opened(text, strlen(text));
+
+	(void)state;
+	assert_true(log.rate_hz == 1e6 / 10500);
+	imu_log_close(&log);
+}
+
+/* Logs one behind the other, each of 1e10 s with its last interval: the 101st begins at 1e18 us, and only its first row
+ * is read. */
+static void test_the_times_of_logs_end_after_31700_years(void **state)
+{
+	enum { ROWS = 24, LOGS = 101 };
+	static char text[LOGS * ROWS * 40 + 100] = HEADER;
+	size_t size = strlen(text);
+	struct imu_log log;
+
+	(void)state;
+	for (int k = 0; k < LOGS * ROWS; k++) {
+		int row = k % ROWS;
+
+		size += (size_t)snprintf(text + size, sizeof text - size, "%s%.2f,1,2,3,4,5,6,7,8,%d\n",
+			row < ROWS / 2 ? "" : "99999999", row < ROWS / 2 ? 0.01 * row : 99.76 + 0.01 * row, k % 9);
+	}
+	log = opened(text, size);
+	assert_int_equal(count(&log), (LOGS - 1) * ROWS + 1);
+	assert_int_equal(log.rows.events.skipped, ROWS - 1);
+	assert_non_null(strstr(log.rows.events.last_skip, "out of range"));
+}
+
 /* Between two units: 3.3 and 4 samples a second of the one are 4000 of the other. Ten rows are needed. */
 static void test_the_unit_of_the_time_is_found_by_its_interval(void **state)
 {
@@ -597,6 +629,8 @@ int main(void)
 		cmocka_unit_test(test_a_missing_file_and_a_directory_are_refused),
 		cmocka_unit_test(test_the_rate_is_that_of_the_median_interval),
 		cmocka_unit_test(test_the_median_is_that_of_the_sorted_intervals),
+		cmocka_unit_test(test_of_two_intervals_the_longer_is_the_median),
+		cmocka_unit_test(test_the_times_of_logs_end_after_31700_years),
 		cmocka_unit_test(test_the_unit_of_the_time_is_found_by_its_interval),
 		cmocka_unit_test(test_a_unit_that_was_found_by_the_interval_is_told),
 		cmocka_unit_test(test_a_log_has_a_reference_in_whichever_column),

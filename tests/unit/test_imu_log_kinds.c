@@ -483,6 +483,22 @@ static void test_after_a_gap_bursts_have_the_time_of_their_rows_again(void **sta
 	}
 }
 
+/* The end of the last one may be missing. */
+static void test_a_single_burst_behind_a_gap_was_taken_before_its_rows(void **state)
+{
+	enum { ROWS_BEFORE = 1000, BURST = 8 };
+	FILE *file = create("log.imu.csv");
+
+	(void)state;
+	fputs(HEADER, file);
+	for (int k = 0; k < ROWS_BEFORE + BURST; k++)
+		row_at(file, t_s(k / BURST * BURST + BURST) + (k < ROWS_BEFORE ? 0 : 10), &truth[k]);
+	fclose(file);
+	assert_int_equal(read_log(path, "imu9"), ROWS_BEFORE + BURST);
+	for (int k = ROWS_BEFORE; k < ROWS_BEFORE + BURST; k++)
+		assert_true(fabs(1e-6 * (double)found[k].t_us - t_s(k) - 10) < 0.015);
+}
+
 static void test_the_column_clipped_marks_saturation(void **state)
 {
 	(void)state;
@@ -813,6 +829,7 @@ int main(void)
 		cmocka_unit_test(test_every_kind_of_log_gives_the_samples_that_were_written),
 		cmocka_unit_test(test_a_second_log_is_a_discontinuity_and_a_wrap_is_none),
 		cmocka_unit_test(test_after_a_gap_bursts_have_the_time_of_their_rows_again),
+		cmocka_unit_test(test_a_single_burst_behind_a_gap_was_taken_before_its_rows),
 		cmocka_unit_test(test_the_column_clipped_marks_saturation),
 		cmocka_unit_test(test_values_that_stay_at_the_end_of_a_usual_range_are_saturated),
 		cmocka_unit_test(test_all_of_three_samples_at_the_end_of_a_range_are_saturated),

@@ -204,6 +204,27 @@ static void test_gravity_that_turns_tells_degrees(void **state)
 	assert_unit(&u, GYRO, "deg/s", 6);
 }
 
+/* In a window they turn by a whole turn more when they are taken for rad/s: both units fit what gravity does. */
+static void test_rates_that_fit_in_both_units_are_left(void **state)
+{
+	const double window_s = 0.2, turn_rad = 2 * 3.14159265358979323846 / (1 / DEG - 1), rate = turn_rad / window_s;
+	struct log_units u = {0};
+
+	(void)state;
+	for (int k = 0; k <= 50 * 20; k++) {
+		/* with errors that differ from window to window */
+		double angle = -rate * k * 0.01 + 0.01 * (k / 20 % 3 - 1);
+		struct imu_sample s = {.t_us = (uint64_t)(k * 10000),
+			.gyro_rad_s = {rate / DEG, 0, 0},
+			.accel_m_s2 = {0, -G * sin(angle), G * cos(angle)}};
+
+		log_units_add(&u, &s);
+	}
+	assert_true(u.windows >= 45);
+	assert_true(rate / DEG < 70);
+	assert_unit(&u, GYRO, NULL, rate / DEG);
+}
+
 /* From one sample to the next half a second: nothing is known of the turn. */
 static void test_samples_half_a_second_apart_tell_nothing_of_the_rate(void **state)
 {
@@ -328,6 +349,7 @@ int main(void)
 		cmocka_unit_test(test_the_noise_at_rest_tells_degrees),
 		cmocka_unit_test(test_gravity_that_turns_tells_degrees),
 		cmocka_unit_test(test_samples_half_a_second_apart_tell_nothing_of_the_rate),
+		cmocka_unit_test(test_rates_that_fit_in_both_units_are_left),
 		cmocka_unit_test(test_rates_that_fit_in_no_unit_are_left),
 		cmocka_unit_test(test_the_ends_of_usual_ranges_are_clipped_on_every_axis),
 		cmocka_unit_test(test_the_printed_digits_of_an_end_may_be_few),

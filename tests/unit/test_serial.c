@@ -216,6 +216,26 @@ static void test_a_bus_with_a_long_name_keeps_its_serial_number(void **state)
 	assert_int_equal(serial_of(pi, store, "can0"), a.serial);
 }
 
+/* A file has names of up to 255 characters. */
+static void test_buses_whose_long_names_differ_in_the_last_character_have_different_serial_numbers(void **state)
+{
+	char bus[256] = "slcan:", other_bus[256];
+	struct gateway a, b;
+
+	(void)state;
+	memset(bus + strlen(bus), 'x', sizeof(bus) - 1 - strlen(bus));
+	strcpy(other_bus, bus);
+	other_bus[254] = 'y';
+	a = start(pi, store, bus, 0);
+	b = start(pi, store, other_bus, 0);
+	end_gateway(a);
+	end_gateway(b);
+	assert_string_equal(b.note, "");
+	assert_int_equal(serial_of(pi, store, bus), a.serial);
+	assert_int_equal(serial_of(pi, store, other_bus), b.serial);
+	assert_int_not_equal(a.serial, b.serial);
+}
+
 static void test_a_new_installation_on_the_same_board_has_the_same_serial_number(void **state)
 {
 	uint32_t serial = serial_of(pi, store, "can0");
@@ -527,6 +547,7 @@ int main(void)
 		TEST(test_the_number_is_the_crc_of_a_number_of_the_hardware),
 		TEST(test_sixteen_gateways_of_a_host_keep_their_serial_numbers),
 		TEST(test_a_bus_with_a_long_name_keeps_its_serial_number),
+		TEST(test_buses_whose_long_names_differ_in_the_last_character_have_different_serial_numbers),
 		TEST(test_a_new_installation_on_the_same_board_has_the_same_serial_number),
 		TEST(test_a_copied_card_has_another_serial_number_on_another_board_and_says_so),
 		TEST(test_two_gateways_of_a_host_have_different_serial_numbers_in_any_order),

@@ -398,8 +398,8 @@ static void test_a_saturated_chip_has_words_at_the_end_of_its_range(void **state
 
 /* ---- addresses --------------------------------------------------------------------------------------------------- */
 
-/* A sub-address without its bit 7 (or IF_INC of the LSM6) repeats one register. The old magnetometers always count, and
- * from the last data register on begin again with the first. */
+/* A sub-address without its bit 7 (or IF_INC of the LSM6, IF_ADD_INC of the LSM9DS1) repeats one register. The old
+ * magnetometers always count, and from the last data register on begin again with the first. */
 static void test_a_read_of_several_registers_counts_where_the_data_sheet_says_so(void **state)
 {
 	uint8_t bytes[8];
@@ -424,6 +424,15 @@ static void test_a_read_of_several_registers_counts_where_the_data_sheet_says_so
 	put(IMU_CHIP_GYRO, 0x12, 0x00);
 	get(IMU_CHIP_GYRO, 0x0F, bytes, 2);
 	assert_int_equal(bytes[1], 0x69);
+	world_free(w);
+
+	board("lsm9ds1", "rest");
+	get(IMU_CHIP_GYRO, 0x0F, bytes, 2);
+	assert_int_equal(bytes[0], 0x68);
+	assert_int_equal(bytes[1], 0x00);
+	put(IMU_CHIP_GYRO, 0x22, 0x01);
+	get(IMU_CHIP_GYRO, 0x0F, bytes, 2);
+	assert_int_equal(bytes[1], 0x68);
 	world_free(w);
 
 	board("v2", "rest");

@@ -34,6 +34,7 @@ void gpiod_chip_close(struct gpiod_chip *chip)
 {
 	assert_ptr_equal(chip, &the_chip);
 	gpiod_stub.open_objects--;
+	errno = EBADF; /* of closing it, not why there is no line */
 }
 
 struct gpiod_line *gpiod_chip_get_line(struct gpiod_chip *chip, unsigned line)

@@ -56,6 +56,7 @@ void gpiod_chip_close(struct gpiod_chip *chip)
 {
 	assert_ptr_equal(chip, &the_chip);
 	gpiod_stub.open_objects--;
+	errno = EBADF; /* of closing it, not why there is no line */
 }
 
 struct gpiod_line_settings *gpiod_line_settings_new(void)
