@@ -97,6 +97,8 @@ static const double BIAS_TIME_S = 100;
 /* s, correlation time of what vibration and clipping do to the force. By judgement: as long as an engine keeps its
  * speed. */
 static const double FORCE_ERROR_S = 10;
+/* s, correlation time of the error by the accelerometer's steps in a motion. By judgement: that of its force. */
+static const double STEPS_ERROR_S = 1;
 
 /* ---- standstill ---- */
 
@@ -1093,7 +1095,8 @@ static void creep(struct navigation *n, double sigma_m_s, double *since_s, doubl
 static double creep_m_s(const struct navigation *n)
 {
 	double turning_m_s = n->turning ? assumptions(n)->creep_m_s : 0;
-	double seen_m_s = zero_velocity_slowest_seen_m_s(&n->noise, n->gravity_m_s2);
+	const struct noise_config noise = noise_seen(&n->seen, &n->config.noise); /* hidden steps do not creep */
+	double seen_m_s = zero_velocity_slowest_seen_m_s(&noise, n->gravity_m_s2);
 
 	return fmax(turning_m_s, sqrt(fmax(0, squared(seen_m_s) - squared(assumptions(n)->slowest_m_s))));
 }
@@ -1374,8 +1377,8 @@ static void follow_rope(struct navigation *n, double dt_s)
 	}
 }
 
-/* A chip may be noisier than told. */
-static void watch_noise(struct navigation *n)
+/* A chip may be noisier than told, and coarser. */
+static void watch_noise(struct navigation *n, double steps_variance_m2_s4)
 {
 	const struct navigation_sums *s = &n->sums;
 
@@ -1385,6 +1388,8 @@ static void watch_noise(struct navigation *n)
 		noise_seen_step(&n->seen, &n->config.noise, quat_rotate_inverse(n->q_nb, vec3_scale(1 / s->t_s, s->f)),
 			vec3_scale(1 / s->t_s, s->turned_b_rad), s->t_s);
 	n->noise = noise_seen(&n->seen, &n->config.noise);
+	n->noise.accel_density_m_s2_sqrt_hz =
+		sqrt(squared(n->noise.accel_density_m_s2_sqrt_hz) + 4 * STEPS_ERROR_S * steps_variance_m2_s4);
 }
 
 static void end_interval(struct navigation *n, const struct navigation_input *in, double dt_s)
@@ -1393,7 +1398,7 @@ static void end_interval(struct navigation *n, const struct navigation_input *in
 	struct quat before = n->q_nb;
 	struct vec3 rate_b_rad_s = vec3_scale(1 / t_s, n->sums.turned_b_rad);
 
-	watch_noise(n);
+	watch_noise(n, in->steps_variance_m2_s4);
 	if (!assumptions(n)->dwell)
 		add_scale_error(n);
 	if (!assumptions(n)->dwell)

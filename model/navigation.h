@@ -91,6 +91,7 @@ struct navigation_input {
 	double unseen_turn_rad; /* 1 sigma, each axis, of the turn by missing samples before this one; 0: none are */
 	bool north_found; /* the fusion's heading has just been set: it is another one than that of the sample before */
 	double force_variance_m2_s4; /* of the force, each axis, beyond that of a calibration (vibration, clipping) */
+	double steps_variance_m2_s4; /* of the error of the mean force by the accelerometer's steps, each axis */
 	double gravity_m_s2;
 	struct vec3 lever_b_m; /* reference point -> sensor */
 };

@@ -613,6 +613,7 @@ static void locate(
 		.unseen_turn_rad = kalman(p)->unseen_turn_rad,
 		.north_found = p->north_found,
 		.force_variance_m2_s4 = p->vibration.force_error_m_s2 * p->vibration.force_error_m_s2,
+		.steps_variance_m2_s4 = quantisation_variance(&p->accel_steps),
 		.gravity_m_s2 = p->config.estimator.gravity_m_s2,
 	};
 
@@ -783,6 +784,7 @@ int pipeline_step(struct pipeline *p, const struct imu_sample *sample, struct pi
 	if (gap)
 		p->primed = false;
 
+	quantisation_step(&p->accel_steps, sample->accel_m_s2, dt_s);
 	clean = without_glitches(p, &s, dt_s);
 	force = s.accel_m_s2;
 	s.accel_m_s2 = at_the_gyros_instant(p, &s);

@@ -21,6 +21,7 @@
 #include "model/math/filter.h"
 #include "model/fusion.h"
 #include "model/position.h"
+#include "model/quantisation.h"
 #include "model/rates.h"
 #include "model/rest.h"
 #include "model/sample.h"
@@ -134,6 +135,7 @@ struct pipeline {
 	double change_of_white; /* variance of accel_change by white noise of variance 1 */
 	struct rest rest;
 	struct glitch gyro_glitch, accel_glitch;
+	struct quantisation accel_steps;
 	struct vibration vibration;
 	struct warming warming;
 	struct position position;

@@ -263,6 +263,9 @@ def all_motions():
     for name in ('straight 0.05 m/s, 60 s', 'straight 0.2 m/s, 10 s', 'straight 1 m/s, 60 s',
                  'lift 12 m, 2 m/s, preset 6'):
         m[name + ', noisier than told'] = replace(m[name], chip=noisy)
+    for name in ('straight 0.2 m/s, 60 s', 'road 1 m/s², 1 m/s, 60 s', 'lift 12 m, 2 m/s, preset 6',
+                 'lift 40 m, 2.5 m/s, preset 6', 'circle 2 m, 0.02 rad/s', 'arm 1 m, ±20 deg, 0.1 Hz'):
+        m[name + ', steps of 8 mg'] = replace(m[name], chip={'accel_step_m_s2': 8e-3 * GRAVITY_M_S2})
     for name in ('straight 0.5 m/s, 10 s', 'straight 1 m/s, 60 s', 'lift 40 m, 2.5 m/s, preset 6',
                  'turn 1.15 deg/s, 60 s', 'crane, rope 5 m, preset 7 with 5 m',
                  'on foot, 40 strides of 1.3 m, preset 5'):

@@ -1619,7 +1619,7 @@ static void test_the_velocity_at_a_standstill_is_known_to_the_vibration_and_to_a
 
 	(void)state;
 	memset(n.p, 0, sizeof(n.p));
-	n.noise = (struct noise_config){0};
+	n.noise = n.config.noise = (struct noise_config){0};
 	n.zero_velocity.vibration_m2_s2 = 4e-4;
 	assert_vec_near(navigation_sigma(&n, 100).velocity_m_s, ZERO, 1e-12); /* in motion it is part of the velocity */
 	n.still = true;
