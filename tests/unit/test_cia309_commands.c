@@ -503,6 +503,13 @@ static void test_the_version_is_that_of_the_identity(void **state)
 	assert_answer("[9] info version", "[9] 11 22 3.4 55 1 3.0 " IMU9_VERSION);
 }
 
+static void test_an_answer_has_the_longest_number_of_its_command(void **state)
+{
+	(void)state;
+	assert_answer("[4294967295] set node 5", "[4294967295] OK");
+	assert_answer("[4294967295] 5 r 0x1017 0 u16", "[4294967295] 1000");
+}
+
 /* ---- LSS --------------------------------------------------------------------------------------------------------- */
 
 /* CiA 305, 6.4: the frame of each request; the command of its answer, 0: there is none; how long it is waited for. */
@@ -849,6 +856,26 @@ static void test_equal_changes_have_the_same_number_in_the_log_and_others_anothe
 	}
 }
 
+static unsigned number_of_write(unsigned index, unsigned sub)
+{
+	char line[64];
+
+	snprintf(line, sizeof(line), "[1] 5 w 0x%04X %u u8 0", index, sub);
+	ask(line);
+	return log_number;
+}
+
+static void test_each_bit_of_an_index_and_a_sub_index_makes_another_number(void **state)
+{
+	const unsigned number = number_of_write(0x5A5A, 0x5A);
+
+	(void)state;
+	for (unsigned bit = 0; bit < 16; bit++)
+		assert_int_not_equal(number_of_write(0x5A5A ^ 1u << bit, 0x5A), number);
+	for (unsigned bit = 0; bit < 8; bit++)
+		assert_int_not_equal(number_of_write(0x5A5A, 0x5A ^ 1u << bit), number);
+}
+
 static void test_the_log_gets_what_can_be_printed_of_a_line_up_to_63_characters(void **state)
 {
 	char line[200] = "[1] 5 start #";
@@ -1034,6 +1061,7 @@ int main(void)
 		TEST(test_each_pdo_of_this_node_is_read_by_its_number),
 		TEST(test_a_pdo_that_is_written_is_its_frame_to_this_node),
 		TEST(test_the_version_is_that_of_the_identity),
+		TEST(test_an_answer_has_the_longest_number_of_its_command),
 		TEST(test_each_lss_command_is_its_frame_and_waits_for_its_answer),
 		TEST(test_an_answer_of_this_node_to_another_lss_master_is_none_to_the_gateway),
 		TEST(test_a_selected_node_is_told_all_four_parts_of_its_address),
@@ -1045,6 +1073,7 @@ int main(void)
 		TEST(test_a_search_waits_for_the_client_that_takes_its_answers),
 		TEST(test_what_changes_something_is_logged_and_refused_to_who_only_reads),
 		TEST(test_equal_changes_have_the_same_number_in_the_log_and_others_another),
+		TEST(test_each_bit_of_an_index_and_a_sub_index_makes_another_number),
 		TEST(test_the_log_gets_what_can_be_printed_of_a_line_up_to_63_characters),
 		TEST(test_a_line_that_is_no_command_is_not_logged),
 		TEST(test_clients_with_many_lines_take_turns_of_a_millisecond),
