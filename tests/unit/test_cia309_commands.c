@@ -1001,6 +1001,53 @@ static void test_a_long_answer_is_not_overwritten_by_another_client(void **state
 	assert_memory_equal(take(third), "bbb", 3);
 }
 
+static size_t letters(void *ctx, uint8_t *out)
+{
+	memset(out, 'a', *(size_t *)ctx);
+	return *(size_t *)ctx;
+}
+
+static size_t length_of_answer(const char *line)
+{
+	size_t length = 0;
+
+	for (const char *piece = ask(line); *piece; piece = take(client)) {
+		length += strlen(piece);
+		if (cia309_idle(client))
+			assert_string_equal(piece + strlen(piece) - 2, "\r\n");
+		run();
+	}
+	return length;
+}
+
+/* The answer fills the output to the last byte, or is some bytes longer or shorter. */
+static void test_a_long_answer_ends_with_its_line_break_wherever_it_ends(void **state)
+{
+	static struct od_domain log;
+	size_t size;
+
+	(void)state;
+	log = (struct od_domain){.index = 0x2131, .read = letters, .ctx = &size};
+	od_set_domain(&od, &log);
+	for (unsigned number = 1; number < 10000; number *= 10) {
+		char line[64];
+		size_t head = (size_t)snprintf(line, sizeof(line), "[%u] ", number);
+
+		for (size = CIA309_OUT_MAX - 20; size < CIA309_OUT_MAX + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0 vs");
+			assert_int_equal(length_of_answer(line), head + 1 + size + 1 + 2);
+		}
+		for (size = CIA309_OUT_MAX / 4 * 3 - 20; size < CIA309_OUT_MAX / 4 * 3 + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0 d");
+			assert_int_equal(length_of_answer(line), head + (size + 2) / 3 * 4 + 2);
+		}
+		for (size = CIA309_OUT_MAX / 3 - 20; size < CIA309_OUT_MAX / 3 + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0");
+			assert_int_equal(length_of_answer(line), head + 3 * size - 1 + 2);
+		}
+	}
+}
+
 /* Its answers are not taken, and there is no room for what is wrong. */
 static void test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing(void **state)
 {
@@ -1079,6 +1126,7 @@ int main(void)
 		TEST(test_clients_with_many_lines_take_turns_of_a_millisecond),
 		TEST(test_a_client_that_takes_no_answer_gets_no_other),
 		TEST(test_a_long_answer_is_not_overwritten_by_another_client),
+		TEST(test_a_long_answer_ends_with_its_line_break_wherever_it_ends),
 		TEST(test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing),
 		TEST(test_a_client_that_is_gone_leaves_its_place_clean),
 	};
