@@ -637,7 +637,7 @@ static struct {
 	unsigned nodes, stores;
 	bool deaf; /* after the first question */
 	uint8_t node_error, store_error;
-	bool no_node_answer;
+	bool no_node_answer, no_store_answer;
 	uint8_t ids[128];
 	unsigned assigned;
 	uint32_t match[4];
@@ -668,7 +668,8 @@ static void scan(const struct can_msg *msg)
 		slaves.stores++;
 		answer[0] = 0x17;
 		answer[1] = slaves.store_error;
-		respond(0x7E4, answer);
+		if (!slaves.no_store_answer)
+			respond(0x7E4, answer);
 		break;
 	case 0x04:
 		assert_int_equal(msg->data[1], 0); /* back to the waiting state */
@@ -768,6 +769,11 @@ static void test_a_search_that_fails_tells_at_which_step(void **state)
 	start_us = now_us;
 	assert_string_equal(scan_nodes(1, "[1] lss_allnodes 1 9 1"), "[1] ERROR:103 #Time-out.\r\n");
 	assert_in_range(now_us - start_us, 1000000, 1200000);
+	slaves.no_node_answer = false;
+	slaves.no_store_answer = true;
+	start_us = now_us;
+	assert_string_equal(scan_nodes(1, "[1] lss_allnodes 1 9 1"), "[1] ERROR:103 #Time-out.\r\n");
+	assert_in_range(now_us - start_us, 5000000, 5200000);
 }
 
 /* The client takes its answers late: the search waits for it, and nothing is lost. */
