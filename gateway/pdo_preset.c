@@ -6,7 +6,7 @@
 #include "od/little_endian.h"
 #include "od_index.h"
 
-enum { PRESETS = 4, PDOS = 4, ENTRIES = 4, PDO_ENTRIES = 8 };
+enum { PRESETS = 4, PDOS = 4, ENTRIES = 4 };
 enum { FIRST_COMMUNICATION = 0x1800, FIRST_MAPPING = 0x1A00, LAST = 0x1BFF };
 
 #define COB_ID_INVALID 0x80000000u
@@ -78,9 +78,9 @@ static enum od_status write_u32(struct od *od, uint16_t index, uint8_t sub, uint
 	return od_write(od, index, sub, wire, sizeof(wire));
 }
 
-/* COB-ID and mapping of a PDO. */
+/* COB-ID and mapping of a PDO, of which no preset writes more entries. */
 struct pdo_setting {
-	uint32_t cob_id, entries[PDO_ENTRIES];
+	uint32_t cob_id, entries[ENTRIES];
 	uint8_t entry_count; /* that are written */
 	uint8_t count;	     /* that are mapped: sub-index 0 */
 };
@@ -89,9 +89,9 @@ static struct pdo_setting setting_of(const struct od *od, uint16_t pdo)
 {
 	uint8_t count = mapped_count(od, pdo);
 	struct pdo_setting setting = {
-		.cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1), .entry_count = PDO_ENTRIES, .count = count};
+		.cob_id = read_u32(od, FIRST_COMMUNICATION + pdo, 1), .entry_count = ENTRIES, .count = count};
 
-	for (uint8_t i = 0; i < PDO_ENTRIES; i++)
+	for (uint8_t i = 0; i < ENTRIES; i++)
 		setting.entries[i] = read_u32(od, FIRST_MAPPING + pdo, i + 1);
 	return setting;
 }

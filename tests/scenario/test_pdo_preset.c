@@ -170,6 +170,57 @@ static void test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none(vo
 	assert_int_equal(w->device.values.pdo_preset, 1);
 }
 
+static void test_without_any_mapping_there_is_no_preset(void **state)
+{
+	struct world *w = *state;
+	const uint8_t invalid[] = {0, 0, 0, 0x80}, none = 0;
+
+	for (uint16_t pdo = 0; pdo < 4; pdo++) {
+		assert_int_equal(world_sdo_write(w, 0x1800 + pdo, 1, invalid, 4), 0);
+		assert_int_equal(world_sdo_write(w, 0x1A00 + pdo, 0, &none, 1), 0);
+	}
+	assert_int_equal(w->device.values.pdo_preset, 0);
+}
+
+/* Neither by a preset, nor by one that cannot be mapped. */
+static void test_the_fifth_pdo_is_in_no_preset_and_not_changed(void **state)
+{
+	struct world *w = *state;
+	const uint8_t error_register[] = {8, 0, 0x01, 0x10}, valid[] = {0x81, 2, 0, 0}, invalid[] = {0, 0, 0, 0x80};
+	const uint8_t one = 1;
+
+	assert_int_equal(world_sdo_write(w, 0x1A04, 1, error_register, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A04, 0, &one, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1804, 1, valid, 4), 0);
+	assert_int_equal(w->device.values.pdo_preset, 1);
+	assert_int_equal(choose(w, 2), 0);
+	assert_int_equal(w->device.values.pdo_preset, 2);
+	assert_int_equal(world_sdo_write(w, 0x1803, 1, invalid, 4), 0);
+	assert_int_equal(choose(w, 3), 0x06090030);
+	assert_int_equal(w->device.values.tpdo5_communication.cob_id, 0x281);
+	assert_int_equal(*(uint8_t *)od_value(&w->device.od, 0x1A04, 0, 1), 1);
+	assert_memory_equal(od_value(&w->device.od, 0x1A04, 1, 4), error_register, 4);
+}
+
+static void test_a_mapping_of_eight_objects_is_kept_when_a_preset_cannot_be_mapped(void **state)
+{
+	struct world *w = *state;
+	const uint8_t invalid[] = {0, 0, 0, 0x80}, valid[] = {0x85, 1, 0, 0}, none = 0, eight = 8;
+	const uint8_t error_register[] = {8, 0, 0x01, 0x10};
+
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, invalid, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &none, 1), 0);
+	for (uint8_t sub = 1; sub <= 8; sub++)
+		assert_int_equal(world_sdo_write(w, 0x1A00, sub, error_register, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1A00, 0, &eight, 1), 0);
+	assert_int_equal(world_sdo_write(w, 0x1800, 1, valid, 4), 0);
+	assert_int_equal(world_sdo_write(w, 0x1803, 1, invalid, 4), 0);
+	const struct od_values before = w->device.values;
+	assert_int_equal(choose(w, 4), 0x06090030);
+	assert_memory_equal(&w->device.values.tpdo1_mapping, &before.tpdo1_mapping, sizeof(before.tpdo1_mapping));
+	assert_int_equal(w->device.values.tpdo1_communication.cob_id, 0x185);
+}
+
 static void test_a_preset_is_stored_as_its_mapping(void **state)
 {
 	struct world *w = *state;
@@ -257,6 +308,9 @@ int main(void)
 		PRESET_TEST(test_the_object_reads_which_preset_is_mapped),
 		PRESET_TEST(test_a_mapping_that_differs_in_one_entry_is_none),
 		PRESET_TEST(test_the_beginning_of_a_preset_and_one_that_is_not_valid_are_none),
+		PRESET_TEST(test_without_any_mapping_there_is_no_preset),
+		PRESET_TEST(test_the_fifth_pdo_is_in_no_preset_and_not_changed),
+		PRESET_TEST(test_a_mapping_of_eight_objects_is_kept_when_a_preset_cannot_be_mapped),
 		PRESET_TEST(test_a_preset_is_stored_as_its_mapping),
 		PRESET_TEST(test_a_preset_that_cannot_be_mapped_changes_nothing),
 		PRESET_TEST(test_other_numbers_are_refused_and_change_nothing),

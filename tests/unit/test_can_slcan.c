@@ -434,6 +434,9 @@ static void test_an_adapter_that_refuses_every_frame_is_set_up_again(void **stat
 	assert_null(r->port->notice); /* it may refuse to be set up, too */
 	set_up_adapter(r);
 	assert_non_null(strstr(r->port->notice, "refused frames"));
+	r->now_us += 2500000; /* and no frame is sent: nothing is known against it */
+	can_service(r->port, r->now_us);
+	assert_hears(r, "F\r");
 }
 
 /* Each frame that it accepts, and each that it receives, shows that it is on the bus. */

@@ -1044,6 +1044,21 @@ static void test_bus_off_is_ended_where_the_kernel_does_not_do_it(void **state)
 	assert_int_equal(k.order_count, 1);
 }
 
+/* One socket to ask for the state, one to change it. */
+static void test_bus_off_that_cannot_be_ended_for_want_of_a_socket_stays(void **state)
+{
+	(void)state;
+	put_controller(3, 0, NULL, 0);
+	open_bus();
+	for (k.failing = 1; k.failing <= 2; k.failing++) {
+		k.calls = 0;
+		assert_int_equal(can_restart(port), -EIO);
+		assert_int_equal(port->state, CAN_STATE_BUS_OFF);
+	}
+	k.failing = 0;
+	assert_int_equal(can_restart(port), 0);
+}
+
 int main(void)
 {
 #define KERNEL_TEST(f) cmocka_unit_test_setup_teardown(f, set_up, tear_down)
@@ -1079,6 +1094,7 @@ int main(void)
 		KERNEL_TEST(test_a_bit_rate_that_cannot_be_set_is_refused),
 		KERNEL_TEST(test_an_interface_that_does_not_come_up_again_is_reported),
 		KERNEL_TEST(test_bus_off_is_ended_where_the_kernel_does_not_do_it),
+		KERNEL_TEST(test_bus_off_that_cannot_be_ended_for_want_of_a_socket_stays),
 	};
 
 	return cmocka_run_group_tests_name("socketcan_port", tests, count_descriptors, no_descriptor_is_left);

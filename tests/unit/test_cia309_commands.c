@@ -503,6 +503,13 @@ static void test_the_version_is_that_of_the_identity(void **state)
 	assert_answer("[9] info version", "[9] 11 22 3.4 55 1 3.0 " IMU9_VERSION);
 }
 
+static void test_an_answer_has_the_longest_number_of_its_command(void **state)
+{
+	(void)state;
+	assert_answer("[4294967295] set node 5", "[4294967295] OK");
+	assert_answer("[4294967295] 5 r 0x1017 0 u16", "[4294967295] 1000");
+}
+
 /* ---- LSS --------------------------------------------------------------------------------------------------------- */
 
 /* CiA 305, 6.4: the frame of each request; the command of its answer, 0: there is none; how long it is waited for. */
@@ -630,7 +637,7 @@ static struct {
 	unsigned nodes, stores;
 	bool deaf; /* after the first question */
 	uint8_t node_error, store_error;
-	bool no_node_answer;
+	bool no_node_answer, no_store_answer;
 	uint8_t ids[128];
 	unsigned assigned;
 	uint32_t match[4];
@@ -661,7 +668,8 @@ static void scan(const struct can_msg *msg)
 		slaves.stores++;
 		answer[0] = 0x17;
 		answer[1] = slaves.store_error;
-		respond(0x7E4, answer);
+		if (!slaves.no_store_answer)
+			respond(0x7E4, answer);
 		break;
 	case 0x04:
 		assert_int_equal(msg->data[1], 0); /* back to the waiting state */
@@ -761,6 +769,11 @@ static void test_a_search_that_fails_tells_at_which_step(void **state)
 	start_us = now_us;
 	assert_string_equal(scan_nodes(1, "[1] lss_allnodes 1 9 1"), "[1] ERROR:103 #Time-out.\r\n");
 	assert_in_range(now_us - start_us, 1000000, 1200000);
+	slaves.no_node_answer = false;
+	slaves.no_store_answer = true;
+	start_us = now_us;
+	assert_string_equal(scan_nodes(1, "[1] lss_allnodes 1 9 1"), "[1] ERROR:103 #Time-out.\r\n");
+	assert_in_range(now_us - start_us, 5000000, 5200000);
 }
 
 /* The client takes its answers late: the search waits for it, and nothing is lost. */
@@ -847,6 +860,26 @@ static void test_equal_changes_have_the_same_number_in_the_log_and_others_anothe
 		for (size_t k = 0; k < i; k++)
 			assert_int_equal(numbers[k] == numbers[i], SAME_AS[k] == SAME_AS[i]);
 	}
+}
+
+static unsigned number_of_write(unsigned index, unsigned sub)
+{
+	char line[64];
+
+	snprintf(line, sizeof(line), "[1] 5 w 0x%04X %u u8 0", index, sub);
+	ask(line);
+	return log_number;
+}
+
+static void test_each_bit_of_an_index_and_a_sub_index_makes_another_number(void **state)
+{
+	const unsigned number = number_of_write(0x5A5A, 0x5A);
+
+	(void)state;
+	for (unsigned bit = 0; bit < 16; bit++)
+		assert_int_not_equal(number_of_write(0x5A5A ^ 1u << bit, 0x5A), number);
+	for (unsigned bit = 0; bit < 8; bit++)
+		assert_int_not_equal(number_of_write(0x5A5A, 0x5A ^ 1u << bit), number);
 }
 
 static void test_the_log_gets_what_can_be_printed_of_a_line_up_to_63_characters(void **state)
@@ -974,6 +1007,53 @@ static void test_a_long_answer_is_not_overwritten_by_another_client(void **state
 	assert_memory_equal(take(third), "bbb", 3);
 }
 
+static size_t letters(void *ctx, uint8_t *out)
+{
+	memset(out, 'a', *(size_t *)ctx);
+	return *(size_t *)ctx;
+}
+
+static size_t length_of_answer(const char *line)
+{
+	size_t length = 0;
+
+	for (const char *piece = ask(line); *piece; piece = take(client)) {
+		length += strlen(piece);
+		if (cia309_idle(client))
+			assert_string_equal(piece + strlen(piece) - 2, "\r\n");
+		run();
+	}
+	return length;
+}
+
+/* The answer fills the output to the last byte, or is some bytes longer or shorter. */
+static void test_a_long_answer_ends_with_its_line_break_wherever_it_ends(void **state)
+{
+	static struct od_domain log;
+	size_t size;
+
+	(void)state;
+	log = (struct od_domain){.index = 0x2131, .read = letters, .ctx = &size};
+	od_set_domain(&od, &log);
+	for (unsigned number = 1; number < 10000; number *= 10) {
+		char line[64];
+		size_t head = (size_t)snprintf(line, sizeof(line), "[%u] ", number);
+
+		for (size = CIA309_OUT_MAX - 20; size < CIA309_OUT_MAX + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0 vs");
+			assert_int_equal(length_of_answer(line), head + 1 + size + 1 + 2);
+		}
+		for (size = CIA309_OUT_MAX / 4 * 3 - 20; size < CIA309_OUT_MAX / 4 * 3 + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0 d");
+			assert_int_equal(length_of_answer(line), head + (size + 2) / 3 * 4 + 2);
+		}
+		for (size = CIA309_OUT_MAX / 3 - 20; size < CIA309_OUT_MAX / 3 + 5; size++) {
+			strcpy(line + head, "5 r 0x2131 0");
+			assert_int_equal(length_of_answer(line), head + 3 * size - 1 + 2);
+		}
+	}
+}
+
 /* Its answers are not taken, and there is no room for what is wrong. */
 static void test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing(void **state)
 {
@@ -1034,6 +1114,7 @@ int main(void)
 		TEST(test_each_pdo_of_this_node_is_read_by_its_number),
 		TEST(test_a_pdo_that_is_written_is_its_frame_to_this_node),
 		TEST(test_the_version_is_that_of_the_identity),
+		TEST(test_an_answer_has_the_longest_number_of_its_command),
 		TEST(test_each_lss_command_is_its_frame_and_waits_for_its_answer),
 		TEST(test_an_answer_of_this_node_to_another_lss_master_is_none_to_the_gateway),
 		TEST(test_a_selected_node_is_told_all_four_parts_of_its_address),
@@ -1045,11 +1126,13 @@ int main(void)
 		TEST(test_a_search_waits_for_the_client_that_takes_its_answers),
 		TEST(test_what_changes_something_is_logged_and_refused_to_who_only_reads),
 		TEST(test_equal_changes_have_the_same_number_in_the_log_and_others_another),
+		TEST(test_each_bit_of_an_index_and_a_sub_index_makes_another_number),
 		TEST(test_the_log_gets_what_can_be_printed_of_a_line_up_to_63_characters),
 		TEST(test_a_line_that_is_no_command_is_not_logged),
 		TEST(test_clients_with_many_lines_take_turns_of_a_millisecond),
 		TEST(test_a_client_that_takes_no_answer_gets_no_other),
 		TEST(test_a_long_answer_is_not_overwritten_by_another_client),
+		TEST(test_a_long_answer_ends_with_its_line_break_wherever_it_ends),
 		TEST(test_a_line_that_is_too_long_behind_a_full_output_overwrites_nothing),
 		TEST(test_a_client_that_is_gone_leaves_its_place_clean),
 	};

@@ -357,9 +357,9 @@ static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **stat
 {
 	static const char *const BAD[] = {"tcp:0.0.0.0:60000", "tcp:192.168.1.1:60000", "tcp:localhost:60000",
 		"tcp:127.0.0.1", "tcp:127.0.0.1:0", "tcp:127.0.0.1:65536", "tcp:127.0.0.1:6x", "tcp:[::]:60000",
-		"unix:", "unix:relative", "udp:127.0.0.1:60000", "/run/309", "unix:/run/309,write=maybe",
-		"tcp:127.0.0.1:60000,group=root", "unix:/run/309,group=no-such-group", "unix:/run/309,mode=0666",
-		"unix:/run/309,group:root", "unix:/run/309,write:yes"};
+		"unix:", "unix:relative", "unix;/run/309", "tcp;127.0.0.1:60000", "udp:127.0.0.1:60000", "/run/309",
+		"unix:/run/309,write=maybe", "tcp:127.0.0.1:60000,group=root", "unix:/run/309,group=no-such-group",
+		"unix:/run/309,mode=0666", "unix:/run/309,group:root", "unix:/run/309,write:yes"};
 	char error[256];
 
 	(void)state;
@@ -375,6 +375,17 @@ static void test_addresses_of_other_hosts_and_wrong_ones_are_refused(void **stat
 	assert_int_equal(
 		cia309_server_check("unix:/a\nunix:/b\nunix:/c\nunix:/d\nunix:/e\n", error, sizeof(error)), -EINVAL);
 	assert_int_equal(cia309_server_check("", error, sizeof(error)), 0);
+}
+
+static void test_an_address_has_255_characters_at_most(void **state)
+{
+	char text[257] = "tcp:127.0.0.1:60000", error[256];
+
+	(void)state;
+	memset(text + strlen(text), ',', 256 - strlen(text)); /* options without a name are none */
+	assert_int_equal(cia309_server_check(text, error, sizeof(error)), -EINVAL);
+	text[255] = '\0';
+	assert_int_equal(cia309_server_check(text, error, sizeof(error)), 0);
 }
 
 static void test_a_socket_that_was_left_is_replaced_and_a_living_one_or_a_file_is_not(void **state)
@@ -797,6 +808,7 @@ int main(void)
 		TEST(test_a_socket_without_write_yes_changes_nothing),
 		TEST(test_tcp_listens_on_the_loopback_address),
 		TEST(test_addresses_of_other_hosts_and_wrong_ones_are_refused),
+		TEST(test_an_address_has_255_characters_at_most),
 		TEST(test_a_socket_that_was_left_is_replaced_and_a_living_one_or_a_file_is_not),
 		TEST(test_a_client_that_has_ended_its_input_receives_its_answers),
 		TEST(test_a_client_that_is_gone_executes_what_it_sent_and_wakes_nobody),

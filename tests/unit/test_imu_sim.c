@@ -175,6 +175,7 @@ static void test_an_unknown_scenario_or_option_is_refused_with_what_to_use(void 
 {
 	const char *const bad[][2] = {{"sim:circle", "use one of square, boat, roll_step, rest"},
 		{"sim:boat,speed=2", "use rate=HZ, board="}, {"sim:boat,rate=0", "use rate=HZ"},
+		{"sim:boat,rate;100", "use rate=HZ"}, {"sim:boat,board;v3", "use rate=HZ"},
 		{"sim:boat,rate=100x", "use rate=HZ"}, {"sim:boat,rate=1e9", "the L3GD20H has at most 800 Hz"},
 		{"sim:boat,board=v4", "use v0, v1, v2, v3, v5, v6, lsm9ds1, icm20948, icm42688 or bmi270"}};
 	struct imu_port *port;

@@ -10,6 +10,7 @@
 #include <stdio.h>
 #include <string.h>
 #include <sys/eventfd.h>
+#include <sys/mman.h>
 #include <sys/syscall.h>
 #include <unistd.h>
 
@@ -22,6 +23,7 @@ struct values {
 	uint16_t a, b, fixed, secret;
 	uint8_t small;
 	char text[4];
+	uint16_t limited;
 };
 
 #define ENTRY(i, t, a, member)                                                                                         \
@@ -46,9 +48,21 @@ static const struct od_entry ENTRIES[] = {
 	DOMAIN(0x2007, OD_READ | OD_WRITE),
 	DOMAIN(0x2008, OD_WRITE),
 	DOMAIN(0x2009, OD_READ),
+	{.index = 0x200B,
+		.type = OD_UNSIGNED16,
+		.access = OD_READ | OD_WRITE | OD_LIMIT_HIGH,
+		.size = 2,
+		.offset = offsetof(struct values, limited),
+		.factor = 1,
+		.high = {.u = 100},
+		.name = "limited",
+		.unit = "",
+		.description = ""},
+	{.index = 0x2010, .sub = 3, .type = OD_DOMAIN, .access = OD_READ, .name = "c", .unit = "", .description = ""},
+	{.index = 0x2010, .sub = 4, .type = OD_DOMAIN, .access = OD_READ, .name = "d", .unit = "", .description = ""},
 };
-enum { A, B, FIXED, SECRET, SMALL, TEXT, CONSTANT, GENERATED, WRITTEN };
-enum { AT_A = 10, AT_B, AT_FIXED, AT_SECRET, AT_SMALL, AT_TEXT };
+enum { A, B, FIXED, SECRET, SMALL, TEXT, CONSTANT, GENERATED, WRITTEN, LIMITED = 10 };
+enum { AT_A = 10, AT_B, AT_FIXED, AT_SECRET, AT_SMALL, AT_TEXT, AT_LIMITED = 17 };
 
 static const struct values DEFAULTS = {
 	.a = 0x1122, .b = 0x3344, .fixed = 7, .secret = 9, .small = 0x55, .text = "abcd"};
@@ -57,9 +71,9 @@ static const struct od_table TABLE = {.entries = ENTRIES,
 	.defaults = &DEFAULTS,
 	.values_size = sizeof(DEFAULTS)};
 static const struct modbus_point POINTS[] = {{AT_A, 1, A}, {AT_B, 1, B}, {AT_FIXED, 1, FIXED}, {AT_SECRET, 1, SECRET},
-	{AT_SMALL, 1, SMALL}, {AT_TEXT, 2, TEXT}};
+	{AT_SMALL, 1, SMALL}, {AT_TEXT, 2, TEXT}, {AT_LIMITED, 1, LIMITED}};
 static const struct modbus_coil COILS[] = {{1, SMALL, false, 0}, {2, A, true, 0x1234}};
-static const struct modbus_map MAP = {POINTS, NULL, COILS, 6, 0, 2, "ACME", "X1"};
+static const struct modbus_map MAP = {POINTS, NULL, COILS, 7, 0, 2, "ACME", "X1"};
 
 /* ---- the loop ---------------------------------------------------------------------------------------------------- */
 
@@ -129,7 +143,7 @@ static enum od_status take(void *ctx, const uint8_t *data, size_t size)
 
 static int set_up(void **state)
 {
-	static struct od_domain constant, generator, written;
+	static struct od_domain constant, generator, written, third, fourth;
 	static const struct od_values snapshot;
 
 	(void)state;
@@ -137,6 +151,10 @@ static int set_up(void **state)
 	constant = (struct od_domain){.index = 0x2006, .data = (const uint8_t *)"constant", .size = 8};
 	generator = (struct od_domain){.index = 0x2007, .read = generate, .write = take};
 	written = (struct od_domain){.index = 0x2008, .data = (const uint8_t *)"no", .size = 2, .write = take};
+	third = (struct od_domain){.index = 0x2010, .sub = 3, .read = generate};
+	fourth = (struct od_domain){.index = 0x2010, .sub = 4, .data = (const uint8_t *)"the fourth", .size = 10};
+	od_set_domain(&od, &third);
+	od_set_domain(&od, &fourth);
 	od_set_domain(&od, &constant);
 	od_set_domain(&od, &generator);
 	od_set_domain(&od, &written);
@@ -195,6 +213,34 @@ static void test_of_several_values_none_is_written_when_one_cannot_be(void **sta
 	assert_int_equal(write_words(AT_B, 1, "\1\2\3\4"), OD_OK);
 	assert_int_equal(write_words(AT_B - 2, 1, "\1\2"), OD_NO_OBJECT);
 	assert_string_equal(told, "me:7 b 02 01 0;");
+}
+
+static void test_of_several_values_none_is_written_when_one_is_beyond_its_limit(void **state)
+{
+	(void)state;
+	assert_int_equal(write_words(AT_TEXT, 3, "xy\0z\0\145"), OD_TOO_HIGH); /* 101 */
+	assert_int_equal(writes, 0);
+	assert_int_equal(write_words(AT_TEXT, 3, "xy\0z\0\144"), OD_OK);
+	assert_int_equal(values.limited, 100);
+}
+
+/* A request ends at the end of a page, and nothing can be read behind it. */
+static void test_of_a_request_no_more_is_read_than_it_has(void **state)
+{
+	const size_t page = (size_t)sysconf(_SC_PAGESIZE);
+	uint8_t *pages = mmap(NULL, 2 * page, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+	uint8_t *end = pages + page;
+
+	(void)state;
+	assert_true(pages != MAP_FAILED);
+	assert_int_equal(mprotect(end, page, PROT_NONE), 0);
+	memcpy(end - 4, "\1\2\3\4", 4);
+	assert_int_equal(client.registers.write(client.registers.ctx, AT_A, 2, end - 4), OD_OK);
+	assert_int_equal(values.b, 0x0304);
+	end[-1] = 0xFF;
+	client.registers.write_coils(client.registers.ctx, 0, 8, end - 1);
+	client.registers.write_coils(client.registers.ctx, 0, 1, end - 1);
+	munmap(pages, 2 * page);
 }
 
 /* It could not be taken back. */
@@ -331,6 +377,34 @@ static void assert_reads(uint16_t index, size_t offset, size_t size, const char 
 	assert_int_equal(client.registers.read_object(client.registers.ctx, index, 0, offset, out, &n), OD_OK);
 	assert_int_equal(n, strlen(bytes));
 	assert_memory_equal(out, bytes, n);
+}
+
+static void assert_reads_sub(uint8_t sub, size_t offset, size_t size, const char *bytes)
+{
+	uint8_t out[32];
+	size_t n = size;
+
+	assert_int_equal(client.registers.read_object(client.registers.ctx, 0x2010, sub, offset, out, &n), OD_OK);
+	assert_int_equal(n, strlen(bytes));
+	assert_memory_equal(out, bytes, n);
+}
+
+static void test_a_part_is_of_the_sub_index_that_was_read_before(void **state)
+{
+	(void)state;
+	assert_reads_sub(3, 0, 1, "c");
+	assert_reads_sub(3, 1, 8, "ontent 1");
+	assert_reads_sub(4, 4, 9, "fourth");
+	assert_reads_sub(3, 8, 9, "2");
+	assert_int_equal(generated, 2);
+}
+
+static void test_the_next_client_continues_no_read_of_the_one_before(void **state)
+{
+	(void)state;
+	assert_reads(0x2007, 0, 4, "cont");
+	modbus_access_init(&client, &link_, &MAP, &TABLE, "you:8", true, sdo_abort_code);
+	assert_reads(0x2007, 8, 9, "2");
 }
 
 static enum od_status read_status(uint16_t index, uint8_t sub)
@@ -489,6 +563,8 @@ int main(void)
 	const struct CMUnitTest tests[] = {
 		TEST(test_each_value_that_is_written_is_told_with_its_client),
 		TEST(test_of_several_values_none_is_written_when_one_cannot_be),
+		TEST(test_of_several_values_none_is_written_when_one_is_beyond_its_limit),
+		TEST(test_of_a_request_no_more_is_read_than_it_has),
 		TEST(test_a_value_that_cannot_be_read_is_written_alone),
 		TEST(test_what_was_written_before_a_refusal_is_taken_back),
 		TEST(test_an_old_value_that_is_refused_is_put_back),
@@ -498,6 +574,8 @@ int main(void)
 		TEST(test_the_order_of_words_is_that_of_the_loop),
 		TEST(test_an_object_is_written_and_told),
 		TEST(test_a_domain_is_read_in_parts_as_of_its_beginning),
+		TEST(test_a_part_is_of_the_sub_index_that_was_read_before),
+		TEST(test_the_next_client_continues_no_read_of_the_one_before),
 		TEST(test_what_cannot_be_read_of_objects_is_told),
 		TEST(test_identification_has_the_objects_of_the_dictionary),
 		TEST(test_the_error_history_has_no_entry_beyond_its_count),
