@@ -880,6 +880,18 @@ static void test_an_event_driven_pdo_is_sent_on_request_too(void **state)
 	bus_exchange(bus, "190 R", "190 00 00 00 00 00 00 00 00");
 }
 
+/* .. before the next frame, which stops it. */
+static void test_an_event_driven_pdo_is_sent_at_once_on_request(void **state)
+{
+	const struct can_msg request = {.id = 0x190, .remote = true}, stop = {.data = {2, 0x10}, .len = 2};
+	struct bus *bus = *state;
+
+	requestable(bus, 254);
+	canopen_receive(&bus->node, &request, bus->now_us);
+	canopen_receive(&bus->node, &stop, bus->now_us);
+	bus_expect(bus, "190 00 00 00 00 00 00 00 00");
+}
+
 static void test_a_request_within_the_inhibit_time_waits_for_it(void **state)
 {
 	struct bus *bus = *state;
@@ -1048,6 +1060,7 @@ int main(void)
 		OPERATIONAL(test_type_252_is_sent_on_request_with_the_values_of_the_last_sync),
 		OPERATIONAL(test_type_252_is_not_sent_before_the_first_sync),
 		OPERATIONAL(test_type_252_is_not_sent_before_a_sync_in_the_new_operational_state),
+		OPERATIONAL(test_an_event_driven_pdo_is_sent_at_once_on_request),
 		OPERATIONAL(test_an_event_driven_pdo_is_sent_on_request_too),
 		OPERATIONAL(test_a_request_within_the_inhibit_time_waits_for_it),
 		OPERATIONAL(test_a_synchronous_pdo_is_not_sent_on_request),

@@ -649,7 +649,9 @@ static void test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is
 	}
 	assert_true(h->information[0][0] == 0);
 	assert_true(vec3_norm(f.kalman.heading_by_offset_rad_uT) == 0);
-	assert_true(f.kalman.covariance[3][3] < 1);
+	for (int i = 0; i < 3; i++) /* known to 0.5 deg/s and to the configured scale, as at the start */
+		assert_true(f.kalman.covariance[KALMAN_BIAS + i][KALMAN_BIAS + i] <
+			    0.51 * 0.51 * RAD_PER_DEG * RAD_PER_DEG);
 }
 
 static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(void **state)
@@ -1791,6 +1793,24 @@ static void test_under_a_heading_from_outside_the_direction_of_the_field_is_foll
 	assert_near(left, bearing * exp(-0.5), 0.01);
 }
 
+/* The field of a sensor that lies upside down, or was told its heading, may point south: 3 and -3 rad are 0.28 apart. */
+static void test_a_bearing_around_south_goes_the_short_way(void **state)
+{
+	const struct fusion_kalman_config c = FUSION_KALMAN_DEFAULTS;
+	const struct vec3 before = {20 * sin(3), 20 * cos(3), -45}, after = {20 * sin(-3), 20 * cos(-3), -45};
+	const struct fusion_kalman_sample sample = {.force_b_m_s2 = {0, 0, G}, .field_b_uT = &after};
+	struct fusion_kalman k = {.aided_heading_s = 0};
+	struct gyro_errors errors = {.bias_b_rad_s = {0, 0, 0}};
+	struct quat q = QUAT_IDENTITY;
+
+	(void)state;
+	fusion_kalman_start(&k, &c, G);
+	fusion_kalman_set_north(&k, &c, q, before);
+	for (int i = 0; i < 4000; i++)
+		fusion_kalman_step(&k, &c, &sample, 0.005, &q, &errors);
+	assert_near(quat_to_rotation_vector(q).z, 2 * PI - 6, 0.03);
+}
+
 /* A new sigma is that of the state from then on; what did not change stays as it was learnt. */
 static void test_a_new_sigma_of_a_sensor_is_that_of_its_error(void **state)
 {
@@ -1895,6 +1915,7 @@ int main(void)
 		cmocka_unit_test(test_an_attitude_or_a_heading_that_was_set_is_all_that_is_known_of_it),
 		cmocka_unit_test(test_a_velocity_from_outside_is_a_measurement_unless_it_is_the_first_or_contradicts),
 		cmocka_unit_test(test_under_a_heading_from_outside_the_direction_of_the_field_is_followed_in_10_s),
+		cmocka_unit_test(test_a_bearing_around_south_goes_the_short_way),
 		cmocka_unit_test(test_a_new_sigma_of_a_sensor_is_that_of_its_error),
 	};
 

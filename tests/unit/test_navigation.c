@@ -1935,6 +1935,20 @@ static void test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it(void **st
 	assert_false(n.high_pass2_max > 0 || n.lever_known || n.rope.full || n.rope.steady);
 }
 
+/* A mean over a second: after an interval of a tenth, 1/11 of the square. */
+static void test_the_difference_to_the_fusion_is_remembered_for_a_second(void **state)
+{
+	const struct navigation_input in = {.force_b_m_s2 = {0, 0, G},
+		.q_nb = quat_from_rotation_vector((struct vec3){0.02, -0.01, 0}),
+		.gravity_m_s2 = G};
+	struct navigation n = started(MOTION_ANY);
+
+	(void)state;
+	assert_true(navigation_step(&n, &in, 0.1));
+	assert_near(n.fusion_difference2_rad2.x, 4e-4 / 11, 1e-7);
+	assert_near(n.fusion_difference2_rad2.y, 1e-4 / 11, 1e-7);
+}
+
 /* It has moved at 3 m/s lately, and the fusion knows its tilt to 0.1 or 0.2 rad: that still is so. */
 static void test_a_tilt_that_is_lost_is_found_as_the_fusion_knows_it(void **state)
 {
@@ -2042,6 +2056,7 @@ int main(void)
 		cmocka_unit_test(test_what_was_integrated_before_missing_samples_is_void),
 		cmocka_unit_test(test_a_movement_that_begins_knows_nothing_of_the_one_before),
 		cmocka_unit_test(test_a_tilt_that_is_lost_takes_biases_and_velocity_with_it),
+		cmocka_unit_test(test_the_difference_to_the_fusion_is_remembered_for_a_second),
 		cmocka_unit_test(test_a_tilt_that_is_lost_is_found_as_the_fusion_knows_it),
 		cmocka_unit_test(test_a_turn_in_one_direction_leaves_a_share_of_its_angle_behind),
 	};
