@@ -166,6 +166,20 @@ static void test_a_client_reads_what_was_published_last(void **state)
 	assert_int_equal(counter_in(f), before + 3);
 }
 
+/* LSS has given it another node-ID. */
+static void test_function_43_13_reaches_the_node_id_of_the_device(void **state)
+{
+	const uint8_t heartbeat_of_77[] = {0x2B, 0x0D, 0, 77, 0x10, 0x17, 0, 0, 0, 0, 9};
+	struct fixture *f = *state;
+
+	send_request(f, heartbeat_of_77, sizeof(heartbeat_of_77));
+	assert_int_equal(receive_answer(f), 0xAB);
+	f->world.device.canopen.id = 77;
+	window_publish(&f->window);
+	send_request(f, heartbeat_of_77, sizeof(heartbeat_of_77));
+	assert_int_equal(receive_answer(f), 0x2B);
+}
+
 static void test_the_loop_executes_a_write_and_logs_who_wrote(void **state)
 {
 	struct fixture *f = *state;
@@ -342,6 +356,7 @@ int main(void)
 #define TEST(test) cmocka_unit_test_setup_teardown(test, set_up, tear_down)
 	const struct CMUnitTest tests[] = {
 		TEST(test_a_client_reads_what_was_published_last),
+		TEST(test_function_43_13_reaches_the_node_id_of_the_device),
 		TEST(test_the_loop_executes_a_write_and_logs_who_wrote),
 		TEST(test_a_refused_write_is_logged_with_its_reason),
 		TEST(test_the_counters_of_the_server_are_objects),
