@@ -144,6 +144,20 @@ static void test_an_unknown_nmt_command_is_ignored(void **state)
 	bus_expect_nothing(bus);
 }
 
+/* A driver of another bus, such as CAN FD, may hand it over. */
+static void test_a_frame_of_more_than_8_bytes_is_nothing(void **state)
+{
+	struct bus *bus = *state;
+	struct can_msg request = {.id = 0x610, .data = {0x40, 0x00, 0x10}, .len = 9};
+	size_t before = bus->sent_count;
+
+	bus_send_msg(bus, &request);
+	bus_expect_nothing(bus);
+	request.len = 8;
+	bus_send_msg(bus, &request);
+	assert_int_equal(bus->sent_count, before + 1);
+}
+
 static void test_extended_and_remote_frames_are_not_nmt_commands(void **state)
 {
 	struct bus *bus = *state;
@@ -513,6 +527,7 @@ int main(void)
 		PRE_OPERATIONAL(test_a_command_to_another_node_is_ignored),
 		PRE_OPERATIONAL(test_an_nmt_frame_of_wrong_length_is_ignored),
 		PRE_OPERATIONAL(test_an_unknown_nmt_command_is_ignored),
+		PRE_OPERATIONAL(test_a_frame_of_more_than_8_bytes_is_nothing),
 		PRE_OPERATIONAL(test_extended_and_remote_frames_are_not_nmt_commands),
 		PRE_OPERATIONAL(test_reset_node_restores_every_value_and_boots_up_again),
 		PRE_OPERATIONAL(test_reset_communication_restores_1000h_to_1FFFh_and_leaves_the_rest),

@@ -700,6 +700,8 @@ static void test_all_nodes_get_node_ids_from_the_first_on(void **state)
 		"# Found 2 nodes, search finished.\n[1] OK\r\n");
 	assert_memory_equal(slaves.ids, "\2\3", 2);
 	assert_int_equal(slaves.stores, 2);
+	scan_nodes(1, "[1] lss_allnodes 10"); /* without a node-ID */
+	assert_int_equal(slaves.ids[0], 2);
 	assert_string_equal(scan_nodes(1, "[1] lss_allnodes 10 50 0"),
 		"# Node-ID 50 assigned to: 0x00000000 0x00000000 0x00000000 0x00000000\n"
 		"# Found 1 nodes, search finished.\n[1] OK\r\n");
