@@ -170,6 +170,8 @@ struct fusion_kalman {
 	double candidate_norm_uT, candidate_dip_rad, candidate_s, candidate_rotation_s[3][3];
 	struct vec3 rest_field_n_uT; /* mean of the first second at rest */
 	double rest_field_s;
+	double disturbance2_uT2;	    /* mean square of the field's difference from the reference, lately */
+	double heading_by_disturbance_rad2; /* variance that the heading owes to it */
 	double undisturbed_s, rejected_s, outlier_s; /* see fusion_kalman_config.rejection_time_s */
 	/* aids */
 	double north_rad;	/* direction of the field, clockwise from y; 0 unless a heading was set or aided */

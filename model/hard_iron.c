@@ -69,25 +69,26 @@ static void begin_turn(struct hard_iron *h, struct vec3 field_b_uT, double rate2
 	h->since_s = 0;
 }
 
-static void add_row(struct hard_iron *h, const double row[4], double value, double weight)
+static void add_row(struct hard_iron_rows *r, const double row[4], double value, double weight)
 {
 	for (int i = 0; i < 4; i++) {
 		for (int j = 0; j < 4; j++)
-			h->information[i][j] += weight * row[i] * row[j];
-		h->projection[i] += weight * row[i] * value;
+			r->information[i][j] += weight * row[i] * row[j];
+		r->projection[i] += weight * row[i] * value;
 	}
 }
 
-static void keep(struct hard_iron *h, double share)
+static void keep(struct hard_iron_rows *r, double share)
 {
 	for (int i = 0; i < 4; i++) {
 		for (int j = 0; j < 4; j++)
-			h->information[i][j] *= share;
-		h->projection[i] *= share;
+			r->information[i][j] *= share;
+		r->projection[i] *= share;
 	}
 }
 
-/* What the earlier turns have shown of the offset and of its agreement. */
+/* What the earlier turns have shown of the offset and of its agreement; and of lengths all, since those of a field with
+ * another offset would pretend that turns about one axis show the offset along it. */
 static void forget(struct hard_iron *h, double kept)
 {
 	h->length_off2 *= kept;
@@ -97,7 +98,8 @@ static void forget(struct hard_iron *h, double kept)
 		h->solved.unexplained[i] *= kept;
 		h->solved.turned_field[i] *= kept;
 	}
-	keep(h, kept);
+	keep(&h->rows, kept);
+	keep(&h->sphere, 0);
 }
 
 /* Both relations of the header for one turn. */
@@ -107,19 +109,22 @@ static void add_turn(
 	const double y[3] = {apart.x, apart.y, apart.z}, length2 = vec3_dot(field, field);
 	const double sphere[4] = {2 * field.x, 2 * field.y, 2 * field.z, 1};
 
-	keep(h, 1 - 1 / OFFSET_TURNS);
+	keep(&h->rows, 1 - 1 / OFFSET_TURNS);
+	keep(&h->sphere, 1 - 1 / OFFSET_TURNS);
 	for (int i = 0; i < 3; i++) {
 		const double row[4] = {(i == 0) - turn->m[i][0], (i == 1) - turn->m[i][1], (i == 2) - turn->m[i][2], 0};
 
-		add_row(h, row, y[i], 1 / variance);
+		add_row(&h->rows, row, y[i], 1 / variance);
 	}
-	add_row(h, sphere, length2, 1 / squared(2 * LENGTH_SHARE * squared(h->field_uT)));
+	add_row(&h->sphere, sphere, length2, 1 / squared(2 * LENGTH_SHARE * squared(h->field_uT)));
 }
 
 /* The least-squares solution with its covariance; false where there is none. */
 static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4])
 {
-	memcpy(covariance, h->information, sizeof(h->information));
+	memcpy(covariance, h->rows.information, sizeof(h->rows.information));
+	for (int i = 0; i < 16; i++)
+		covariance[i / 4][i % 4] += h->sphere.information[i / 4][i % 4];
 	for (int i = 0; i < 3; i++)
 		covariance[i][i] += 1 / squared(OFFSET_UT);
 	if (linalg_invert(4, covariance[0]) < 0)
@@ -127,7 +132,7 @@ static bool solve(const struct hard_iron *h, double covariance[4][4], double x[4
 	for (int i = 0; i < 4; i++) {
 		x[i] = 0;
 		for (int j = 0; j < 4; j++)
-			x[i] += covariance[i][j] * h->projection[j];
+			x[i] += covariance[i][j] * (h->rows.projection[j] + h->sphere.projection[j]);
 	}
 	return true;
 }

@@ -48,8 +48,11 @@ struct hard_iron {
 	struct quat turned;    /* since the last field that was used: object then -> object now */
 	struct vec3 last_b_uT; /* that field */
 	double last_rate2_rad2_s2, since_s;
-	double field_uT;			 /* mean length, less the offset */
-	double information[4][4], projection[4]; /* of b and |field|^2 - |b|^2 */
+	double field_uT; /* mean length, less the offset */
+	/* of b and |field|^2 - |b|^2, by the turns of the field and by its length */
+	struct hard_iron_rows {
+		double information[4][4], projection[4];
+	} rows, sphere;
 	struct hard_iron_agreement {
 		double unexplained[3], turned_field[3]; /* squares, over the last turns about each axis */
 	} agreement, solved;				/* with the offset that is in use, and with the solution */

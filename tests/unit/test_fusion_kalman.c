@@ -639,7 +639,7 @@ static void test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is
 
 	(void)state;
 	follow(&f, &e, 1, 30);
-	assert_true(h->information[0][0] > 0);
+	assert_true(h->rows.information[0][0] > 0);
 	assert_true(vec3_norm(f.kalman.heading_by_offset_rad_uT) > 0);
 	f.kalman.covariance[3][3] = NAN;
 	for (int k = 0; k < 20; k++) {
@@ -647,7 +647,7 @@ static void test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is
 
 		fusion_step(&f, &m.sample, 0.005);
 	}
-	assert_true(h->information[0][0] == 0);
+	assert_true(h->rows.information[0][0] == 0);
 	assert_true(vec3_norm(f.kalman.heading_by_offset_rad_uT) == 0);
 	for (int i = 0; i < 3; i++) /* known to 0.5 deg/s and to the configured scale, as at the start */
 		assert_true(f.kalman.covariance[KALMAN_BIAS + i][KALMAN_BIAS + i] <
