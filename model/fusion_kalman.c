@@ -837,13 +837,12 @@ static bool is_heading_outlier(
 /* rad^2, of the heading by a disturbance that lasts, such as iron that the object picked up: it is wrong by as much in
  * each swing, and no mean of many removes it. What is far beyond the limits does not turn the heading. */
 static double lasting_disturbance(
-	struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f)
+	struct fusion_kalman *k, const struct fusion_kalman_config *config, const struct field *f, double seen2_uT2)
 {
-	double seen2 = squared(f->off_norm_uT) + squared(k->norm_uT * f->off_dip_rad);
-	double most2 = squared(2 * config->field_limit * k->norm_uT);
+	double most2_uT2 = squared(2 * config->field_limit * k->norm_uT);
 
 	k->disturbance2_uT2 +=
-		k->sums.time_s / (DISTURBED_S + k->sums.time_s) * (fmin(most2, seen2) - k->disturbance2_uT2);
+		k->sums.time_s / (DISTURBED_S + k->sums.time_s) * (fmin(most2_uT2, seen2_uT2) - k->disturbance2_uT2);
 	return DISTURBANCE_SHARE * fmax(0, k->disturbance2_uT2 - squared(DISTURBED_SHARE * k->norm_uT)) /
 	       squared(f->horizontal_uT);
 }
@@ -853,7 +852,7 @@ static bool measure_heading(
 {
 	struct vec3 m = vec3_scale(1.0 / k->sums.fields, k->sums.field_n_uT);
 	struct field f = {.norm_uT = vec3_norm(m), .horizontal_uT = hypot(m.x, m.y)};
-	double factor, variance, pose_s, white, off, share, lasting;
+	double factor, variance, pose_s, white, off, share, seen2_uT2, lasting;
 	struct vec3 across;
 
 	if (!(f.horizontal_uT > LEAST_HORIZONTAL * f.norm_uT) || k->hard_iron.disagrees)
@@ -870,9 +869,9 @@ static bool measure_heading(
 	f.off_dip_rad = f.dip_rad - k->dip_rad;
 	f.within = within_limits(k, f.off_norm_uT, k->norm_uT, f.off_dip_rad, config->field_limit);
 	f.rate_rad_s = sqrt(k->sums.turned_rad2_s / k->sums.time_s);
-	variance += DISTURBANCE_SHARE * (squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad)) /
-		    squared(f.horizontal_uT);
-	lasting = lasting_disturbance(k, config, &f);
+	seen2_uT2 = squared(f.off_norm_uT) + squared(k->norm_uT * f.off_dip_rad);
+	variance += DISTURBANCE_SHARE * seen2_uT2 / squared(f.horizontal_uT);
+	lasting = lasting_disturbance(k, config, &f, seen2_uT2);
 	factor = update_field_reference(k, config, &f);
 	if (field_changed_at_rest(k, m, rest) || factor == 0)
 		return false;
@@ -1051,6 +1050,7 @@ static bool correct(struct fusion_kalman *k, const struct fusion_kalman_config *
 	if (!covariance_is_valid(k)) {
 		*gyro_errors = (struct gyro_errors){0};
 		forget_offset(k);
+		k->heading_by_disturbance_rad2 = 0;
 		fusion_kalman_reset_gyro_errors(k, config);
 		fusion_kalman_start(k, config, 0);
 		return false;

@@ -654,6 +654,24 @@ static void test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is
 			    0.51 * 0.51 * RAD_PER_DEG * RAD_PER_DEG);
 }
 
+/* A field that counts although it is beyond the limits, as one does after the rejection time, is weighed by it. */
+static void test_a_covariance_that_is_none_leaves_a_number_for_the_lasting_disturbance(void **state)
+{
+	struct errors e = {.arm = {0, 0, 0}};
+	struct fusion f = fusion(NINE_AXES);
+
+	(void)state;
+	follow(&f, &e, 1, 5);
+	f.kalman.rejected_s = 1000;
+	f.kalman.covariance[3][3] = NAN;
+	for (int k = 0; k < 20; k++) {
+		struct moment m = swinging(0, 0, (struct vec3){0, 0, 0});
+
+		fusion_step(&f, &m.sample, 0.005);
+	}
+	assert_true(f.kalman.heading_by_disturbance_rad2 >= 0);
+}
+
 static void test_an_attitude_upside_down_is_reinitialised_within_half_a_minute(void **state)
 {
 	const double turns_rad[] = {PI, 3, 2};
@@ -1877,6 +1895,7 @@ int main(void)
 		cmocka_unit_test(test_after_a_gap_attitude_and_bias_converge_again),
 		cmocka_unit_test(test_the_filter_recovers_from_nonsense_measurements),
 		cmocka_unit_test(test_what_the_field_has_shown_is_forgotten_with_a_covariance_that_is_none),
+		cmocka_unit_test(test_a_covariance_that_is_none_leaves_a_number_for_the_lasting_disturbance),
 		cmocka_unit_test(test_an_attitude_upside_down_is_reinitialised_within_half_a_minute),
 		cmocka_unit_test(test_a_lost_tilt_takes_bias_and_scale_with_it),
 		cmocka_unit_test(test_a_lost_tilt_is_turned_back_by_60_degrees_about_the_right_axis),
